@@ -1,0 +1,85 @@
+"""armctl's batched environments as the vector environments of Stable-Baselines3."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
+
+Array = NDArray[np.float64]
+
+
+class StableBaselinesVectorEnv(VecEnv):
+    """A same-step autoreset vector environment, seen by Stable-Baselines3.
+
+    Its `infos` hold what a learner needs of episodes that end: `terminal_observation`, `TimeLimit.truncated`,
+    `episode` (return and length) and `is_success`.
+    """
+
+    def __init__(self, env: gymnasium.vector.VectorEnv[Any, Any, Any]) -> None:
+        if env.metadata["autoreset_mode"] is not AutoresetMode.SAME_STEP:
+            raise ValueError("Stable-Baselines3 needs autoreset_mode='same_step'")
+        self.env = env
+        self._seed: int | None = None
+        super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
+        self._returns = np.zeros(self.num_envs)
+        self._lengths = np.zeros(self.num_envs, dtype=np.int64)
+
+    def reset(self) -> Any:
+        """Start new episodes in all worlds; the first time with the seed given to `seed`."""
+        observations, _ = self.env.reset(seed=self._seed)
+        self._seed = None
+        self._returns[:] = 0.0
+        self._lengths[:] = 0
+        return observations
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Seed of the next `reset`."""
+        self._seed = seed
+        return [None if seed is None else seed + i for i in range(self.num_envs)]
+
+    def step_async(self, actions: NDArray[np.float32]) -> None:
+        """Keep the actions (n, ...) for `step_wait`."""
+        self._actions = actions
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Step all worlds."""
+        observations, rewards, terminated, truncated, infos = self.env.step(self._actions)
+        done = terminated | truncated
+        self._returns += rewards
+        self._lengths += 1
+        world_infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        for i in np.flatnonzero(done):
+            world_infos[i] = {
+                "terminal_observation": infos["final_obs"][i],
+                "TimeLimit.truncated": bool(truncated[i]),
+                "is_success": bool(infos["final_info"]["is_success"][i]),
+                "episode": {"r": self._returns[i], "l": int(self._lengths[i])},
+            }
+        self._returns[done] = 0.0
+        self._lengths[done] = 0
+        return observations, rewards, done, world_infos
+
+    def close(self) -> None:
+        """Close the environment."""
+        self.env.close()
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """The environment's attribute, the same for all worlds."""
+        return [getattr(self.env, attr_name)] * len(list(self._get_indices(indices)))
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Set an attribute of the environment, for all worlds."""
+        setattr(self.env, attr_name, value)
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
+        """Call a method of the environment once."""
+        return [getattr(self.env, method_name)(*args, **kwargs)]
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+        """Never: the worlds have no wrappers of their own."""
+        return [False] * len(list(self._get_indices(indices)))

@@ -1,0 +1,53 @@
+"""armctl: planners and controllers against learned agents, on the same robot episodes.
+
+Importing it registers the environments with Gymnasium. The library's functions load on first use.
+"""
+
+import ctypes
+import importlib
+import os
+import sys
+from typing import Any
+
+import gymnasium
+
+__version__ = "0.1.0"
+
+
+def _choose_graphics() -> None:
+    """Let MuJoCo, which picks its OpenGL once, when it is imported, render without a screen where there is none."""
+    screen = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    if sys.platform != "linux" or screen or "MUJOCO_GL" in os.environ:
+        return
+    try:
+        ctypes.CDLL("libEGL.so.1")
+    except OSError:
+        return  # with MUJOCO_GL=egl and no such library, MuJoCo itself could not be imported
+    os.environ["MUJOCO_GL"] = "egl"
+
+
+_choose_graphics()
+
+gymnasium.register(
+    id="armctl/ArmReach-v0",
+    entry_point="armctl.envs:ArmReachEnv",
+    vector_entry_point="armctl.envs:ArmReachVectorEnv",
+    max_episode_steps=100,
+)
+
+_HOMES = {
+    "load_arm": "armctl.assets",
+    "ArmModel": "armctl.kinematics",
+    "Ik": "armctl.kinematics",
+    "make_policy": "armctl.policies",
+    "Policy": "armctl.policies",
+    "evaluate": "armctl.evaluation",
+    "compare": "armctl.evaluation",
+}
+__all__ = list(_HOMES)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'armctl' has no attribute {name!r}; it has {', '.join(_HOMES)}")
+    return getattr(importlib.import_module(_HOMES[name]), name)

@@ -1,0 +1,7 @@
+"""What is known about an arm: forward kinematics, Jacobians, limits, collisions, and its inverse kinematics."""
+
+from armctl.kinematics.ik import Ik, IkOptions, IkResult
+from armctl.kinematics.model import ArmModel
+from armctl.kinematics.workspace import Workspace
+
+__all__ = ["ArmModel", "Ik", "IkOptions", "IkResult", "Workspace"]

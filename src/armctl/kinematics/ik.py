@@ -1,0 +1,243 @@
+"""Inverse kinematics: every configuration that brings the end-effector to a pose or a position, with its residual.
+
+Poses of arms with a known geometric decomposition (all UR) are solved in closed form by EAIK (Ostermeier, Kuelz and Althoff,
+"Automatic geometric decomposition for analytical inverse kinematics", RA-L 2025). All else is solved by
+Levenberg-Marquardt with error-proportional damping (Sugihara, "Solvability-unconcerned inverse kinematics by the
+Levenberg-Marquardt method", T-RO 2011) from several starts.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import eaik.pybindings.EAIK as eaik
+import numpy as np
+import pinocchio
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from armctl.errors import ConfigurationError, UnreachableTarget
+from armctl.kinematics.model import ArmModel
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class IkOptions:
+    """Bounds of a search."""
+
+    tolerance: float = 1e-6
+    """Largest residual of a solution: norm of the position error (m), or of the pose's twist (m and rad)."""
+    max_iterations: int = 60
+    """Levenberg-Marquardt steps from one start."""
+    starts: int = 24
+    """Starts of a numeric search: the seed, home, and random configurations."""
+    rng_seed: int = 0
+    """Seed of the random starts: a search is a function of its arguments alone."""
+    distinct: float = 1e-3
+    """Configurations closer than this in every joint (rad) are one solution."""
+
+
+@dataclass(frozen=True)
+class IkResult:
+    """Solutions within the joint limits, the one nearest to the seed first."""
+
+    solutions: Array
+    """(k, dof) rad; k is 0 when the target is out of reach."""
+    residuals: Array
+    """(k,) measured by forward kinematics, in the unit of `IkOptions.tolerance`."""
+    closest: Array
+    """(dof,) the best configuration found, a solution or not."""
+    closest_residual: float
+    iterations: int
+
+    @property
+    def reachable(self) -> bool:
+        """Whether there is a solution."""
+        return len(self.solutions) > 0
+
+    @property
+    def q(self) -> Array:
+        """The solution nearest to the seed, (dof,) rad. Raises `UnreachableTarget` if there is none."""
+        if not self.reachable:
+            raise UnreachableTarget(f"no configuration reaches the target; the closest is off by {self.closest_residual:.3g}")
+        return np.asarray(self.solutions[0])
+
+
+class Ik:
+    """Inverse kinematics of one arm."""
+
+    def __init__(self, model: ArmModel, options: IkOptions | None = None) -> None:
+        self.model = model
+        self.options = options or IkOptions()
+        self._analytic = _analytic_solver(model)
+        rng = np.random.default_rng(self.options.rng_seed)
+        low, high = np.maximum(model.limits.lower, -np.pi), np.minimum(model.limits.upper, np.pi)
+        self._random_starts = rng.uniform(low, high, (self.options.starts, model.dof))
+        self._orientations = Rotation.random(self.options.starts, rng=rng).as_matrix()
+        self._full_turn = model.limits.upper - model.limits.lower >= 2 * np.pi - 1e-6
+
+    @property
+    def analytic(self) -> bool:
+        """Whether poses are solved in closed form."""
+        return self._analytic is not None
+
+    def pose(self, target: Array, seed: Array | None = None, count: int | None = None) -> IkResult:
+        """Configurations for a full pose, homogeneous (4, 4); at most `count` of them, nearest to `seed` (dof,) first.
+
+        A closed-form arm gives all there are (up to 8 for a UR), a numeric one those found until `count` (default 1).
+        Raises `ConfigurationError` if `target` is not a rigid transform.
+        """
+        target = np.asarray(target, dtype=float)
+        if target.shape != (4, 4) or not np.allclose(target[:3, :3] @ target[:3, :3].T, np.eye(3), atol=1e-6):
+            raise ConfigurationError(f"a pose is a homogeneous (4, 4) matrix with an orthonormal rotation, not {target}")
+        seed = self.model.home if seed is None else np.asarray(seed, dtype=float)
+        problem = _PoseProblem(self.model, target)
+        if self._analytic is None:
+            return self._search(problem, seed, count or 1)
+        attempts = [self._polish(problem, np.array(q)) for q in self._analytic.calculate_IK(target).Q]
+        return self._result(attempts, seed, count)
+
+    def position(self, target: Array, seed: Array | None = None, count: int = 1) -> IkResult:
+        """Configurations for a position alone, (3,) m: up to `count` distinct ones, nearest to `seed` (dof,) first.
+
+        Raises `ConfigurationError` if `target` is not three finite numbers.
+        """
+        target = np.asarray(target, dtype=float)
+        if target.shape != (3,) or not np.isfinite(target).all():
+            raise ConfigurationError(f"a position is three finite numbers, not {target}")
+        seed = self.model.home if seed is None else np.asarray(seed, dtype=float)
+        return self._search(_PositionProblem(self.model, target), seed, count)
+
+    def free_configuration(self, position: Array) -> Array | None:
+        """A configuration (dof,) at `position` (3,) in which the arm touches neither itself nor the floor, or None.
+
+        The same answer every time: a fixed set of orientations (or of numeric starts) is tried.
+        """
+        for q in self._configurations_at(position):
+            if self.model.within_limits(q) and self.model.is_free(q):
+                return q
+        return None
+
+    def _configurations_at(self, position: Array) -> Iterator[Array]:
+        if self._analytic is None:
+            yield from self.position(position, count=self.options.starts).solutions
+            return
+        pose = np.eye(4)
+        pose[:3, 3] = position
+        for orientation in self._orientations:
+            pose[:3, :3] = orientation
+            found = self._analytic.calculate_IK(pose)
+            for q, approximate in zip(found.Q, found.is_LS, strict=True):
+                if not approximate:
+                    yield np.array(q)
+
+    def _search(self, problem: "_Problem", seed: Array, count: int) -> IkResult:
+        """Start afresh until there are `count` solutions, or no starts."""
+        attempts: list[_Attempt] = []
+        for start in (seed, self.model.home, *self._random_starts):
+            attempts.append(self._polish(problem, start))
+            if attempts[-1].residual <= self.options.tolerance:
+                result = self._result(attempts, seed, count)
+                if len(result.solutions) == count:
+                    return result
+        return self._result(attempts, seed, count)
+
+    def _polish(self, problem: "_Problem", q: Array) -> "_Attempt":
+        """Levenberg-Marquardt from `q` until the residual is met, or sinks no more."""
+        best, best_residual, stalled = q, np.inf, 0
+        for step in range(self.options.max_iterations):
+            error = problem.error(q)
+            residual = math.sqrt(error @ error)
+            stalled = 0 if residual < 0.9 * best_residual else stalled + 1
+            if residual < best_residual:
+                best, best_residual = q, residual
+            if residual < 0.01 * self.options.tolerance or stalled > 8:
+                break
+            jacobian = problem.jacobian(q)
+            normal = jacobian.T @ jacobian
+            normal.flat[:: self.model.dof + 1] += 0.5 * residual**2 + 1e-9
+            q = q - np.linalg.solve(normal, jacobian.T @ error)
+            q = np.where(self._full_turn, q, np.clip(q, self.model.limits.lower, self.model.limits.upper))
+        return _Attempt(best, best_residual, step)
+
+    def _result(self, attempts: "list[_Attempt]", seed: Array, count: int | None) -> IkResult:
+        q = self._nearest_turn(np.array([attempt.q for attempt in attempts]).reshape(-1, self.model.dof), seed)
+        residuals = np.array([attempt.residual for attempt in attempts])
+        order = np.argsort(np.abs(q - seed).max(axis=-1), kind="stable")
+        order = order[(residuals[order] <= self.options.tolerance) & self.model.within_limits(q[order])]
+        apart = np.abs(q[order][:, None] - q[order]).max(axis=-1) > self.options.distinct
+        order = order[np.all(apart | ~np.tri(len(order), k=-1, dtype=bool), axis=1)][:count]
+        closest = int(np.argmin(residuals)) if attempts else -1
+        return IkResult(
+            q[order],
+            residuals[order],
+            q[closest] if attempts else seed,
+            float(residuals[closest]) if attempts else np.inf,
+            sum(attempt.iterations for attempt in attempts),
+        )
+
+    def _nearest_turn(self, q: Array, seed: Array) -> Array:
+        """The same configurations, each joint turned by whole turns to be near `seed`, as far as its limits allow."""
+        turn = 2 * np.pi
+        near = q + turn * np.round((seed - q) / turn)
+        return near + turn * ((near < self.model.limits.lower).astype(float) - (near > self.model.limits.upper))
+
+
+@dataclass(frozen=True)
+class _Attempt:
+    q: Array
+    residual: float
+    iterations: int
+
+
+class _Problem(Protocol):
+    """What is to become zero, (m,), and its derivative by q, (m, dof)."""
+
+    def error(self, q: Array) -> Array: ...
+    def jacobian(self, q: Array) -> Array: ...
+
+
+class _PositionProblem:
+    def __init__(self, model: ArmModel, target: Array) -> None:
+        self.model, self.target = model, target
+
+    def error(self, q: Array) -> Array:
+        return self.target - self.model.position(q)
+
+    def jacobian(self, q: Array) -> Array:
+        return -self.model.jacobian(q)[:3]
+
+
+class _PoseProblem:
+    """The twist (linear m, angular rad) from the end-effector to the target pose, in the end-effector's frame."""
+
+    def __init__(self, model: ArmModel, target: Array) -> None:
+        self.model, self.target = model, pinocchio.SE3(target)
+
+    def error(self, q: Array) -> Array:
+        return np.array(pinocchio.log6(self.model.placement(q).actInv(self.target)))
+
+    def jacobian(self, q: Array) -> Array:
+        error = self.model.placement(q).actInv(self.target)
+        return -pinocchio.Jlog6(error.inverse()) @ self.model.local_jacobian(q)
+
+
+def _analytic_solver(model: ArmModel) -> "eaik.Robot | None":
+    """EAIK's solver for the arm, or None if it knows no decomposition, or gets this arm wrong."""
+    if model.dof != 6:
+        return None
+    origins = [np.zeros(3)]
+    axes = []
+    data = model.pinocchio.createData()
+    pinocchio.computeJointJacobians(model.pinocchio, data, np.zeros(6))
+    for i in range(6):
+        axes.append(
+            pinocchio.getJointJacobian(model.pinocchio, data, i + 1, pinocchio.LOCAL_WORLD_ALIGNED)[3:, i]
+        )
+        origins.append(data.oMi[i + 1].translation.copy())
+    zero_pose = model.pose(np.zeros(6))
+    offsets = np.diff([*origins, zero_pose[:3, 3]], axis=0)
+    solver = eaik.Robot(np.transpose(axes), offsets.T, zero_pose[:3, :3], [], True)
+    return solver if solver.has_known_decomposition() else None

@@ -1,0 +1,119 @@
+"""An arm as its controllers believe it to be: Pinocchio's model of one URDF."""
+
+from pathlib import Path
+
+import coal
+import numpy as np
+import pinocchio
+from numpy.typing import NDArray
+
+from armctl.assets import FLOOR, ArmDescription, add_collision_pairs, capsule_geometry, load_arm
+
+Array = NDArray[np.float64]
+
+
+class ArmModel:
+    """Forward kinematics, Jacobians, limits and collisions of one arm.
+
+    Joint positions q are (dof,) rad; positions are in the frame of the arm's base, m. Not for several threads at once.
+    """
+
+    def __init__(self, robot: str | Path | ArmDescription = "ur5") -> None:
+        self.description = load_arm(robot)
+        self.limits = self.description.limits
+        self.dof = self.description.dof
+        self.home = self.description.home
+        self.pinocchio = pinocchio.buildModelFromXML(self.description.urdf)
+        self.tip = self.pinocchio.getFrameId(self.description.tip)
+        self._data = self.pinocchio.createData()
+        self._shapes = capsule_geometry(self.pinocchio, self.description.capsules)
+        add_collision_pairs(self._shapes, self.description.collision_pairs)
+        self._contacts = self._shapes.createData()
+        self._chain = self._joint_chain()
+        self._base_shapes = [
+            shape for shape in self._shapes.geometryObjects if shape.parentJoint == 0 and shape.name != FLOOR
+        ]
+        self.shoulder = np.array(self.pinocchio.jointPlacements[1].translation)
+        """Origin of the first joint, (3,) m."""
+
+    def placement(self, q: Array) -> pinocchio.SE3:
+        """Pose of the end-effector as Pinocchio holds it; valid until the next call."""
+        pinocchio.forwardKinematics(self.pinocchio, self._data, q)
+        return pinocchio.updateFramePlacement(self.pinocchio, self._data, self.tip)
+
+    def pose(self, q: Array) -> Array:
+        """Pose of the end-effector, homogeneous (4, 4)."""
+        return np.asarray(self.placement(q).homogeneous)
+
+    def position(self, q: Array) -> Array:
+        """Position of the end-effector, (3,) m."""
+        return np.array(self.placement(q).translation)
+
+    def jacobian(self, q: Array) -> Array:
+        """World-aligned Jacobian at the end-effector, (6, dof): linear (m/rad) above angular (rad/rad)."""
+        frame = pinocchio.LOCAL_WORLD_ALIGNED
+        return np.asarray(pinocchio.computeFrameJacobian(self.pinocchio, self._data, q, self.tip, frame))
+
+    def local_jacobian(self, q: Array) -> Array:
+        """Jacobian (6, dof) in the end-effector's own frame: linear (m/rad) above angular (rad/rad)."""
+        return np.asarray(
+            pinocchio.computeFrameJacobian(self.pinocchio, self._data, q, self.tip, pinocchio.LOCAL)
+        )
+
+    def positions(self, q: Array) -> Array:
+        """End-effector positions of a batch, (..., dof) to (..., 3) m, without a Python loop over the batch."""
+        return self.positions_and_jacobians(q)[0]
+
+    def positions_and_jacobians(self, q: Array) -> tuple[Array, Array]:
+        """Positions (..., 3) m and linear Jacobians (..., 3, dof) m/rad of a batch (..., dof)."""
+        q = np.asarray(q, dtype=float)
+        rotation = np.broadcast_to(np.eye(3), (*q.shape[:-1], 3, 3))
+        origin = np.zeros((*q.shape[:-1], 3))
+        axes, origins = np.empty((*q.shape, 3)), np.empty((*q.shape, 3))
+        for i, (fixed_rotation, offset, axis) in enumerate(self._chain):
+            origin = origin + rotation @ offset
+            rotation = rotation @ fixed_rotation
+            origins[..., i, :] = origin
+            axes[..., i, :] = rotation @ axis
+            rotation = rotation @ _rotations(axis, q[..., i])
+        tip = origin + rotation @ self.pinocchio.frames[self.tip].placement.translation
+        jacobians = np.cross(axes, tip[..., None, :] - origins)
+        return tip, np.swapaxes(jacobians, -1, -2)
+
+    def is_free(self, q: Array) -> bool:
+        """Whether the arm's capsules touch neither each other nor the floor."""
+        return not pinocchio.computeCollisions(self.pinocchio, self._data, self._shapes, self._contacts, q, True)
+
+    def base_distance(self, position: Array) -> float:
+        """Distance (m) of `position` (3,) from the arm's immovable links; infinite if they have no shape."""
+        point, placement = coal.Sphere(0.0), coal.Transform3s(np.eye(3), position)
+        request, result = coal.DistanceRequest(), coal.DistanceResult()
+        distances = [
+            coal.distance(shape.geometry, coal.Transform3s(shape.placement), point, placement, request, result)
+            for shape in self._base_shapes
+        ]
+        return min(distances, default=np.inf)
+
+    def within_limits(self, q: Array) -> Array:
+        """Whether all joints are within their position limits, (..., dof) to (...)."""
+        return np.asarray(np.all((q >= self.limits.lower) & (q <= self.limits.upper), axis=-1))
+
+    def least_time(self, start: Array, goal: Array) -> Array:
+        """Seconds in which the slowest joint gets from `start` to `goal` (..., dof) at its velocity limit, (...)."""
+        return np.asarray(np.max(np.abs(goal - start) / self.limits.velocity, axis=-1))
+
+    def _joint_chain(self) -> list[tuple[Array, Array, Array]]:
+        """Rotation, offset and axis of each joint in the frame of the joint before it."""
+        pinocchio.computeJointJacobians(self.pinocchio, self._data, np.zeros(self.dof))
+        chain = []
+        for i, placement in enumerate(self.pinocchio.jointPlacements[1:]):
+            jacobian = pinocchio.getJointJacobian(self.pinocchio, self._data, i + 1, pinocchio.LOCAL)
+            chain.append((placement.rotation, placement.translation, jacobian[3:, i]))
+        return chain
+
+
+def _rotations(axis: Array, angles: Array) -> Array:
+    """Rotation matrices (..., 3, 3) about the unit vector `axis` by `angles` (...), by Rodrigues' formula."""
+    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    sine, cosine = np.sin(angles)[..., None, None], np.cos(angles)[..., None, None]
+    return np.asarray(np.eye(3) + sine * cross + (1 - cosine) * (cross @ cross))

@@ -1,0 +1,55 @@
+"""Where an arm's end-effector can be: the one question that a task may ask the kinematics."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.errors import ConfigurationError
+from armctl.kinematics.ik import Ik
+from armctl.kinematics.model import ArmModel
+
+Array = NDArray[np.float64]
+
+
+class Workspace:
+    """The positions that an arm can take without touching itself, its base or the floor."""
+
+    def __init__(self, model: ArmModel) -> None:
+        self.model = model
+        self._ik = Ik(model)
+        rng = np.random.default_rng(0)
+        limits = model.limits
+        samples = rng.uniform(np.maximum(limits.lower, -np.pi), np.minimum(limits.upper, np.pi), (4096, model.dof))
+        self.centre = model.shoulder
+        reach = np.linalg.norm(model.positions(samples) - self.centre, axis=-1).max()
+        self.radius = 1.05 * float(reach)
+        """Radius (m) of a ball around `centre` beyond which nothing is reached."""
+
+    def sample(self, rng: np.random.Generator, clearance: float, attempts: int = 1000) -> Array:
+        """Draw a position (3,), uniform over what is reachable and at least `clearance` (m) off floor and base.
+
+        Raises `ConfigurationError` if nothing is found in `attempts` draws.
+        """
+        low, high = self.centre - self.radius, self.centre + self.radius
+        low[2] = clearance
+        for _ in range(attempts):
+            position = rng.uniform(low, high)
+            if self.model.base_distance(position) >= clearance and self.reachable(position):
+                return np.asarray(position)
+        raise ConfigurationError(
+            f"{self.model.description.name} reached none of {attempts} positions at {clearance} m off floor and base"
+        )
+
+    def reachable(self, position: Array, tolerance: float = 0.0) -> bool:
+        """Whether the end-effector can come to `position` (3,), or within `tolerance` (m) of it."""
+        offset = position - self.centre
+        if offset @ offset > (self.radius + tolerance) ** 2:
+            return False
+        if self._ik.free_configuration(position) is not None:
+            return True
+        near = position + 0.999 * tolerance * _DIRECTIONS
+        return tolerance > 0 and any(self._ik.free_configuration(point) is not None for point in near)
+
+
+_CUBE = np.array([corner for corner in np.ndindex(3, 3, 3) if corner != (1, 1, 1)]) - 1.0
+_DIRECTIONS = _CUBE / np.linalg.norm(_CUBE, axis=1, keepdims=True)
+"""26 unit vectors, to a cube's corners, edges and faces: where a sphere's surface is probed."""

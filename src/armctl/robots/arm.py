@@ -1,0 +1,191 @@
+"""A simulated arm: from an action to its joint servos, and from the simulation's state to what its sensors read."""
+
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.assets import FLOOR, ArmDescription, world_path
+from armctl.capsules import Capsule
+from armctl.errors import unknown_name
+from armctl.simulation import Simulation
+
+Array = NDArray[np.float64]
+
+CONTROLS = ("position", "delta", "velocity", "torque")
+
+SERVO_BANDWIDTH = 60.0
+"""Natural frequency of the joint servos, rad/s: stiff, and ten times slower than the physics' step can follow."""
+
+PREFIX = "arm/"
+"""Before every name of the arm's own in a world's model."""
+
+_VISUAL_GROUP, _COLLISION_GROUP = 2, 3
+
+
+
+class Arm:
+    """n simulated arms, commanded together; angles in rad, positions in m.
+
+    `control` says what an action (n, dof) means:
+
+    - `position`: joint positions to move to, within the position limits;
+    - `delta`: joint displacements from the present command;
+    - `velocity`: joint velocities, within the velocity limits;
+    - `torque`: joint torques on top of gravity compensation, within the effort limits.
+
+    Whatever it asks, the command never moves faster than the velocity limits.
+    """
+
+    def __init__(self, simulation: Simulation, description: ArmDescription, control: str, period: float) -> None:
+        self.description = description
+        self.control = control
+        self.period = period
+        self.joint_positions = simulation.array("qpos")
+        self.joint_velocities = simulation.array("qvel")
+        self._body_positions = simulation.array("xpos")
+        self._tip = simulation.model.body(PREFIX + description.tip).id
+        self._ctrl = simulation.array("ctrl")
+        self._command = simulation.array("act")
+        limits = description.limits
+        bound = {
+            "position": (limits.lower, limits.upper),
+            "delta": (-limits.velocity * period, limits.velocity * period),
+            "velocity": (-limits.velocity, limits.velocity),
+            "torque": (-limits.effort, limits.effort),
+        }
+        self.action_low, self.action_high = bound[control]
+
+    @property
+    def end_effector_positions(self) -> Array:
+        """Where the end-effectors are, (n, 3)."""
+        return self._body_positions[:, self._tip]
+
+    def command(self, actions: Array) -> None:
+        """Take over actions (n, dof), clipped into their bounds."""
+        actions = np.clip(actions, self.action_low, self.action_high)
+        if self.control == "torque":
+            self._ctrl[:] = actions
+            return
+        if self.control == "position":
+            actions = (actions - self._command) / self.period
+        elif self.control == "delta":
+            actions = actions / self.period
+        limit = self.description.limits.velocity
+        velocities = np.clip(actions, -limit, limit)
+        self._ctrl[:, : self.description.dof] = velocities
+        self._ctrl[:, self.description.dof :] = velocities
+
+
+def build_arm_world(description: ArmDescription, control: str, world: str = "arm_reach") -> mujoco.MjModel:
+    """Model of the MJCF world `models/<world>.xml` with the arm at its origin, its servos, and the keyframe `home`.
+
+    Raises `ConfigurationError` if `control` is not one of `CONTROLS`.
+    """
+    if control not in CONTROLS:
+        raise unknown_name("control", control, CONTROLS)
+    spec = mujoco.MjSpec.from_file(str(world_path(world)))
+    spec.compiler.fusestatic = False
+    arm = mujoco.MjSpec.from_string(_with_compiler_options(description.urdf))
+    spec.attach(arm, frame=spec.worldbody.add_frame(), prefix=PREFIX)
+    for body in spec.bodies:
+        body.gravcomp = 1.0
+    _add_shapes(spec, description)
+    for name, effort in zip(description.joints, description.limits.effort, strict=True):
+        joint = spec.joint(PREFIX + name)
+        joint.actgravcomp = True  # the servo holds the weight, out of the joint's own effort
+        joint.actfrclimited = True
+        joint.actfrcrange = [-effort, effort]
+    if control == "torque":
+        _add_motors(spec, description)
+        spec.add_key(name="home", qpos=description.home)
+    else:
+        _add_servos(spec, description, _joint_inertia(spec.compile()))
+        spec.add_key(name="home", qpos=description.home, act=description.home)
+    return spec.compile()
+
+
+def _with_compiler_options(urdf: str) -> str:
+    options = '<mujoco><compiler fusestatic="false" balanceinertia="false"/></mujoco>'
+    head, tail = urdf.split(">", 1)
+    return f"{head}>{options}{tail}"
+
+
+def _add_shapes(spec: mujoco.MjSpec, description: ArmDescription) -> None:
+    for i, mesh in enumerate(description.meshes):
+        name = f"{PREFIX}{mesh.link}_mesh_{i}"
+        spec.add_mesh(name=name, uservert=mesh.vertices.ravel(), userface=mesh.triangles.ravel())
+        _link(spec, mesh.link).add_geom(
+            type=mujoco.mjtGeom.mjGEOM_MESH,
+            meshname=name,
+            material="plastic" if i % 2 else "aluminium",
+            group=_VISUAL_GROUP,
+            contype=0,
+            conaffinity=0,
+            mass=0,
+        )
+    for capsule in description.capsules:
+        _add_capsule(_link(spec, capsule.link), capsule)
+    for first, second in description.collision_pairs:
+        spec.add_pair(geomname1=_collision_geom(first), geomname2=_collision_geom(second))
+
+
+def _link(spec: mujoco.MjSpec, link: str) -> Any:
+    """Body of a link; MuJoCo makes a URDF's root link `world` one with its own."""
+    return spec.body(PREFIX + link) or spec.worldbody
+
+
+def _collision_geom(link: str) -> str:
+    return "floor" if link == FLOOR else f"{link}_collision"
+
+
+def _add_capsule(body: Any, capsule: Capsule) -> None:
+    body.add_geom(
+        name=_collision_geom(capsule.link),
+        type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+        fromto=[*capsule.start, *capsule.end],
+        size=[capsule.radius, 0, 0],
+        group=_COLLISION_GROUP,
+        contype=0,
+        conaffinity=0,
+        mass=0,
+    )
+
+
+def _add_motors(spec: mujoco.MjSpec, description: ArmDescription) -> None:
+    for name, effort in zip(description.joints, description.limits.effort, strict=True):
+        motor = spec.add_actuator(name=name, target=PREFIX + name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        motor.set_to_motor()
+        motor.ctrlrange = [-effort, effort]
+
+
+def _add_servos(spec: mujoco.MjSpec, description: ArmDescription, inertia: Array) -> None:
+    """Two actuators a joint, both driven by the command's velocity: one integrates it into a position, one feeds it forward.
+
+    Together they are a critically damped servo, force = kp (command - q) + kv (command velocity - q velocity).
+    """
+    limits = description.limits
+    for i, name in enumerate(description.joints):
+        position = spec.add_actuator(name=f"{name}_position", target=PREFIX + name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        position.set_to_intvelocity(kp=inertia[i] * SERVO_BANDWIDTH**2)
+        position.actlimited = True
+        position.actrange = [limits.lower[i], limits.upper[i]]
+    for i, name in enumerate(description.joints):
+        velocity = spec.add_actuator(name=f"{name}_velocity", target=PREFIX + name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        velocity.set_to_velocity(kv=2 * inertia[i] * SERVO_BANDWIDTH)
+        velocity.ctrlrange = [-limits.velocity[i], limits.velocity[i]]
+
+
+def _joint_inertia(model: mujoco.MjModel) -> Array:
+    """Largest inertia that each joint sees over random configurations, (dof,) kg m^2."""
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(0)
+    mass = np.zeros((model.nv, model.nv))
+    largest = np.zeros(model.nv)
+    for q in rng.uniform(-np.pi, np.pi, (200, model.nv)):
+        data.qpos[:] = q
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, mass)
+        largest = np.maximum(largest, np.diag(mass))
+    return largest

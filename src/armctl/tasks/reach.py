@@ -1,0 +1,172 @@
+"""Reach: bring the arm's end-effector to a target that moves to a new place each episode."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.assets import ArmDescription, load_arm
+from armctl.errors import ConfigurationError, unknown_name
+from armctl.kinematics import ArmModel, Workspace
+from armctl.robots import Arm, build_arm_world
+from armctl.simulation import Simulation
+from armctl.tasks.task import Outcome, RewardLedger
+
+Array = NDArray[np.float64]
+
+DECISION_PERIOD = 0.04
+"""Seconds between decisions: 25 Hz."""
+
+
+@dataclass(frozen=True)
+class ReachState:
+    """All that reward and observation terms may use, for n worlds; rad, rad/s, m."""
+
+    end_effector_position: Array
+    """(n, 3)"""
+    joint_positions: Array
+    """(n, dof)"""
+    joint_velocities: Array
+    """(n, dof)"""
+    target_position: Array
+    """(n, 3)"""
+    distance: Array
+    """(n,) from the end-effector to the target's centre."""
+    previous_distance: Array
+    """(n,) the same, one decision earlier."""
+    reached: NDArray[np.bool_]
+    """(n,) whether the end-effector is within the tolerance of the target."""
+    action: Array
+    """(n, dof) the last action, as the policy gave it."""
+
+
+Term = Callable[[ReachState], Array]
+
+OBSERVATION: Mapping[str, Term] = {
+    "end_effector_position": lambda state: state.end_effector_position,
+    "joint_positions": lambda state: state.joint_positions,
+    "target_position": lambda state: state.target_position,
+}
+"""The parts of an observation, in order."""
+
+REWARD: Mapping[str, Term] = {
+    "step": lambda state: np.full(len(state.reached), -1.0),
+    "goal": lambda state: 100.0 * state.reached,
+}
+"""The terms of the reward, whose sum is the reward."""
+
+
+@dataclass(frozen=True)
+class ReachOptions:
+    """Options of `armctl/ArmReach-v0`; raises `ConfigurationError` for values it cannot take."""
+
+    robot: str | Path | ArmDescription = "ur5"
+    """`ur3`, `ur5`, `ur10`, the path of a URDF file, or what `armctl.load_arm` returned."""
+    control: str = "position"
+    """What an action is: `position`, `delta`, `velocity` or `torque` (see `armctl.robots.Arm`)."""
+    tolerance: float = 0.05
+    """Radius of the target sphere, m: within it, the target is reached."""
+    target: str = "reachable"
+    """`reachable`: uniform over where the arm can be. `box`: uniform in `target_box`; `info["feasible"]` then tells."""
+    target_box: tuple[tuple[float, float, float], tuple[float, float, float]] = ((-1.0, -1.0, 0.05), (1.0, 1.0, 1.0))
+    """Lowest and highest corner of the box, m."""
+    reward: Mapping[str, Term] = field(default_factory=lambda: REWARD)
+    """Named reward terms."""
+    observation: Mapping[str, Term] = field(default_factory=lambda: OBSERVATION)
+    """Named parts of the observation, in order."""
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.tolerance) and self.tolerance > 0):
+            raise ConfigurationError(f"tolerance is a distance above 0 m, not {self.tolerance}")
+        if self.target not in ("reachable", "box"):
+            raise unknown_name("target", self.target, ("reachable", "box"))
+        box = np.asarray(self.target_box, dtype=float)
+        if box.shape != (2, 3) or not np.all(box[0] <= box[1]):
+            raise ConfigurationError(f"target_box is its lowest and highest corner, two points (x, y, z), not {box.tolist()}")
+        if not self.reward or not self.observation:
+            raise ConfigurationError("reward and observation need at least one term each")
+
+
+class ReachTask:
+    """n arms, each with its target."""
+
+    camera = "overview"
+
+    def __init__(self, n: int, options: ReachOptions, threads: int = 0) -> None:
+        self.options = options
+        description = load_arm(options.robot)
+        model = build_arm_world(description, options.control)
+        model.geom("target").size[:] = options.tolerance
+        self.simulation = Simulation(model, n, threads)
+        self.substeps = round(DECISION_PERIOD / model.opt.timestep)
+        self.arm = Arm(self.simulation, description, options.control, DECISION_PERIOD)
+        self._workspace = Workspace(ArmModel(description))
+        self._targets = self.simulation.array("mocap_pos")[:, 0]
+        self._feasible = np.ones(n, dtype=bool)
+        self._action = np.zeros((n, description.dof))
+        self._distance = np.zeros(n)
+        self.simulation.reset()
+        self.simulation.refresh()
+        self._look(self._action)
+        low, high = np.float32(self.arm.action_low), np.float32(self.arm.action_high)
+        self.action_space = gymnasium.spaces.Box(low, high, dtype=np.float32)
+        size = self.observe().shape[1:]
+        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, size, dtype=np.float32)
+
+    def reset(self, ids: NDArray[np.int32], rngs: list[np.random.Generator]) -> None:
+        """Arms go home, and targets to new places."""
+        self.simulation.reset(ids)
+        for i, rng in zip(ids, rngs, strict=True):
+            self._targets[i], self._feasible[i] = self._new_target(rng)
+        self.simulation.refresh(ids)
+        self._action[ids] = 0.0
+        self._look(self._action)
+        self._distance[ids] = self.state.distance[ids]
+
+    def command(self, actions: Array) -> None:
+        """Actions (n, dof), in the unit of `ReachOptions.control`."""
+        self._action = actions
+        self._distance = self.state.distance
+        self.arm.command(actions)
+
+    def observe(self) -> NDArray[np.float32]:
+        """Observations (n, k): the parts of `ReachOptions.observation` side by side."""
+        parts = [part(self.state) for part in self.options.observation.values()]
+        return np.concatenate(parts, axis=1, dtype=np.float32)
+
+    def score(self) -> RewardLedger:
+        """The terms of `ReachOptions.reward`."""
+        self._look(self._action)
+        return {name: np.asarray(term(self.state), dtype=float) for name, term in self.options.reward.items()}
+
+    def outcome(self) -> NDArray[np.int8]:
+        """`REACHED` or `RUNNING`."""
+        return self.state.reached * np.int8(Outcome.REACHED)
+
+    def details(self) -> dict[str, NDArray[np.generic]]:
+        """`feasible`: whether any policy could reach the target."""
+        return {"feasible": self._feasible.copy()}
+
+    def _new_target(self, rng: np.random.Generator) -> tuple[Array, bool]:
+        if self.options.target == "box":
+            target = rng.uniform(*self.options.target_box)
+            return target, self._workspace.reachable(target, self.options.tolerance)
+        return self._workspace.sample(rng, clearance=self.options.tolerance), True
+
+    def _look(self, action: Array) -> None:
+        end_effector = self.arm.end_effector_positions
+        offset = self._targets - end_effector
+        distance = np.sqrt((offset * offset).sum(axis=1))
+        self.state = ReachState(
+            end_effector,
+            self.arm.joint_positions,
+            self.arm.joint_velocities,
+            self._targets,
+            distance,
+            self._distance,
+            distance <= self.options.tolerance,
+            action,
+        )
