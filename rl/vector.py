@@ -5,6 +5,8 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+import torch
+from armctl.rl.reach import ActionScale
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
@@ -14,18 +16,22 @@ Array = NDArray[np.float64]
 
 
 class StableBaselinesVectorEnv(VecEnv):
-    """A same-step autoreset vector environment, seen by Stable-Baselines3.
+    """A same-step autoreset vector environment, seen by Stable-Baselines3: actions in [-1, 1], and scaled rewards.
 
     Its `infos` hold what a learner needs of episodes that end: `terminal_observation`, `TimeLimit.truncated`,
-    `episode` (return and length) and `is_success`.
+    `episode` (unscaled return, and length) and `is_success`.
     """
 
-    def __init__(self, env: gymnasium.vector.VectorEnv[Any, Any, Any]) -> None:
+    def __init__(
+        self, env: gymnasium.vector.VectorEnv[Any, Any, Any], action_scale: ActionScale, reward_scale: float = 1.0
+    ) -> None:
         if env.metadata["autoreset_mode"] is not AutoresetMode.SAME_STEP:
             raise ValueError("Stable-Baselines3 needs autoreset_mode='same_step'")
         self.env = env
         self._seed: int | None = None
-        super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
+        self._action_scale, self._reward_scale = action_scale, reward_scale
+        actions = gymnasium.spaces.Box(-1, 1, env.single_action_space.shape)
+        super().__init__(env.num_envs, env.single_observation_space, actions)
         self._returns = np.zeros(self.num_envs)
         self._lengths = np.zeros(self.num_envs, dtype=np.int64)
 
@@ -35,6 +41,7 @@ class StableBaselinesVectorEnv(VecEnv):
         self._seed = None
         self._returns[:] = 0.0
         self._lengths[:] = 0
+        self._observations = observations
         return observations
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
@@ -48,7 +55,9 @@ class StableBaselinesVectorEnv(VecEnv):
 
     def step_wait(self) -> VecEnvStepReturn:
         """Step all worlds."""
-        observations, rewards, terminated, truncated, infos = self.env.step(self._actions)
+        actions = self._action_scale(torch.as_tensor(self._observations), torch.as_tensor(self._actions))
+        observations, rewards, terminated, truncated, infos = self.env.step(actions.numpy())
+        self._observations = observations
         done = terminated | truncated
         self._returns += rewards
         self._lengths += 1
@@ -62,7 +71,7 @@ class StableBaselinesVectorEnv(VecEnv):
             }
         self._returns[done] = 0.0
         self._lengths[done] = 0
-        return observations, rewards, done, world_infos
+        return observations, self._reward_scale * rewards, done, world_infos
 
     def close(self) -> None:
         """Close the environment."""

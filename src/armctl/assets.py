@@ -39,8 +39,8 @@ class BuiltinArm:
 
 _UR_HOME = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
 
-# Acceleration: the default of Universal Robots' `movej` is 1.4 rad/s^2 and its ceiling lies far above; 15 rad/s^2 is what
-# the UR5's effort limits allow its shoulder when stretched out. Jerk: reaches that acceleration within 50 ms.
+# The URDF has neither. 15 rad/s^2 is about what the UR5's effort limits allow its stretched-out shoulder (150 N m at
+# 4 kg m^2, gravity taken off); the jerk reaches it within 50 ms.
 BUILTIN_ARMS = {
     name: BuiltinArm(
         f"ur_description/urdf/{name}_robot.urdf", "ur_description/srdf/ur5.srdf", "ee_link", _UR_HOME, 15.0, 300.0
@@ -75,7 +75,8 @@ class ArmDescription:
     """A serial arm: one URDF text for every library, and what no URDF says.
 
     `urdf` has the joints from root to `tip` movable, all others fixed, and no geometry. `collision_pairs` are the pairs
-    of links (or link and `FLOOR`) worth testing: not those that are neighbours, touch at home, or whose joints the SRDF rules out.
+    of links (or link and `FLOOR`) worth testing: not those that are neighbours, touch at home, or whose joints the SRDF
+    rules out.
     """
 
     name: str
@@ -122,8 +123,8 @@ def load_arm(
     """Read an arm by name (`ur3`, `ur5`, `ur10`) or from the path of a URDF file.
 
     `tip` names the link that is the end-effector; without it a file's only leaf link is taken. `home` (dof,) is where
-    episodes start, rad; without it zero, or the middle of the range where zero is out of range. `srdf` names the file whose
-    `<disable_collisions>` rule out pairs of links that cannot touch.
+    episodes start, rad; without it zero, or the middle of the range where zero is out of range. `srdf` names the file
+    whose `<disable_collisions>` rule out pairs of links that cannot touch.
 
     Raises `ConfigurationError` for an unknown name, and for a file that lacks what a reach arm needs: at least one
     revolute joint between root and tip, with position, velocity and effort limits, and mass behind each joint.
@@ -146,7 +147,12 @@ def load_arm(
     if not Path(robot).is_file():
         raise ConfigurationError(f"there is no URDF file {str(robot)!r}")
     return _read_arm(
-        Path(robot).resolve(), tip, fixed_home, Path(srdf) if srdf else None, max_acceleration or 15.0, max_jerk or 300.0
+        Path(robot).resolve(),
+        tip,
+        fixed_home,
+        Path(srdf) if srdf else None,
+        max_acceleration or 15.0,
+        max_jerk or 300.0,
     )
 
 
@@ -258,7 +264,9 @@ def _joint_limits(
             numbers = {"lower": -2 * np.pi, "upper": 2 * np.pi} | numbers
         missing = [key for key in ("lower", "upper", "velocity", "effort") if key not in numbers]
         if missing:
-            raise ConfigurationError(f"joint {joint.get('name')!r} of {path.name} has no {' and no '.join(missing)} limit")
+            raise ConfigurationError(
+                f"joint {joint.get('name')!r} of {path.name} has no {' and no '.join(missing)} limit"
+            )
         if not (numbers["lower"] < numbers["upper"] and numbers["velocity"] > 0 and numbers["effort"] > 0):
             raise ConfigurationError(
                 f"joint {joint.get('name')!r} of {path.name} cannot move: its limits are {numbers}; "
@@ -316,7 +324,9 @@ def _shape(collision: ElementTree.Element, path: Path) -> tuple[Array, NDArray[n
         raise ConfigurationError(f"{path.name} has a <collision> without a shape")
     triangles = np.empty((0, 3), dtype=np.int32)
     if shape.tag == "mesh":
-        mesh = coal.MeshLoader().load(str(_mesh_path(shape.get("filename", ""), path)), _numbers(shape, "scale", "1 1 1"))
+        mesh = coal.MeshLoader().load(
+            str(_mesh_path(shape.get("filename", ""), path)), _numbers(shape, "scale", "1 1 1")
+        )
         vertices = np.array(mesh.vertices())
         triangles = np.array([[mesh.tri_indices(i)[k] for k in range(3)] for i in range(mesh.num_tris)], dtype=np.int32)
     elif shape.tag == "box":
@@ -336,7 +346,9 @@ def _shape(collision: ElementTree.Element, path: Path) -> tuple[Array, NDArray[n
     return vertices @ placement.rotation.T + placement.translation, triangles
 
 
-def _rings(shape: str, radius: float, half_length: float, points: int = 24) -> Iterator[tuple[tuple[float, float], float]]:
+def _rings(
+    shape: str, radius: float, half_length: float, points: int = 24
+) -> Iterator[tuple[tuple[float, float], float]]:
     """Points on rings around z: the two rims of a cylinder, or parallels of a sphere."""
     levels = [(radius, -half_length), (radius, half_length)]
     if shape == "sphere":
@@ -377,9 +389,7 @@ def _collision_pairs(
     add_collision_pairs(geometry, pairs)
     data = geometry.createData()
     pinocchio.computeCollisions(model, model.createData(), geometry, data, home, False)
-    return tuple(
-        pair for pair, result in zip(pairs, data.collisionResults, strict=True) if not result.isCollision()
-    )
+    return tuple(pair for pair, result in zip(pairs, data.collisionResults, strict=True) if not result.isCollision())
 
 
 def add_collision_pairs(geometry: pinocchio.GeometryModel, pairs: Iterable[tuple[str, str]]) -> None:

@@ -65,4 +65,4 @@ def _enclosing_circle_centre(points: Array, iterations: int = 100) -> Array:
     for i in range(1, iterations):
         farthest = points[np.argmax(((points - centre) ** 2).sum(axis=1))]
         centre = centre + (farthest - centre) / (i + 1) * 0.5
-    return centre
+    return np.asarray(centre)

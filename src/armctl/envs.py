@@ -1,12 +1,12 @@
 """Gymnasium's face of the tasks: `gym.make_vec` steps n worlds at once, `gym.make` is the view of one.
 
-An episode is fixed by (environment id and options, seed, episode number) alone. World i of a vector environment that was
-reset with `seed` plays the episodes of a single environment that was reset with `seed + i`, bit for bit.
+An episode is fixed by (environment id and options, seed, episode number) alone. World i of a vector environment that
+was reset with `seed` plays the episodes of a single environment that was reset with `seed + i`, bit for bit.
 """
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -27,13 +27,7 @@ RENDER_MODES = ("rgb_array", "human")
 RENDER_FPS = 25
 
 
-class TaskType(Protocol):
-    """Makes a task for n worlds."""
-
-    def __call__(self, n: int, options: Any, threads: int = 0) -> Task: ...
-
-
-class TaskVectorEnv(gymnasium.vector.VectorEnv[Observations, Array, Array]):
+class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     """n worlds of one task.
 
     Args:
@@ -47,15 +41,18 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observations, Array, Array]):
         **options: the task's options, such as `armctl.tasks.ReachOptions`.
 
     `reset(options={"episode": k})` starts at episode number k of the seed (an int, or one for each world) instead of 0.
+
     """
 
-    metadata: ClassVar[dict[str, Any]] = {
+    metadata: dict[str, Any] = {
         "render_modes": list(RENDER_MODES),
         "render_fps": RENDER_FPS,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
-    task_type: ClassVar[TaskType]
+    task: Task
     options_type: ClassVar[type[Any]]
+    single_observation_space: gymnasium.spaces.Box
+    single_action_space: gymnasium.spaces.Box
 
     def __init__(
         self,
@@ -68,13 +65,15 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observations, Array, Array]):
         **options: Any,
     ) -> None:
         self.num_envs = _at_least_one("num_envs", num_envs)
-        self.max_episode_steps = None if max_episode_steps is None else _at_least_one("max_episode_steps", max_episode_steps)
+        self.max_episode_steps = (
+            None if max_episode_steps is None else _at_least_one("max_episode_steps", max_episode_steps)
+        )
         if render_mode not in (None, *RENDER_MODES):
             raise unknown_name("render_mode", render_mode, RENDER_MODES)
         self.render_mode = render_mode
         self.autoreset_mode = _autoreset_mode(autoreset_mode)
         self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode}
-        self.task = type(self).task_type(num_envs, make_options(self.options_type, options), threads)
+        self.task = self.make_task(self.num_envs, make_options(self.options_type, options), threads)
         self.single_observation_space = self.task.observation_space
         self.single_action_space = self.task.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -86,7 +85,11 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observations, Array, Array]):
         self._seeded = False
         self._viewer: Camera | Window | None = None
 
-    def reset(  # type: ignore[override]
+    def make_task(self, n: int, options: Any, threads: int) -> Task:
+        """The task for n worlds; each environment has its own."""
+        raise NotImplementedError
+
+    def reset(
         self, *, seed: int | list[int] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, Infos]:
         """Start new episodes: in all worlds, or in those of `options["reset_mask"]` (n,) bool.
@@ -109,7 +112,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observations, Array, Array]):
         self._begin(np.flatnonzero(mask))
         return self.task.observe(), self.task.details()
 
-    def step(self, actions: ArrayLike) -> tuple[Observations, Array, NDArray[np.bool_], NDArray[np.bool_], Infos]:  # type: ignore[override]
+    def step(self, actions: ArrayLike) -> tuple[Observations, Array, NDArray[np.bool_], NDArray[np.bool_], Infos]:
         """Make one decision in every world. Raises `InvalidAction`, and steps nothing, if an action is unusable."""
         commands = self._checked(actions)
         idle = self._finished
@@ -121,7 +124,9 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observations, Array, Array]):
         ledger = self.task.score()
         outcome = self.task.outcome()
         if self.max_episode_steps is not None:
-            outcome = np.where((outcome == 0) & (self._steps >= self.max_episode_steps), np.int8(Outcome.TIMEOUT), outcome)
+            outcome = np.where(
+                (outcome == 0) & (self._steps >= self.max_episode_steps), np.int8(Outcome.TIMEOUT), outcome
+            )
         if restart is not None:
             outcome[restart] = Outcome.RUNNING
             for term in ledger.values():
@@ -211,10 +216,10 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observations, Array, Array]):
         }
 
 
-class TaskEnv(gymnasium.Env[Observations, Array]):
+class TaskEnv(gymnasium.Env[Any, Any]):
     """One world: the n = 1 view of a `TaskVectorEnv`, with the same options."""
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": list(RENDER_MODES), "render_fps": RENDER_FPS}
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": RENDER_FPS}
     vector_type: ClassVar[type[TaskVectorEnv]]
 
     def __init__(self, *, render_mode: str | None = None, **options: Any) -> None:
@@ -240,7 +245,7 @@ class TaskEnv(gymnasium.Env[Observations, Array]):
             self.render()
         return observations[0], _first(infos)
 
-    def step(self, action: ArrayLike) -> tuple[Observations, float, bool, bool, Infos]:  # type: ignore[override]
+    def step(self, action: ArrayLike) -> tuple[Observations, float, bool, bool, Infos]:
         """Make one decision. Raises `InvalidAction`, and steps nothing, if the action is unusable."""
         if self.worlds._finished[0]:
             raise gymnasium.error.ResetNeeded("the episode has ended, or none has begun: call reset() before step()")
@@ -273,9 +278,7 @@ def make_options(options_type: type[Any], options: Mapping[str, Any]) -> Any:
 
 def _first(infos: Infos) -> Infos:
     """The first world's share of a vector environment's infos."""
-    return {
-        key: _first(value) if isinstance(value, dict) else value[0].item() for key, value in infos.items()
-    }
+    return {key: _first(value) if isinstance(value, dict) else value[0].item() for key, value in infos.items()}
 
 
 def _at_least_one(name: str, value: int) -> int:
@@ -295,8 +298,12 @@ def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
 class ArmReachVectorEnv(TaskVectorEnv):
     """`gym.make_vec("armctl/ArmReach-v0", num_envs=n, **options)`; options in `armctl.tasks.ReachOptions`."""
 
-    task_type = ReachTask
+    task: ReachTask
     options_type = ReachOptions
+
+    def make_task(self, n: int, options: ReachOptions, threads: int) -> ReachTask:
+        """Arms with their targets."""
+        return ReachTask(n, options, threads)
 
 
 class ArmReachEnv(TaskEnv):

@@ -1,7 +1,7 @@
 """Inverse kinematics: every configuration that brings the end-effector to a pose or a position, with its residual.
 
-Poses of arms with a known geometric decomposition (all UR) are solved in closed form by EAIK (Ostermeier, Kuelz and Althoff,
-"Automatic geometric decomposition for analytical inverse kinematics", RA-L 2025). All else is solved by
+Poses of arms with a known geometric decomposition (all UR) are solved in closed form by EAIK (Ostermeier, Kuelz and
+Althoff, "Automatic geometric decomposition for analytical inverse kinematics", RA-L 2025). All else is solved by
 Levenberg-Marquardt with error-proportional damping (Sugihara, "Solvability-unconcerned inverse kinematics by the
 Levenberg-Marquardt method", T-RO 2011) from several starts.
 """
@@ -61,7 +61,9 @@ class IkResult:
     def q(self) -> Array:
         """The solution nearest to the seed, (dof,) rad. Raises `UnreachableTarget` if there is none."""
         if not self.reachable:
-            raise UnreachableTarget(f"no configuration reaches the target; the closest is off by {self.closest_residual:.3g}")
+            raise UnreachableTarget(
+                f"no configuration reaches the target; the closest is off by {self.closest_residual:.3g}"
+            )
         return np.asarray(self.solutions[0])
 
 
@@ -91,7 +93,9 @@ class Ik:
         """
         target = np.asarray(target, dtype=float)
         if target.shape != (4, 4) or not np.allclose(target[:3, :3] @ target[:3, :3].T, np.eye(3), atol=1e-6):
-            raise ConfigurationError(f"a pose is a homogeneous (4, 4) matrix with an orthonormal rotation, not {target}")
+            raise ConfigurationError(
+                f"a pose is a homogeneous (4, 4) matrix with an orthonormal rotation, not {target}"
+            )
         seed = self.model.home if seed is None else np.asarray(seed, dtype=float)
         problem = _PoseProblem(self.model, target)
         if self._analytic is None:
@@ -147,7 +151,7 @@ class Ik:
     def _polish(self, problem: "_Problem", q: Array) -> "_Attempt":
         """Levenberg-Marquardt from `q` until the residual is met, or sinks no more."""
         best, best_residual, stalled = q, np.inf, 0
-        for step in range(self.options.max_iterations):
+        for step in range(self.options.max_iterations):  # noqa: B007
             error = problem.error(q)
             residual = math.sqrt(error @ error)
             stalled = 0 if residual < 0.9 * best_residual else stalled + 1
@@ -221,7 +225,7 @@ class _PoseProblem:
 
     def jacobian(self, q: Array) -> Array:
         error = self.model.placement(q).actInv(self.target)
-        return -pinocchio.Jlog6(error.inverse()) @ self.model.local_jacobian(q)
+        return np.asarray(-pinocchio.Jlog6(error.inverse()) @ self.model.local_jacobian(q))
 
 
 def _analytic_solver(model: ArmModel) -> "eaik.Robot | None":
@@ -233,9 +237,7 @@ def _analytic_solver(model: ArmModel) -> "eaik.Robot | None":
     data = model.pinocchio.createData()
     pinocchio.computeJointJacobians(model.pinocchio, data, np.zeros(6))
     for i in range(6):
-        axes.append(
-            pinocchio.getJointJacobian(model.pinocchio, data, i + 1, pinocchio.LOCAL_WORLD_ALIGNED)[3:, i]
-        )
+        axes.append(pinocchio.getJointJacobian(model.pinocchio, data, i + 1, pinocchio.LOCAL_WORLD_ALIGNED)[3:, i])
         origins.append(data.oMi[i + 1].translation.copy())
     zero_pose = model.pose(np.zeros(6))
     offsets = np.diff([*origins, zero_pose[:3, 3]], axis=0)

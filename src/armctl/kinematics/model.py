@@ -56,9 +56,7 @@ class ArmModel:
 
     def local_jacobian(self, q: Array) -> Array:
         """Jacobian (6, dof) in the end-effector's own frame: linear (m/rad) above angular (rad/rad)."""
-        return np.asarray(
-            pinocchio.computeFrameJacobian(self.pinocchio, self._data, q, self.tip, pinocchio.LOCAL)
-        )
+        return np.asarray(pinocchio.computeFrameJacobian(self.pinocchio, self._data, q, self.tip, pinocchio.LOCAL))
 
     def positions(self, q: Array) -> Array:
         """End-effector positions of a batch, (..., dof) to (..., 3) m, without a Python loop over the batch."""
@@ -94,7 +92,7 @@ class ArmModel:
         ]
         return min(distances, default=np.inf)
 
-    def within_limits(self, q: Array) -> Array:
+    def within_limits(self, q: Array) -> NDArray[np.bool_]:
         """Whether all joints are within their position limits, (..., dof) to (...)."""
         return np.asarray(np.all((q >= self.limits.lower) & (q <= self.limits.upper), axis=-1))
 

@@ -24,7 +24,6 @@ PREFIX = "arm/"
 _VISUAL_GROUP, _COLLISION_GROUP = 2, 3
 
 
-
 class Arm:
     """n simulated arms, commanded together; angles in rad, positions in m.
 
@@ -161,7 +160,7 @@ def _add_motors(spec: mujoco.MjSpec, description: ArmDescription) -> None:
 
 
 def _add_servos(spec: mujoco.MjSpec, description: ArmDescription, inertia: Array) -> None:
-    """Two actuators a joint, both driven by the command's velocity: one integrates it into a position, one feeds it forward.
+    """Two actuators a joint, driven by the command's velocity: one integrates it to a position, one feeds it forward.
 
     Together they are a critically damped servo, force = kp (command - q) + kv (command velocity - q velocity).
     """

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from armctl.errors import ConfigurationError
 
 _NO_GRAPHICS = (
-    "pictures need OpenGL, and MuJoCo found none ({cause}). On Debian or Ubuntu: apt-get install libegl1 libgl1-mesa-dri "
-    "(software rendering will do); import armctl before mujoco, or set MUJOCO_GL=egl yourself"
+    "pictures need OpenGL, and MuJoCo found none ({cause}). On Debian or Ubuntu: apt-get install libegl1 "
+    "libgl1-mesa-dri (software rendering will do); import armctl before mujoco, or set MUJOCO_GL=egl yourself"
 )
 
 

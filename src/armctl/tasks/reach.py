@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -13,7 +14,7 @@ from armctl.errors import ConfigurationError, unknown_name
 from armctl.kinematics import ArmModel, Workspace
 from armctl.robots import Arm, build_arm_world
 from armctl.simulation import Simulation
-from armctl.tasks.task import Outcome, RewardLedger
+from armctl.tasks.task import Outcome, RewardLedger, Task
 
 Array = NDArray[np.float64]
 
@@ -43,7 +44,7 @@ class ReachState:
     """(n, dof) the last action, as the policy gave it."""
 
 
-Term = Callable[[ReachState], Array]
+Term = Callable[[ReachState], NDArray[np.floating[Any]]]
 
 OBSERVATION: Mapping[str, Term] = {
     "end_effector_position": lambda state: state.end_effector_position,
@@ -85,12 +86,14 @@ class ReachOptions:
             raise unknown_name("target", self.target, ("reachable", "box"))
         box = np.asarray(self.target_box, dtype=float)
         if box.shape != (2, 3) or not np.all(box[0] <= box[1]):
-            raise ConfigurationError(f"target_box is its lowest and highest corner, two points (x, y, z), not {box.tolist()}")
+            raise ConfigurationError(
+                f"target_box is its lowest and highest corner, two points (x, y, z), not {box.tolist()}"
+            )
         if not self.reward or not self.observation:
             raise ConfigurationError("reward and observation need at least one term each")
 
 
-class ReachTask:
+class ReachTask(Task):
     """n arms, each with its target."""
 
     camera = "overview"
@@ -116,6 +119,15 @@ class ReachTask:
         size = self.observe().shape[1:]
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, size, dtype=np.float32)
 
+    @property
+    def interface(self) -> dict[str, str]:
+        """Robot, control, and the parts of the observation."""
+        return {
+            "robot": self.arm.description.name,
+            "control": self.arm.control,
+            "observation": ", ".join(self.options.observation),
+        }
+
     def reset(self, ids: NDArray[np.int32], rngs: list[np.random.Generator]) -> None:
         """Arms go home, and targets to new places."""
         self.simulation.reset(ids)
@@ -132,10 +144,13 @@ class ReachTask:
         self._distance = self.state.distance
         self.arm.command(actions)
 
+    def parts(self) -> dict[str, NDArray[np.floating[Any]]]:
+        """The parts of `ReachOptions.observation`, (n, k) each."""
+        return {name: part(self.state) for name, part in self.options.observation.items()}
+
     def observe(self) -> NDArray[np.float32]:
-        """Observations (n, k): the parts of `ReachOptions.observation` side by side."""
-        parts = [part(self.state) for part in self.options.observation.values()]
-        return np.concatenate(parts, axis=1, dtype=np.float32)
+        """Observations (n, k): the parts side by side."""
+        return np.concatenate(list(self.parts().values()), axis=1, dtype=np.float32)
 
     def score(self) -> RewardLedger:
         """The terms of `ReachOptions.reward`."""
@@ -146,7 +161,7 @@ class ReachTask:
         """`REACHED` or `RUNNING`."""
         return self.state.reached * np.int8(Outcome.REACHED)
 
-    def details(self) -> dict[str, NDArray[np.generic]]:
+    def details(self) -> dict[str, NDArray[Any]]:
         """`feasible`: whether any policy could reach the target."""
         return {"feasible": self._feasible.copy()}
 

@@ -1,7 +1,7 @@
 """What every task has, and how an episode can end."""
 
 from enum import IntEnum
-from typing import Protocol
+from typing import Any, Protocol
 
 import gymnasium
 import numpy as np
@@ -44,16 +44,23 @@ class Task(Protocol):
     """Physics steps between two decisions."""
     camera: str
     """The MJCF camera that pictures are taken with."""
-    observation_space: gymnasium.Space[NDArray[np.float32]]
+    observation_space: gymnasium.spaces.Box
     """Of one world."""
     action_space: gymnasium.spaces.Box
     """Of one world."""
+
+    @property
+    def interface(self) -> dict[str, str]:
+        """What a policy is made for: a learned one must have been trained on the same."""
 
     def reset(self, ids: NDArray[np.int32], rngs: list[np.random.Generator]) -> None:
         """Start new episodes in worlds `ids`, each drawn from its own generator."""
 
     def command(self, actions: Array) -> None:
         """Hand actions (n, ...) to the robots; they act on the simulation's next steps."""
+
+    def parts(self) -> dict[str, NDArray[np.floating[Any]]]:
+        """What is observed now, by name, (n, ...) each."""
 
     def observe(self) -> NDArray[np.float32]:
         """What the policies see now."""
@@ -64,5 +71,5 @@ class Task(Protocol):
     def outcome(self) -> NDArray[np.int8]:
         """`Outcome` of each world, (n,), timeouts apart."""
 
-    def details(self) -> dict[str, NDArray[np.generic]]:
+    def details(self) -> dict[str, NDArray[Any]]:
         """What `info` says besides, (n,) each."""

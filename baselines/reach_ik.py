@@ -1,0 +1,62 @@
+"""The IK expert: among the arm's ways to touch the target sphere, take the one that the joints can reach soonest.
+
+It plans once an episode, on Pinocchio's kinematics and from the observation alone, and then holds its course. Should
+the arm stand still elsewhere, it plans again from there.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.envs import ArmReachVectorEnv
+from armctl.errors import ConfigurationError
+from armctl.kinematics import ArmModel, Ik, SoonestTouch
+from armctl.policies import PerWorld
+
+Array = NDArray[np.float64]
+
+MARGIN = 0.9
+"""Part of the tolerance that is aimed at, for the servos' sake."""
+STANDSTILL = 1e-3
+"""rad between two decisions, below which the arm is taken to stand still."""
+
+
+def make(env: ArmReachVectorEnv) -> PerWorld:
+    """The expert for each world of a reach environment."""
+    options, arm = env.task.options, env.task.arm
+    model = ArmModel(arm.description)
+    controllers = [ReachIk(model, options.tolerance, options.control, arm.period) for _ in range(env.num_envs)]
+    return PerWorld(controllers)
+
+
+class ReachIk:
+    """Reaches with one arm. Raises `ConfigurationError` for torque control, which IK has no say in."""
+
+    def __init__(self, model: ArmModel, tolerance: float, control: str, period: float) -> None:
+        if control == "torque":
+            raise ConfigurationError("reach_ik commands joint motions: use control 'position', 'delta' or 'velocity'")
+        self._model, self._tolerance, self._control, self._period = model, tolerance, control, period
+        self._touch, self._ik = SoonestTouch(model), Ik(model)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the plan."""
+        self._goal: Array | None = None
+        self._last: Array | None = None
+
+    def act(self, observation: NDArray[np.float32]) -> Array:
+        """Action (dof,) for an observation (6 + dof,): end-effector position, joint positions, target position."""
+        q, target = observation[3:-3].astype(float), observation[-3:].astype(float)
+        stuck = self._last is not None and np.abs(q - self._last).max() < STANDSTILL
+        if self._goal is None or stuck:
+            self._goal = self._plan(q, target)
+        self._last = q
+        return self._towards(self._goal, q)
+
+    def _plan(self, q: Array, target: Array) -> Array:
+        touch = self._touch.find(q, target, MARGIN * self._tolerance)
+        return self._ik.position(target, q).closest if touch is None else touch.q
+
+    def _towards(self, goal: Array, q: Array) -> Array:
+        if self._control == "position":
+            return goal
+        return goal - q if self._control == "delta" else (goal - q) / self._period

@@ -1,0 +1,13 @@
+"""The trained agents that come with armctl: an ONNX graph and a JSON card each."""
+
+from pathlib import Path
+
+from armctl.agents import OnnxPolicy, load_agent
+from armctl.envs import TaskVectorEnv
+
+FOLDER = Path(__file__).parent
+
+
+def reach_ppo(env: TaskVectorEnv) -> OnnxPolicy:
+    """PPO on `armctl/ArmReach-v0`, robot `ur5`, position control."""
+    return load_agent(FOLDER / "reach_ppo.json", env)

@@ -1,0 +1,259 @@
+"""Proximal policy optimisation (Schulman et al. 2017), by Stable-Baselines3, on hundreds of batched worlds.
+
+`armctl train ppo --env armctl/ArmReach-v0` comes here. The trained agent is an ONNX graph and a JSON card.
+"""
+
+import dataclasses
+import json
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import torch
+from armctl.rl.reach import SHAPED_REWARD, ActionScale, ReachFeatures
+from armctl.rl.vector import StableBaselinesVectorEnv
+from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import BaseCallback, CheckpointCallback
+from stable_baselines3.common.logger import configure
+
+from armctl.agents import INPUT, OUTPUT, AgentCard, Evaluation, sha256
+from armctl.envs import TaskVectorEnv
+from armctl.errors import ConfigurationError, unknown_name
+from armctl.evaluation import evaluate
+from armctl.evaluation.report import versions
+from armctl.evaluation.statistics import success_rate
+from armctl.tasks import REWARD
+
+TRAINING_SEEDS = 10**9
+"""Training seed k plays the seeds from (k + 1) * 10^9 on: whatever is evaluated on smaller seeds is held out."""
+SUPPORTED = ("armctl/ArmReach-v0",)
+
+
+@dataclass(frozen=True)
+class PpoOptions:
+    """Options of the learner."""
+
+    steps: int = 3_000_000
+    """Decisions in simulation, over all worlds."""
+    worlds: int = 256
+    rollout_length: int = 32
+    """Decisions of each world between two updates."""
+    batch_size: int = 2048
+    epochs: int = 5
+    learning_rate: float = 1e-3
+    """Falls linearly to a twentieth."""
+    gamma: float = 0.97
+    gae_lambda: float = 0.95
+    clip_range: float = 0.2
+    hidden_units: int = 128
+    """In each of two layers."""
+    initial_log_std: float = -0.5
+    reward_scale: float = 0.02
+    shaped: bool = True
+    """Train with the reward term `progress` as well; evaluation is always on the task's own reward."""
+    checkpoint_every: int = 250_000
+    """Steps between checkpoints."""
+    evaluation_episodes: int = 1000
+
+
+def train(
+    env: str = "armctl/ArmReach-v0",
+    *,
+    out: Path,
+    steps: int | None = None,
+    seed: int = 0,
+    resume: bool = False,
+    env_options: Mapping[str, Any] | None = None,
+    options: PpoOptions | None = None,
+    progress: bool = True,
+) -> AgentCard:
+    """Train an agent, and write `out/agent.onnx` and `out/agent.json`, with logs and checkpoints beside them.
+
+    An interrupt (Ctrl-C) leaves a checkpoint; `resume=True` goes on from the newest one in `out`, which must be of your
+    own making: unlike agents, Stable-Baselines3's checkpoints are pickles.
+
+    Raises `ConfigurationError` for an environment without a recipe, or a folder that another training has used.
+    """
+    if env not in SUPPORTED:
+        raise unknown_name("environment with a PPO recipe", env, SUPPORTED)
+    options = options or PpoOptions()
+    if steps is not None:
+        options = dataclasses.replace(options, steps=steps)
+    settings: dict[str, Any] = {
+        "env": env,
+        "env_options": {name: str(value) for name, value in (env_options or {}).items()},
+        "seed": seed,
+        "options": dataclasses.asdict(options),
+    }
+    checkpoint = _prepare(out, settings, resume)
+    worlds = gymnasium.make_vec(
+        env,
+        num_envs=options.worlds,
+        autoreset_mode="same_step",
+        reward=SHAPED_REWARD if options.shaped else REWARD,
+        **(env_options or {}),
+    )
+    assert isinstance(worlds, TaskVectorEnv)
+    scale = ActionScale(worlds.task.interface["control"], worlds.single_action_space)
+    venv = StableBaselinesVectorEnv(worlds, scale, options.reward_scale)
+    clock = Clock()
+    if checkpoint is None:
+        model = _new_model(venv, options, seed)
+    else:
+        model = PPO.load(checkpoint, env=venv, device="cpu")
+        clock.before = float(json.loads((out / "clock.json").read_text())["seconds"])
+    # A resumed run plays on in other episodes than those it has seen.
+    venv.seed((seed + 1) * TRAINING_SEEDS + model.num_timesteps)
+    model.set_logger(configure(str(out / "tensorboard"), ["tensorboard"]))
+    every = max(options.checkpoint_every // options.worlds, 1)
+    callbacks: list[BaseCallback] = [clock, CheckpointCallback(every, str(out / "checkpoints"), "ppo")]
+    try:
+        remaining = options.steps - model.num_timesteps
+        if remaining > 0:
+            model.learn(remaining, callback=callbacks, reset_num_timesteps=False, progress_bar=progress)
+    finally:
+        model.save(out / "checkpoints" / f"ppo_{model.num_timesteps}_steps")
+        (out / "clock.json").write_text(json.dumps({"seconds": clock.seconds}))
+        venv.close()
+    export(model, scale, out / "agent.onnx")
+    card = AgentCard(
+        name=out.name,
+        learner="ppo",
+        env=env,
+        env_options=settings["env_options"],
+        interface=worlds.task.interface,
+        observation_shape=list(worlds.single_observation_space.shape or ()),
+        action_shape=list(worlds.single_action_space.shape or ()),
+        training_steps=model.num_timesteps,
+        training_minutes=round(clock.seconds / 60, 2),
+        training_seed=seed,
+        learner_options=settings["options"],
+        versions=versions() | {name: version(name) for name in ("stable-baselines3", "torch", "onnx")},
+        sha256=sha256(out / "agent.onnx"),
+    )
+    _write(card, out)
+    card.evaluation = _evaluation(out / "agent.json", env, env_options, options.evaluation_episodes)
+    _write(card, out)
+    return card
+
+
+class Clock(BaseCallback):
+    """Seconds spent on training, over all resumptions."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.before = 0.0
+        self._start = time.perf_counter()
+
+    @property
+    def seconds(self) -> float:
+        """Since training began."""
+        return self.before + time.perf_counter() - self._start
+
+    def _on_training_start(self) -> None:
+        self._start = time.perf_counter()
+
+    def _on_step(self) -> bool:
+        return True
+
+
+class _Deterministic(torch.nn.Module):
+    """What is exported: features, network and action scale in one graph."""
+
+    def __init__(self, model: PPO, scale: ActionScale) -> None:
+        super().__init__()
+        self.policy, self.scale = model.policy, scale
+
+    def forward(self, observation: torch.Tensor) -> torch.Tensor:
+        features = self.policy.extract_features(observation, self.policy.pi_features_extractor)
+        actions = self.policy.action_net(self.policy.mlp_extractor.forward_actor(features))
+        return self.scale(observation, actions)
+
+
+def export(model: PPO, scale: ActionScale, path: Path) -> None:
+    """Write the policy's mean action as an ONNX graph."""
+    module = _Deterministic(model, scale).eval()
+    example = torch.zeros((2, *model.observation_space.shape))
+    batch = torch.export.Dim("worlds", min=1)
+    program = torch.onnx.export(
+        module,
+        (example,),
+        input_names=[INPUT],
+        output_names=[OUTPUT],
+        dynamic_shapes=({0: batch},),
+        dynamo=True,
+        verbose=False,
+    )
+    assert program is not None
+    program.save(path, external_data=False)
+
+
+def _new_model(venv: StableBaselinesVectorEnv, options: PpoOptions, seed: int) -> PPO:
+    return PPO(
+        "MlpPolicy",
+        venv,
+        n_steps=options.rollout_length,
+        batch_size=options.batch_size,
+        n_epochs=options.epochs,
+        learning_rate=_falling(options.learning_rate),
+        gamma=options.gamma,
+        gae_lambda=options.gae_lambda,
+        clip_range=options.clip_range,
+        policy_kwargs={
+            "features_extractor_class": ReachFeatures,
+            "net_arch": [options.hidden_units] * 2,
+            "activation_fn": torch.nn.ELU,
+            "log_std_init": options.initial_log_std,
+        },
+        seed=seed,
+        device="cpu",
+    )
+
+
+def _falling(initial: float) -> Any:
+    def rate(progress_remaining: float) -> float:
+        return initial * max(progress_remaining, 0.05)
+
+    return rate
+
+
+def _prepare(out: Path, settings: dict[str, Any], resume: bool) -> Path | None:
+    """Make the folder, or find the newest checkpoint in it."""
+    record = out / "settings.json"
+    if not resume:
+        if record.exists():
+            raise ConfigurationError(f"{out} holds a training already: resume it (--resume), or choose another folder")
+        (out / "checkpoints").mkdir(parents=True, exist_ok=True)
+        record.write_text(json.dumps(settings, indent=2))
+        return None
+    if not record.exists():
+        raise ConfigurationError(f"there is no training to resume in {out}")
+    before = json.loads(record.read_text())
+    changed = [key for key in settings if before.get(key) != settings[key]]
+    if changed:
+        raise ConfigurationError(f"the training in {out} was started with another {' and '.join(changed)}: {before}")
+    checkpoints = list((out / "checkpoints").glob("ppo_*_steps.zip"))
+    return max(checkpoints, key=lambda path: int(path.stem.split("_")[1]), default=None)
+
+
+def _evaluation(card: Path, env: str, env_options: Mapping[str, Any] | None, episodes: int) -> Evaluation:
+    results = evaluate(str(card), env, episodes=episodes, seed=0, worlds=64, env_options=env_options)
+    rate = success_rate(results.success.to_numpy(bool))
+    assert rate is not None
+    steps = results.length[results.success]
+    return Evaluation(
+        episodes=episodes,
+        seed=0,
+        success_rate=rate.value,
+        success_interval=(rate.low, rate.high),
+        mean_return=float(results["return"].mean()),
+        mean_steps_to_goal=float(steps.mean()) if len(steps) else None,
+    )
+
+
+def _write(card: AgentCard, out: Path) -> None:
+    (out / "agent.json").write_text(card.model_dump_json(indent=2) + "\n")

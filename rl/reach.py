@@ -1,0 +1,64 @@
+"""What makes the reach task learnable: what the network is shown, how it acts, and a reward on the way.
+
+Features and actions are functions of the observation inside the exported graph: the agent sees and does what any policy
+may. The reward on the way is for training alone.
+"""
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from numpy.typing import NDArray
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+
+from armctl.tasks import REWARD, ReachState
+
+PROGRESS_REWARD = 50.0
+"""Reward for each metre that the end-effector comes nearer to the target."""
+LARGEST_MOVE = 0.2
+"""rad that an action can command away from the present joint positions; in one decision a UR5 joint makes 0.126."""
+
+
+def progress(state: ReachState) -> NDArray[np.float64]:
+    """Reward term (n,): metres come nearer to the target since the last decision."""
+    return np.asarray(PROGRESS_REWARD * (state.previous_distance - state.distance))
+
+
+SHAPED_REWARD = {**REWARD, "progress": progress}
+
+
+class ReachFeatures(BaseFeaturesExtractor):
+    """Observation (6 + dof,) as the offset to the target, its direction and length, and each joint's sine and cosine.
+
+    Lengths are scaled by the arm's size, so that all features are of the order of one.
+    """
+
+    def __init__(self, observation_space: spaces.Box) -> None:
+        self.dof = observation_space.shape[0] - 6
+        super().__init__(observation_space, 13 + 2 * self.dof)
+
+    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+        """Features (n, 13 + 2 dof) of observations (n, 6 + dof)."""
+        end_effector, joints, target = observations.split((3, self.dof, 3), dim=1)
+        offset = target - end_effector
+        distance = offset.norm(dim=1, keepdim=True)
+        direction = offset / (distance + 0.05)
+        parts = (2 * end_effector, 2 * target, 2 * offset, direction, 2 * distance, joints.sin(), joints.cos())
+        return torch.cat(parts, dim=1)
+
+
+class ActionScale(torch.nn.Module):
+    """From the network's actions in [-1, 1] to the environment's, for each kind of control.
+
+    Position commands are relative to the observed joint positions; the others use the range of the action space.
+    """
+
+    def __init__(self, control: str, action_space: spaces.Box) -> None:
+        super().__init__()
+        self.relative = control == "position"
+        scale = np.full(action_space.shape, LARGEST_MOVE, np.float32) if self.relative else action_space.high
+        self.register_buffer("scale", torch.as_tensor(scale))
+
+    def forward(self, observations: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
+        """Environment actions (n, dof)."""
+        move = self.scale * actions.clamp(-1, 1)
+        return observations[:, 3:-3] + move if self.relative else move

@@ -1,0 +1,135 @@
+"""Learned agents as files: an ONNX graph from observations to actions, and a JSON card that says where it comes from.
+
+Nothing is unpickled, and no code runs from either file: an agent from a stranger is safe to load.
+"""
+
+import hashlib
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import onnxruntime
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from armctl.envs import TaskVectorEnv
+from armctl.errors import AgentFileError
+
+INPUT, OUTPUT = "observation", "action"
+
+
+class Evaluation(BaseModel):
+    """How an agent did on held-out episodes of the plain task."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    episodes: int
+    seed: int
+    success_rate: float
+    success_interval: tuple[float, float]
+    """95 % Wilson interval."""
+    mean_return: float
+    mean_steps_to_goal: float | None
+
+
+class AgentCard(BaseModel):
+    """Where a learned agent comes from, and what it may be used for."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    format: Literal["armctl-agent-1"] = "armctl-agent-1"
+    name: str
+    learner: str
+    env: str
+    env_options: dict[str, Any]
+    """Options of the environment that it acts in; the rest are defaults."""
+    interface: dict[str, str]
+    """What must be the same wherever it acts, such as robot and control."""
+    observation_shape: list[int]
+    action_shape: list[int]
+    training_steps: int
+    training_minutes: float
+    training_seed: int
+    learner_options: dict[str, Any]
+    """What the learner was told, and the reward that it was trained on."""
+    versions: dict[str, str]
+    sha256: str
+    """Of the ONNX file."""
+    evaluation: Evaluation | None = None
+
+
+class OnnxPolicy:
+    """A learned agent, run by onnxruntime. It sees the observation alone."""
+
+    sees: Literal["observation", "state"] = "observation"
+
+    def __init__(self, graph: Path, card: AgentCard) -> None:
+        self.card = card
+        self.training_steps = card.training_steps
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = 1
+        options.log_severity_level = 4
+        try:
+            self._session = onnxruntime.InferenceSession(graph.read_bytes(), options, ["CPUExecutionProvider"])
+        except Exception as error:  # onnxruntime has an exception for each way a file can be broken
+            raise AgentFileError(f"{graph} is not an ONNX graph that onnxruntime can run: {error}") from error
+        inputs, outputs = (
+            [value.name for value in values] for values in (self._session.get_inputs(), self._session.get_outputs())
+        )
+        if (inputs, outputs) != ([INPUT], [OUTPUT]):
+            raise AgentFileError(f"{graph} maps {inputs} to {outputs}; an agent maps ['{INPUT}'] to ['{OUTPUT}']")
+
+    def reset(self, ids: NDArray[np.int32]) -> None:
+        """Nothing to forget: the agent has no memory."""
+
+    def act(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Actions (n, ...) for observations (n, ...)."""
+        return np.asarray(self._session.run([OUTPUT], {INPUT: observations})[0])
+
+
+def load_agent(path: Path, worlds: TaskVectorEnv) -> OnnxPolicy:
+    """Load an agent by the path of its card or graph, which lie side by side, for the worlds of an environment.
+
+    Raises `AgentFileError` if a file is missing or corrupt, or the agent was made for another environment.
+    """
+    card = read_card(path.with_suffix(".json"))
+    graph = path.with_suffix(".onnx")
+    if not graph.is_file():
+        raise AgentFileError(f"the agent's graph {graph} is missing")
+    if sha256(graph) != card.sha256:
+        raise AgentFileError(f"{graph} is not the file that its card was written for: it was changed, or damaged")
+    _check_made_for(card, worlds)
+    return OnnxPolicy(graph, card)
+
+
+def read_card(path: Path) -> AgentCard:
+    """Read and check an agent's card; raises `AgentFileError`."""
+    try:
+        return AgentCard.model_validate_json(path.read_bytes())
+    except OSError as error:
+        raise AgentFileError(f"the agent's card {path} cannot be read: {error.strerror}") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"]) or "file"
+        raise AgentFileError(f"{path} is not an agent's card: {where}: {first['msg']}") from error
+
+
+def sha256(path: Path) -> str:
+    """Checksum of a file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _check_made_for(card: AgentCard, worlds: TaskVectorEnv) -> None:
+    if worlds.spec is not None and card.env != worlds.spec.id:
+        raise AgentFileError(f"agent {card.name} was trained in {card.env}, and this is {worlds.spec.id}")
+    shapes = (tuple(card.observation_shape), tuple(card.action_shape))
+    here = (worlds.single_observation_space.shape, worlds.single_action_space.shape)
+    if shapes != here:
+        raise AgentFileError(
+            f"agent {card.name} maps observations {shapes[0]} to actions {shapes[1]}; "
+            f"here they are {here[0]} and {here[1]}"
+        )
+    if card.interface != worlds.task.interface:
+        raise AgentFileError(
+            f"agent {card.name} was trained for {card.interface}, and this environment has {worlds.task.interface}"
+        )

@@ -1,0 +1,203 @@
+"""The verbs of the command line. No logic of its own: each calls the library."""
+
+import ast
+import sys
+from pathlib import Path
+from typing import Annotated, Any, NoReturn
+
+import typer
+
+from armctl.errors import ArmctlError, ConfigurationError
+
+app = typer.Typer(
+    help="Planners and controllers against learned agents, on the same robot episodes.\n\n"
+    "Start with `armctl compare`: an IK expert, a trained PPO agent and random actions meet the same 200 reach "
+    "episodes. `armctl list` shows what else there is.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+)
+
+DEFAULT_ENV = "armctl/ArmReach-v0"
+
+Env = Annotated[str, typer.Option("--env", help="Environment id; `armctl list` shows them.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of the episodes: the same seed, the same episodes.")]
+EnvOptions = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="NAME=VALUE",
+        help="Option of the environment, as often as needed: `--set robot=ur10 --set tolerance=0.02`.",
+    ),
+]
+Worlds = Annotated[
+    int,
+    typer.Option(
+        min=1, help="Worlds played at once. With 1, decision times are latencies; with more, shares of a batch."
+    ),
+]
+
+
+@app.command("list")
+def list_() -> None:
+    """Show the environments, policies, robots and learners."""
+    from importlib.metadata import entry_points
+
+    from rich import print as show
+
+    from armctl.assets import BUILTIN_ARMS
+    from armctl.evaluation.rollouts import environment_names
+    from armctl.policies import policy_names
+
+    show("[bold]environments[/]  " + "  ".join(environment_names()))
+    show("[bold]policies[/]      " + "  ".join(policy_names()) + "  path/to/agent.json  module:function")
+    show("[bold]robots[/]        " + "  ".join(BUILTIN_ARMS) + "  path/to/your.urdf")
+    show("[bold]learners[/]      " + "  ".join(sorted(entry_points(group="armctl.learners").names)))
+
+
+@app.command()
+def compare(
+    policies: Annotated[
+        list[str] | None,
+        typer.Argument(
+            help="Policies: names, agents' files, or `module:function`.", show_default="reach_ik reach_ppo random"
+        ),
+    ] = None,
+    env: Env = DEFAULT_ENV,
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes that every policy meets.")] = 200,
+    seed: Seed = 0,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for episodes.csv and summary.json.", show_default="results/<date and time>"),
+    ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace results that the folder holds.")] = False,
+    worlds: Worlds = 1,
+    env_options: EnvOptions = None,
+) -> None:
+    """Let policies meet the same episodes, and print who is better, by how much.
+
+    Writes every episode as it ends, so that Ctrl-C loses nothing.
+    """
+    from datetime import datetime
+
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from armctl.evaluation import EpisodeResult
+    from armctl.evaluation import compare as run_comparison
+    from armctl.evaluation.report import tables
+
+    names = policies or ["reach_ik", "reach_ppo", "random"]
+    folder = out or Path("results") / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+    columns = (TextColumn("{task.description:>12}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        bars = {name: bar.add_task(name, total=episodes) for name in names}
+
+        def progress(result: EpisodeResult) -> None:
+            bar.advance(bars[result.policy])
+
+        comparison = run_comparison(
+            names,
+            env,
+            episodes=episodes,
+            seed=seed,
+            out=folder,
+            overwrite=overwrite,
+            worlds=worlds,
+            env_options=_options(env_options),
+            progress=progress,
+        )
+    console = Console()
+    console.print(tables(comparison))
+    console.print(f"{folder / 'episodes.csv'} has every episode, {folder / 'summary.json'} the tables.", soft_wrap=True)
+    if comparison.interrupted:
+        raise typer.Exit(130)
+    if comparison.failures:
+        raise typer.Exit(1)
+
+
+@app.command()
+def run(
+    policy: Annotated[str, typer.Argument(help="Policy: a name, an agent's file, or `module:function`.")],
+    env: Env = DEFAULT_ENV,
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes to play.")] = 1,
+    steps: Annotated[
+        int | None, typer.Option(min=1, help="Most steps of an episode.", show_default="the environment's")
+    ] = None,
+    seed: Seed = 0,
+    video: Annotated[Path | None, typer.Option(metavar="FILE.mp4", help="Record what happens.")] = None,
+    watch: Annotated[bool, typer.Option("--watch", help="Show it in MuJoCo's window, in real time.")] = False,
+    env_options: EnvOptions = None,
+) -> None:
+    """Play episodes with one policy, and print its states, actions and rewards."""
+    from armctl.evaluation.runner import run_episodes
+
+    run_episodes(policy, env, episodes, steps, seed, video, watch, _options(env_options))
+
+
+@app.command()
+def train(
+    learner: Annotated[str, typer.Argument(help="Learner: `armctl list` shows them.")],
+    env: Env = DEFAULT_ENV,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for the agent, logs and checkpoints.", show_default="runs/<learner>-<seed>"),
+    ] = None,
+    steps: Annotated[
+        int | None, typer.Option(min=1, help="Decisions in simulation.", show_default="the recipe's")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the training.")] = 0,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on from the newest checkpoint in the folder.")] = False,
+    env_options: EnvOptions = None,
+) -> None:
+    """Train an agent; needs the extra `rl`: pip install 'armctl[rl]'.
+
+    Ctrl-C leaves a checkpoint: the same command with `--resume` goes on. Watch it with `tensorboard --logdir FOLDER`.
+    """
+    from rich import print as show
+
+    from armctl.learners import load_learner
+
+    folder = out or Path("runs") / f"{learner}-{seed}"
+    try:
+        card = load_learner(learner)(
+            env, out=folder, steps=steps, seed=seed, resume=resume, env_options=_options(env_options)
+        )
+    except KeyboardInterrupt:
+        show(f"Interrupted. The same command with [bold]--resume --out {folder}[/] goes on.")
+        raise typer.Exit(130) from None
+    assert card.evaluation is not None
+    low, high = card.evaluation.success_interval
+    show(
+        f"{card.training_steps:,} steps in {card.training_minutes} minutes: "
+        f"success {card.evaluation.success_rate:.1%} [{low:.1%}, {high:.1%}] "
+        f"on {card.evaluation.episodes} held-out episodes"
+    )
+    show(f"The agent is {folder / 'agent.json'}: armctl compare reach_ik {folder / 'agent.json'}")
+
+
+def _options(pairs: list[str] | None) -> dict[str, Any]:
+    """Environment options from NAME=VALUE pairs: numbers, tuples, True, False and None, or else strings."""
+    options = {}
+    for pair in pairs or []:
+        name, equals, value = pair.partition("=")
+        if not equals:
+            raise ConfigurationError(f"--set wants NAME=VALUE, not {pair!r}")
+        try:
+            options[name] = ast.literal_eval(value)
+        except (ValueError, SyntaxError):
+            options[name] = value
+    return options
+
+
+def main() -> NoReturn:
+    """Run the command line; armctl's own errors become one line and exit status 2."""
+    try:
+        app()
+    except ArmctlError as error:
+        from rich.console import Console
+
+        Console(stderr=True).print("[red]armctl:[/]", str(error), soft_wrap=True, highlight=False, markup=True)
+        sys.exit(2)
+    sys.exit(0)

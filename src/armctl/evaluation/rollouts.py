@@ -1,0 +1,144 @@
+"""Episodes of one policy, one result each."""
+
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pandas as pd
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+
+from armctl.envs import TaskVectorEnv
+from armctl.errors import ArmctlError, ConfigurationError
+from armctl.policies import Policy, PolicyFactory, make_policy
+
+COLUMNS = (
+    "policy", "env", "episode", "seed", "outcome", "success", "feasible", "return", "length", "decision_ms_p50",
+    "decision_ms_p99",
+)  # fmt: skip
+
+
+class PolicyFailed(ArmctlError):
+    """A policy raised an error, or gave an action that the environment refused."""
+
+
+@dataclass(frozen=True)
+class EpisodeResult:
+    """How one episode went. `env.reset(seed=seed, options={"episode": episode})` plays it again."""
+
+    policy: str
+    env: str
+    episode: int
+    seed: int
+    outcome: str
+    success: bool
+    feasible: bool
+    total_reward: float
+    length: int
+    decision_ms: NDArray[np.float64]
+    """(length,) wall time of each decision."""
+
+    def row(self) -> dict[str, Any]:
+        """The episode as a row of `episodes.csv`."""
+        p50, p99 = np.quantile(self.decision_ms, (0.5, 0.99))
+        values = (
+            self.policy, self.env, self.episode, self.seed, self.outcome, self.success, self.feasible,
+            self.total_reward, self.length, round(float(p50), 4), round(float(p99), 4),
+        )  # fmt: skip
+        return dict(zip(COLUMNS, values, strict=True))
+
+
+def make_worlds(env: str, worlds: int, options: Mapping[str, Any] | None = None) -> TaskVectorEnv:
+    """`worlds` worlds of an environment, that stand still after an episode. Raises `ConfigurationError`."""
+    try:
+        made = gymnasium.make_vec(env, num_envs=worlds, autoreset_mode=AutoresetMode.DISABLED, **(options or {}))
+    except gymnasium.error.Error as error:
+        raise ConfigurationError(
+            f"no environment {env!r}: {error} There are: {', '.join(environment_names())}"
+        ) from error
+    if not isinstance(made.unwrapped, TaskVectorEnv):
+        raise ConfigurationError(f"{env} is not one of armctl's environments: {', '.join(environment_names())}")
+    return made.unwrapped
+
+
+def environment_names() -> list[str]:
+    """The environments that armctl has registered."""
+    return sorted(name for name in gymnasium.registry if name.startswith("armctl/"))
+
+
+def rollouts(
+    policy: Policy, env: TaskVectorEnv, episodes: int, seed: int, name: str = "policy"
+) -> Iterator[EpisodeResult]:
+    """Play episodes 0 to `episodes` - 1 of `seed` in the worlds of `env`, and yield each as it ends.
+
+    A decision's time is that of the policy's call divided by the number of worlds it decided for.
+    Raises `PolicyFailed` if the policy fails.
+    """
+    n = env.num_envs
+    mask = np.arange(n) < episodes
+    numbers = np.arange(n)
+    waiting = iter(range(n, episodes))
+    observations, details = env.reset(seed=[seed] * n, options={"episode": numbers})
+    feasible = details.get("feasible", np.ones(n, dtype=bool))
+    policy.reset(np.arange(n, dtype=np.int32))
+    returns = np.zeros(n)
+    times: list[list[float]] = [[] for _ in range(n)]
+    spec = env.spec.id if env.spec else type(env).__name__
+    while mask.any():
+        start = time.perf_counter()
+        try:
+            actions = policy.act(observations)
+        except Exception as error:
+            raise PolicyFailed(
+                f"{name} failed in episode {numbers[mask][0]}: {type(error).__name__}: {error}"
+            ) from error
+        elapsed = 1e3 * (time.perf_counter() - start) / n
+        try:
+            observations, rewards, terminated, truncated, infos = env.step(actions)
+        except ArmctlError as error:
+            raise PolicyFailed(f"{name} failed in episode {numbers[mask][0]}: {error}") from error
+        returns += rewards
+        for i in np.flatnonzero(mask):
+            times[i].append(elapsed)
+        ended = np.flatnonzero((terminated | truncated) & mask)
+        if not len(ended):
+            continue
+        for i in ended:
+            yield EpisodeResult(
+                name, spec, int(numbers[i]), seed, str(infos["outcome"][i]), bool(infos["is_success"][i]),
+                bool(feasible[i]), float(returns[i]), len(times[i]), np.array(times[i]),
+            )  # fmt: skip
+            returns[i], times[i] = 0.0, []
+            numbers[i] = next(waiting, -1)
+        again = np.zeros(n, dtype=bool)
+        again[ended] = numbers[ended] >= 0
+        mask[ended] = again[ended]
+        if again.any():
+            observations, details = env.reset(options={"reset_mask": again, "episode": numbers})
+            feasible = details.get("feasible", feasible)
+            policy.reset(np.flatnonzero(again).astype(np.int32))
+
+
+def evaluate(
+    policy: str | Path | PolicyFactory,
+    env: str = "armctl/ArmReach-v0",
+    *,
+    episodes: int = 200,
+    seed: int = 0,
+    worlds: int = 1,
+    env_options: Mapping[str, Any] | None = None,
+) -> pd.DataFrame:
+    """Play `episodes` episodes with one policy; a row for each, with the columns of `episodes.csv`.
+
+    Raises `ConfigurationError`, `AgentFileError` or `PolicyFailed`.
+    """
+    made_env = make_worlds(env, min(worlds, episodes), env_options)
+    made = make_policy(policy, made_env)
+    name = policy if isinstance(policy, str) else getattr(policy, "__name__", str(policy))
+    rows = [result.row() for result in rollouts(made, made_env, episodes, seed, name)]
+    made_env.close()
+    return pd.DataFrame(rows, columns=list(COLUMNS)).sort_values("episode", ignore_index=True)

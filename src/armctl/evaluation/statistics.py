@@ -1,0 +1,87 @@
+"""What can be said of finitely many episodes: intervals, and differences over paired episodes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A value with its 95 % confidence interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+def success_rate(successes: NDArray[np.bool_]) -> Estimate | None:
+    """Share of successes with Wilson's score interval (1927); None without episodes."""
+    if not len(successes):
+        return None
+    result = stats.binomtest(int(successes.sum()), len(successes))
+    interval = result.proportion_ci(method="wilson")
+    return Estimate(float(successes.mean()), float(interval.low), float(interval.high))
+
+
+def mean(values: Array, rng_seed: int = 0) -> Estimate | None:
+    """Mean with its percentile bootstrap interval (Efron 1979, 2,000 resamples); None without values."""
+    if not len(values):
+        return None
+    value = float(np.mean(values))
+    if len(values) == 1 or np.all(values == values[0]):
+        return Estimate(value, value, value)
+    resampled = stats.bootstrap(
+        (values,), np.mean, n_resamples=2000, method="percentile", rng=np.random.default_rng(rng_seed)
+    )
+    return Estimate(value, float(resampled.confidence_interval.low), float(resampled.confidence_interval.high))
+
+
+@dataclass(frozen=True)
+class PairedDifference:
+    """Policy a against policy b on the same episodes."""
+
+    a: str
+    b: str
+    episodes: int
+    both: int
+    only_a: int
+    only_b: int
+    neither: int
+    mcnemar_p: float
+    """Exact two-sided p-value for equal success (McNemar 1947)."""
+    return_difference: Estimate
+    """Mean of return a - return b."""
+    steps_difference: Estimate | None
+    """Mean of steps a - steps b where both succeeded."""
+
+
+def paired_difference(
+    a: str,
+    b: str,
+    success: tuple[NDArray[np.bool_], NDArray[np.bool_]],
+    returns: tuple[Array, Array],
+    lengths: tuple[Array, Array],
+) -> PairedDifference:
+    """Compare two policies, whose i-th entries (k,) belong to the same episode; k is at least 1."""
+    success_a, success_b = success
+    both = success_a & success_b
+    only_a, only_b = int((success_a & ~success_b).sum()), int((success_b & ~success_a).sum())
+    discordant = only_a + only_b
+    return_difference = mean(returns[0] - returns[1])
+    assert return_difference is not None
+    return PairedDifference(
+        a,
+        b,
+        len(both),
+        int(both.sum()),
+        only_a,
+        only_b,
+        int((~success_a & ~success_b).sum()),
+        float(stats.binomtest(only_a, discordant).pvalue) if discordant else 1.0,
+        return_difference,
+        mean((lengths[0] - lengths[1])[both]),
+    )

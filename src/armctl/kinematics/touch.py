@@ -1,0 +1,140 @@
+"""The soonest way to touch a sphere: over all configurations whose end-effector is in it, the least time to get there.
+
+    min over q of  max_j |q_j - start_j| / velocity_j   subject to  |position(q) - centre| <= radius
+
+From several starts: Levenberg-Marquardt into the sphere, then sequential quadratic steps along its constraint, in which
+iteratively reweighted squares stand for the maximum (Burrus, "Iterative reweighted least squares", 2012).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.kinematics.model import ArmModel
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TouchOptions:
+    """Effort of the search."""
+
+    starts: int = 32
+    approach_iterations: int = 10
+    """Steps from a start into the sphere."""
+    refine_iterations: int = 8
+    """Steps towards less time."""
+    largest_step: float = 0.5
+    """rad, in any joint and iteration."""
+    path_spacing: float = 0.05
+    """rad between the points at which a path is tested for collisions."""
+    rng_seed: int = 0
+
+
+@dataclass(frozen=True)
+class Touch:
+    """A way to touch the sphere."""
+
+    q: Array
+    """(dof,) where to command the joints to, rad."""
+    time: float
+    """Seconds until the slowest joint is there, each at its velocity limit."""
+    free: bool
+    """Whether the way there avoids the floor and the arm itself, all joints moving at full speed."""
+
+
+class SoonestTouch:
+    """Finds ways to touch a sphere with one arm."""
+
+    def __init__(self, model: ArmModel, options: TouchOptions | None = None) -> None:
+        self.model = model
+        self.options = options or TouchOptions()
+        rng = np.random.default_rng(self.options.rng_seed)
+        limits = model.limits
+        low, high = np.maximum(limits.lower, -np.pi), np.minimum(limits.upper, np.pi)
+        self._starts = rng.uniform(low, high, (self.options.starts, model.dof))
+
+    def find(self, start: Array, centre: Array, radius: float) -> Touch | None:
+        """The soonest collision-free way found from `start` (dof,) into the sphere; if none is free, the soonest.
+
+        `centre` (3,) and `radius` are in m. None if the sphere was not reached from any start.
+        """
+        candidates = self._candidates(start, centre, radius)
+        times = self.model.least_time(start, candidates)
+        blocked: Touch | None = None
+        for i in np.argsort(times, kind="stable"):
+            touch = Touch(candidates[i], float(times[i]), self._is_free(start, candidates[i], float(times[i])))
+            if touch.free:
+                return touch
+            blocked = blocked or touch
+        return blocked
+
+    def _candidates(self, start: Array, centre: Array, radius: float) -> Array:
+        """Configurations (k, dof) in the sphere, one from each start that got there, as soon as it could be made."""
+        q = self._approach(np.vstack([start, self._starts]), centre)
+        q = np.clip(_shortest_turn(q, start), self.model.limits.lower, self.model.limits.upper)
+        best, best_time = q, np.full(len(q), np.inf)
+        for _ in range(self.options.refine_iterations):
+            position, jacobian = self.model.positions_and_jacobians(q)
+            error = centre - position
+            time = self.model.least_time(start, q)
+            better = (np.linalg.norm(error, axis=-1) <= radius) & (time < best_time)
+            best, best_time = np.where(better[:, None], q, best), np.where(better, time, best_time)
+            q = q + self._limited(self._sooner(q - start, error, jacobian, radius))
+            q = np.clip(q, self.model.limits.lower, self.model.limits.upper)
+        return np.asarray(best[np.isfinite(best_time)])
+
+    def _approach(self, q: Array, centre: Array) -> Array:
+        for _ in range(self.options.approach_iterations):
+            position, jacobian = self.model.positions_and_jacobians(q)
+            error = centre - position
+            damping = 0.5 * (error * error).sum(axis=-1) + 1e-6
+            q = q + self._limited(_pull(jacobian, error, damping))
+        return q
+
+    def _sooner(self, travel: Array, error: Array, jacobian: Array, radius: float) -> Array:
+        """Step (n, dof) that keeps to the sphere, and evens out the times that the joints need for their `travel`."""
+        velocity = self.model.limits.velocity
+        load = np.abs(travel) / velocity
+        weights = (load / (load.max(axis=-1, keepdims=True) + 1e-9)) ** 4 + 0.02
+        scale = velocity / np.sqrt(weights)
+        scaled = jacobian * scale[:, None, :]
+        wanted = error + np.einsum("nij,nj->ni", jacobian, travel)
+        slack = np.zeros(len(travel))
+        for _ in range(4):  # the multiplier of |wanted - J travel| <= radius, by fixed point
+            multiplier = np.linalg.solve(_gram(scaled, slack), wanted[..., None])[..., 0]
+            length = np.linalg.norm(multiplier, axis=-1) + 1e-12
+            slack = np.minimum(radius / length, 1e6)
+        least_travel = scale * np.einsum("nij,ni->nj", scaled, multiplier)
+        onto_sphere = scale * _pull(scaled, error - radius * multiplier / length[:, None], np.zeros(len(travel)))
+        along_sphere = least_travel - travel - onto_sphere
+        return np.asarray(onto_sphere + 0.3 * along_sphere)
+
+    def _limited(self, step: Array) -> Array:
+        largest = np.abs(step).max(axis=-1, keepdims=True)
+        return np.asarray(step * np.minimum(1.0, self.options.largest_step / (largest + 1e-12)))
+
+    def _is_free(self, start: Array, goal: Array, time: float) -> bool:
+        velocity = self.model.limits.velocity
+        points = max(2, int(np.ceil(time * velocity.max() / self.options.path_spacing)))
+        for elapsed in np.linspace(0, time, points)[1:]:
+            q = start + np.clip(goal - start, -velocity * elapsed, velocity * elapsed)
+            if not self.model.is_free(q):
+                return False
+        return True
+
+
+def _gram(jacobian: Array, damping: Array) -> Array:
+    """J J^T + damping, (n, 3, 3)."""
+    return np.asarray(jacobian @ jacobian.swapaxes(-1, -2) + (damping + 1e-9)[:, None, None] * np.eye(3))
+
+
+def _pull(jacobian: Array, error: Array, damping: Array) -> Array:
+    """Damped least-squares step J^T (J J^T + damping)^-1 error, (n, dof)."""
+    return np.asarray((jacobian.swapaxes(-1, -2) @ np.linalg.solve(_gram(jacobian, damping), error[..., None]))[..., 0])
+
+
+def _shortest_turn(q: Array, start: Array) -> Array:
+    """The same configurations with every joint within half a turn of `start`."""
+    return np.asarray(start + np.arctan2(np.sin(q - start), np.cos(q - start)))

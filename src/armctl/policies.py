@@ -1,0 +1,118 @@
+"""Policies: whatever turns observations into actions, classical or learned, and how they are found.
+
+A package offers a policy under the entry-point group `armctl.policies`: a function from an environment to a `Policy`.
+"""
+
+import importlib
+from collections.abc import Callable, Sequence
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any, Literal, Protocol, runtime_checkable
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.agents import load_agent
+from armctl.envs import TaskEnv, TaskVectorEnv
+from armctl.errors import ConfigurationError, unknown_name
+
+Observations = NDArray[np.float32]
+Actions = NDArray[np.floating[Any]]
+GROUP = "armctl.policies"
+
+
+@runtime_checkable
+class Policy(Protocol):
+    """Decides for n worlds at once."""
+
+    sees: Literal["observation", "state"]
+    """What it is allowed to see: the environment's observation alone, or privileged state as well."""
+    training_steps: int
+    """Decisions in simulation that it was trained on; 0 for a policy that was written."""
+
+    def reset(self, ids: NDArray[np.int32]) -> None:
+        """Worlds `ids` start a new episode."""
+
+    def act(self, observations: Observations) -> Actions:
+        """Actions (n, ...) for the observations (n, ...) of all worlds."""
+
+
+class Controller(Protocol):
+    """Decides for one world."""
+
+    def reset(self) -> None:
+        """A new episode starts."""
+
+    def act(self, observation: Observations) -> Actions:
+        """The action for one world's observation."""
+
+
+PolicyFactory = Callable[[TaskVectorEnv], Policy]
+
+
+class PerWorld:
+    """A policy made of one controller for each world."""
+
+    training_steps = 0
+
+    def __init__(
+        self, controllers: Sequence[Controller], sees: Literal["observation", "state"] = "observation"
+    ) -> None:
+        self.controllers = controllers
+        self.sees = sees
+
+    def reset(self, ids: NDArray[np.int32]) -> None:
+        """Worlds `ids` start a new episode."""
+        for i in ids:
+            self.controllers[i].reset()
+
+    def act(self, observations: Observations) -> Actions:
+        """Each controller's action on its own observation."""
+        pairs = zip(self.controllers, observations, strict=True)
+        return np.array([controller.act(observation) for controller, observation in pairs])
+
+
+def policy_names() -> list[str]:
+    """Names of all installed policies."""
+    return sorted(entry.name for entry in entry_points(group=GROUP))
+
+
+def make_policy(policy: str | Path | PolicyFactory | Policy, env: gymnasium.Env[Any, Any] | TaskVectorEnv) -> Policy:
+    """Make a policy for the worlds of `env`.
+
+    `policy` is an installed policy's name, the path of a learned agent's `.json` card or `.onnx` graph,
+    `module:function` or a function from an environment to a policy, or a policy itself.
+
+    Raises `ConfigurationError` for an unknown name, and `AgentFileError` for a file that cannot be run here.
+    """
+    worlds = env.unwrapped
+    if isinstance(worlds, TaskEnv):
+        worlds = worlds.worlds
+    if not isinstance(worlds, TaskVectorEnv):
+        raise ConfigurationError(f"policies act in armctl's environments; {env} is none")
+    if isinstance(policy, Policy) and not isinstance(policy, type):
+        return policy
+    made = _factory(policy)(worlds)
+    if not isinstance(made, Policy):
+        raise ConfigurationError(
+            f"{policy} made a {type(made).__name__}, which is no policy: it needs sees, training_steps, reset, act"
+        )
+    return made
+
+
+def _factory(policy: Any) -> PolicyFactory:
+    if callable(policy):
+        return policy  # type: ignore[no-any-return]
+    name = str(policy)
+    if Path(name).suffix in (".onnx", ".json"):
+        return lambda worlds: load_agent(Path(name), worlds)
+    if name in policy_names():
+        return entry_points(group=GROUP)[name].load()  # type: ignore[no-any-return]
+    module, _, attribute = name.partition(":")
+    if not attribute:
+        raise unknown_name("policy", name, [*policy_names(), "path/to/agent.json", "module:function"])
+    try:
+        return getattr(importlib.import_module(module), attribute)  # type: ignore[no-any-return]
+    except (ImportError, AttributeError) as error:
+        raise ConfigurationError(f"cannot load the policy {name!r}: {error}") from error
