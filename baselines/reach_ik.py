@@ -17,7 +17,9 @@ Array = NDArray[np.float64]
 MARGIN = 0.9
 """Part of the tolerance that is aimed at, for the servos' sake."""
 STANDSTILL = 1e-3
-"""rad between two decisions, below which the arm is taken to stand still."""
+"""rad between two decisions, below which the arm stands still."""
+PATIENCE = 5
+"""Decisions at a standstill after which it plans anew."""
 
 
 def make(env: ArmReachVectorEnv) -> PerWorld:
@@ -42,13 +44,16 @@ class ReachIk:
         """Forget the plan."""
         self._goal: Array | None = None
         self._last: Array | None = None
+        self._still = 0
+        self._command: Array | None = None
 
     def act(self, observation: NDArray[np.float32]) -> Array:
         """Action (dof,) for an observation (6 + dof,): end-effector position, joint positions, target position."""
         q, target = observation[3:-3].astype(float), observation[-3:].astype(float)
-        stuck = self._last is not None and np.abs(q - self._last).max() < STANDSTILL
-        if self._goal is None or stuck:
-            self._goal = self._plan(q, target)
+        moved = self._last is None or np.abs(q - self._last).max() > STANDSTILL
+        self._still = 0 if moved else self._still + 1
+        if self._goal is None or self._still == PATIENCE:
+            self._goal, self._still = self._plan(q, target), 0
         self._last = q
         return self._towards(self._goal, q)
 
@@ -57,6 +62,9 @@ class ReachIk:
         return self._ik.position(target, q).closest if touch is None else touch.q
 
     def _towards(self, goal: Array, q: Array) -> Array:
-        if self._control == "position":
-            return goal
-        return goal - q if self._control == "delta" else (goal - q) / self._period
+        """Action that moves the arm's command, which begins where the arm is, to the goal."""
+        command = q if self._command is None else self._command
+        largest = self._model.limits.velocity * self._period
+        move = np.clip(goal - command, -largest, largest)
+        self._command = command + move
+        return {"position": goal, "delta": move, "velocity": move / self._period}[self._control]

@@ -19,6 +19,7 @@ from armctl.rl.vector import StableBaselinesVectorEnv
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback, CheckpointCallback
 from stable_baselines3.common.logger import configure
+from stable_baselines3.common.torch_layers import FlattenExtractor
 
 from armctl.agents import INPUT, OUTPUT, AgentCard, Evaluation, sha256
 from armctl.envs import TaskVectorEnv
@@ -55,6 +56,10 @@ class PpoOptions:
     reward_scale: float = 0.02
     shaped: bool = True
     """Train with the reward term `progress` as well; evaluation is always on the task's own reward."""
+    relative: bool = True
+    """Position commands are relative to the observed joint positions, not absolute."""
+    features: bool = True
+    """The network is shown `ReachFeatures`, not the bare observation."""
     checkpoint_every: int = 250_000
     """Steps between checkpoints."""
     evaluation_episodes: int = 1000
@@ -98,7 +103,7 @@ def train(
         **(env_options or {}),
     )
     assert isinstance(worlds, TaskVectorEnv)
-    scale = ActionScale(worlds.task.interface["control"], worlds.single_action_space)
+    scale = ActionScale(worlds.task.interface["control"], worlds.single_action_space, options.relative)
     venv = StableBaselinesVectorEnv(worlds, scale, options.reward_scale)
     clock = Clock()
     if checkpoint is None:
@@ -204,7 +209,7 @@ def _new_model(venv: StableBaselinesVectorEnv, options: PpoOptions, seed: int) -
         gae_lambda=options.gae_lambda,
         clip_range=options.clip_range,
         policy_kwargs={
-            "features_extractor_class": ReachFeatures,
+            "features_extractor_class": ReachFeatures if options.features else FlattenExtractor,
             "net_arch": [options.hidden_units] * 2,
             "activation_fn": torch.nn.ELU,
             "log_std_init": options.initial_log_std,

@@ -49,13 +49,15 @@ class ReachFeatures(BaseFeaturesExtractor):
 class ActionScale(torch.nn.Module):
     """From the network's actions in [-1, 1] to the environment's, for each kind of control.
 
-    Position commands are relative to the observed joint positions; the others use the range of the action space.
+    Position commands are relative to the observed joint positions, unless `relative` is False; the others, and absolute
+    positions up to half a turn, use the range of the action space.
     """
 
-    def __init__(self, control: str, action_space: spaces.Box) -> None:
+    def __init__(self, control: str, action_space: spaces.Box, relative: bool = True) -> None:
         super().__init__()
-        self.relative = control == "position"
-        scale = np.full(action_space.shape, LARGEST_MOVE, np.float32) if self.relative else action_space.high
+        self.relative = relative and control == "position"
+        largest = {"position": LARGEST_MOVE if self.relative else np.pi}.get(control, np.inf)
+        scale = np.minimum(action_space.high, np.float32(largest))
         self.register_buffer("scale", torch.as_tensor(scale))
 
     def forward(self, observations: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:

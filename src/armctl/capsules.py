@@ -46,7 +46,7 @@ def _capsule_along(link: str, vertices: Array, axis: Array) -> Capsule:
     offset = np.linalg.norm(across - centre, axis=1)
     radius = float(offset.max())
     along = vertices @ axis
-    cap = np.sqrt(radius**2 - offset**2)
+    cap = np.sqrt(np.maximum(radius**2 - offset**2, 0.0))
     low, high = np.min(along + cap), np.max(along - cap)
     if low > high:
         low = high = (low + high) / 2

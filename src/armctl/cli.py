@@ -197,7 +197,8 @@ def main() -> NoReturn:
         app()
     except ArmctlError as error:
         from rich.console import Console
+        from rich.text import Text
 
-        Console(stderr=True).print("[red]armctl:[/]", str(error), soft_wrap=True, highlight=False, markup=True)
+        Console(stderr=True).print(Text.assemble(("armctl: ", "red"), str(error)), soft_wrap=True)
         sys.exit(2)
     sys.exit(0)

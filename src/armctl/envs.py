@@ -123,17 +123,18 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._steps += 1
         ledger = self.task.score()
         outcome = self.task.outcome()
-        if self.max_episode_steps is not None:
-            outcome = np.where(
-                (outcome == 0) & (self._steps >= self.max_episode_steps), np.int8(Outcome.TIMEOUT), outcome
-            )
         if restart is not None:
-            outcome[restart] = Outcome.RUNNING
+            outcome[restart] = Outcome.TIMEOUT
+        terminated = outcome != Outcome.TIMEOUT
+        truncated = np.zeros(self.num_envs, dtype=bool)
+        if self.max_episode_steps is not None:
+            truncated = ~terminated & (self._steps >= self.max_episode_steps)
+        if restart is not None:
+            truncated[restart] = False
             for term in ledger.values():
                 term[restart] = 0.0
         rewards = sum(ledger.values(), start=np.zeros(self.num_envs))
-        finished = outcome != Outcome.RUNNING
-        truncated = outcome == Outcome.TIMEOUT
+        finished = terminated | truncated
         infos: Infos = {
             "is_success": SUCCESSES[outcome],
             "outcome": OUTCOME_LABELS[outcome],
@@ -150,7 +151,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             infos = self._final(finished, infos)
             self._begin(np.flatnonzero(finished))
             infos |= self.task.details()
-        return self.task.observe(), rewards, finished & ~truncated, truncated, infos
+        return self.task.observe(), rewards, terminated, truncated, infos
 
     def render(self) -> Any:
         """Pictures (height, width, 3) of all worlds as a tuple; None in the mode `human`, which shows the first."""
@@ -197,7 +198,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     def _checked(self, actions: ArrayLike) -> Array:
         if not self._seeded:
             raise gymnasium.error.ResetNeeded("call reset() before the first step()")
-        checked = np.asarray(actions, dtype=float)
+        checked = np.array(actions, dtype=float)
         if checked.shape != self.action_space.shape:
             raise InvalidAction(f"actions have shape {checked.shape}; expected {self.action_space.shape}")
         if not np.isfinite(checked).all():
@@ -217,7 +218,10 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
 
 
 class TaskEnv(gymnasium.Env[Any, Any]):
-    """One world: the n = 1 view of a `TaskVectorEnv`, with the same options."""
+    """One world: the n = 1 view of a `TaskVectorEnv`, with the same options.
+
+    `max_episode_steps` is given to `gym.make`, whose `TimeLimit` wrapper truncates.
+    """
 
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": RENDER_FPS}
     vector_type: ClassVar[type[TaskVectorEnv]]
@@ -238,8 +242,6 @@ class TaskEnv(gymnasium.Env[Any, Any]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observations, Infos]:
         """Start the next episode, or the first of `seed`, or episode `options["episode"]`."""
         super().reset(seed=seed)
-        if self.spec is not None:
-            self.worlds.max_episode_steps = self.spec.max_episode_steps
         observations, infos = self.worlds.reset(seed=seed, options=options)
         if self.render_mode == "human":
             self.render()

@@ -91,66 +91,101 @@ def versions() -> dict[str, str]:
 
 def tables(comparison: "Comparison") -> Group:
     """The comparison for a terminal."""
-    parts: list[Table | Text] = [_policy_table(comparison)]
+    parts: list[Table | Text] = [_policy_table(comparison)] if comparison.policies else []
     if comparison.paired:
-        parts.append(_paired_table(comparison.paired))
+        parts += [Text(), _paired_table(comparison.paired), Text(), Text(verdict(comparison), style="bold")]
     infeasible = max((policy.infeasible for policy in comparison.policies), default=0)
     if infeasible:
         parts.append(Text(f"{infeasible} episodes have a target out of reach; they are left out of the success rate."))
     parts += [Text(message, style="red") for message in comparison.failures.values()]
     if comparison.interrupted:
-        parts.append(Text("Interrupted: these are the episodes that were finished.", style="yellow"))
+        counts = ", ".join(f"{policy.episodes} of {policy.policy}" for policy in comparison.policies) or "none"
+        parts.append(Text(f"Interrupted. Episodes finished: {counts}.", style="yellow"))
     return Group(*parts)
 
 
+def verdict(comparison: "Comparison") -> str:
+    """The two best policies in a sentence: which wins more often, and which earns more, or that neither is shown to."""
+    ranked = sorted(comparison.policies, key=lambda policy: _rank(policy.success, policy.episode_return), reverse=True)
+    best, second = (policy.policy for policy in ranked[:2])
+    pair = next(pair for pair in comparison.paired if {pair.a, pair.b} == {best, second})
+    won = {pair.a: pair.only_a, pair.b: pair.only_b}
+    if pair.mcnemar_p < 0.05:
+        first = f"{best} wins more episodes than {second} ({won[best]} against {won[second]} that the other lost)"
+    else:
+        first = f"{best} and {second} cannot be told apart by success (p = {pair.mcnemar_p:.2g})"
+    gain = pair.return_difference
+    if gain.low <= 0 <= gain.high:
+        return f"{first}; their returns cannot be told apart."
+    better, other = (pair.a, pair.b) if gain.value > 0 else (pair.b, pair.a)
+    low, high = sorted((abs(gain.low), abs(gain.high)))
+    return f"{first}; {better} earns {abs(gain.value):.1f} [{low:.1f}, {high:.1f}] more an episode than {other}."
+
+
+def _rank(success: Estimate | None, episode_return: Estimate | None) -> tuple[float, float]:
+    return (success.value if success else 0.0, episode_return.value if episode_return else 0.0)
+
+
 def _policy_table(comparison: "Comparison") -> Table:
-    table = Table(
-        title=f"{comparison.env}, seed {comparison.seed}", title_justify="left", caption_justify="left", box=SIMPLE_HEAD
+    table = _table(
+        f"{comparison.env}: {comparison.policies[0].episodes} episodes of seed {comparison.seed}",
+        "Second lines: training steps, 95 % intervals, 99th percentile. Steps: to the goal, where it was reached.",
+        ["policy", "success", "return", "steps", "decision ms", "sees"],
     )
-    table.caption = "Second lines: 95 % intervals."
-    table.add_column("policy", style="bold")
-    for heading in ("success", "return", "steps to goal", "decision ms\np50, p99", "sees", "trained on\nsteps"):
-        table.add_column(heading, justify="right")
     for policy in comparison.policies:
         table.add_row(
-            f"{policy.policy}\n{policy.episodes - policy.infeasible} episodes",
+            f"{policy.policy}\n{f'{policy.training_steps:,}' if policy.training_steps else 'untrained'}",
             _percent(policy.success),
             _plain(policy.episode_return),
             _plain(policy.steps_to_goal),
             f"{policy.decision_ms_p50:.3f}\n{policy.decision_ms_p99:.3f}",
             policy.sees,
-            f"{policy.training_steps:,}" if policy.training_steps else "-",
         )
     return table
 
 
 def _paired_table(differences: list[PairedDifference]) -> Table:
-    table = Table(
-        title="Paired differences, on the same episodes", title_justify="left", caption_justify="left", box=SIMPLE_HEAD
+    table = _table(
+        "Paired differences, on the same episodes",
+        "p: McNemar's exact test for equal success. Steps: over the episodes that both won.",
+        ["a - b", "success", "only a / only b", "p", "return", "steps"],
     )
-    table.caption = "p: McNemar's exact test for equal success. Steps: over the episodes that both won."
-    table.add_column("a - b", style="bold")
-    for heading in ("success", "won by only a\n/ only b", "p", "return", "steps to goal"):
-        table.add_column(heading, justify="right")
     for pair in differences:
         table.add_row(
             f"{pair.a}\n- {pair.b}",
             f"{100 * (pair.only_a - pair.only_b) / pair.episodes:+.1f} %",
             f"{pair.only_a} / {pair.only_b}",
             f"{pair.mcnemar_p:.2g}",
-            _plain(pair.return_difference, "+.1f"),
-            _plain(pair.steps_difference, "+.1f"),
+            _plain(pair.return_difference, "+"),
+            _plain(pair.steps_difference, "+"),
         )
+    return table
+
+
+def _table(title: str, caption: str, headings: list[str]) -> Table:
+    table = Table(title=title, caption=caption, title_justify="left", caption_justify="left", box=SIMPLE_HEAD)
+    table.padding, table.show_edge, table.pad_edge = (0, 1, 0, 0), False, False
+    for heading in headings:
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.columns[0].justify = "left"
     return table
 
 
 def _percent(estimate: Estimate | None) -> str:
     if estimate is None:
         return "-"
-    return f"{100 * estimate.value:.1f} %\n{100 * estimate.low:.1f} to {100 * estimate.high:.1f}"
+    return f"{100 * estimate.value:.1f} %\n" + _interval(100 * estimate.low, 100 * estimate.high)
 
 
-def _plain(estimate: Estimate | None, form: str = ".1f") -> str:
+def _plain(estimate: Estimate | None, sign: str = "") -> str:
     if estimate is None:
         return "-"
-    return f"{estimate.value:{form}}\n{estimate.low:{form}} to {estimate.high:{form}}"
+    return f"{_short(estimate.value, sign)}\n" + _interval(estimate.low, estimate.high, sign)
+
+
+def _interval(low: float, high: float, sign: str = "") -> str:
+    return f"{_short(low, sign)} to {_short(high, sign)}"
+
+
+def _short(value: float, sign: str = "") -> str:
+    return f"{value:{sign}.{0 if abs(value) >= 99.95 else 1}f}"

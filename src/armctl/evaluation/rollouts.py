@@ -54,15 +54,16 @@ class EpisodeResult:
 
 def make_worlds(env: str, worlds: int, options: Mapping[str, Any] | None = None) -> TaskVectorEnv:
     """`worlds` worlds of an environment, that stand still after an episode. Raises `ConfigurationError`."""
+    if env in gymnasium.registry and env not in environment_names():
+        raise ConfigurationError(f"{env} is not one of armctl's environments: {', '.join(environment_names())}")
     try:
         made = gymnasium.make_vec(env, num_envs=worlds, autoreset_mode=AutoresetMode.DISABLED, **(options or {}))
     except gymnasium.error.Error as error:
         raise ConfigurationError(
             f"no environment {env!r}: {error} There are: {', '.join(environment_names())}"
         ) from error
-    if not isinstance(made.unwrapped, TaskVectorEnv):
-        raise ConfigurationError(f"{env} is not one of armctl's environments: {', '.join(environment_names())}")
-    return made.unwrapped
+    assert isinstance(made, TaskVectorEnv)
+    return made
 
 
 def environment_names() -> list[str]:

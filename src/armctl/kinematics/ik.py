@@ -32,9 +32,13 @@ class IkOptions:
     max_iterations: int = 60
     """Levenberg-Marquardt steps from one start."""
     starts: int = 24
-    """Starts of a numeric search: the seed, home, and random configurations."""
+    """Random starts of a numeric search, after the seed and home."""
+    damping: float = 0.02
+    """Levenberg-Marquardt damping for each squared unit of residual."""
     rng_seed: int = 0
     """Seed of the random starts: a search is a function of its arguments alone."""
+    near: float = 0.1
+    """Residual below which the seed is polished too: singular poses have more solutions than a closed form gives."""
     distinct: float = 1e-3
     """Configurations closer than this in every joint (rad) are one solution."""
 
@@ -92,16 +96,18 @@ class Ik:
         Raises `ConfigurationError` if `target` is not a rigid transform.
         """
         target = np.asarray(target, dtype=float)
-        if target.shape != (4, 4) or not np.allclose(target[:3, :3] @ target[:3, :3].T, np.eye(3), atol=1e-6):
-            raise ConfigurationError(
-                f"a pose is a homogeneous (4, 4) matrix with an orthonormal rotation, not {target}"
-            )
-        seed = self.model.home if seed is None else np.asarray(seed, dtype=float)
+        if not _is_rigid(target):
+            raise ConfigurationError(f"a pose is a homogeneous (4, 4) matrix with a proper rotation, not {target}")
+        seed = self._checked(seed, count)
         problem = _PoseProblem(self.model, target)
         if self._analytic is None:
             return self._search(problem, seed, count or 1)
-        attempts = [self._polish(problem, np.array(q)) for q in self._analytic.calculate_IK(target).Q]
-        return self._result(attempts, seed, count)
+        found = self._analytic.calculate_IK(target)
+        exact = [np.array(q) for q, approximate in zip(found.Q, found.is_LS, strict=True) if not approximate]
+        starts = exact or [np.array(q) for q in found.Q]
+        if np.linalg.norm(problem.error(seed)) < self.options.near:
+            starts.append(seed)
+        return self._result([self._polish(problem, q) for q in starts], seed, count)
 
     def position(self, target: Array, seed: Array | None = None, count: int = 1) -> IkResult:
         """Configurations for a position alone, (3,) m: up to `count` distinct ones, nearest to `seed` (dof,) first.
@@ -111,18 +117,17 @@ class Ik:
         target = np.asarray(target, dtype=float)
         if target.shape != (3,) or not np.isfinite(target).all():
             raise ConfigurationError(f"a position is three finite numbers, not {target}")
-        seed = self.model.home if seed is None else np.asarray(seed, dtype=float)
+        seed = self._checked(seed, count)
         return self._search(_PositionProblem(self.model, target), seed, count)
 
-    def free_configuration(self, position: Array) -> Array | None:
-        """A configuration (dof,) at `position` (3,) in which the arm touches neither itself nor the floor, or None.
+    def free_configurations(self, position: Array) -> Iterator[Array]:
+        """Configurations (dof,) at `position` (3,) in which the arm touches neither itself nor the floor.
 
-        The same answer every time: a fixed set of orientations (or of numeric starts) is tried.
+        Not all there are, but the same every time: a fixed set of orientations (or of numeric starts) is tried.
         """
         for q in self._configurations_at(position):
             if self.model.within_limits(q) and self.model.is_free(q):
-                return q
-        return None
+                yield q
 
     def _configurations_at(self, position: Array) -> Iterator[Array]:
         if self._analytic is None:
@@ -137,10 +142,21 @@ class Ik:
                 if not approximate:
                     yield np.array(q)
 
+    def _checked(self, seed: Array | None, count: int | None) -> Array:
+        if count is not None and count < 1:
+            raise ConfigurationError(f"count is a number of solutions from 1 on, not {count}")
+        if seed is None:
+            return self.model.home
+        seed = np.asarray(seed, dtype=float)
+        if seed.shape != (self.model.dof,) or not np.isfinite(seed).all():
+            raise ConfigurationError(f"a seed is {self.model.dof} finite joint positions, not {seed}")
+        return np.clip(seed, self.model.limits.lower, self.model.limits.upper)
+
     def _search(self, problem: "_Problem", seed: Array, count: int) -> IkResult:
         """Start afresh until there are `count` solutions, or no starts."""
         attempts: list[_Attempt] = []
-        for start in (seed, self.model.home, *self._random_starts):
+        home = [] if np.array_equal(seed, self.model.home) else [self.model.home]
+        for start in (seed, *home, *self._random_starts):
             attempts.append(self._polish(problem, start))
             if attempts[-1].residual <= self.options.tolerance:
                 result = self._result(attempts, seed, count)
@@ -161,13 +177,13 @@ class Ik:
                 break
             jacobian = problem.jacobian(q)
             normal = jacobian.T @ jacobian
-            normal.flat[:: self.model.dof + 1] += 0.5 * residual**2 + 1e-9
+            normal.flat[:: self.model.dof + 1] += self.options.damping * residual**2 + 1e-9
             q = q - np.linalg.solve(normal, jacobian.T @ error)
             q = np.where(self._full_turn, q, np.clip(q, self.model.limits.lower, self.model.limits.upper))
         return _Attempt(best, best_residual, step)
 
     def _result(self, attempts: "list[_Attempt]", seed: Array, count: int | None) -> IkResult:
-        q = self._nearest_turn(np.array([attempt.q for attempt in attempts]).reshape(-1, self.model.dof), seed)
+        q = self.nearest_turn(np.array([attempt.q for attempt in attempts]).reshape(-1, self.model.dof), seed)
         residuals = np.array([attempt.residual for attempt in attempts])
         order = np.argsort(np.abs(q - seed).max(axis=-1), kind="stable")
         order = order[(residuals[order] <= self.options.tolerance) & self.model.within_limits(q[order])]
@@ -182,7 +198,7 @@ class Ik:
             sum(attempt.iterations for attempt in attempts),
         )
 
-    def _nearest_turn(self, q: Array, seed: Array) -> Array:
+    def nearest_turn(self, q: Array, seed: Array) -> Array:
         """The same configurations, each joint turned by whole turns to be near `seed`, as far as its limits allow."""
         turn = 2 * np.pi
         near = q + turn * np.round((seed - q) / turn)
@@ -226,6 +242,13 @@ class _PoseProblem:
     def jacobian(self, q: Array) -> Array:
         error = self.model.placement(q).actInv(self.target)
         return np.asarray(-pinocchio.Jlog6(error.inverse()) @ self.model.local_jacobian(q))
+
+
+def _is_rigid(pose: Array) -> bool:
+    if pose.shape != (4, 4) or not np.isfinite(pose).all() or (pose[3] != (0, 0, 0, 1)).any():
+        return False
+    rotation = pose[:3, :3]
+    return bool(np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-6 and np.linalg.det(rotation) > 0)
 
 
 def _analytic_solver(model: ArmModel) -> "eaik.Robot | None":

@@ -7,7 +7,8 @@ import numpy as np
 import pinocchio
 from numpy.typing import NDArray
 
-from armctl.assets import FLOOR, ArmDescription, add_collision_pairs, capsule_geometry, load_arm
+from armctl.assets import ArmDescription, load_arm
+from armctl.collisions import FLOOR, add_collision_pairs, capsule_geometry, link_frame
 
 Array = NDArray[np.float64]
 
@@ -24,7 +25,7 @@ class ArmModel:
         self.dof = self.description.dof
         self.home = self.description.home
         self.pinocchio = pinocchio.buildModelFromXML(self.description.urdf)
-        self.tip = self.pinocchio.getFrameId(self.description.tip)
+        self.tip = link_frame(self.pinocchio, self.description.tip)
         self._data = self.pinocchio.createData()
         self._shapes = capsule_geometry(self.pinocchio, self.description.capsules)
         add_collision_pairs(self._shapes, self.description.collision_pairs)

@@ -6,11 +6,13 @@ From several starts: Levenberg-Marquardt into the sphere, then sequential quadra
 iteratively reweighted squares stand for the maximum (Burrus, "Iterative reweighted least squares", 2012).
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.kinematics.ik import Ik
 from armctl.kinematics.model import ArmModel
 
 Array = NDArray[np.float64]
@@ -50,6 +52,7 @@ class SoonestTouch:
     def __init__(self, model: ArmModel, options: TouchOptions | None = None) -> None:
         self.model = model
         self.options = options or TouchOptions()
+        self._ik = Ik(model)
         rng = np.random.default_rng(self.options.rng_seed)
         limits = model.limits
         low, high = np.maximum(limits.lower, -np.pi), np.minimum(limits.upper, np.pi)
@@ -60,20 +63,31 @@ class SoonestTouch:
 
         `centre` (3,) and `radius` are in m. None if the sphere was not reached from any start.
         """
-        candidates = self._candidates(start, centre, radius)
-        times = self.model.least_time(start, candidates)
-        blocked: Touch | None = None
-        for i in np.argsort(times, kind="stable"):
-            touch = Touch(candidates[i], float(times[i]), self._is_free(start, candidates[i], float(times[i])))
-            if touch.free:
-                return touch
-            blocked = blocked or touch
-        return blocked
+        soonest = self._by_time(start, self._candidates(start, centre, radius))
+        touch = self._first_free(start, soonest)
+        if touch is None:
+            at_centre = np.array(list(self._ik.free_configurations(centre))).reshape(-1, self.model.dof)
+            touch = self._first_free(start, self._by_time(start, self._ik.nearest_turn(at_centre, start)))
+        if touch is None and len(soonest):
+            return Touch(soonest[0], float(self.model.least_time(start, soonest[0])), free=False)
+        return touch
+
+    def _by_time(self, start: Array, goals: Array) -> Array:
+        return np.asarray(goals[np.argsort(self.model.least_time(start, goals), kind="stable")])
+
+    def _first_free(self, start: Array, goals: Array) -> Touch | None:
+        for goal in goals:
+            if self._is_free(start, goal):
+                return Touch(goal, float(self.model.least_time(start, goal)), free=True)
+        return None
 
     def _candidates(self, start: Array, centre: Array, radius: float) -> Array:
         """Configurations (k, dof) in the sphere, one from each start that got there, as soon as it could be made."""
+        if np.linalg.norm(self.model.position(start) - centre) <= radius:
+            return start[None]
         q = self._approach(np.vstack([start, self._starts]), centre)
-        q = np.clip(_shortest_turn(q, start), self.model.limits.lower, self.model.limits.upper)
+        q = self._ik.nearest_turn(q, start)
+        q = np.clip(q, self.model.limits.lower, self.model.limits.upper)
         best, best_time = q, np.full(len(q), np.inf)
         for _ in range(self.options.refine_iterations):
             position, jacobian = self.model.positions_and_jacobians(q)
@@ -115,12 +129,12 @@ class SoonestTouch:
         largest = np.abs(step).max(axis=-1, keepdims=True)
         return np.asarray(step * np.minimum(1.0, self.options.largest_step / (largest + 1e-12)))
 
-    def _is_free(self, start: Array, goal: Array, time: float) -> bool:
+    def _is_free(self, start: Array, goal: Array) -> bool:
         velocity = self.model.limits.velocity
-        points = max(2, int(np.ceil(time * velocity.max() / self.options.path_spacing)))
-        for elapsed in np.linspace(0, time, points)[1:]:
-            q = start + np.clip(goal - start, -velocity * elapsed, velocity * elapsed)
-            if not self.model.is_free(q):
+        time = float(self.model.least_time(start, goal))
+        points = 1 + math.ceil(time * velocity.max() / self.options.path_spacing)
+        for elapsed in np.linspace(time, 0, points, endpoint=False):
+            if not self.model.is_free(start + np.clip(goal - start, -velocity * elapsed, velocity * elapsed)):
                 return False
         return True
 
@@ -133,8 +147,3 @@ def _gram(jacobian: Array, damping: Array) -> Array:
 def _pull(jacobian: Array, error: Array, damping: Array) -> Array:
     """Damped least-squares step J^T (J J^T + damping)^-1 error, (n, dof)."""
     return np.asarray((jacobian.swapaxes(-1, -2) @ np.linalg.solve(_gram(jacobian, damping), error[..., None]))[..., 0])
-
-
-def _shortest_turn(q: Array, start: Array) -> Array:
-    """The same configurations with every joint within half a turn of `start`."""
-    return np.asarray(start + np.arctan2(np.sin(q - start), np.cos(q - start)))

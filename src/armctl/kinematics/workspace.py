@@ -30,7 +30,7 @@ class Workspace:
         Raises `ConfigurationError` if nothing is found in `attempts` draws.
         """
         low, high = self.centre - self.radius, self.centre + self.radius
-        low[2] = clearance
+        low[2] = min(clearance, high[2])
         for _ in range(attempts):
             position = rng.uniform(low, high)
             if self.model.base_distance(position) >= clearance and self.reachable(position):
@@ -44,10 +44,13 @@ class Workspace:
         offset = position - self.centre
         if offset @ offset > (self.radius + tolerance) ** 2:
             return False
-        if self._ik.free_configuration(position) is not None:
+        if self._is_free(position):
             return True
         near = position + 0.999 * tolerance * _DIRECTIONS
-        return tolerance > 0 and any(self._ik.free_configuration(point) is not None for point in near)
+        return tolerance > 0 and any(self._is_free(point) for point in near)
+
+    def _is_free(self, position: Array) -> bool:
+        return next(self._ik.free_configurations(position), None) is not None
 
 
 _CUBE = np.array([corner for corner in np.ndindex(3, 3, 3) if corner != (1, 1, 1)]) - 1.0

@@ -6,8 +6,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.assets import FLOOR, ArmDescription, world_path
+from armctl.assets import ArmDescription, world_path
 from armctl.capsules import Capsule
+from armctl.collisions import FLOOR
 from armctl.errors import unknown_name
 from armctl.simulation import Simulation
 
@@ -140,11 +141,13 @@ def _collision_geom(link: str) -> str:
 
 
 def _add_capsule(body: Any, capsule: Capsule) -> None:
+    length = np.linalg.norm(np.subtract(capsule.end, capsule.start))
+    kind = mujoco.mjtGeom.mjGEOM_CAPSULE if length > 1e-6 else mujoco.mjtGeom.mjGEOM_SPHERE
     body.add_geom(
         name=_collision_geom(capsule.link),
-        type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-        fromto=[*capsule.start, *capsule.end],
+        type=kind,
         size=[capsule.radius, 0, 0],
+        **({"fromto": [*capsule.start, *capsule.end]} if length > 1e-6 else {"pos": capsule.start}),
         group=_COLLISION_GROUP,
         contype=0,
         conaffinity=0,

@@ -84,11 +84,9 @@ class ReachOptions:
             raise ConfigurationError(f"tolerance is a distance above 0 m, not {self.tolerance}")
         if self.target not in ("reachable", "box"):
             raise unknown_name("target", self.target, ("reachable", "box"))
-        box = np.asarray(self.target_box, dtype=float)
-        if box.shape != (2, 3) or not np.all(box[0] <= box[1]):
-            raise ConfigurationError(
-                f"target_box is its lowest and highest corner, two points (x, y, z), not {box.tolist()}"
-            )
+        low, high = self.target_box
+        if len(low) != 3 or len(high) != 3 or not np.all(np.less_equal(low, high)):
+            raise ConfigurationError(f"target_box is its lowest and highest corner (x, y, z), not {self.target_box}")
         if not self.reward or not self.observation:
             raise ConfigurationError("reward and observation need at least one term each")
 
@@ -107,6 +105,7 @@ class ReachTask(Task):
         self.substeps = round(DECISION_PERIOD / model.opt.timestep)
         self.arm = Arm(self.simulation, description, options.control, DECISION_PERIOD)
         self._workspace = Workspace(ArmModel(description))
+        self.simulation.model.camera(self.camera).pos[:] *= self._workspace.radius  # the MJCF's suits a reach of 1 m
         self._targets = self.simulation.array("mocap_pos")[:, 0]
         self._feasible = np.ones(n, dtype=bool)
         self._action = np.zeros((n, description.dof))
@@ -158,7 +157,7 @@ class ReachTask(Task):
         return {name: np.asarray(term(self.state), dtype=float) for name, term in self.options.reward.items()}
 
     def outcome(self) -> NDArray[np.int8]:
-        """`REACHED` or `RUNNING`."""
+        """`REACHED`, or `TIMEOUT` as long as it is not."""
         return self.state.reached * np.int8(Outcome.REACHED)
 
     def details(self) -> dict[str, NDArray[Any]]:

@@ -15,11 +15,10 @@ RewardLedger = dict[str, Array]
 
 
 class Outcome(IntEnum):
-    """How an episode stands, or ended."""
+    """How an episode ends, should it end with this step: all but `TIMEOUT` end it."""
 
-    RUNNING = 0
+    TIMEOUT = 0
     REACHED = 1
-    TIMEOUT = 2
 
     @property
     def label(self) -> str:
@@ -69,7 +68,7 @@ class Task(Protocol):
         """What the last step earned."""
 
     def outcome(self) -> NDArray[np.int8]:
-        """`Outcome` of each world, (n,), timeouts apart."""
+        """`Outcome` of each world, (n,)."""
 
     def details(self) -> dict[str, NDArray[Any]]:
         """What `info` says besides, (n,) each."""

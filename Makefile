@@ -1,0 +1,44 @@
+# make compare: set up, then let the IK expert, the PPO agent and random actions meet the same 200 episodes.
+# make test:    set up with everything, then run all tests.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+
+.PHONY: compare test check benchmarks clean
+
+compare: $(VENV)/core
+	$(BIN)/armctl compare
+
+test: $(VENV)/full
+	$(BIN)/python -m pytest --numprocesses 2
+
+check: $(VENV)/full
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+benchmarks: $(VENV)/full
+	$(BIN)/python benchmarks/throughput.py
+	$(BIN)/python benchmarks/ik.py
+
+clean:
+	rm -rf $(VENV) build src/*.egg-info
+
+$(VENV)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "armctl needs Python 3.11 or newer as '$(PYTHON)'; name another one: make PYTHON=python3.12"; exit 1; }
+	@$(PYTHON) -m venv $(VENV) || \
+	  { rm -rf $(VENV); echo "'$(PYTHON) -m venv' failed; on Debian or Ubuntu: apt-get install python3-venv"; exit 1; }
+	@touch $@
+
+$(VENV)/core: pyproject.toml constraints.txt | $(VENV)/python
+	@echo "Installing armctl into $(VENV) ..."
+	@$(PIP) --editable . || { echo "The installation failed: see above; it needs a package index and about 1.5 GB."; exit 1; }
+	@touch $@
+
+$(VENV)/full: pyproject.toml constraints.txt | $(VENV)/python
+	@echo "Installing armctl with all extras into $(VENV) ..."
+	@$(PIP) --editable '.[rl,dev]' || { echo "The installation failed: see above; it needs a package index and about 3 GB."; exit 1; }
+	@touch $@ $(VENV)/core

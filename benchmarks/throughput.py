@@ -1,0 +1,143 @@
+"""Steps per second of the reach environment beside raw `mj_step` on its model, and Stable-Baselines3's usual way.
+
+    python benchmarks/throughput.py [--worlds 256] [--seconds 5]
+
+All run the same physics, with random joint positions as commands. Raw is a loop over `mj_step` on all cores at once, or
+on one, with nothing observed or rewarded; all that the environment adds is in its own figure. The contenders take
+turns, and shares are medians over the rounds, so that a busy machine slows all alike.
+"""
+
+import os
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import gymnasium
+import mujoco
+import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.vec_env import SubprocVecEnv
+
+import armctl
+
+ENV = "armctl/ArmReach-v0"
+ROUNDS = 7
+PERIOD = 0.04
+
+Contender = Callable[[float], float]
+"""Runs for about that many seconds, and gives physics steps per second."""
+
+
+def raw(threads: int) -> Contender:
+    """`mj_step` on `threads` threads, in batches of one decision."""
+    task = gymnasium.make(ENV).unwrapped.task
+    model, limits, substeps = task.simulation.model, task.arm.description.limits, task.substeps
+    rng = np.random.default_rng(0)
+    targets = rng.uniform(limits.lower, limits.upper, (1000, 6))
+
+    def loop(seconds: float) -> float:
+        data, steps, end = mujoco.MjData(model), 0, time.perf_counter() + seconds
+        while time.perf_counter() < end:
+            if steps % (100 * substeps) == 0:
+                mujoco.mj_resetDataKeyframe(model, data, 0)
+            velocity = np.clip(
+                (targets[steps // substeps % 1000] - data.act) / PERIOD, -limits.velocity, limits.velocity
+            )
+            data.ctrl[:] = np.concatenate([velocity, velocity])
+            mujoco.mj_step(model, data, nstep=substeps)
+            steps += substeps
+        return steps / seconds
+
+    def run(seconds: float) -> float:
+        with ThreadPoolExecutor(threads) as pool:
+            return sum(pool.map(loop, [seconds] * threads))
+
+    return run
+
+
+def batched(worlds: int) -> Contender:
+    """`gym.make_vec`: physics, observations, rewards and resets of `worlds` worlds."""
+    env = gymnasium.make_vec(ENV, num_envs=worlds)
+    substeps = env.unwrapped.task.substeps
+    env.reset(seed=0)
+    env.action_space.seed(0)
+    actions = [env.action_space.sample() for _ in range(50)]
+
+    def run(seconds: float) -> float:
+        steps, start = 0, time.perf_counter()
+        while time.perf_counter() < start + seconds:
+            env.step(actions[steps % 50])
+            steps += 1
+        return steps * worlds * substeps / (time.perf_counter() - start)
+
+    return run
+
+
+def single() -> Contender:
+    """`gym.make`, with all of Gymnasium's wrappers."""
+    env = gymnasium.make(ENV)
+    substeps = env.unwrapped.task.substeps
+    env.reset(seed=0)
+    env.action_space.seed(0)
+    actions = [env.action_space.sample() for _ in range(1000)]
+
+    def run(seconds: float) -> float:
+        steps, start = 0, time.perf_counter()
+        while time.perf_counter() < start + seconds:
+            _, _, terminated, truncated, _ = env.step(actions[steps % 1000])
+            steps += 1
+            if terminated or truncated:
+                env.reset()
+        return steps * substeps / (time.perf_counter() - start)
+
+    return run
+
+
+def subprocesses(worlds: int) -> Contender:
+    """Stable-Baselines3's SubprocVecEnv over single environments, one process a core."""
+    env = make_vec_env(ENV, n_envs=worlds, vec_env_cls=SubprocVecEnv, vec_env_kwargs={"start_method": "fork"})
+    env.reset()
+    actions = [np.array([env.action_space.sample() for _ in range(worlds)]) for _ in range(50)]
+
+    def run(seconds: float) -> float:
+        steps, start = 0, time.perf_counter()
+        while time.perf_counter() < start + seconds:
+            env.step(actions[steps % 50])
+            steps += 1
+        return steps * worlds * 20 / (time.perf_counter() - start)
+
+    return run
+
+
+def main(worlds: int = 256, seconds: float = 3.0) -> None:
+    """Measure, and print a table."""
+    cores = len(os.sched_getaffinity(0))
+    subprocess_name = f"SubprocVecEnv, {cores} processes"
+    all_cores, one_core = f"raw mj_step, {cores} threads", "raw mj_step, 1 thread"
+    contenders = {
+        all_cores: (raw(cores), all_cores),
+        f"gym.make_vec, {worlds} worlds": (batched(worlds), all_cores),
+        subprocess_name: (subprocesses(cores), all_cores),
+        one_core: (raw(1), one_core),
+        "gym.make": (single(), one_core),
+    }
+    rates: dict[str, list[float]] = {name: [] for name in contenders}
+    for _ in track(range(ROUNDS), console=Console(stderr=True), transient=True):
+        for name, (run, _) in contenders.items():
+            rates[name].append(run(seconds))
+    timestep = gymnasium.make(ENV).unwrapped.task.simulation.model.opt.timestep
+    title = f"{ENV}, {cores} cores, armctl {armctl.__version__}, mujoco {mujoco.__version__}"
+    table = Table("", "physics steps/s", "decisions/s", "times real time", "of raw", title=title, title_justify="left")
+    for name, (_, reference) in contenders.items():
+        rate = float(np.median(rates[name]))
+        share = float(np.median(np.array(rates[name]) / np.array(rates[reference])))
+        table.add_row(name, f"{rate:,.0f}", f"{rate / 20:,.0f}", f"{rate * timestep:,.0f}", f"{share:.0%}")
+    Console().print(table)
+
+
+if __name__ == "__main__":
+    typer.run(main)

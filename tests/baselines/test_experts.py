@@ -1,0 +1,66 @@
+import gymnasium
+import numpy as np
+import pytest
+
+from armctl.errors import ConfigurationError
+from armctl.evaluation import evaluate
+from armctl.kinematics import ArmModel
+from armctl.policies import make_policy
+
+
+@pytest.mark.slow
+def test_reach_ik_reaches_every_reachable_target():
+    results = evaluate("reach_ik", episodes=1000, seed=0)
+    assert results.success.all()
+    assert results.length.mean() < 12
+
+
+@pytest.mark.parametrize("robot", ["ur3", "ur10"])
+@pytest.mark.parametrize("control", ["position", "delta", "velocity"])
+def test_reach_ik_works_on_other_arms_and_controls(robot, control):
+    results = evaluate("reach_ik", episodes=25, seed=1, env_options={"robot": robot, "control": control})
+    assert results.success.all()
+
+
+def test_reach_ik_loses_little_to_acceleration_over_the_bound_of_the_slowest_joint():
+    env = gymnasium.make("armctl/ArmReach-v0")
+    policy = make_policy("reach_ik", env)
+    model = ArmModel("ur5")
+    lost = []
+    for seed in range(20):
+        observation, _ = env.reset(seed=seed)
+        policy.reset(np.zeros(1, dtype=np.int32))
+        goal = policy.act(observation[None])[0]
+        steps, finished = 0, False
+        while not finished:
+            observation, _, finished, truncated, _ = env.step(policy.act(observation[None])[0])
+            steps += 1
+            assert not truncated
+        lost.append(steps - np.ceil(model.least_time(model.home, goal) / 0.04))
+    assert max(lost) <= 8
+    assert np.mean(lost) <= 3
+
+
+def test_reach_ik_refuses_torque_control():
+    with pytest.raises(ConfigurationError, match="joint motions"):
+        make_policy("reach_ik", gymnasium.make("armctl/ArmReach-v0", control="torque"))
+
+
+def test_reach_ik_survives_targets_out_of_reach():
+    options = {"target": "box", "target_box": ((1.5, 1.5, 1.5), (2, 2, 2))}
+    results = evaluate("reach_ik", episodes=3, env_options=options)
+    assert not results.feasible.any()
+    assert list(results.outcome) == ["timeout"] * 3
+
+
+def test_feasible_box_targets_are_reached():
+    results = evaluate("reach_ik", episodes=60, seed=3, env_options={"target": "box"})
+    assert 15 < results.feasible.sum() < 55
+    assert results[results.feasible].success.all()
+
+
+def test_random_is_the_same_in_every_run_and_seldom_lucky():
+    first = evaluate("random", episodes=40, seed=0, worlds=8).drop(columns=["decision_ms_p50", "decision_ms_p99"])
+    again = evaluate("random", episodes=40, seed=0, worlds=3).drop(columns=["decision_ms_p50", "decision_ms_p99"])
+    assert first.equals(again)
+    assert first.success.mean() < 0.15

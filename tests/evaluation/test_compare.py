@@ -1,0 +1,189 @@
+import io
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from rich.console import Console
+
+import armctl
+from armctl.errors import ConfigurationError, ResultsError
+from armctl.evaluation import PolicyFailed, compare, evaluate
+from armctl.evaluation.report import EpisodeLog, tables, verdict
+from armctl.evaluation.rollouts import COLUMNS
+
+TIMES = ["decision_ms_p50", "decision_ms_p99"]
+
+
+class Fragile:
+    """Holds still, and misbehaves after some decisions."""
+
+    sees = "observation"
+    training_steps = 0
+
+    def __init__(self, decisions, misbehave):
+        self.decisions, self.misbehave = decisions, misbehave
+
+    def reset(self, ids):
+        pass
+
+    def act(self, observations):
+        self.decisions -= 1
+        return observations[:, 3:9] if self.decisions >= 0 else self.misbehave(observations)
+
+
+def fail(observations):
+    raise RuntimeError("out of ideas")
+
+
+def interrupt(observations):
+    raise KeyboardInterrupt
+
+
+def failing(env):
+    return Fragile(250, fail)
+
+
+def not_a_number(env):
+    return Fragile(250, lambda observations: np.full((len(observations), 6), np.nan))
+
+
+def interrupted(env):
+    return Fragile(250, interrupt)
+
+
+def test_every_policy_meets_the_same_episodes(tmp_path):
+    comparison = compare(["reach_ik", "reach_ppo", "random"], episodes=12, seed=3, out=tmp_path)
+    episodes = pd.read_csv(tmp_path / "episodes.csv")
+    assert tuple(episodes.columns) == COLUMNS
+    assert len(episodes) == 36
+    for _, group in episodes.groupby("policy"):
+        assert sorted(group.episode) == list(range(12))
+    assert (episodes.seed == 3).all()
+    pd.testing.assert_frame_equal(episodes, comparison.episodes)
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert [policy["policy"] for policy in summary["policies"]] == ["reach_ik", "reach_ppo", "random"]
+    assert summary["policies"][1]["training_steps"] > 0
+    assert {"mujoco", "pin", "armctl", "python"} <= set(summary["versions"])
+    assert len(summary["paired"]) == 3
+
+
+def test_an_episode_of_the_table_can_be_played_again():
+    import gymnasium
+
+    row = evaluate("reach_ik", episodes=6, seed=2).iloc[4]
+    env = gymnasium.make("armctl/ArmReach-v0")
+    policy = armctl.make_policy("reach_ik", env)
+    observation, _ = env.reset(seed=int(row.seed), options={"episode": int(row.episode)})
+    total, length, finished = 0.0, 0, False
+    while not finished:
+        observation, reward, terminated, truncated, _ = env.step(policy.act(observation[None])[0])
+        total, length, finished = total + reward, length + 1, terminated or truncated
+    assert (total, length) == (row["return"], row.length)
+
+
+@pytest.mark.parametrize("policy", ["reach_ik", "random"])
+def test_number_of_worlds_changes_no_episode(policy):
+    runs = [evaluate(policy, episodes=11, seed=1, worlds=worlds).drop(columns=TIMES) for worlds in (1, 4, 64)]
+    assert runs[0].equals(runs[1])
+    assert runs[0].equals(runs[2])
+
+
+def test_returns_and_lengths_agree_with_the_reward():
+    episodes = evaluate("reach_ppo", episodes=30, worlds=7)
+    won = episodes[episodes.success]
+    assert len(won) > 20
+    assert (won["return"] == 100 - won.length).all()
+    lost = evaluate("random", episodes=10, worlds=10).query("not success")
+    assert (lost["return"] == -100).all()
+    assert (lost.length == 100).all()
+
+
+@pytest.mark.parametrize(("policy", "says"), [("failing", "out of ideas"), ("not_a_number", "not finite")])
+def test_a_failing_policy_spoils_nothing_that_is_finished(tmp_path, policy, says):
+    name = f"{__name__}:{policy}"
+    comparison = compare([name, "random"], episodes=4, out=tmp_path)
+    assert says in comparison.failures[name]
+    assert "episode 2" in comparison.failures[name]
+    finished = pd.read_csv(tmp_path / "episodes.csv").groupby("policy").size()
+    assert finished[name] == 2
+    assert finished["random"] == 4
+    with pytest.raises(PolicyFailed, match=says):
+        evaluate(name, episodes=4)
+
+
+def test_an_interrupt_keeps_what_is_finished(tmp_path):
+    name = f"{__name__}:interrupted"
+    comparison = compare(["random", name], episodes=3, out=tmp_path)
+    assert comparison.interrupted
+    assert pd.read_csv(tmp_path / "episodes.csv").groupby("policy").size().to_dict() == {"random": 3, name: 2}
+    assert json.loads((tmp_path / "summary.json").read_text())["interrupted"]
+    assert "Interrupted" in text_of(comparison)
+
+
+def test_results_are_not_overwritten_unasked(tmp_path):
+    compare(["random"], episodes=1, out=tmp_path)
+    before = (tmp_path / "episodes.csv").read_text()
+    with pytest.raises(ResultsError, match="--overwrite"):
+        compare(["random"], episodes=2, out=tmp_path)
+    assert (tmp_path / "episodes.csv").read_text() == before
+    compare(["random"], episodes=2, out=tmp_path, overwrite=True)
+    assert len(pd.read_csv(tmp_path / "episodes.csv")) == 2
+
+
+def test_results_where_no_folder_can_be(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(ResultsError, match="cannot be written"):
+        compare(["random"], episodes=1, out=tmp_path / "file" / "results")
+
+
+def test_a_full_disk_is_reported(tmp_path):
+    (tmp_path / "episodes.csv").symlink_to("/dev/full")
+    log = EpisodeLog(tmp_path, overwrite=True)
+    with pytest.raises(ResultsError, match="No space left"):
+        log.write(dict.fromkeys(COLUMNS, 0))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ({"policies": []}, "needs policies"),
+        ({"policies": ["random", "random"]}, "each once"),
+        ({"policies": ["rndom"]}, "Did you mean 'random'"),
+        ({"env": "armctl/ArmReech-v0"}, "ArmReach-v0"),
+        ({"env": "CartPole-v1"}, "not one of armctl's environments"),
+        ({"episodes": 0}, "count from 1"),
+        ({"worlds": 0}, "count from 1"),
+        ({"seed": -1}, "count from 1"),
+        ({"env_options": {"robot": "ur7"}}, "Did you mean"),
+    ],
+)
+def test_bad_arguments_are_refused_before_anything_runs(tmp_path, arguments, says):
+    with pytest.raises(ConfigurationError, match=says):
+        compare(**{"policies": ["random"], "episodes": 1, "out": tmp_path / "results"} | arguments)
+    assert not (tmp_path / "results").exists()
+
+
+def test_infeasible_episodes_are_told_apart():
+    comparison = compare(["reach_ik"], episodes=30, env_options={"target": "box"})
+    summary = comparison.policies[0]
+    assert 0 < summary.infeasible < 30
+    assert summary.success.value == pytest.approx(summary.successes / (30 - summary.infeasible))
+    assert f"{summary.infeasible} episodes have a target out of reach" in text_of(comparison)
+
+
+def test_tables_fit_a_narrow_terminal():
+    text = text_of(compare(["reach_ik", "reach_ppo", "random"], episodes=5))
+    assert "…" not in text
+    for word in ("reach_ppo", "observation", "100.0 %", "Paired differences"):
+        assert word in text
+
+
+def test_verdict_names_the_better():
+    assert verdict(compare(["random", "reach_ik"], episodes=12)).startswith("reach_ik wins more episodes than random")
+
+
+def text_of(comparison):
+    console = Console(width=80, record=True, file=io.StringIO())
+    console.print(tables(comparison))
+    return console.export_text()

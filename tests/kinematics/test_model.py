@@ -1,0 +1,163 @@
+import mujoco
+import numpy as np
+import pinocchio
+import pytest
+from scipy.spatial.transform import Rotation
+
+from armctl import assets
+from armctl.kinematics import ArmModel
+from armctl.robots import build_arm_world
+
+STEP = 1e-6
+"""rad, of finite differences"""
+
+
+@pytest.fixture(scope="module", params=["ur3", "ur5", "ur10", "panda"])
+def model(request):
+    if request.param != "panda":
+        return ArmModel(request.param)
+    path = assets.robot_data() / "panda_description/urdf/panda.urdf"
+    return ArmModel(assets.load_arm(path, tip="panda_hand_tcp"))
+
+
+@pytest.fixture(scope="module")
+def world(model):
+    return build_arm_world(model.description, "torque")
+
+
+def configurations(model, count, seed=0):
+    low, high = np.maximum(model.limits.lower, -np.pi), np.minimum(model.limits.upper, np.pi)
+    return np.random.default_rng(seed).uniform(low, high, (count, model.dof))
+
+
+def turn(before, after):
+    """Rotation vector (rad) from one rotation matrix to another, in the world's frame."""
+    return Rotation.from_matrix(after @ before.T).as_rotvec()
+
+
+def central_differences(function, q):
+    """Columns (function(q + step e_j), function(q - step e_j)), for each joint j."""
+    return [(function(q + step), function(q - step)) for step in STEP * np.eye(len(q))]
+
+
+def test_forward_kinematics_is_that_of_mujoco(model, world):
+    data = mujoco.MjData(world)
+    tip = data.body(f"arm/{model.description.tip}")
+    for q in np.random.default_rng(0).uniform(model.limits.lower, model.limits.upper, (1000, model.dof)):
+        data.qpos[:] = q
+        mujoco.mj_kinematics(world, data)
+        pose = model.pose(q)
+        assert np.linalg.norm(pose[:3, 3] - tip.xpos) <= 1e-9
+        assert np.linalg.norm(turn(pose[:3, :3], tip.xmat.reshape(3, 3))) <= 1e-9
+
+
+def test_results_are_not_views_of_what_the_next_call_overwrites(model):
+    first, second = configurations(model, 2)
+    for function in (model.pose, model.position, model.jacobian, model.local_jacobian):
+        kept = function(first)
+        copy = kept.copy()
+        function(second)
+        np.testing.assert_array_equal(kept, copy)
+
+
+def test_jacobian_is_the_derivative_of_the_pose(model):
+    for q in configurations(model, 50):
+        pairs = central_differences(model.pose, q)
+        linear = [(after[:3, 3] - before[:3, 3]) / (2 * STEP) for after, before in pairs]
+        angular = [turn(before[:3, :3], after[:3, :3]) / (2 * STEP) for after, before in pairs]
+        np.testing.assert_allclose(model.jacobian(q), np.hstack([linear, angular]).T, atol=1e-8)
+
+
+def test_local_jacobian_is_the_twist_of_the_pose(model):
+    for q in configurations(model, 50):
+        twists = [
+            pinocchio.log6(pinocchio.SE3(before).actInv(pinocchio.SE3(after))).vector / (2 * STEP)
+            for after, before in central_differences(model.pose, q)
+        ]
+        np.testing.assert_allclose(model.local_jacobian(q), np.transpose(twists), atol=1e-8)
+
+
+def test_local_jacobian_integrates_to_the_pose(model):
+    start, goal = configurations(model, 2)
+    pose = pinocchio.SE3(model.pose(start))
+    steps = 2000
+    for part in (np.arange(steps) + 0.5) / steps:
+        twist = model.local_jacobian(start + part * (goal - start)) @ (goal - start) / steps
+        pose = pose * pinocchio.exp6(twist)
+    np.testing.assert_allclose(pose.homogeneous, model.pose(goal), atol=1e-5)
+
+
+@pytest.mark.parametrize("shape", [(), (1,), (7,), (3, 4), (0,)])
+def test_batches_equal_single_configurations(model, shape):
+    q = configurations(model, int(np.prod(shape))).reshape(*shape, model.dof)
+    positions, jacobians = model.positions_and_jacobians(q)
+    assert positions.shape == (*shape, 3)
+    assert jacobians.shape == (*shape, 3, model.dof)
+    for i in np.ndindex(shape):
+        np.testing.assert_allclose(positions[i], model.position(q[i]), atol=1e-12)
+        np.testing.assert_allclose(jacobians[i], model.jacobian(q[i])[:3], atol=1e-12)
+    np.testing.assert_array_equal(model.positions(q), positions)
+
+
+def test_batched_jacobians_are_the_derivative_of_batched_positions(model):
+    q = configurations(model, 200)
+    jacobians = model.positions_and_jacobians(q)[1]
+    for joint, step in enumerate(STEP * np.eye(model.dof)):
+        derivative = (model.positions(q + step) - model.positions(q - step)) / (2 * STEP)
+        np.testing.assert_allclose(jacobians[..., joint], derivative, atol=1e-8)
+
+
+def test_is_free_where_mujoco_has_no_contact(model, world):
+    nearly = 1e-4  # m; closer to touching than this, either may be right
+    world.pair_margin[:] = nearly
+    data = mujoco.MjData(world)
+    free, touching = 0, 0
+    for q in configurations(model, 3000):
+        data.qpos[:] = q
+        mujoco.mj_kinematics(world, data)
+        mujoco.mj_collision(world, data)
+        nearest = data.contact.dist.min(initial=nearly)
+        if abs(nearest) >= nearly:
+            assert model.is_free(q) == (nearest > 0), (q, nearest)
+            free, touching = free + (nearest > 0), touching + (nearest < 0)
+    world.pair_margin[:] = 0
+    assert free > 500
+    assert touching > 300
+
+
+def test_home_is_free(model):
+    assert model.is_free(model.home)
+
+
+def test_base_distance_is_that_to_the_base_capsules(model):
+    frames = {frame.name: frame for frame in model.pinocchio.frames}
+    fixed = [capsule for capsule in model.description.capsules if frames[capsule.link].parentJoint == 0]
+    assert fixed
+    for point in np.random.default_rng(0).uniform(-0.6, 0.6, (200, 3)):
+        expected = []
+        for capsule in fixed:
+            start, end = (frames[capsule.link].placement.act(np.array(x)) for x in (capsule.start, capsule.end))
+            along = np.clip((point - start) @ (end - start) / max((end - start) @ (end - start), 1e-12), 0, 1)
+            expected.append(np.linalg.norm(point - start - along * (end - start)) - capsule.radius)
+        assert model.base_distance(point) == pytest.approx(min(expected), abs=1e-6)
+
+
+def test_within_limits_is_decided_joint_by_joint(model):
+    lower, upper = model.limits.lower, model.limits.upper
+    inside = np.random.default_rng(0).uniform(lower, upper, (5, 4, model.dof))
+    assert model.within_limits(inside).all()
+    assert model.within_limits(inside).shape == (5, 4)
+    assert model.within_limits(np.array([lower, upper])).all()
+    assert not model.within_limits(upper + 1e-9 * np.eye(model.dof)).any()
+    assert not model.within_limits(lower - 1e-9 * np.eye(model.dof)).any()
+    assert not model.within_limits(np.full(model.dof, np.nan))
+
+
+def test_least_time_is_the_slowest_joints(model):
+    rng = np.random.default_rng(0)
+    start = configurations(model, 20)
+    times = rng.uniform(-2, 2, start.shape)
+    goals = start + model.limits.velocity * times
+    np.testing.assert_allclose(model.least_time(start, goals), np.abs(times).max(axis=1))
+    np.testing.assert_allclose(model.least_time(start[0], goals), [model.least_time(start[0], goal) for goal in goals])
+    np.testing.assert_array_equal(model.least_time(start, start), 0)

@@ -1,0 +1,136 @@
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from armctl.rl.ppo import PpoOptions, train
+from armctl.rl.reach import SHAPED_REWARD, ActionScale
+from armctl.rl.vector import StableBaselinesVectorEnv
+
+from armctl.agents import load_agent
+from armctl.envs import ArmReachVectorEnv
+from armctl.errors import ConfigurationError
+from armctl.evaluation import evaluate
+
+SMALL = PpoOptions(
+    steps=4096, worlds=32, rollout_length=32, batch_size=512, checkpoint_every=1024, evaluation_episodes=20
+)
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    out = tmp_path_factory.mktemp("runs") / "small"
+    return out, train(out=out, options=SMALL, seed=3, progress=False)
+
+
+def adapter(worlds, **options):
+    env = ArmReachVectorEnv(worlds, autoreset_mode="same_step", **options)
+    return StableBaselinesVectorEnv(env, ActionScale(env.task.interface["control"], env.single_action_space))
+
+
+def test_training_leaves_a_runnable_agent_its_card_logs_and_checkpoints(trained):
+    out, card = trained
+    assert card == card.model_validate_json((out / "agent.json").read_bytes())
+    assert card.training_steps == 4096
+    assert card.training_seed == 3
+    assert card.evaluation.episodes == 20
+    assert list((out / "checkpoints").glob("*.zip"))
+    assert list((out / "tensorboard").glob("events*"))
+    assert len(evaluate(str(out / "agent.json"), episodes=3)) == 3
+
+
+def test_exported_graph_is_the_network(trained):
+    from stable_baselines3 import PPO
+
+    out, _ = trained
+    worlds = ArmReachVectorEnv(50)
+    observations, _ = worlds.reset(seed=0)
+    model = PPO.load(out / "checkpoints" / "ppo_4096_steps", device="cpu")
+    raw = model.predict(observations, deterministic=True)[0]
+    expected = observations[:, 3:9] + 0.2 * np.clip(raw, -1, 1)
+    np.testing.assert_allclose(load_agent(out / "agent.json", worlds).act(observations), expected, atol=1e-5)
+
+
+def test_training_is_reproducible(trained, tmp_path):
+    out, card = trained
+    again = train(out=tmp_path / "small", options=SMALL, seed=3, progress=False)
+    worlds = ArmReachVectorEnv(20)
+    observations, _ = worlds.reset(seed=1)
+    actions = [load_agent(folder / "agent.json", worlds).act(observations) for folder in (out, tmp_path / "small")]
+    np.testing.assert_allclose(actions[0], actions[1], atol=1e-4)
+    assert again.evaluation == card.evaluation
+
+
+def test_a_used_folder_is_not_overwritten_and_settings_must_match(trained):
+    out, _ = trained
+    with pytest.raises(ConfigurationError, match="--resume"):
+        train(out=out, options=SMALL, seed=3)
+    with pytest.raises(ConfigurationError, match="another seed"):
+        train(out=out, options=SMALL, seed=4, resume=True)
+
+
+def test_only_environments_with_a_recipe_are_trained(tmp_path):
+    with pytest.raises(ConfigurationError, match="ArmReach"):
+        train("CartPole-v1", out=tmp_path)
+
+
+@pytest.mark.slow
+def test_an_interrupted_training_resumes(tmp_path):
+    armctl = str(Path(sys.executable).parent / "armctl")
+    command = [armctl, "train", "ppo", "--steps", "60000", "--out", "run"]
+    with subprocess.Popen(
+        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    ) as process:
+        for _ in range(600):
+            time.sleep(0.1)
+            if list((tmp_path / "run" / "tensorboard").glob("events*")):
+                break
+        time.sleep(3)
+        process.send_signal(signal.SIGINT)
+        output, _ = process.communicate(timeout=60)
+    assert process.returncode == 130, output
+    assert "--resume" in output
+    assert list((tmp_path / "run" / "checkpoints").glob("*.zip"))
+    subprocess.run([*command, "--resume"], cwd=tmp_path, check=True, env=os.environ, capture_output=True)
+    card = json.loads((tmp_path / "run" / "agent.json").read_text())
+    assert 60_000 <= card["training_steps"] < 70_000
+
+
+def test_adapter_tells_of_ended_episodes():
+    venv = adapter(6, max_episode_steps=3)
+    venv.seed(5)
+    start = venv.reset()
+    for _ in range(3):
+        observations, rewards, done, infos = venv.step(np.zeros((6, 6), dtype=np.float32))
+    assert done.all()
+    assert (rewards == -1).all()
+    for world, info in enumerate(infos):
+        assert info["TimeLimit.truncated"]
+        assert info["episode"] == {"r": -3.0, "l": 3}
+        assert not info["is_success"]
+        np.testing.assert_allclose(info["terminal_observation"][9:], start[world, 9:])
+    assert not np.allclose(observations[:, 9:], start[:, 9:])
+
+
+@pytest.mark.parametrize("control", ["position", "delta", "velocity", "torque"])
+def test_scaled_actions_lie_in_the_action_space(control):
+    env = ArmReachVectorEnv(40, control=control)
+    observations, _ = env.reset(seed=0)
+    scale = ActionScale(control, env.single_action_space)
+    raw = torch.randn(40, 6) * 3
+    for action in scale(torch.as_tensor(observations), raw).numpy():
+        assert env.single_action_space.contains(action)
+
+
+def test_shaped_reward_is_the_plain_one_and_progress():
+    env = ArmReachVectorEnv(8, reward=SHAPED_REWARD)
+    before, _ = env.reset(seed=0)
+    after, rewards, *_ = env.step(np.zeros((8, 6)))
+    distance = [np.linalg.norm(seen[:, :3] - seen[:, 9:], axis=1) for seen in (before, after)]
+    np.testing.assert_allclose(rewards, -1 + 50 * (distance[0] - distance[1]), atol=1e-4)

@@ -1,0 +1,236 @@
+import mujoco
+import numpy as np
+import pytest
+
+from armctl.assets import load_arm
+from armctl.errors import ConfigurationError
+from armctl.kinematics import ArmModel
+from armctl.robots import CONTROLS, Arm, build_arm_world
+from armctl.simulation import Simulation
+
+PERIOD = 0.04
+ROBOTS = ["ur3", "ur5", "ur10"]
+
+
+class Rig:
+    """n simulated arms at home."""
+
+    def __init__(self, robot, control, n=4):
+        self.description = load_arm(robot)
+        self.limits = self.description.limits
+        self.model = build_arm_world(self.description, control)
+        self.simulation = Simulation(self.model, n, threads=1)
+        self.arm = Arm(self.simulation, self.description, control, PERIOD)
+        self.commanded = self.simulation.array("act")
+        self.substeps = round(PERIOD / self.model.opt.timestep)
+        self.n = n
+        self.simulation.reset()
+        self.simulation.refresh()
+
+    def step(self, actions, decisions=1):
+        for _ in range(decisions):
+            self.arm.command(np.broadcast_to(actions, (self.n, 6)))
+            self.simulation.step(self.substeps)
+
+    def standstill(self):
+        """The action that asks for no motion."""
+        return self.arm.joint_positions.copy() if self.arm.control == "position" else np.zeros(6)
+
+    def free_goals(self, seed=0):
+        """A goal for each arm that touches nothing on its way from home."""
+        rng, model = np.random.default_rng(seed), ArmModel(self.description)
+        goals = []
+        while len(goals) < self.n:
+            goal = model.home + rng.uniform(-1.5, 1.5, 6)
+            if all(model.is_free(model.home + part * (goal - model.home)) for part in np.linspace(0, 1, 50)):
+                goals.append(np.clip(goal, self.limits.lower, self.limits.upper))
+        return np.array(goals)
+
+
+@pytest.mark.parametrize("control", CONTROLS)
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_keyframe_is_home(robot, control):
+    rig = Rig(robot, control)
+    home = np.tile(rig.description.home, (rig.n, 1))
+    assert rig.model.key(0).name == "home"
+    np.testing.assert_array_equal(rig.arm.joint_positions, home)
+    np.testing.assert_array_equal(rig.arm.joint_velocities, 0)
+    if control != "torque":
+        np.testing.assert_array_equal(rig.commanded, home)
+    position = ArmModel(rig.description).position(rig.description.home)
+    np.testing.assert_allclose(rig.arm.end_effector_positions, np.tile(position, (rig.n, 1)), atol=1e-9)
+
+
+@pytest.mark.parametrize("control", CONTROLS)
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_arms_stand_still_against_gravity(robot, control):
+    rig = Rig(robot, control)
+    stretched = np.array([0, -0.4, 0, 0, 0, 0])  # near the worst for the shoulder, off the floor
+    assert ArmModel(rig.description).is_free(stretched)
+    rig.arm.joint_positions[2:] = stretched
+    if control != "torque":
+        rig.commanded[2:] = stretched
+    start, action = rig.arm.joint_positions.copy(), rig.standstill()
+    for _ in range(50):
+        rig.step(action)
+        assert np.abs(rig.arm.joint_positions - start).max() < 1e-3
+
+
+def test_without_gravity_compensation_the_arm_would_fall():
+    rig = Rig("ur5", "torque")
+    rig.model.body_gravcomp[:] = 0
+    rig.simulation = Simulation(rig.model, rig.n, threads=1)
+    rig.arm = Arm(rig.simulation, rig.description, "torque", PERIOD)
+    rig.simulation.reset()
+    rig.step(np.zeros(6), 10)
+    assert np.abs(rig.arm.joint_positions - rig.description.home).max() > 0.1
+
+
+@pytest.mark.parametrize("control", CONTROLS)
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_action_bounds_are_the_limits(robot, control):
+    rig = Rig(robot, control)
+    limits = rig.limits
+    high = {
+        "position": limits.upper,
+        "delta": limits.velocity * PERIOD,
+        "velocity": limits.velocity,
+        "torque": limits.effort,
+    }[control]
+    low = limits.lower if control == "position" else -high
+    np.testing.assert_allclose(rig.arm.action_low, low)
+    np.testing.assert_allclose(rig.arm.action_high, high)
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_position_command_arrives(robot):
+    rig = Rig(robot, "position")
+    goals = rig.free_goals()
+    slowest = (np.abs(goals - rig.description.home) / rig.limits.velocity).max()
+    decisions = int(np.ceil(slowest / PERIOD))
+    rig.step(goals, decisions)
+    np.testing.assert_allclose(rig.commanded, goals, atol=1e-9)
+    rig.step(goals, 15)
+    np.testing.assert_allclose(rig.arm.joint_positions, goals, atol=1e-3)
+    np.testing.assert_allclose(rig.arm.joint_velocities, 0, atol=1e-2)
+
+
+@pytest.mark.parametrize("control", ["position", "delta", "velocity"])
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_command_never_outruns_the_velocity_limits_nor_leaves_the_position_limits(robot, control):
+    rig = Rig(robot, control)
+    rng = np.random.default_rng(0)
+    fastest = 0.0
+    for decision in range(40):
+        wild = rng.choice([-1e6, -1, 0, 1, 1e6], (rig.n, 6)) if decision < 20 else np.full((rig.n, 6), 1e6)
+        rig.arm.command(wild)
+        for _ in range(rig.substeps):
+            before = rig.commanded.copy()
+            rig.simulation.step(1)
+            speed = np.abs(rig.commanded - before) / rig.model.opt.timestep / rig.limits.velocity
+            fastest = max(fastest, speed.max())
+            assert (rig.commanded >= rig.limits.lower - 1e-12).all()
+            assert (rig.commanded <= rig.limits.upper + 1e-12).all()
+    assert fastest == pytest.approx(1, abs=1e-6)  # as fast as allowed, and no faster
+
+
+@pytest.mark.parametrize("control", CONTROLS)
+def test_actions_out_of_bounds_are_as_good_as_those_on_the_bounds(control):
+    rng = np.random.default_rng(0)
+    signs = rng.choice([-1, 1], (10, 4, 6))
+    states = []
+    for beyond in (1.0, 1e3):
+        rig = Rig("ur5", control)
+        for sign in signs:
+            bound = np.where(sign > 0, rig.arm.action_high, rig.arm.action_low)
+            rig.step(beyond * bound)
+        states.append(rig.arm.joint_positions.copy())
+    np.testing.assert_array_equal(*states)
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_velocity_mode_moves_at_that_velocity(robot):
+    rig = Rig(robot, "velocity")
+    velocities = np.array([[0.3], [-0.3], [0.1], [0.0]]) * np.ones(6)
+    rig.step(velocities, 10)
+    before = rig.arm.joint_positions.copy()
+    rig.step(velocities, 10)
+    np.testing.assert_allclose(rig.arm.joint_velocities, velocities, atol=2e-3)
+    np.testing.assert_allclose((rig.arm.joint_positions - before) / (10 * PERIOD), velocities, atol=2e-3)
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_delta_mode_displaces_by_that_much(robot):
+    rig = Rig(robot, "delta")
+    deltas = np.random.default_rng(0).uniform(-1, 1, (rig.n, 6)) * rig.arm.action_high
+    for count in (1, 2):
+        rig.step(deltas)
+        np.testing.assert_allclose(rig.commanded, rig.description.home + count * deltas, atol=1e-9)
+    rig.step(np.zeros(6), 15)
+    np.testing.assert_allclose(rig.arm.joint_positions, rig.description.home + 2 * deltas, atol=1e-4)
+
+
+@pytest.mark.parametrize("control", CONTROLS)
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_joint_torques_stay_within_the_effort_limits(robot, control):
+    rig = Rig(robot, control)
+    torques = rig.simulation.array("qfrc_actuator")
+    largest = np.zeros(6)
+    for decision in range(20):
+        rig.arm.command(np.broadcast_to(1e6 * (-1) ** (decision // 4), (rig.n, 6)))
+        for _ in range(rig.substeps):
+            rig.simulation.step(1)
+            largest = np.maximum(largest, np.abs(torques).max(axis=0))
+    assert (largest <= rig.limits.effort * (1 + 1e-9)).all()
+    assert largest.max() > 0
+
+
+def test_torque_mode_accelerates_as_the_equations_of_motion_say():
+    rig = Rig("ur5", "torque", n=1)
+    torques = np.array([3.0, -2.0, 1.0, 0.5, -0.3, 0.1])
+    rig.arm.command(torques[None])
+    data = rig.simulation.data(0)
+    inertia = np.zeros((6, 6))
+    mujoco.mj_fullM(rig.model, data, inertia)
+    np.testing.assert_allclose(inertia @ data.qacc, torques, atol=1e-6)
+
+
+def test_worlds_do_not_influence_each_other():
+    together = Rig("ur5", "position")
+    goals = together.free_goals()
+    together.step(goals, 10)
+    for i in range(together.n):
+        alone = Rig("ur5", "position", n=1)
+        alone.step(goals[i], 10)
+        np.testing.assert_array_equal(alone.arm.joint_positions[0], together.arm.joint_positions[i])
+
+
+@pytest.mark.parametrize(("wrong", "nearest"), [("torqe", "torque"), ("Position", "position"), ("", ""), (None, "")])
+def test_unknown_control_is_told_the_names_there_are(wrong, nearest):
+    with pytest.raises(ConfigurationError, match="delta, position, torque, velocity") as error:
+        build_arm_world(load_arm("ur5"), wrong)
+    assert nearest in str(error.value)
+    assert repr(wrong) in str(error.value)
+
+
+def test_world_has_the_links_shapes_and_the_collision_pairs_of_the_description():
+    description = load_arm("ur5")
+    model = build_arm_world(description, "position")
+    assert model.npair == len(description.collision_pairs)
+    for capsule in description.capsules:
+        geom = model.geom(f"{capsule.link}_collision")
+        assert geom.size[0] == pytest.approx(capsule.radius)
+        assert 2 * geom.size[1] == pytest.approx(np.linalg.norm(np.subtract(capsule.end, capsule.start)), abs=1e-6)
+    assert model.nmesh == len(description.meshes)
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_the_arm_stops_at_the_floor(robot):
+    rig = Rig(robot, "position", n=1)
+    lying = np.array([0, 0.3, 0, 0, 0, 0])
+    rig.step(lying, 60)
+    data = rig.simulation.data(0)
+    floor = [contact for contact in data.contact if rig.model.geom("floor").id in contact.geom]
+    assert floor
+    assert min(contact.dist for contact in floor) > -0.01
+    assert np.isfinite(rig.arm.joint_positions).all()

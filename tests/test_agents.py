@@ -1,0 +1,124 @@
+import json
+import shutil
+from importlib import resources
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import onnx
+import pytest
+
+from armctl.agents import load_agent, read_card, sha256
+from armctl.envs import ArmReachVectorEnv
+from armctl.errors import AgentFileError
+from armctl.evaluation import evaluate
+
+SHIPPED = Path(str(resources.files("armctl.rl.agents")))
+ENV = "armctl/ArmReach-v0"
+
+
+@pytest.fixture
+def agent(tmp_path):
+    """A copy of the shipped agent, to be spoilt."""
+    for suffix in (".json", ".onnx"):
+        shutil.copy(SHIPPED / f"reach_ppo{suffix}", tmp_path / f"agent{suffix}")
+    return tmp_path / "agent.json"
+
+
+def edit(card, **changes):
+    card.write_text(json.dumps(json.loads(card.read_text()) | changes))
+
+
+def load(card, **options):
+    return load_agent(card, gymnasium.make_vec(ENV, num_envs=1, **options))
+
+
+def test_card_or_graph_may_be_named(agent):
+    worlds = ArmReachVectorEnv(3)
+    observations, _ = worlds.reset(seed=0)
+    first = load_agent(agent, worlds).act(observations)
+    np.testing.assert_array_equal(load_agent(agent.with_suffix(".onnx"), worlds).act(observations), first)
+
+
+@pytest.mark.parametrize("junk", [b"", b"\x00\xff junk", b"not an onnx file" * 100])
+def test_corrupt_graph(agent, junk):
+    graph = agent.with_suffix(".onnx")
+    graph.write_bytes(junk)
+    with pytest.raises(AgentFileError, match="changed, or damaged"):
+        load(agent)
+    edit(agent, sha256=sha256(graph))
+    with pytest.raises(AgentFileError, match="not an ONNX graph"):
+        load(agent)
+
+
+def test_truncated_graph(agent):
+    graph = agent.with_suffix(".onnx")
+    graph.write_bytes(graph.read_bytes()[:5000])
+    edit(agent, sha256=sha256(graph))
+    with pytest.raises(AgentFileError):
+        load(agent)
+
+
+def test_foreign_graph(agent):
+    value = onnx.helper.make_tensor_value_info("x", onnx.TensorProto.FLOAT, [None, 12])
+    other = onnx.helper.make_tensor_value_info("y", onnx.TensorProto.FLOAT, [None, 12])
+    graph = onnx.helper.make_graph([onnx.helper.make_node("Identity", ["x"], ["y"])], "foreign", [value], [other])
+    model = onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", 18)], ir_version=8)
+    onnx.save(model, agent.with_suffix(".onnx"))
+    edit(agent, sha256=sha256(agent.with_suffix(".onnx")))
+    with pytest.raises(AgentFileError, match=r"\['x'\]"):
+        load(agent)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"format": "pickle"}', "\x80\x04cos\nsystem"])
+def test_corrupt_card(agent, text):
+    agent.write_text(text)
+    with pytest.raises(AgentFileError, match="not an agent's card"):
+        load(agent)
+
+
+def test_missing_files(agent, tmp_path):
+    with pytest.raises(AgentFileError, match="cannot be read"):
+        load(tmp_path / "none.json")
+    agent.with_suffix(".onnx").unlink()
+    with pytest.raises(AgentFileError, match="missing"):
+        load(agent)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"robot": "ur10"}, "ur10"),
+        ({"control": "delta"}, "delta"),
+        ({"observation": {"q": lambda s: s.joint_positions}}, "6"),
+    ],
+)
+def test_agent_of_another_robot_control_or_observation(agent, options, says):
+    with pytest.raises(AgentFileError, match=says):
+        load(agent, **options)
+
+
+def test_agent_of_another_environment(agent):
+    edit(agent, env="armctl/BridgeCross-v0")
+    with pytest.raises(AgentFileError, match="BridgeCross"):
+        load(agent)
+
+
+def test_no_file_is_ever_unpickled():
+    import armctl
+
+    for file in Path(armctl.__file__).parent.rglob("*.py"):
+        text = file.read_text()
+        assert "import pickle" not in text, file
+        assert "torch" not in text.replace("torch than", ""), file
+
+
+@pytest.mark.slow
+def test_shipped_agent_does_what_its_card_says():
+    card = read_card(SHIPPED / "reach_ppo.json")
+    assert card.training_minutes <= 20
+    results = evaluate("reach_ppo", episodes=1000, seed=card.evaluation.seed, worlds=64)
+    assert results.success.mean() == pytest.approx(card.evaluation.success_rate, abs=0.01)
+    assert results.success.mean() >= 0.95
+    elsewhere = evaluate("reach_ppo", episodes=500, seed=77, worlds=64)
+    assert elsewhere.success.mean() >= 0.95

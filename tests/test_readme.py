@@ -1,0 +1,30 @@
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+README = (Path(__file__).parents[1] / "README.md").read_text()
+EXAMPLES = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: example.strip().splitlines()[-1][:40])
+def test_example_runs(example):
+    done = subprocess.run(
+        [sys.executable, "-W", "error::DeprecationWarning", "-c", example], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_there_are_examples():
+    assert len(EXAMPLES) >= 4
+
+
+def test_every_folder_and_file_of_the_map_exists():
+    root = Path(__file__).parents[1]
+    area = README.split("## Where things are")[1]
+    for name in re.findall(r"^(\w+/) ", area, re.MULTILINE):
+        assert (root / name).is_dir(), name
+    for name in re.findall(r"(\w+\.py|(?<=  )\w+/) ", area):
+        assert (root / "src/armctl" / name).exists() or (root / name).exists(), name
