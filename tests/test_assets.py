@@ -248,6 +248,21 @@ def test_joints_off_the_chain_are_frozen(urdf):
     assert ("finger", FLOOR) in description.collision_pairs
 
 
+@pytest.mark.parametrize(("tip", "dof"), [("l1", 1), ("l2", 2), ("l3", 3)])
+def test_an_arm_may_have_any_number_of_joints(urdf, tip, dof):
+    _, model, world = everywhere(urdf(), tip=tip)
+    q = np.full(dof, 0.5)
+    assert world.nv == dof
+    assert model.jacobian(q).shape == model.local_jacobian(q).shape == (6, dof)
+    np.testing.assert_allclose(model.positions(q), model.position(q), atol=1e-12)
+
+
+def test_inertia_off_the_chain_is_checked_too(urdf):
+    finger = {"finger": link("finger", BOX, moment=1), "slide": FINGER["slide"]}
+    with pytest.raises(ConfigurationError, match="finger"):
+        everywhere(urdf(**finger), tip="l3")
+
+
 def test_joints_beyond_the_tip_are_frozen(urdf):
     assert load_arm(urdf(), tip="l2").joints == ("j1", "j2")
 
@@ -350,6 +365,7 @@ BAD_FILES = {
     "sphere inside out": (shaped('<sphere radius="-1"/>'), "sphere|l1"),
     "no mass behind a joint": ({"l2": link("l2", BOX, mass=0)}, "l2"),
     "inertia of no body": ({"l2": link("l2", BOX, moment=1)}, "l2"),
+    "inertia of no body at the base": ({"base": link("base", CYLINDER, moment=1)}, "base"),
     "several leaves": (FINGER, "2 leaf links.*finger.*tip="),
     "two links of one name": ({"again": link("l1", BOX)}, "l1"),
     "two joints of one name": ({"again": joint("j1", "l3", "l4"), "l4": link("l4", BOX)}, "j1"),

@@ -196,6 +196,8 @@ def test_truncation_comes_at_the_limit_and_is_called_timeout(limit):
         ({"target_box": ((0, 0, 1), (1, 1, 0))}, "lowest and highest"),
         ({"render_mode": "rgb_arrays"}, "Did you mean 'rgb_array'"),
         ({"reward": {}}, "at least one term"),
+        ({"reward": {"odd": lambda state: state.joint_positions}}, "'odd' is one number a world"),
+        ({"observation": {"odd": lambda state: state.distance}}, "'odd' has shape"),
     ],
 )
 def test_bad_options_say_what_is_allowed(options, says):
@@ -207,6 +209,20 @@ def test_bad_options_say_what_is_allowed(options, says):
 def test_bad_number_of_worlds(number):
     with pytest.raises(ConfigurationError, match="num_envs"):
         batch(number)
+
+
+@pytest.mark.parametrize("seed", [-1, [1, 2], 0.5, "one"])
+def test_bad_seeds(seed):
+    with pytest.raises(ConfigurationError, match="seed is a whole number"):
+        batch(3).reset(seed=seed)
+
+
+def test_a_reward_term_cannot_change_the_state():
+    env = batch(4, reward={"distance": lambda state: state.distance}, max_episode_steps=2)
+    env.reset(seed=0)
+    for _ in range(4):
+        env.step(np.zeros((4, 6)))
+        assert (env.task.state.distance > 0).all()
 
 
 def test_same_step_autoreset_gives_the_final_observation():

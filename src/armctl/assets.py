@@ -134,8 +134,9 @@ def load_arm(
             raise unknown_name("robot", robot, [*BUILTIN_ARMS, "path/to/your.urdf"])
         if not path.is_file():
             raise ConfigurationError(f"there is no URDF file {str(robot)!r}")
-    edited = path.stat().st_mtime_ns
-    return _read_arm(path, edited, tip, _as_tuple(home), Path(srdf) if srdf else None, max_acceleration, max_jerk)
+    srdf = None if srdf is None else Path(srdf)
+    edited = tuple(file.stat().st_mtime_ns for file in (path, srdf) if file is not None and file.is_file())
+    return _read_arm(path, edited, tip, _as_tuple(home), srdf, max_acceleration, max_jerk)
 
 
 def _as_tuple(home: Sequence[float] | Array | None) -> tuple[float, ...] | None:
@@ -150,7 +151,7 @@ def _as_tuple(home: Sequence[float] | Array | None) -> tuple[float, ...] | None:
 @functools.lru_cache(maxsize=16)
 def _read_arm(
     path: Path,
-    edited: int,
+    edited: tuple[int, ...],
     tip: str | None,
     home: tuple[float, ...] | None,
     srdf: Path | None,

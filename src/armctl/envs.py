@@ -103,12 +103,16 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         if seed is None and not self._seeded:
             seed = int(np.random.SeedSequence().generate_state(1)[0])
         if seed is not None:
-            super().reset(seed=seed if isinstance(seed, int) else None)
-            self._seeds[mask] = self._world_seeds(seed)[mask]
+            seeds = self._world_seeds(seed)
+            super().reset(seed=int(seeds[0]))
+            self._seeds[mask] = seeds[mask]
             self._episodes[mask] = -1
             self._seeded = True
         if "episode" in options:
-            self._episodes[mask] = np.broadcast_to(options["episode"], self.num_envs)[mask] - 1
+            numbers = np.broadcast_to(options["episode"], self.num_envs)[mask]
+            if (numbers < 0).any():
+                raise ConfigurationError(f"episodes are numbered from 0 on, not {numbers.min()}")
+            self._episodes[mask] = numbers - 1
         self._begin(np.flatnonzero(mask))
         return self.task.observe(), self.task.details()
 
@@ -190,10 +194,10 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self.task.reset(ids.astype(np.int32), rngs)
 
     def _world_seeds(self, seed: int | list[int]) -> NDArray[np.int64]:
-        seeds = np.asarray(seed if isinstance(seed, list) else seed + np.arange(self.num_envs))
-        if seeds.shape != (self.num_envs,) or np.any(seeds < 0):
-            raise ConfigurationError(f"seed is an int from 0 on, or a list of {self.num_envs} such, not {seed}")
-        return seeds
+        seeds = np.asarray(seed)
+        if seeds.shape not in ((), (self.num_envs,)) or seeds.dtype.kind not in "iu" or (seeds < 0).any():
+            raise ConfigurationError(f"seed is a whole number from 0 on, or {self.num_envs} of them, not {seed}")
+        return seeds if seeds.ndim else seeds + np.arange(self.num_envs)
 
     def _checked(self, actions: ArrayLike) -> Array:
         if not self._seeded:

@@ -155,19 +155,20 @@ class Urdf:
             if axis is not None and not np.any(self._numbers(axis, "xyz", f"axis of joint {name!r}", 3, "1 0 0")):
                 raise self._error(f"joint {name!r} turns about an axis of length 0")
             moved = _end(joint, "child")
-            link = self._links[moved]
-            if not _mass(link) > 0:
+            if not _mass(self._links[moved]) > 0:
                 raise self._error(f"link {moved!r} behind joint {name!r} has no mass")
+        for name, link in self._links.items():
             inertia = link.find("inertial/inertia")
-            found = {} if inertia is None else inertia.attrib
+            if not _mass(link) > 0 or inertia is None:
+                continue
             xx, yy, zz, xy, xz, yz = (
-                self._number(found.get(f"i{part}", "0"), f"inertia of link {moved!r}")
+                self._number(inertia.get(f"i{part}", "0"), f"inertia of link {name!r}")
                 for part in ("xx", "yy", "zz", "xy", "xz", "yz")
             )
             small, medium, large = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
             if small <= 0 or small + medium < large * (1 - 1e-6):
                 raise self._error(
-                    f"no body has the inertia of link {moved!r}: its principal moments are "
+                    f"no body has the inertia of link {name!r}: its principal moments are "
                     f"{small:.3g}, {medium:.3g}, {large:.3g}"
                 )
 
@@ -266,7 +267,8 @@ def _mass(link: Element) -> float:
 
 
 def _rings(shape: str, radius: float, half_length: float, points: int = 24) -> Iterator[tuple[float, float, float]]:
-    """Points on rings around z: the two rims of a cylinder, or parallels of a sphere."""
+    """Points on rings around z that enclose a shape: the two rims of a cylinder, or parallels of a sphere."""
+    radius /= math.cos(math.pi / points)
     levels = [(radius, -half_length), (radius, half_length)]
     if shape == "sphere":
         levels = [(radius * math.cos(a), radius * math.sin(a)) for a in np.linspace(-np.pi / 2, np.pi / 2, points)]

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterator, Mapping
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -137,9 +138,8 @@ def evaluate(
 
     Raises `ConfigurationError`, `AgentFileError` or `PolicyFailed`.
     """
-    made_env = make_worlds(env, min(worlds, episodes), env_options)
-    made = make_policy(policy, made_env)
     name = policy if isinstance(policy, str) else getattr(policy, "__name__", str(policy))
-    rows = [result.row() for result in rollouts(made, made_env, episodes, seed, name)]
-    made_env.close()
+    with closing(make_worlds(env, min(worlds, episodes), env_options)) as made_env:
+        made = make_policy(policy, made_env)
+        rows = [result.row() for result in rollouts(made, made_env, episodes, seed, name)]
     return pd.DataFrame(rows, columns=list(COLUMNS)).sort_values("episode", ignore_index=True)

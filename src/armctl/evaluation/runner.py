@@ -65,9 +65,9 @@ def run_episodes(
 def _make(
     env: str, steps: int | None, render_mode: str | None, env_options: Mapping[str, Any]
 ) -> gymnasium.Env[Any, Any]:
-    limit: dict[str, Any] = {} if steps is None else {"max_episode_steps": steps}
+    options: dict[str, Any] = {**env_options, **({} if steps is None else {"max_episode_steps": steps})}
     try:
-        return gymnasium.make(env, render_mode=render_mode, **limit, **env_options)
+        return gymnasium.make(env, render_mode=render_mode, **options)
     except gymnasium.error.Error as error:
         raise ConfigurationError(f"no environment {env!r}: {error}") from error
 

@@ -52,12 +52,11 @@ class ArmModel:
 
     def jacobian(self, q: Array) -> Array:
         """World-aligned Jacobian at the end-effector, (6, dof): linear (m/rad) above angular (rad/rad)."""
-        frame = pinocchio.LOCAL_WORLD_ALIGNED
-        return np.asarray(pinocchio.computeFrameJacobian(self.pinocchio, self._data, q, self.tip, frame))
+        return self._jacobian(q, pinocchio.LOCAL_WORLD_ALIGNED)
 
     def local_jacobian(self, q: Array) -> Array:
         """Jacobian (6, dof) in the end-effector's own frame: linear (m/rad) above angular (rad/rad)."""
-        return np.asarray(pinocchio.computeFrameJacobian(self.pinocchio, self._data, q, self.tip, pinocchio.LOCAL))
+        return self._jacobian(q, pinocchio.LOCAL)
 
     def positions(self, q: Array) -> Array:
         """End-effector positions of a batch, (..., dof) to (..., 3) m, without a Python loop over the batch."""
@@ -101,13 +100,17 @@ class ArmModel:
         """Seconds in which the slowest joint gets from `start` to `goal` (..., dof) at its velocity limit, (...)."""
         return np.asarray(np.max(np.abs(goal - start) / self.limits.velocity, axis=-1))
 
+    def _jacobian(self, q: Array, frame: pinocchio.ReferenceFrame) -> Array:
+        found = pinocchio.computeFrameJacobian(self.pinocchio, self._data, q, self.tip, frame)
+        return np.asarray(found).reshape(6, self.dof)  # Pinocchio gives one joint's as a vector
+
     def _joint_chain(self) -> list[tuple[Array, Array, Array]]:
         """Rotation, offset and axis of each joint in the frame of the joint before it."""
         pinocchio.computeJointJacobians(self.pinocchio, self._data, np.zeros(self.dof))
         chain = []
         for i, placement in enumerate(self.pinocchio.jointPlacements[1:]):
             jacobian = pinocchio.getJointJacobian(self.pinocchio, self._data, i + 1, pinocchio.LOCAL)
-            chain.append((placement.rotation, placement.translation, jacobian[3:, i]))
+            chain.append((placement.rotation, placement.translation, jacobian.reshape(6, self.dof)[3:, i]))
         return chain
 
 

@@ -113,6 +113,7 @@ class ReachTask(Task):
         self.simulation.reset()
         self.simulation.refresh()
         self._look(self._action)
+        self._check_terms(n)
         low, high = np.float32(self.arm.action_low), np.float32(self.arm.action_high)
         self.action_space = gymnasium.spaces.Box(low, high, dtype=np.float32)
         size = self.observe().shape[1:]
@@ -154,7 +155,7 @@ class ReachTask(Task):
     def score(self) -> RewardLedger:
         """The terms of `ReachOptions.reward`."""
         self._look(self._action)
-        return {name: np.asarray(term(self.state), dtype=float) for name, term in self.options.reward.items()}
+        return {name: np.array(term(self.state), dtype=float) for name, term in self.options.reward.items()}
 
     def outcome(self) -> NDArray[np.int8]:
         """`REACHED`, or `TIMEOUT` as long as it is not."""
@@ -163,6 +164,14 @@ class ReachTask(Task):
     def details(self) -> dict[str, NDArray[Any]]:
         """`feasible`: whether any policy could reach the target."""
         return {"feasible": self._feasible.copy()}
+
+    def _check_terms(self, n: int) -> None:
+        for name, earned in self.score().items():
+            if earned.shape != (n,):
+                raise ConfigurationError(f"the reward term {name!r} is one number a world, ({n},), not {earned.shape}")
+        for name, part in self.parts().items():
+            if part.ndim != 2 or len(part) != n:
+                raise ConfigurationError(f"the observation's {name!r} has shape ({n}, k), not {np.shape(part)}")
 
     def _new_target(self, rng: np.random.Generator) -> tuple[Array, bool]:
         if self.options.target == "box":
