@@ -12,7 +12,7 @@ compare: $(VENV)/core
 	$(BIN)/armctl compare
 
 test: $(VENV)/full
-	$(BIN)/python -m pytest --numprocesses 2
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2
 
 check: $(VENV)/full
 	$(BIN)/ruff check .

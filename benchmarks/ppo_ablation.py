@@ -19,7 +19,6 @@ VARIANTS = {
     "plain reward, without progress": {"shaped": False},
     "bare observation, without features": {"features": False},
     "absolute joint positions as actions": {"relative": False},
-    "absolute actions and bare observation": {"relative": False, "features": False},
     "plain in all three": {"shaped": False, "relative": False, "features": False},
 }
 

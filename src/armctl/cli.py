@@ -151,7 +151,7 @@ def train(
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the newest checkpoint in the folder.")] = False,
     env_options: EnvOptions = None,
 ) -> None:
-    """Train an agent; needs the extra `rl`: pip install 'armctl[rl]'.
+    """Train an agent; needs the extra `rl`: `pip install 'armctl[rl]'`, or `pip install -e '.[rl]'` in a clone.
 
     Ctrl-C leaves a checkpoint: the same command with `--resume` goes on. Watch it with `tensorboard --logdir FOLDER`.
     """

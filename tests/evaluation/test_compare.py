@@ -9,7 +9,7 @@ from rich.console import Console
 import armctl
 from armctl.errors import ConfigurationError, ResultsError
 from armctl.evaluation import PolicyFailed, compare, evaluate
-from armctl.evaluation.report import EpisodeLog, tables, verdict
+from armctl.evaluation.report import tables, verdict
 from armctl.evaluation.rollouts import COLUMNS
 
 TIMES = ["decision_ms_p50", "decision_ms_p99"]
@@ -137,11 +137,13 @@ def test_results_where_no_folder_can_be(tmp_path):
         compare(["random"], episodes=1, out=tmp_path / "file" / "results")
 
 
-def test_a_full_disk_is_reported(tmp_path):
-    (tmp_path / "episodes.csv").symlink_to("/dev/full")
-    log = EpisodeLog(tmp_path, overwrite=True)
-    with pytest.raises(ResultsError, match="No space left"):
-        log.write(dict.fromkeys(COLUMNS, 0))
+def test_a_full_disk_is_reported_and_the_tables_are_there(tmp_path):
+    for name in ("episodes.csv", "summary.json"):
+        (tmp_path / name).symlink_to("/dev/full")
+    comparison = compare(["reach_ik"], episodes=3, out=tmp_path, overwrite=True)
+    assert "No space left" in comparison.failures["results"]
+    assert len(comparison.episodes) == 3
+    assert "reach_ik" in text_of(comparison)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from armctl.errors import ConfigurationError
+from armctl.errors import ConfigurationError, ResultsError
 from armctl.evaluation.report import EpisodeLog, write_summary
 from armctl.evaluation.rollouts import COLUMNS, EpisodeResult, PolicyFailed, make_worlds, rollouts
 from armctl.evaluation.statistics import Estimate, PairedDifference, mean, paired_difference, success_rate
@@ -52,7 +52,7 @@ class Comparison:
     policies: list[PolicySummary] = field(default_factory=list)
     paired: list[PairedDifference] = field(default_factory=list)
     failures: dict[str, str] = field(default_factory=dict)
-    """What went wrong, by policy."""
+    """What went wrong, by policy, or under `results` for what could not be written."""
     interrupted: bool = False
 
 
@@ -77,8 +77,8 @@ def compare(
     """Let policies meet the same episodes 0 to `episodes` - 1 of `seed`.
 
     With `out`, every finished episode goes to `out/episodes.csv` at once, and the rest to `out/summary.json`. An
-    interrupt (Ctrl-C) or a failing policy loses nothing that was finished. With one world (the default) decision times
-    are latencies; with more they are shares of a batch.
+    interrupt (Ctrl-C), a failing policy or a full disk loses nothing that was finished. With one world (the default)
+    decision times are latencies; with more they are shares of a batch.
 
     Raises `ConfigurationError`, `AgentFileError`, and `ResultsError` if `out` cannot be written or holds results.
     """
@@ -100,7 +100,10 @@ def compare(
                     for result in rollouts(policy, made_env, episodes, seed, name):
                         results.append(result)
                         if log is not None:
-                            log.write(result.row())
+                            try:
+                                log.write(result.row())
+                            except ResultsError as error:
+                                comparison.failures["results"], log = str(error), None
                         if progress is not None:
                             progress(result)
                 except PolicyFailed as failure:
@@ -116,7 +119,10 @@ def compare(
         ]
         comparison.paired = _paired(comparison.episodes, [summary.policy for summary in comparison.policies])
     if out is not None:
-        write_summary(Path(out), comparison)
+        try:
+            write_summary(Path(out), comparison)
+        except ResultsError as error:
+            comparison.failures["results"] = str(error)
     return comparison
 
 

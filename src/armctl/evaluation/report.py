@@ -1,5 +1,6 @@
 """Results on disk, and as tables on the terminal."""
 
+import contextlib
 import csv
 import dataclasses
 import json
@@ -51,7 +52,8 @@ class EpisodeLog:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._file.close()
+        with contextlib.suppress(OSError):  # a full disk was reported where it was met
+            self._file.close()
 
     def write(self, row: dict[str, Any]) -> None:
         """Add an episode, and hand it to the operating system."""

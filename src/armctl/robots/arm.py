@@ -35,8 +35,8 @@ class Arm:
     - `velocity`: joint velocities, within the velocity limits;
     - `torque`: joint torques on top of gravity compensation, within the effort limits.
 
-    Whatever it asks, the command never moves faster than the velocity limits. The arm follows it within its effort limits:
-    it lags after a sudden start, and catches up faster than its limits for a moment.
+    Whatever it asks, the command never moves faster than the velocity limits. The arm follows it within its effort
+    limits: it lags after a sudden start, and catches up faster than its velocity limits for a moment.
     """
 
     def __init__(self, simulation: Simulation, description: ArmDescription, control: str, period: float) -> None:
