@@ -27,4 +27,5 @@ def load_learner(name: str) -> Learner:
     try:
         return entries[name].load()  # type: ignore[no-any-return]
     except ModuleNotFoundError as error:
-        raise ConfigurationError(f"training needs {error.name}: pip install 'armctl[rl]', or pip install -e '.[rl]' in a clone") from error
+        how = "pip install 'armctl[rl]', or pip install -e '.[rl]' in a clone"
+        raise ConfigurationError(f"training needs {error.name}: {how}") from error
