@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from armctl.envs import ArmReachVectorEnv
 from armctl.errors import ConfigurationError
-from armctl.kinematics import ArmModel, Ik, SoonestTouch
+from armctl.kinematics import ArmModel, SoonestTouch
 from armctl.policies import PerWorld
+from armctl.tasks import OBSERVATION
 
 Array = NDArray[np.float64]
 
@@ -25,19 +26,20 @@ PATIENCE = 5
 def make(env: ArmReachVectorEnv) -> PerWorld:
     """The expert for each world of a reach environment."""
     options, arm = env.task.options, env.task.arm
-    model = ArmModel(arm.description)
-    controllers = [ReachIk(model, options.tolerance, options.control, arm.period) for _ in range(env.num_envs)]
+    if list(options.observation) != list(OBSERVATION):
+        raise ConfigurationError(f"reach_ik reads the observation {', '.join(OBSERVATION)}; here it is another")
+    touch = SoonestTouch(ArmModel(arm.description))
+    controllers = [ReachIk(touch, options.tolerance, options.control, arm.period) for _ in range(env.num_envs)]
     return PerWorld(controllers)
 
 
 class ReachIk:
     """Reaches with one arm. Raises `ConfigurationError` for torque control, which IK has no say in."""
 
-    def __init__(self, model: ArmModel, tolerance: float, control: str, period: float) -> None:
+    def __init__(self, touch: SoonestTouch, tolerance: float, control: str, period: float) -> None:
         if control == "torque":
             raise ConfigurationError("reach_ik commands joint motions: use control 'position', 'delta' or 'velocity'")
-        self._model, self._tolerance, self._control, self._period = model, tolerance, control, period
-        self._touch, self._ik = SoonestTouch(model), Ik(model)
+        self._touch, self._tolerance, self._control, self._period = touch, tolerance, control, period
         self.reset()
 
     def reset(self) -> None:
@@ -59,12 +61,12 @@ class ReachIk:
 
     def _plan(self, q: Array, target: Array) -> Array:
         touch = self._touch.find(q, target, MARGIN * self._tolerance)
-        return self._ik.position(target, q).closest if touch is None else touch.q
+        return self._touch.ik.position(target, q).closest if touch is None else touch.q
 
     def _towards(self, goal: Array, q: Array) -> Array:
         """Action that moves the arm's command, which begins where the arm is, to the goal."""
         command = q if self._command is None else self._command
-        largest = self._model.limits.velocity * self._period
+        largest = self._touch.model.limits.velocity * self._period
         move = np.clip(goal - command, -largest, largest)
         self._command = command + move
         return {"position": goal, "delta": move, "velocity": move / self._period}[self._control]

@@ -26,37 +26,43 @@ import armctl
 
 ENV = "armctl/ArmReach-v0"
 ROUNDS = 7
-PERIOD = 0.04
 
 Contender = Callable[[float], float]
 """Runs for about that many seconds, and gives physics steps per second."""
 
 
 def raw(threads: int) -> Contender:
-    """`mj_step` on `threads` threads, in batches of one decision."""
+    """`mj_step` on `threads` threads, a decision at a time, along commands that were worked out before."""
     task = gymnasium.make(ENV).unwrapped.task
-    model, limits, substeps = task.simulation.model, task.arm.description.limits, task.substeps
-    rng = np.random.default_rng(0)
-    targets = rng.uniform(limits.lower, limits.upper, (1000, 6))
+    model, substeps, commands = task.simulation.model, task.substeps, recorded_commands()
 
     def loop(seconds: float) -> float:
-        data, steps, end = mujoco.MjData(model), 0, time.perf_counter() + seconds
+        data, decisions, end = mujoco.MjData(model), 0, time.perf_counter() + seconds
         while time.perf_counter() < end:
-            if steps % (100 * substeps) == 0:
+            if decisions % len(commands) == 0:
                 mujoco.mj_resetDataKeyframe(model, data, 0)
-            velocity = np.clip(
-                (targets[steps // substeps % 1000] - data.act) / PERIOD, -limits.velocity, limits.velocity
-            )
-            data.ctrl[:] = np.concatenate([velocity, velocity])
+            data.ctrl[:] = commands[decisions % len(commands)]
             mujoco.mj_step(model, data, nstep=substeps)
-            steps += substeps
-        return steps / seconds
+            decisions += 1
+        return decisions * substeps / seconds
 
     def run(seconds: float) -> float:
         with ThreadPoolExecutor(threads) as pool:
             return sum(pool.map(loop, [seconds] * threads))
 
     return run
+
+
+def recorded_commands() -> np.ndarray:
+    """What the servos are told (100, nu) in an episode of random actions."""
+    env = gymnasium.make(ENV)
+    env.reset(seed=0)
+    env.action_space.seed(0)
+    ctrl, rows = env.unwrapped.task.simulation.array("ctrl"), []
+    for _ in range(100):
+        env.step(env.action_space.sample())
+        rows.append(ctrl[0].copy())
+    return np.array(rows)
 
 
 def batched(worlds: int) -> Contender:
@@ -99,6 +105,7 @@ def single() -> Contender:
 
 def subprocesses(worlds: int) -> Contender:
     """Stable-Baselines3's SubprocVecEnv over single environments, one process a core."""
+    substeps = gymnasium.make(ENV).unwrapped.task.substeps
     env = make_vec_env(ENV, n_envs=worlds, vec_env_cls=SubprocVecEnv, vec_env_kwargs={"start_method": "fork"})
     env.reset()
     actions = [np.array([env.action_space.sample() for _ in range(worlds)]) for _ in range(50)]
@@ -108,7 +115,7 @@ def subprocesses(worlds: int) -> Contender:
         while time.perf_counter() < start + seconds:
             env.step(actions[steps % 50])
             steps += 1
-        return steps * worlds * 20 / (time.perf_counter() - start)
+        return steps * worlds * substeps / (time.perf_counter() - start)
 
     return run
 
@@ -129,13 +136,14 @@ def main(worlds: int = 256, seconds: float = 3.0) -> None:
     for _ in track(range(ROUNDS), console=Console(stderr=True), transient=True):
         for name, (run, _) in contenders.items():
             rates[name].append(run(seconds))
-    timestep = gymnasium.make(ENV).unwrapped.task.simulation.model.opt.timestep
+    task = gymnasium.make(ENV).unwrapped.task
+    timestep, substeps = task.simulation.model.opt.timestep, task.substeps
     title = f"{ENV}, {cores} cores, armctl {armctl.__version__}, mujoco {mujoco.__version__}"
     table = Table("", "physics steps/s", "decisions/s", "times real time", "of raw", title=title, title_justify="left")
     for name, (_, reference) in contenders.items():
         rate = float(np.median(rates[name]))
         share = float(np.median(np.array(rates[name]) / np.array(rates[reference])))
-        table.add_row(name, f"{rate:,.0f}", f"{rate / 20:,.0f}", f"{rate * timestep:,.0f}", f"{share:.0%}")
+        table.add_row(name, f"{rate:,.0f}", f"{rate / substeps:,.0f}", f"{rate * timestep:,.0f}", f"{share:.0%}")
     Console().print(table)
 
 

@@ -17,7 +17,7 @@ import torch
 from armctl.rl.reach import SHAPED_REWARD, ActionScale, ReachFeatures
 from armctl.rl.vector import StableBaselinesVectorEnv
 from stable_baselines3 import PPO
-from stable_baselines3.common.callbacks import BaseCallback, CheckpointCallback
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.torch_layers import FlattenExtractor
 
@@ -61,7 +61,7 @@ class PpoOptions:
     features: bool = True
     """The network is shown `ReachFeatures`, not the bare observation."""
     checkpoint_every: int = 250_000
-    """Steps between checkpoints."""
+    """Steps between checkpoints, rounded up to whole rollouts."""
     evaluation_episodes: int = 1000
 
 
@@ -85,44 +85,37 @@ def train(
     """
     if env not in SUPPORTED:
         raise unknown_name("environment with a PPO recipe", env, SUPPORTED)
+    if not 0 <= seed < 2**32:
+        raise ConfigurationError(f"a training seed is a whole number from 0 to {2**32 - 1}, not {seed}")
     options = options or PpoOptions()
     if steps is not None:
         options = dataclasses.replace(options, steps=steps)
+    reward = SHAPED_REWARD if options.shaped else REWARD
+    worlds = gymnasium.make_vec(
+        env, num_envs=options.worlds, autoreset_mode="same_step", **{"reward": reward, **(env_options or {})}
+    )
+    assert isinstance(worlds, TaskVectorEnv)
     settings: dict[str, Any] = {
         "env": env,
         "env_options": {name: str(value) for name, value in (env_options or {}).items()},
         "seed": seed,
         "options": dataclasses.asdict(options),
     }
-    checkpoint = _prepare(out, settings, resume)
-    worlds = gymnasium.make_vec(
-        env,
-        num_envs=options.worlds,
-        autoreset_mode="same_step",
-        reward=SHAPED_REWARD if options.shaped else REWARD,
-        **(env_options or {}),
-    )
-    assert isinstance(worlds, TaskVectorEnv)
+    _prepare(out, settings, resume)
     scale = ActionScale(worlds.task.interface["control"], worlds.single_action_space, options.relative)
     venv = StableBaselinesVectorEnv(worlds, scale, options.reward_scale)
-    clock = Clock()
-    if checkpoint is None:
-        model = _new_model(venv, options, seed)
-    else:
-        model = PPO.load(checkpoint, env=venv, device="cpu")
-        clock.before = float(json.loads((out / "clock.json").read_text())["seconds"])
+    resumed = _newest_checkpoint(out, venv) if resume else None
+    model = resumed or _new_model(venv, options, seed)
+    checkpoints = Checkpoints(out, options.checkpoint_every)
     # A resumed run plays on in other episodes than those it has seen.
     venv.seed((seed + 1) * TRAINING_SEEDS + model.num_timesteps)
     model.set_logger(configure(str(out / "tensorboard"), ["tensorboard"]))
-    every = max(options.checkpoint_every // options.worlds, 1)
-    callbacks: list[BaseCallback] = [clock, CheckpointCallback(every, str(out / "checkpoints"), "ppo")]
     try:
         remaining = options.steps - model.num_timesteps
         if remaining > 0:
-            model.learn(remaining, callback=callbacks, reset_num_timesteps=False, progress_bar=progress)
+            model.learn(remaining, callback=checkpoints, reset_num_timesteps=False, progress_bar=progress)
     finally:
-        model.save(out / "checkpoints" / f"ppo_{model.num_timesteps}_steps")
-        (out / "clock.json").write_text(json.dumps({"seconds": clock.seconds}))
+        checkpoints.save(model)
         venv.close()
     export(model, scale, out / "agent.onnx")
     card = AgentCard(
@@ -134,7 +127,7 @@ def train(
         observation_shape=list(worlds.single_observation_space.shape or ()),
         action_shape=list(worlds.single_action_space.shape or ()),
         training_steps=model.num_timesteps,
-        training_minutes=round(clock.seconds / 60, 2),
+        training_minutes=round(checkpoints.seconds / 60, 2),
         training_seed=seed,
         learner_options=settings["options"],
         versions=versions() | {name: version(name) for name in ("stable-baselines3", "torch", "onnx")},
@@ -146,21 +139,35 @@ def train(
     return card
 
 
-class Clock(BaseCallback):
-    """Seconds spent on training, over all resumptions."""
+class Checkpoints(BaseCallback):
+    """Saves the model and the seconds spent on it, so that neither is lost however the training ends."""
 
-    def __init__(self) -> None:
+    def __init__(self, out: Path, every: int) -> None:
         super().__init__()
-        self.before = 0.0
+        self._folder, self._clock, self._every = out / "checkpoints", out / "clock.json", every
+        self._before = json.loads(self._clock.read_text())["seconds"] if self._clock.exists() else 0.0
         self._start = time.perf_counter()
+        self._last = 0
 
     @property
     def seconds(self) -> float:
-        """Since training began."""
-        return self.before + time.perf_counter() - self._start
+        """Since training began, over all resumptions."""
+        return float(self._before + time.perf_counter() - self._start)
+
+    def save(self, model: PPO) -> None:
+        """Write a checkpoint, which is whole or not there."""
+        unfinished = self._folder / "unfinished.zip"
+        model.save(unfinished)
+        unfinished.replace(self._folder / f"ppo_{model.num_timesteps}_steps.zip")
+        self._clock.write_text(json.dumps({"seconds": self.seconds}))
 
     def _on_training_start(self) -> None:
-        self._start = time.perf_counter()
+        self._last = self.num_timesteps
+
+    def _on_rollout_start(self) -> None:
+        if self.num_timesteps - self._last >= self._every:
+            self._last = self.num_timesteps
+            self.save(self.model)
 
     def _on_step(self) -> bool:
         return True
@@ -226,29 +233,43 @@ def _falling(initial: float) -> Any:
     return rate
 
 
-def _prepare(out: Path, settings: dict[str, Any], resume: bool) -> Path | None:
-    """Make the folder, or find the newest checkpoint in it."""
+def _prepare(out: Path, settings: dict[str, Any], resume: bool) -> None:
+    """Make the folder, or check that the training in it is the one to go on with; more steps are welcome."""
     record = out / "settings.json"
     if not resume:
         if record.exists():
             raise ConfigurationError(f"{out} holds a training already: resume it (--resume), or choose another folder")
-        (out / "checkpoints").mkdir(parents=True, exist_ok=True)
-        record.write_text(json.dumps(settings, indent=2))
-        return None
+        try:
+            (out / "checkpoints").mkdir(parents=True, exist_ok=True)
+            record.write_text(json.dumps(settings, indent=2))
+        except OSError as error:
+            raise ConfigurationError(f"the training cannot be written to {out}: {error.strerror}") from error
+        return
     if not record.exists():
         raise ConfigurationError(f"there is no training to resume in {out}")
-    before = json.loads(record.read_text())
-    changed = [key for key in settings if before.get(key) != settings[key]]
-    if changed:
-        raise ConfigurationError(f"the training in {out} was started with another {' and '.join(changed)}: {before}")
-    checkpoints = list((out / "checkpoints").glob("ppo_*_steps.zip"))
-    return max(checkpoints, key=lambda path: int(path.stem.split("_")[1]), default=None)
+    before = _flat(json.loads(record.read_text()))
+    for key, value in _flat(settings).items():
+        if before.get(key) != value and key != "steps":
+            raise ConfigurationError(f"the training in {out} was started with {key} {before.get(key)!r}, not {value!r}")
+    record.write_text(json.dumps(settings, indent=2))
+
+
+def _flat(settings: dict[str, Any]) -> dict[str, Any]:
+    return {**settings, **settings["options"], "options": None}
+
+
+def _newest_checkpoint(out: Path, venv: StableBaselinesVectorEnv) -> PPO | None:
+    found = (out / "checkpoints").glob("ppo_*_steps.zip")
+    newest = max(found, key=lambda path: int(path.stem.split("_")[1]), default=None)
+    return None if newest is None else PPO.load(newest, env=venv, device="cpu")
 
 
 def _evaluation(card: Path, env: str, env_options: Mapping[str, Any] | None, episodes: int) -> Evaluation:
     results = evaluate(str(card), env, episodes=episodes, seed=0, worlds=64, env_options=env_options)
     rate = success_rate(results.success.to_numpy(bool))
     assert rate is not None
+    assert rate.low is not None
+    assert rate.high is not None
     steps = results.length[results.success]
     return Evaluation(
         episodes=episodes,

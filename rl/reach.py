@@ -18,6 +18,12 @@ LARGEST_MOVE = 0.2
 """rad that an action can command away from the present joint positions; in one decision a UR5 joint makes 0.126."""
 
 
+LENGTH_SCALE = 2.0
+"""1/m: brings the lengths of an arm's workspace to the order of one."""
+NEARBY = 0.05
+"""m from the target, below which its direction fades."""
+
+
 def progress(state: ReachState) -> NDArray[np.float64]:
     """Reward term (n,): metres come nearer to the target since the last decision."""
     return np.asarray(PROGRESS_REWARD * (state.previous_distance - state.distance))
@@ -27,10 +33,7 @@ SHAPED_REWARD = {**REWARD, "progress": progress}
 
 
 class ReachFeatures(BaseFeaturesExtractor):
-    """Observation (6 + dof,) as the offset to the target, its direction and length, and each joint's sine and cosine.
-
-    Lengths are scaled by the arm's size, so that all features are of the order of one.
-    """
+    """Observation (6 + dof,) as positions, the offset to the target, and each joint's sine and cosine."""
 
     def __init__(self, observation_space: spaces.Box) -> None:
         self.dof = observation_space.shape[0] - 6
@@ -41,26 +44,30 @@ class ReachFeatures(BaseFeaturesExtractor):
         end_effector, joints, target = observations.split((3, self.dof, 3), dim=1)
         offset = target - end_effector
         distance = offset.norm(dim=1, keepdim=True)
-        direction = offset / (distance + 0.05)
-        parts = (2 * end_effector, 2 * target, 2 * offset, direction, 2 * distance, joints.sin(), joints.cos())
-        return torch.cat(parts, dim=1)
+        direction = offset / (distance + NEARBY)
+        lengths = LENGTH_SCALE * torch.cat((end_effector, target, offset, distance), dim=1)
+        return torch.cat((lengths, direction, joints.sin(), joints.cos()), dim=1)
 
 
 class ActionScale(torch.nn.Module):
     """From the network's actions in [-1, 1] to the environment's, for each kind of control.
 
-    Position commands are relative to the observed joint positions, unless `relative` is False; the others, and absolute
-    positions up to half a turn, use the range of the action space.
+    Position commands are relative to the observed joint positions, unless `relative` is False. All else spans the
+    action space, of absolute positions as much of it as is within half a turn.
     """
 
     def __init__(self, control: str, action_space: spaces.Box, relative: bool = True) -> None:
         super().__init__()
         self.relative = relative and control == "position"
-        largest = {"position": LARGEST_MOVE if self.relative else np.pi}.get(control, np.inf)
-        scale = np.minimum(action_space.high, np.float32(largest))
-        self.register_buffer("scale", torch.as_tensor(scale))
+        low, high = action_space.low, action_space.high
+        if self.relative:
+            low, high = np.full_like(low, -LARGEST_MOVE), np.full_like(high, LARGEST_MOVE)
+        elif control == "position":
+            low, high = np.maximum(low, -np.pi), np.minimum(high, np.pi)
+        self.register_buffer("middle", torch.as_tensor((low + high) / 2, dtype=torch.float32))
+        self.register_buffer("span", torch.as_tensor((high - low) / 2, dtype=torch.float32))
 
     def forward(self, observations: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
         """Environment actions (n, dof)."""
-        move = self.scale * actions.clamp(-1, 1)
+        move = self.middle + self.span * actions.clamp(-1, 1)
         return observations[:, 3:-3] + move if self.relative else move

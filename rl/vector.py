@@ -86,8 +86,8 @@ class StableBaselinesVectorEnv(VecEnv):
         setattr(self.env, attr_name, value)
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        """Call a method of the environment once."""
-        return [getattr(self.env, method_name)(*args, **kwargs)]
+        """Call a method of the environment once, for all worlds."""
+        return [getattr(self.env, method_name)(*args, **kwargs)] * len(list(self._get_indices(indices)))
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
         """Never: the worlds have no wrappers of their own."""

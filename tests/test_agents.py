@@ -1,3 +1,4 @@
+import dataclasses
 import json
 import shutil
 from importlib import resources
@@ -111,6 +112,12 @@ def test_no_file_is_ever_unpickled():
         text = file.read_text()
         assert "import pickle" not in text, file
         assert "torch" not in text.replace("torch than", ""), file
+
+
+def test_the_shipped_card_is_of_the_present_learner():
+    from armctl.rl.ppo import PpoOptions
+
+    assert read_card(SHIPPED / "reach_ppo.json").learner_options == dataclasses.asdict(PpoOptions())
 
 
 @pytest.mark.slow

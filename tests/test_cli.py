@@ -101,6 +101,13 @@ def test_run_records_a_video_or_says_what_is_missing(tmp_path):
     assert frames.std() > 20
 
 
+def test_a_policy_in_the_current_folder_is_found(tmp_path):
+    (tmp_path / "mine.py").write_text("def still(env):\n    import armctl; return armctl.make_policy('random', env)\n")
+    assert "mine:still" in armctl("compare", "mine:still", "--episodes", "2", cwd=tmp_path).stdout
+    done = subprocess.run([sys.executable, "-m", "armctl", "list"], capture_output=True, text=True, cwd=tmp_path)
+    assert "reach_ik" in done.stdout
+
+
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
@@ -113,7 +120,11 @@ def test_run_records_a_video_or_says_what_is_missing(tmp_path):
         (["train", "pppo"], "Did you mean 'ppo'"),
         (["train", "ppo", "--env", "armctl/Nothing-v0"], "armctl/ArmReach-v0"),
         (["train", "ppo", "--resume", "--out", "nowhere"], "no training to resume"),
-        (["run", "random", "--video", "/dev/null/film.mp4"], "could not be written|libegl1"),
+        (["run", "random", "--video", "/dev/null/film.mp4"], "cannot be written|libegl1"),
+        (["run", "random", "--video", "film.xyz"], "cannot be written|libegl1"),
+        (["run", "random", "--video", "film.mp4", "--watch"], "exclude each other"),
+        (["run", "random", "--set", "max_episode_steps=abc"], "max_episode_steps"),
+        (["train", "ppo", "--set", "control=nope", "--out", "fresh"], "control"),
     ],
 )
 def test_mistakes_get_one_clear_line(arguments, says, tmp_path):

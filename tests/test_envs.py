@@ -113,6 +113,8 @@ def test_thread_count_changes_nothing():
         (np.zeros(5), "shape"),
         (np.zeros((6, 1)), "shape"),
         (0.0, "shape"),
+        (["up"] * 6, "array of numbers"),
+        (None, "shape|not finite"),
         (np.array([0, 0, np.nan, 0, 0, 0]), "not finite"),
         (np.array([0, np.inf, 0, 0, 0, 0]), "not finite"),
     ],
@@ -215,6 +217,15 @@ def test_bad_number_of_worlds(number):
 def test_bad_seeds(seed):
     with pytest.raises(ConfigurationError, match="seed is a whole number"):
         batch(3).reset(seed=seed)
+
+
+@pytest.mark.parametrize("episode", [-1, 1.5, "x", [0, 1], float("nan")])
+def test_a_bad_episode_number_changes_nothing(episode):
+    env = batch(3)
+    env.reset(seed=5)
+    with pytest.raises(ConfigurationError, match="episode is a whole number"):
+        env.reset(seed=9, options={"episode": episode})
+    assert env.seeds.tolist() == [5, 6, 7]
 
 
 def test_a_reward_term_cannot_change_the_state():

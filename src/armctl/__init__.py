@@ -35,6 +35,9 @@ gymnasium.register(
     max_episode_steps=100,
 )
 
+DEFAULT_ENV = "armctl/ArmReach-v0"
+DEFAULT_POLICIES = ("reach_ik", "reach_ppo", "random")
+
 _HOMES = {
     "load_arm": "armctl.assets",
     "ArmModel": "armctl.kinematics",

@@ -124,10 +124,12 @@ def load_arm(
     for name, limit in (("max_acceleration", max_acceleration), ("max_jerk", max_jerk)):
         if not (np.isfinite(limit) and limit > 0):
             raise ConfigurationError(f"{name} is a finite number above 0, not {limit}")
-    if robot in BUILTIN_ARMS:
-        builtin = BUILTIN_ARMS[str(robot)]
+    if isinstance(robot, str) and robot in BUILTIN_ARMS:
+        builtin = BUILTIN_ARMS[robot]
         path, tip, srdf = robot_data() / builtin.urdf, tip or builtin.tip, srdf or robot_data() / builtin.srdf
         home = builtin.home if home is None else home
+    elif not isinstance(robot, (str, Path)):
+        raise ConfigurationError(f"a robot is a name, a path or what load_arm returned, not {robot!r}")
     else:
         path = Path(robot).resolve()
         if path.suffix.lower() not in (".urdf", ".xml"):

@@ -7,6 +7,7 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
+from armctl import DEFAULT_ENV, DEFAULT_POLICIES
 from armctl.errors import ArmctlError, ConfigurationError
 
 app = typer.Typer(
@@ -18,8 +19,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
 )
-
-DEFAULT_ENV = "armctl/ArmReach-v0"
 
 Env = Annotated[str, typer.Option("--env", help="Environment id; `armctl list` shows them.")]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of the episodes: the same seed, the same episodes.")]
@@ -42,18 +41,17 @@ Worlds = Annotated[
 @app.command("list")
 def list_() -> None:
     """Show the environments, policies, robots and learners."""
-    from importlib.metadata import entry_points
-
     from rich import print as show
 
     from armctl.assets import BUILTIN_ARMS
     from armctl.evaluation.rollouts import environment_names
+    from armctl.learners import learner_names
     from armctl.policies import policy_names
 
     show("[bold]environments[/]  " + "  ".join(environment_names()))
     show("[bold]policies[/]      " + "  ".join(policy_names()) + "  path/to/agent.json  module:function")
     show("[bold]robots[/]        " + "  ".join(BUILTIN_ARMS) + "  path/to/your.urdf")
-    show("[bold]learners[/]      " + "  ".join(sorted(entry_points(group="armctl.learners").names)))
+    show("[bold]learners[/]      " + "  ".join(learner_names()))
 
 
 @app.command()
@@ -61,7 +59,7 @@ def compare(
     policies: Annotated[
         list[str] | None,
         typer.Argument(
-            help="Policies: names, agents' files, or `module:function`.", show_default="reach_ik reach_ppo random"
+            help="Policies: names, agents' files, or `module:function`.", show_default=" ".join(DEFAULT_POLICIES)
         ),
     ] = None,
     env: Env = DEFAULT_ENV,
@@ -88,7 +86,7 @@ def compare(
     from armctl.evaluation import compare as run_comparison
     from armctl.evaluation.report import tables
 
-    names = policies or ["reach_ik", "reach_ppo", "random"]
+    names = policies or list(DEFAULT_POLICIES)
     folder = out or Path("results") / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
     columns = (TextColumn("{task.description:>12}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
@@ -133,7 +131,8 @@ def run(
     """Play episodes with one policy, and print its states, actions and rewards."""
     from armctl.evaluation.runner import run_episodes
 
-    run_episodes(policy, env, episodes, steps, seed, video, watch, _options(env_options))
+    if not run_episodes(policy, env, episodes, steps, seed, video, watch, _options(env_options)):
+        raise typer.Exit(130)
 
 
 @app.command()

@@ -70,6 +70,8 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         )
         if render_mode not in (None, *RENDER_MODES):
             raise unknown_name("render_mode", render_mode, RENDER_MODES)
+        if not isinstance(threads, int) or threads < 0:
+            raise ConfigurationError(f"threads is a whole number, 0 for all cores, not {threads!r}")
         self.render_mode = render_mode
         self.autoreset_mode = _autoreset_mode(autoreset_mode)
         self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode}
@@ -102,17 +104,16 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             raise ConfigurationError(f"reset_mask is a bool array ({self.num_envs},), not {mask.dtype} {mask.shape}")
         if seed is None and not self._seeded:
             seed = int(np.random.SeedSequence().generate_state(1)[0])
-        if seed is not None:
-            seeds = self._world_seeds(seed)
+        seeds = None if seed is None else self._whole_numbers("seed", seed)
+        numbers = self._whole_numbers("episode", options["episode"]) if "episode" in options else None
+        if seeds is not None:
+            seeds = seeds if isinstance(seed, list) else seeds + np.arange(self.num_envs)
             super().reset(seed=int(seeds[0]))
             self._seeds[mask] = seeds[mask]
             self._episodes[mask] = -1
             self._seeded = True
-        if "episode" in options:
-            numbers = np.broadcast_to(options["episode"], self.num_envs)[mask]
-            if (numbers < 0).any():
-                raise ConfigurationError(f"episodes are numbered from 0 on, not {numbers.min()}")
-            self._episodes[mask] = numbers - 1
+        if numbers is not None:
+            self._episodes[mask] = numbers[mask] - 1
         self._begin(np.flatnonzero(mask))
         return self.task.observe(), self.task.details()
 
@@ -193,16 +194,17 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         rngs = [np.random.default_rng((seed, k)) for seed, k in zip(self._seeds[ids], self._episodes[ids], strict=True)]
         self.task.reset(ids.astype(np.int32), rngs)
 
-    def _world_seeds(self, seed: int | list[int]) -> NDArray[np.int64]:
-        seeds = np.asarray(seed)
-        if seeds.shape not in ((), (self.num_envs,)) or seeds.dtype.kind not in "iu" or (seeds < 0).any():
-            raise ConfigurationError(f"seed is a whole number from 0 on, or {self.num_envs} of them, not {seed}")
-        return seeds if seeds.ndim else seeds + np.arange(self.num_envs)
+    def _whole_numbers(self, name: str, given: Any) -> NDArray[np.int64]:
+        numbers = np.asarray(given)
+        usable = numbers.shape in ((), (self.num_envs,)) and numbers.dtype.kind in "iu"
+        if not usable or (numbers < 0).any() or (numbers >= 2**62).any():
+            raise ConfigurationError(f"{name} is a whole number from 0 on, or {self.num_envs} of them, not {given!r}")
+        return np.broadcast_to(numbers, self.num_envs).astype(np.int64)
 
     def _checked(self, actions: ArrayLike) -> Array:
         if not self._seeded:
             raise gymnasium.error.ResetNeeded("call reset() before the first step()")
-        checked = np.array(actions, dtype=float)
+        checked = _numbers(actions)
         if checked.shape != self.action_space.shape:
             raise InvalidAction(f"actions have shape {checked.shape}; expected {self.action_space.shape}")
         if not np.isfinite(checked).all():
@@ -255,7 +257,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         """Make one decision. Raises `InvalidAction`, and steps nothing, if the action is unusable."""
         if self.worlds._finished[0]:
             raise gymnasium.error.ResetNeeded("the episode has ended, or none has begun: call reset() before step()")
-        given = np.asarray(action, dtype=float)
+        given = _numbers(action)
         if given.shape != self.action_space.shape:
             raise InvalidAction(f"the action has shape {given.shape}; expected {self.action_space.shape}")
         observations, rewards, terminated, truncated, infos = self.worlds.step(given[None])
@@ -285,6 +287,13 @@ def make_options(options_type: type[Any], options: Mapping[str, Any]) -> Any:
 def _first(infos: Infos) -> Infos:
     """The first world's share of a vector environment's infos."""
     return {key: _first(value) if isinstance(value, dict) else value[0].item() for key, value in infos.items()}
+
+
+def _numbers(actions: ArrayLike) -> Array:
+    try:
+        return np.array(actions, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise InvalidAction(f"an action is an array of numbers, not {actions!r}") from error
 
 
 def _at_least_one(name: str, value: int) -> int:

@@ -19,6 +19,11 @@ class Learner(Protocol):
     ) -> AgentCard: ...
 
 
+def learner_names() -> list[str]:
+    """Names of all installed learners."""
+    return sorted(entry_points(group=GROUP).names)
+
+
 def load_learner(name: str) -> Learner:
     """The installed learner of that name; raises `ConfigurationError` without it, or without the extra `rl`."""
     entries = entry_points(group=GROUP)

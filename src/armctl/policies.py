@@ -4,6 +4,8 @@ A package offers a policy under the entry-point group `armctl.policies`: a funct
 """
 
 import importlib
+import os
+import sys
 from collections.abc import Callable, Sequence
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -15,7 +17,7 @@ from numpy.typing import NDArray
 
 from armctl.agents import load_agent
 from armctl.envs import TaskEnv, TaskVectorEnv
-from armctl.errors import ConfigurationError, unknown_name
+from armctl.errors import ArmctlError, ConfigurationError, unknown_name
 
 Observations = NDArray[np.float32]
 Actions = NDArray[np.floating[Any]]
@@ -78,6 +80,11 @@ def policy_names() -> list[str]:
     return sorted(entry.name for entry in entry_points(group=GROUP))
 
 
+def policy_name(policy: Any) -> str:
+    """How a policy is called in results."""
+    return str(policy) if isinstance(policy, (str, Path)) else getattr(policy, "__name__", type(policy).__name__)
+
+
 def make_policy(policy: str | Path | PolicyFactory | Policy, env: gymnasium.Env[Any, Any] | TaskVectorEnv) -> Policy:
     """Make a policy for the worlds of `env`.
 
@@ -93,10 +100,16 @@ def make_policy(policy: str | Path | PolicyFactory | Policy, env: gymnasium.Env[
         raise ConfigurationError(f"policies act in armctl's environments; {env} is none")
     if isinstance(policy, Policy) and not isinstance(policy, type):
         return policy
-    made = _factory(policy)(worlds)
+    try:
+        made = _factory(policy)(worlds)
+    except ArmctlError:
+        raise
+    except Exception as error:
+        raise ConfigurationError(f"{policy_name(policy)} could not be made: {type(error).__name__}: {error}") from error
     if not isinstance(made, Policy):
         raise ConfigurationError(
-            f"{policy} made a {type(made).__name__}, which is no policy: it needs sees, training_steps, reset, act"
+            f"{policy_name(policy)} made a {type(made).__name__}, which is no policy: "
+            "it needs sees, training_steps, reset and act"
         )
     return made
 
@@ -112,6 +125,8 @@ def _factory(policy: Any) -> PolicyFactory:
     module, _, attribute = name.partition(":")
     if not attribute:
         raise unknown_name("policy", name, [*policy_names(), "path/to/agent.json", "module:function"])
+    if os.getcwd() not in sys.path:
+        sys.path.append(os.getcwd())  # a console script does not look where it is called
     try:
         return getattr(importlib.import_module(module), attribute)  # type: ignore[no-any-return]
     except (ImportError, AttributeError) as error:

@@ -46,6 +46,12 @@ def test_reach_ik_refuses_torque_control():
         make_policy("reach_ik", gymnasium.make("armctl/ArmReach-v0", control="torque"))
 
 
+def test_reach_ik_refuses_another_observation():
+    env = gymnasium.make("armctl/ArmReach-v0", observation={"q": lambda state: state.joint_positions})
+    with pytest.raises(ConfigurationError, match="reads the observation"):
+        make_policy("reach_ik", env)
+
+
 def test_reach_ik_survives_targets_out_of_reach():
     options = {"target": "box", "target_box": ((1.5, 1.5, 1.5), (2, 2, 2))}
     results = evaluate("reach_ik", episodes=3, env_options=options)

@@ -156,7 +156,14 @@ def test_a_full_disk_is_reported_and_the_tables_are_there(tmp_path):
         ({"env": "CartPole-v1"}, "not one of armctl's environments"),
         ({"episodes": 0}, "count from 1"),
         ({"worlds": 0}, "count from 1"),
-        ({"seed": -1}, "count from 1"),
+        ({"seed": -1}, "seed is a whole number"),
+        ({"seed": 2**63}, "seed is a whole number"),
+        ({"policies": ["json:loads"]}, "could not be made"),
+        ({"env_options": {"num_envs": 3}}, "num_envs"),
+        ({"env_options": {"tolerance": "wide"}}, "tolerance"),
+        ({"env_options": {"target_box": 5}}, "target_box"),
+        ({"env_options": {"robot": 5}}, "robot"),
+        ({"env_options": {"observation": "all"}}, "observation"),
         ({"env_options": {"robot": "ur7"}}, "Did you mean"),
     ],
 )
@@ -170,8 +177,75 @@ def test_infeasible_episodes_are_told_apart():
     comparison = compare(["reach_ik"], episodes=30, env_options={"target": "box"})
     summary = comparison.policies[0]
     assert 0 < summary.infeasible < 30
-    assert summary.success.value == pytest.approx(summary.successes / (30 - summary.infeasible))
+    assert summary.episodes == 30 - summary.infeasible
+    assert summary.success.value == 1
     assert f"{summary.infeasible} episodes have a target out of reach" in text_of(comparison)
+
+
+def test_all_figures_are_over_the_same_feasible_episodes():
+    comparison = compare(["reach_ik", "random"], episodes=25, env_options={"target": "box"})
+    ik, random = comparison.policies
+    (pair,) = comparison.paired
+    assert ik.episodes == random.episodes == pair.episodes == 25 - ik.infeasible < 25
+    assert pair.only_a - pair.only_b == pytest.approx(pair.episodes * (ik.success.value - random.success.value))
+
+
+def winning_every_second(env):
+    """Holds still in every second episode, and fails after the seventh decision there."""
+    expert = armctl.make_policy("reach_ik", env)
+
+    class EverySecond:
+        sees = "observation"
+        training_steps = 0
+
+        def reset(self, ids):
+            expert.reset(ids)
+
+        def act(self, observations):
+            actions = expert.act(observations)
+            for world, episode in enumerate(env.episodes):
+                if episode % 2:
+                    actions[world] = observations[world, 3:9]
+            if env.episodes.max() > 24:
+                raise RuntimeError("out of ideas")
+            return actions
+
+    return EverySecond()
+
+
+def test_a_policy_cut_short_is_not_judged_by_its_short_episodes():
+    comparison = compare([winning_every_second, "random"], episodes=40, worlds=10)
+    summary = comparison.policies[0]
+    assert summary.success.value <= 0.6
+    assert summary.episodes < len(comparison.episodes.query("policy == 'winning_every_second'"))
+    assert "was cut short" in text_of(comparison)
+
+
+def test_policies_may_be_functions_or_a_single_name(tmp_path):
+    compare([winning_every_second], episodes=2, out=tmp_path)
+    assert pd.read_csv(tmp_path / "episodes.csv").policy.unique().tolist() == ["winning_every_second"]
+    assert compare("random", episodes=1).policies[0].policy == "random"
+
+
+def odd_reset(env):
+    policy = armctl.make_policy("random", env)
+    policy.reset = lambda ids: 1 / 0
+    return policy
+
+
+def words(env):
+    policy = armctl.make_policy("random", env)
+    policy.act = lambda observations: [["up"] * 6] * len(observations)
+    return policy
+
+
+@pytest.mark.parametrize(("policy", "says"), [(odd_reset, "ZeroDivisionError"), (words, "array of numbers")])
+def test_whatever_a_policy_does_wrong_is_its_own_failure(policy, says):
+    assert says in compare([policy], episodes=1).failures[policy.__name__]
+
+
+def test_no_verdict_from_few_episodes():
+    assert "No verdict from 3 episodes" in text_of(compare(["reach_ik", "random"], episodes=3))
 
 
 def test_tables_fit_a_narrow_terminal():

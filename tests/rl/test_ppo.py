@@ -1,5 +1,7 @@
+import dataclasses
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -71,8 +73,24 @@ def test_a_used_folder_is_not_overwritten_and_settings_must_match(trained):
     out, _ = trained
     with pytest.raises(ConfigurationError, match="--resume"):
         train(out=out, options=SMALL, seed=3)
-    with pytest.raises(ConfigurationError, match="another seed"):
+    with pytest.raises(ConfigurationError, match="seed 3, not 4"):
         train(out=out, options=SMALL, seed=4, resume=True)
+    with pytest.raises(ConfigurationError, match=r"gamma 0.97, not 0.5"):
+        train(out=out, options=dataclasses.replace(SMALL, gamma=0.5), seed=3, resume=True)
+
+
+def test_a_killed_training_resumes_and_a_finished_one_may_go_on(trained, tmp_path):
+    out = shutil.copytree(trained[0], tmp_path / "small")
+    (out / "clock.json").unlink()
+    (out / "checkpoints" / "unfinished.zip").write_text("half a file")
+    card = train(out=out, options=dataclasses.replace(SMALL, steps=6000), seed=3, resume=True, progress=False)
+    assert card.training_steps == 6144
+
+
+def test_an_unusable_option_leaves_no_folder(tmp_path):
+    with pytest.raises(ConfigurationError, match="control"):
+        train(out=tmp_path / "run", env_options={"control": "nope"}, options=SMALL)
+    assert not (tmp_path / "run").exists()
 
 
 def test_only_environments_with_a_recipe_are_trained(tmp_path):

@@ -1,24 +1,22 @@
 """Several policies on the very same episodes."""
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from armctl import DEFAULT_ENV, DEFAULT_POLICIES
 from armctl.errors import ConfigurationError, ResultsError
 from armctl.evaluation.report import EpisodeLog, write_summary
 from armctl.evaluation.rollouts import COLUMNS, EpisodeResult, PolicyFailed, make_worlds, rollouts
 from armctl.evaluation.statistics import Estimate, PairedDifference, mean, paired_difference, success_rate
-from armctl.policies import make_policy
-
-DEFAULT_POLICIES = ("reach_ik", "reach_ppo", "random")
-DEFAULT_ENV = "armctl/ArmReach-v0"
+from armctl.policies import PolicyFactory, make_policy, policy_name
 
 
 @dataclass(frozen=True)
@@ -28,10 +26,12 @@ class PolicySummary:
     policy: str
     sees: str
     training_steps: int
+    planned: int
+    """Episodes that were to be played."""
     episodes: int
+    """Episodes that the figures are over: played, without a gap from the first on, and feasible."""
     infeasible: int
-    """Episodes that no policy can win, left out of the success rate."""
-    successes: int
+    """Episodes with a target out of reach, that no policy won: left out of all figures."""
     success: Estimate | None
     episode_return: Estimate | None
     steps_to_goal: Estimate | None
@@ -56,14 +56,8 @@ class Comparison:
     interrupted: bool = False
 
 
-class Progress(Protocol):
-    """Is told of every finished episode."""
-
-    def __call__(self, result: EpisodeResult) -> None: ...  # noqa: D102
-
-
 def compare(
-    policies: Sequence[str] = DEFAULT_POLICIES,
+    policies: Sequence[str | PolicyFactory] = DEFAULT_POLICIES,
     env: str = DEFAULT_ENV,
     *,
     episodes: int = 200,
@@ -72,7 +66,7 @@ def compare(
     overwrite: bool = False,
     worlds: int = 1,
     env_options: Mapping[str, Any] | None = None,
-    progress: Progress | None = None,
+    progress: Callable[[EpisodeResult], None] | None = None,
 ) -> Comparison:
     """Let policies meet the same episodes 0 to `episodes` - 1 of `seed`.
 
@@ -80,19 +74,23 @@ def compare(
     interrupt (Ctrl-C), a failing policy or a full disk loses nothing that was finished. With one world (the default)
     decision times are latencies; with more they are shares of a batch.
 
+    Policies are names, agents' files, `module:function`, or functions (see `make_policy`). `progress` is told of every
+    finished episode.
+
     Raises `ConfigurationError`, `AgentFileError`, and `ResultsError` if `out` cannot be written or holds results.
     """
-    names = list(policies)
-    if len(set(names)) != len(names) or not names:
-        raise ConfigurationError(f"a comparison needs policies, each once, not {names}")
-    if episodes < 1 or worlds < 1 or seed < 0:
-        raise ConfigurationError(f"episodes and worlds count from 1 and seeds from 0, not {episodes}, {worlds}, {seed}")
-    made_env = make_worlds(env, min(worlds, episodes), env_options)
-    made = {name: make_policy(name, made_env) for name in names}
+    by_name = {policy_name(policy): policy for policy in ([policies] if isinstance(policies, str) else policies)}
+    if not by_name or (not isinstance(policies, str) and len(by_name) != len(policies)):
+        raise ConfigurationError(f"a comparison needs policies, each once, not {policies}")
+    if episodes < 1 or worlds < 1:
+        raise ConfigurationError(f"episodes and worlds count from 1, not {episodes} and {worlds}")
     comparison = Comparison(env, seed, dict(env_options or {}), pd.DataFrame(columns=list(COLUMNS)))
     results: list[EpisodeResult] = []
     with ExitStack() as stack:
+        made_env = make_worlds(env, min(worlds, episodes), env_options)
         stack.callback(made_env.close)
+        made_env.reset(seed=seed)  # an unusable seed is to be found before anything is written
+        made = {name: make_policy(policy, made_env) for name, policy in by_name.items()}
         log = stack.enter_context(EpisodeLog(Path(out), overwrite)) if out is not None else None
         try:
             for name, policy in made.items():
@@ -112,12 +110,13 @@ def compare(
             comparison.interrupted = True
     if results:
         comparison.episodes = pd.DataFrame([result.row() for result in results])
+        counted, infeasible = _counted(results)
         comparison.policies = [
-            _summary(name, policy.sees, policy.training_steps, [r for r in results if r.policy == name])
+            _summary(name, policy.sees, policy.training_steps, episodes, infeasible, counted[name])
             for name, policy in made.items()
-            if any(r.policy == name for r in results)
+            if counted.get(name)
         ]
-        comparison.paired = _paired(comparison.episodes, [summary.policy for summary in comparison.policies])
+        comparison.paired = _paired(counted)
     if out is not None:
         try:
             write_summary(Path(out), comparison)
@@ -126,18 +125,34 @@ def compare(
     return comparison
 
 
-def _summary(name: str, sees: str, training_steps: int, results: list[EpisodeResult]) -> PolicySummary:
-    feasible = np.array([result.feasible for result in results])
-    success = np.array([result.success for result in results])
+def _counted(results: list[EpisodeResult]) -> tuple[dict[str, list[EpisodeResult]], int]:
+    """The results that figures are over, by policy and episode, and the number of infeasible episodes left out.
+
+    Of a policy that was cut short, those from the first episode to the first gap: with many worlds, short episodes end
+    first, and to count them alone would favour it.
+    """
+    won = {result.episode for result in results if result.success}
+    infeasible = {result.episode for result in results if not result.feasible} - won
+    counted = {}
+    for name, played in itertools.groupby(results, key=lambda result: result.policy):
+        in_order = sorted(played, key=lambda result: result.episode)
+        unbroken = itertools.takewhile(lambda pair: pair[0] == pair[1].episode, enumerate(in_order))
+        counted[name] = [result for _, result in unbroken if result.episode not in infeasible]
+    return counted, len(infeasible)
+
+
+def _summary(
+    name: str, sees: str, training_steps: int, planned: int, infeasible: int, results: list[EpisodeResult]
+) -> PolicySummary:
     decisions = np.concatenate([result.decision_ms for result in results])
     return PolicySummary(
         name,
         sees,
         training_steps,
+        planned,
         len(results),
-        int((~feasible & ~success).sum()),
-        int(success.sum()),
-        success_rate(success[feasible | success]),
+        infeasible,
+        success_rate(np.array([result.success for result in results])),
         mean(np.array([result.total_reward for result in results])),
         mean(np.array([float(result.length) for result in results if result.success])),
         float(np.quantile(decisions, 0.5)),
@@ -145,22 +160,23 @@ def _summary(name: str, sees: str, training_steps: int, results: list[EpisodeRes
     )
 
 
-def _paired(episodes: pd.DataFrame, names: list[str]) -> list[PairedDifference]:
-    differences = []
-    for a, b in itertools.combinations(names, 2):
-        pair = episodes[episodes.policy == a].merge(episodes[episodes.policy == b], on="episode", suffixes=("_a", "_b"))
-        if len(pair):
-            differences.append(
-                paired_difference(
-                    a,
-                    b,
-                    _columns(pair, "success", bool),
-                    _columns(pair, "return", float),
-                    _columns(pair, "length", float),
-                )
-            )
-    return differences
+def _paired(counted: dict[str, list[EpisodeResult]]) -> list[PairedDifference]:
+    return [
+        paired_difference(
+            a,
+            b,
+            _both(counted[a], counted[b], lambda result: result.success),
+            _both(counted[a], counted[b], lambda result: result.total_reward),
+            _both(counted[a], counted[b], lambda result: float(result.length)),
+        )
+        for a, b in itertools.combinations(counted, 2)
+        if counted[a] and counted[b]
+    ]
 
 
-def _columns(pair: pd.DataFrame, name: str, dtype: type[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    return pair[f"{name}_a"].to_numpy(dtype), pair[f"{name}_b"].to_numpy(dtype)
+def _both(
+    a: list[EpisodeResult], b: list[EpisodeResult], value: Callable[[EpisodeResult], float]
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """A value of the episodes that both played: the first ones, since neither has gaps."""
+    pairs = list(zip(a, b, strict=False))
+    return np.array([value(first) for first, _ in pairs]), np.array([value(second) for _, second in pairs])

@@ -23,6 +23,8 @@ from armctl.evaluation.statistics import Estimate, PairedDifference
 if TYPE_CHECKING:
     from armctl.evaluation.compare import Comparison
 
+FEWEST_PAIRS = 10
+"""Paired episodes below which no verdict is given."""
 EPISODES, SUMMARY = "episodes.csv", "summary.json"
 
 
@@ -40,6 +42,7 @@ class EpisodeLog:
             )
         try:
             folder.mkdir(parents=True, exist_ok=True)
+            (folder / SUMMARY).unlink(missing_ok=True)
             self._file = self._path.open("w", newline="")
         except OSError as error:
             raise ResultsError(f"results cannot be written to {folder}: {error.strerror}") from error
@@ -96,18 +99,23 @@ def tables(comparison: "Comparison") -> Group:
     parts: list[Table | Text] = [_policy_table(comparison)] if comparison.policies else []
     if comparison.paired:
         parts += [Text(), _paired_table(comparison.paired), Text(), Text(verdict(comparison), style="bold")]
-    infeasible = max((policy.infeasible for policy in comparison.policies), default=0)
-    if infeasible:
-        parts.append(Text(f"{infeasible} episodes have a target out of reach; they are left out of the success rate."))
+    if comparison.policies and (infeasible := comparison.policies[0].infeasible):
+        parts.append(Text(f"{infeasible} episodes have a target out of reach; they are left out of all figures."))
     parts += [Text(message, style="red") for message in comparison.failures.values()]
     if comparison.interrupted:
-        counts = ", ".join(f"{policy.episodes} of {policy.policy}" for policy in comparison.policies) or "none"
-        parts.append(Text(f"Interrupted. Episodes finished: {counts}.", style="yellow"))
+        parts.append(Text("Interrupted.", style="yellow"))
+    for policy in comparison.policies:
+        if policy.episodes < policy.planned - policy.infeasible:
+            counts = f"the first {policy.episodes} of {policy.planned} episodes"
+            parts.append(Text(f"{policy.policy} was cut short: its figures are over {counts}.", style="yellow"))
     return Group(*parts)
 
 
 def verdict(comparison: "Comparison") -> str:
     """The two best policies in a sentence: which wins more often, and which earns more, or that neither is shown to."""
+    fewest = min(pair.episodes for pair in comparison.paired)
+    if fewest < FEWEST_PAIRS:
+        return f"No verdict from {fewest} episodes: it takes {FEWEST_PAIRS}."
     ranked = sorted(comparison.policies, key=lambda policy: _rank(policy.success, policy.episode_return), reverse=True)
     best, second = (policy.policy for policy in ranked[:2])
     pair = next(pair for pair in comparison.paired if {pair.a, pair.b} == {best, second})
@@ -117,7 +125,7 @@ def verdict(comparison: "Comparison") -> str:
     else:
         first = f"{best} and {second} cannot be told apart by success (p = {pair.mcnemar_p:.2g})"
     gain = pair.return_difference
-    if gain.low <= 0 <= gain.high:
+    if gain.low is None or gain.high is None or gain.low <= 0 <= gain.high:
         return f"{first}; their returns cannot be told apart."
     better, other = (pair.a, pair.b) if gain.value > 0 else (pair.b, pair.a)
     low, high = sorted((abs(gain.low), abs(gain.high)))
@@ -130,7 +138,7 @@ def _rank(success: Estimate | None, episode_return: Estimate | None) -> tuple[fl
 
 def _policy_table(comparison: "Comparison") -> Table:
     table = _table(
-        f"{comparison.env}: {comparison.policies[0].episodes} episodes of seed {comparison.seed}",
+        f"{comparison.env}: {comparison.policies[0].planned} episodes of seed {comparison.seed}",
         "Second lines: training steps, 95 % intervals, 99th percentile. Steps: to the goal, where it was reached.",
         ["policy", "success", "return", "steps", "decision ms", "sees"],
     )
@@ -176,7 +184,8 @@ def _table(title: str, caption: str, headings: list[str]) -> Table:
 def _percent(estimate: Estimate | None) -> str:
     if estimate is None:
         return "-"
-    return f"{100 * estimate.value:.1f} %\n" + _interval(100 * estimate.low, 100 * estimate.high)
+    low, high = (None if bound is None else 100 * bound for bound in (estimate.low, estimate.high))
+    return f"{100 * estimate.value:.1f} %\n" + _interval(low, high)
 
 
 def _plain(estimate: Estimate | None, sign: str = "") -> str:
@@ -185,8 +194,8 @@ def _plain(estimate: Estimate | None, sign: str = "") -> str:
     return f"{_short(estimate.value, sign)}\n" + _interval(estimate.low, estimate.high, sign)
 
 
-def _interval(low: float, high: float, sign: str = "") -> str:
-    return f"{_short(low, sign)} to {_short(high, sign)}"
+def _interval(low: float | None, high: float | None, sign: str = "") -> str:
+    return "unknown" if low is None or high is None else f"{_short(low, sign)} to {_short(high, sign)}"
 
 
 def _short(value: float, sign: str = "") -> str:

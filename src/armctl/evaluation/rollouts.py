@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,9 +13,10 @@ import pandas as pd
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from armctl import DEFAULT_ENV
 from armctl.envs import TaskVectorEnv
-from armctl.errors import ArmctlError, ConfigurationError
-from armctl.policies import Policy, PolicyFactory, make_policy
+from armctl.errors import ArmctlError, ConfigurationError, InvalidAction
+from armctl.policies import Policy, PolicyFactory, make_policy, policy_name
 
 COLUMNS = (
     "policy", "env", "episode", "seed", "outcome", "success", "feasible", "return", "length", "decision_ms_p50",
@@ -55,6 +56,8 @@ class EpisodeResult:
 
 def make_worlds(env: str, worlds: int, options: Mapping[str, Any] | None = None) -> TaskVectorEnv:
     """`worlds` worlds of an environment, that stand still after an episode. Raises `ConfigurationError`."""
+    if reserved := {"num_envs", "autoreset_mode", "render_mode", "threads"} & set(options or {}):
+        raise ConfigurationError(f"{reserved.pop()} is no option to set here: evaluation has its own")
     if env in gymnasium.registry and env not in environment_names():
         raise ConfigurationError(f"{env} is not one of armctl's environments: {', '.join(environment_names())}")
     try:
@@ -86,23 +89,18 @@ def rollouts(
     waiting = iter(range(n, episodes))
     observations, details = env.reset(seed=[seed] * n, options={"episode": numbers})
     feasible = details.get("feasible", np.ones(n, dtype=bool))
-    policy.reset(np.arange(n, dtype=np.int32))
+    with blaming(name, 0):
+        policy.reset(np.arange(n, dtype=np.int32))
     returns = np.zeros(n)
     times: list[list[float]] = [[] for _ in range(n)]
     spec = env.spec.id if env.spec else type(env).__name__
     while mask.any():
         start = time.perf_counter()
-        try:
+        with blaming(name, numbers[mask][0]):
             actions = policy.act(observations)
-        except Exception as error:
-            raise PolicyFailed(
-                f"{name} failed in episode {numbers[mask][0]}: {type(error).__name__}: {error}"
-            ) from error
         elapsed = 1e3 * (time.perf_counter() - start) / n
-        try:
+        with blaming(name, numbers[mask][0]):
             observations, rewards, terminated, truncated, infos = env.step(actions)
-        except ArmctlError as error:
-            raise PolicyFailed(f"{name} failed in episode {numbers[mask][0]}: {error}") from error
         returns += rewards
         for i in np.flatnonzero(mask):
             times[i].append(elapsed)
@@ -120,14 +118,26 @@ def rollouts(
         again[ended] = numbers[ended] >= 0
         mask[ended] = again[ended]
         if again.any():
-            observations, details = env.reset(options={"reset_mask": again, "episode": numbers})
+            observations, details = env.reset(options={"reset_mask": again, "episode": np.maximum(numbers, 0)})
             feasible = details.get("feasible", feasible)
-            policy.reset(np.flatnonzero(again).astype(np.int32))
+            with blaming(name, numbers[again][0]):
+                policy.reset(np.flatnonzero(again).astype(np.int32))
+
+
+@contextmanager
+def blaming(name: str, episode: int) -> Iterator[None]:
+    """Turn whatever goes wrong inside into `PolicyFailed`."""
+    try:
+        yield
+    except InvalidAction as error:
+        raise PolicyFailed(f"{name} failed in episode {episode}: {error}") from error
+    except Exception as error:
+        raise PolicyFailed(f"{name} failed in episode {episode}: {type(error).__name__}: {error}") from error
 
 
 def evaluate(
     policy: str | Path | PolicyFactory,
-    env: str = "armctl/ArmReach-v0",
+    env: str = DEFAULT_ENV,
     *,
     episodes: int = 200,
     seed: int = 0,
@@ -138,8 +148,9 @@ def evaluate(
 
     Raises `ConfigurationError`, `AgentFileError` or `PolicyFailed`.
     """
-    name = policy if isinstance(policy, str) else getattr(policy, "__name__", str(policy))
+    if episodes < 1 or worlds < 1:
+        raise ConfigurationError(f"episodes and worlds count from 1, not {episodes} and {worlds}")
     with closing(make_worlds(env, min(worlds, episodes), env_options)) as made_env:
         made = make_policy(policy, made_env)
-        rows = [result.row() for result in rollouts(made, made_env, episodes, seed, name)]
+        rows = [result.row() for result in rollouts(made, made_env, episodes, seed, policy_name(policy))]
     return pd.DataFrame(rows, columns=list(COLUMNS)).sort_values("episode", ignore_index=True)

@@ -1,19 +1,23 @@
 """The runner of old: N episodes of M steps, with states, actions and rewards for all to see, and on video."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import gymnasium
-import imageio.v3 as imageio
+import imageio
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
 from armctl.envs import RENDER_FPS
 from armctl.errors import ConfigurationError, ResultsError
+from armctl.evaluation.rollouts import blaming
 from armctl.policies import make_policy
+
+Film = Callable[[NDArray[np.uint8]], None]
 
 
 def run_episodes(
@@ -25,47 +29,59 @@ def run_episodes(
     video: Path | None,
     watch: bool,
     env_options: Mapping[str, Any],
-) -> None:
-    """Play episodes with one policy, and print each step.
+) -> bool:
+    """Play episodes with one policy, and print each step; False if interrupted.
 
-    Raises `ConfigurationError`, `AgentFileError`, or `ResultsError` for a video that cannot be written.
+    Raises `ConfigurationError`, `AgentFileError`, `PolicyFailed`, or `ResultsError` for a video that cannot be written.
     """
+    if watch and video:
+        raise ConfigurationError("--watch and --video exclude each other: the window shows, the video records")
     console = Console()
     world: Any = _make(env, steps, "human" if watch else "rgb_array" if video else None, env_options)
     actor = make_policy(policy, world)
-    frames: list[NDArray[np.uint8]] = []
     try:
-        for episode in range(episodes):
-            observation, info = world.reset(seed=seed, options={"episode": episode})
-            actor.reset(np.zeros(1, dtype=np.int32))
-            console.rule(f"{policy}, episode {episode} of seed {seed}", align="left")
-            total, step, finished = 0.0, 0, False
-            while not finished:
-                if video:
-                    frames.append(world.render())
-                action = actor.act(observation[None])[0]
-                state = {name: part.copy() for name, part in world.unwrapped.task.parts().items()}
-                observation, reward, terminated, truncated, info = world.step(action)
-                if watch:
-                    time.sleep(1 / RENDER_FPS)
-                _print_step(console, step, state | {"action": action[None]}, info["reward_terms"], float(reward))
-                total, step, finished = total + float(reward), step + 1, terminated or truncated
-            if video:
-                frames += [world.render()] * (RENDER_FPS // 2)
-            console.print(f"[bold]{info['outcome']} after {step} steps, return {total:g}[/]\n")
+        with _film(video, console) as film:
+            for episode in range(episodes):
+                console.rule(f"{policy}, episode {episode} of seed {seed}", align="left")
+                _play(console, policy, actor, world, seed, episode, film, watch)
     except KeyboardInterrupt:
         console.print("Interrupted.")
+        return False
     finally:
         world.close()
-        if video and frames:
-            _save(video, frames)
-            console.print(f"{video}: {len(frames)} frames")
+    return True
+
+
+def _play(
+    console: Console, name: str, actor: Any, world: Any, seed: int, episode: int, film: Film | None, watch: bool
+) -> None:
+    observation, info = world.reset(seed=seed, options={"episode": episode})
+    total, step, finished = 0.0, 0, False
+    with blaming(name, episode):
+        actor.reset(np.zeros(1, dtype=np.int32))
+    while not finished:
+        if film:
+            film(world.render())
+        state = {part: value.copy() for part, value in world.unwrapped.task.parts().items()}
+        with blaming(name, episode):
+            action = actor.act(observation[None])[0]
+            observation, reward, terminated, truncated, info = world.step(action)
+        if watch:
+            time.sleep(1 / RENDER_FPS)
+        _print_step(console, step, state | {"action": action[None]}, info["reward_terms"], float(reward))
+        total, step, finished = total + float(reward), step + 1, terminated or truncated
+    if film:
+        for _ in range(RENDER_FPS // 2):
+            film(world.render())
+    console.print(f"[bold]{info['outcome']} after {step} steps, return {total:g}[/]\n")
 
 
 def _make(
     env: str, steps: int | None, render_mode: str | None, env_options: Mapping[str, Any]
 ) -> gymnasium.Env[Any, Any]:
     options: dict[str, Any] = {**env_options, **({} if steps is None else {"max_episode_steps": steps})}
+    if not isinstance(options.get("max_episode_steps", 1), int):
+        raise ConfigurationError(f"max_episode_steps is a whole number, not {options['max_episode_steps']!r}")
     try:
         return gymnasium.make(env, render_mode=render_mode, **options)
     except gymnasium.error.Error as error:
@@ -82,9 +98,29 @@ def _print_step(
     console.print(f"  {'reward':<22}{reward:8g}   ({earned})", highlight=False)
 
 
-def _save(video: Path, frames: list[NDArray[np.uint8]]) -> None:
+@contextmanager
+def _film(video: Path | None, console: Console) -> Iterator[Film | None]:
+    """Takes frames to a video file as they come; None without one."""
+    if video is None:
+        yield None
+        return
     try:
         video.parent.mkdir(parents=True, exist_ok=True)
-        imageio.imwrite(video, np.array(frames), fps=RENDER_FPS)
+        writer = imageio.get_writer(video, fps=RENDER_FPS)
     except (OSError, ValueError) as error:
-        raise ResultsError(f"the video {video} could not be written: {error}") from error
+        raise ResultsError(f"the video {video} cannot be written: {error}") from error
+    frames = 0
+
+    def film(frame: NDArray[np.uint8]) -> None:
+        nonlocal frames
+        frames += 1
+        try:
+            writer.append_data(frame)
+        except OSError as error:
+            raise ResultsError(f"the video {video} cannot be written: {error}") from error
+
+    try:
+        yield film
+    finally:
+        writer.close()
+        console.print(f"{video}: {frames} frames")

@@ -14,8 +14,9 @@ class Estimate:
     """A value with its 95 % confidence interval."""
 
     value: float
-    low: float
-    high: float
+    low: float | None
+    """None, like `high`, where nothing is known of it."""
+    high: float | None
 
 
 def success_rate(successes: NDArray[np.bool_]) -> Estimate | None:
@@ -27,17 +28,15 @@ def success_rate(successes: NDArray[np.bool_]) -> Estimate | None:
     return Estimate(float(successes.mean()), float(interval.low), float(interval.high))
 
 
-def mean(values: Array, rng_seed: int = 0) -> Estimate | None:
-    """Mean with its percentile bootstrap interval (Efron 1979, 2,000 resamples); None without values."""
+def mean(values: Array) -> Estimate | None:
+    """Mean with Student's t interval (1908), unknown for a single value; None without values."""
     if not len(values):
         return None
     value = float(np.mean(values))
-    if len(values) == 1 or np.all(values == values[0]):
-        return Estimate(value, value, value)
-    resampled = stats.bootstrap(
-        (values,), np.mean, n_resamples=2000, method="percentile", rng=np.random.default_rng(rng_seed)
-    )
-    return Estimate(value, float(resampled.confidence_interval.low), float(resampled.confidence_interval.high))
+    if len(values) == 1:
+        return Estimate(value, None, None)
+    half = float(stats.sem(values) * stats.t.ppf(0.975, len(values) - 1))
+    return Estimate(value, value - half, value + half)
 
 
 @dataclass(frozen=True)

@@ -252,7 +252,7 @@ def _is_rigid(pose: Array) -> bool:
 
 
 def _analytic_solver(model: ArmModel) -> "eaik.Robot | None":
-    """EAIK's solver for the arm, or None if it knows no decomposition, or gets this arm wrong."""
+    """EAIK's solver for the arm, or None if it knows no decomposition."""
     if model.dof != 6:
         return None
     origins = [np.zeros(3)]

@@ -52,7 +52,7 @@ class SoonestTouch:
     def __init__(self, model: ArmModel, options: TouchOptions | None = None) -> None:
         self.model = model
         self.options = options or TouchOptions()
-        self._ik = Ik(model)
+        self.ik = Ik(model)
         rng = np.random.default_rng(self.options.rng_seed)
         limits = model.limits
         low, high = np.maximum(limits.lower, -np.pi), np.minimum(limits.upper, np.pi)
@@ -66,8 +66,8 @@ class SoonestTouch:
         soonest = self._by_time(start, self._candidates(start, centre, radius))
         touch = self._first_free(start, soonest)
         if touch is None:
-            at_centre = np.array(list(self._ik.free_configurations(centre))).reshape(-1, self.model.dof)
-            touch = self._first_free(start, self._by_time(start, self._ik.nearest_turn(at_centre, start)))
+            at_centre = np.array(list(self.ik.free_configurations(centre))).reshape(-1, self.model.dof)
+            touch = self._first_free(start, self._by_time(start, self.ik.nearest_turn(at_centre, start)))
         if touch is None and len(soonest):
             return Touch(soonest[0], float(self.model.least_time(start, soonest[0])), free=False)
         return touch
@@ -86,7 +86,7 @@ class SoonestTouch:
         if np.linalg.norm(self.model.position(start) - centre) <= radius:
             return start[None]
         q = self._approach(np.vstack([start, self._starts]), centre)
-        q = self._ik.nearest_turn(q, start)
+        q = self.ik.nearest_turn(q, start)
         q = np.clip(q, self.model.limits.lower, self.model.limits.upper)
         best, best_time = q, np.full(len(q), np.inf)
         for _ in range(self.options.refine_iterations):

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 CONTROLS = ("position", "delta", "velocity", "torque")
 
 SERVO_BANDWIDTH = 60.0
-"""Natural frequency of the joint servos, rad/s: stiff, and ten times slower than the physics' step can follow."""
+"""Natural frequency of the joint servos, rad/s: critically damped, they settle within a tenth of a second."""
 
 PREFIX = "arm/"
 """Before every name of the arm's own in a world's model."""
@@ -35,7 +35,7 @@ class Arm:
     - `velocity`: joint velocities, within the velocity limits;
     - `torque`: joint torques on top of gravity compensation, within the effort limits.
 
-    Whatever it asks, the command never moves faster than the velocity limits. The arm follows it within its effort
+    But for torques, the command never moves faster than the velocity limits. The arm follows it within its effort
     limits: it lags after a sudden start, and catches up faster than its velocity limits for a moment.
     """
 

@@ -17,7 +17,6 @@ class Simulation:
 
     def __init__(self, model: mujoco.MjModel, n: int, threads: int = 0) -> None:
         self.model = model
-        self.n = n
         self._batch = Batch(model, n, nthread=1 if n == 1 else threads)
 
     def array(self, field: str) -> Array:

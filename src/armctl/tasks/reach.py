@@ -66,6 +66,8 @@ class ReachOptions:
 
     robot: str | Path | ArmDescription = "ur5"
     """`ur3`, `ur5`, `ur10`, the path of a URDF file, or what `armctl.load_arm` returned."""
+    tip: str | None = None
+    """The link that is the end-effector, where a URDF file has several that could be."""
     control: str = "position"
     """What an action is: `position`, `delta`, `velocity` or `torque` (see `armctl.robots.Arm`)."""
     tolerance: float = 0.05
@@ -80,15 +82,25 @@ class ReachOptions:
     """Named parts of the observation, in order."""
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.tolerance) and self.tolerance > 0):
-            raise ConfigurationError(f"tolerance is a distance above 0 m, not {self.tolerance}")
+        if not (isinstance(self.tolerance, (int, float)) and np.isfinite(self.tolerance) and self.tolerance > 0):
+            raise ConfigurationError(f"tolerance is a distance above 0 m, not {self.tolerance!r}")
         if self.target not in ("reachable", "box"):
             raise unknown_name("target", self.target, ("reachable", "box"))
-        low, high = self.target_box
-        if len(low) != 3 or len(high) != 3 or not np.all(np.less_equal(low, high)):
+        if not _is_box(self.target_box):
             raise ConfigurationError(f"target_box is its lowest and highest corner (x, y, z), not {self.target_box}")
-        if not self.reward or not self.observation:
-            raise ConfigurationError("reward and observation need at least one term each")
+        for name, terms in (("reward", self.reward), ("observation", self.observation)):
+            if not isinstance(terms, Mapping) or not terms or not all(callable(term) for term in terms.values()):
+                raise ConfigurationError(
+                    f"{name} is a mapping from names to functions, at least one term, not {terms!r}"
+                )
+
+
+def _is_box(box: Any) -> bool:
+    try:
+        corners = np.asarray(box, dtype=float)
+    except (TypeError, ValueError):
+        return False
+    return corners.shape == (2, 3) and bool((corners[0] <= corners[1]).all())
 
 
 class ReachTask(Task):
@@ -98,7 +110,7 @@ class ReachTask(Task):
 
     def __init__(self, n: int, options: ReachOptions, threads: int = 0) -> None:
         self.options = options
-        description = load_arm(options.robot)
+        description = load_arm(options.robot) if options.tip is None else load_arm(options.robot, tip=options.tip)
         model = build_arm_world(description, options.control)
         model.geom("target").size[:] = options.tolerance
         self.simulation = Simulation(model, n, threads)
@@ -162,7 +174,7 @@ class ReachTask(Task):
         return self.state.reached * np.int8(Outcome.REACHED)
 
     def details(self) -> dict[str, NDArray[Any]]:
-        """`feasible`: whether any policy could reach the target."""
+        """`feasible`: whether the arm can reach the target (see `armctl.kinematics.Workspace.reachable`)."""
         return {"feasible": self._feasible.copy()}
 
     def _check_terms(self, n: int) -> None:

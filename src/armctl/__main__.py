@@ -1,0 +1,5 @@
+"""`python -m armctl`."""
+
+from armctl.cli import main
+
+main()
