@@ -5,7 +5,9 @@
 
 import dataclasses
 import json
+import logging
 import time
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -191,15 +193,17 @@ def export(model: PPO, scale: ActionScale, path: Path) -> None:
     module = _Deterministic(model, scale).eval()
     example = torch.zeros((2, *model.observation_space.shape))
     batch = torch.export.Dim("worlds", min=1)
-    program = torch.onnx.export(
-        module,
-        (example,),
-        input_names=[INPUT],
-        output_names=[OUTPUT],
-        dynamic_shapes=({0: batch},),
-        dynamo=True,
-        verbose=False,
-    )
+    logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # it warns of a torchvision that nobody needs
+    with warnings.catch_warnings(action="ignore"):
+        program = torch.onnx.export(
+            module,
+            (example,),
+            input_names=[INPUT],
+            output_names=[OUTPUT],
+            dynamic_shapes=({0: batch},),
+            dynamo=True,
+            verbose=False,
+        )
     assert program is not None
     program.save(path, external_data=False)
 
