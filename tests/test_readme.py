@@ -23,8 +23,9 @@ def test_there_are_examples():
 
 def test_every_folder_and_file_of_the_map_exists():
     root = Path(__file__).parents[1]
-    area = README.split("## Where things are")[1]
-    for name in re.findall(r"^(\w+/) ", area, re.MULTILINE):
-        assert (root / name).is_dir(), name
-    for name in re.findall(r"(\w+\.py|(?<=  )\w+/) ", area):
-        assert (root / "src/armctl" / name).exists() or (root / name).exists(), name
+    area = README.split("## Where things are")[1].split("```")[1]
+    for indent, name in re.findall(r"^( *)([\w/.]+)", area, re.MULTILINE):
+        assert (root / ("src/armctl" if indent else "") / name).exists(), name
+    mapped = set(re.findall(r"^ +(\w+)", area, re.MULTILINE))
+    there = {path.stem for path in (root / "src/armctl").iterdir() if not path.name.startswith(("_", "py.typed"))}
+    assert there == mapped
