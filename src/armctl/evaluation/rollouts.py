@@ -92,28 +92,26 @@ def rollouts(
     with blaming(name, 0):
         policy.reset(np.arange(n, dtype=np.int32))
     returns = np.zeros(n)
-    times: list[list[float]] = [[] for _ in range(n)]
+    times: list[float] = []
+    began = np.zeros(n, dtype=np.int64)
     spec = env.spec.id if env.spec else type(env).__name__
     while mask.any():
         start = time.perf_counter()
         with blaming(name, numbers[mask][0]):
             actions = policy.act(observations)
-        elapsed = 1e3 * (time.perf_counter() - start) / n
+        times.append(1e3 * (time.perf_counter() - start) / n)
         with blaming(name, numbers[mask][0]):
             observations, rewards, terminated, truncated, infos = env.step(actions)
         returns += rewards
-        for i in np.flatnonzero(mask):
-            times[i].append(elapsed)
         ended = np.flatnonzero((terminated | truncated) & mask)
         if not len(ended):
             continue
         for i in ended:
             yield EpisodeResult(
                 name, spec, int(numbers[i]), seed, str(infos["outcome"][i]), bool(infos["is_success"][i]),
-                bool(feasible[i]), float(returns[i]), len(times[i]), np.array(times[i]),
+                bool(feasible[i]), float(returns[i]), len(times) - int(began[i]), np.array(times[began[i] :]),
             )  # fmt: skip
-            returns[i], times[i] = 0.0, []
-            numbers[i] = next(waiting, -1)
+            returns[i], began[i], numbers[i] = 0.0, len(times), next(waiting, -1)
         again = np.zeros(n, dtype=bool)
         again[ended] = numbers[ended] >= 0
         mask[ended] = again[ended]
