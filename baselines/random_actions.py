@@ -9,7 +9,7 @@ from armctl.envs import TaskVectorEnv
 
 
 class RandomActions:
-    """Uniform random actions, the same in every run: world i draws from its own generator, afresh each episode."""
+    """Uniform random actions, a function of seed and episode alone."""
 
     sees: Literal["observation", "state"] = "observation"
     training_steps = 0

@@ -24,7 +24,7 @@ PATIENCE = 5
 
 
 def make(env: ArmReachVectorEnv) -> PerWorld:
-    """The expert for each world of a reach environment."""
+    """Pinocchio IK: of the ways to touch the target without a collision, the one that the joints reach soonest."""
     options, arm = env.task.options, env.task.arm
     if list(options.observation) != list(OBSERVATION):
         raise ConfigurationError(f"reach_ik reads the observation {', '.join(OBSERVATION)}; here it is another")

@@ -41,17 +41,21 @@ Worlds = Annotated[
 @app.command("list")
 def list_() -> None:
     """Show the environments, policies, robots and learners."""
-    from rich import print as show
+    from rich.console import Console
+    from rich.table import Table
 
     from armctl.assets import BUILTIN_ARMS
     from armctl.evaluation.rollouts import environment_names
     from armctl.learners import learner_names
-    from armctl.policies import policy_names
+    from armctl.policies import describe_policy, policy_names
 
-    show("[bold]environments[/]  " + "  ".join(environment_names()))
-    show("[bold]policies[/]      " + "  ".join(policy_names()) + "  path/to/agent.json  module:function")
-    show("[bold]robots[/]        " + "  ".join(BUILTIN_ARMS) + "  path/to/your.urdf")
-    show("[bold]learners[/]      " + "  ".join(learner_names()))
+    table = Table.grid(padding=(0, 2))
+    for kind, names in (("environments", environment_names()), ("robots", BUILTIN_ARMS), ("learners", learner_names())):
+        table.add_row(f"[bold]{kind}[/]", "  ".join(names))
+    for i, name in enumerate(policy_names()):
+        table.add_row("" if i else "[bold]policies[/]", f"[bold]{name}[/]  {describe_policy(name)}")
+    table.add_row("", "A policy may also be path/to/agent.json or module:function, and a robot path/to/your.urdf.")
+    Console(highlight=False).print(table)
 
 
 @app.command()

@@ -4,6 +4,7 @@ A package offers a policy under the entry-point group `armctl.policies`: a funct
 """
 
 import importlib
+import inspect
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -77,7 +78,12 @@ class PerWorld:
 
 def policy_names() -> list[str]:
     """Names of all installed policies."""
-    return sorted(entry.name for entry in entry_points(group=GROUP))
+    return sorted(entry_points(group=GROUP).names)
+
+
+def describe_policy(name: str) -> str:
+    """First line of what an installed policy's maker says of it."""
+    return (inspect.getdoc(entry_points(group=GROUP)[name].load()) or "").partition("\n")[0]
 
 
 def policy_name(policy: Any) -> str:
