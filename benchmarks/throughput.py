@@ -16,6 +16,7 @@ import gymnasium
 import mujoco
 import numpy as np
 import typer
+from rich.box import SIMPLE
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -26,6 +27,8 @@ import armctl
 
 ENV = "armctl/ArmReach-v0"
 ROUNDS = 7
+EPISODE = 100
+"""Decisions."""
 
 Contender = Callable[[float], float]
 """Runs for about that many seconds, and gives physics steps per second."""
@@ -39,9 +42,10 @@ def raw(threads: int) -> Contender:
     def loop(seconds: float) -> float:
         data, decisions, end = mujoco.MjData(model), 0, time.perf_counter() + seconds
         while time.perf_counter() < end:
-            if decisions % len(commands) == 0:
+            episode, step = divmod(decisions, EPISODE)
+            if step == 0:
                 mujoco.mj_resetDataKeyframe(model, data, 0)
-            data.ctrl[:] = commands[decisions % len(commands)]
+            data.ctrl[:] = commands[episode % len(commands), step]
             mujoco.mj_step(model, data, nstep=substeps)
             decisions += 1
         return decisions * substeps / seconds
@@ -53,16 +57,16 @@ def raw(threads: int) -> Contender:
     return run
 
 
-def recorded_commands() -> np.ndarray:
-    """What the servos are told (100, nu) in an episode of random actions."""
-    env = gymnasium.make(ENV)
+def recorded_commands(episodes: int = 256) -> np.ndarray:
+    """What the servos are told (episodes, 100, nu) in episodes of random actions."""
+    env = gymnasium.make_vec(ENV, num_envs=episodes)
     env.reset(seed=0)
     env.action_space.seed(0)
     ctrl, rows = env.unwrapped.task.simulation.array("ctrl"), []
-    for _ in range(100):
+    for _ in range(EPISODE):
         env.step(env.action_space.sample())
-        rows.append(ctrl[0].copy())
-    return np.array(rows)
+        rows.append(ctrl.copy())
+    return np.stack(rows, axis=1)
 
 
 def batched(worlds: int) -> Contender:
@@ -139,11 +143,13 @@ def main(worlds: int = 256, seconds: float = 3.0) -> None:
     task = gymnasium.make(ENV).unwrapped.task
     timestep, substeps = task.simulation.model.opt.timestep, task.substeps
     title = f"{ENV}, {cores} cores, armctl {armctl.__version__}, mujoco {mujoco.__version__}"
-    table = Table("", "physics steps/s", "decisions/s", "times real time", "of raw", title=title, title_justify="left")
+    table = Table(
+        "", "physics steps/s", "decisions/s", "real time", "of raw", title=title, title_justify="left", box=SIMPLE
+    )
     for name, (_, reference) in contenders.items():
         rate = float(np.median(rates[name]))
         share = float(np.median(np.array(rates[name]) / np.array(rates[reference])))
-        table.add_row(name, f"{rate:,.0f}", f"{rate / substeps:,.0f}", f"{rate * timestep:,.0f}", f"{share:.0%}")
+        table.add_row(name, f"{rate:,.0f}", f"{rate / substeps:,.0f}", f"{rate * timestep:,.0f} x", f"{share:.0%}")
     Console().print(table)
 
 
