@@ -18,13 +18,11 @@ from rich.text import Text
 
 from armctl.errors import ResultsError
 from armctl.evaluation.rollouts import COLUMNS
-from armctl.evaluation.statistics import Estimate, PairedDifference
+from armctl.evaluation.statistics import FEWEST, Estimate, PairedDifference
 
 if TYPE_CHECKING:
     from armctl.evaluation.compare import Comparison
 
-FEWEST_PAIRS = 10
-"""Paired episodes below which no verdict is given."""
 EPISODES, SUMMARY = "episodes.csv", "summary.json"
 
 
@@ -114,8 +112,8 @@ def tables(comparison: "Comparison") -> Group:
 def verdict(comparison: "Comparison") -> str:
     """The two best policies in a sentence: which wins more often, and which earns more, or that neither is shown to."""
     fewest = min(pair.episodes for pair in comparison.paired)
-    if fewest < FEWEST_PAIRS:
-        return f"No verdict from {fewest} episodes: it takes {FEWEST_PAIRS}."
+    if fewest < FEWEST:
+        return f"No verdict from {fewest} episodes: it takes {FEWEST}."
     ranked = sorted(comparison.policies, key=lambda policy: _rank(policy.success, policy.episode_return), reverse=True)
     best, second = (policy.policy for policy in ranked[:2])
     pair = next(pair for pair in comparison.paired if {pair.a, pair.b} == {best, second})

@@ -8,6 +8,9 @@ from scipy import stats
 
 Array = NDArray[np.float64]
 
+FEWEST = 10
+"""Values below which nothing is said of a mean's precision: returns and lengths are too skewed."""
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -29,11 +32,11 @@ def success_rate(successes: NDArray[np.bool_]) -> Estimate | None:
 
 
 def mean(values: Array) -> Estimate | None:
-    """Mean with Student's t interval (1908), unknown for a single value; None without values."""
+    """Mean with Student's t interval (1908), unknown for less than `FEWEST` values; None without values."""
     if not len(values):
         return None
     value = float(np.mean(values))
-    if len(values) == 1:
+    if len(values) < FEWEST:
         return Estimate(value, None, None)
     half = float(stats.sem(values) * stats.t.ppf(0.975, len(values) - 1))
     return Estimate(value, value - half, value + half)
