@@ -205,7 +205,11 @@ def export(model: PPO, scale: ActionScale, path: Path) -> None:
             verbose=False,
         )
     assert program is not None
-    program.save(path, external_data=False)
+    graph = program.model_proto
+    for node in (*graph.graph.node, *(node for function in graph.functions for node in function.node)):
+        node.ClearField("metadata_props")  # stack traces, with the paths of whoever trained it
+        node.ClearField("doc_string")
+    path.write_bytes(graph.SerializeToString())
 
 
 def _new_model(venv: StableBaselinesVectorEnv, options: PpoOptions, seed: int) -> PPO:

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -57,6 +58,12 @@ def test_exported_graph_is_the_network(trained):
     raw = model.predict(observations, deterministic=True)[0]
     expected = observations[:, 3:9] + 0.2 * np.clip(raw, -1, 1)
     np.testing.assert_allclose(load_agent(out / "agent.json", worlds).act(observations), expected, atol=1e-5)
+
+
+def test_exported_graph_tells_nothing_of_the_machine(trained):
+    for graph in (trained[0] / "agent.onnx", Path(str(resources.files("armctl.rl.agents"))) / "reach_ppo.onnx"):
+        assert b".py" not in graph.read_bytes()
+        assert str(Path.home()).encode() not in graph.read_bytes()
 
 
 def test_training_is_reproducible(trained, tmp_path):
