@@ -129,7 +129,6 @@ def _check_made_for(card: AgentCard, worlds: TaskVectorEnv) -> None:
             f"agent {card.name} maps observations {shapes[0]} to actions {shapes[1]}; "
             f"here they are {here[0]} and {here[1]}"
         )
-    if card.interface != worlds.task.interface:
-        raise AgentFileError(
-            f"agent {card.name} was trained for {card.interface}, and this environment has {worlds.task.interface}"
-        )
+    for name, value in worlds.task.interface.items():
+        if (trained := card.interface.get(name)) != value:
+            raise AgentFileError(f"agent {card.name} was trained for {name} {trained!r}, and this is {name} {value!r}")
