@@ -69,42 +69,41 @@ def recorded_commands(episodes: int = 256) -> np.ndarray:
     return np.stack(rows, axis=1)
 
 
+def timed(step: Callable[[int], object], physics_steps: int) -> Contender:
+    """Calls `step` with 0, 1, 2 ..., each worth `physics_steps`."""
+
+    def run(seconds: float) -> float:
+        calls, start = 0, time.perf_counter()
+        while time.perf_counter() < start + seconds:
+            step(calls)
+            calls += 1
+        return calls * physics_steps / (time.perf_counter() - start)
+
+    return run
+
+
 def batched(worlds: int) -> Contender:
     """`gym.make_vec`: physics, observations, rewards and resets of `worlds` worlds."""
     env = gymnasium.make_vec(ENV, num_envs=worlds)
-    substeps = env.unwrapped.task.substeps
     env.reset(seed=0)
     env.action_space.seed(0)
     actions = [env.action_space.sample() for _ in range(50)]
-
-    def run(seconds: float) -> float:
-        steps, start = 0, time.perf_counter()
-        while time.perf_counter() < start + seconds:
-            env.step(actions[steps % 50])
-            steps += 1
-        return steps * worlds * substeps / (time.perf_counter() - start)
-
-    return run
+    return timed(lambda i: env.step(actions[i % 50]), worlds * env.unwrapped.task.substeps)
 
 
 def single() -> Contender:
     """`gym.make`, with all of Gymnasium's wrappers."""
     env = gymnasium.make(ENV)
-    substeps = env.unwrapped.task.substeps
     env.reset(seed=0)
     env.action_space.seed(0)
     actions = [env.action_space.sample() for _ in range(1000)]
 
-    def run(seconds: float) -> float:
-        steps, start = 0, time.perf_counter()
-        while time.perf_counter() < start + seconds:
-            _, _, terminated, truncated, _ = env.step(actions[steps % 1000])
-            steps += 1
-            if terminated or truncated:
-                env.reset()
-        return steps * substeps / (time.perf_counter() - start)
+    def step(i: int) -> None:
+        _, _, terminated, truncated, _ = env.step(actions[i % 1000])
+        if terminated or truncated:
+            env.reset()
 
-    return run
+    return timed(step, env.unwrapped.task.substeps)
 
 
 def subprocesses(worlds: int) -> Contender:
@@ -113,15 +112,7 @@ def subprocesses(worlds: int) -> Contender:
     env = make_vec_env(ENV, n_envs=worlds, vec_env_cls=SubprocVecEnv, vec_env_kwargs={"start_method": "fork"})
     env.reset()
     actions = [np.array([env.action_space.sample() for _ in range(worlds)]) for _ in range(50)]
-
-    def run(seconds: float) -> float:
-        steps, start = 0, time.perf_counter()
-        while time.perf_counter() < start + seconds:
-            env.step(actions[steps % 50])
-            steps += 1
-        return steps * worlds * substeps / (time.perf_counter() - start)
-
-    return run
+    return timed(lambda i: env.step(actions[i % 50]), worlds * substeps)
 
 
 def main(worlds: int = 256, seconds: float = 3.0) -> None:

@@ -17,6 +17,13 @@ from armctl.kinematics.model import ArmModel
 
 Array = NDArray[np.float64]
 
+SHARPNESS = 4
+"""Power of a joint's time that weights its square: the higher, the nearer to the maximum, and the less stable."""
+LEAST_WEIGHT = 0.02
+"""Weight of a joint that does not move, beside 1 for the slowest."""
+RELAXATION = 0.3
+"""Part of a step along the sphere that is taken, for the weights change with it."""
+
 
 @dataclass(frozen=True)
 class TouchOptions:
@@ -111,7 +118,7 @@ class SoonestTouch:
         """Step (n, dof) that keeps to the sphere, and evens out the times that the joints need for their `travel`."""
         velocity = self.model.limits.velocity
         load = np.abs(travel) / velocity
-        weights = (load / (load.max(axis=-1, keepdims=True) + 1e-9)) ** 4 + 0.02
+        weights = (load / (load.max(axis=-1, keepdims=True) + 1e-9)) ** SHARPNESS + LEAST_WEIGHT
         scale = velocity / np.sqrt(weights)
         scaled = jacobian * scale[:, None, :]
         wanted = error + np.einsum("nij,nj->ni", jacobian, travel)
@@ -123,7 +130,7 @@ class SoonestTouch:
         least_travel = scale * np.einsum("nij,ni->nj", scaled, multiplier)
         onto_sphere = scale * _pull(scaled, error - radius * multiplier / length[:, None], np.zeros(len(travel)))
         along_sphere = least_travel - travel - onto_sphere
-        return np.asarray(onto_sphere + 0.3 * along_sphere)
+        return np.asarray(onto_sphere + RELAXATION * along_sphere)
 
     def _limited(self, step: Array) -> Array:
         largest = np.abs(step).max(axis=-1, keepdims=True)

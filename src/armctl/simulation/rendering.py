@@ -3,7 +3,6 @@
 import os
 import sys
 import warnings
-from types import ModuleType
 from typing import Any
 
 import mujoco
@@ -52,7 +51,7 @@ class Window:
 
         self._model = model
         self._data = mujoco.MjData(model)
-        self._viewer: Any = _launch(viewer, model, self._data)
+        self._viewer: Any = viewer.launch_passive(model, self._data, show_left_ui=False, show_right_ui=False)
 
     def show(self, state: mujoco.MjData) -> None:
         """Show the world in `state`."""
@@ -62,7 +61,3 @@ class Window:
     def close(self) -> None:
         """Close the window."""
         self._viewer.close()
-
-
-def _launch(viewer: ModuleType, model: mujoco.MjModel, data: mujoco.MjData) -> Any:
-    return viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False)
