@@ -21,7 +21,10 @@ check: $(VENV)/full
 
 benchmarks: $(VENV)/full
 	$(BIN)/python benchmarks/throughput.py
+	$(BIN)/python benchmarks/throughput.py --env armctl/BridgeCross-v0
+	$(BIN)/python benchmarks/physics_step.py
 	$(BIN)/python benchmarks/ik.py
+	$(BIN)/python benchmarks/planning.py
 
 clean:
 	rm -rf $(VENV) build src/*.egg-info

@@ -25,6 +25,8 @@ PATIENCE = 5
 
 def make(env: ArmReachVectorEnv) -> PerWorld:
     """Pinocchio IK: of the ways to touch the target without a collision, the one that the joints reach soonest."""
+    if not isinstance(env, ArmReachVectorEnv):
+        raise ConfigurationError("reach_ik moves arms: use it with armctl/ArmReach-v0")
     options, arm = env.task.options, env.task.arm
     if list(options.observation) != list(OBSERVATION):
         raise ConfigurationError(f"reach_ik reads the observation {', '.join(OBSERVATION)}; here it is another")

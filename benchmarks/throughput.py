@@ -1,10 +1,10 @@
-"""Steps per second of the reach environment beside raw `mj_step` on its model, and Stable-Baselines3's usual way.
+"""Steps per second of an environment beside raw `mj_step` on its model, and Stable-Baselines3's usual way.
 
-    python benchmarks/throughput.py [--worlds 256] [--seconds 5]
+    python benchmarks/throughput.py [--env armctl/BridgeCross-v0] [--worlds 256] [--seconds 5]
 
-All run the same physics, with random joint positions as commands. Raw is a loop over `mj_step` on all cores at once, or
-on one, with nothing observed or rewarded; all that the environment adds is in its own figure. The contenders take
-turns, and shares are medians over the rounds, so that a busy machine slows all alike.
+All run the same physics, with random actions. Raw is a loop over `mj_step` on all cores at once, or on one, with
+nothing observed or rewarded; all that the environment adds, such as a camera, is in its own figure. The contenders
+take turns, and shares are medians over the rounds, so that a busy machine slows all alike.
 """
 
 import os
@@ -25,7 +25,6 @@ from stable_baselines3.common.vec_env import SubprocVecEnv
 
 import armctl
 
-ENV = "armctl/ArmReach-v0"
 ROUNDS = 7
 EPISODE = 100
 """Decisions."""
@@ -34,10 +33,10 @@ Contender = Callable[[float], float]
 """Runs for about that many seconds, and gives physics steps per second."""
 
 
-def raw(threads: int) -> Contender:
+def raw(env: str, threads: int) -> Contender:
     """`mj_step` on `threads` threads, a decision at a time, along commands that were worked out before."""
-    task = gymnasium.make(ENV).unwrapped.task
-    model, substeps, commands = task.simulation.model, task.substeps, recorded_commands()
+    task = gymnasium.make(env).unwrapped.task
+    model, substeps, commands = task.simulation.model, task.substeps, recorded_commands(env)
 
     def loop(seconds: float) -> float:
         data, decisions, end = mujoco.MjData(model), 0, time.perf_counter() + seconds
@@ -57,14 +56,14 @@ def raw(threads: int) -> Contender:
     return run
 
 
-def recorded_commands(episodes: int = 256) -> np.ndarray:
-    """What the servos are told (episodes, 100, nu) in episodes of random actions."""
-    env = gymnasium.make_vec(ENV, num_envs=episodes)
-    env.reset(seed=0)
-    env.action_space.seed(0)
-    ctrl, rows = env.unwrapped.task.simulation.array("ctrl"), []
+def recorded_commands(env: str, episodes: int = 256) -> np.ndarray:
+    """What the motors are told (episodes, 100, nu) in episodes of random actions."""
+    worlds = gymnasium.make_vec(env, num_envs=episodes)
+    worlds.reset(seed=0)
+    worlds.action_space.seed(0)
+    ctrl, rows = worlds.unwrapped.task.simulation.array("ctrl"), []
     for _ in range(EPISODE):
-        env.step(env.action_space.sample())
+        worlds.step(worlds.action_space.sample())
         rows.append(ctrl.copy())
     return np.stack(rows, axis=1)
 
@@ -82,58 +81,58 @@ def timed(step: Callable[[int], object], physics_steps: int) -> Contender:
     return run
 
 
-def batched(worlds: int) -> Contender:
+def batched(env: str, worlds: int) -> Contender:
     """`gym.make_vec`: physics, observations, rewards and resets of `worlds` worlds."""
-    env = gymnasium.make_vec(ENV, num_envs=worlds)
-    env.reset(seed=0)
-    env.action_space.seed(0)
-    actions = [env.action_space.sample() for _ in range(50)]
-    return timed(lambda i: env.step(actions[i % 50]), worlds * env.unwrapped.task.substeps)
+    made = gymnasium.make_vec(env, num_envs=worlds)
+    made.reset(seed=0)
+    made.action_space.seed(0)
+    actions = [made.action_space.sample() for _ in range(50)]
+    return timed(lambda i: made.step(actions[i % 50]), worlds * made.unwrapped.task.substeps)
 
 
-def single() -> Contender:
+def single(env: str) -> Contender:
     """`gym.make`, with all of Gymnasium's wrappers."""
-    env = gymnasium.make(ENV)
-    env.reset(seed=0)
-    env.action_space.seed(0)
-    actions = [env.action_space.sample() for _ in range(1000)]
+    made = gymnasium.make(env)
+    made.reset(seed=0)
+    made.action_space.seed(0)
+    actions = [made.action_space.sample() for _ in range(1000)]
 
     def step(i: int) -> None:
-        _, _, terminated, truncated, _ = env.step(actions[i % 1000])
+        _, _, terminated, truncated, _ = made.step(actions[i % 1000])
         if terminated or truncated:
-            env.reset()
+            made.reset()
 
-    return timed(step, env.unwrapped.task.substeps)
+    return timed(step, made.unwrapped.task.substeps)
 
 
-def subprocesses(worlds: int) -> Contender:
+def subprocesses(env: str, worlds: int) -> Contender:
     """Stable-Baselines3's SubprocVecEnv over single environments, one process a core."""
-    substeps = gymnasium.make(ENV).unwrapped.task.substeps
-    env = make_vec_env(ENV, n_envs=worlds, vec_env_cls=SubprocVecEnv, vec_env_kwargs={"start_method": "fork"})
-    env.reset()
-    actions = [np.array([env.action_space.sample() for _ in range(worlds)]) for _ in range(50)]
-    return timed(lambda i: env.step(actions[i % 50]), worlds * substeps)
+    substeps = gymnasium.make(env).unwrapped.task.substeps
+    made = make_vec_env(env, n_envs=worlds, vec_env_cls=SubprocVecEnv, vec_env_kwargs={"start_method": "fork"})
+    made.reset()
+    actions = [np.array([made.action_space.sample() for _ in range(worlds)]) for _ in range(50)]
+    return timed(lambda i: made.step(actions[i % 50]), worlds * substeps)
 
 
-def main(worlds: int = 256, seconds: float = 3.0) -> None:
+def main(env: str = armctl.DEFAULT_ENV, worlds: int = 256, seconds: float = 3.0) -> None:
     """Measure, and print a table."""
     cores = len(os.sched_getaffinity(0))
     subprocess_name = f"SubprocVecEnv, {cores} processes"
     all_cores, one_core = f"raw mj_step, {cores} threads", "raw mj_step, 1 thread"
     contenders = {
-        all_cores: (raw(cores), all_cores),
-        f"gym.make_vec, {worlds} worlds": (batched(worlds), all_cores),
-        subprocess_name: (subprocesses(cores), all_cores),
-        one_core: (raw(1), one_core),
-        "gym.make": (single(), one_core),
+        all_cores: (raw(env, cores), all_cores),
+        f"gym.make_vec, {worlds} worlds": (batched(env, worlds), all_cores),
+        subprocess_name: (subprocesses(env, cores), all_cores),
+        one_core: (raw(env, 1), one_core),
+        "gym.make": (single(env), one_core),
     }
     rates: dict[str, list[float]] = {name: [] for name in contenders}
     for _ in track(range(ROUNDS), console=Console(stderr=True), transient=True):
         for name, (run, _) in contenders.items():
             rates[name].append(run(seconds))
-    task = gymnasium.make(ENV).unwrapped.task
+    task = gymnasium.make(env).unwrapped.task
     timestep, substeps = task.simulation.model.opt.timestep, task.substeps
-    title = f"{ENV}, {cores} cores, armctl {armctl.__version__}, mujoco {mujoco.__version__}"
+    title = f"{env}, {cores} cores, armctl {armctl.__version__}, mujoco {mujoco.__version__}"
     table = Table(
         "", "physics steps/s", "decisions/s", "real time", "of raw", title=title, title_justify="left", box=SIMPLE
     )

@@ -9,62 +9,35 @@ import logging
 import time
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import gymnasium
+import numpy as np
 import torch
-from armctl.rl.reach import SHAPED_REWARD, ActionScale, ReachFeatures
-from armctl.rl.vector import StableBaselinesVectorEnv
+from armctl.rl import bridge, reach
+from armctl.rl.recipe import PpoOptions, Recipe
+from armctl.rl.vector import StableBaselinesVectorEnv, tensors
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
-from stable_baselines3.common.torch_layers import FlattenExtractor
+from stable_baselines3.common.torch_layers import CombinedExtractor, FlattenExtractor
 
-from armctl.agents import INPUT, OUTPUT, AgentCard, Evaluation, sha256
+from armctl.agents import INPUT, OUTPUT, AgentCard, Evaluation, inputs, sha256, shapes
 from armctl.envs import TaskVectorEnv
 from armctl.errors import ConfigurationError, unknown_name
 from armctl.evaluation import evaluate
 from armctl.evaluation.report import versions
 from armctl.evaluation.statistics import success_rate
-from armctl.tasks import REWARD
 
 TRAINING_SEEDS = 10**9
 """Training seed k plays the seeds from (k + 1) * 10^9 on: whatever is evaluated on smaller seeds is held out."""
-SUPPORTED = ("armctl/ArmReach-v0",)
-
-
-@dataclass(frozen=True)
-class PpoOptions:
-    """Options of the learner."""
-
-    steps: int = 3_000_000
-    """Decisions in simulation, over all worlds."""
-    worlds: int = 256
-    rollout_length: int = 32
-    """Decisions of each world between two updates."""
-    batch_size: int = 2048
-    epochs: int = 5
-    learning_rate: float = 1e-3
-    """Falls linearly to a twentieth."""
-    gamma: float = 0.97
-    gae_lambda: float = 0.95
-    clip_range: float = 0.2
-    hidden_units: int = 128
-    """In each of two layers."""
-    initial_log_std: float = -0.5
-    reward_scale: float = 0.02
-    shaped: bool = True
-    """Train with the reward term `progress` as well; evaluation is always on the task's own reward."""
-    relative: bool = True
-    """Position commands are relative to the observed joint positions, not absolute."""
-    features: bool = True
-    """The network is shown `ReachFeatures`, not the bare observation."""
-    checkpoint_every: int = 250_000
-    """Steps between checkpoints, rounded up to whole rollouts."""
-    evaluation_episodes: int = 1000
+RECIPES = {
+    "armctl/ArmReach-v0": reach.RECIPE,
+    "armctl/BridgeCross-v0": bridge.RECIPE,
+    "armctl/BridgeCrossMoving-v0": bridge.RECIPE,
+}
 
 
 def train(
@@ -85,16 +58,17 @@ def train(
 
     Raises `ConfigurationError` for an environment without a recipe, or a folder that another training has used.
     """
-    if env not in SUPPORTED:
-        raise unknown_name("environment with a PPO recipe", env, SUPPORTED)
+    if env not in RECIPES:
+        raise unknown_name("environment with a PPO recipe", env, RECIPES)
     if not 0 <= seed < 2**32:
         raise ConfigurationError(f"a training seed is a whole number from 0 to {2**32 - 1}, not {seed}")
-    options = options or PpoOptions()
+    recipe = RECIPES[env]
+    options = options or recipe.options
     if steps is not None:
         options = dataclasses.replace(options, steps=steps)
-    reward = SHAPED_REWARD if options.shaped else REWARD
+    shaped = recipe.shaped if options.shaped else {}
     worlds = gymnasium.make_vec(
-        env, num_envs=options.worlds, autoreset_mode="same_step", **{"reward": reward, **(env_options or {})}
+        env, num_envs=options.worlds, autoreset_mode="same_step", **{**shaped, **(env_options or {})}
     )
     assert isinstance(worlds, TaskVectorEnv)
     settings: dict[str, Any] = {
@@ -104,10 +78,10 @@ def train(
         "options": dataclasses.asdict(options),
     }
     _prepare(out, settings, resume)
-    scale = ActionScale(worlds.task.interface["control"], worlds.single_action_space, options.relative)
+    scale = recipe.action_scale(worlds, options)
     venv = StableBaselinesVectorEnv(worlds, scale, options.reward_scale)
     resumed = _newest_checkpoint(out, venv) if resume else None
-    model = resumed or _new_model(venv, options, seed)
+    model = resumed or _new_model(venv, recipe, options, seed)
     checkpoints = Checkpoints(out, options.checkpoint_every)
     # A resumed run plays on in other episodes than those it has seen.
     venv.seed((seed + 1) * TRAINING_SEEDS + model.num_timesteps)
@@ -126,7 +100,7 @@ def train(
         env=env,
         env_options=settings["env_options"],
         interface=worlds.task.interface,
-        observation_shape=list(worlds.single_observation_space.shape or ()),
+        observation_shape=shapes(worlds.single_observation_space),
         action_shape=list(worlds.single_action_space.shape or ()),
         training_steps=model.num_timesteps,
         training_minutes=round(checkpoints.seconds / 60, 2),
@@ -176,31 +150,35 @@ class Checkpoints(BaseCallback):
 
 
 class _Deterministic(torch.nn.Module):
-    """What is exported: features, network and action scale in one graph."""
+    """What is exported: features, network and action scale in one graph, with an input for each observed array."""
 
-    def __init__(self, model: PPO, scale: ActionScale) -> None:
+    def __init__(self, model: PPO, scale: torch.nn.Module, names: list[str]) -> None:
         super().__init__()
-        self.policy, self.scale = model.policy, scale
+        self.policy, self.scale, self.names = model.policy, scale, names
 
-    def forward(self, observation: torch.Tensor) -> torch.Tensor:
+    def forward(self, *inputs: torch.Tensor) -> torch.Tensor:
+        observation: Any = inputs[0] if self.names == [INPUT] else dict(zip(self.names, inputs, strict=True))
         features = self.policy.extract_features(observation, self.policy.pi_features_extractor)
         actions = self.policy.action_net(self.policy.mlp_extractor.forward_actor(features))
         return self.scale(observation, actions)
 
 
-def export(model: PPO, scale: ActionScale, path: Path) -> None:
+def export(model: PPO, scale: torch.nn.Module, path: Path) -> None:
     """Write the policy's mean action as an ONNX graph."""
-    module = _Deterministic(model, scale).eval()
-    example = torch.zeros((2, *model.observation_space.shape))
+    observed = model.observation_space
+    example = tensors(
+        {name: np.zeros((2, *(space.shape or ())), space.dtype) for name, space in inputs(observed).items()}
+    )
+    module = _Deterministic(model, scale, list(example)).eval()
     batch = torch.export.Dim("worlds", min=1)
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # it warns of a torchvision that nobody needs
     with warnings.catch_warnings(action="ignore"):
         program = torch.onnx.export(
             module,
-            (example,),
-            input_names=[INPUT],
+            tuple(example.values()),
+            input_names=list(example),
             output_names=[OUTPUT],
-            dynamic_shapes=({0: batch},),
+            dynamic_shapes=(tuple({0: batch} for _ in example),),
             dynamo=True,
             verbose=False,
         )
@@ -212,9 +190,11 @@ def export(model: PPO, scale: ActionScale, path: Path) -> None:
     path.write_bytes(graph.SerializeToString())
 
 
-def _new_model(venv: StableBaselinesVectorEnv, options: PpoOptions, seed: int) -> PPO:
+def _new_model(venv: StableBaselinesVectorEnv, recipe: Recipe, options: PpoOptions, seed: int) -> PPO:
+    several = isinstance(venv.observation_space, gymnasium.spaces.Dict)
+    bare = CombinedExtractor if several else FlattenExtractor
     return PPO(
-        "MlpPolicy",
+        "MultiInputPolicy" if several else "MlpPolicy",
         venv,
         n_steps=options.rollout_length,
         batch_size=options.batch_size,
@@ -223,8 +203,9 @@ def _new_model(venv: StableBaselinesVectorEnv, options: PpoOptions, seed: int) -
         gamma=options.gamma,
         gae_lambda=options.gae_lambda,
         clip_range=options.clip_range,
+        ent_coef=options.entropy,
         policy_kwargs={
-            "features_extractor_class": ReachFeatures if options.features else FlattenExtractor,
+            "features_extractor_class": recipe.features if options.features else bare,
             "net_arch": [options.hidden_units] * 2,
             "activation_fn": torch.nn.ELU,
             "log_std_init": options.initial_log_std,

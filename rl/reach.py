@@ -6,6 +6,7 @@ may. The reward on the way is for training alone.
 
 import numpy as np
 import torch
+from armctl.rl.recipe import PpoOptions, Recipe
 from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
@@ -71,3 +72,13 @@ class ActionScale(torch.nn.Module):
         """Environment actions (n, dof)."""
         move = self.middle + self.span * actions.clamp(-1, 1)
         return observations[:, 3:-3] + move if self.relative else move
+
+
+RECIPE = Recipe(
+    PpoOptions(),
+    shaped={"reward": SHAPED_REWARD},
+    features=ReachFeatures,
+    action_scale=lambda worlds, options: ActionScale(
+        worlds.task.interface["control"], worlds.single_action_space, options.relative
+    ),
+)

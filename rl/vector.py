@@ -6,11 +6,12 @@ from typing import Any
 import gymnasium
 import numpy as np
 import torch
-from armctl.rl.reach import ActionScale
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
+
+from armctl.envs import one_of
 
 Array = NDArray[np.float64]
 
@@ -23,7 +24,7 @@ class StableBaselinesVectorEnv(VecEnv):
     """
 
     def __init__(
-        self, env: gymnasium.vector.VectorEnv[Any, Any, Any], action_scale: ActionScale, reward_scale: float = 1.0
+        self, env: gymnasium.vector.VectorEnv[Any, Any, Any], action_scale: torch.nn.Module, reward_scale: float = 1.0
     ) -> None:
         if env.metadata["autoreset_mode"] is not AutoresetMode.SAME_STEP:
             raise ValueError("Stable-Baselines3 needs autoreset_mode='same_step'")
@@ -55,7 +56,7 @@ class StableBaselinesVectorEnv(VecEnv):
 
     def step_wait(self) -> VecEnvStepReturn:
         """Step all worlds."""
-        actions = self._action_scale(torch.as_tensor(self._observations), torch.as_tensor(self._actions))
+        actions = self._action_scale(tensors(self._observations), torch.as_tensor(self._actions))
         observations, rewards, terminated, truncated, infos = self.env.step(actions.numpy())
         self._observations = observations
         done = terminated | truncated
@@ -64,7 +65,7 @@ class StableBaselinesVectorEnv(VecEnv):
         world_infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         for i in np.flatnonzero(done):
             world_infos[i] = {
-                "terminal_observation": infos["final_obs"][i],
+                "terminal_observation": one_of(infos["final_obs"], int(i)),
                 "TimeLimit.truncated": bool(truncated[i]),
                 "is_success": bool(infos["final_info"]["is_success"][i]),
                 "episode": {"r": self._returns[i], "l": int(self._lengths[i])},
@@ -92,3 +93,10 @@ class StableBaselinesVectorEnv(VecEnv):
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
         """Never: the worlds have no wrappers of their own."""
         return [False] * len(list(self._get_indices(indices)))
+
+
+def tensors(observations: Any) -> Any:
+    """Observations, an array or several by name, as tensors."""
+    if isinstance(observations, dict):
+        return {name: torch.as_tensor(values) for name, values in observations.items()}
+    return torch.as_tensor(observations)

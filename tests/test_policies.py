@@ -4,8 +4,8 @@ import gymnasium
 import numpy as np
 import pytest
 
-from armctl.envs import ArmReachVectorEnv
-from armctl.errors import ConfigurationError
+from armctl import DEFAULT_POLICIES
+from armctl.errors import ArmctlError, ConfigurationError
 from armctl.policies import Policy, make_policy, policy_names
 
 ENV = "armctl/ArmReach-v0"
@@ -31,23 +31,37 @@ def no_policy(env):
     return object()
 
 
-@pytest.mark.parametrize("name", policy_names())
+MEETINGS = [(name, env) for env, names in DEFAULT_POLICIES.items() for name in names]
+
+
+@pytest.mark.parametrize(("name", "env_id"), MEETINGS)
 @pytest.mark.parametrize("worlds", [1, 5])
-def test_installed_policies_act_in_batches(name, worlds):
-    env = gymnasium.make_vec(ENV, num_envs=worlds)
+def test_installed_policies_act_in_batches(name, env_id, worlds):
+    env = gymnasium.make_vec(env_id, num_envs=worlds)
     policy = make_policy(name, env)
     assert isinstance(policy, Policy)
-    assert policy.sees == "observation"
+    assert policy.sees == ("state" if name == "bridge_ompl" else "observation")
     observations, _ = env.reset(seed=0)
     policy.reset(np.arange(worlds, dtype=np.int32))
     actions = policy.act(observations)
-    assert actions.shape == (worlds, 6)
+    assert actions.shape == env.action_space.shape
     assert np.isfinite(actions).all()
 
 
-@pytest.mark.parametrize("name", policy_names())
-def test_a_policy_decides_for_each_world_on_its_own(name):
-    wide, narrow = ArmReachVectorEnv(6), ArmReachVectorEnv(1)
+def test_all_installed_policies_meet_somewhere():
+    assert {name for name, _ in MEETINGS} == set(policy_names())
+
+
+@pytest.mark.parametrize("name", [name for name in policy_names() if name != "random"])
+def test_policies_of_another_task_say_so(name):
+    env = gymnasium.make_vec(ENV if name.startswith("bridge") else "armctl/BridgeCross-v0", num_envs=1)
+    with pytest.raises(ArmctlError, match=r"BridgeCross|ArmReach"):
+        make_policy(name, env)
+
+
+@pytest.mark.parametrize(("name", "env_id"), MEETINGS)
+def test_a_policy_decides_for_each_world_on_its_own(name, env_id):
+    wide, narrow = (gymnasium.make_vec(env_id, num_envs=n) for n in (6, 1))
     observations, _ = wide.reset(seed=0)
     batched = make_policy(name, wide)
     batched.reset(np.arange(6, dtype=np.int32))

@@ -11,3 +11,8 @@ FOLDER = Path(__file__).parent
 def reach_ppo(env: TaskVectorEnv) -> OnnxPolicy:
     """PPO on `armctl/ArmReach-v0`, robot `ur5`, position control."""
     return load_agent(FOLDER / "reach_ppo.json", env)
+
+
+def bridge_ppo(env: TaskVectorEnv) -> OnnxPolicy:
+    """PPO on `armctl/BridgeCross-v0`, from the depth camera and its own motion."""
+    return load_agent(FOLDER / "bridge_ppo.json", env)

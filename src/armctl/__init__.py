@@ -34,9 +34,24 @@ gymnasium.register(
     vector_entry_point="armctl.envs:ArmReachVectorEnv",
     max_episode_steps=100,
 )
+for _id, _steps, _options in (
+    ("armctl/BridgeCross-v0", 300, {}),
+    ("armctl/BridgeCrossMoving-v0", 600, {"blocks": 3, "walkers": 3}),
+):
+    gymnasium.register(
+        id=_id,
+        entry_point="armctl.envs:BridgeCrossEnv",
+        vector_entry_point="armctl.envs:BridgeCrossVectorEnv",
+        max_episode_steps=_steps,
+        kwargs=_options,
+    )
 
 DEFAULT_ENV = "armctl/ArmReach-v0"
-DEFAULT_POLICIES = ("reach_ik", "reach_ppo", "random")
+DEFAULT_POLICIES = {
+    "armctl/ArmReach-v0": ("reach_ik", "reach_ppo", "random"),
+    "armctl/BridgeCross-v0": ("bridge_ompl", "random"),
+    "armctl/BridgeCrossMoving-v0": ("bridge_ompl", "random"),
+}
 
 _HOMES = {
     "load_arm": "armctl.assets",

@@ -7,13 +7,16 @@ import hashlib
 from pathlib import Path
 from typing import Any, Literal
 
+import gymnasium
 import numpy as np
 import onnxruntime
+from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from armctl.envs import TaskVectorEnv
 from armctl.errors import AgentFileError
+from armctl.tasks import Observations
 
 INPUT, OUTPUT = "observation", "action"
 
@@ -45,7 +48,8 @@ class AgentCard(BaseModel):
     """Options of the environment that it acts in; the rest are defaults."""
     interface: dict[str, str]
     """What must be the same wherever it acts, such as robot and control."""
-    observation_shape: list[int]
+    observation_shape: list[int] | dict[str, list[int]]
+    """Of the observation, or of each of its arrays."""
     action_shape: list[int]
     training_steps: int
     training_minutes: float
@@ -73,18 +77,20 @@ class OnnxPolicy:
             self._session = onnxruntime.InferenceSession(graph.read_bytes(), options, ["CPUExecutionProvider"])
         except Exception as error:  # onnxruntime has an exception for each way a file can be broken
             raise AgentFileError(f"{graph} is not an ONNX graph that onnxruntime can run: {error}") from error
-        inputs, outputs = (
+        reads, gives = (
             [value.name for value in values] for values in (self._session.get_inputs(), self._session.get_outputs())
         )
-        if (inputs, outputs) != ([INPUT], [OUTPUT]):
-            raise AgentFileError(f"{graph} maps {inputs} to {outputs}; an agent maps ['{INPUT}'] to ['{OUTPUT}']")
+        shown = list(card.observation_shape) if isinstance(card.observation_shape, dict) else [INPUT]
+        if (sorted(reads), gives) != (sorted(shown), [OUTPUT]):
+            raise AgentFileError(f"{graph} maps {reads} to {gives}; by its card, it maps {shown} to ['{OUTPUT}']")
 
     def reset(self, ids: NDArray[np.int32]) -> None:
         """Nothing to forget: the agent has no memory."""
 
-    def act(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
+    def act(self, observations: Observations) -> NDArray[np.float32]:
         """Actions (n, ...) for observations (n, ...)."""
-        return np.asarray(self._session.run([OUTPUT], {INPUT: observations})[0])
+        shown = observations if isinstance(observations, dict) else {INPUT: observations}
+        return np.asarray(self._session.run([OUTPUT], shown)[0])
 
 
 def load_agent(path: Path, worlds: TaskVectorEnv) -> OnnxPolicy:
@@ -120,15 +126,32 @@ def sha256(path: Path) -> str:
 
 
 def _check_made_for(card: AgentCard, worlds: TaskVectorEnv) -> None:
-    if worlds.spec is not None and card.env != worlds.spec.id:
+    if worlds.spec is not None and not _same_task(card.env, worlds.spec):
         raise AgentFileError(f"agent {card.name} was trained in {card.env}, and this is {worlds.spec.id}")
-    shapes = (tuple(card.observation_shape), tuple(card.action_shape))
-    here = (worlds.single_observation_space.shape, worlds.single_action_space.shape)
-    if shapes != here:
+    trained = (card.observation_shape, card.action_shape)
+    here = (shapes(worlds.single_observation_space), shapes(worlds.single_action_space))
+    if trained != here:
         raise AgentFileError(
-            f"agent {card.name} maps observations {shapes[0]} to actions {shapes[1]}; "
+            f"agent {card.name} maps observations {trained[0]} to actions {trained[1]}; "
             f"here they are {here[0]} and {here[1]}"
         )
     for name, value in worlds.task.interface.items():
-        if (trained := card.interface.get(name)) != value:
-            raise AgentFileError(f"agent {card.name} was trained for {name} {trained!r}, and this is {name} {value!r}")
+        if (learnt := card.interface.get(name)) != value:
+            raise AgentFileError(f"agent {card.name} was trained for {name} {learnt!r}, and this is {name} {value!r}")
+
+
+def _same_task(env: str, spec: EnvSpec) -> bool:
+    """Whether two environments differ in their options at most."""
+    return env in gymnasium.registry and gymnasium.registry[env].vector_entry_point == spec.vector_entry_point
+
+
+def inputs(space: gymnasium.Space[Any]) -> dict[str, gymnasium.Space[Any]]:
+    """What an agent's graph reads of an observation space, by input name."""
+    return dict(space.spaces) if isinstance(space, gymnasium.spaces.Dict) else {INPUT: space}
+
+
+def shapes(space: gymnasium.Space[Any]) -> Any:
+    """Shape of a space as a card has it: a list, or one for each of its arrays."""
+    if isinstance(space, gymnasium.spaces.Dict):
+        return {name: shapes(part) for name, part in space.spaces.items()}
+    return list(space.shape or ())

@@ -7,13 +7,14 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
-from armctl import DEFAULT_ENV, DEFAULT_POLICIES
+from armctl import DEFAULT_ENV
 from armctl.errors import ArmctlError, ConfigurationError
 
 app = typer.Typer(
     help="Planners and controllers against learned agents, on the same robot episodes.\n\n"
     "Start with `armctl compare`: an IK expert, a trained PPO agent and random actions meet the same 200 reach "
-    "episodes. `armctl list` shows what else there is.",
+    "episodes. With `--env armctl/BridgeCross-v0`, a path planner and a camera agent cross the same bridges. "
+    "`armctl list` shows what else there is.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -63,7 +64,7 @@ def compare(
     policies: Annotated[
         list[str] | None,
         typer.Argument(
-            help="Policies: names, agents' files, or `module:function`.", show_default=" ".join(DEFAULT_POLICIES)
+            help="Policies: names, agents' files, or `module:function`.", show_default="those of the environment"
         ),
     ] = None,
     env: Env = DEFAULT_ENV,
@@ -88,9 +89,10 @@ def compare(
 
     from armctl.evaluation import EpisodeResult
     from armctl.evaluation import compare as run_comparison
+    from armctl.evaluation.compare import default_policies
     from armctl.evaluation.report import tables
 
-    names = policies or list(DEFAULT_POLICIES)
+    names = policies or default_policies(env)
     folder = out or Path("results") / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
     columns = (TextColumn("{task.description:>12}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:

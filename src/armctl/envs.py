@@ -16,11 +16,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from armctl.errors import ConfigurationError, InvalidAction, unknown_name
 from armctl.simulation.rendering import Camera, Window
-from armctl.tasks.reach import ReachOptions, ReachTask
-from armctl.tasks.task import OUTCOME_LABELS, SUCCESSES, Outcome, Task
+from armctl.tasks import BridgeOptions, BridgeTask, ReachOptions, ReachTask
+from armctl.tasks.task import OUTCOME_LABELS, SUCCESSES, Observations, Outcome, Task
 
 Array = NDArray[np.float64]
-Observations = NDArray[np.float32]
 Infos = dict[str, Any]
 
 RENDER_MODES = ("rgb_array", "human")
@@ -51,7 +50,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     }
     task: Task
     options_type: ClassVar[type[Any]]
-    single_observation_space: gymnasium.spaces.Box
+    single_observation_space: gymnasium.spaces.Space[Any]
     single_action_space: gymnasium.spaces.Box
 
     def __init__(
@@ -124,7 +123,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         restart = np.flatnonzero(idle) if idle.any() else None
         awake = None if restart is None else np.flatnonzero(~idle).astype(np.int32)
         self.task.command(commands)
-        self.task.simulation.step(self.task.substeps, awake)
+        self.task.advance(awake)
         self._steps += 1
         ledger = self.task.score()
         outcome = self.task.outcome()
@@ -152,11 +151,19 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             infos |= self.task.details()
         elif self.autoreset_mode is AutoresetMode.DISABLED and restart is not None:
             self._finished = finished | idle
-        elif self.autoreset_mode is AutoresetMode.SAME_STEP and finished.any():
-            infos = self._final(finished, infos)
-            self._begin(np.flatnonzero(finished))
+        observations = self.task.observe()
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and finished.any():
+            infos |= {
+                "final_obs": observations,
+                "_final_obs": finished,
+                "final_info": infos | {f"_{key}": finished for key in infos},
+                "_final_info": finished,
+            }
+            ended = np.flatnonzero(finished).astype(np.int32)
+            self._begin(ended)
             infos |= self.task.details()
-        return self.task.observe(), rewards, terminated, truncated, infos
+            observations = _replaced(observations, ended, self.task.observe(ended))
+        return observations, rewards, terminated, truncated, infos
 
     def render(self) -> Any:
         """Pictures (height, width, 3) of all worlds as a tuple; None in the mode `human`, which shows the first."""
@@ -187,7 +194,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         """Number of each world's present episode under its seed, (n,)."""
         return self._episodes.copy()
 
-    def _begin(self, ids: NDArray[np.intp]) -> None:
+    def _begin(self, ids: NDArray[np.integer[Any]]) -> None:
         self._episodes[ids] += 1
         self._steps[ids] = 0
         self._finished[ids] = False
@@ -211,16 +218,6 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             worlds = np.flatnonzero(~np.isfinite(checked).reshape(self.num_envs, -1).all(axis=1))
             raise InvalidAction(f"action {checked[worlds[0]]} of world {worlds[0]} is not finite; no world was stepped")
         return checked
-
-    def _final(self, finished: NDArray[np.bool_], infos: Infos) -> Infos:
-        """Infos of the same-step mode: what was last seen of the episodes that end here."""
-        final = infos | {f"_{key}": finished for key in infos}
-        return infos | {
-            "final_obs": self.task.observe(),
-            "_final_obs": finished,
-            "final_info": final,
-            "_final_info": finished,
-        }
 
 
 class TaskEnv(gymnasium.Env[Any, Any]):
@@ -251,7 +248,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         observations, infos = self.worlds.reset(seed=seed, options=options)
         if self.render_mode == "human":
             self.render()
-        return observations[0], _first(infos)
+        return one_of(observations, 0), _first(infos)
 
     def step(self, action: ArrayLike) -> tuple[Observations, float, bool, bool, Infos]:
         """Make one decision. Raises `InvalidAction`, and steps nothing, if the action is unusable."""
@@ -263,7 +260,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         observations, rewards, terminated, truncated, infos = self.worlds.step(given[None])
         if self.render_mode == "human":
             self.render()
-        return observations[0], float(rewards[0]), bool(terminated[0]), bool(truncated[0]), _first(infos)
+        return one_of(observations, 0), float(rewards[0]), bool(terminated[0]), bool(truncated[0]), _first(infos)
 
     def render(self) -> Any:
         """Picture (height, width, 3), or None in the mode `human`."""
@@ -282,6 +279,35 @@ def make_options(options_type: type[Any], options: Mapping[str, Any]) -> Any:
         if name not in names:
             raise unknown_name("option", name, [*names, "max_episode_steps", "render_mode"])
     return options_type(**options)
+
+
+def one_of(observations: Observations, world: int) -> Any:
+    """What one world observes."""
+    if isinstance(observations, dict):
+        return {name: values[world] for name, values in observations.items()}
+    return observations[world]
+
+
+def _replaced(observations: Observations, ids: NDArray[np.int32], new: Observations) -> Observations:
+    """Observations with those of worlds `ids` replaced by new ones."""
+    if isinstance(observations, dict):
+        assert isinstance(new, dict)
+        return {name: _replaced_rows(values, ids, new[name]) for name, values in observations.items()}
+    assert isinstance(new, np.ndarray)
+    return _replaced_rows(observations, ids, new)
+
+
+def _replaced_rows(values: NDArray[Any], ids: NDArray[np.int32], new: NDArray[Any]) -> NDArray[Any]:
+    values = values.copy()
+    values[ids] = new
+    return values
+
+
+def batch_of_one(observation: Any) -> Observations:
+    """One world's observation as a batch."""
+    if isinstance(observation, dict):
+        return {name: np.asarray(value)[None] for name, value in observation.items()}
+    return np.asarray(observation)[None]
 
 
 def _first(infos: Infos) -> Infos:
@@ -325,3 +351,22 @@ class ArmReachEnv(TaskEnv):
     """`gym.make("armctl/ArmReach-v0", **options)`; options in `armctl.tasks.ReachOptions`."""
 
     vector_type = ArmReachVectorEnv
+
+
+class BridgeCrossVectorEnv(TaskVectorEnv):
+    """`gym.make_vec("armctl/BridgeCross-v0", num_envs=n, **options)`; options in `armctl.tasks.BridgeOptions`."""
+
+    metadata = TaskVectorEnv.metadata | {"render_fps": 10}
+    task: BridgeTask
+    options_type = BridgeOptions
+
+    def make_task(self, n: int, options: BridgeOptions, threads: int) -> BridgeTask:
+        """Bridges with their rovers."""
+        return BridgeTask(n, options, threads)
+
+
+class BridgeCrossEnv(TaskEnv):
+    """`gym.make("armctl/BridgeCross-v0", **options)`; options in `armctl.tasks.BridgeOptions`."""
+
+    metadata = BridgeCrossVectorEnv.metadata
+    vector_type = BridgeCrossVectorEnv

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.agents import load_agent
-from armctl.envs import TaskEnv, TaskVectorEnv
+from armctl.envs import TaskEnv, TaskVectorEnv, one_of
 from armctl.errors import ArmctlError, ConfigurationError, unknown_name
+from armctl.tasks import Observations
 
-Observations = NDArray[np.float32]
 Actions = NDArray[np.floating[Any]]
 GROUP = "armctl.policies"
 
@@ -47,7 +47,7 @@ class Controller(Protocol):
     def reset(self) -> None:
         """A new episode starts."""
 
-    def act(self, observation: Observations) -> Actions:
+    def act(self, observation: Any) -> Actions:
         """The action for one world's observation."""
 
 
@@ -72,8 +72,7 @@ class PerWorld:
 
     def act(self, observations: Observations) -> Actions:
         """Each controller's action on its own observation."""
-        pairs = zip(self.controllers, observations, strict=True)
-        return np.array([controller.act(observation) for controller, observation in pairs])
+        return np.array([controller.act(one_of(observations, i)) for i, controller in enumerate(self.controllers)])
 
 
 def policy_names() -> list[str]:

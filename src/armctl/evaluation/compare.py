@@ -1,6 +1,7 @@
 """Several policies on the very same episodes."""
 
 import itertools
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -32,6 +33,8 @@ class PolicySummary:
     """Episodes that the figures are over: played, without a gap from the first on, and feasible."""
     infeasible: int
     """Episodes with a target out of reach, that no policy won: left out of all figures."""
+    outcomes: dict[str, int]
+    """How the episodes ended, most frequent first."""
     success: Estimate | None
     episode_return: Estimate | None
     steps_to_goal: Estimate | None
@@ -57,7 +60,7 @@ class Comparison:
 
 
 def compare(
-    policies: Sequence[str | PolicyFactory] = DEFAULT_POLICIES,
+    policies: Sequence[str | PolicyFactory] | None = None,
     env: str = DEFAULT_ENV,
     *,
     episodes: int = 200,
@@ -74,11 +77,14 @@ def compare(
     interrupt (Ctrl-C), a failing policy or a full disk loses nothing that was finished. With one world (the default)
     decision times are latencies; with more they are shares of a batch.
 
-    Policies are names, agents' files, `module:function`, or functions (see `make_policy`). `progress` is told of every
+    Policies are names, agents' files, `module:function`, or functions (see `make_policy`), and without any, those that
+    `armctl.DEFAULT_POLICIES` has for `env`. `progress` is told of every
     finished episode.
 
     Raises `ConfigurationError`, `AgentFileError`, and `ResultsError` if `out` cannot be written or holds results.
     """
+    if policies is None:
+        policies = default_policies(env)
     by_name = {policy_name(policy): policy for policy in ([policies] if isinstance(policies, str) else policies)}
     if not by_name or (not isinstance(policies, str) and len(by_name) != len(policies)):
         raise ConfigurationError(f"a comparison needs policies, each once, not {policies}")
@@ -125,6 +131,13 @@ def compare(
     return comparison
 
 
+def default_policies(env: str) -> tuple[str, ...]:
+    """The policies that meet in an environment unless others are asked for."""
+    if env not in DEFAULT_POLICIES:
+        raise ConfigurationError(f"name the policies to compare: armctl has none of its own for {env}")
+    return DEFAULT_POLICIES[env]
+
+
 def _counted(results: list[EpisodeResult]) -> tuple[dict[str, list[EpisodeResult]], int]:
     """The results that figures are over, by policy and episode, and the number of infeasible episodes left out.
 
@@ -152,6 +165,7 @@ def _summary(
         planned,
         len(results),
         infeasible,
+        dict(Counter(result.outcome for result in results).most_common()),
         success_rate(np.array([result.success for result in results])),
         mean(np.array([result.total_reward for result in results])),
         mean(np.array([float(result.length) for result in results if result.success])),

@@ -95,6 +95,9 @@ def versions() -> dict[str, str]:
 def tables(comparison: "Comparison") -> Group:
     """The comparison for a terminal."""
     parts: list[Table | Text] = [_policy_table(comparison)] if comparison.policies else []
+    for policy in comparison.policies:
+        ends = ", ".join(f"{count} {outcome}" for outcome, count in policy.outcomes.items())
+        parts.append(Text(f"{policy.policy}: {ends}"))
     if comparison.paired:
         parts += [Text(), _paired_table(comparison.paired), Text(), Text(verdict(comparison), style="bold")]
     if comparison.policies and (infeasible := comparison.policies[0].infeasible):

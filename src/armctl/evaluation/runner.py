@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from armctl.envs import RENDER_FPS
+from armctl.envs import batch_of_one
 from armctl.errors import ConfigurationError, ResultsError
 from armctl.evaluation.rollouts import blaming
 from armctl.policies import make_policy
@@ -40,7 +40,7 @@ def run_episodes(
     world: Any = _make(env, steps, "human" if watch else "rgb_array" if video else None, env_options)
     actor = make_policy(policy, world)
     try:
-        with _film(video, console) as film:
+        with _film(video, world.metadata["render_fps"], console) as film:
             for episode in range(episodes):
                 console.rule(f"{policy}, episode {episode} of seed {seed}", align="left")
                 _play(console, policy, actor, world, seed, episode, film, watch)
@@ -64,14 +64,14 @@ def _play(
             film(world.render())
         state = {part: value.copy() for part, value in world.unwrapped.task.parts().items()}
         with blaming(name, episode):
-            action = actor.act(observation[None])[0]
+            action = actor.act(batch_of_one(observation))[0]
             observation, reward, terminated, truncated, info = world.step(action)
         if watch:
-            time.sleep(1 / RENDER_FPS)
+            time.sleep(1 / world.metadata["render_fps"])
         _print_step(console, step, state | {"action": action[None]}, info["reward_terms"], float(reward))
         total, step, finished = total + float(reward), step + 1, terminated or truncated
     if film:
-        for _ in range(RENDER_FPS // 2):
+        for _ in range(world.metadata["render_fps"] // 2):
             film(world.render())
     console.print(f"[bold]{info['outcome']} after {step} steps, return {total:g}[/]\n")
 
@@ -99,14 +99,14 @@ def _print_step(
 
 
 @contextmanager
-def _film(video: Path | None, console: Console) -> Iterator[Film | None]:
+def _film(video: Path | None, fps: int, console: Console) -> Iterator[Film | None]:
     """Takes frames to a video file as they come; None without one."""
     if video is None:
         yield None
         return
     try:
         video.parent.mkdir(parents=True, exist_ok=True)
-        writer = imageio.get_writer(video, fps=RENDER_FPS)
+        writer = imageio.get_writer(video, fps=fps)
     except (OSError, ValueError) as error:
         raise ResultsError(f"the video {video} cannot be written: {error}") from error
     frames = 0

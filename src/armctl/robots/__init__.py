@@ -1,5 +1,6 @@
 """How robots are commanded and what they sense."""
 
 from armctl.robots.arm import CONTROLS, Arm, build_arm_world
+from armctl.robots.rover import Rover
 
-__all__ = ["CONTROLS", "Arm", "build_arm_world"]
+__all__ = ["CONTROLS", "Arm", "Rover", "build_arm_world"]

@@ -23,6 +23,10 @@ class Simulation:
         """Live (n, ...) array of an `MjData` field: a state to read and write, or an output to read."""
         return np.asarray(self._batch.bind(field))
 
+    def per_world(self, field: str) -> Array:
+        """Live (n, ...) array of an `MjModel` field, which worlds then have each for themselves."""
+        return np.asarray(self._batch.expand(field))
+
     def reset(self, ids: WorldIds | None = None) -> None:
         """Put worlds back into the first keyframe. Call `refresh` once the state is as it should be."""
         self._batch.reset(ids, keyframe=0, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
@@ -35,8 +39,18 @@ class Simulation:
         """Advance worlds by `substeps` time steps; outputs then agree with the new state."""
         self._batch.step(ids, nstep=substeps, stage=mujoco.mjtStage.mjSTAGE_VEL.value)
 
+    def cast_rays(
+        self, starts: Array, directions: Array, groups: NDArray[np.uint8], ids: WorldIds | None = None
+    ) -> tuple[Array, NDArray[np.int32]]:
+        """Distances in lengths of `directions`, and ids of the geoms of `groups` hit, (n, rays) each; -1 for a miss.
+
+        Starts and directions broadcast to (n, rays, 3), n being the number of worlds in `ids`, or of all.
+        """
+        distances, geoms = self._batch.ray(starts, directions, geomgroup=groups, ids=ids)
+        return np.asarray(distances), np.asarray(geoms)
+
     def data(self, world: int) -> mujoco.MjData:
         """A copy of one world, for anything that MuJoCo can do with it."""
         data = self._batch.get_data(world)
-        mujoco.mj_forward(self.model, data)
+        mujoco.mj_forward(self._batch.get_model(world), data)
         return data

@@ -1,6 +1,10 @@
 """What is to be done: where episodes start, what is observed, what is rewarded, and how it ends."""
 
+from armctl.tasks.bridge import BridgeOptions, BridgeState, BridgeTask
 from armctl.tasks.reach import OBSERVATION, REWARD, ReachOptions, ReachState, ReachTask
-from armctl.tasks.task import Outcome, RewardLedger, Task
+from armctl.tasks.task import Observations, Outcome, RewardLedger, Task
 
-__all__ = ["OBSERVATION", "REWARD", "Outcome", "ReachOptions", "ReachState", "ReachTask", "RewardLedger", "Task"]
+__all__ = [
+    "OBSERVATION", "REWARD", "BridgeOptions", "BridgeState", "BridgeTask", "Observations", "Outcome", "ReachOptions",
+    "ReachState", "ReachTask", "RewardLedger", "Task",
+]  # fmt: skip

@@ -160,9 +160,10 @@ class ReachTask(Task):
         """The parts of `ReachOptions.observation`, (n, k) each."""
         return {name: part(self.state) for name, part in self.options.observation.items()}
 
-    def observe(self) -> NDArray[np.float32]:
+    def observe(self, ids: NDArray[np.int32] | None = None) -> NDArray[np.float32]:
         """Observations (n, k): the parts side by side."""
-        return np.concatenate(list(self.parts().values()), axis=1, dtype=np.float32)
+        observations = np.concatenate(list(self.parts().values()), axis=1, dtype=np.float32)
+        return observations if ids is None else observations[ids]
 
     def score(self) -> RewardLedger:
         """The terms of `ReachOptions.reward`."""

@@ -12,6 +12,8 @@ from armctl.simulation import Simulation
 Array = NDArray[np.float64]
 RewardLedger = dict[str, Array]
 """Named reward terms, (n,) each; the reward is their sum."""
+Observations = NDArray[np.float32] | dict[str, NDArray[Any]]
+"""Of n worlds, (n, ...): one array, or several by name."""
 
 
 class Outcome(IntEnum):
@@ -19,6 +21,9 @@ class Outcome(IntEnum):
 
     TIMEOUT = 0
     REACHED = 1
+    CROSSED = 2
+    COLLIDED = 3
+    FELL = 4
 
     @property
     def label(self) -> str:
@@ -28,7 +33,7 @@ class Outcome(IntEnum):
     @property
     def success(self) -> bool:
         """Whether the task was done."""
-        return self is Outcome.REACHED
+        return self in (Outcome.REACHED, Outcome.CROSSED)
 
 
 OUTCOME_LABELS = np.array([outcome.label for outcome in Outcome])
@@ -43,7 +48,7 @@ class Task(Protocol):
     """Physics steps between two decisions."""
     camera: str
     """The MJCF camera that pictures are taken with."""
-    observation_space: gymnasium.spaces.Box
+    observation_space: gymnasium.spaces.Space[Any]
     """Of one world."""
     action_space: gymnasium.spaces.Box
     """Of one world."""
@@ -58,11 +63,15 @@ class Task(Protocol):
     def command(self, actions: Array) -> None:
         """Hand actions (n, ...) to the robots; they act on the simulation's next steps."""
 
+    def advance(self, ids: NDArray[np.int32] | None) -> None:
+        """Let time go on until the next decision, in worlds `ids` or in all."""
+        self.simulation.step(self.substeps, ids)
+
     def parts(self) -> dict[str, NDArray[np.floating[Any]]]:
         """What is observed now, by name, (n, ...) each."""
 
-    def observe(self) -> NDArray[np.float32]:
-        """What the policies see now."""
+    def observe(self, ids: NDArray[np.int32] | None = None) -> Observations:
+        """What the policies see now, in worlds `ids` or in all."""
 
     def score(self) -> RewardLedger:
         """What the last step earned."""
@@ -70,5 +79,5 @@ class Task(Protocol):
     def outcome(self) -> NDArray[np.int8]:
         """`Outcome` of each world, (n,)."""
 
-    def details(self) -> dict[str, NDArray[Any]]:
-        """What `info` says besides, (n,) each."""
+    def details(self) -> dict[str, Any]:
+        """What `info` says besides: arrays (n,), or dicts of such."""

@@ -1,0 +1,117 @@
+"""The OMPL expert: a path with clearance over the bridge's map, followed at speed by regulated pure pursuit.
+
+Where people walk, path and speed are decided one after the other (Kant and Zucker, Toward efficient trajectory
+planning: the path-velocity decomposition, IJRR 5(3), 1986). The path passes beside lanes along the bridge. Lanes across
+it are entered at the highest speed for which nobody's predicted course comes near, until a place where nobody walks.
+It sees the map and the true pose: privileged state.
+"""
+
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.control import RegulatedPurePursuit
+from armctl.envs import BridgeCrossVectorEnv
+from armctl.errors import ConfigurationError
+from armctl.planning import BridgeMap, plan_path
+from armctl.robots.rover import RADIUS
+from armctl.tasks.bridge import DECISION_PERIOD
+
+Array = NDArray[np.float64]
+
+MARGIN = 0.2
+"""m kept between the rover and whoever walks."""
+ACCELERATION = 4.0
+"""m/s^2 with which the rover is expected to change its speed."""
+SPEEDS = (1.0, 0.8, 0.6, 0.4, 0.25, 0.0)
+"""Shares of the pursuit's speed that are tried, the highest first."""
+FORESIGHT = 5.0
+"""s that predictions reach."""
+REPLAN_DISTANCE = 0.4
+"""m off the path, from where a new one is planned."""
+
+
+def make(env: BridgeCrossVectorEnv) -> "BridgeOmpl":
+    """OMPL path on the true map, and pure pursuit; waits for whoever crosses the path."""
+    if not isinstance(env, BridgeCrossVectorEnv):
+        raise ConfigurationError("bridge_ompl crosses bridges: use it with armctl/BridgeCross-v0")
+    return BridgeOmpl(env)
+
+
+class BridgeOmpl:
+    """A driver for each world."""
+
+    sees: Literal["observation", "state"] = "state"
+    training_steps = 0
+
+    def __init__(self, env: BridgeCrossVectorEnv) -> None:
+        self._task = env.task
+        self._drivers: list[Driver | None] = [None] * env.num_envs
+
+    def reset(self, ids: NDArray[np.int32]) -> None:
+        """Worlds `ids` have new maps."""
+        for i in ids:
+            self._drivers[i] = Driver(self._task.map(i), self._task.goal_x)
+
+    def act(self, observations: Any) -> Array:
+        """Linear and angular velocities (n, 2), m/s and rad/s."""
+        state = self._task.state
+        told = zip(self._drivers, state.poses, state.velocities[:, 0], state.time, strict=True)
+        return np.array([driver.act(pose, speed, time) if driver else (0, 0) for driver, pose, speed, time in told])
+
+
+class Driver:
+    """Crosses one bridge."""
+
+    def __init__(self, bridge: BridgeMap, goal_x: float) -> None:
+        self._bridge, self._goal_x = bridge, goal_x
+        self._beside_lanes = bridge.with_lanes_blocked()
+        self._crossing = bridge.courses.across()
+        self._pursuit: RegulatedPurePursuit | None = None
+
+    def act(self, pose: Array, speed: float, time: float) -> tuple[float, float]:
+        """Linear and angular velocity for a pose (x, y, yaw), the present speed (m/s) and time (s)."""
+        if self._pursuit is None or self._strayed(self._pursuit, pose):
+            plan = plan_path(self._beside_lanes, pose[:2], self._goal_x)
+            if not plan.found:
+                return 0.0, 0.0
+            self._pursuit = RegulatedPurePursuit(plan.path)
+        linear, angular = self._pursuit.command(pose, speed)
+        if linear == 0.0 or not len(self._crossing.speed):
+            return linear, angular
+        share = self._highest_safe_share(self._pursuit, linear, speed, time)
+        return share * linear, share * angular
+
+    def _strayed(self, pursuit: RegulatedPurePursuit, pose: Array) -> bool:
+        return bool(np.linalg.norm(pursuit.points_at(pursuit.progress) - pose[:2]) > REPLAN_DISTANCE)
+
+    def _highest_safe_share(self, pursuit: RegulatedPurePursuit, linear: float, speed: float, time: float) -> float:
+        """Share of the speed at which the rover meets nobody before it comes to a place where nobody walks."""
+        shares = np.array(SPEEDS)
+        clock = np.arange(0.0, FORESIGHT, 0.05)
+        wanted = shares[:, None] * linear
+        change = np.abs(wanted - speed) / ACCELERATION
+        travelled = np.where(
+            clock < change,
+            speed * clock + np.sign(wanted - speed) * ACCELERATION * clock**2 / 2,
+            speed * change + np.sign(wanted - speed) * ACCELERATION * change**2 / 2 + wanted * (clock - change),
+        )
+        places = pursuit.points_at(pursuit.progress + travelled)
+        people = self._crossing.positions(time + clock)
+        apart = np.linalg.norm(places[:, :, None] - people, axis=-1).min(axis=-1)
+        room = apart - RADIUS - self._crossing.radius
+        stops = pursuit.points_at(pursuit.progress + travelled + wanted**2 / (2 * ACCELERATION))
+        refuge = self._off_all_lanes(places) & self._off_all_lanes(stops) & (clock >= DECISION_PERIOD)
+        until = np.where(refuge.any(axis=1), refuge.argmax(axis=1), len(clock) - 1)
+        closest = np.array([row[: last + 1].min() for row, last in zip(room, until, strict=True)])
+        safe = (closest >= MARGIN) & refuge.any(axis=1)
+        return float(shares[safe.argmax()] if safe.any() else shares[closest.argmax()])
+
+    def _off_all_lanes(self, places: Array) -> NDArray[np.bool_]:
+        courses = self._crossing
+        way = courses.end - courses.start
+        offset = places[..., None, :] - courses.start
+        share = np.clip((offset * way).sum(axis=-1) / (way * way).sum(axis=-1), 0.0, 1.0)
+        distance = np.linalg.norm(offset - share[..., None] * way, axis=-1).min(axis=-1)
+        return np.asarray(distance >= RADIUS + courses.radius + MARGIN / 2)

@@ -1,0 +1,68 @@
+"""What makes the bridge learnable from its camera: inverse depth, a car's range of commands, and a milder reward.
+
+Features and actions are functions of the observation inside the exported graph: the agent sees and does what any policy
+may. The shaped reward is for training alone: were a collision as dear as in the task, standing still would be learnt.
+"""
+
+from typing import Any
+
+import numpy as np
+import torch
+from armctl.rl.recipe import PpoOptions, Recipe
+from gymnasium import spaces
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+
+from armctl.tasks.bridge import REWARD
+
+NEAR = 0.5
+"""m: inverse depth is NEAR / (NEAR + depth)."""
+LINEAR = (-0.3, 1.6)
+"""m/s that the agent can command; 2.0 is what the rover can do."""
+ANGULAR = (-2.0, 2.0)
+"""rad/s."""
+SHAPED_REWARD = {
+    **REWARD,
+    "collision": lambda state: -20.0 * state.collided,
+    "fall": lambda state: -20.0 * state.fell,
+}
+PROGRESS_REWARD = 5.0
+"""Reward for each metre nearer to the goal line."""
+
+
+class BridgeFeatures(BaseFeaturesExtractor):
+    """Inverse depths of all pixels, and own motion."""
+
+    def __init__(self, observation_space: spaces.Dict, size: int = 128) -> None:
+        super().__init__(observation_space, size + 3)
+        image = observation_space["image"]
+        assert isinstance(image, spaces.Box)
+        self.image = torch.nn.Sequential(
+            torch.nn.Flatten(), torch.nn.Linear(int(np.prod(image.shape)), size), torch.nn.ELU()
+        )
+
+    def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
+        """Features (n, size + 3) of images (n, height, width) and motions (n, 3)."""
+        inverse = 2 * NEAR / (NEAR + observations["image"])
+        return torch.cat((self.image(inverse), observations["motion"]), dim=1)
+
+
+class VelocityScale(torch.nn.Module):
+    """From the network's actions in [-1, 1] to linear and angular velocity."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        low, high = np.array((LINEAR, ANGULAR), dtype=np.float32).T
+        self.register_buffer("middle", torch.as_tensor((low + high) / 2))
+        self.register_buffer("span", torch.as_tensor((high - low) / 2))
+
+    def forward(self, observations: Any, actions: torch.Tensor) -> torch.Tensor:
+        """Environment actions (n, 2)."""
+        return self.middle + self.span * actions.clamp(-1, 1)
+
+
+RECIPE = Recipe(
+    PpoOptions(steps=2_000_000, gamma=0.99, epochs=4, learning_rate=5e-4, evaluation_episodes=500),
+    shaped={"reward": SHAPED_REWARD, "progress": PROGRESS_REWARD},
+    features=BridgeFeatures,
+    action_scale=lambda worlds, options: VelocityScale(),
+)

@@ -1,0 +1,6 @@
+"""What a planner believes: maps, and paths on them. Nothing here knows of MuJoCo or Gymnasium."""
+
+from armctl.planning.bridge_map import BridgeMap, Courses
+from armctl.planning.path_planner import PathPlannerOptions, PlanResult, plan_path
+
+__all__ = ["BridgeMap", "Courses", "PathPlannerOptions", "PlanResult", "plan_path"]

@@ -1,0 +1,104 @@
+"""A simulated skid-steer rover: from a velocity command to its wheels, and from the simulation to what it senses."""
+
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.assets import world_path
+from armctl.simulation import Simulation
+
+Array = NDArray[np.float64]
+
+PREFIX = "rover/"
+"""Before every name of the rover's own in a world's model."""
+WHEELS = ("front_left_wheel", "front_right_wheel", "rear_left_wheel", "rear_right_wheel")
+PARTS = ("base", *WHEELS)
+CAMERA = PREFIX + "front"
+GEOM_GROUP = 1
+"""Of all that its own camera must not see."""
+
+WHEEL_RADIUS = 0.098
+"""m."""
+TRACK = 0.37558
+"""m between left and right wheels."""
+WHEEL_SEPARATION_MULTIPLIER = 1.6
+"""Wheels that skid turn the rover by so much less than rolling ones would (measured on the asphalt)."""
+MAX_WHEEL_SPEED = 25.0
+"""rad/s."""
+MAX_VELOCITY = np.array([2.0, 3.0])
+"""Of commands: linear, m/s, and angular, rad/s."""
+RADIUS = 0.31
+"""m from its centre to its furthest corner: a disc that it can turn in."""
+
+
+class Rover:
+    """n simulated rovers, commanded together."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        model = simulation.model
+        self._qpos, self._qvel = simulation.array("qpos"), simulation.array("qvel")
+        self._sensors, self._ctrl = simulation.array("sensordata"), simulation.array("ctrl")
+        self._positions = simulation.array("xpos")
+        free = model.joint(PREFIX + "base")
+        self._pose_columns = slice(free.qposadr[0], free.qposadr[0] + 7)
+        self._twist_columns = slice(free.dofadr[0], free.dofadr[0] + 6)
+        self._spin_columns = [model.joint(PREFIX + wheel).dofadr[0] for wheel in WHEELS]
+        self._motors = [model.actuator(PREFIX + wheel).id for wheel in WHEELS]
+        self._wheel_bodies = [model.body(PREFIX + wheel).id for wheel in WHEELS]
+        gyro = model.sensor(PREFIX + "gyro").adr[0]
+        self._gyro_columns = slice(gyro, gyro + 3)
+
+    def command(self, velocities: Array) -> None:
+        """Take over linear and angular velocities (n, 2), m/s and rad/s, clipped to `MAX_VELOCITY`.
+
+        Where a wheel would have to turn faster than it can, both velocities are reduced alike: the curve stays.
+        """
+        self._ctrl[:, self._motors] = wheel_speeds(np.clip(velocities, -MAX_VELOCITY, MAX_VELOCITY))
+
+    @property
+    def poses(self) -> Array:
+        """True x, y (m) and yaw (rad), (n, 3)."""
+        x, y, _, qw, qx, qy, qz = self._qpos[:, self._pose_columns].T
+        yaw = np.arctan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
+        return np.stack((x, y, yaw), axis=1)
+
+    @property
+    def velocities(self) -> Array:
+        """True linear velocity ahead (m/s) and yaw rate (rad/s), (n, 2)."""
+        yaw = self.poses[:, 2]
+        vx, vy, _, _, _, spin = self._qvel[:, self._twist_columns].T
+        return np.stack((vx * np.cos(yaw) + vy * np.sin(yaw), spin), axis=1)
+
+    @property
+    def odometry(self) -> Array:
+        """Linear (m/s) and angular velocity (rad/s) by the wheels' turning, (n, 2): wrong as far as they skid."""
+        rim = WHEEL_RADIUS * self._qvel[:, self._spin_columns]
+        left, right = (rim[:, 0] + rim[:, 2]) / 2, (rim[:, 1] + rim[:, 3]) / 2
+        return np.stack(((left + right) / 2, (right - left) / (TRACK * WHEEL_SEPARATION_MULTIPLIER)), axis=1)
+
+    @property
+    def gyro(self) -> Array:
+        """Angular velocity in the rover's own axes, rad/s, (n, 3)."""
+        return self._sensors[:, self._gyro_columns]
+
+    @property
+    def wheel_heights(self) -> Array:
+        """Height of the wheels' centres, m, (n, 4)."""
+        return self._positions[:, self._wheel_bodies, 2]
+
+
+def wheel_speeds(velocities: Array) -> Array:
+    """Speeds (n, 4) of the wheels, rad/s, for linear and angular velocities (n, 2)."""
+    linear, angular = velocities.T
+    turning = angular * TRACK * WHEEL_SEPARATION_MULTIPLIER / 2
+    sides = np.stack((linear - turning, linear + turning), axis=1) / WHEEL_RADIUS
+    sides /= np.maximum(1.0, np.abs(sides).max(axis=1, keepdims=True) / MAX_WHEEL_SPEED)
+    return np.tile(sides, 2)
+
+
+def add_rover(spec: Any, position: tuple[float, float]) -> None:
+    """Put the rover of `models/rover.xml` on the ground at x, y of a world."""
+    rover = mujoco.MjSpec.from_file(str(world_path("rover")))
+    spec.attach(rover, frame=spec.worldbody.add_frame(pos=[*position, 0.0]), prefix=PREFIX)
