@@ -7,6 +7,16 @@ import imageio.v3 as imageio
 import numpy as np
 
 import armctl
+from armctl.simulation import Camera
+
+FOLDER = Path(__file__).parent
+PIXEL = 8
+"""Pixels of the picture for one of the rover's camera."""
+CLASS_COLOURS = np.array(
+    [(178, 208, 235), (80, 80, 84), (120, 110, 100), (205, 200, 190), (40, 80, 160), (245, 245, 245), (55, 105, 125)],
+    dtype=np.uint8,
+)
+"""Of sky, floor, deck, barrier, obstacle, goal and ground."""
 
 env = gymnasium.make("armctl/ArmReach-v0", render_mode="rgb_array")
 policy = armctl.make_policy("reach_ik", env)
@@ -14,4 +24,22 @@ observation, _ = env.reset(seed=3)
 policy.reset(np.zeros(1, dtype=np.int32))
 for _ in range(4):
     observation, *_ = env.step(policy.act(observation[None])[0])
-imageio.imwrite(Path(__file__).parent / "arm_reach.png", env.render())
+imageio.imwrite(FOLDER / "arm_reach.png", env.render())
+
+bridge = "armctl/BridgeCrossMoving-v0"
+views = {camera: gymnasium.make(bridge, camera=camera) for camera in ("depth", "classes", "rgb")}
+driver = armctl.make_policy("bridge_ompl", views["depth"])
+seen = {camera: view.reset(seed=6)[0]["image"] for camera, view in views.items()}
+driver.reset(np.zeros(1, dtype=np.int32))
+for _ in range(15):
+    action = driver.act(seen)[0]
+    seen = {camera: view.step(action)[0]["image"] for camera, view in views.items()}
+simulation = views["depth"].unwrapped.task.simulation
+imageio.imwrite(FOLDER / "bridge.png", Camera(simulation.model, "overview", 960, 540).picture(simulation.data(0)))
+near = np.uint8(255 * (1 - seen["depth"] / 10) ** 2)
+images = (np.repeat(near[..., None], 3, axis=2), CLASS_COLOURS[seen["classes"]], seen["rgb"])
+framed = [
+    np.pad(image.repeat(PIXEL, axis=0).repeat(PIXEL, axis=1), ((0, 0), (0, 12), (0, 0)), constant_values=255)
+    for image in images
+]
+imageio.imwrite(FOLDER / "bridge_cameras.png", np.concatenate(framed, axis=1)[:, :-12])

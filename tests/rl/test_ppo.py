@@ -12,13 +12,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from armctl.rl.ppo import PpoOptions, train
+from armctl.rl.bridge import ANGULAR, LINEAR, VelocityScale
+from armctl.rl.ppo import RECIPES, PpoOptions, train
 from armctl.rl.reach import SHAPED_REWARD, ActionScale
 from armctl.rl.vector import StableBaselinesVectorEnv
 
 from armctl.agents import load_agent
-from armctl.envs import ArmReachVectorEnv
-from armctl.errors import ConfigurationError
+from armctl.envs import ArmReachVectorEnv, BridgeCrossVectorEnv
+from armctl.errors import AgentFileError, ConfigurationError
 from armctl.evaluation import evaluate
 
 SMALL = PpoOptions(
@@ -159,3 +160,58 @@ def test_shaped_reward_is_the_plain_one_and_progress():
     after, rewards, *_ = env.step(np.zeros((8, 6)))
     distance = [np.linalg.norm(seen[:, :3] - seen[:, 9:], axis=1) for seen in (before, after)]
     np.testing.assert_allclose(rewards, -1 + 50 * (distance[0] - distance[1]), atol=1e-4)
+
+
+CAMERA = {"resolution": (8, 6)}
+
+
+@pytest.fixture(scope="module")
+def trained_on_bridge(tmp_path_factory):
+    out = tmp_path_factory.mktemp("runs") / "bridge"
+    options = dataclasses.replace(
+        RECIPES["armctl/BridgeCross-v0"].options, steps=1024, worlds=16, evaluation_episodes=4
+    )
+    return out, train("armctl/BridgeCross-v0", out=out, options=options, env_options=CAMERA, progress=False)
+
+
+def test_a_camera_agent_is_trained_exported_and_loaded(trained_on_bridge):
+    from stable_baselines3 import PPO
+
+    out, card = trained_on_bridge
+    assert card.observation_shape == {"image": [6, 8], "motion": [3]}
+    assert card.interface["camera"] == "depth 8 x 6, 110 degrees, to 10 m"
+    worlds = BridgeCrossVectorEnv(20, **CAMERA)
+    observations, _ = worlds.reset(seed=0)
+    model = PPO.load(out / "checkpoints" / "ppo_1024_steps", device="cpu")
+    raw = np.clip(model.predict(observations, deterministic=True)[0], -1, 1)
+    (slow, fast), (right, left) = LINEAR, ANGULAR
+    expected = np.array((slow + fast, right + left)) / 2 + np.array((fast - slow, left - right)) / 2 * raw
+    np.testing.assert_allclose(load_agent(out / "agent.json", worlds).act(observations), expected, atol=1e-5)
+    for env in ("armctl/BridgeCross-v0", "armctl/BridgeCrossMoving-v0"):
+        assert len(evaluate(str(out / "agent.json"), env, episodes=2, env_options=CAMERA)) == 2
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"camera": "classes", **CAMERA}, {"field_of_view": 80.0, **CAMERA}, {"observation": "state"}]
+)
+def test_a_camera_agent_refuses_another_camera(trained_on_bridge, options):
+    with pytest.raises(AgentFileError):
+        load_agent(trained_on_bridge[0] / "agent.json", BridgeCrossVectorEnv(1, **options))
+
+
+def test_the_learner_sees_the_last_observation_of_an_episode_and_the_first_of_the_next():
+    env = BridgeCrossVectorEnv(4, autoreset_mode="same_step", max_episode_steps=5, **CAMERA)
+    venv = StableBaselinesVectorEnv(env, VelocityScale())
+    venv.seed(0)
+    first = venv.reset()
+    for _ in range(5):
+        observations, _, done, infos = venv.step(np.zeros((4, 2), dtype=np.float32))
+    assert done.all()
+    for world in range(4):
+        last = infos[world]["terminal_observation"]
+        assert infos[world]["TimeLimit.truncated"]
+        assert last["image"].shape == (6, 8)
+        assert last["motion"][0] > 0.1
+        np.testing.assert_array_equal(observations["motion"][world], 0.0)
+        assert not np.array_equal(last["image"], observations["image"][world])
+    assert first["image"].shape == observations["image"].shape

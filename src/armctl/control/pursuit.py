@@ -1,6 +1,7 @@
-"""Regulated pure pursuit: steer along the circle to a point ahead on the path, and slow down where the path is bent.
+"""Pure pursuit, regulated: steer along the circle to a point ahead on the path, and slow down before it bends.
 
-Macenski, Singh, Martín, Ginés: Regulated pure pursuit for robot path tracking, Autonomous Robots 47, 2023.
+Macenski, Singh, Martín, Ginés: Regulated pure pursuit for robot path tracking, Autonomous Robots 47, 2023. They slow
+down in a curve; a skid-steer robot at speed has to do so before it, so that here the path has a speed profile.
 """
 
 import math
@@ -14,6 +15,12 @@ from armctl.errors import ConfigurationError
 Array = NDArray[np.float64]
 
 
+PROFILE_STEP = 0.05
+"""m between the points of the speed profile."""
+PREVIEW = 0.1
+"""s: commands take about that long to tell."""
+
+
 @dataclass(frozen=True)
 class PursuitOptions:
     """Options of `RegulatedPurePursuit`."""
@@ -22,13 +29,17 @@ class PursuitOptions:
     """m/s."""
     max_turn_rate: float = 2.5
     """rad/s."""
-    look_ahead_time: float = 0.3
+    look_ahead_time: float = 0.25
     """s ahead at the present speed."""
-    look_ahead: tuple[float, float] = (0.3, 0.6)
+    look_ahead: tuple[float, float] = (0.3, 0.5)
     """Shortest and longest look-ahead, m."""
-    slow_radius: float = 0.9
-    """Curves of a smaller radius are driven in proportion slower, m."""
-    slowest: float = 0.25
+    lateral_acceleration: float = 1.5
+    """m/s^2, that limits the speed in a curve."""
+    deceleration: float = 2.5
+    """m/s^2 with which it slows down before one."""
+    bend: float = 0.4
+    """Length of path over which a corner is taken to be a curve, m."""
+    slowest: float = 0.3
     """m/s, in any curve."""
     turn_first: float = 1.0
     """Error of heading above which the robot turns on the spot, rad."""
@@ -51,6 +62,7 @@ class RegulatedPurePursuit:
         self._points = points[keep]
         self._arc = np.concatenate(([0.0], np.cumsum(steps[keep[1:]])))
         self._ways = np.diff(self._points, axis=0) / np.diff(self._arc)[:, None]
+        self._profile_arc, self._profile = self._speed_profile()
         self.progress = 0.0
         """Arc length of the path's point nearest to the robot, m; it never goes back."""
 
@@ -77,11 +89,23 @@ class RegulatedPurePursuit:
         if abs(error) > options.turn_first:
             return 0.0, math.copysign(min(options.max_turn_rate, 3.0 * abs(error)), error)
         curvature = 2 * math.sin(error) / max(distance, 1e-6)
-        regulated = options.max_speed * min(1.0, 1.0 / max(abs(curvature) * options.slow_radius, 1e-9))
-        linear = max(regulated, options.slowest)
+        linear = float(np.interp(self.progress + PREVIEW * abs(speed), self._profile_arc, self._profile))
         if abs(linear * curvature) > options.max_turn_rate:
             linear = options.max_turn_rate / abs(curvature)
         return linear, linear * curvature
+
+    def _speed_profile(self) -> tuple[Array, Array]:
+        """Arc lengths, and how fast the path may be driven there."""
+        options = self.options
+        arc = np.arange(0.0, self.length + PROFILE_STEP, PROFILE_STEP)
+        before, here, after = (self.points_at(arc + offset) for offset in (-options.bend / 2, 0.0, options.bend / 2))
+        headings = [np.arctan2(way[:, 1], way[:, 0]) for way in (here - before, after - here)]
+        turn = np.abs((headings[1] - headings[0] + np.pi) % (2 * np.pi) - np.pi)
+        allowed = np.sqrt(options.lateral_acceleration * options.bend / np.maximum(turn, 1e-9))
+        speed = np.clip(allowed, options.slowest, options.max_speed)
+        for i in range(len(arc) - 2, -1, -1):
+            speed[i] = min(speed[i], math.sqrt(speed[i + 1] ** 2 + 2 * options.deceleration * PROFILE_STEP))
+        return arc, speed
 
     def _advance(self, x: float, y: float) -> None:
         """Move `progress` to the nearest point within reach ahead."""

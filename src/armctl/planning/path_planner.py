@@ -13,14 +13,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armctl.errors import ConfigurationError
+from armctl.errors import ConfigurationError, unknown_name
 from armctl.planning.bridge_map import BridgeMap, EdgeTest, is_point
 
 Array = NDArray[np.float64]
 
 
+PLANNERS = ("RRTConnect", "BITstar", "InformedRRTstar", "RRTstar")
 RANGE = 3.0
-"""Longest edge that RRT-Connect tries, m."""
+"""Longest edge that a tree grows by, m."""
 
 
 GOALS = 11
@@ -33,14 +34,26 @@ class PathPlannerOptions:
 
     clearance: float = 0.4
     """From the path to the nearest block or side, m."""
+    planner: str = "RRTConnect"
+    """One of `PLANNERS`. All but the first are optimal in the limit, and use up the time of `seconds`."""
+    seconds: float = 1.0
+    """Wall-clock budget of the optimal planners, whose paths therefore depend on the machine."""
     tries: int = 3
-    """Ways that OMPL is asked for; the shortest is taken."""
+    """Ways that RRT-Connect is asked for; the shortest is taken."""
     seed: int = 1
     """Of OMPL's random numbers, from 1 on."""
-    samples: int = 20_000
-    """Edges that OMPL may check for one way."""
+    edges: int = 20_000
+    """That RRT-Connect may check for one way."""
     spacing: float = 0.5
     """Of the points between which a way is pulled taut, m."""
+
+    def __post_init__(self) -> None:
+        if self.planner not in PLANNERS:
+            raise unknown_name("planner", self.planner, PLANNERS)
+        for name in ("clearance", "seconds", "tries", "seed", "edges", "spacing"):
+            value = getattr(self, name)
+            if not (isinstance(value, (int, float)) and math.isfinite(value) and value > 0):
+                raise ConfigurationError(f"{name} is a number above 0, not {value!r}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,8 +101,8 @@ def plan_path(
     free = bridge.edge_test(clearance)
     goals = _goals(bridge, goal_x, clearance)
     ways, edges = [], 0
-    for attempt in range(options.tries):
-        way, checked = _find_way(bridge, origin, goals, clearance, options.samples, options.seed + attempt)
+    for attempt in range(options.tries if options.planner == PLANNERS[0] else 1):
+        way, checked = _find_way(bridge, origin, goals, clearance, options, options.seed + attempt)
         edges += checked
         if way is not None:
             ways.append(_shortcut(free, way, goals))
@@ -102,9 +115,9 @@ def _length(path: Array) -> float:
 
 
 def _find_way(
-    bridge: BridgeMap, start: Array, goals: Array, clearance: float, budget: int, seed: int
+    bridge: BridgeMap, start: Array, goals: Array, clearance: float, options: PathPlannerOptions, seed: int
 ) -> tuple[Array | None, int]:
-    """A way by RRT-Connect, corners (m, 2), and the number of edges it checked."""
+    """A way by OMPL, corners (m, 2), and the number of edges it checked."""
     ompl = _load_ompl()
     ompl.util.RNG.setSeed(seed)  # of all generators made from here on; that older ones keep theirs, it calls an error
     space = ompl.base.RealVectorStateSpace(2)
@@ -115,7 +128,7 @@ def _find_way(
         bounds.setHigh(axis, float(high))
     space.setBounds(bounds)
     information = ompl.base.SpaceInformation(space)
-    checker = ompl.EdgeChecker(information, bridge, clearance, budget)
+    checker = ompl.EdgeChecker(information, bridge, clearance)
     information.setMotionValidator(checker)
     information.setStateValidityChecker(ompl.StateChecker(information, bridge, clearance))
     information.setup()
@@ -126,11 +139,16 @@ def _find_way(
         region.addState(_state(space, goal))
     problem.addStartState(first)
     problem.setGoal(region)
-    planner = ompl.geometric.RRTConnect(information)
+    problem.setOptimizationObjective(ompl.base.PathLengthOptimizationObjective(information))
+    planner = getattr(ompl.geometric, options.planner)(information)
     planner.setProblemDefinition(problem)
-    planner.setRange(RANGE)
+    if options.planner != "BITstar":
+        planner.setRange(RANGE)
     planner.setup()
-    planner.solve(ompl.base.PlannerTerminationCondition(checker.spent))
+    if options.planner == PLANNERS[0]:
+        planner.solve(ompl.base.PlannerTerminationCondition(lambda: checker.edges >= options.edges))
+    else:
+        planner.solve(options.seconds)
     if not problem.hasExactSolution():
         return None, checker.edges
     return np.array([state[0:2] for state in problem.getSolutionPath().getStates()]), checker.edges
@@ -193,17 +211,14 @@ def _load_ompl() -> Any:
     class EdgeChecker(base.MotionValidator):  # type: ignore[misc]
         """Counts the edges that it checks."""
 
-        def __init__(self, information: Any, bridge: BridgeMap, clearance: float, budget: int) -> None:
+        def __init__(self, information: Any, bridge: BridgeMap, clearance: float) -> None:
             super().__init__(information)
             self._free = bridge.edge_test(clearance)
-            self._budget, self.edges = budget, 0
+            self.edges = 0
 
         def checkMotion(self, a: Any, b: Any) -> bool:  # noqa: N802
             self.edges += 1
             return self._free(a[0], a[1], b[0], b[1])
-
-        def spent(self) -> bool:
-            return self.edges >= self._budget
 
     class StateChecker(base.StateValidityChecker):  # type: ignore[misc]
         def __init__(self, information: Any, bridge: BridgeMap, clearance: float) -> None:

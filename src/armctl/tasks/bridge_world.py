@@ -92,6 +92,8 @@ def _resize_deck(spec: Any, length: float, width: float) -> None:
     goal = spec.geom("goal_line")
     goal.size = [goal.size[0], width / 2, goal.size[2]]
     goal.pos = [length - GOAL_MARGIN, 0, goal.pos[2]]
+    overview = spec.camera("overview")
+    overview.pos = overview.pos * length / 20.0  # the MJCF's is for 20 m
     world = spec.worldbody
     for y in (-0.35 * width, 0.35 * width):
         _add_box(world, [length / 2, 0.15, 0.25], [length / 2, y, -SLAB_DEPTH - 0.25], "concrete", LOOKS)

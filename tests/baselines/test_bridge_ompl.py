@@ -1,0 +1,84 @@
+import gymnasium
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from armctl.errors import ConfigurationError
+from armctl.evaluation import evaluate
+from armctl.policies import make_policy
+
+STATIC, MOVING = "armctl/BridgeCross-v0", "armctl/BridgeCrossMoving-v0"
+FAST = {"observation": "state"}
+"""It looks at the state anyhow, and cameras take time."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("env", "least"), [(STATIC, 0.99), (MOVING, 0.97)])
+def test_it_crosses_nearly_always(env, least):
+    results = evaluate("bridge_ompl", env, episodes=200, seed=0, worlds=40, env_options=FAST)
+    assert results.success.mean() >= least
+    assert results.length[results.success].mean() < 150
+
+
+@pytest.mark.parametrize("env", [STATIC, MOVING])
+def test_it_crosses_other_bridges(env):
+    options = {**FAST, "deck_length": 26.0, "deck_width": 4.6, "blocks": 5, "walkers": 2}
+    results = evaluate("bridge_ompl", env, episodes=12, seed=5, worlds=12, env_options=options)
+    assert results.success.all()
+
+
+def test_it_is_the_same_in_every_run_and_needs_no_camera():
+    runs = [
+        evaluate("bridge_ompl", MOVING, episodes=6, seed=2, worlds=worlds, env_options=options)
+        for worlds, options in ((6, FAST), (1, {"resolution": (6, 4)}))
+    ]
+    first, second = (run.drop(columns=["decision_ms_p50", "decision_ms_p99"]) for run in runs)
+    assert first.equals(second)
+
+
+def test_it_keeps_its_distance_from_all_that_walks_and_stands():
+    env = gymnasium.make_vec(MOVING, num_envs=10, autoreset_mode="disabled", **FAST)
+    policy = make_policy("bridge_ompl", env)
+    observations, _ = env.reset(seed=7)
+    policy.reset(np.arange(10, dtype=np.int32))
+    task, running = env.unwrapped.task, np.ones(10, dtype=bool)
+    for _ in range(400):
+        observations, _, terminated, truncated, _ = env.step(policy.act(observations))
+        running &= ~(terminated | truncated)
+        for world in np.flatnonzero(running):
+            pose, bridge = task.state.poses[world], task.map(world)
+            assert bridge.clearance(pose[None, :2])[0] > 0.28
+            people = bridge.courses.positions(task.state.time[world])
+            assert np.linalg.norm(people - pose[:2], axis=1).min() > 0.25 + 0.22
+    assert not running.any()
+
+
+def test_it_refuses_other_tasks():
+    with pytest.raises(ConfigurationError, match="BridgeCross"):
+        make_policy("bridge_ompl", gymnasium.make("armctl/ArmReach-v0"))
+
+
+def crossing_time(bridge, radius, speed=1.0, limit=60.0, cell=0.1):
+    """When a disc that may wait, and knows where everybody will be, is over the goal line, s; None if never.
+
+    It floods places that can be reached, one cell further each `cell / speed` seconds, but for those near walkers.
+    """
+    x, y = np.arange(cell, bridge.length, cell), np.arange(-bridge.half_width, bridge.half_width, cell)
+    grid = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
+    stands = bridge.clearance(grid.reshape(-1, 2)).reshape(grid.shape[:2]) >= radius
+    reached = np.hypot(grid[..., 0] - 1.0, grid[..., 1]) < cell
+    for time in np.arange(0.0, limit, cell / speed):
+        people = bridge.courses.positions(time)
+        away = np.linalg.norm(grid[:, :, None] - people, axis=-1).min(axis=-1) >= radius + bridge.courses.radius
+        reached = ndimage.binary_dilation(reached) & stands & away
+        if reached[x > 19.0 - cell].any():
+            return time
+    return None
+
+
+def test_a_patient_driver_always_gets_through():
+    env = gymnasium.make_vec(MOVING, num_envs=40, **FAST)
+    env.reset(seed=11)
+    times = [crossing_time(env.unwrapped.task.map(world), radius=0.35) for world in range(40)]
+    assert all(time is not None for time in times)
+    assert max(times) > min(times) + 1  # somebody had to wait
