@@ -7,7 +7,7 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
-from armctl import DEFAULT_ENV
+from armctl import DEFAULT_ENV, DEFAULT_POLICIES
 from armctl.errors import ArmctlError, ConfigurationError
 
 app = typer.Typer(
@@ -41,7 +41,7 @@ Worlds = Annotated[
 
 @app.command("list")
 def list_() -> None:
-    """Show the environments, policies, robots and learners."""
+    """Show the environments, policies, arms and learners."""
     from rich.console import Console
     from rich.table import Table
 
@@ -51,11 +51,11 @@ def list_() -> None:
     from armctl.policies import describe_policy, policy_names
 
     table = Table.grid(padding=(0, 2))
-    for kind, names in (("environments", environment_names()), ("robots", BUILTIN_ARMS), ("learners", learner_names())):
+    for kind, names in (("environments", environment_names()), ("arms", BUILTIN_ARMS), ("learners", learner_names())):
         table.add_row(f"[bold]{kind}[/]", "  ".join(names))
     for i, name in enumerate(policy_names()):
         table.add_row("" if i else "[bold]policies[/]", f"[bold]{name}[/]  {describe_policy(name)}")
-    table.add_row("", "A policy may also be path/to/agent.json or module:function, and a robot path/to/your.urdf.")
+    table.add_row("", "A policy may also be path/to/agent.json or module:function, and an arm path/to/your.urdf.")
     Console(highlight=False).print(table)
 
 
@@ -179,7 +179,8 @@ def train(
         f"success {card.evaluation.success_rate:.1%} [{low:.1%}, {high:.1%}] "
         f"on {card.evaluation.episodes} held-out episodes"
     )
-    show(f"The agent is {folder / 'agent.json'}: armctl compare reach_ik {folder / 'agent.json'}")
+    rival = DEFAULT_POLICIES[env][0]
+    show(f"The agent is {folder / 'agent.json'}: armctl compare {rival} {folder / 'agent.json'} --env {env}")
 
 
 def _options(pairs: list[str] | None) -> dict[str, Any]:

@@ -263,3 +263,20 @@ def text_of(comparison):
     console = Console(width=80, record=True, file=io.StringIO())
     console.print(tables(comparison))
     return console.export_text()
+
+
+def test_the_bridge_is_compared_like_the_arm_and_endings_are_told():
+    comparison = compare(
+        ["bridge_ompl", "random"], "armctl/BridgeCross-v0", episodes=4, env_options={"resolution": (4, 4)}
+    )
+    expert, random = comparison.policies
+    assert (expert.sees, random.sees) == ("state", "observation")
+    assert expert.outcomes == {"crossed": 4}
+    assert sum(random.outcomes.values()) == 4
+    assert "crossed" not in random.outcomes
+    assert "bridge_ompl: 4 crossed" in text_of(comparison)
+
+
+def test_policies_of_an_unknown_environment_are_not_guessed():
+    with pytest.raises(ConfigurationError, match="BridgeCross-v0"):
+        compare(env="armctl/BridgeCros-v0")

@@ -13,7 +13,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from armctl import DEFAULT_ENV, DEFAULT_POLICIES
-from armctl.errors import ConfigurationError, ResultsError
+from armctl.errors import ConfigurationError, ResultsError, unknown_name
 from armctl.evaluation.report import EpisodeLog, write_summary
 from armctl.evaluation.rollouts import COLUMNS, EpisodeResult, PolicyFailed, make_worlds, rollouts
 from armctl.evaluation.statistics import Estimate, PairedDifference, mean, paired_difference, success_rate
@@ -134,7 +134,7 @@ def compare(
 def default_policies(env: str) -> tuple[str, ...]:
     """The policies that meet in an environment unless others are asked for."""
     if env not in DEFAULT_POLICIES:
-        raise ConfigurationError(f"name the policies to compare: armctl has none of its own for {env}")
+        raise unknown_name("environment with policies of its own", env, DEFAULT_POLICIES)
     return DEFAULT_POLICIES[env]
 
 

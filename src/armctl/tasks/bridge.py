@@ -72,9 +72,9 @@ Term = Callable[[BridgeState], NDArray[np.floating[Any]]]
 
 REWARD: dict[str, Term] = {
     "time": lambda state: np.full(len(state.crossed), -0.1),
-    "goal": lambda state: 100.0 * state.crossed,
-    "collision": lambda state: -100.0 * state.collided,
-    "fall": lambda state: -100.0 * state.fell,
+    "goal": lambda state: np.where(state.crossed, 100.0, 0.0),
+    "collision": lambda state: np.where(state.collided, -100.0, 0.0),
+    "fall": lambda state: np.where(state.fell, -100.0, 0.0),
 }
 """Named reward terms, (n,) each; the reward is their sum."""
 
