@@ -341,4 +341,4 @@ def test_reward_is_replaceable():
 
 
 def test_policies_see_what_they_need():
-    assert armctl.DEFAULT_POLICIES[STATIC] == ("bridge_ompl", "random")
+    assert armctl.DEFAULT_POLICIES[STATIC] == ("bridge_ompl", "bridge_ppo", "random")

@@ -49,8 +49,8 @@ for _id, _steps, _options in (
 DEFAULT_ENV = "armctl/ArmReach-v0"
 DEFAULT_POLICIES = {
     "armctl/ArmReach-v0": ("reach_ik", "reach_ppo", "random"),
-    "armctl/BridgeCross-v0": ("bridge_ompl", "random"),
-    "armctl/BridgeCrossMoving-v0": ("bridge_ompl", "random"),
+    "armctl/BridgeCross-v0": ("bridge_ompl", "bridge_ppo", "random"),
+    "armctl/BridgeCrossMoving-v0": ("bridge_ompl", "bridge_ppo", "random"),
 }
 
 _HOMES = {
