@@ -88,7 +88,18 @@ def write_summary(folder: Path, comparison: "Comparison") -> None:
 
 def versions() -> dict[str, str]:
     """Versions of what decides a result."""
-    packages = ("armctl", "mujoco", "pin", "eaik", "ompl", "gymnasium", "numpy", "scipy", "onnxruntime", "example-robot-data")
+    packages = (
+        "armctl",
+        "mujoco",
+        "pin",
+        "eaik",
+        "ompl",
+        "gymnasium",
+        "numpy",
+        "scipy",
+        "onnxruntime",
+        "example-robot-data",
+    )
     return {"python": platform.python_version()} | {package: version(package) for package in packages}
 
 

@@ -4,13 +4,15 @@ x runs along the bridge from its start, y across it from its middle. No way is e
 """
 
 import dataclasses
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse.csgraph import connected_components
+
+from armctl.errors import ConfigurationError
 
 Array = NDArray[np.float64]
 EdgeTest = Callable[[float, float, float, float], bool]
@@ -34,11 +36,18 @@ class Courses:
     radius: float
     """Of a walker, m."""
 
+    def __post_init__(self) -> None:
+        shapes = [np.shape(getattr(self, name)) for name in ("speed", "phase", "start", "end")]
+        if shapes != [shapes[0], shapes[0], (*shapes[0], 2), (*shapes[0], 2)] or not shapes[0]:
+            raise ConfigurationError(f"w courses have shapes (w,), (w,), (w, 2) and (w, 2), not {shapes}")
+        if not 0 <= self.radius < math.inf:
+            raise ConfigurationError(f"the radius of a walker is not {self.radius}")
+
     @property
     def along(self) -> NDArray[np.bool_]:
-        """Who walks along the bridge rather than across it, (..., w)."""
+        """Who walks along the bridge, or stands, rather than walk across it, (..., w)."""
         way = np.abs(self.end - self.start)
-        return np.asarray(way[..., 0] > way[..., 1])
+        return np.asarray(way[..., 0] >= way[..., 1])
 
     def across(self) -> "Courses":
         """Those who walk across the bridge, (w,); only of one bridge."""
@@ -47,19 +56,21 @@ class Courses:
 
     def positions(self, times: ArrayLike) -> Array:
         """Where they are at times (...), s: (..., w, 2)."""
-        length = np.linalg.norm(self.end - self.start, axis=-1)
-        share = np.abs(self._walked(times, length) - length) / length  # 1 at the start, 0 at the end
+        walked, length = self._walked(times)
+        share = np.abs(walked - length) / length  # 1 at the start, 0 at the end
         return np.asarray(self.end + (self.start - self.end) * share[..., None])
 
     def velocities(self, times: ArrayLike) -> Array:
         """How they move at times (...), s: (..., w, 2), m/s."""
-        length = np.linalg.norm(self.end - self.start, axis=-1)
-        sense = np.where(self._walked(times, length) < length, 1.0, -1.0)
-        return np.asarray((sense * self.speed / length)[..., None] * (self.end - self.start))
+        walked, length = self._walked(times)
+        speed = np.where(walked < length, self.speed, -self.speed) / length
+        return np.asarray(speed[..., None] * (self.end - self.start))
 
-    def _walked(self, times: ArrayLike, length: Array) -> Array:
-        """Way since they last were at the start, there and back."""
-        return np.asarray((self.phase + np.asarray(times, dtype=float)[..., None] * self.speed) % (2 * length))
+    def _walked(self, times: ArrayLike) -> tuple[Array, Array]:
+        """Way since they last were at the start, (..., w), and the length of a way there, (w,), m."""
+        length = np.linalg.norm(self.end - self.start, axis=-1)
+        length = np.where(length > 0, length, 1.0)  # whoever has no way to go stands, at any phase
+        return (self.phase + np.asarray(times, dtype=float)[..., None] * self.speed) % (2 * length), length
 
 
 NOBODY = Courses(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0), 0.0)
@@ -67,7 +78,7 @@ NOBODY = Courses(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0), 0
 
 @dataclass(frozen=True, eq=False)
 class BridgeMap:
-    """A bridge from above."""
+    """A bridge from above. Raises `ConfigurationError` for sizes that no bridge has."""
 
     length: float
     """Of the deck, m."""
@@ -77,30 +88,84 @@ class BridgeMap:
     """(k, 5): x, y (m), yaw (rad), half length and half width (m) of what stands on the deck."""
     courses: Courses = NOBODY
 
+    def __post_init__(self) -> None:
+        if not (0 < self.length < math.inf and 0 < self.half_width < math.inf):
+            raise ConfigurationError(f"no deck is {self.length} m long and {self.half_width} m wide to a side")
+        shape = np.shape(self.blocks)
+        if len(shape) != 2 or shape[1] != 5 or not np.isfinite(self.blocks).all() or (self.blocks[:, 3:] < 0).any():
+            raise ConfigurationError(f"blocks are rows of x, y, yaw, half length and half width, not {self.blocks}")
+
     def clearance(self, points: ArrayLike) -> Array:
         """Distance of points (m, 2) to the nearest block, side or end of the deck, (m,); not above 0 inside a block."""
         points = np.asarray(points, dtype=float)
-        _, across = _in_frames(points, self.blocks)
-        outside = np.abs(across) - self.blocks[:, 3:]
-        distance = np.linalg.norm(np.maximum(outside, 0.0), axis=-1) + np.minimum(outside.max(axis=-1), 0.0)
-        return np.asarray(np.minimum(distance.min(axis=1, initial=np.inf), self._to_edges(points)))
+        x, y = self._in_frames(points)
+        to_blocks = _to_boxes(x, y, *self._sizes).min(axis=1, initial=np.inf)
+        return np.asarray(np.minimum(to_blocks, self._to_edges(points)))
+
+    def nearest(self, points: ArrayLike) -> Array:
+        """The nearest point of each block, and of the two sides, to each of points (m, 2): (m, k + 2, 2)."""
+        points = np.asarray(points, dtype=float)
+        (x, y), (half_x, half_y) = self._in_frames(points), self._sizes
+        x, y, (cos, sin) = np.clip(x, -half_x, half_x), np.clip(y, -half_y, half_y), self._directions
+        on_blocks = self.blocks[:, :2] + np.stack((x * cos - y * sin, x * sin + y * cos), axis=-1)
+        on_sides = np.stack(np.broadcast_arrays(points[:, :1], (-self.half_width, self.half_width)), axis=-1)
+        return np.concatenate((on_blocks, on_sides), axis=1)
 
     def segment_clearance(self, starts: ArrayLike, ends: ArrayLike) -> Array:
-        """Exact distance of segments between points (m, 2) to the nearest block, side or end of the deck, (m,)."""
+        """Exact distance of segments between points (m, 2) to the nearest block, side or end of the deck, (m,).
+
+        Not above 0 where they meet it.
+        """
         starts, ends = np.asarray(starts, dtype=float), np.asarray(ends, dtype=float)
-        to_edges = np.minimum(self._to_edges(starts), self._to_edges(ends))
-        to_blocks = _to_boxes(starts, ends, self.blocks).min(axis=1, initial=np.inf)
-        return np.asarray(np.minimum(to_blocks, to_edges))
+        (ax, ay), (bx, by), (half_x, half_y) = self._in_frames(starts), self._in_frames(ends), self._sizes
+        x, y, wx, wy = (ax + bx) / 2, (ay + by) / 2, (bx - ax) / 2, (by - ay) / 2
+        # Boxes have three axes on which they may be apart from a segment: their own two, and across the segment.
+        meet = (np.abs(x) <= half_x + np.abs(wx)) & (np.abs(y) <= half_y + np.abs(wy))
+        aside = x * wy - y * wx
+        meet &= np.abs(aside) <= half_x * np.abs(wy) + half_y * np.abs(wx)
+        # Apart, they are nearest at an end of the segment, or at the box's foremost corner towards it.
+        corner_x, corner_y = np.copysign(half_x, aside * wy) - x, np.copysign(half_y, -aside * wx) - y
+        share = (corner_x * wx + corner_y * wy) / np.maximum(wx * wx + wy * wy, 1e-24)
+        share = np.minimum(np.maximum(share, -1.0), 1.0)
+        to_corner = np.hypot(corner_x - share * wx, corner_y - share * wy)
+        to_end = np.minimum(_to_boxes(ax, ay, half_x, half_y), _to_boxes(bx, by, half_x, half_y))
+        to_blocks = np.where(meet, 0.0, np.minimum(to_corner, to_end)).min(axis=1, initial=np.inf)
+        return np.asarray(np.minimum(to_blocks, np.minimum(self._to_edges(starts), self._to_edges(ends))))
+
+    def edge_test(self, clearance: float) -> EdgeTest:
+        """Test for segments one at a time, from x, y to x, y: `segment_clearance` not less than `clearance`.
+
+        In plain floats, and with a look at nearby blocks only, it takes a tenth of the time.
+        """
+        corners, (x, y, _, *sizes) = self.corners, self.blocks.T
+        low, high = corners.min(axis=1, initial=np.inf) - clearance, corners.max(axis=1, initial=-np.inf) + clearance
+        boxes = np.column_stack((low, high, x, y, *self._directions, *sizes)).tolist()
+        side, last = self.half_width - clearance, self.length - clearance
+
+        def is_free(ax: float, ay: float, bx: float, by: float) -> bool:
+            if max(abs(ay), abs(by)) > side or min(ax, bx) < clearance or max(ax, bx) > last:
+                return False
+            for left, bottom, right, top, *box in boxes:
+                apart = (ax < left and bx < left) or (ax > right and bx > right)
+                apart = apart or (ay < bottom and by < bottom) or (ay > top and by > top)
+                if not apart and _segment_to_box(ax, ay, bx, by, *box) < clearance:
+                    return False
+            return True
+
+        return is_free
 
     def with_lanes_blocked(self) -> "BridgeMap":
         """The map with a block in place of each lane along the bridge, and without walkers.
 
         There is a way beside such a lane; a lane across the bridge can only be waited for.
         """
-        courses, along = self.courses, self.courses.along
-        middle, half = ((courses.end + sign * courses.start)[along] / 2 for sign in (1, -1))
-        sizes = np.abs(half) + courses.radius
-        lanes = np.column_stack((middle, np.zeros(len(middle)), sizes))
+        courses = self.courses
+        if not len(courses.speed):
+            return self
+        start, end = courses.start[courses.along], courses.end[courses.along]
+        (x, y), (way_x, way_y) = (start + end).T / 2, (end - start).T
+        half_length, half_width = np.hypot(way_x, way_y) / 2 + courses.radius, np.full(len(x), courses.radius)
+        lanes = np.column_stack((x, y, np.arctan2(way_y, way_x), half_length, half_width))
         return dataclasses.replace(self, blocks=np.vstack((self.blocks, lanes)), courses=NOBODY)
 
     def crossable(self, radius: float) -> bool:
@@ -108,132 +173,72 @@ class BridgeMap:
 
         By duality: it cannot if and only if blocks with gaps too narrow for it make a wall from side to side.
         """
-        blocks = self.with_lanes_blocked().blocks
-        k = len(blocks)
-        corners = _corners(blocks)
-        edges = corners.reshape(-1, 2), np.roll(corners, -1, axis=1).reshape(-1, 2)
-        gaps = _to_boxes(*edges, blocks).reshape(k, 4, k).min(axis=1)
-        walls = np.zeros((k + 2, k + 2), dtype=bool)
-        walls[:k, :k] = gaps < 2 * radius
-        walls[k, :k] = self.half_width - corners[..., 1].max(axis=1, initial=-np.inf) < 2 * radius
-        walls[k + 1, :k] = self.half_width + corners[..., 1].min(axis=1, initial=np.inf) < 2 * radius
-        _, wall = connected_components(walls, directed=False)
-        return bool(wall[k] != wall[k + 1] and radius <= self.half_width)
+        bridge = self.with_lanes_blocked()
+        y = bridge.corners[..., 1]
+        right = y.min(axis=1, initial=np.inf) + self.half_width < 2 * radius
+        left = self.half_width - y.max(axis=1, initial=-np.inf) < 2 * radius
+        narrow = bridge._gaps() < 2 * radius
+        wall = right
+        while (grown := narrow[wall].any(axis=0) | right).sum() > wall.sum():
+            wall = grown
+        return bool(radius <= self.half_width and not (wall & left).any())
 
-    def edge_test(self, clearance: float) -> EdgeTest:
-        """Test whether a segment from x, y to x, y has that clearance: `segment_clearance` for a single one.
+    @cached_property
+    def corners(self) -> Array:
+        """Of the blocks, in turn, (k, 4, 2), m."""
+        x, y, _, half_length, half_width = self.blocks.T[..., None]
+        ahead, left = half_length * (1, -1, -1, 1), half_width * (1, 1, -1, -1)
+        cos, sin = (one[:, None] for one in self._directions)
+        return np.stack((x + ahead * cos - left * sin, y + ahead * sin + left * cos), axis=-1)
 
-        In plain floats, and asking only blocks nearby, it takes a tenth of the time.
-        """
-        corners, (x, y, yaw, half_length, half_width) = _corners(self.blocks), self.blocks.T
-        boxes = np.column_stack(
-            (
-                corners.min(axis=1, initial=np.inf) - clearance,
-                corners.max(axis=1, initial=-np.inf) + clearance,
-                *(x, y, np.cos(yaw), np.sin(yaw), half_length, half_width),
-            )
-        ).tolist()
-        side, last = self.half_width - clearance, self.length - clearance
+    @property
+    def _directions(self) -> tuple[Array, Array]:
+        return np.cos(self.blocks[:, 2]), np.sin(self.blocks[:, 2])
 
-        def free(ax: float, ay: float, bx: float, by: float) -> bool:
-            if not (abs(ay) <= side and abs(by) <= side and clearance <= ax <= last and clearance <= bx <= last):
-                return False
-            for left, bottom, right, top, *box in boxes:
-                apart = (ax < left and bx < left) or (ax > right and bx > right)
-                apart = apart or (ay < bottom and by < bottom) or (ay > top and by > top)
-                if not apart and _nearer_than(clearance, ax, ay, bx, by, *box):
-                    return False
-            return True
+    @property
+    def _sizes(self) -> tuple[Array, Array]:
+        return self.blocks[:, 3], self.blocks[:, 4]
 
-        return free
+    def _gaps(self) -> Array:
+        """Distances between blocks, (k, k); 0 where they overlap."""
+        k, (half_x, half_y) = len(self.blocks), self._sizes
+        x, y = (one.reshape(k, 4, k) for one in self._in_frames(self.corners.reshape(-1, 2)))
+        apart = (np.abs(x).min(axis=1) > half_x) & ((x > 0).all(axis=1) | (x < 0).all(axis=1))
+        apart |= (np.abs(y).min(axis=1) > half_y) & ((y > 0).all(axis=1) | (y < 0).all(axis=1))
+        gaps = np.where(apart | apart.T, _to_boxes(x, y, half_x, half_y).min(axis=1), 0.0)
+        return np.minimum(gaps, gaps.T)
+
+    def _in_frames(self, points: Array) -> tuple[Array, Array]:
+        """Points (m, 2) in the frames of the blocks: x and y, (m, k)."""
+        x, y = points[:, 0, None] - self.blocks[:, 0], points[:, 1, None] - self.blocks[:, 1]
+        cos, sin = self._directions
+        return x * cos + y * sin, y * cos - x * sin
 
     def _to_edges(self, points: Array) -> Array:
         x, y = points.T
         return np.asarray(np.minimum(self.half_width - np.abs(y), np.minimum(x, self.length - x)))
 
 
-def _in_frames(points: Array, boxes: Array) -> tuple[Array, Array]:
-    """Rotations (k, 2, 2) of boxes (k, 5), and points (m, 2) in their frames, (m, k, 2)."""
-    cos, sin = np.cos(boxes[:, 2]), np.sin(boxes[:, 2])
-    rotations = np.stack((cos, -sin, sin, cos), axis=-1).reshape(-1, 2, 2)
-    return rotations, np.einsum("mki,kij->mkj", points[:, None] - boxes[:, :2], rotations)
+def _to_boxes(x: Array, y: Array, half_x: Array, half_y: Array) -> Array:
+    """Distances of points to boxes, in their frames; negative inside."""
+    x, y = np.abs(x) - half_x, np.abs(y) - half_y
+    return np.asarray(np.hypot(np.maximum(x, 0.0), np.maximum(y, 0.0)) + np.minimum(np.maximum(x, y), 0.0))
 
 
-def _corners(boxes: Array) -> Array:
-    """Corners (k, 4, 2) of boxes (k, 5), in turn."""
-    signs = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])
-    rotations, _ = _in_frames(np.zeros((0, 2)), boxes)
-    return np.asarray(boxes[:, None, :2] + np.einsum("kci,kji->kcj", signs * boxes[:, None, 3:], rotations))
-
-
-def _to_boxes(starts: Array, ends: Array, boxes: Array) -> Array:
-    """Distances (m, k) of segments between points (m, 2) to boxes (k, 5); 0 where they meet.
-
-    A segment that does not meet a box is nearest to it at one of its own ends, or at a corner of the box.
-    """
-    half = boxes[:, 3:]
-    _, a = _in_frames(starts, boxes)
-    _, b = _in_frames(ends, boxes)
-    way = b - a
-    safe = np.where(np.abs(way) < 1e-12, 1e-12, way)
-    enter, leave = (-half - a) / safe, (half - a) / safe
-    first = np.minimum(enter, leave).max(axis=-1)
-    last = np.maximum(enter, leave).min(axis=-1)
-    meets = np.maximum(first, 0.0) <= np.minimum(last, 1.0)
-    ends_apart = np.minimum(*(np.linalg.norm(np.maximum(np.abs(p) - half, 0.0), axis=-1) for p in (a, b)))
-    corners = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) * half[:, None]
-    offset = corners - a[:, :, None]
-    squared = np.maximum((way * way).sum(axis=-1), 1e-24)
-    share = np.clip((offset * way[:, :, None]).sum(axis=-1) / squared[..., None], 0.0, 1.0)
-    corners_apart = np.linalg.norm(offset - share[..., None] * way[:, :, None], axis=-1).min(axis=-1)
-    return np.asarray(np.where(meets, 0.0, np.minimum(ends_apart, corners_apart)))
-
-
-def _nearer_than(
-    distance: float, ax: float, ay: float, bx: float, by: float,
-    x: float, y: float, cos: float, sin: float, half_length: float, half_width: float,
-) -> bool:  # fmt: skip
-    """Whether a segment is nearer to a box than a distance: `_to_boxes` for one of each."""
+def _segment_to_box(
+    ax: float, ay: float, bx: float, by: float, x: float, y: float, cos: float, sin: float, half_x: float, half_y: float
+) -> float:
+    """Distance of a segment to a box: `BridgeMap.segment_clearance` for one of each."""
     ax, ay, bx, by = ax - x, ay - y, bx - x, by - y
     ax, ay, bx, by = ax * cos + ay * sin, ay * cos - ax * sin, bx * cos + by * sin, by * cos - bx * sin
-    squared = distance * distance
-    for px, py in ((ax, ay), (bx, by)):
-        dx, dy = max(abs(px) - half_length, 0.0), max(abs(py) - half_width, 0.0)
-        if dx * dx + dy * dy < squared:
-            return True
-    wx, wy = bx - ax, by - ay
-    way = wx * wx + wy * wy
-    if way == 0.0:
-        return False
-    left = right = 0
-    for cx, cy in (
-        (half_length, half_width), (-half_length, half_width), (-half_length, -half_width), (half_length, -half_width),
-    ):  # fmt: skip
-        dx, dy = cx - ax, cy - ay
-        side, along = wx * dy - wy * dx, dx * wx + dy * wy
-        if 0.0 <= along <= way and side * side < squared * way:
-            return True
-        left, right = left + (side >= 0), right + (side <= 0)
-    # Corners on both sides of its line: it goes through the box, or ends outside before it.
-    return left > 0 and right > 0 and _crosses(ax, ay, wx, wy, half_length, half_width)
-
-
-def _crosses(ax: float, ay: float, wx: float, wy: float, half_length: float, half_width: float) -> bool:
-    first, last = 0.0, 1.0
-    for a, w, half in ((ax, wx, half_length), (ay, wy, half_width)):
-        if abs(w) < 1e-12:
-            if abs(a) > half:
-                return False
-            continue
-        enter, leave = sorted(((-half - a) / w, (half - a) / w))
-        first, last = max(first, enter), min(last, leave)
-    return first <= last
-
-
-def is_point(point: Any) -> bool:
-    """Whether something is a point: two finite numbers."""
-    try:
-        numbers = np.asarray(point, dtype=float)
-    except (TypeError, ValueError):
-        return False
-    return numbers.shape == (2,) and bool(np.isfinite(numbers).all())
+    x, y, wx, wy = (ax + bx) / 2, (ay + by) / 2, (bx - ax) / 2, (by - ay) / 2
+    aside = x * wy - y * wx
+    if abs(x) <= half_x + abs(wx) and abs(y) <= half_y + abs(wy) and abs(aside) <= half_x * abs(wy) + half_y * abs(wx):
+        return 0.0
+    corner_x, corner_y = math.copysign(half_x, aside * wy) - x, math.copysign(half_y, -aside * wx) - y
+    share = (corner_x * wx + corner_y * wy) / max(wx * wx + wy * wy, 1e-24)
+    share = min(max(share, -1.0), 1.0)
+    to_corner = math.hypot(corner_x - share * wx, corner_y - share * wy)
+    to_a = math.hypot(max(abs(ax) - half_x, 0.0), max(abs(ay) - half_y, 0.0))
+    to_b = math.hypot(max(abs(bx) - half_x, 0.0), max(abs(by) - half_y, 0.0))
+    return min(to_corner, to_a, to_b)
