@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio
 from numpy.typing import NDArray
 
+from armctl.boxes import Boxes
 from armctl.capsules import Capsule
 
 Array = NDArray[np.float64]
@@ -42,6 +43,19 @@ def add_collision_pairs(geometry: pinocchio.GeometryModel, pairs: Iterable[Pair]
     """Make Pinocchio's collision checks look at these pairs."""
     for pair in pairs:
         geometry.addCollisionPair(pinocchio.CollisionPair(*(geometry.getGeometryId(name) for name in pair)))
+
+
+def add_boxes(geometry: pinocchio.GeometryModel, boxes: Boxes) -> None:
+    """Put boxes there, and make Pinocchio's collision checks look at them and every link that moves."""
+    links = [geometry.getGeometryId(shape.name) for shape in geometry.geometryObjects if shape.parentJoint > 0]
+    for i, (centre, half_size, rotation) in enumerate(
+        zip(boxes.centres, boxes.half_sizes, boxes.rotations, strict=True)
+    ):
+        placement = pinocchio.SE3(rotation, centre)
+        shape = pinocchio.GeometryObject(f"(box {i})", 0, placement, coal.Box(*(2 * half_size)))
+        box = geometry.addGeometryObject(shape)
+        for link in links:
+            geometry.addCollisionPair(pinocchio.CollisionPair(link, box))
 
 
 def pairs_worth_testing(

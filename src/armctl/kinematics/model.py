@@ -1,5 +1,6 @@
 """An arm as its controllers believe it to be: Pinocchio's model of one URDF."""
 
+import copy
 from pathlib import Path
 
 import coal
@@ -8,7 +9,8 @@ import pinocchio
 from numpy.typing import NDArray
 
 from armctl.assets import ArmDescription, load_arm
-from armctl.collisions import FLOOR, add_collision_pairs, capsule_geometry, link_frame
+from armctl.boxes import NO_BOXES, Boxes
+from armctl.collisions import FLOOR, add_boxes, add_collision_pairs, capsule_geometry, link_frame
 
 Array = NDArray[np.float64]
 
@@ -27,6 +29,8 @@ class ArmModel:
         self.pinocchio = pinocchio.buildModelFromXML(self.description.urdf)
         self.tip = link_frame(self.pinocchio, self.description.tip)
         self._data = self.pinocchio.createData()
+        self.boxes = NO_BOXES
+        """What stands in the way."""
         self._shapes = capsule_geometry(self.pinocchio, self.description.capsules)
         add_collision_pairs(self._shapes, self.description.collision_pairs)
         self._contacts = self._shapes.createData()
@@ -36,6 +40,16 @@ class ArmModel:
         ]
         self.shoulder = np.array(self.pinocchio.jointPlacements[1].translation)
         """Origin of the first joint, (3,) m."""
+
+    def among(self, boxes: Boxes) -> "ArmModel":
+        """The same arm with boxes in its way, which `is_free` then minds."""
+        model = copy.copy(self)
+        model.boxes = boxes
+        model._data = self.pinocchio.createData()
+        model._shapes = self._shapes.copy()
+        add_boxes(model._shapes, boxes)
+        model._contacts = model._shapes.createData()
+        return model
 
     def placement(self, q: Array) -> pinocchio.SE3:
         """Pose of the end-effector as Pinocchio holds it; valid until the next call."""
@@ -79,7 +93,7 @@ class ArmModel:
         return tip, np.swapaxes(jacobians, -1, -2)
 
     def is_free(self, q: Array) -> bool:
-        """Whether the arm's capsules touch neither each other nor the floor."""
+        """Whether the arm's capsules touch neither each other, nor the floor, nor a box."""
         return not pinocchio.computeCollisions(self.pinocchio, self._data, self._shapes, self._contacts, q, True)
 
     def base_distance(self, position: Array) -> float:

@@ -1,0 +1,50 @@
+"""Boxes: what stands in an arm's way, for simulator and controllers alike."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armctl.errors import ConfigurationError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Boxes:
+    """k boxes, turned about the vertical only; lengths in m."""
+
+    centres: Array
+    """(k, 3)"""
+    half_sizes: Array
+    """(k, 3)"""
+    yaws: Array
+    """(k,) rad"""
+
+    def __post_init__(self) -> None:
+        shapes = [np.shape(self.centres), np.shape(self.half_sizes), np.shape(self.yaws)]
+        if shapes != [(len(self.yaws), 3), (len(self.yaws), 3), (len(self.yaws),)]:
+            raise ConfigurationError(f"k boxes have shapes (k, 3), (k, 3) and (k,), not {shapes}")
+        numbers = np.concatenate([np.ravel(self.centres), np.ravel(self.half_sizes), np.ravel(self.yaws)])
+        if not (np.isfinite(numbers).all() and (self.half_sizes > 0).all()):
+            raise ConfigurationError("boxes are finite, and their half sizes above 0")
+
+    def __len__(self) -> int:
+        return len(self.yaws)
+
+    @property
+    def rotations(self) -> Array:
+        """Rotation matrices from each box's own frame to the world's, (k, 3, 3)."""
+        sine, cosine, zero, one = np.sin(self.yaws), np.cos(self.yaws), 0 * self.yaws, 1 + 0 * self.yaws
+        rows = [[cosine, -sine, zero], [sine, cosine, zero], [zero, zero, one]]
+        return np.moveaxis(np.array(rows).reshape(3, 3, -1), -1, 0)
+
+    def distances(self, points: ArrayLike) -> Array:
+        """Signed distances of points (..., 3) from the boxes' surfaces, (..., k) m: negative inside."""
+        local = np.einsum("kji,...kj->...ki", self.rotations, np.asarray(points, float)[..., None, :] - self.centres)
+        beyond = np.abs(local) - self.half_sizes
+        outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1)
+        return np.asarray(outside + np.minimum(beyond.max(axis=-1), 0.0))
+
+
+NO_BOXES = Boxes(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
