@@ -7,6 +7,7 @@ the arm stand still elsewhere, it plans again from there.
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.drives import towards
 from armctl.envs import ArmReachVectorEnv
 from armctl.errors import ConfigurationError
 from armctl.kinematics import ArmModel, SoonestTouch
@@ -49,7 +50,6 @@ class ReachIk:
         self._goal: Array | None = None
         self._last: Array | None = None
         self._still = 0
-        self._command: Array | None = None
 
     def act(self, observation: NDArray[np.float32]) -> Array:
         """Action (dof,) for an observation (6 + dof,): end-effector position, joint positions, target position."""
@@ -63,12 +63,8 @@ class ReachIk:
 
     def _plan(self, q: Array, target: Array) -> Array:
         touch = self._touch.find(q, target, MARGIN * self._tolerance)
-        return self._touch.ik.position(target, q).closest if touch is None else touch.q
+        return self._touch.ik.position(target, q).closest if touch is None else touch.command
 
     def _towards(self, goal: Array, q: Array) -> Array:
-        """Action that moves the arm's command, which begins where the arm is, to the goal."""
-        command = q if self._command is None else self._command
-        largest = self._touch.model.limits.velocity * self._period
-        move = np.clip(goal - command, -largest, largest)
-        self._command = command + move
-        return {"position": goal, "delta": move, "velocity": move / self._period}[self._control]
+        velocity = towards(goal, q, self._touch.model.limits, self._period)
+        return {"position": goal, "delta": velocity * self._period, "velocity": velocity}[self._control]

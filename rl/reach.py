@@ -15,8 +15,9 @@ from armctl.tasks import REWARD, ReachState
 
 PROGRESS_REWARD = 50.0
 """Reward for each metre that the end-effector comes nearer to the target."""
-LARGEST_MOVE = 0.2
-"""rad that an action can command away from the present joint positions; in one decision a UR5 joint makes 0.126."""
+LARGEST_MOVE = 0.5
+"""rad that an action can command away from the present joint positions: a UR5 joint at its highest speed makes 0.126 in
+one decision, and needs 0.33 to brake."""
 
 
 LENGTH_SCALE = 2.0

@@ -5,6 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from armctl import assets
+from armctl.boxes import Boxes
+from armctl.drives import travel_time
 from armctl.kinematics import ArmModel
 from armctl.robots import build_arm_world
 
@@ -154,10 +156,25 @@ def test_within_limits_is_decided_joint_by_joint(model):
 
 
 def test_least_time_is_the_slowest_joints(model):
-    rng = np.random.default_rng(0)
-    start = configurations(model, 20)
-    times = rng.uniform(-2, 2, start.shape)
-    goals = start + model.limits.velocity * times
-    np.testing.assert_allclose(model.least_time(start, goals), np.abs(times).max(axis=1))
-    np.testing.assert_allclose(model.least_time(start[0], goals), [model.least_time(start[0], goal) for goal in goals])
+    goals = configurations(model, 21)
+    start, goals = goals[0], goals[1:]
+    times = travel_time(goals - start, 0.0, model.limits)
+    np.testing.assert_allclose(model.least_time(start, goals), times.max(axis=1))
+    np.testing.assert_allclose(model.least_time(start, goals), [model.least_time(start, goal) for goal in goals])
     np.testing.assert_array_equal(model.least_time(start, start), 0)
+
+
+def test_boxes_are_minded_where_they_stand_and_only_there(model):
+    rng = np.random.default_rng(0)
+    free = [q for q in configurations(model, 400) if model.is_free(q)][:50]
+    assert free
+    for q in free:
+        tip = model.position(q)
+        around_tip = Boxes(tip[None], np.full((1, 3), 0.08), rng.uniform(-3, 3, 1))
+        far_away = Boxes(np.array([[3.0, 0, 0]]), np.full((1, 3), 0.08), np.zeros(1))
+        assert model.among(far_away).is_free(q)
+        assert model.is_free(q)
+        touched = model.among(around_tip)
+        assert len(touched.boxes) == 1
+        if model.description.name.startswith("ur"):
+            assert not touched.is_free(q)

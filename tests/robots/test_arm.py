@@ -3,12 +3,14 @@ import numpy as np
 import pytest
 
 from armctl.assets import load_arm
+from armctl.drives import TICK, progress, travel_time
 from armctl.errors import ConfigurationError
 from armctl.kinematics import ArmModel
 from armctl.robots import CONTROLS, Arm, build_arm_world
 from armctl.simulation import Simulation
 
 PERIOD = 0.04
+TICKS = round(PERIOD / TICK)
 ROBOTS = ["ur3", "ur5", "ur10"]
 
 
@@ -30,7 +32,9 @@ class Rig:
     def step(self, actions, decisions=1):
         for _ in range(decisions):
             self.arm.command(np.broadcast_to(actions, (self.n, 6)))
-            self.simulation.step(self.substeps)
+            for _ in range(TICKS):
+                self.arm.drive()
+                self.simulation.step(self.substeps // TICKS)
 
     def standstill(self):
         """The action that asks for no motion."""
@@ -39,11 +43,12 @@ class Rig:
     def free_goals(self, seed=0):
         """A goal for each arm that touches nothing on its way from home."""
         rng, model = np.random.default_rng(seed), ArmModel(self.description)
+        clock = np.linspace(0, 2, 100)[:, None]
         goals = []
         while len(goals) < self.n:
-            goal = model.home + rng.uniform(-1.5, 1.5, 6)
-            if all(model.is_free(model.home + part * (goal - model.home)) for part in np.linspace(0, 1, 50)):
-                goals.append(np.clip(goal, self.limits.lower, self.limits.upper))
+            way = rng.uniform(-1.5, 1.5, 6)
+            if all(model.is_free(model.home + moved) for moved in progress(clock, way, self.limits)):
+                goals.append(model.home + way)
         return np.array(goals)
 
 
@@ -103,12 +108,12 @@ def test_action_bounds_are_the_limits(robot, control):
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_position_command_arrives(robot):
+def test_position_command_arrives_in_the_time_that_limits_allow(robot):
     rig = Rig(robot, "position")
     goals = rig.free_goals()
-    slowest = (np.abs(goals - rig.description.home) / rig.limits.velocity).max()
-    decisions = int(np.ceil(slowest / PERIOD))
-    rig.step(goals, decisions)
+    to_pass = travel_time(goals - rig.description.home, 0.0, rig.limits).max()
+    to_brake = (rig.limits.velocity / rig.limits.acceleration).max()
+    rig.step(goals, int(np.ceil((to_pass + to_brake) / PERIOD)))
     np.testing.assert_allclose(rig.commanded, goals, atol=1e-9)
     rig.step(goals, 15)
     np.testing.assert_allclose(rig.arm.joint_positions, goals, atol=1e-3)
@@ -117,21 +122,36 @@ def test_position_command_arrives(robot):
 
 @pytest.mark.parametrize("control", ["position", "delta", "velocity"])
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_command_never_outruns_the_velocity_limits_nor_leaves_the_position_limits(robot, control):
+def test_command_keeps_to_the_limits_of_velocity_acceleration_and_position(robot, control):
     rig = Rig(robot, control)
     rng = np.random.default_rng(0)
-    fastest = 0.0
-    for decision in range(40):
+    command, speed = rig.commanded.copy(), np.zeros((rig.n, 6))
+    fastest = hardest = 0.0
+    for decision in range(60):
         wild = rng.choice([-1e6, -1, 0, 1, 1e6], (rig.n, 6)) if decision < 20 else np.full((rig.n, 6), 1e6)
         rig.arm.command(wild)
-        for _ in range(rig.substeps):
-            before = rig.commanded.copy()
-            rig.simulation.step(1)
-            speed = np.abs(rig.commanded - before) / rig.model.opt.timestep / rig.limits.velocity
-            fastest = max(fastest, speed.max())
-            assert (rig.commanded >= rig.limits.lower - 1e-12).all()
-            assert (rig.commanded <= rig.limits.upper + 1e-12).all()
+        for _ in range(TICKS):
+            rig.arm.drive()
+            rig.simulation.step(rig.substeps // TICKS)
+            new_speed = (rig.commanded - command) / TICK
+            fastest = max(fastest, (np.abs(new_speed) / rig.limits.velocity).max())
+            hardest = max(hardest, (np.abs(new_speed - speed) / TICK / rig.limits.acceleration).max())
+            command, speed = rig.commanded.copy(), new_speed
+            assert (command >= rig.limits.lower - 1e-9).all()
+            assert (command <= rig.limits.upper + 1e-9).all()
     assert fastest == pytest.approx(1, abs=1e-6)  # as fast as allowed, and no faster
+    assert hardest == pytest.approx(1, abs=1e-6)
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_joints_follow_the_command_closely(robot):
+    rig = Rig(robot, "position", n=32)
+    rig.arm.command(rig.free_goals())
+    for _ in range(150):
+        rig.arm.drive()
+        rig.simulation.step(rig.substeps // TICKS)
+        assert np.abs(rig.arm.joint_positions - rig.commanded).max() < 0.05
+        assert (np.abs(rig.arm.joint_velocities) < 1.2 * rig.limits.velocity).all()
 
 
 @pytest.mark.parametrize("control", CONTROLS)
@@ -163,11 +183,10 @@ def test_velocity_mode_moves_at_that_velocity(robot):
 def test_delta_mode_displaces_by_that_much(robot):
     rig = Rig(robot, "delta")
     deltas = np.random.default_rng(0).uniform(-1, 1, (rig.n, 6)) * rig.arm.action_high
-    for count in (1, 2):
-        rig.step(deltas)
-        np.testing.assert_allclose(rig.commanded, rig.description.home + count * deltas, atol=1e-9)
-    rig.step(np.zeros(6), 15)
-    np.testing.assert_allclose(rig.arm.joint_positions, rig.description.home + 2 * deltas, atol=1e-4)
+    rig.step(deltas, 10)
+    before = rig.commanded.copy()
+    rig.step(deltas)
+    np.testing.assert_allclose(rig.commanded, before + deltas, atol=1e-9)
 
 
 @pytest.mark.parametrize("control", CONTROLS)
@@ -178,7 +197,9 @@ def test_joint_torques_stay_within_the_effort_limits(robot, control):
     largest = np.zeros(6)
     for decision in range(20):
         rig.arm.command(np.broadcast_to(1e6 * (-1) ** (decision // 4), (rig.n, 6)))
-        for _ in range(rig.substeps):
+        for substep in range(rig.substeps):
+            if substep % (rig.substeps // TICKS) == 0:
+                rig.arm.drive()
             rig.simulation.step(1)
             largest = np.maximum(largest, np.abs(torques).max(axis=0))
     assert (largest <= rig.limits.effort * (1 + 1e-9)).all()

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from armctl.assets import ArmDescription, load_arm
 from armctl.boxes import NO_BOXES, Boxes
 from armctl.collisions import FLOOR, add_boxes, add_collision_pairs, capsule_geometry, link_frame
+from armctl.drives import travel_time
 
 Array = NDArray[np.float64]
 
@@ -111,8 +112,8 @@ class ArmModel:
         return np.asarray(np.all((q >= self.limits.lower) & (q <= self.limits.upper), axis=-1))
 
     def least_time(self, start: Array, goal: Array) -> Array:
-        """Seconds in which the slowest joint gets from `start` to `goal` (..., dof) at its velocity limit, (...)."""
-        return np.asarray(np.max(np.abs(goal - start) / self.limits.velocity, axis=-1))
+        """Seconds in which all joints can come from rest at `start` to `goal` (..., dof), where they need not stop."""
+        return np.asarray(np.max(travel_time(goal - start, 0.0, self.limits), axis=-1))
 
     def _jacobian(self, q: Array, frame: pinocchio.ReferenceFrame) -> Array:
         found = pinocchio.computeFrameJacobian(self.pinocchio, self._data, q, self.tip, frame)

@@ -1,9 +1,11 @@
 """The soonest way to touch a sphere: over all configurations whose end-effector is in it, the least time to get there.
 
-    min over q of  max_j |q_j - start_j| / velocity_j   subject to  |position(q) - centre| <= radius
+    min over q of  max_j travel_time_j(q_j - start_j)   subject to  |position(q) - centre| <= radius
 
-From several starts: Levenberg-Marquardt into the sphere, then sequential quadratic steps along its constraint, in which
-iteratively reweighted squares stand for the maximum (Burrus, "Iterative reweighted least squares", 2012).
+The least time and the place in the sphere are found together, from several starts: Levenberg-Marquardt into the sphere,
+then sequential linear programming (Griffith and Stewart, "A nonlinear programming technique for the optimization of
+continuous processing systems", Management Science 7, 1961). Each linear programme, with one constraint and bounds that
+grow with the time, has a solution in closed form: every joint goes as far as time allows, in the direction that helps.
 """
 
 import math
@@ -12,33 +14,43 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.drives import extent, goal_to_pass, progress, travel_time
 from armctl.kinematics.ik import Ik
 from armctl.kinematics.model import ArmModel
 
 Array = NDArray[np.float64]
 
-SHARPNESS = 4
-"""Power of a joint's time that weights its square: the higher, the nearer to the maximum, and the less stable."""
-LEAST_WEIGHT = 0.02
-"""Weight of a joint that does not move, beside 1 for the slowest."""
-RELAXATION = 0.3
-"""Part of a step along the sphere that is taken, for the weights change with it."""
+FIRST_STEP, LAST_STEP = 0.2, 0.0005
+"""rad that a joint may move in the first and in the last linear programme, which holds only nearby."""
+INSIDE = 5e-5
+"""m that is aimed at inside the sphere: linear programmes end beside a curved surface."""
+LEAST_SLOPE = 0.05
+"""m/s: slower approaches are taken for that fast when the time is estimated from them."""
+LARGEST_CHANGE = 0.1
+"""s that an estimate of the time may change by at once."""
 
 
 @dataclass(frozen=True)
 class TouchOptions:
     """Effort of the search."""
 
-    starts: int = 32
+    starts: int = 48
+    """Besides where the arm is: half of them around it, half anywhere."""
+    spread: float = 1.5
+    """rad around where the arm is."""
     approach_iterations: int = 10
     """Steps from a start into the sphere."""
-    refine_iterations: int = 8
+    refine_iterations: int = 20
     """Steps towards less time."""
     largest_step: float = 0.5
-    """rad, in any joint and iteration."""
+    """rad, in any joint and iteration of the approach."""
     path_spacing: float = 0.05
     """rad between the points at which a path is tested for collisions."""
     rng_seed: int = 0
+
+
+THOROUGH = TouchOptions(starts=96, refine_iterations=48)
+"""For a lower bound on time: as good as a general solver's best from many starts."""
 
 
 @dataclass(frozen=True)
@@ -46,111 +58,113 @@ class Touch:
     """A way to touch the sphere."""
 
     q: Array
-    """(dof,) where to command the joints to, rad."""
+    """(dof,) where the end-effector enters the sphere, rad."""
     time: float
-    """Seconds until the slowest joint is there, each at its velocity limit."""
+    """Seconds until the slowest joint is there, from rest."""
+    command: Array
+    """(dof,) joint positions to command: beyond `q` for joints that have no time to stop there."""
     free: bool
-    """Whether the way there avoids the floor and the arm itself, all joints moving at full speed."""
+    """Whether the way to `q` touches nothing, the drives moving to `command`."""
 
 
 class SoonestTouch:
-    """Finds ways to touch a sphere with one arm."""
+    """Finds ways to touch a sphere with one arm; `centre` (3,) and `radius` are in m."""
 
     def __init__(self, model: ArmModel, options: TouchOptions | None = None) -> None:
         self.model = model
         self.options = options or TouchOptions()
         self.ik = Ik(model)
         rng = np.random.default_rng(self.options.rng_seed)
-        limits = model.limits
+        limits, half = model.limits, self.options.starts // 2
         low, high = np.maximum(limits.lower, -np.pi), np.minimum(limits.upper, np.pi)
-        self._starts = rng.uniform(low, high, (self.options.starts, model.dof))
+        self._anywhere = rng.uniform(low, high, (self.options.starts - half, model.dof))
+        self._around = rng.uniform(-self.options.spread, self.options.spread, (half, model.dof))
 
     def find(self, start: Array, centre: Array, radius: float) -> Touch | None:
-        """The soonest collision-free way found from `start` (dof,) into the sphere; if none is free, the soonest.
+        """The soonest free way found from rest at `start` (dof,) into the sphere; if none is free, the soonest.
 
-        `centre` (3,) and `radius` are in m. None if the sphere was not reached from any start.
+        None if the sphere was not reached from any start.
         """
         soonest = self._by_time(start, self._candidates(start, centre, radius))
         touch = self._first_free(start, soonest)
         if touch is None:
             at_centre = np.array(list(self.ik.free_configurations(centre))).reshape(-1, self.model.dof)
             touch = self._first_free(start, self._by_time(start, self.ik.nearest_turn(at_centre, start)))
-        if touch is None and len(soonest):
-            return Touch(soonest[0], float(self.model.least_time(start, soonest[0])), free=False)
-        return touch
+        return self._touch(start, soonest[0]) if touch is None and len(soonest) else touch
+
+    def least_time(self, start: Array, centre: Array, radius: float, velocity: Array | None = None) -> float:
+        """Seconds from `start` (dof,), moving with `velocity` (dof,), into the sphere, if nothing stood in the way.
+
+        Infinite if the sphere was not reached from any start. With the options `THOROUGH`, no policy is sooner.
+        """
+        moving = np.zeros(self.model.dof) if velocity is None else velocity
+        candidates = self._candidates(start, centre, radius, moving)
+        return float(self._times(start, candidates, moving).min(initial=np.inf))
+
+    def _times(self, start: Array, goals: Array, velocity: Array | float = 0.0) -> Array:
+        return np.asarray(travel_time(goals - start, velocity, self.model.limits).max(axis=-1, initial=0.0))
 
     def _by_time(self, start: Array, goals: Array) -> Array:
-        return np.asarray(goals[np.argsort(self.model.least_time(start, goals), kind="stable")])
+        return np.asarray(goals[np.argsort(self._times(start, goals), kind="stable")])
 
     def _first_free(self, start: Array, goals: Array) -> Touch | None:
-        for goal in goals:
-            if self._is_free(start, goal):
-                return Touch(goal, float(self.model.least_time(start, goal)), free=True)
-        return None
+        touches = (self._touch(start, goal) for goal in goals)
+        return next((touch for touch in touches if touch.free), None)
 
-    def _candidates(self, start: Array, centre: Array, radius: float) -> Array:
+    def _touch(self, start: Array, q: Array) -> Touch:
+        time = float(self._times(start, q))
+        command = goal_to_pass(start, q, time, self.model.limits)
+        points = 1 + math.ceil(np.abs(q - start).max() / self.options.path_spacing)
+        times = np.linspace(time, 0, points, endpoint=False)[:, None]
+        way = start + progress(times, command - start, self.model.limits)
+        return Touch(q, time, command, free=all(self.model.is_free(configuration) for configuration in way))
+
+    def _candidates(self, start: Array, centre: Array, radius: float, velocity: Array | float = 0.0) -> Array:
         """Configurations (k, dof) in the sphere, one from each start that got there, as soon as it could be made."""
         if np.linalg.norm(self.model.position(start) - centre) <= radius:
             return start[None]
-        q = self._approach(np.vstack([start, self._starts]), centre)
-        q = self.ik.nearest_turn(q, start)
-        q = np.clip(q, self.model.limits.lower, self.model.limits.upper)
+        limits = self.model.limits
+        q = self._approach(np.vstack([start, start + self._around, self._anywhere]), centre)
+        q = np.clip(self.ik.nearest_turn(q, start), limits.lower, limits.upper)
         best, best_time = q, np.full(len(q), np.inf)
-        for _ in range(self.options.refine_iterations):
+        for largest_step in np.geomspace(FIRST_STEP, LAST_STEP, self.options.refine_iterations):
             position, jacobian = self.model.positions_and_jacobians(q)
-            error = centre - position
-            time = self.model.least_time(start, q)
-            better = (np.linalg.norm(error, axis=-1) <= radius) & (time < best_time)
+            offset = centre - position
+            distance = np.linalg.norm(offset, axis=-1, keepdims=True) + 1e-12
+            time = self._times(start, q, velocity)
+            better = (distance[:, 0] <= radius) & (time < best_time)
             best, best_time = np.where(better[:, None], q, best), np.where(better, time, best_time)
-            q = q + self._limited(self._sooner(q - start, error, jacobian, radius))
-            q = np.clip(q, self.model.limits.lower, self.model.limits.upper)
+            gain = np.einsum("nij,ni->nj", jacobian, offset / distance)
+            q = q + self._sooner(q, start, velocity, gain, distance - radius + INSIDE, time[:, None], largest_step)
         return np.asarray(best[np.isfinite(best_time)])
+
+    def _sooner(
+        self, q: Array, start: Array, velocity: Array | float, gain: Array, needed: Array, time: Array, largest: float
+    ) -> Array:
+        """Step (n, dof) that comes nearer to the sphere by `needed` (n, 1), in the least time from `start`.
+
+        `gain` (n, dof) is how much nearer a joint's motion brings it, m/rad. The time is improved by Newton's method.
+        Two steps of it are enough: solved to the end, programmes that hold only nearby overshoot.
+        """
+        limits, travel = self.model.limits, q - start
+        sign = np.where(gain > 0, 1.0, -1.0)
+        room = np.where(gain > 0, limits.upper - q, q - limits.lower)
+        for _ in range(2):
+            reach, speed = extent(time, sign * velocity, limits)
+            step = np.minimum(np.minimum(reach - sign * travel, room), largest)
+            missing = needed - (np.abs(gain) * step).sum(axis=-1, keepdims=True)
+            slope = (np.abs(gain) * speed * (step < largest)).sum(axis=-1, keepdims=True)
+            change = np.clip(missing / np.maximum(slope, LEAST_SLOPE), -LARGEST_CHANGE, LARGEST_CHANGE)
+            time = np.maximum(time + change, 1e-3)
+        return np.asarray(sign * np.clip(step, -largest, largest))
 
     def _approach(self, q: Array, centre: Array) -> Array:
         for _ in range(self.options.approach_iterations):
             position, jacobian = self.model.positions_and_jacobians(q)
             error = centre - position
             damping = 0.5 * (error * error).sum(axis=-1) + 1e-6
-            q = q + self._limited(_pull(jacobian, error, damping))
+            gram = jacobian @ jacobian.swapaxes(-1, -2) + damping[:, None, None] * np.eye(3)
+            step = (jacobian.swapaxes(-1, -2) @ np.linalg.solve(gram, error[..., None]))[..., 0]
+            largest = np.abs(step).max(axis=-1, keepdims=True)
+            q = q + step * np.minimum(1.0, self.options.largest_step / (largest + 1e-12))
         return q
-
-    def _sooner(self, travel: Array, error: Array, jacobian: Array, radius: float) -> Array:
-        """Step (n, dof) that keeps to the sphere, and evens out the times that the joints need for their `travel`."""
-        velocity = self.model.limits.velocity
-        load = np.abs(travel) / velocity
-        weights = (load / (load.max(axis=-1, keepdims=True) + 1e-9)) ** SHARPNESS + LEAST_WEIGHT
-        scale = velocity / np.sqrt(weights)
-        scaled = jacobian * scale[:, None, :]
-        wanted = error + np.einsum("nij,nj->ni", jacobian, travel)
-        slack = np.zeros(len(travel))
-        for _ in range(4):  # the multiplier of |wanted - J travel| <= radius, by fixed point
-            multiplier = np.linalg.solve(_gram(scaled, slack), wanted[..., None])[..., 0]
-            length = np.linalg.norm(multiplier, axis=-1) + 1e-12
-            slack = np.minimum(radius / length, 1e6)
-        least_travel = scale * np.einsum("nij,ni->nj", scaled, multiplier)
-        onto_sphere = scale * _pull(scaled, error - radius * multiplier / length[:, None], np.zeros(len(travel)))
-        along_sphere = least_travel - travel - onto_sphere
-        return np.asarray(onto_sphere + RELAXATION * along_sphere)
-
-    def _limited(self, step: Array) -> Array:
-        largest = np.abs(step).max(axis=-1, keepdims=True)
-        return np.asarray(step * np.minimum(1.0, self.options.largest_step / (largest + 1e-12)))
-
-    def _is_free(self, start: Array, goal: Array) -> bool:
-        velocity = self.model.limits.velocity
-        time = float(self.model.least_time(start, goal))
-        points = 1 + math.ceil(time * velocity.max() / self.options.path_spacing)
-        for elapsed in np.linspace(time, 0, points, endpoint=False):
-            if not self.model.is_free(start + np.clip(goal - start, -velocity * elapsed, velocity * elapsed)):
-                return False
-        return True
-
-
-def _gram(jacobian: Array, damping: Array) -> Array:
-    """J J^T + damping, (n, 3, 3)."""
-    return np.asarray(jacobian @ jacobian.swapaxes(-1, -2) + (damping + 1e-9)[:, None, None] * np.eye(3))
-
-
-def _pull(jacobian: Array, error: Array, damping: Array) -> Array:
-    """Damped least-squares step J^T (J J^T + damping)^-1 error, (n, dof)."""
-    return np.asarray((jacobian.swapaxes(-1, -2) @ np.linalg.solve(_gram(jacobian, damping), error[..., None]))[..., 0])

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from armctl.assets import ArmDescription, world_path
 from armctl.capsules import Capsule
 from armctl.collisions import FLOOR
+from armctl.drives import limited, towards
 from armctl.errors import unknown_name
 from armctl.simulation import Simulation
 
@@ -30,13 +31,13 @@ class Arm:
 
     `control` says what an action (n, dof) means:
 
-    - `position`: joint positions to move to, within the position limits;
-    - `delta`: joint displacements from the present command;
+    - `position`: joint positions to move to, and stop there, within the position limits;
+    - `delta`: joint displacements until the next decision;
     - `velocity`: joint velocities, within the velocity limits;
     - `torque`: joint torques on top of gravity compensation, within the effort limits.
 
-    But for torques, the command never moves faster than the velocity limits. The arm follows it within its effort
-    limits: it lags after a sudden start, and catches up faster than its velocity limits for a moment.
+    But for torques, `armctl.drives` make of it a command within the limits of position, velocity and acceleration. The
+    joints' servos follow it within their effort limits. Call `drive` every `armctl.drives.TICK` of simulated time.
     """
 
     def __init__(self, simulation: Simulation, description: ArmDescription, control: str, period: float) -> None:
@@ -49,6 +50,7 @@ class Arm:
         self._tip = simulation.model.body(PREFIX + description.tip).id
         self._ctrl = simulation.array("ctrl")
         self._command = simulation.array("act")
+        self._wanted = np.zeros_like(self.joint_positions)
         limits = description.limits
         bound = {
             "position": (limits.lower, limits.upper),
@@ -65,18 +67,21 @@ class Arm:
 
     def command(self, actions: Array) -> None:
         """Take over actions (n, dof), clipped into their bounds."""
-        actions = np.clip(actions, self.action_low, self.action_high)
+        self._wanted = np.clip(actions, self.action_low, self.action_high)
         if self.control == "torque":
-            self._ctrl[:] = actions
-            return
-        if self.control == "position":
-            actions = (actions - self._command) / self.period
+            self._ctrl[:] = self._wanted
         elif self.control == "delta":
-            actions = actions / self.period
-        limit = self.description.limits.velocity
-        velocities = np.clip(actions, -limit, limit)
-        self._ctrl[:, : self.description.dof] = velocities
-        self._ctrl[:, self.description.dof :] = velocities
+            self._wanted /= self.period
+
+    def drive(self) -> None:
+        """Choose the velocity that the command moves with until the next tick."""
+        if self.control == "torque":
+            return
+        limits, dof = self.description.limits, self.description.dof
+        wanted = towards(self._wanted, self._command, limits) if self.control == "position" else self._wanted
+        velocity = limited(wanted, self._command, self._ctrl[:, :dof], limits)
+        self._ctrl[:, :dof] = velocity
+        self._ctrl[:, dof:] = velocity
 
 
 def build_arm_world(description: ArmDescription, control: str, world: str = "arm_reach") -> mujoco.MjModel:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.assets import ArmDescription, load_arm
+from armctl.drives import TICK
 from armctl.errors import ConfigurationError, unknown_name
 from armctl.kinematics import ArmModel, Workspace
 from armctl.robots import Arm, build_arm_world
@@ -39,7 +40,7 @@ class ReachState:
     previous_distance: Array
     """(n,) the same, one decision earlier."""
     reached: NDArray[np.bool_]
-    """(n,) whether the end-effector is within the tolerance of the target."""
+    """(n,) whether the end-effector has been within the tolerance of the target since the last decision."""
     action: Array
     """(n, dof) the last action, as the policy gave it."""
 
@@ -121,7 +122,7 @@ class ReachTask(Task):
         self._targets = self.simulation.array("mocap_pos")[:, 0]
         self._feasible = np.ones(n, dtype=bool)
         self._action = np.zeros((n, description.dof))
-        self._distance = np.zeros(n)
+        self._distance, self._nearest = np.zeros(n), np.full(n, np.inf)
         self.simulation.reset()
         self.simulation.refresh()
         self._look(self._action)
@@ -146,7 +147,7 @@ class ReachTask(Task):
         for i, rng in zip(ids, rngs, strict=True):
             self._targets[i], self._feasible[i] = self._new_target(rng)
         self.simulation.refresh(ids)
-        self._action[ids] = 0.0
+        self._action[ids], self._nearest[ids] = 0.0, self._distances()[ids]
         self._look(self._action)
         self._distance[ids] = self.state.distance[ids]
 
@@ -155,6 +156,15 @@ class ReachTask(Task):
         self._action = actions
         self._distance = self.state.distance
         self.arm.command(actions)
+
+    def advance(self, ids: NDArray[np.int32] | None) -> None:
+        """Let time go on until the next decision, in worlds `ids` or in all."""
+        ticks = round(DECISION_PERIOD / TICK)
+        self._nearest = np.full_like(self._distance, np.inf)
+        for _ in range(ticks):
+            self.arm.drive()
+            self.simulation.step(self.substeps // ticks, ids)
+            self._nearest = np.minimum(self._nearest, self._distances())
 
     def parts(self) -> dict[str, NDArray[np.floating[Any]]]:
         """The parts of `ReachOptions.observation`, (n, k) each."""
@@ -193,16 +203,17 @@ class ReachTask(Task):
         return self._workspace.sample(rng, clearance=self.options.tolerance), True
 
     def _look(self, action: Array) -> None:
-        end_effector = self.arm.end_effector_positions
-        offset = self._targets - end_effector
-        distance = np.sqrt((offset * offset).sum(axis=1))
         self.state = ReachState(
-            end_effector,
+            self.arm.end_effector_positions,
             self.arm.joint_positions,
             self.arm.joint_velocities,
             self._targets,
-            distance,
+            self._distances(),
             self._distance,
-            distance <= self.options.tolerance,
+            self._nearest <= self.options.tolerance,
             action,
         )
+
+    def _distances(self) -> Array:
+        offset = self._targets - self.arm.end_effector_positions
+        return np.asarray(np.sqrt((offset * offset).sum(axis=1)))
