@@ -31,19 +31,44 @@ class BuiltinArm:
     srdf: str
     tip: str
     home: tuple[float, ...]
+    max_acceleration: float | tuple[float, ...]
 
-
-_UR_HOME = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
-
-BUILTIN_ARMS = {
-    name: BuiltinArm(f"ur_description/urdf/{name}_robot.urdf", "ur_description/srdf/ur5.srdf", "ee_link", _UR_HOME)
-    for name in ("ur3", "ur5", "ur10")
-}
 
 MAX_ACCELERATION = 15.0
 """rad/s^2, unless told otherwise, for a URDF says nothing: about what its effort allows a stretched-out UR5."""
 MAX_JERK = 300.0
 """rad/s^3, likewise: reaches that acceleration within 50 ms."""
+
+_UR_HOME = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
+
+BUILTIN_ARMS = {
+    name: BuiltinArm(
+        f"ur_description/urdf/{name}_robot.urdf", "ur_description/srdf/ur5.srdf", "ee_link", _UR_HOME, MAX_ACCELERATION
+    )
+    for name in ("ur3", "ur5", "ur10")
+} | {
+    "z1": BuiltinArm(
+        "z1_description/urdf/z1.urdf",
+        "z1_description/srdf/z1.srdf",
+        "gripperStator",
+        (0.0, 1.2, -1.2, 0.0, 0.0, 0.0),
+        MAX_ACCELERATION,
+    ),
+    "panda": BuiltinArm(
+        "panda_description/urdf/panda.urdf",
+        "panda_description/srdf/panda.srdf",
+        "panda_hand_tcp",
+        (0.0, -0.785398, 0.0, -2.35619, 0.0, 1.5707, 0.785398),
+        (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0),  # Franka Control Interface documentation, limits for the Panda
+    ),
+    "xarm7": BuiltinArm(
+        "xarm_description/urdf/xarm7.urdf",
+        "xarm_description/srdf/xarm7.srdf",
+        "link_eef",
+        (0.0, -0.5, 0.0, 0.9, 0.0, 1.4, 0.0),
+        MAX_ACCELERATION,
+    ),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,30 +129,29 @@ def load_arm(
     tip: str | None = None,
     home: Sequence[float] | Array | None = None,
     srdf: str | Path | None = None,
-    max_acceleration: float = MAX_ACCELERATION,
-    max_jerk: float = MAX_JERK,
+    max_acceleration: float | Sequence[float] | Array | None = None,
+    max_jerk: float | Sequence[float] | Array | None = None,
 ) -> ArmDescription:
-    """Read an arm by name (`ur3`, `ur5`, `ur10`) or from the path of a URDF file.
+    """Read an arm by name (`ur3`, `ur5`, `ur10`, `z1`, `panda`, `xarm7`) or from the path of a URDF file.
 
     `tip` names the link that is the end-effector; without it a file's only leaf link is taken. `home` (dof,) is where
     episodes start, rad; without it zero, or the middle of the range where zero is out of range. `srdf` names the file
-    whose `<disable_collisions>` rule out pairs of links that cannot touch. Limits are rad/s^2 and rad/s^3.
+    whose `<disable_collisions>` rule out pairs of links that cannot touch. Limits are rad/s^2 and rad/s^3, one for all
+    joints or one for each; without `max_acceleration` a named arm has its own, and others `MAX_ACCELERATION`; without
+    `max_jerk` all have `MAX_JERK`.
 
     Raises `ConfigurationError` for an unknown name, and for a file that lacks what a reach arm needs: at least one
     revolute joint between root and tip, with position, velocity and effort limits, and mass behind each joint.
     """
     if isinstance(robot, ArmDescription):
-        changed = max_acceleration != MAX_ACCELERATION or max_jerk != MAX_JERK
-        if changed or any(option is not None for option in (tip, home, srdf)):
+        if any(option is not None for option in (tip, home, srdf, max_acceleration, max_jerk)):
             raise ConfigurationError(f"the arm {robot.name!r} is loaded already: give the options where it is loaded")
         return robot
-    for name, limit in (("max_acceleration", max_acceleration), ("max_jerk", max_jerk)):
-        if not (np.isfinite(limit) and limit > 0):
-            raise ConfigurationError(f"{name} is a finite number above 0, not {limit}")
     if isinstance(robot, str) and robot in BUILTIN_ARMS:
         builtin = BUILTIN_ARMS[robot]
         path, tip, srdf = robot_data() / builtin.urdf, tip or builtin.tip, srdf or robot_data() / builtin.srdf
         home = builtin.home if home is None else home
+        max_acceleration = builtin.max_acceleration if max_acceleration is None else max_acceleration
     elif not isinstance(robot, (str, Path)):
         raise ConfigurationError(f"a robot is a name, a path or what load_arm returned, not {robot!r}")
     else:
@@ -138,16 +162,17 @@ def load_arm(
             raise ConfigurationError(f"there is no URDF file {str(robot)!r}")
     srdf = None if srdf is None else Path(srdf)
     edited = tuple(file.stat().st_mtime_ns for file in (path, srdf) if file is not None and file.is_file())
-    return _read_arm(path, edited, tip, _as_tuple(home), srdf, max_acceleration, max_jerk)
+    acceleration = _as_tuple("max_acceleration", MAX_ACCELERATION if max_acceleration is None else max_acceleration)
+    jerk = _as_tuple("max_jerk", MAX_JERK if max_jerk is None else max_jerk)
+    home = None if home is None else _as_tuple("home", home)
+    return _read_arm(path, edited, tip, home, srdf, acceleration, jerk)
 
 
-def _as_tuple(home: Sequence[float] | Array | None) -> tuple[float, ...] | None:
-    if home is None:
-        return None
+def _as_tuple(name: str, values: float | Sequence[float] | Array) -> tuple[float, ...]:
     try:
-        return tuple(float(angle) for angle in home)
+        return tuple(float(value) for value in np.atleast_1d(values))
     except (TypeError, ValueError) as error:
-        raise ConfigurationError(f"home is one angle (rad) for each joint, not {home}") from error
+        raise ConfigurationError(f"{name} is a number for each joint, not {values}") from error
 
 
 @functools.lru_cache(maxsize=16)
@@ -157,13 +182,14 @@ def _read_arm(
     tip: str | None,
     home: tuple[float, ...] | None,
     srdf: Path | None,
-    max_acceleration: float,
-    max_jerk: float,
+    max_acceleration: tuple[float, ...],
+    max_jerk: tuple[float, ...],
 ) -> ArmDescription:
     """Read a file; `edited` (ns) tells its versions apart in the cache."""
     source = Urdf(path, tip, packages=robot_data().parents[1])
-    limits = _frozen(*source.limits(), *(np.full(len(source.joints), limit) for limit in (max_acceleration, max_jerk)))
-    joint_limits = JointLimits(*limits)
+    dof = len(source.joints)
+    acceleration = _limit("max_acceleration", max_acceleration, dof)
+    joint_limits = JointLimits(*_frozen(*source.limits(), acceleration, _limit("max_jerk", max_jerk, dof)))
     (home_position,) = _frozen(_home_position(home, joint_limits))
     shapes = source.shapes()
     capsules = tuple(
@@ -182,6 +208,13 @@ def _read_arm(
         meshes=tuple(shape for shape in shapes if len(shape.triangles)),
         collision_pairs=pairs_worth_testing(source.text(), capsules, home_position, impossible),
     )
+
+
+def _limit(name: str, limit: tuple[float, ...], dof: int) -> Array:
+    numbers = np.array(limit)
+    if len(limit) not in (1, dof) or not (np.isfinite(numbers) & (numbers > 0)).all():
+        raise ConfigurationError(f"{name} is one finite number above 0, or {dof} of them, not {limit}")
+    return np.broadcast_to(numbers, dof)
 
 
 def _home_position(home: tuple[float, ...] | None, limits: JointLimits) -> Array:

@@ -1,10 +1,8 @@
 import gymnasium
-import numpy as np
 import pytest
 
 from armctl.errors import ConfigurationError
 from armctl.evaluation import evaluate
-from armctl.kinematics import ArmModel
 from armctl.policies import make_policy
 
 
@@ -22,23 +20,10 @@ def test_reach_ik_works_on_other_arms_and_controls(robot, control):
     assert results.success.all()
 
 
-def test_reach_ik_loses_little_to_acceleration_over_the_bound_of_the_slowest_joint():
-    env = gymnasium.make("armctl/ArmReach-v0")
-    policy = make_policy("reach_ik", env)
-    model = ArmModel("ur5")
-    lost = []
-    for seed in range(20):
-        observation, _ = env.reset(seed=seed)
-        policy.reset(np.zeros(1, dtype=np.int32))
-        goal = policy.act(observation[None])[0]
-        steps, finished = 0, False
-        while not finished:
-            observation, _, finished, truncated, _ = env.step(policy.act(observation[None])[0])
-            steps += 1
-            assert not truncated
-        lost.append(steps - np.ceil(model.least_time(model.home, goal) / 0.04))
-    assert max(lost) <= 8
-    assert np.mean(lost) <= 3
+@pytest.mark.parametrize("robot", ["z1", "panda", "xarm7"])
+def test_reach_ik_works_on_arms_that_are_no_ur(robot):
+    results = evaluate("reach_ik", episodes=30, seed=2, worlds=10, env_options={"robot": robot})
+    assert results.success.mean() >= 0.95
 
 
 def test_reach_ik_refuses_torque_control():
