@@ -34,6 +34,12 @@ gymnasium.register(
     vector_entry_point="armctl.envs:ArmReachVectorEnv",
     max_episode_steps=100,
 )
+gymnasium.register(
+    id="armctl/ArmReachMoving-v0",
+    entry_point="armctl.envs:ArmReachMovingEnv",
+    vector_entry_point="armctl.envs:ArmReachMovingVectorEnv",
+    max_episode_steps=300,
+)
 for _id, _steps, _options in (
     ("armctl/BridgeCross-v0", 300, {}),
     ("armctl/BridgeCrossMoving-v0", 600, {"blocks": 3, "walkers": 3}),
@@ -49,6 +55,7 @@ for _id, _steps, _options in (
 DEFAULT_ENV = "armctl/ArmReach-v0"
 DEFAULT_POLICIES = {
     "armctl/ArmReach-v0": ("reach_ik", "reach_ppo", "random"),
+    "armctl/ArmReachMoving-v0": ("reach_ik", "random"),
     "armctl/BridgeCross-v0": ("bridge_ompl", "bridge_ppo", "random"),
     "armctl/BridgeCrossMoving-v0": ("bridge_ompl", "bridge_ppo", "random"),
 }

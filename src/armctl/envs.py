@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from armctl.errors import ConfigurationError, InvalidAction, unknown_name
 from armctl.simulation.rendering import Camera, Window
-from armctl.tasks import BridgeOptions, BridgeTask, ReachOptions, ReachTask
+from armctl.tasks import BridgeOptions, BridgeTask, ReachMovingOptions, ReachMovingTask, ReachOptions, ReachTask
 from armctl.tasks.task import OUTCOME_LABELS, SUCCESSES, Observations, Outcome, Task
 
 Array = NDArray[np.float64]
@@ -50,6 +50,8 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     }
     task: Task
     options_type: ClassVar[type[Any]]
+    task_type: ClassVar[type[Any]]
+    """Makes the `Task` for n worlds, with options, on so many threads."""
     single_observation_space: gymnasium.spaces.Space[Any]
     single_action_space: gymnasium.spaces.Box
 
@@ -74,7 +76,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self.render_mode = render_mode
         self.autoreset_mode = _autoreset_mode(autoreset_mode)
         self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode}
-        self.task = self.make_task(self.num_envs, make_options(self.options_type, options), threads)
+        self.task = self.task_type(self.num_envs, make_options(self.options_type, options), threads)
         self.single_observation_space = self.task.observation_space
         self.single_action_space = self.task.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -85,10 +87,6 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._finished = np.ones(num_envs, dtype=bool)
         self._seeded = False
         self._viewer: Camera | Window | None = None
-
-    def make_task(self, n: int, options: Any, threads: int) -> Task:
-        """The task for n worlds; each environment has its own."""
-        raise NotImplementedError
 
     def reset(
         self, *, seed: int | list[int] | None = None, options: dict[str, Any] | None = None
@@ -340,11 +338,8 @@ class ArmReachVectorEnv(TaskVectorEnv):
     """`gym.make_vec("armctl/ArmReach-v0", num_envs=n, **options)`; options in `armctl.tasks.ReachOptions`."""
 
     task: ReachTask
-    options_type = ReachOptions
-
-    def make_task(self, n: int, options: ReachOptions, threads: int) -> ReachTask:
-        """Arms with their targets."""
-        return ReachTask(n, options, threads)
+    options_type: ClassVar[type[Any]] = ReachOptions
+    task_type: ClassVar[type[Any]] = ReachTask
 
 
 class ArmReachEnv(TaskEnv):
@@ -353,16 +348,27 @@ class ArmReachEnv(TaskEnv):
     vector_type = ArmReachVectorEnv
 
 
+class ArmReachMovingVectorEnv(ArmReachVectorEnv):
+    """`gym.make_vec("armctl/ArmReachMoving-v0", num_envs=n, **options)`: `armctl.tasks.ReachMovingOptions`."""
+
+    task: ReachMovingTask
+    options_type = ReachMovingOptions
+    task_type = ReachMovingTask
+
+
+class ArmReachMovingEnv(TaskEnv):
+    """`gym.make("armctl/ArmReachMoving-v0", **options)`; options in `armctl.tasks.ReachMovingOptions`."""
+
+    vector_type = ArmReachMovingVectorEnv
+
+
 class BridgeCrossVectorEnv(TaskVectorEnv):
     """`gym.make_vec("armctl/BridgeCross-v0", num_envs=n, **options)`; options in `armctl.tasks.BridgeOptions`."""
 
     metadata = TaskVectorEnv.metadata | {"render_fps": 10}
     task: BridgeTask
     options_type = BridgeOptions
-
-    def make_task(self, n: int, options: BridgeOptions, threads: int) -> BridgeTask:
-        """Bridges with their rovers."""
-        return BridgeTask(n, options, threads)
+    task_type = BridgeTask
 
 
 class BridgeCrossEnv(TaskEnv):

@@ -280,3 +280,25 @@ def test_the_bridge_is_compared_like_the_arm_and_endings_are_told():
 def test_policies_of_an_unknown_environment_are_not_guessed():
     with pytest.raises(ConfigurationError, match="BridgeCross-v0"):
         compare(env="armctl/BridgeCros-v0")
+
+
+def test_gap_is_to_the_least_length_that_all_policies_share(tmp_path):
+    comparison = compare(["reach_ik", "reach_ppo"], episodes=20, worlds=5, out=tmp_path)
+    episodes = pd.read_csv(tmp_path / "episodes.csv")
+    least = episodes.pivot_table(index="episode", columns="policy", values="least_length")
+    assert (least.reach_ik == least.reach_ppo).all()
+    assert (episodes.length >= episodes.least_length - 1).all()
+    won = episodes[episodes.success]
+    np.testing.assert_allclose(won.optimality_gap, won.length / won.least_length - 1)
+    for policy in comparison.policies:
+        assert policy.optimality_gap.value == pytest.approx(won[won.policy == policy.policy].optimality_gap.median())
+        assert policy.tracking_error is None
+    console = Console(file=io.StringIO(), width=100)
+    console.print(tables(comparison))
+    assert "% over the least time" in console.file.getvalue()
+
+
+def test_failures_have_no_gap():
+    episodes = evaluate("random", episodes=3, env_options={"max_episode_steps": 5})
+    assert episodes.optimality_gap.isna().all()
+    assert (episodes.least_length >= 1).all()

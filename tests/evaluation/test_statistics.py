@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from armctl.evaluation.statistics import mean, paired_difference, success_rate
+from armctl.evaluation.statistics import Estimate, mean, median, paired_difference, success_rate
 
 
 @pytest.mark.parametrize(
@@ -65,3 +65,11 @@ def test_equal_policies_do_not_differ():
     pair = paired_difference("a", "b", (won, won), (won * 1.0, won * 1.0), (won * 1.0, won * 1.0))
     assert pair.mcnemar_p == 1
     assert pair.return_difference.value == 0
+
+
+def test_median_has_the_coverage_it_claims():
+    rng = np.random.default_rng(0)
+    estimates = [median(rng.exponential(size=60)) for _ in range(400)]
+    assert 0.93 <= np.mean([one.low <= np.log(2) <= one.high for one in estimates]) <= 0.99
+    assert median(np.empty(0)) is None
+    assert median(np.arange(5.0)) == Estimate(2.0, None, None)

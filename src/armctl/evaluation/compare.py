@@ -2,7 +2,7 @@
 
 import itertools
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,7 +16,7 @@ from armctl import DEFAULT_ENV, DEFAULT_POLICIES
 from armctl.errors import ConfigurationError, ResultsError, unknown_name
 from armctl.evaluation.report import EpisodeLog, write_summary
 from armctl.evaluation.rollouts import COLUMNS, EpisodeResult, PolicyFailed, make_worlds, rollouts
-from armctl.evaluation.statistics import Estimate, PairedDifference, mean, paired_difference, success_rate
+from armctl.evaluation.statistics import Estimate, PairedDifference, mean, median, paired_difference, success_rate
 from armctl.policies import PolicyFactory, make_policy, policy_name
 
 
@@ -39,6 +39,10 @@ class PolicySummary:
     episode_return: Estimate | None
     steps_to_goal: Estimate | None
     """Over successful episodes."""
+    optimality_gap: Estimate | None
+    """Median part by which successful episodes took longer than the fastest possible ones, where those are known."""
+    tracking_error: Estimate | None
+    """m, mean distance to a moving target once it was met."""
     decision_ms_p50: float
     decision_ms_p99: float
 
@@ -92,6 +96,7 @@ def compare(
         raise ConfigurationError(f"episodes and worlds count from 1, not {episodes} and {worlds}")
     comparison = Comparison(env, seed, dict(env_options or {}), pd.DataFrame(columns=list(COLUMNS)))
     results: list[EpisodeResult] = []
+    least_lengths: dict[int, float] = {}
     with ExitStack() as stack:
         made_env = make_worlds(env, min(worlds, episodes), env_options)
         stack.callback(made_env.close)
@@ -101,7 +106,7 @@ def compare(
         try:
             for name, policy in made.items():
                 try:
-                    for result in rollouts(policy, made_env, episodes, seed, name):
+                    for result in rollouts(policy, made_env, episodes, seed, name, least_lengths):
                         results.append(result)
                         if log is not None:
                             try:
@@ -169,9 +174,15 @@ def _summary(
         success_rate(np.array([result.success for result in results])),
         mean(np.array([result.total_reward for result in results])),
         mean(np.array([float(result.length) for result in results if result.success])),
+        median(_known(result.optimality_gap for result in results)),
+        mean(_known(result.tracking_error for result in results)),
         float(np.quantile(decisions, 0.5)),
         float(np.quantile(decisions, 0.99)),
     )
+
+
+def _known(values: Iterable[float]) -> NDArray[np.float64]:
+    return np.array([value for value in values if not np.isnan(value)])
 
 
 def _paired(counted: dict[str, list[EpisodeResult]]) -> list[PairedDifference]:

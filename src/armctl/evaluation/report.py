@@ -21,7 +21,7 @@ from armctl.evaluation.rollouts import COLUMNS
 from armctl.evaluation.statistics import FEWEST, Estimate, PairedDifference
 
 if TYPE_CHECKING:
-    from armctl.evaluation.compare import Comparison
+    from armctl.evaluation.compare import Comparison, PolicySummary
 
 EPISODES, SUMMARY = "episodes.csv", "summary.json"
 
@@ -108,7 +108,7 @@ def tables(comparison: "Comparison") -> Group:
     parts: list[Table | Text] = [_policy_table(comparison)] if comparison.policies else []
     for policy in comparison.policies:
         ends = ", ".join(f"{count} {outcome}" for outcome, count in policy.outcomes.items())
-        parts.append(Text(f"{policy.policy}: {ends}"))
+        parts.append(Text("; ".join([f"{policy.policy}: {ends}", *_asides(policy)])))
     if comparison.paired:
         parts += [Text(), _paired_table(comparison.paired), Text(), Text(verdict(comparison), style="bold")]
     if comparison.policies and (infeasible := comparison.policies[0].infeasible):
@@ -121,6 +121,17 @@ def tables(comparison: "Comparison") -> Group:
             counts = f"the first {policy.episodes} of {policy.planned} episodes"
             parts.append(Text(f"{policy.policy} was cut short: its figures are over {counts}.", style="yellow"))
     return Group(*parts)
+
+
+def _asides(policy: "PolicySummary") -> list[str]:
+    asides = []
+    if gap := policy.optimality_gap:
+        spread = "" if gap.low is None or gap.high is None else f" [{100 * gap.low:.0f}, {100 * gap.high:.0f}]"
+        asides.append(f"{100 * gap.value:.0f}{spread} % over the least time (median)")
+    if error := policy.tracking_error:
+        spread = "" if error.low is None or error.high is None else f" [{1e3 * error.low:.1f}, {1e3 * error.high:.1f}]"
+        asides.append(f"{1e3 * error.value:.1f}{spread} mm off the target")
+    return asides
 
 
 def verdict(comparison: "Comparison") -> str:

@@ -1,5 +1,6 @@
 """Episodes of one policy, one result each."""
 
+import math
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
@@ -19,8 +20,8 @@ from armctl.errors import ArmctlError, ConfigurationError, InvalidAction
 from armctl.policies import Policy, PolicyFactory, make_policy, policy_name
 
 COLUMNS = (
-    "policy", "env", "episode", "seed", "outcome", "success", "feasible", "return", "length", "decision_ms_p50",
-    "decision_ms_p99",
+    "policy", "env", "episode", "seed", "outcome", "success", "feasible", "return", "length", "least_length",
+    "optimality_gap", "tracking_error", "decision_ms_p50", "decision_ms_p99",
 )  # fmt: skip
 
 
@@ -41,15 +42,25 @@ class EpisodeResult:
     feasible: bool
     total_reward: float
     length: int
+    least_length: float
+    """Decisions that no policy could do with less of; NaN where that is not known (see `Task.least_time`)."""
+    tracking_error: float
+    """m, mean distance to a moving target since it was first met; NaN where there is none."""
     decision_ms: NDArray[np.float64]
     """(length,) wall time of each decision."""
+
+    @property
+    def optimality_gap(self) -> float:
+        """Part by which the episode took longer than the fastest possible one; NaN unless it was a success."""
+        return self.length / self.least_length - 1 if self.success else math.nan
 
     def row(self) -> dict[str, Any]:
         """The episode as a row of `episodes.csv`."""
         p50, p99 = np.quantile(self.decision_ms, (0.5, 0.99))
         values = (
             self.policy, self.env, self.episode, self.seed, self.outcome, self.success, self.feasible,
-            self.total_reward, self.length, round(float(p50), 4), round(float(p99), 4),
+            self.total_reward, self.length, self.least_length, self.optimality_gap, self.tracking_error,
+            round(float(p50), 4), round(float(p99), 4),
         )  # fmt: skip
         return dict(zip(COLUMNS, values, strict=True))
 
@@ -76,9 +87,16 @@ def environment_names() -> list[str]:
 
 
 def rollouts(
-    policy: Policy, env: TaskVectorEnv, episodes: int, seed: int, name: str = "policy"
+    policy: Policy,
+    env: TaskVectorEnv,
+    episodes: int,
+    seed: int,
+    name: str = "policy",
+    least_lengths: dict[int, float] | None = None,
 ) -> Iterator[EpisodeResult]:
     """Play episodes 0 to `episodes` - 1 of `seed` in the worlds of `env`, and yield each as it ends.
+
+    `least_lengths`, by episode, are taken from there and put there, so that policies can share them.
 
     A decision's time is that of the policy's call divided by the number of worlds it decided for.
     Raises `PolicyFailed` if the policy fails.
@@ -89,6 +107,8 @@ def rollouts(
     waiting = iter(range(n, episodes))
     observations, details = env.reset(seed=[seed] * n, options={"episode": numbers})
     feasible = details.get("feasible", np.ones(n, dtype=bool))
+    least = {} if least_lengths is None else least_lengths
+    _add_least_lengths(least, env, numbers, mask)
     with blaming(name, 0):
         policy.reset(np.arange(n, dtype=np.int32))
     returns = np.zeros(n)
@@ -109,7 +129,9 @@ def rollouts(
         for i in ended:
             yield EpisodeResult(
                 name, spec, int(numbers[i]), seed, str(infos["outcome"][i]), bool(infos["is_success"][i]),
-                bool(feasible[i]), float(returns[i]), len(times) - int(began[i]), np.array(times[began[i] :]),
+                bool(feasible[i]), float(returns[i]), len(times) - int(began[i]), least[int(numbers[i])],
+                float(infos["tracking_error"][i]) if "tracking_error" in infos else math.nan,
+                np.array(times[began[i] :]),
             )  # fmt: skip
             returns[i], began[i], numbers[i] = 0.0, len(times), next(waiting, -1)
         again = np.zeros(n, dtype=bool)
@@ -118,8 +140,20 @@ def rollouts(
         if again.any():
             observations, details = env.reset(options={"reset_mask": again, "episode": np.maximum(numbers, 0)})
             feasible = details.get("feasible", feasible)
+            _add_least_lengths(least, env, numbers, again)
             with blaming(name, numbers[again][0]):
                 policy.reset(np.flatnonzero(again).astype(np.int32))
+
+
+def _add_least_lengths(
+    least: dict[int, float], env: TaskVectorEnv, numbers: NDArray[np.int64], began: NDArray[np.bool_]
+) -> None:
+    """Add the episodes that have just begun."""
+    period = env.task.substeps * env.task.simulation.model.opt.timestep
+    for i in np.flatnonzero(began):
+        if (number := int(numbers[i])) not in least:
+            time = env.task.least_time(int(i))
+            least[number] = max(1.0, np.ceil(time / period - 1e-9)) if math.isfinite(time) else math.nan
 
 
 @contextmanager

@@ -1,6 +1,7 @@
 """What can be said of finitely many episodes: intervals, and differences over paired episodes."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +41,17 @@ def mean(values: Array) -> Estimate | None:
         return Estimate(value, None, None)
     half = float(stats.sem(values) * stats.t.ppf(0.975, len(values) - 1))
     return Estimate(value, value - half, value + half)
+
+
+def median(values: Array) -> Estimate | None:
+    """Median with the interval of its order statistics (Conover 1999, section 3.2), as for `mean`."""
+    if not len(values):
+        return None
+    value = float(np.median(values))
+    if len(values) < FEWEST:
+        return Estimate(value, None, None)
+    interval: Any = stats.quantile_test(values, p=0.5).confidence_interval(0.95)
+    return Estimate(value, float(interval.low), float(interval.high))
 
 
 @dataclass(frozen=True)

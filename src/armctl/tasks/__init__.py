@@ -2,9 +2,23 @@
 
 from armctl.tasks.bridge import BridgeOptions, BridgeState, BridgeTask
 from armctl.tasks.reach import OBSERVATION, REWARD, ReachOptions, ReachState, ReachTask
+from armctl.tasks.reach_moving import MovingReachState, ReachMovingOptions, ReachMovingTask
 from armctl.tasks.task import Observations, Outcome, RewardLedger, Task
 
 __all__ = [
-    "OBSERVATION", "REWARD", "BridgeOptions", "BridgeState", "BridgeTask", "Observations", "Outcome", "ReachOptions",
-    "ReachState", "ReachTask", "RewardLedger", "Task",
+    "OBSERVATION",
+    "REWARD",
+    "BridgeOptions",
+    "BridgeState",
+    "BridgeTask",
+    "MovingReachState",
+    "Observations",
+    "Outcome",
+    "ReachMovingOptions",
+    "ReachMovingTask",
+    "ReachOptions",
+    "ReachState",
+    "ReachTask",
+    "RewardLedger",
+    "Task",
 ]  # fmt: skip

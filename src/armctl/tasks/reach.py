@@ -1,5 +1,6 @@
-"""Reach: bring the arm's end-effector to a target that moves to a new place each episode."""
+"""Reach: bring the arm's end-effector to a target that is at a new place each episode."""
 
+import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from armctl.assets import ArmDescription, load_arm
 from armctl.drives import TICK
 from armctl.errors import ConfigurationError, unknown_name
-from armctl.kinematics import ArmModel, Workspace
+from armctl.kinematics import THOROUGH, ArmModel, SoonestTouch, Workspace
 from armctl.robots import Arm, build_arm_world
 from armctl.simulation import Simulation
 from armctl.tasks.task import Outcome, RewardLedger, Task
@@ -41,6 +42,8 @@ class ReachState:
     """(n,) the same, one decision earlier."""
     reached: NDArray[np.bool_]
     """(n,) whether the end-effector has been within the tolerance of the target since the last decision."""
+    target_velocity: Array
+    """(n, 3) m/s."""
     action: Array
     """(n, dof) the last action, as the policy gave it."""
 
@@ -120,6 +123,7 @@ class ReachTask(Task):
         self._workspace = Workspace(ArmModel(description))
         self.simulation.model.camera(self.camera).pos[:] *= self._workspace.radius  # the MJCF's suits a reach of 1 m
         self._targets = self.simulation.array("mocap_pos")[:, 0]
+        self._target_velocities = np.zeros((n, 3))
         self._feasible = np.ones(n, dtype=bool)
         self._action = np.zeros((n, description.dof))
         self._distance, self._nearest = np.zeros(n), np.full(n, np.inf)
@@ -145,7 +149,7 @@ class ReachTask(Task):
         """Arms go home, and targets to new places."""
         self.simulation.reset(ids)
         for i, rng in zip(ids, rngs, strict=True):
-            self._targets[i], self._feasible[i] = self._new_target(rng)
+            self._draw(int(i), rng)
         self.simulation.refresh(ids)
         self._action[ids], self._nearest[ids] = 0.0, self._distances()[ids]
         self._look(self._action)
@@ -164,7 +168,7 @@ class ReachTask(Task):
         for _ in range(ticks):
             self.arm.drive()
             self.simulation.step(self.substeps // ticks, ids)
-            self._nearest = np.minimum(self._nearest, self._distances())
+            self._tick()
 
     def parts(self) -> dict[str, NDArray[np.floating[Any]]]:
         """The parts of `ReachOptions.observation`, (n, k) each."""
@@ -188,6 +192,17 @@ class ReachTask(Task):
         """`feasible`: whether the arm can reach the target (see `armctl.kinematics.Workspace.reachable`)."""
         return {"feasible": self._feasible.copy()}
 
+    def least_time(self, world: int) -> float:
+        """Seconds in which the joints' limits allow a touch, if nothing stands in the way."""
+        q, velocity, target = (
+            array[world] for array in (self.arm.joint_positions, self.arm.joint_velocities, self._targets)
+        )
+        return self._soonest.least_time(q, target, self.options.tolerance, velocity)
+
+    @functools.cached_property
+    def _soonest(self) -> SoonestTouch:
+        return SoonestTouch(self._workspace.model, THOROUGH)
+
     def _check_terms(self, n: int) -> None:
         for name, earned in self.score().items():
             if earned.shape != (n,):
@@ -196,11 +211,17 @@ class ReachTask(Task):
             if part.ndim != 2 or len(part) != n:
                 raise ConfigurationError(f"the observation's {name!r} has shape ({n}, k), not {np.shape(part)}")
 
-    def _new_target(self, rng: np.random.Generator) -> tuple[Array, bool]:
+    def _draw(self, world: int, rng: np.random.Generator) -> None:
+        """Draw what is new in a world's episode."""
         if self.options.target == "box":
-            target = rng.uniform(*self.options.target_box)
-            return target, self._workspace.reachable(target, self.options.tolerance)
-        return self._workspace.sample(rng, clearance=self.options.tolerance), True
+            self._targets[world] = rng.uniform(*self.options.target_box)
+            self._feasible[world] = self._workspace.reachable(self._targets[world], self.options.tolerance)
+        else:
+            self._targets[world] = self._workspace.sample(rng, clearance=self.options.tolerance)
+
+    def _tick(self) -> None:
+        """Take note of what the drives' last tick has brought."""
+        self._nearest = np.minimum(self._nearest, self._distances())
 
     def _look(self, action: Array) -> None:
         self.state = ReachState(
@@ -211,6 +232,7 @@ class ReachTask(Task):
             self._distances(),
             self._distance,
             self._nearest <= self.options.tolerance,
+            self._target_velocities,
             action,
         )
 

@@ -1,5 +1,6 @@
 """What every task has, and how an episode can end."""
 
+import math
 from enum import IntEnum
 from typing import Any, Protocol
 
@@ -24,6 +25,7 @@ class Outcome(IntEnum):
     CROSSED = 2
     COLLIDED = 3
     FELL = 4
+    HELD = 5
 
     @property
     def label(self) -> str:
@@ -33,7 +35,7 @@ class Outcome(IntEnum):
     @property
     def success(self) -> bool:
         """Whether the task was done."""
-        return self in (Outcome.REACHED, Outcome.CROSSED)
+        return self in (Outcome.REACHED, Outcome.CROSSED, Outcome.HELD)
 
 
 OUTCOME_LABELS = np.array([outcome.label for outcome in Outcome])
@@ -81,3 +83,7 @@ class Task(Protocol):
 
     def details(self) -> dict[str, Any]:
         """What `info` says besides: arrays (n,), or dicts of such."""
+
+    def least_time(self, world: int) -> float:
+        """Seconds in which no policy could do with less until a success from here; NaN where that is not known."""
+        return math.nan
