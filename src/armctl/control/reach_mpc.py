@@ -1,0 +1,189 @@
+"""Model-predictive control of an arm: where its joints go over the next second, decided anew each period.
+
+The real-time iteration (Diehl, Bock, Schloeder: "A real-time iteration scheme for nonlinear optimization in optimal
+feedback control", SIAM J. Control and Optimization 43, 2005): the last plan, shifted by a period, is where the problem is
+linearised, and a quadratic program away from it lies the next. OSQP solves that (Stellato et al., "OSQP: an operator
+splitting solver for quadratic programs", Mathematical Programming Computation 12, 2020) from the last solution on.
+
+Two things make one or two such steps enough. The Hessian is the exact one of each knot, made convex (Verschueren et al.,
+"A sparsity preserving convexification procedure for indefinite quadratic programs arising in direct optimal control",
+SIAM J. Optimization 27, 2017), for far from the target Gauss and Newton's misleads; and the first plan leads straight to
+the posture asked for.
+"""
+
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+import osqp
+from numpy.typing import ArrayLike, NDArray
+
+from armctl.control.reach_problem import (
+    Motion,
+    MpcResult,
+    ReachProblem,
+    Situation,
+    braking,
+    cost,
+    straight_to,
+    within_limits,
+)
+from armctl.control.reach_qp import ReachQp
+from armctl.errors import ConfigurationError
+from armctl.kinematics import ArmModel
+from armctl.kinematics.model import cross
+
+Array = NDArray[np.float64]
+
+STEPS = (1.0, 0.5, 0.2, 0.05)
+"""Parts of the way to a program's solution that are tried, the longest first."""
+USABLE = (
+    osqp.SolverStatus.OSQP_SOLVED,
+    osqp.SolverStatus.OSQP_SOLVED_INACCURATE,
+    osqp.SolverStatus.OSQP_MAX_ITER_REACHED,
+)
+"""What the solver may end with. An unfinished solution too is a direction, and the next decision goes on from it."""
+
+
+@dataclass(frozen=True)
+class ReachMpcOptions:
+    """Effort of the controller."""
+
+    problem: ReachProblem = field(default_factory=ReachProblem)
+    programs: int = 3
+    """Most quadratic programs for one plan; one does where the last plan still holds."""
+    settled: float = 2e-3
+    """Part of the cost below which a program's gain ends the search."""
+    max_iterations: int = 100
+    """Of the solver, for each program."""
+    tolerance: float = 1e-4
+    """Of the solver, absolute and relative."""
+    step_size: float = 0.1
+    """The solver's rho."""
+
+
+class ReachMpc:
+    """Plans the motion of one arm's end-effector to targets, decision by decision."""
+
+    def __init__(self, model: ArmModel, options: ReachMpcOptions | None = None) -> None:
+        self.model = model
+        self.options = options or ReachMpcOptions()
+        self.problem = self.options.problem
+        self.failures = 0
+        """Programs that the solver did not solve, since the controller was made."""
+        self._qp = ReachQp(self.problem, model.limits, rows=0, price=0.0)
+        self._solver = osqp.OSQP()
+        self._solver.setup(
+            self._qp.hessian, self._qp.gradient, self._qp.matrix, self._qp.lower, self._qp.upper,
+            verbose=False, polishing=False, scaling=0, adaptive_rho=False, rho=self.options.step_size,
+            eps_abs=self.options.tolerance, eps_rel=self.options.tolerance, max_iter=self.options.max_iterations,
+            check_termination=5, alpha=1.8,
+        )  # fmt: skip
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the last plan: what comes is another episode."""
+        self._last: Motion | None = None
+        self._posture: Array | None = None
+        self._duals = np.zeros(self._qp.matrix.shape[0])
+
+    def plan(
+        self, position: ArrayLike, velocity: ArrayLike, targets: ArrayLike, posture: ArrayLike | None = None
+    ) -> MpcResult:
+        """The motion from joint `position` (dof,) rad and `velocity` (dof,) rad/s on.
+
+        `targets` (N, 3) m are where the end-effector should be at the end of each period, or one that stands still, (3,).
+        `posture` (dof,) rad is where joints should rather be: from a global search, for this one is local.
+        Raises `ConfigurationError` for arguments of other shapes, or not finite.
+        """
+        began = time.perf_counter()
+        situation = Situation.checked(self.problem, self.model.dof, position, velocity, targets, posture)
+        worst = braking(self.problem, self.model.limits, situation)
+        best = self._first_guess(situation, worst)
+        iterations, solved = 0, True
+        for _ in range(self.options.programs):
+            velocities, spent = self._solve(situation, worst, best)
+            iterations += spent
+            if velocities is None:
+                self.failures += 1
+                self.reset()
+                best, solved = _Linearised(self.problem, self.model, situation, worst), False
+                break
+            gain, best = self._towards(situation, best, velocities)
+            if gain <= self.options.settled * best.cost:
+                break
+        if solved:
+            self._last, self._posture = best.motion, situation.posture
+        motion = best.motion
+        return MpcResult(
+            motion.positions, motion.velocities, motion.accelerations,
+            best.cost, np.inf, solved, iterations, time.perf_counter() - began,
+        )  # fmt: skip
+
+    def _first_guess(self, situation: Situation, worst: Motion) -> "_Linearised":
+        """The last plan shifted by a period; where there is none for this posture, the straight way to it."""
+        limits, guesses = self.model.limits, []
+        if self._last is not None:
+            shifted = np.concatenate((self._last.velocities[1:], self._last.velocities[-1:]))
+            guesses.append(within_limits(self.problem, limits, situation, shifted))
+            duals = self._duals[: 4 * self._qp.states].reshape(4, -1)
+            duals[:, : -self.model.dof] = duals[:, self.model.dof :]
+        known = self._posture is not None and np.array_equal(self._posture, situation.posture)
+        if situation.posture is not None and not known:
+            guesses.append(straight_to(self.problem, limits, situation, situation.posture))
+        linearised = [_Linearised(self.problem, self.model, situation, guess) for guess in guesses or [worst]]
+        return min(linearised, key=lambda one: one.cost)
+
+    def _solve(self, situation: Situation, worst: Motion, at: "_Linearised") -> tuple[Array | None, int]:
+        """Velocities (N + 1, dof) by the program linearised at a motion, None if it was not solved; and iterations."""
+        qp, period = self._qp, self.problem.period
+        qp.write(situation, worst, *at.quadratic_model())
+        self._solver.update(q=qp.gradient, l=qp.lower, u=qp.upper, Px=qp.hessian.data)
+        motion = at.motion
+        start = np.concatenate((motion.positions[1:].ravel(), motion.velocities[1:].ravel() * period))
+        self._solver.warm_start(x=start, y=self._duals)
+        result = self._solver.solve(raise_error=False)
+        if result.info.status_val not in USABLE or not np.isfinite(result.x).all():
+            return None, int(result.info.iter)
+        self._duals = np.array(result.y)
+        ways = result.x[qp.states : 2 * qp.states].reshape(-1, self.model.dof)
+        return np.concatenate((situation.velocity[None], ways / period)), int(result.info.iter)
+
+    def _towards(self, situation: Situation, best: "_Linearised", velocities: Array) -> tuple[float, "_Linearised"]:
+        """The gain in cost, and the motion, of the longest step towards `velocities` that makes it cheaper."""
+        for step in STEPS:
+            wanted = best.motion.velocities + step * (velocities - best.motion.velocities)
+            motion = within_limits(self.problem, self.model.limits, situation, wanted)
+            found = _Linearised(self.problem, self.model, situation, motion)
+            if found.cost < best.cost:
+                return best.cost - found.cost, found
+        return 0.0, best
+
+
+class _Linearised:
+    """A motion, its exact cost, and what that is nearby."""
+
+    def __init__(self, problem: ReachProblem, model: ArmModel, situation: Situation, motion: Motion) -> None:
+        self.problem, self.situation, self.motion = problem, situation, motion
+        self.q = motion.positions[1:]
+        frames = model.joint_frames(self.q)
+        tips = model.tip_positions(frames)
+        self.error = tips - situation.targets
+        self.cost = cost(problem, situation, motion, tips)
+        self.axes = model.joint_axes(frames)
+        self.gradients = cross(self.axes, tips[:, None] - frames[..., :3, 3])
+        """(N, dof, 3) of the tip's position by each joint."""
+
+    def quadratic_model(self) -> tuple[Array, Array]:
+        """Hessians (N, dof, dof), made convex, and gradients (N, dof) at q = 0 of what the knots' positions cost."""
+        slope = self.gradients @ self.error[..., None]
+        # the tip's second derivative by joints i <= j is axis_i x (its first by j)
+        bend = self.axes @ np.swapaxes(cross(self.gradients, self.error[:, None]), -1, -2)
+        bend = np.triu(bend) + np.swapaxes(np.triu(bend, 1), -1, -2)
+        values, vectors = np.linalg.eigh(self.gradients @ np.swapaxes(self.gradients, -1, -2) + bend)
+        hessians = 2 * (vectors * np.maximum(values, 0.0)[:, None]) @ np.swapaxes(vectors, -1, -2)
+        gradients = 2 * slope[..., 0] - (hessians @ self.q[..., None])[..., 0]
+        if self.situation.posture is not None:
+            hessians += 2 * self.problem.posture * np.eye(self.q.shape[1])
+            gradients -= 2 * self.problem.posture * self.situation.posture
+        return hessians, gradients

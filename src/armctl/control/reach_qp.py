@@ -1,0 +1,135 @@
+"""One linearisation of a `ReachProblem` as a sparse quadratic program, whose pattern never changes.
+
+    minimise  x' P x / 2 + q' x   subject to  l <= A x <= u
+
+Unknown are, for the knots k = 1..N, the joints' positions q_k, their way in a period v_k T (so that all are angles of
+like size), and how much too near knot k comes to an obstacle. A solver orders the pattern once, and then only takes over
+numbers: the Hessian's blocks of each q_k, the gradient, the bounds, and the normals of obstacles.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from armctl.control.reach_problem import Motion, ReachProblem, Situation, stopping_times
+from armctl.drives import MotionLimits
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+SLACK_CURVATURE = 10.0
+"""Weight of squared nearness beside its price, for the solver's sake: it converges the faster."""
+ACCELERATION, VELOCITY, POSITION = 20.0, 3.0, 0.1
+"""Scales of rows: a solver that splits operators wants the larger steps the stiffer what a row limits. An acceleration
+moves all knots after it, so that costs bend by it thousands of times as much as by the last knot's position."""
+_MARK = 1e9
+"""Above all numbers of the matrix: what stands where numbers will be written."""
+
+
+class ReachQp:
+    """Writes programs: `write`, then read `hessian` (its upper triangle), `gradient`, `matrix`, `lower`, `upper`.
+
+    `rows` is how many obstacles each knot minds, at `price` for each m that it comes too near.
+    """
+
+    def __init__(self, problem: ReachProblem, limits: MotionLimits, rows: int, price: float) -> None:
+        self.problem, self.limits, self.rows = problem, limits, rows
+        self.dof = len(limits.lower)
+        self.states = problem.horizon * self.dof
+        self.hessian, self._blocks = self._hessian_pattern()
+        self.matrix, self._normals = self._matrix_pattern()
+        self.gradient = np.zeros(self.hessian.shape[0])
+        self.gradient[2 * self.states :] = price
+        self._bounds = self._constant_bounds()
+        self.lower, self.upper = self._bounds
+
+    def write(self, situation: Situation, braking: Motion, hessians: Array, gradients: Array) -> None:
+        """The program of a situation; tips cost q_k' H q_k / 2 + g q_k, with H (N, dof, dof) and g (N, dof).
+
+        `braking` is what the joints do in the worst case: if that breaks limits, so may the plan, but not by more.
+        """
+        problem, limits, states, dof = self.problem, self.limits, self.states, self.dof
+        data, block = self._blocks
+        self.hessian.data[data] = hessians[block]
+        now = situation.velocity * problem.period
+        self.gradient[:states] = gradients.ravel()
+        self.gradient[states : states + dof] = -2 * problem.acceleration / problem.period**4 * now
+        self.lower, self.upper = lower, upper = self._bounds[0].copy(), self._bounds[1].copy()
+        lower[:dof] = upper[:dof] = situation.position + now / 2
+        for bound in (lower, upper):
+            bound[states : states + dof] += ACCELERATION * now
+        if np.any(np.abs(situation.velocity) > limits.velocity):
+            ways = VELOCITY * problem.period * braking.velocities[1:].ravel()
+            velocity = slice(2 * states, 3 * states)
+            lower[velocity], upper[velocity] = np.minimum(lower[velocity], ways), np.maximum(upper[velocity], ways)
+        if np.any((braking.positions < limits.lower) | (braking.positions > limits.upper)):
+            stops = POSITION * np.concatenate((braking.positions[1:].ravel(), braking.positions[-1]))
+            position = slice(3 * states, 4 * states + dof)
+            lower[position], upper[position] = np.minimum(lower[position], stops), np.maximum(upper[position], stops)
+
+    def write_obstacles(self, normals: Array, least: Array) -> None:
+        """Each knot's positions shall have normals (N, rows, dof) @ q_k >= least (N, rows), m."""
+        marked, order = self._normals
+        self.matrix.data[marked] = normals.ravel()[order]
+        begin = 4 * self.states + self.dof
+        self.lower[begin : begin + least.size] = least.ravel()
+
+    def _hessian_pattern(self) -> tuple[sparse.csc_matrix, tuple[Integers, tuple[Integers, Integers, Integers]]]:
+        """P, and where in its data which entry of which block goes."""
+        problem, dof, knots = self.problem, self.dof, self.problem.horizon
+        velocity, acceleration = 2 * problem.velocity / problem.period**2, 2 * problem.acceleration / problem.period**4
+        changes = np.append(np.full(knots - 1, 2.0), 1.0)
+        ways = sparse.diags_array([velocity + acceleration * changes, np.full(knots - 1, -acceleration)], offsets=[0, 1])
+        blocks = sparse.kron(sparse.eye_array(knots), np.triu(np.full((dof, dof), _MARK)))
+        parts = [blocks, sparse.kron(ways, sparse.eye_array(dof))]
+        if self.rows:
+            parts.append(2 * SLACK_CURVATURE * sparse.eye_array(knots))
+        hessian = _compressed(sparse.block_diag(parts))
+        marked = np.flatnonzero(hessian.data == _MARK)
+        row = hessian.indices[marked]
+        column = np.repeat(np.arange(hessian.shape[1]), np.diff(hessian.indptr))[marked]
+        return hessian, (marked, (row // dof, row % dof, column % dof))
+
+    def _matrix_pattern(self) -> tuple[sparse.csc_matrix, tuple[Integers, Integers]]:
+        """A, and where in its data which number of the normals goes."""
+        dof, knots, rows = self.dof, self.problem.horizon, self.rows
+        eye = sparse.eye_array(self.states)
+        before = sparse.eye_array(self.states, k=-dof)
+        last = sparse.eye_array(dof, self.states, k=self.states - dof)
+        times = sparse.diags_array(stopping_times(self.limits) / self.problem.period)
+        blocks = [
+            [eye - before, -0.5 * (eye + before)],  # dynamics
+            [None, ACCELERATION * (eye - before)],
+            [None, VELOCITY * eye],
+            [POSITION * eye, None],
+            [POSITION * last, POSITION * times @ last],  # the stop after the last
+        ]
+        if rows:
+            marks = _MARK * (1 + np.arange(knots * rows * dof).reshape(knots, rows, dof))
+            blocks = [[*block, None] for block in blocks]
+            blocks.append([sparse.block_diag(list(marks)), None, sparse.kron(sparse.eye_array(knots), np.ones((rows, 1)))])
+            blocks.append([None, None, sparse.eye_array(knots)])
+        matrix = _compressed(sparse.block_array(blocks))
+        marked = np.flatnonzero(matrix.data >= _MARK)
+        return matrix, (marked, np.rint(matrix.data[marked] / _MARK).astype(int) - 1)
+
+    def _constant_bounds(self) -> tuple[Array, Array]:
+        limits, knots, period = self.limits, self.problem.horizon, self.problem.period
+        zero = np.zeros(self.dof)
+        change, way = ACCELERATION * limits.acceleration * period**2, VELOCITY * limits.velocity * period
+
+        def bounds(position: Array, sign: float, nearness: float, slack: float) -> Array:
+            each = [np.tile(row, knots) for row in (zero, sign * change, sign * way, POSITION * position)]
+            free = [np.full(knots * self.rows, nearness), np.full(knots if self.rows else 0, slack)]
+            return np.concatenate([*each, POSITION * position, *free])
+
+        return bounds(limits.lower, -1, -np.inf, 0.0), bounds(limits.upper, 1, np.inf, np.inf)
+
+
+def _compressed(matrix: sparse.coo_array) -> sparse.csc_matrix:
+    """In the form that OSQP takes as it is: sorted columns without zeros, and small indices."""
+    matrix = sparse.csc_matrix(matrix)
+    matrix.eliminate_zeros()
+    matrix.sort_indices()
+    matrix.indices, matrix.indptr = matrix.indices.astype(np.int32), matrix.indptr.astype(np.int32)
+    return matrix

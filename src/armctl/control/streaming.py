@@ -1,0 +1,52 @@
+"""A plan's next period, as the position command that makes an arm's drives do it.
+
+The drives (`armctl.drives`) take a position to move to, and go there by their own law. The law is simulated here, so that
+a controller knows where its command is without being told, and searched for the position that leads where it wants to be.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.drives import TICK, MotionLimits, limited, towards
+
+Array = NDArray[np.float64]
+
+CANDIDATES = 9
+"""Goals that are simulated at once in each round of a search."""
+ROUNDS = 3
+"""Each narrows the search to one of the gaps between candidates: in three, to a 512th of what is left to choose."""
+
+
+def follow(
+    limits: MotionLimits, position: Array, velocity: Array, goal: Array, period: float
+) -> tuple[Array, Array]:
+    """Position (..., dof) rad and velocity (..., dof) rad/s of a command after a `period` (s) on its way to `goal`."""
+    for _ in range(max(1, round(period / TICK))):
+        velocity = limited(towards(goal, position, limits), position, velocity, limits)
+        position = position + velocity * TICK
+    return position, velocity
+
+
+def command_for(
+    limits: MotionLimits, position: Array, velocity: Array, displacement: Array, period: float
+) -> Array:
+    """The goal (dof,) rad for which drives move by `displacement` (dof,) rad within the next `period` (s).
+
+    They are at `position` (dof,) with `velocity` (dof,). The further the goal, the further they get: where they cannot
+    get that far, or not brake before, it is the goal that leads nearest.
+    """
+    wanted = position + displacement
+    reach = (np.abs(velocity) + limits.acceleration * period) * period
+    reach = reach + (np.abs(velocity) + limits.acceleration * period) ** 2 / (2 * limits.acceleration)
+    low = np.maximum(position - reach, limits.lower)
+    high = np.minimum(position + reach, limits.upper)
+    shares = np.linspace(0.0, 1.0, CANDIDATES)[:, None]
+    joints = np.arange(len(position))
+    for _ in range(ROUNDS):
+        goals = low + shares * (high - low)
+        ends = follow(limits, position, velocity, goals, period)[0]
+        below = np.clip((ends < wanted).sum(axis=0) - 1, 0, CANDIDATES - 2)
+        low, high = goals[below, joints], goals[below + 1, joints]
+        before, after = ends[below, joints], ends[below + 1, joints]
+    share = np.clip((wanted - before) / np.maximum(after - before, 1e-12), 0.0, 1.0)
+    return np.asarray(low + share * (high - low))
