@@ -5,21 +5,20 @@ a controller knows where its command is without being told, and searched for the
 """
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from armctl.control.reach_problem import Motion
 from armctl.drives import TICK, MotionLimits, limited, towards
 
 Array = NDArray[np.float64]
 
-CANDIDATES = 9
+CANDIDATES = 17
 """Goals that are simulated at once in each round of a search."""
-ROUNDS = 3
-"""Each narrows the search to one of the gaps between candidates: in three, to a 512th of what is left to choose."""
+ROUNDS = 2
+"""Each narrows the search to one of the gaps between candidates; within the last, it interpolates."""
 
 
-def follow(
-    limits: MotionLimits, position: Array, velocity: Array, goal: Array, period: float
-) -> tuple[Array, Array]:
+def follow(limits: MotionLimits, position: Array, velocity: Array, goal: Array, period: float) -> tuple[Array, Array]:
     """Position (..., dof) rad and velocity (..., dof) rad/s of a command after a `period` (s) on its way to `goal`."""
     for _ in range(max(1, round(period / TICK))):
         velocity = limited(towards(goal, position, limits), position, velocity, limits)
@@ -27,21 +26,17 @@ def follow(
     return position, velocity
 
 
-def command_for(
-    limits: MotionLimits, position: Array, velocity: Array, displacement: Array, period: float
-) -> Array:
+def command_for(limits: MotionLimits, position: Array, velocity: Array, displacement: Array, period: float) -> Array:
     """The goal (dof,) rad for which drives move by `displacement` (dof,) rad within the next `period` (s).
 
     They are at `position` (dof,) with `velocity` (dof,). The further the goal, the further they get: where they cannot
     get that far, or not brake before, it is the goal that leads nearest.
     """
     wanted = position + displacement
-    reach = (np.abs(velocity) + limits.acceleration * period) * period
-    reach = reach + (np.abs(velocity) + limits.acceleration * period) ** 2 / (2 * limits.acceleration)
-    low = np.maximum(position - reach, limits.lower)
-    high = np.minimum(position + reach, limits.upper)
-    shares = np.linspace(0.0, 1.0, CANDIDATES)[:, None]
-    joints = np.arange(len(position))
+    fastest = np.abs(velocity) + limits.acceleration * period
+    reach = fastest * period + fastest**2 / (2 * limits.acceleration)
+    low, high = np.maximum(position - reach, limits.lower), np.minimum(position + reach, limits.upper)
+    shares, joints = np.linspace(0.0, 1.0, CANDIDATES)[:, None], np.arange(len(position))
     for _ in range(ROUNDS):
         goals = low + shares * (high - low)
         ends = follow(limits, position, velocity, goals, period)[0]
@@ -50,3 +45,27 @@ def command_for(
         before, after = ends[below, joints], ends[below + 1, joints]
     share = np.clip((wanted - before) / np.maximum(after - before, 1e-12), 0.0, 1.0)
     return np.asarray(low + share * (high - low))
+
+
+class CommandStream:
+    """One arm's command, as a plan is turned into goals for its drives, period by period.
+
+    Plan the next period from `position` and `velocity`. The latter is the plan's own, not the drives' at that instant:
+    on the way to a goal they speed up and brake again within each period, and only their mean velocity is the plan's.
+    """
+
+    def __init__(self, limits: MotionLimits, period: float, position: ArrayLike) -> None:
+        self.limits, self.period = limits, period
+        self.position: Array = np.array(position, dtype=float)
+        """(dof,) rad, where the command is."""
+        self.velocity: Array = np.zeros_like(self.position)
+        """(dof,) rad/s, what the plan has it at."""
+        self._drives: Array = np.zeros_like(self.position)
+
+    def goal(self, motion: Motion) -> Array:
+        """The goal (dof,) rad that makes drives do a plan's first period, after which the command is there."""
+        way = motion.positions[1] - self.position
+        goal = command_for(self.limits, self.position, self._drives, way, self.period)
+        self.position, self._drives = follow(self.limits, self.position, self._drives, goal, self.period)
+        self.velocity = motion.velocities[1]
+        return goal
