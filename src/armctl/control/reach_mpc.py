@@ -29,12 +29,14 @@ from armctl.control.reach_problem import (
     within_limits,
 )
 from armctl.control.reach_qp import ReachQp
-from armctl.errors import ConfigurationError
 from armctl.kinematics import ArmModel
+from armctl.kinematics.clearance import Clearance
 from armctl.kinematics.model import cross
 
 Array = NDArray[np.float64]
 
+RELAXATION = 1.8
+"""Of the solver (alpha): near 2, as Stellato et al. advise."""
 STEPS = (1.0, 0.5, 0.2, 0.05)
 """Parts of the way to a program's solution that are tried, the longest first."""
 USABLE = (
@@ -60,6 +62,14 @@ class ReachMpcOptions:
     """Of the solver, absolute and relative."""
     step_size: float = 0.1
     """The solver's rho."""
+    pairs: int = 4
+    """How many of the nearest pairs of links, floor and boxes each knot minds; with 0, none."""
+    margin: float = 0.02
+    """m that they shall keep between them."""
+    influence: float = 0.15
+    """m from which on they are minded: no knot comes nearer than that by one program from further away."""
+    price: float = 20.0
+    """m^2 for each m that a knot is too near: above what a shorter way could save, so that none is taken."""
 
 
 class ReachMpc:
@@ -71,21 +81,16 @@ class ReachMpc:
         self.problem = self.options.problem
         self.failures = 0
         """Programs that the solver did not solve, since the controller was made."""
-        self._qp = ReachQp(self.problem, model.limits, rows=0, price=0.0)
-        self._solver = osqp.OSQP()
-        self._solver.setup(
-            self._qp.hessian, self._qp.gradient, self._qp.matrix, self._qp.lower, self._qp.upper,
-            verbose=False, polishing=False, scaling=0, adaptive_rho=False, rho=self.options.step_size,
-            eps_abs=self.options.tolerance, eps_rel=self.options.tolerance, max_iter=self.options.max_iterations,
-            check_termination=5, alpha=1.8,
-        )  # fmt: skip
+        self._open = _Solver(self.options, model, rows=0)
+        self._tight = _Solver(self.options, model, self.options.pairs) if self.options.pairs else self._open
+        self.clearance = Clearance(model)
         self.reset()
 
     def reset(self) -> None:
         """Forget the last plan: what comes is another episode."""
         self._last: Motion | None = None
         self._posture: Array | None = None
-        self._duals = np.zeros(self._qp.matrix.shape[0])
+        self._duals = np.zeros(self._tight.qp.matrix.shape[0])
 
     def plan(
         self, position: ArrayLike, velocity: ArrayLike, targets: ArrayLike, posture: ArrayLike | None = None
@@ -107,17 +112,17 @@ class ReachMpc:
             if velocities is None:
                 self.failures += 1
                 self.reset()
-                best, solved = _Linearised(self.problem, self.model, situation, worst), False
+                best, solved = _Linearised(self, situation, worst), False
                 break
             gain, best = self._towards(situation, best, velocities)
-            if gain <= self.options.settled * best.cost:
+            if gain <= self.options.settled * best.merit:
                 break
         if solved:
             self._last, self._posture = best.motion, situation.posture
         motion = best.motion
         return MpcResult(
             motion.positions, motion.velocities, motion.accelerations,
-            best.cost, np.inf, solved, iterations, time.perf_counter() - began,
+            best.cost, best.least, solved, iterations, time.perf_counter() - began,
         )  # fmt: skip
 
     def _first_guess(self, situation: Situation, worst: Motion) -> "_Linearised":
@@ -126,50 +131,88 @@ class ReachMpc:
         if self._last is not None:
             shifted = np.concatenate((self._last.velocities[1:], self._last.velocities[-1:]))
             guesses.append(within_limits(self.problem, limits, situation, shifted))
-            duals = self._duals[: 4 * self._qp.states].reshape(4, -1)
+            duals = self._duals[: 4 * self._open.qp.states].reshape(4, -1)
             duals[:, : -self.model.dof] = duals[:, self.model.dof :]
         known = self._posture is not None and np.array_equal(self._posture, situation.posture)
         if situation.posture is not None and not known:
             guesses.append(straight_to(self.problem, limits, situation, situation.posture))
-        linearised = [_Linearised(self.problem, self.model, situation, guess) for guess in guesses or [worst]]
-        return min(linearised, key=lambda one: one.cost)
+        linearised = [_Linearised(self, situation, guess) for guess in guesses or [worst]]
+        return min(linearised, key=lambda one: one.merit)
 
     def _solve(self, situation: Situation, worst: Motion, at: "_Linearised") -> tuple[Array | None, int]:
         """Velocities (N + 1, dof) by the program linearised at a motion, None if it was not solved; and iterations."""
-        qp, period = self._qp, self.problem.period
+        solver = self._tight if at.least < self.options.influence else self._open
+        qp = solver.qp
         qp.write(situation, worst, *at.quadratic_model())
-        self._solver.update(q=qp.gradient, l=qp.lower, u=qp.upper, Px=qp.hessian.data)
+        if qp.rows:
+            distances, normals = at.nearest.rows
+            least = self.options.margin - distances + (normals @ at.q[..., None])[..., 0]
+            qp.write_obstacles(normals, least)
         motion = at.motion
-        start = np.concatenate((motion.positions[1:].ravel(), motion.velocities[1:].ravel() * period))
-        self._solver.warm_start(x=start, y=self._duals)
-        result = self._solver.solve(raise_error=False)
-        if result.info.status_val not in USABLE or not np.isfinite(result.x).all():
-            return None, int(result.info.iter)
-        self._duals = np.array(result.y)
-        ways = result.x[qp.states : 2 * qp.states].reshape(-1, self.model.dof)
-        return np.concatenate((situation.velocity[None], ways / period)), int(result.info.iter)
+        ways = motion.velocities[1:] * self.problem.period
+        found = solver.solve(np.concatenate((motion.positions[1:].ravel(), ways.ravel())), self._duals)
+        if found is None:
+            return None, solver.iterations
+        ways = found[qp.states : 2 * qp.states].reshape(-1, self.model.dof)
+        return np.concatenate((situation.velocity[None], ways / self.problem.period)), solver.iterations
 
     def _towards(self, situation: Situation, best: "_Linearised", velocities: Array) -> tuple[float, "_Linearised"]:
         """The gain in cost, and the motion, of the longest step towards `velocities` that makes it cheaper."""
         for step in STEPS:
             wanted = best.motion.velocities + step * (velocities - best.motion.velocities)
             motion = within_limits(self.problem, self.model.limits, situation, wanted)
-            found = _Linearised(self.problem, self.model, situation, motion)
-            if found.cost < best.cost:
-                return best.cost - found.cost, found
+            found = _Linearised(self, situation, motion)
+            if found.merit < best.merit:
+                return best.merit - found.merit, found
         return 0.0, best
+
+
+class _Solver:
+    """OSQP for programs of one pattern."""
+
+    def __init__(self, options: ReachMpcOptions, model: ArmModel, rows: int) -> None:
+        self.qp = ReachQp(options.problem, model.limits, rows, options.price)
+        self.iterations = 0
+        self._osqp = osqp.OSQP()
+        self._osqp.setup(
+            self.qp.hessian, self.qp.gradient, self.qp.matrix, self.qp.lower, self.qp.upper,
+            verbose=False, polishing=False, scaling=0, adaptive_rho=False, rho=options.step_size, alpha=RELAXATION,
+            eps_abs=options.tolerance, eps_rel=options.tolerance, max_iter=options.max_iterations, check_termination=5,
+        )  # fmt: skip
+
+    def solve(self, start: Array, duals: Array) -> Array | None:
+        """The solution of what was written, from `start` (of its first unknowns) and `duals`, which it brings up to date."""
+        qp = self.qp
+        numbers = {"Ax": qp.matrix.data} if qp.rows else {}
+        self._osqp.update(q=qp.gradient, l=qp.lower, u=qp.upper, Px=qp.hessian.data, **numbers)
+        unknowns = np.zeros(len(qp.gradient))
+        unknowns[: len(start)] = start
+        self._osqp.warm_start(x=unknowns, y=duals[: len(qp.lower)])
+        result = self._osqp.solve(raise_error=False)
+        self.iterations = int(result.info.iter)
+        if result.info.status_val not in USABLE or not np.isfinite(result.x).all():
+            return None
+        duals[: len(qp.lower)] = result.y
+        return np.asarray(result.x)
 
 
 class _Linearised:
     """A motion, its exact cost, and what that is nearby."""
 
-    def __init__(self, problem: ReachProblem, model: ArmModel, situation: Situation, motion: Motion) -> None:
-        self.problem, self.situation, self.motion = problem, situation, motion
+    def __init__(self, controller: ReachMpc, situation: Situation, motion: Motion) -> None:
+        self.problem, self.situation, self.motion = controller.problem, situation, motion
+        model, options = controller.model, controller.options
         self.q = motion.positions[1:]
         frames = model.joint_frames(self.q)
         tips = model.tip_positions(frames)
         self.error = tips - situation.targets
-        self.cost = cost(problem, situation, motion, tips)
+        self.cost = cost(self.problem, situation, motion, tips)
+        self.merit, self.least = self.cost, np.inf
+        """The cost with what nearness adds, m^2; the least distance, m."""
+        if options.pairs:
+            self.nearest = controller.clearance.nearest(frames, model.boxes, options.pairs)
+            self.least = float(self.nearest.least.min())
+            self.merit += options.price * float(np.maximum(options.margin - self.nearest.least, 0.0).sum())
         self.axes = model.joint_axes(frames)
         self.gradients = cross(self.axes, tips[:, None] - frames[..., :3, 3])
         """(N, dof, 3) of the tip's position by each joint."""

@@ -19,7 +19,7 @@ Integers = NDArray[np.int64]
 
 SLACK_CURVATURE = 10.0
 """Weight of squared nearness beside its price, for the solver's sake: it converges the faster."""
-ACCELERATION, VELOCITY, POSITION = 20.0, 3.0, 0.1
+ACCELERATION, VELOCITY, POSITION, CLEARANCE = 20.0, 3.0, 0.1, 3.0
 """Scales of rows: a solver that splits operators wants the larger steps the stiffer what a row limits. An acceleration
 moves all knots after it, so that costs bend by it thousands of times as much as by the last knot's position."""
 _MARK = 1e9
@@ -70,9 +70,9 @@ class ReachQp:
     def write_obstacles(self, normals: Array, least: Array) -> None:
         """Each knot's positions shall have normals (N, rows, dof) @ q_k >= least (N, rows), m."""
         marked, order = self._normals
-        self.matrix.data[marked] = normals.ravel()[order]
+        self.matrix.data[marked] = CLEARANCE * normals.ravel()[order]
         begin = 4 * self.states + self.dof
-        self.lower[begin : begin + least.size] = least.ravel()
+        self.lower[begin : begin + least.size] = CLEARANCE * least.ravel()
 
     def _hessian_pattern(self) -> tuple[sparse.csc_matrix, tuple[Integers, tuple[Integers, Integers, Integers]]]:
         """P, and where in its data which entry of which block goes."""
@@ -88,6 +88,7 @@ class ReachQp:
         marked = np.flatnonzero(hessian.data == _MARK)
         row = hessian.indices[marked]
         column = np.repeat(np.arange(hessian.shape[1]), np.diff(hessian.indptr))[marked]
+        hessian.data[marked] = row == column
         return hessian, (marked, (row // dof, row % dof, column % dof))
 
     def _matrix_pattern(self) -> tuple[sparse.csc_matrix, tuple[Integers, Integers]]:
@@ -107,11 +108,13 @@ class ReachQp:
         if rows:
             marks = _MARK * (1 + np.arange(knots * rows * dof).reshape(knots, rows, dof))
             blocks = [[*block, None] for block in blocks]
-            blocks.append([sparse.block_diag(list(marks)), None, sparse.kron(sparse.eye_array(knots), np.ones((rows, 1)))])
+            blocks.append([sparse.block_diag(list(marks)), None, CLEARANCE * sparse.kron(sparse.eye_array(knots), np.ones((rows, 1)))])
             blocks.append([None, None, sparse.eye_array(knots)])
         matrix = _compressed(sparse.block_array(blocks))
         marked = np.flatnonzero(matrix.data >= _MARK)
-        return matrix, (marked, np.rint(matrix.data[marked] / _MARK).astype(int) - 1)
+        order = np.rint(matrix.data[marked] / _MARK).astype(int) - 1
+        matrix.data[marked] = 0.0
+        return matrix, (marked, order)
 
     def _constant_bounds(self) -> tuple[Array, Array]:
         limits, knots, period = self.limits, self.problem.horizon, self.problem.period

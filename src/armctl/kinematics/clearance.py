@@ -1,0 +1,187 @@
+"""How far an arm's links are from what they must not touch, and how that changes with its joints, for many postures.
+
+Links are capsules: segments, with a radius. From boxes their distance is taken at points along the segment, from the
+floor at its ends, and from each other in closed form (Ericson, "Real-time collision detection", 2005, section 5.1.9).
+"""
+
+from functools import cached_property
+
+import numpy as np
+import pinocchio
+from numpy.typing import NDArray
+
+from armctl.boxes import Boxes
+from armctl.collisions import FLOOR, link_frame
+from armctl.kinematics.model import ArmModel, cross
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+SPACING = 0.05
+"""m, at most, between points along a link: past a box's edge it sinks in by 2 mm more than they tell, if 15 cm thick."""
+
+
+Part = tuple[Array, Array, Array, Integers, Integers, Array]
+"""For p pairs: distances (n, p), points (n, p, 3), normals (n, p, 3) towards them, their links, others, and feet."""
+
+
+class Clearance:
+    """Distances of one arm's links from `model.boxes`, the floor and each other."""
+
+    def __init__(self, model: ArmModel) -> None:
+        self.model = model
+        capsules = {capsule.link: capsule for capsule in model.description.capsules}
+        links = list(capsules)
+        placements = [model.pinocchio.frames[link_frame(model.pinocchio, link)] for link in links]
+        self._joints = np.array([frame.parentJoint for frame in placements])
+        ends = [
+            [frame.placement.act(np.array(end)) for end in (capsules[link].start, capsules[link].end)]
+            for link, frame in zip(links, placements, strict=True)
+        ]
+        self._ends = np.array(ends).reshape(-1, 2, 3)
+        self._radii = np.array([capsule.radius for capsule in capsules.values()])
+        pairs = [pair for pair in model.description.collision_pairs if FLOOR not in pair]
+        self._pairs = np.array([[links.index(link) for link in pair] for pair in pairs], dtype=int).reshape(-1, 2)
+        on_floor = [pair[0] for pair in model.description.collision_pairs if pair[1] == FLOOR]
+        self._floor_links = np.repeat([links.index(link) for link in on_floor], 2).astype(int)
+        self._floor_ends = np.tile([0, 1], len(on_floor))
+        # what the first joint turns stays where it is
+        self._among_boxes = np.flatnonzero(self._joints > 1)
+        length = np.linalg.norm(self._ends[:, 1] - self._ends[:, 0], axis=-1)
+        self._counts = 1 + np.ceil(length / SPACING).astype(int)
+        self._set_points()
+        self._leave_out_what_stays()
+
+    def _leave_out_what_stays(self) -> None:
+        """An end at a joint that stands still turns about it: it is as near to the floor as the arm was built."""
+        spread = np.random.default_rng(0).uniform(-np.pi, np.pi, (100, self.model.dof))
+        heights = self._segment_ends(self.model.joint_frames(spread))[:, self._floor_links, self._floor_ends, 2]
+        moves = np.ptp(heights, axis=0) > self._radii[self._floor_links]
+        self._floor_links, self._floor_ends = self._floor_links[moves], self._floor_ends[moves]
+
+    def _set_points(self) -> None:
+        """Where along which link distances from boxes are taken."""
+        shares = [np.linspace(0, 1, self._counts[link]) for link in self._among_boxes]
+        self._shares = np.concatenate([np.zeros(0), *shares])
+        self._point_links = np.repeat(self._among_boxes, self._counts[self._among_boxes])
+        counts = self._counts[self._among_boxes]
+        self._first_points = np.concatenate(([0], np.cumsum(counts)[:-1])).astype(int)
+
+    def nearest(self, frames: Array, boxes: Boxes, count: int) -> "Nearest":
+        """The `count` nearest pairs at `ArmModel.joint_frames` (n, dof, 4, 4)."""
+        return Nearest(self, frames, boxes, count)
+
+    def parts(self, frames: Array, boxes: Boxes) -> list[Part]:
+        """All pairs: with the floor, of links, and with boxes."""
+        ends = self._segment_ends(frames)
+        parts = [self._from_floor(ends), self._from_links(ends)]
+        return [*parts, self._from_boxes(ends, boxes)] if len(boxes) else parts
+
+    def moved(self, frames: Array, points: Array, normals: Array, links: Integers) -> Array:
+        """How points (n, m, 3) on `links` (n, m) move along `normals` with each joint, (n, m, dof) m/rad."""
+        lever = points[:, :, None] - frames[:, None, :, :3, 3]
+        moved = (cross(lever, normals[:, :, None]) * self.model.joint_axes(frames)[:, None]).sum(axis=-1)
+        carried = np.arange(1, self.model.dof + 1) <= self._joints[links][..., None]
+        return np.asarray(moved * carried)
+
+    def _segment_ends(self, frames: Array) -> Array:
+        """Ends of all links' segments, (n, links, 2, 3) m."""
+        base = np.broadcast_to(np.eye(4), (*frames.shape[:-3], 1, 4, 4))
+        frames = np.concatenate((base, frames), axis=-3)[:, self._joints]
+        return np.asarray(self._ends @ np.swapaxes(frames[..., :3, :3], -1, -2) + frames[..., None, :3, 3])
+
+    def _from_floor(self, ends: Array) -> Part:
+        ends = ends[:, self._floor_links, self._floor_ends]
+        up = np.broadcast_to((0.0, 0.0, 1.0), ends.shape)
+        links = np.broadcast_to(self._floor_links, ends.shape[:-1])
+        return ends[..., 2] - self._radii[self._floor_links], ends, up, links, np.full(links.shape, -1), ends
+
+    def _from_links(self, ends: Array) -> Part:
+        first, second = ends[:, self._pairs[:, 0]], ends[:, self._pairs[:, 1]]
+        points, feet = nearest_on_segments(first[:, :, 0], first[:, :, 1], second[:, :, 0], second[:, :, 1])
+        way = points - feet
+        length = np.sqrt((way * way).sum(axis=-1))
+        links, others = (np.broadcast_to(self._pairs[:, i], length.shape) for i in (0, 1))
+        distances = length - self._radii[links] - self._radii[others]
+        return distances, points, way / np.maximum(length, 1e-9)[..., None], links, others, feet
+
+    def _from_boxes(self, ends: Array, boxes: Boxes) -> Part:
+        n, k = len(ends), len(boxes)
+        start, end = ends[:, self._point_links, 0], ends[:, self._point_links, 1]
+        points = start + self._shares[:, None] * (end - start)
+        distances = _distances(points.reshape(-1, 3), boxes).reshape(n, -1, k)
+        last = [*self._first_points[1:], len(self._shares)]
+        nearest = [i + distances[:, i:j].argmin(axis=1) for i, j in zip(self._first_points, last, strict=True)]
+        which = np.stack(nearest, axis=1).reshape(n, -1)  # of the points, for each link and box
+        points = np.take_along_axis(points, which[..., None], axis=1)
+        links = np.broadcast_to(np.repeat(self._among_boxes, k), which.shape)
+        every = np.tile(np.arange(k), len(self._among_boxes))
+        distances, normals = _distances_and_normals(points, boxes, every)
+        return distances - self._radii[links], points, normals, links, np.full(links.shape, -1), points
+
+
+class Nearest:
+    """The pairs that are nearest to touching, for n postures; see `Clearance.nearest`."""
+
+    def __init__(self, clearance: Clearance, frames: Array, boxes: Boxes, count: int) -> None:
+        self._clearance, self._frames, self._count = clearance, frames, count
+        self._pairs = [np.concatenate(part, axis=1) for part in zip(*clearance.parts(frames, boxes), strict=True)]
+        self.least = self._pairs[0].min(axis=1, initial=np.inf)
+        """(n,) m: distance of the nearest pair."""
+
+    @cached_property
+    def rows(self) -> tuple[Array, Array]:
+        """Distances (n, m) m, and their gradients (n, m, dof) m/rad. Where pairs are fewer, infinite and zero."""
+        all_distances = self._pairs[0]
+        few = min(self._count, all_distances.shape[1])
+        # in an order that stays the same from one posture to the next
+        chosen = np.sort(np.argpartition(all_distances, few - 1, axis=1)[:, :few], axis=1)
+        row = np.arange(len(chosen))[:, None]
+        distances, points, normals, links, others, feet = (part[row, chosen] for part in self._pairs)
+        gradients = self._clearance.moved(self._frames, points, normals, links)
+        paired = others >= 0
+        if paired.any():
+            gradients -= paired[..., None] * self._clearance.moved(self._frames, feet, normals, others)
+        missing = (0, self._count - few)
+        return (
+            np.pad(distances, ((0, 0), missing), constant_values=np.inf),
+            np.pad(gradients, ((0, 0), missing, (0, 0))),
+        )
+
+
+def nearest_on_segments(a: Array, b: Array, c: Array, d: Array) -> tuple[Array, Array]:
+    """The points of segments ab and cd (..., 3) that are nearest to each other."""
+    along, across, between = b - a, d - c, a - c
+    aa, cc, ac = (along * along).sum(-1), (across * across).sum(-1), (along * across).sum(-1)
+    ab, cb = (along * between).sum(-1), (across * between).sum(-1)
+    tiny = 1e-12  # m^2: segments that are points, or parallel
+    share = np.clip((ac * cb - ab * cc) / np.maximum(aa * cc - ac * ac, tiny), 0.0, 1.0)
+    other = (ac * share + cb) / np.maximum(cc, tiny)
+    clipped = np.clip(other, 0.0, 1.0)
+    share = np.where(other == clipped, share, np.clip((ac * clipped - ab) / np.maximum(aa, tiny), 0.0, 1.0))
+    return a + share[..., None] * along, c + clipped[..., None] * across
+
+
+def _distances(points: Array, boxes: Boxes) -> Array:
+    """Signed distances (p, k) of points (p, 3) from all boxes: `Boxes.distances`, the fast way."""
+    rotations = boxes.rotations
+    into = np.moveaxis(rotations, 0, 2).reshape(3, -1)  # columns: first axes of all boxes, second axes, third axes
+    centres = np.einsum("ki,kij->jk", boxes.centres, rotations)
+    local = (points @ into).reshape(len(points), 3, len(boxes)) - centres
+    x, y, z = np.moveaxis(np.abs(local) - boxes.half_sizes.T, 1, 0)
+    inside = np.minimum(np.maximum(np.maximum(x, y), z), 0.0)
+    x, y, z = np.maximum(x, 0.0), np.maximum(y, 0.0), np.maximum(z, 0.0)
+    return np.asarray(np.sqrt(x * x + y * y + z * z) + inside)
+
+
+def _distances_and_normals(points: Array, boxes: Boxes, which: Integers) -> tuple[Array, Array]:
+    """Signed distances (n, p) of points (n, p, 3) from one box each, `which` (p,), and the direction away from it."""
+    rotations = boxes.rotations[which]
+    local = ((points - boxes.centres[which])[..., None, :] @ rotations)[..., 0, :]
+    beyond = np.abs(local) - boxes.half_sizes[which]
+    outside = np.maximum(beyond, 0.0)
+    length = np.sqrt((outside * outside).sum(axis=-1, keepdims=True))
+    face = beyond == beyond.max(axis=-1, keepdims=True)
+    away = np.copysign(np.where(length > 0, outside / np.maximum(length, 1e-12), face), local)
+    distances = length[..., 0] + np.minimum(beyond.max(axis=-1), 0.0)
+    return distances, (away[..., None, :] @ np.swapaxes(rotations, -1, -2))[..., 0, :]
