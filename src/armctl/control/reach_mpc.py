@@ -56,7 +56,7 @@ class ReachMpcOptions:
     """Most quadratic programs for one plan; one does where the last plan still holds."""
     settled: float = 2e-3
     """Part of the cost below which a program's gain ends the search."""
-    max_iterations: int = 100
+    max_iterations: int = 25
     """Of the solver, for each program."""
     tolerance: float = 1e-4
     """Of the solver, absolute and relative."""
@@ -90,7 +90,7 @@ class ReachMpc:
         """Forget the last plan: what comes is another episode."""
         self._last: Motion | None = None
         self._posture: Array | None = None
-        self._duals = np.zeros(self._tight.qp.matrix.shape[0])
+        self._duals = self._tight.qp.first_duals()
 
     def plan(
         self, position: ArrayLike, velocity: ArrayLike, targets: ArrayLike, posture: ArrayLike | None = None
@@ -131,8 +131,7 @@ class ReachMpc:
         if self._last is not None:
             shifted = np.concatenate((self._last.velocities[1:], self._last.velocities[-1:]))
             guesses.append(within_limits(self.problem, limits, situation, shifted))
-            duals = self._duals[: 4 * self._open.qp.states].reshape(4, -1)
-            duals[:, : -self.model.dof] = duals[:, self.model.dof :]
+            self._tight.qp.shift(self._duals)
         known = self._posture is not None and np.array_equal(self._posture, situation.posture)
         if situation.posture is not None and not known:
             guesses.append(straight_to(self.problem, limits, situation, situation.posture))

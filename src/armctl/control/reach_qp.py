@@ -74,6 +74,22 @@ class ReachQp:
         begin = 4 * self.states + self.dof
         self.lower[begin : begin + least.size] = CLEARANCE * least.ravel()
 
+    def first_duals(self) -> Array:
+        """Multipliers of all rows, for a solver to start from: of nothing that presses but the price of slack."""
+        duals = np.zeros(self.matrix.shape[0])
+        if self.rows:
+            duals[-self.problem.horizon :] = -self.gradient[-1]
+        return duals
+
+    def shift(self, duals: Array) -> None:
+        """Bring multipliers a period on, in place: each knot takes over those of the knot after it."""
+        knots, begin = self.problem.horizon, 4 * self.states + self.dof
+        parts = [duals[: 4 * self.states].reshape(4, knots, -1)]
+        if self.rows:
+            parts += [duals[begin:-knots].reshape(1, knots, -1), duals[-knots:].reshape(1, knots, -1)]
+        for part in parts:
+            part[:, :-1] = part[:, 1:]
+
     def _hessian_pattern(self) -> tuple[sparse.csc_matrix, tuple[Integers, tuple[Integers, Integers, Integers]]]:
         """P, and where in its data which entry of which block goes."""
         problem, dof, knots = self.problem, self.dof, self.problem.horizon

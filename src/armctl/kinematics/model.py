@@ -35,7 +35,8 @@ class ArmModel:
         self._shapes = capsule_geometry(self.pinocchio, self.description.capsules)
         add_collision_pairs(self._shapes, self.description.collision_pairs)
         self._contacts = self._shapes.createData()
-        self._axes = self._joint_axes()
+        self.axes = self._joint_axes()
+        """Axis of each joint in its own frame, (dof, 3)."""
         self._chain = self._joint_chain()
         self._tip_offset = np.array(self.pinocchio.frames[self.tip].placement.translation)
         self._base_shapes = [
@@ -96,7 +97,7 @@ class ArmModel:
 
     def joint_axes(self, frames: Array) -> Array:
         """Directions (..., dof, 3) about which the joints turn, at `joint_frames` (..., dof, 4, 4)."""
-        return np.asarray((frames[..., :3, :3] @ self._axes[:, :, None])[..., 0])
+        return np.asarray((frames[..., :3, :3] @ self.axes[:, :, None])[..., 0])
 
     def tip_positions(self, frames: Array) -> Array:
         """End-effector positions (..., 3) m at `joint_frames` (..., dof, 4, 4)."""
@@ -143,7 +144,7 @@ class ArmModel:
         (Rodrigues' formula).
         """
         chain = np.zeros((3, self.dof, 4, 4))
-        for i, (placement, axis) in enumerate(zip(self.pinocchio.jointPlacements[1:], self._axes, strict=True)):
+        for i, (placement, axis) in enumerate(zip(self.pinocchio.jointPlacements[1:], self.axes, strict=True)):
             turn = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
             chain[0, i] = placement.homogeneous
             chain[1, i, :3, :3] = placement.rotation @ turn

@@ -1,0 +1,116 @@
+"""The `ReachProblem` solved to convergence, however long that takes: what `ReachMpc` is measured against.
+
+CasADi writes the nonlinear program with its exact derivatives (Andersson et al., "CasADi: a software framework for
+nonlinear optimization and optimal control", Mathematical Programming Computation 11, 2019), with the forward kinematics
+from the same URDF, and IPOPT solves it (Waechter and Biegler, Mathematical Programming 106, 2006). It knows no obstacles.
+"""
+
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armctl.control.reach_problem import (
+    Motion,
+    MpcResult,
+    ReachProblem,
+    Situation,
+    braking,
+    reach_cost,
+    stopping_times,
+    within_limits,
+)
+from armctl.kinematics import ArmModel
+
+Array = NDArray[np.float64]
+
+TOLERANCE = 1e-9
+"""Of IPOPT, relative to the problem's scale."""
+MAX_ITERATIONS = 500
+
+
+class ReachReference:
+    """Plans of one arm, as good as they can be near to where the search starts."""
+
+    def __init__(self, model: ArmModel, problem: ReachProblem | None = None) -> None:
+        self.model = model
+        self.problem = problem or ReachProblem()
+        self._solver: Any = None
+
+    def plan(
+        self, position: ArrayLike, velocity: ArrayLike, targets: ArrayLike, posture: ArrayLike | None = None,
+        start: Motion | None = None,
+    ) -> MpcResult:  # fmt: skip
+        """As `ReachMpc.plan`, from the motion `start` on; without one, from braking."""
+        began = time.perf_counter()
+        problem, limits, dof = self.problem, self.model.limits, self.model.dof
+        situation = Situation.checked(problem, dof, position, velocity, targets, posture)
+        worst = braking(problem, limits, situation)
+        guess = start or worst
+        self._solver = self._solver or self._built()
+        stop = worst.positions[-1]
+        wanted = np.zeros(dof) if situation.posture is None else situation.posture
+        weight = 0.0 if situation.posture is None else problem.posture
+        found = self._solver(
+            x0=_stacked(guess.positions, guess.velocities),
+            p=np.concatenate((situation.position, situation.velocity, wanted, [weight], situation.targets.ravel())),
+            lbx=_stacked(np.minimum(limits.lower, worst.positions), np.minimum(-limits.velocity, worst.velocities)),
+            ubx=_stacked(np.maximum(limits.upper, worst.positions), np.maximum(limits.velocity, worst.velocities)),
+            lbg=self._rows(-limits.acceleration, np.minimum(limits.lower, stop)),
+            ubg=self._rows(limits.acceleration, np.maximum(limits.upper, stop)),
+        )
+        statistics = self._solver.stats()
+        velocities = np.asarray(found["x"]).reshape(2, problem.horizon, dof)[1]
+        motion = within_limits(problem, limits, situation, np.concatenate((situation.velocity[None], velocities)))
+        return MpcResult(
+            motion.positions, motion.velocities, motion.accelerations,
+            reach_cost(self.model, problem, situation, motion), np.inf, bool(statistics["success"]),
+            int(statistics["iter_count"]), time.perf_counter() - began,
+        )  # fmt: skip
+
+    def _rows(self, change: Array, last: Array) -> Array:
+        """A bound of the constraints: dynamics, accelerations, and the stop after the last knot."""
+        return np.concatenate((np.zeros(self.problem.horizon * self.model.dof), np.tile(change, self.problem.horizon), last))
+
+    def _built(self) -> Any:
+        import casadi  # takes a third of a second, which only those who ask for a reference shall spend
+
+        problem, dof, knots = self.problem, self.model.dof, self.problem.horizon
+        q, v = casadi.SX.sym("q", dof, knots), casadi.SX.sym("v", dof, knots)
+        now, velocity, posture = (casadi.SX.sym(name, dof) for name in ("now", "velocity", "posture"))
+        weight, targets = casadi.SX.sym("weight"), casadi.SX.sym("targets", 3, knots)
+        before, speed_before = casadi.horzcat(now, q[:, :-1]), casadi.horzcat(velocity, v[:, :-1])
+        acceleration = (v - speed_before) / problem.period
+        tips = casadi.horzcat(*(symbolic_position(self.model, q[:, k]) for k in range(knots)))
+        cost = casadi.sumsqr(tips - targets) + problem.velocity * casadi.sumsqr(v)
+        cost += problem.acceleration * casadi.sumsqr(acceleration)
+        cost += weight * casadi.sumsqr(q - casadi.repmat(posture, 1, knots))
+        last = q[:, -1] + stopping_times(self.model.limits) * v[:, -1]
+        dynamics = q - before - (v + speed_before) * (problem.period / 2)
+        program = {
+            "x": casadi.vertcat(casadi.vec(q), casadi.vec(v)),
+            "p": casadi.vertcat(now, velocity, posture, weight, casadi.vec(targets)),
+            "f": cost,
+            "g": casadi.vertcat(casadi.vec(dynamics), casadi.vec(acceleration), last),
+        }
+        quiet = {"print_level": 0, "sb": "yes", "tol": TOLERANCE, "max_iter": MAX_ITERATIONS}
+        return casadi.nlpsol("reach", "ipopt", program, {"print_time": False, "ipopt": quiet})
+
+
+def symbolic_position(model: ArmModel, q: Any) -> Any:
+    """Position (3,) m of the end-effector at CasADi's symbols q (dof,)."""
+    import casadi
+
+    rotation, position = casadi.SX.eye(3), casadi.SX.zeros(3)
+    for i, (placement, axis) in enumerate(zip(model.pinocchio.jointPlacements[1:], model.axes, strict=True)):
+        cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+        position = position + rotation @ placement.translation
+        turn = np.eye(3) + casadi.sin(q[i]) * cross + (1 - casadi.cos(q[i])) * (cross @ cross)
+        rotation = rotation @ placement.rotation @ turn
+    return position + rotation @ model.pinocchio.frames[model.tip].placement.translation
+
+
+def _stacked(positions: Array, velocities: Array) -> Array:
+    """The knots after the present, in the order of the program's unknowns."""
+    return np.concatenate((positions[1:].ravel(), velocities[1:].ravel()))
