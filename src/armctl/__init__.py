@@ -55,7 +55,7 @@ for _id, _steps, _options in (
 DEFAULT_ENV = "armctl/ArmReach-v0"
 DEFAULT_POLICIES = {
     "armctl/ArmReach-v0": ("reach_ik", "reach_ppo", "random"),
-    "armctl/ArmReachMoving-v0": ("reach_ik", "random"),
+    "armctl/ArmReachMoving-v0": ("reach_mpc", "reach_ik", "random"),
     "armctl/BridgeCross-v0": ("bridge_ompl", "bridge_ppo", "random"),
     "armctl/BridgeCrossMoving-v0": ("bridge_ompl", "bridge_ppo", "random"),
 }

@@ -168,7 +168,9 @@ def within_limits(problem: ReachProblem, limits: MotionLimits, situation: Situat
     change = limits.acceleration * problem.period
     velocities = np.clip(wanted, -limits.velocity, limits.velocity)
     velocities[0] = situation.velocity
-    velocities = np.array([_rate_limited(*joint) for joint in zip(velocities.T.tolist(), change.tolist(), strict=True)]).T
+    velocities = np.array(
+        [_rate_limited(*joint) for joint in zip(velocities.T.tolist(), change.tolist(), strict=True)]
+    ).T
     motion = rolled_out(problem, situation.position, velocities)
     last = np.clip(motion.positions[-1] + _stopping_way(problem, limits, velocities[-1]), limits.lower, limits.upper)
     inside = np.all((motion.positions >= limits.lower) & (motion.positions <= limits.upper))

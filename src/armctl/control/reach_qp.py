@@ -95,7 +95,9 @@ class ReachQp:
         problem, dof, knots = self.problem, self.dof, self.problem.horizon
         velocity, acceleration = 2 * problem.velocity / problem.period**2, 2 * problem.acceleration / problem.period**4
         changes = np.append(np.full(knots - 1, 2.0), 1.0)
-        ways = sparse.diags_array([velocity + acceleration * changes, np.full(knots - 1, -acceleration)], offsets=[0, 1])
+        ways = sparse.diags_array(
+            [velocity + acceleration * changes, np.full(knots - 1, -acceleration)], offsets=[0, 1]
+        )
         blocks = sparse.kron(sparse.eye_array(knots), np.triu(np.full((dof, dof), _MARK)))
         parts = [blocks, sparse.kron(ways, sparse.eye_array(dof))]
         if self.rows:
@@ -124,7 +126,13 @@ class ReachQp:
         if rows:
             marks = _MARK * (1 + np.arange(knots * rows * dof).reshape(knots, rows, dof))
             blocks = [[*block, None] for block in blocks]
-            blocks.append([sparse.block_diag(list(marks)), None, CLEARANCE * sparse.kron(sparse.eye_array(knots), np.ones((rows, 1)))])
+            blocks.append(
+                [
+                    sparse.block_diag(list(marks)),
+                    None,
+                    CLEARANCE * sparse.kron(sparse.eye_array(knots), np.ones((rows, 1))),
+                ]
+            )
             blocks.append([None, None, sparse.eye_array(knots)])
         matrix = _compressed(sparse.block_array(blocks))
         marked = np.flatnonzero(matrix.data >= _MARK)

@@ -71,7 +71,9 @@ class ReachReference:
 
     def _rows(self, change: Array, last: Array) -> Array:
         """A bound of the constraints: dynamics, accelerations, and the stop after the last knot."""
-        return np.concatenate((np.zeros(self.problem.horizon * self.model.dof), np.tile(change, self.problem.horizon), last))
+        return np.concatenate(
+            (np.zeros(self.problem.horizon * self.model.dof), np.tile(change, self.problem.horizon), last)
+        )
 
     def _built(self) -> Any:
         import casadi  # takes a third of a second, which only those who ask for a reference shall spend

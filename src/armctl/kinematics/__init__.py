@@ -2,7 +2,18 @@
 
 from armctl.kinematics.ik import Ik, IkOptions, IkResult
 from armctl.kinematics.model import ArmModel
-from armctl.kinematics.touch import THOROUGH, SoonestTouch, Touch, TouchOptions
+from armctl.kinematics.touch import THOROUGH, SoonestTouch, Touch, TouchOptions, approach
 from armctl.kinematics.workspace import Workspace
 
-__all__ = ["THOROUGH", "ArmModel", "Ik", "IkOptions", "IkResult", "SoonestTouch", "Touch", "TouchOptions", "Workspace"]
+__all__ = [
+    "THOROUGH",
+    "ArmModel",
+    "Ik",
+    "IkOptions",
+    "IkResult",
+    "SoonestTouch",
+    "Touch",
+    "TouchOptions",
+    "Workspace",
+    "approach",
+]

@@ -20,6 +20,8 @@ from armctl.kinematics.model import ArmModel
 
 Array = NDArray[np.float64]
 
+LARGEST_APPROACH = 0.5
+"""rad that a joint may move in one iteration of the approach."""
 FIRST_STEP, LAST_STEP = 0.2, 0.0005
 """rad that a joint may move in the first and in the last linear programme, which holds only nearby."""
 INSIDE = 5e-5
@@ -42,8 +44,6 @@ class TouchOptions:
     """Steps from a start into the sphere."""
     refine_iterations: int = 20
     """Steps towards less time."""
-    largest_step: float = 0.5
-    """rad, in any joint and iteration of the approach."""
     path_spacing: float = 0.05
     """rad between the points at which a path is tested for collisions."""
     rng_seed: int = 0
@@ -124,7 +124,8 @@ class SoonestTouch:
         if np.linalg.norm(self.model.position(start) - centre) <= radius:
             return start[None]
         limits = self.model.limits
-        q = self._approach(np.vstack([start, start + self._around, self._anywhere]), centre)
+        starts = np.vstack([start, start + self._around, self._anywhere])
+        q = approach(self.model, starts, centre, self.options.approach_iterations)
         q = np.clip(self.ik.nearest_turn(q, start), limits.lower, limits.upper)
         best, best_time = q, np.full(len(q), np.inf)
         for largest_step in np.geomspace(FIRST_STEP, LAST_STEP, self.options.refine_iterations):
@@ -158,13 +159,15 @@ class SoonestTouch:
             time = np.maximum(time + change, 1e-3)
         return np.asarray(sign * np.clip(step, -largest, largest))
 
-    def _approach(self, q: Array, centre: Array) -> Array:
-        for _ in range(self.options.approach_iterations):
-            position, jacobian = self.model.positions_and_jacobians(q)
-            error = centre - position
-            damping = 0.5 * (error * error).sum(axis=-1) + 1e-6
-            gram = jacobian @ jacobian.swapaxes(-1, -2) + damping[:, None, None] * np.eye(3)
-            step = (jacobian.swapaxes(-1, -2) @ np.linalg.solve(gram, error[..., None]))[..., 0]
-            largest = np.abs(step).max(axis=-1, keepdims=True)
-            q = q + step * np.minimum(1.0, self.options.largest_step / (largest + 1e-12))
-        return q
+
+def approach(model: ArmModel, q: Array, centre: Array, iterations: int) -> Array:
+    """Configurations (n, dof) from which Levenberg-Marquardt has come nearer to `centre` (3,) than `q` (n, dof) are."""
+    for _ in range(iterations):
+        position, jacobian = model.positions_and_jacobians(q)
+        error = centre - position
+        damping = 0.5 * (error * error).sum(axis=-1) + 1e-6
+        gram = jacobian @ jacobian.swapaxes(-1, -2) + damping[:, None, None] * np.eye(3)
+        step = (jacobian.swapaxes(-1, -2) @ np.linalg.solve(gram, error[..., None]))[..., 0]
+        largest = np.abs(step).max(axis=-1, keepdims=True)
+        q = q + step * np.minimum(1.0, LARGEST_APPROACH / (largest + 1e-12))
+    return q

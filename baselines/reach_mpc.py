@@ -1,0 +1,129 @@
+"""The MPC expert: receding-horizon control of the arm's joints, with the target's motion predicted.
+
+A posture is looked up once an episode, among many that the arm can take, for the optimisation is a local one. From then
+on each decision is a plan of 0.8 s, of which the first period is commanded. It sees the observation alone, and where
+there are boxes, these.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.control.reach_mpc import ReachMpc
+from armctl.control.streaming import CommandStream
+from armctl.envs import ArmReachVectorEnv
+from armctl.errors import ConfigurationError
+from armctl.kinematics import ArmModel, approach
+from armctl.policies import PerWorld
+from armctl.tasks import OBSERVATION
+
+Array = NDArray[np.float64]
+
+POSTURES, LOOKED_UP, WORTH_TRYING = 4096, 256, 32
+"""Free configurations; of them those with the tip nearest to the target; of these the soonest, which are tried."""
+ITERATIONS = 6
+"""Of Levenberg and Marquardt, from a posture looked up to one with the tip at the target."""
+PATIENCE, HEADWAY = 12, 0.005
+"""Decisions without the tip having come so many m nearer to the target, after which the arm goes to a posture first."""
+THERE = 0.02
+"""rad from a posture, where the arm has come to it."""
+TIP_SPEED = 1.0
+"""m/s with which the tip is expected to make up for what a posture looked up is off the target."""
+ON_TARGET, MISS = 0.01, 10.0
+"""m that a posture may be off in the end, and s that it is put back for more."""
+
+
+def make(env: ArmReachVectorEnv) -> PerWorld:
+    """MPC with OSQP on Pinocchio's kinematics: joint limits kept, motion of the target predicted."""
+    if not isinstance(env, ArmReachVectorEnv):
+        raise ConfigurationError("reach_mpc moves arms: use it with armctl/ArmReach-v0")
+    options, arm = env.task.options, env.task.arm
+    if list(options.observation)[: len(OBSERVATION)] != list(OBSERVATION):
+        raise ConfigurationError(f"reach_mpc reads the observation {', '.join(OBSERVATION)}; here it is another")
+    if options.control != "position":
+        raise ConfigurationError("reach_mpc commands joint positions: use control 'position'")
+    moving = "target_velocity" in options.observation
+    model = ArmModel(arm.description)
+    postures = Postures(model)
+    return PerWorld([ReachWithMpc(model, postures, options.tolerance, moving) for _ in range(env.num_envs)])
+
+
+class ReachWithMpc:
+    """Reaches with one arm."""
+
+    def __init__(self, model: ArmModel, postures: "Postures", tolerance: float, moving: bool) -> None:
+        self._model, self._postures, self._tolerance, self._moving = model, postures, tolerance, moving
+        self.mpc = ReachMpc(model)
+        self._ahead = self.mpc.problem.period * np.arange(1, self.mpc.problem.horizon + 1)[:, None]
+
+    def reset(self) -> None:
+        """Forget the plan."""
+        self.mpc.reset()
+        self._posture: Array | None = None
+        self._stream: CommandStream | None = None
+        self._target_velocity: Array | None = None
+        self._nearest, self._waited = np.inf, 0
+
+    def act(self, observation: NDArray[np.float32]) -> Array:
+        """Joint positions (dof,) to move to, for an observation (6 + dof,), or (9 + dof,) if the target moves."""
+        dof = self._model.dof
+        tip, q, target, velocity, _ = np.split(observation.astype(float), (3, 3 + dof, 6 + dof, 9 + dof))
+        distance = float(np.linalg.norm(tip - target))
+        if self._posture is None:
+            self._posture = self._postures.towards(target, q)
+            self._stream = CommandStream(self._model.limits, self.mpc.problem.period, q)
+        elif self._gives_up(distance):
+            self._posture, self._stream = self._postures.towards(target, q), None
+        if self._stream is None:
+            if np.abs(q - self._posture).max() > THERE:
+                return self._posture
+            self._stream = CommandStream(self._model.limits, self.mpc.problem.period, self._posture)
+            self.mpc.reset()
+        posture = None if distance < self._tolerance else self._posture
+        plan = self.mpc.plan(self._stream.position, self._stream.velocity, self._course(target, velocity), posture)
+        return self._stream.goal(plan)
+
+    def _gives_up(self, distance: float) -> bool:
+        """Whether the tip has long been away from the target without coming nearer."""
+        if distance < self._nearest - HEADWAY:
+            self._nearest, self._waited = distance, 0
+        self._waited += 1
+        if distance < self._tolerance or self._waited <= PATIENCE or self._stream is None:
+            return False
+        self._nearest, self._waited = np.inf, 0
+        return True
+
+    def _course(self, target: Array, velocity: Array) -> Array:
+        """Where the target will be, (N, 3), if its acceleration stays as it was since the last decision."""
+        if not self._moving:
+            return target
+        last = velocity if self._target_velocity is None else self._target_velocity
+        acceleration = (velocity - last) / self.mpc.problem.period
+        self._target_velocity = velocity
+        return target + self._ahead * velocity + self._ahead**2 / 2 * acceleration
+
+
+class Postures:
+    """Configurations that an arm can take, looked up by where the end-effector is to be."""
+
+    def __init__(self, model: ArmModel) -> None:
+        self.model = model
+        rng = np.random.default_rng(0)
+        low, high = np.maximum(model.limits.lower, -np.pi), np.minimum(model.limits.upper, np.pi)
+        drawn = (rng.uniform(low, high) for _ in range(50 * POSTURES))
+        free = (q for q in drawn if model.is_free(q))
+        self._q = np.array([q for q, _ in zip(free, range(POSTURES), strict=False)])
+        self._positions = model.positions(self._q)
+
+    def towards(self, target: Array, start: Array) -> Array:
+        """The posture (dof,) with the tip at `target` (3,) that is soonest reached from `start` (dof,), freely."""
+        limits, distance = self.model.limits, np.linalg.norm(self._positions - target, axis=1)
+        near = np.argpartition(distance, LOOKED_UP)[:LOOKED_UP]
+        time = self.model.least_time(start, self._q[near]) + distance[near] / TIP_SPEED
+        best = approach(self.model, self._q[near[np.argsort(time)[:WORTH_TRYING]]], target, ITERATIONS)
+        best = np.clip(best, limits.lower, limits.upper)
+        off = np.linalg.norm(self.model.positions(best) - target, axis=1)
+        best = best[np.argsort(self.model.least_time(start, best) + np.where(off < ON_TARGET, 0.0, MISS))]
+        return next((q for q in best if self._way_is_free(start, q)), best[0])
+
+    def _way_is_free(self, start: Array, goal: Array) -> bool:
+        return all(self.model.is_free(start + share * (goal - start)) for share in np.linspace(1.0, 0.1, 10))
