@@ -28,18 +28,13 @@ def _choose_graphics() -> None:
 
 _choose_graphics()
 
-gymnasium.register(
-    id="armctl/ArmReach-v0",
-    entry_point="armctl.envs:ArmReachEnv",
-    vector_entry_point="armctl.envs:ArmReachVectorEnv",
-    max_episode_steps=100,
-)
-gymnasium.register(
-    id="armctl/ArmReachMoving-v0",
-    entry_point="armctl.envs:ArmReachMovingEnv",
-    vector_entry_point="armctl.envs:ArmReachMovingVectorEnv",
-    max_episode_steps=300,
-)
+for _name, _steps in (("ArmReach", 100), ("ArmReachMoving", 300), ("ArmReachObstacles", 200)):
+    gymnasium.register(
+        id=f"armctl/{_name}-v0",
+        entry_point=f"armctl.envs:{_name}Env",
+        vector_entry_point=f"armctl.envs:{_name}VectorEnv",
+        max_episode_steps=_steps,
+    )
 for _id, _steps, _options in (
     ("armctl/BridgeCross-v0", 300, {}),
     ("armctl/BridgeCrossMoving-v0", 600, {"blocks": 3, "walkers": 3}),
@@ -56,6 +51,7 @@ DEFAULT_ENV = "armctl/ArmReach-v0"
 DEFAULT_POLICIES = {
     "armctl/ArmReach-v0": ("reach_ik", "reach_ppo", "random"),
     "armctl/ArmReachMoving-v0": ("reach_mpc", "reach_ik", "random"),
+    "armctl/ArmReachObstacles-v0": ("reach_ompl", "reach_ik", "random"),
     "armctl/BridgeCross-v0": ("bridge_ompl", "bridge_ppo", "random"),
     "armctl/BridgeCrossMoving-v0": ("bridge_ompl", "bridge_ppo", "random"),
 }

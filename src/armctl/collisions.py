@@ -47,7 +47,8 @@ def add_collision_pairs(geometry: pinocchio.GeometryModel, pairs: Iterable[Pair]
 
 def add_boxes(geometry: pinocchio.GeometryModel, boxes: Boxes) -> None:
     """Put boxes there, and make Pinocchio's collision checks look at them and every link that moves."""
-    links = [geometry.getGeometryId(shape.name) for shape in geometry.geometryObjects if shape.parentJoint > 0]
+    capsules = [shape for shape in geometry.geometryObjects if isinstance(shape.geometry, coal.Capsule)]
+    links = [geometry.getGeometryId(shape.name) for shape in capsules if shape.parentJoint > 0]
     for i, (centre, half_size, rotation) in enumerate(
         zip(boxes.centres, boxes.half_sizes, boxes.rotations, strict=True)
     ):

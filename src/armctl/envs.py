@@ -16,7 +16,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from armctl.errors import ConfigurationError, InvalidAction, unknown_name
 from armctl.simulation.rendering import Camera, Window
-from armctl.tasks import BridgeOptions, BridgeTask, ReachMovingOptions, ReachMovingTask, ReachOptions, ReachTask
+from armctl.tasks import (
+    BridgeOptions,
+    BridgeTask,
+    ReachMovingOptions,
+    ReachMovingTask,
+    ReachObstaclesOptions,
+    ReachObstaclesTask,
+    ReachOptions,
+    ReachTask,
+)
 from armctl.tasks.task import OUTCOME_LABELS, SUCCESSES, Observations, Outcome, Task
 
 Array = NDArray[np.float64]
@@ -360,6 +369,20 @@ class ArmReachMovingEnv(TaskEnv):
     """`gym.make("armctl/ArmReachMoving-v0", **options)`; options in `armctl.tasks.ReachMovingOptions`."""
 
     vector_type = ArmReachMovingVectorEnv
+
+
+class ArmReachObstaclesVectorEnv(ArmReachVectorEnv):
+    """`gym.make_vec("armctl/ArmReachObstacles-v0", num_envs=n, **options)`: `armctl.tasks.ReachObstaclesOptions`."""
+
+    task: ReachObstaclesTask
+    options_type = ReachObstaclesOptions
+    task_type = ReachObstaclesTask
+
+
+class ArmReachObstaclesEnv(TaskEnv):
+    """`gym.make("armctl/ArmReachObstacles-v0", **options)`; options in `armctl.tasks.ReachObstaclesOptions`."""
+
+    vector_type = ArmReachObstaclesVectorEnv
 
 
 class BridgeCrossVectorEnv(TaskVectorEnv):

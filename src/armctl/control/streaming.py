@@ -64,8 +64,11 @@ class CommandStream:
 
     def goal(self, motion: Motion) -> Array:
         """The goal (dof,) rad that makes drives do a plan's first period, after which the command is there."""
-        way = motion.positions[1] - self.position
-        goal = command_for(self.limits, self.position, self._drives, way, self.period)
-        self.position, self._drives = follow(self.limits, self.position, self._drives, goal, self.period)
         self.velocity = motion.velocities[1]
+        return self.goal_towards(motion.positions[1])
+
+    def goal_towards(self, place: Array) -> Array:
+        """The goal (dof,) rad that brings the command to `place` (dof,) rad within the next period, or near to it."""
+        goal = command_for(self.limits, self.position, self._drives, place - self.position, self.period)
+        self.position, self._drives = follow(self.limits, self.position, self._drives, goal, self.period)
         return goal

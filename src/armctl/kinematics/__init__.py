@@ -2,12 +2,15 @@
 
 from armctl.kinematics.ik import Ik, IkOptions, IkResult
 from armctl.kinematics.model import ArmModel
+from armctl.kinematics.motions import ArmShapes, FreeMotions
 from armctl.kinematics.touch import THOROUGH, SoonestTouch, Touch, TouchOptions, approach
 from armctl.kinematics.workspace import Workspace
 
 __all__ = [
     "THOROUGH",
     "ArmModel",
+    "ArmShapes",
+    "FreeMotions",
     "Ik",
     "IkOptions",
     "IkResult",

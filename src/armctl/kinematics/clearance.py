@@ -7,7 +7,6 @@ floor at its ends, and from each other in closed form (Ericson, "Real-time colli
 from functools import cached_property
 
 import numpy as np
-import pinocchio
 from numpy.typing import NDArray
 
 from armctl.boxes import Boxes

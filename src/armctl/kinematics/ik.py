@@ -125,11 +125,12 @@ class Ik:
 
         Not all there are, but the same every time: a fixed set of orientations (or of numeric starts) is tried.
         """
-        for q in self._configurations_at(position):
+        for q in self.configurations(position):
             if self.model.within_limits(q) and self.model.is_free(q):
                 yield q
 
-    def _configurations_at(self, position: Array) -> Iterator[Array]:
+    def configurations(self, position: Array) -> Iterator[Array]:
+        """The same, touching or not, and within the joint limits or beyond them by whole turns."""
         if self._analytic is None:
             yield from self.position(position, count=self.options.starts).solutions
             return

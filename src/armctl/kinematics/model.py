@@ -107,6 +107,25 @@ class ArmModel:
         """Whether the arm's capsules touch neither each other, nor the floor, nor a box."""
         return not pinocchio.computeCollisions(self.pinocchio, self._data, self._shapes, self._contacts, q, True)
 
+    def box_distances(self, q: Array, boxes: Boxes) -> Array:
+        """Distance (m) of each box from the whole arm at `q` (dof,), (k,): 0 or below where it touches."""
+        pinocchio.updateGeometryPlacements(self.pinocchio, self._data, self._shapes, self._contacts, q)
+        links = [
+            (shape.geometry, coal.Transform3s(placement.rotation, placement.translation))
+            for shape, placement in zip(self._shapes.geometryObjects, self._contacts.oMg, strict=True)
+            if isinstance(shape.geometry, coal.Capsule)
+        ]
+        request, result = coal.DistanceRequest(), coal.DistanceResult()
+        distances = np.full(len(boxes), np.inf)
+        for i, (centre, half_size, turn) in enumerate(
+            zip(boxes.centres, boxes.half_sizes, boxes.rotations, strict=True)
+        ):
+            box, placement = coal.Box(*(2 * half_size)), coal.Transform3s(turn, centre)
+            for link, at in links:
+                result.clear()
+                distances[i] = min(distances[i], coal.distance(link, at, box, placement, request, result))
+        return distances
+
     def base_distance(self, position: Array) -> float:
         """Distance (m) of `position` (3,) from the arm's immovable links; infinite if they have no shape."""
         point, placement = coal.Sphere(0.0), coal.Transform3s(np.eye(3), position)

@@ -123,10 +123,13 @@ class SoonestTouch:
         """Configurations (k, dof) in the sphere, one from each start that got there, as soon as it could be made."""
         if np.linalg.norm(self.model.position(start) - centre) <= radius:
             return start[None]
-        limits = self.model.limits
         starts = np.vstack([start, start + self._around, self._anywhere])
         q = approach(self.model, starts, centre, self.options.approach_iterations)
-        q = np.clip(self.ik.nearest_turn(q, start), limits.lower, limits.upper)
+        return self.sooner(start, self.ik.nearest_turn(q, start), centre, radius, velocity)
+
+    def sooner(self, start: Array, q: Array, centre: Array, radius: float, velocity: Array | float = 0.0) -> Array:
+        """Configurations (k, dof) in the sphere, one from each of q (n, dof) that got there, as soon as it could be."""
+        q = np.clip(q, self.model.limits.lower, self.model.limits.upper)
         best, best_time = q, np.full(len(q), np.inf)
         for largest_step in np.geomspace(FIRST_STEP, LAST_STEP, self.options.refine_iterations):
             position, jacobian = self.model.positions_and_jacobians(q)
@@ -136,10 +139,10 @@ class SoonestTouch:
             better = (distance[:, 0] <= radius) & (time < best_time)
             best, best_time = np.where(better[:, None], q, best), np.where(better, time, best_time)
             gain = np.einsum("nij,ni->nj", jacobian, offset / distance)
-            q = q + self._sooner(q, start, velocity, gain, distance - radius + INSIDE, time[:, None], largest_step)
+            q = q + self._step(q, start, velocity, gain, distance - radius + INSIDE, time[:, None], largest_step)
         return np.asarray(best[np.isfinite(best_time)])
 
-    def _sooner(
+    def _step(
         self, q: Array, start: Array, velocity: Array | float, gain: Array, needed: Array, time: Array, largest: float
     ) -> Array:
         """Step (n, dof) that comes nearer to the sphere by `needed` (n, 1), in the least time from `start`.

@@ -15,7 +15,7 @@ class Workspace:
 
     def __init__(self, model: ArmModel) -> None:
         self.model = model
-        self._ik = Ik(model)
+        self.ik = Ik(model)
         rng = np.random.default_rng(0)
         limits = model.limits
         samples = rng.uniform(np.maximum(limits.lower, -np.pi), np.minimum(limits.upper, np.pi), (4096, model.dof))
@@ -54,7 +54,7 @@ class Workspace:
         return tolerance > 0 and any(self._is_free(point) for point in near)
 
     def _is_free(self, position: Array) -> bool:
-        return next(self._ik.free_configurations(position), None) is not None
+        return next(self.ik.free_configurations(position), None) is not None
 
 
 _CUBE = np.array([corner for corner in np.ndindex(3, 3, 3) if corner != (1, 1, 1)]) - 1.0

@@ -1,6 +1,16 @@
 """What a planner believes: maps, and paths on them. Nothing here knows of MuJoCo or Gymnasium."""
 
+from armctl.planning.arm_planner import ArmPlan, ArmPlanner, ArmPlannerOptions
 from armctl.planning.bridge_map import BridgeMap, Courses
 from armctl.planning.path_planner import PathPlannerOptions, PlanResult, plan_path
 
-__all__ = ["BridgeMap", "Courses", "PathPlannerOptions", "PlanResult", "plan_path"]
+__all__ = [
+    "ArmPlan",
+    "ArmPlanner",
+    "ArmPlannerOptions",
+    "BridgeMap",
+    "Courses",
+    "PathPlannerOptions",
+    "PlanResult",
+    "plan_path",
+]

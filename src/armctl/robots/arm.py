@@ -1,5 +1,6 @@
 """A simulated arm: from an action to its joint servos, and from the simulation's state to what its sensors read."""
 
+from collections.abc import Callable
 from typing import Any
 
 import mujoco
@@ -84,14 +85,18 @@ class Arm:
         self._ctrl[:, dof:] = velocity
 
 
-def build_arm_world(description: ArmDescription, control: str, world: str = "arm_reach") -> mujoco.MjModel:
-    """Model of the MJCF world `models/<world>.xml` with the arm at its origin, its servos, and the keyframe `home`.
+def build_arm_world(
+    description: ArmDescription, control: str, furnish: Callable[[Any], None] = lambda spec: None
+) -> mujoco.MjModel:
+    """Model of the MJCF world `models/arm_reach.xml` with the arm at its origin, its servos, and the keyframe `home`.
+
+    `furnish` adds to its `MjSpec` what else a task needs.
 
     Raises `ConfigurationError` if `control` is not one of `CONTROLS`.
     """
     if control not in CONTROLS:
         raise unknown_name("control", control, CONTROLS)
-    spec = mujoco.MjSpec.from_file(str(world_path(world)))
+    spec = mujoco.MjSpec.from_file(str(world_path("arm_reach")))
     spec.compiler.fusestatic = False
     arm = mujoco.MjSpec.from_string(_with_compiler_options(description.urdf))
     spec.attach(arm, frame=spec.worldbody.add_frame(), prefix=PREFIX)
@@ -103,6 +108,7 @@ def build_arm_world(description: ArmDescription, control: str, world: str = "arm
         joint.actgravcomp = True  # the servo holds the weight, out of the joint's own effort
         joint.actfrclimited = True
         joint.actfrcrange = [-effort, effort]
+    furnish(spec)
     if control == "torque":
         _add_motors(spec, description)
         spec.add_key(name="home", qpos=description.home)
@@ -134,7 +140,7 @@ def _add_shapes(spec: mujoco.MjSpec, description: ArmDescription) -> None:
     for capsule in description.capsules:
         _add_capsule(_link(spec, capsule.link), capsule)
     for first, second in description.collision_pairs:
-        spec.add_pair(geomname1=_collision_geom(first), geomname2=_collision_geom(second))
+        spec.add_pair(geomname1=collision_geom(first), geomname2=collision_geom(second))
 
 
 def _link(spec: mujoco.MjSpec, link: str) -> Any:
@@ -142,7 +148,8 @@ def _link(spec: mujoco.MjSpec, link: str) -> Any:
     return spec.body(PREFIX + link) or spec.worldbody
 
 
-def _collision_geom(link: str) -> str:
+def collision_geom(link: str) -> str:
+    """Name of a link's capsule in the model, or of the floor."""
     return "floor" if link == FLOOR else f"{link}_collision"
 
 
@@ -150,7 +157,7 @@ def _add_capsule(body: Any, capsule: Capsule) -> None:
     length = np.linalg.norm(np.subtract(capsule.end, capsule.start))
     kind = mujoco.mjtGeom.mjGEOM_CAPSULE if length > 1e-6 else mujoco.mjtGeom.mjGEOM_SPHERE
     body.add_geom(
-        name=_collision_geom(capsule.link),
+        name=collision_geom(capsule.link),
         type=kind,
         size=[capsule.radius, 0, 0],
         **({"fromto": [*capsule.start, *capsule.end]} if length > 1e-6 else {"pos": capsule.start}),

@@ -9,24 +9,25 @@ from numpy.typing import NDArray
 
 from armctl.simulation.simulation import Simulation
 
+Thing = tuple[mujoco.mjtObj, str]
+"""What touches or is touched: its kind, and its name."""
+
 _HISTORY_HEAD = 2
 """Numbers before the sample times in a sensor's history buffer, which the samples follow."""
 
 
-def add_contact_sensors(
-    spec: Any, parts: Mapping[str, str], classes: Mapping[str, tuple[mujoco.mjtObj, str]], memory: int
-) -> None:
-    """Give `spec` a sensor for each part, a body, and class: a geom (`mjOBJ_GEOM`) or all below a body (`mjOBJ_XBODY`).
+def add_contact_sensors(spec: Any, parts: Mapping[str, Thing], classes: Mapping[str, Thing], memory: int) -> None:
+    """Give `spec` a sensor for each part and class, which remembers `memory` physics steps.
 
-    Sensors remember `memory` physics steps.
+    Either is a geom (`mjOBJ_GEOM`), a body (`mjOBJ_BODY`) or all from a body on (`mjOBJ_XBODY`).
     """
-    for part, body in parts.items():
+    for part, (part_kind, part_name) in parts.items():
         for label, (kind, name) in classes.items():
             sensor = spec.add_sensor(
                 name=_sensor_name(part, label),
                 type=mujoco.mjtSensor.mjSENS_CONTACT,
-                objtype=mujoco.mjtObj.mjOBJ_BODY,
-                objname=body,
+                objtype=part_kind,
+                objname=part_name,
                 reftype=kind,
                 refname=name,
             )

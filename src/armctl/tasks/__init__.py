@@ -3,6 +3,7 @@
 from armctl.tasks.bridge import BridgeOptions, BridgeState, BridgeTask
 from armctl.tasks.reach import OBSERVATION, REWARD, ReachOptions, ReachState, ReachTask
 from armctl.tasks.reach_moving import MovingReachState, ReachMovingOptions, ReachMovingTask
+from armctl.tasks.reach_obstacles import ObstaclesReachState, ReachObstaclesOptions, ReachObstaclesTask
 from armctl.tasks.task import Observations, Outcome, RewardLedger, Task
 
 __all__ = [

@@ -79,7 +79,9 @@ def build_bridge_world(
         _add_walker(spec.body("walkers").add_body(name=name, pos=[0, 0, HIDDEN]))
     add_rover(spec, (START_X, 0.0))
     spec.camera(PREFIX + "front").fovy = vertical_field_of_view(resolution, field_of_view)
-    add_contact_sensors(spec, {part: PREFIX + part for part in PARTS}, CONTACT_CLASSES, memory)
+    add_contact_sensors(
+        spec, {part: (mujoco.mjtObj.mjOBJ_BODY, PREFIX + part) for part in PARTS}, CONTACT_CLASSES, memory
+    )
     _add_start(spec)
     return spec.compile()
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -115,7 +116,7 @@ class ReachTask(Task):
     def __init__(self, n: int, options: ReachOptions, threads: int = 0) -> None:
         self.options = options
         description = load_arm(options.robot) if options.tip is None else load_arm(options.robot, tip=options.tip)
-        model = build_arm_world(description, options.control)
+        model = self._build(description)
         model.geom("target").size[:] = options.tolerance
         self.simulation = Simulation(model, n, threads)
         self.substeps = round(DECISION_PERIOD / model.opt.timestep)
@@ -127,6 +128,7 @@ class ReachTask(Task):
         self._feasible = np.ones(n, dtype=bool)
         self._action = np.zeros((n, description.dof))
         self._distance, self._nearest = np.zeros(n), np.full(n, np.inf)
+        self._attach()
         self.simulation.reset()
         self.simulation.refresh()
         self._look(self._action)
@@ -210,6 +212,12 @@ class ReachTask(Task):
         for name, part in self.parts().items():
             if part.ndim != 2 or len(part) != n:
                 raise ConfigurationError(f"the observation's {name!r} has shape ({n}, k), not {np.shape(part)}")
+
+    def _build(self, description: ArmDescription) -> mujoco.MjModel:
+        return build_arm_world(description, self.options.control)
+
+    def _attach(self) -> None:
+        """Get hold of what else is in the simulation."""
 
     def _draw(self, world: int, rng: np.random.Generator) -> None:
         """Draw what is new in a world's episode."""

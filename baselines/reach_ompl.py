@@ -1,0 +1,78 @@
+"""The OMPL expert among obstacles: a planned path, timed to run smoothly within the joint limits, and followed.
+
+It plans once an episode, from the observation alone, which tells the boxes. Where it comes to the end and has not
+reached the target, it plans again.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.boxes import Boxes
+from armctl.control.streaming import CommandStream
+from armctl.control.trajectory import Trajectory, smooth
+from armctl.envs import ArmReachObstaclesVectorEnv
+from armctl.errors import ConfigurationError
+from armctl.kinematics import ArmModel, ArmShapes, FreeMotions
+from armctl.planning import ArmPlanner
+from armctl.policies import PerWorld
+from armctl.tasks.reach_obstacles import OBSTACLES_OBSERVATION, read_boxes
+
+Array = NDArray[np.float64]
+
+CLEARANCE = 0.005
+"""m that the timed motion keeps: half of what the path does, for corners are cut; the servos lag by 1 or 2 mm."""
+CHECKED = 0.02
+"""s between places of a motion whose connections are checked."""
+
+
+def make(env: ArmReachObstaclesVectorEnv) -> PerWorld:
+    """OMPL path around the obstacles, timed within velocity, acceleration and jerk limits, and followed."""
+    if not isinstance(env, ArmReachObstaclesVectorEnv):
+        raise ConfigurationError("reach_ompl reaches around obstacles: use it with armctl/ArmReachObstacles-v0")
+    options, arm = env.task.options, env.task.arm
+    if list(options.observation)[: len(OBSTACLES_OBSERVATION)] != list(OBSTACLES_OBSERVATION):
+        expected = ", ".join(OBSTACLES_OBSERVATION)
+        raise ConfigurationError(f"reach_ompl reads the observation {expected}; here it is another")
+    if options.control != "position":
+        raise ConfigurationError("reach_ompl commands joint positions: use control 'position'")
+    planner = ArmPlanner(ArmModel(arm.description))
+    return PerWorld([ReachOmpl(planner, options.tolerance, arm.period) for _ in range(env.num_envs)])
+
+
+class ReachOmpl:
+    """Reaches with one arm."""
+
+    def __init__(self, planner: ArmPlanner, tolerance: float, period: float) -> None:
+        self._planner, self._model, self._tolerance, self._period = planner, planner.model, tolerance, period
+        self._shapes = ArmShapes(planner.model)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the plan."""
+        self._motion: Trajectory | None = None
+        self._decision = 0
+
+    def act(self, observation: NDArray[np.float32]) -> Array:
+        """Joint positions (dof,) to move to, for an observation (6 + dof + boxes,)."""
+        dof = self._model.dof
+        _, q, target, boxes = np.split(observation.astype(float), (3, 3 + dof, 6 + dof))
+        if self._motion is None or self._decision * self._period > self._motion.duration + 0.2:
+            self._motion, self._decision = self._plan(q, target, read_boxes(boxes)), 0
+            self._stream = CommandStream(self._model.limits, self._period, q)
+        self._decision += 1
+        return self._stream.goal_towards(self._motion.at(self._decision * self._period))
+
+    def _plan(self, q: Array, target: Array, boxes: Boxes) -> Trajectory:
+        """The timed motion; standing still if there is no way."""
+        limits = self._model.limits
+        start = np.clip(q, limits.lower, limits.upper)
+        path = self._planner.plan(start, target, self._tolerance, boxes).path
+        if len(path) < 2:
+            return Trajectory(start[None])
+        motions = FreeMotions(self._shapes, boxes, CLEARANCE, start)
+
+        def is_free(motion: Trajectory) -> bool:
+            places = motion.at(np.append(np.arange(0.0, motion.duration, CHECKED), motion.duration))
+            return all(motions.leads(a, b) for a, b in zip(places[:-1], places[1:], strict=True))
+
+        return smooth(limits, path, is_free)

@@ -1,0 +1,116 @@
+"""Joint motions in time, within the limits of velocity, acceleration and jerk.
+
+From point to point, by Ruckig, the soonest there is (Berscheid and Kroeger, "Jerk-limited real-time trajectory
+generation with arbitrary target states", RSS 2021). Along a path of many points, by two moving averages over a motion
+that goes from corner to corner at full speed: the first bounds its acceleration, the second its jerk, and both round the
+corners off (Biagiotti and Melchiorri, "FIR filters for online trajectory planning with time- and frequency-domain
+specifications", Control Engineering Practice 20, 2012).
+"""
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from ruckig import InputParameter, Ruckig, Synchronization
+from ruckig import Trajectory as RuckigTrajectory
+from scipy.ndimage import uniform_filter1d
+
+from armctl.assets import JointLimits
+from armctl.errors import ConfigurationError
+
+Array = NDArray[np.float64]
+
+SAMPLE = 0.002
+"""s between two points of a trajectory."""
+PACES = (1.0, 0.7, 0.5, 0.3)
+"""Parts of the full speed that are tried, the highest first: the slower, the less corners are cut."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Where the joints are, from time 0 on, every `SAMPLE` seconds; the last point is for good."""
+
+    positions: Array
+    """(m, dof) rad."""
+
+    @property
+    def duration(self) -> float:
+        """Seconds until all joints stand still."""
+        return SAMPLE * (len(self.positions) - 1)
+
+    def at(self, times: ArrayLike) -> Array:
+        """Positions (..., dof) rad at `times` (...), s."""
+        samples = np.asarray(times, dtype=float) / SAMPLE
+        before = np.clip(np.floor(samples).astype(int), 0, len(self.positions) - 1)
+        after = np.minimum(before + 1, len(self.positions) - 1)
+        share = np.clip(samples - before, 0.0, 1.0)[..., None]
+        return np.asarray((1 - share) * self.positions[before] + share * self.positions[after])
+
+
+def point_to_point(limits: JointLimits, start: ArrayLike, goal: ArrayLike, straight: bool = False) -> Trajectory:
+    """The soonest motion from rest at `start` to rest at `goal`, (dof,) each; with `straight`, on a straight line.
+
+    Raises `ConfigurationError` for positions that are no configurations within the limits.
+    """
+    start, goal = _checked(limits, np.array([start, goal], dtype=float))
+    problem = InputParameter(len(start))
+    problem.current_position, problem.target_position = start.tolist(), goal.tolist()
+    problem.max_velocity, problem.max_acceleration = limits.velocity.tolist(), limits.acceleration.tolist()
+    problem.max_jerk = limits.jerk.tolist()
+    problem.synchronization = Synchronization.Phase if straight else Synchronization.Time
+    found = RuckigTrajectory(len(start))
+    Ruckig(len(start)).calculate(problem, found)
+    times = np.arange(0.0, found.duration + SAMPLE, SAMPLE)
+    return Trajectory(np.array([found.at_time(float(time))[0] for time in times]))
+
+
+def along(limits: JointLimits, path: ArrayLike, pace: float = 1.0, stops: bool = False) -> Trajectory:
+    """A smooth motion along a path (m, dof) rad of straight motions, from rest to rest.
+
+    It cuts corners, the less so the smaller its `pace`, a part of the full speed; or, with `stops`, not at all.
+
+    Raises `ConfigurationError` for a path that is none, or not within the limits.
+    """
+    corners = _checked(limits, np.asarray(path, dtype=float))
+    if stops:
+        corners = np.repeat(corners, [1, *[2] * (len(corners) - 2), 1], axis=0)
+    steps = np.diff(corners, axis=0)
+    durations = np.maximum((np.abs(steps) / limits.velocity).max(axis=1) / pace, SAMPLE)
+    spread = np.ptp(np.vstack((steps / durations[:, None], np.zeros(len(limits.lower)))), axis=0)
+    smooth_velocity = float((spread / limits.acceleration).max())
+    smooth_acceleration = float((2 * limits.acceleration / limits.jerk).max())
+    durations[~steps.any(axis=1)] = smooth_velocity + smooth_acceleration
+    knots = np.concatenate(([0.0], np.cumsum(durations)))
+    widths = [1 + 2 * int(np.ceil(span / SAMPLE / 2)) for span in (smooth_velocity, smooth_acceleration)]
+    rest = SAMPLE * sum(width // 2 + 1 for width in widths)
+    clock = np.arange(-rest, knots[-1] + rest + SAMPLE, SAMPLE)
+    positions = np.column_stack([np.interp(clock, knots, joint) for joint in corners.T])
+    for width in widths:
+        positions = uniform_filter1d(positions, width, axis=0, mode="nearest")
+    return Trajectory(positions)
+
+
+def smooth(limits: JointLimits, path: ArrayLike, is_free: Callable[[Trajectory], bool]) -> Trajectory:
+    """The quickest trajectory along a path (m, dof) that is free: at a slower pace, or with stops, if it must be.
+
+    The path itself is taken to be free.
+    """
+    corners = np.asarray(path, dtype=float)
+    if len(corners) == 2:
+        return point_to_point(limits, corners[0], corners[1], straight=True)
+    stopping = along(limits, corners, stops=True)
+    paced = (along(limits, corners, pace) for pace in PACES)
+    sooner = itertools.takewhile(lambda trajectory: trajectory.duration < stopping.duration, paced)
+    return next(filter(is_free, sooner), stopping)
+
+
+def _checked(limits: JointLimits, path: Array) -> Array:
+    if path.ndim != 2 or len(path) < 2 or path.shape[1] != len(limits.lower):
+        raise ConfigurationError(
+            f"a path is an array (m, {len(limits.lower)}) of at least two configurations, not of shape {path.shape}"
+        )
+    if not ((path >= limits.lower - 1e-9) & (path <= limits.upper + 1e-9)).all():
+        raise ConfigurationError(f"the path leaves the joint limits {limits.lower} to {limits.upper}: {path}")
+    return path
