@@ -25,6 +25,7 @@ benchmarks: $(VENV)/full
 	$(BIN)/python benchmarks/physics_step.py
 	$(BIN)/python benchmarks/ik.py
 	$(BIN)/python benchmarks/planning.py
+	$(BIN)/python benchmarks/mpc.py
 
 clean:
 	rm -rf $(VENV) build src/*.egg-info

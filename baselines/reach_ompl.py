@@ -4,6 +4,8 @@ It plans once an episode, from the observation alone, which tells the boxes. Whe
 reached the target, it plans again.
 """
 
+import itertools
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -73,6 +75,6 @@ class ReachOmpl:
 
         def is_free(motion: Trajectory) -> bool:
             places = motion.at(np.append(np.arange(0.0, motion.duration, CHECKED), motion.duration))
-            return all(motions.leads(a, b) for a, b in zip(places[:-1], places[1:], strict=True))
+            return all(motions.leads(a, b) for a, b in itertools.pairwise(places))
 
         return smooth(limits, path, is_free)

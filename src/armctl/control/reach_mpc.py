@@ -1,14 +1,14 @@
 """Model-predictive control of an arm: where its joints go over the next second, decided anew each period.
 
 The real-time iteration (Diehl, Bock, Schloeder: "A real-time iteration scheme for nonlinear optimization in optimal
-feedback control", SIAM J. Control and Optimization 43, 2005): the last plan, shifted by a period, is where the problem is
-linearised, and a quadratic program away from it lies the next. OSQP solves that (Stellato et al., "OSQP: an operator
+feedback control", SIAM J. Control and Optimization 43, 2005): the last plan, shifted by a period, is where the problem
+is linearised, and a quadratic program away from it lies the next. OSQP solves that (Stellato et al., "OSQP: an operator
 splitting solver for quadratic programs", Mathematical Programming Computation 12, 2020) from the last solution on.
 
-Two things make one or two such steps enough. The Hessian is the exact one of each knot, made convex (Verschueren et al.,
-"A sparsity preserving convexification procedure for indefinite quadratic programs arising in direct optimal control",
-SIAM J. Optimization 27, 2017), for far from the target Gauss and Newton's misleads; and the first plan leads straight to
-the posture asked for.
+Two things make a few such steps enough. The Hessian is the exact one of each knot, made convex (Verschueren et al., "A
+sparsity preserving convexification procedure for indefinite quadratic programs arising in direct optimal control", SIAM
+J. Optimization 27, 2017), for far from the target Gauss and Newton's misleads; and the first plan leads straight to the
+posture asked for.
 """
 
 import time
@@ -29,6 +29,7 @@ from armctl.control.reach_problem import (
     within_limits,
 )
 from armctl.control.reach_qp import ReachQp
+from armctl.errors import ConfigurationError
 from armctl.kinematics import ArmModel
 from armctl.kinematics.clearance import Clearance
 from armctl.kinematics.model import cross
@@ -64,12 +65,20 @@ class ReachMpcOptions:
     """The solver's rho."""
     pairs: int = 4
     """How many of the nearest pairs of links, floor and boxes each knot minds; with 0, none."""
-    margin: float = 0.02
-    """m that they shall keep between them."""
+    margin: float = 0.03
+    """m that they shall keep between them: between knots and points of links, they come nearer than there."""
     influence: float = 0.15
     """m from which on they are minded: no knot comes nearer than that by one program from further away."""
-    price: float = 20.0
+    price: float = 50.0
     """m^2 for each m that a knot is too near: above what a shorter way could save, so that none is taken."""
+
+    def __post_init__(self) -> None:
+        for name, least in (("programs", 1), ("max_iterations", 1), ("pairs", 0)):
+            if not (isinstance(getattr(self, name), int) and getattr(self, name) >= least):
+                raise ConfigurationError(f"{name} is a whole number of at least {least}, not {getattr(self, name)!r}")
+        for name in ("settled", "tolerance", "step_size", "margin", "influence", "price"):
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
+                raise ConfigurationError(f"{name} is a finite number above 0, not {getattr(self, name)!r}")
 
 
 class ReachMpc:
@@ -97,7 +106,7 @@ class ReachMpc:
     ) -> MpcResult:
         """The motion from joint `position` (dof,) rad and `velocity` (dof,) rad/s on.
 
-        `targets` (N, 3) m are where the end-effector should be at the end of each period, or one that stands still, (3,).
+        `targets` (N, 3) m are where the end-effector should be at the end of each period; (3,) is one at rest.
         `posture` (dof,) rad is where joints should rather be: from a global search, for this one is local.
         Raises `ConfigurationError` for arguments of other shapes, or not finite.
         """
@@ -118,6 +127,7 @@ class ReachMpc:
             if gain <= self.options.settled * best.merit:
                 break
         if solved:
+            best = self._safe(situation, worst, best)
             self._last, self._posture = best.motion, situation.posture
         motion = best.motion
         return MpcResult(
@@ -132,11 +142,28 @@ class ReachMpc:
             shifted = np.concatenate((self._last.velocities[1:], self._last.velocities[-1:]))
             guesses.append(within_limits(self.problem, limits, situation, shifted))
             self._tight.qp.shift(self._duals)
-        known = self._posture is not None and np.array_equal(self._posture, situation.posture)
-        if situation.posture is not None and not known:
-            guesses.append(straight_to(self.problem, limits, situation, situation.posture))
+        goal, known = situation.posture, self._posture
+        if goal is not None and (known is None or not np.array_equal(known, goal)):
+            guesses.append(straight_to(self.problem, limits, situation, goal))
         linearised = [_Linearised(self, situation, guess) for guess in guesses or [worst]]
         return min(linearised, key=lambda one: one.merit)
+
+    def _safe(self, situation: Situation, worst: Motion, best: "_Linearised") -> "_Linearised":
+        """The plan, unless after its first period it would be too late to brake before an obstacle: then braking.
+
+        Few iterations may not yet have led a plan around what is on its way.
+        """
+        enough = self.options.margin / 2
+        if best.least >= enough:
+            return best
+        first, falls = best.motion.velocities[1], self.model.limits.acceleration * self.problem.period
+        speeds = np.maximum(np.abs(first) - np.arange(self.problem.horizon)[:, None] * falls, 0.0)
+        velocities = np.concatenate((situation.velocity[None], np.copysign(speeds, first)))
+        later = _Linearised(self, situation, within_limits(self.problem, self.model.limits, situation, velocities))
+        if later.least >= enough:
+            return best
+        now = _Linearised(self, situation, worst)
+        return now if now.least > later.least else best
 
     def _solve(self, situation: Situation, worst: Motion, at: "_Linearised") -> tuple[Array | None, int]:
         """Velocities (N + 1, dof) by the program linearised at a motion, None if it was not solved; and iterations."""
@@ -180,7 +207,10 @@ class _Solver:
         )  # fmt: skip
 
     def solve(self, start: Array, duals: Array) -> Array | None:
-        """The solution of what was written, from `start` (of its first unknowns) and `duals`, which it brings up to date."""
+        """The solution of what was written, or None, from `start` and `duals` on, which it brings up to date.
+
+        `start` may leave out the last unknowns, the slacks, for none.
+        """
         qp = self.qp
         numbers = {"Ax": qp.matrix.data} if qp.rows else {}
         self._osqp.update(q=qp.gradient, l=qp.lower, u=qp.upper, Px=qp.hessian.data, **numbers)

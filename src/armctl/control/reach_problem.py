@@ -28,8 +28,8 @@ class ReachProblem:
     """N, periods."""
     period: float = 0.04
     """T, s."""
-    posture: float = 1e-3
-    """Weight of a joint's distance from the posture asked for, m^2/rad^2: 0.3 rad count as 1 cm of the tip."""
+    posture: float = 5e-4
+    """Weight of a joint's distance from the posture asked for, m^2/rad^2: 0.4 rad count as 1 cm of the tip."""
     velocity: float = 1e-4
     """Weight of joint velocity, m^2 s^2/rad^2: 1 rad/s counts as 1 cm."""
     acceleration: float = 1e-5
@@ -65,8 +65,7 @@ class Situation:
         posture: ArrayLike | None,
     ) -> "Situation":  # fmt: skip
         """From what a caller gave; one target (3,) stands still. Raises `ConfigurationError` for what is amiss."""
-        targets = np.asarray(targets, dtype=float)
-        if targets.shape == (3,):
+        if np.shape(targets) == (3,):
             targets = np.tile(targets, (problem.horizon, 1))
         return cls(
             _array("position", position, (dof,)),
@@ -180,7 +179,7 @@ def within_limits(problem: ReachProblem, limits: MotionLimits, situation: Situat
 
 
 def _rate_limited(wanted: list[float], change: float) -> list[float]:
-    """One joint's velocities, each within `change` of the one before. (Plain Python: faster than NumPy, row by row.)"""
+    """One joint's velocities, each within `change` of the one before. Plain Python: faster than NumPy, row by row."""
     velocity, velocities = wanted[0], []
     for goal in wanted:
         velocity = min(max(goal, velocity - change), velocity + change)

@@ -3,9 +3,11 @@
     minimise  x' P x / 2 + q' x   subject to  l <= A x <= u
 
 Unknown are, for the knots k = 1..N, the joints' positions q_k, their way in a period v_k T (so that all are angles of
-like size), and how much too near knot k comes to an obstacle. A solver orders the pattern once, and then only takes over
-numbers: the Hessian's blocks of each q_k, the gradient, the bounds, and the normals of obstacles.
+like size), and how much too near knot k comes to an obstacle. A solver orders the pattern once, and then only takes
+over numbers: the Hessian's blocks of each q_k, the gradient, the bounds, and the normals of obstacles.
 """
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,16 +92,16 @@ class ReachQp:
         for part in parts:
             part[:, :-1] = part[:, 1:]
 
-    def _hessian_pattern(self) -> tuple[sparse.csc_matrix, tuple[Integers, tuple[Integers, Integers, Integers]]]:
+    def _hessian_pattern(self) -> tuple[Any, tuple[Integers, tuple[Integers, Integers, Integers]]]:
         """P, and where in its data which entry of which block goes."""
         problem, dof, knots = self.problem, self.dof, self.problem.horizon
         velocity, acceleration = 2 * problem.velocity / problem.period**2, 2 * problem.acceleration / problem.period**4
         changes = np.append(np.full(knots - 1, 2.0), 1.0)
-        ways = sparse.diags_array(
+        ways: Any = sparse.diags_array(
             [velocity + acceleration * changes, np.full(knots - 1, -acceleration)], offsets=[0, 1]
         )
         blocks = sparse.kron(sparse.eye_array(knots), np.triu(np.full((dof, dof), _MARK)))
-        parts = [blocks, sparse.kron(ways, sparse.eye_array(dof))]
+        parts: list[Any] = [blocks, sparse.kron(ways, sparse.eye_array(dof))]
         if self.rows:
             parts.append(2 * SLACK_CURVATURE * sparse.eye_array(knots))
         hessian = _compressed(sparse.block_diag(parts))
@@ -109,14 +111,14 @@ class ReachQp:
         hessian.data[marked] = row == column
         return hessian, (marked, (row // dof, row % dof, column % dof))
 
-    def _matrix_pattern(self) -> tuple[sparse.csc_matrix, tuple[Integers, Integers]]:
+    def _matrix_pattern(self) -> tuple[Any, tuple[Integers, Integers]]:
         """A, and where in its data which number of the normals goes."""
         dof, knots, rows = self.dof, self.problem.horizon, self.rows
         eye = sparse.eye_array(self.states)
         before = sparse.eye_array(self.states, k=-dof)
         last = sparse.eye_array(dof, self.states, k=self.states - dof)
         times = sparse.diags_array(stopping_times(self.limits) / self.problem.period)
-        blocks = [
+        blocks: list[list[Any]] = [
             [eye - before, -0.5 * (eye + before)],  # dynamics
             [None, ACCELERATION * (eye - before)],
             [None, VELOCITY * eye],
@@ -153,9 +155,9 @@ class ReachQp:
         return bounds(limits.lower, -1, -np.inf, 0.0), bounds(limits.upper, 1, np.inf, np.inf)
 
 
-def _compressed(matrix: sparse.coo_array) -> sparse.csc_matrix:
+def _compressed(pattern: Any) -> Any:
     """In the form that OSQP takes as it is: sorted columns without zeros, and small indices."""
-    matrix = sparse.csc_matrix(matrix)
+    matrix = sparse.csc_matrix(pattern)
     matrix.eliminate_zeros()
     matrix.sort_indices()
     matrix.indices, matrix.indptr = matrix.indices.astype(np.int32), matrix.indptr.astype(np.int32)

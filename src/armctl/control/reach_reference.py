@@ -2,7 +2,8 @@
 
 CasADi writes the nonlinear program with its exact derivatives (Andersson et al., "CasADi: a software framework for
 nonlinear optimization and optimal control", Mathematical Programming Computation 11, 2019), with the forward kinematics
-from the same URDF, and IPOPT solves it (Waechter and Biegler, Mathematical Programming 106, 2006). It knows no obstacles.
+from the same URDF, and IPOPT solves it (Waechter and Biegler, Mathematical Programming 106, 2006). It knows of no
+obstacles.
 """
 
 import time
@@ -61,7 +62,7 @@ class ReachReference:
             ubg=self._rows(limits.acceleration, np.maximum(limits.upper, stop)),
         )
         statistics = self._solver.stats()
-        velocities = np.asarray(found["x"]).reshape(2, problem.horizon, dof)[1]
+        velocities = np.array(found["x"].full()).reshape(2, problem.horizon, dof)[1]
         motion = within_limits(problem, limits, situation, np.concatenate((situation.velocity[None], velocities)))
         return MpcResult(
             motion.positions, motion.velocities, motion.accelerations,
@@ -96,7 +97,7 @@ class ReachReference:
             "f": cost,
             "g": casadi.vertcat(casadi.vec(dynamics), casadi.vec(acceleration), last),
         }
-        quiet = {"print_level": 0, "sb": "yes", "tol": TOLERANCE, "max_iter": MAX_ITERATIONS}
+        quiet: Any = {"print_level": 0, "sb": "yes", "tol": TOLERANCE, "max_iter": MAX_ITERATIONS}
         return casadi.nlpsol("reach", "ipopt", program, {"print_time": False, "ipopt": quiet})
 
 

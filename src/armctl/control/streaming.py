@@ -1,7 +1,8 @@
 """A plan's next period, as the position command that makes an arm's drives do it.
 
-The drives (`armctl.drives`) take a position to move to, and go there by their own law. The law is simulated here, so that
-a controller knows where its command is without being told, and searched for the position that leads where it wants to be.
+The drives (`armctl.drives`) take a position to move to, and go there by their own law. The law is simulated here, so
+that a controller knows where its command is without being told, and searched for the position that leads where it wants
+to be.
 """
 
 import numpy as np

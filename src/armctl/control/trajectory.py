@@ -2,8 +2,8 @@
 
 From point to point, by Ruckig, the soonest there is (Berscheid and Kroeger, "Jerk-limited real-time trajectory
 generation with arbitrary target states", RSS 2021). Along a path of many points, by two moving averages over a motion
-that goes from corner to corner at full speed: the first bounds its acceleration, the second its jerk, and both round the
-corners off (Biagiotti and Melchiorri, "FIR filters for online trajectory planning with time- and frequency-domain
+that goes from corner to corner at full speed. The first bounds its acceleration, the second its jerk, and both round
+the corners off (Biagiotti and Melchiorri, "FIR filters for online trajectory planning with time- and frequency-domain
 specifications", Control Engineering Practice 20, 2012).
 """
 
@@ -54,14 +54,15 @@ def point_to_point(limits: JointLimits, start: ArrayLike, goal: ArrayLike, strai
 
     Raises `ConfigurationError` for positions that are no configurations within the limits.
     """
-    start, goal = _checked(limits, np.array([start, goal], dtype=float))
-    problem = InputParameter(len(start))
-    problem.current_position, problem.target_position = start.tolist(), goal.tolist()
+    ends = _checked(limits, np.array([start, goal], dtype=float))
+    dof = ends.shape[1]
+    problem = InputParameter(dof)
+    problem.current_position, problem.target_position = ends.tolist()
     problem.max_velocity, problem.max_acceleration = limits.velocity.tolist(), limits.acceleration.tolist()
     problem.max_jerk = limits.jerk.tolist()
     problem.synchronization = Synchronization.Phase if straight else Synchronization.Time
-    found = RuckigTrajectory(len(start))
-    Ruckig(len(start)).calculate(problem, found)
+    found = RuckigTrajectory(dof)
+    Ruckig(dof).calculate(problem, found)
     times = np.arange(0.0, found.duration + SAMPLE, SAMPLE)
     return Trajectory(np.array([found.at_time(float(time))[0] for time in times]))
 

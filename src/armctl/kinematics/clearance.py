@@ -4,6 +4,7 @@ Links are capsules: segments, with a radius. From boxes their distance is taken 
 floor at its ends, and from each other in closed form (Ericson, "Real-time collision detection", 2005, section 5.1.9).
 """
 
+from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
@@ -16,12 +17,14 @@ from armctl.kinematics.model import ArmModel, cross
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-SPACING = 0.05
-"""m, at most, between points along a link: past a box's edge it sinks in by 2 mm more than they tell, if 15 cm thick."""
+SPACING = 0.06
+"""m, at most, between points along a link: one of 5 cm radius may come nearer to an edge by 8 mm than they tell."""
 
 
-Part = tuple[Array, Array, Array, Integers, Integers, Array]
-"""For p pairs: distances (n, p), points (n, p, 3), normals (n, p, 3) towards them, their links, others, and feet."""
+Contacts = tuple[Array, Array, Integers, Integers, Array]
+"""Of p pairs: points (n, p, 3) of links, normals (n, p, 3) towards them, links, other links (-1: none), their feet."""
+Part = tuple[Array, Callable[[], Contacts]]
+"""Distances (n, p) of p pairs, m, and how they come about, for those who ask."""
 
 
 class Clearance:
@@ -78,8 +81,9 @@ class Clearance:
 
     def moved(self, frames: Array, points: Array, normals: Array, links: Integers) -> Array:
         """How points (n, m, 3) on `links` (n, m) move along `normals` with each joint, (n, m, dof) m/rad."""
-        lever = points[:, :, None] - frames[:, None, :, :3, 3]
-        moved = (cross(lever, normals[:, :, None]) * self.model.joint_axes(frames)[:, None]).sum(axis=-1)
+        axes = self.model.joint_axes(frames)
+        turned = np.swapaxes(cross(axes, frames[..., :3, 3]), -1, -2)
+        moved = cross(points, normals) @ np.swapaxes(axes, -1, -2) - normals @ turned  # n . (a x (p - o))
         carried = np.arange(1, self.model.dof + 1) <= self._joints[links][..., None]
         return np.asarray(moved * carried)
 
@@ -91,32 +95,42 @@ class Clearance:
 
     def _from_floor(self, ends: Array) -> Part:
         ends = ends[:, self._floor_links, self._floor_ends]
-        up = np.broadcast_to((0.0, 0.0, 1.0), ends.shape)
-        links = np.broadcast_to(self._floor_links, ends.shape[:-1])
-        return ends[..., 2] - self._radii[self._floor_links], ends, up, links, np.full(links.shape, -1), ends
+
+        def contacts() -> Contacts:
+            links = np.broadcast_to(self._floor_links, ends.shape[:-1])
+            return ends, np.broadcast_to((0.0, 0.0, 1.0), ends.shape), links, np.full(links.shape, -1), ends
+
+        return ends[..., 2] - self._radii[self._floor_links], contacts
 
     def _from_links(self, ends: Array) -> Part:
         first, second = ends[:, self._pairs[:, 0]], ends[:, self._pairs[:, 1]]
         points, feet = nearest_on_segments(first[:, :, 0], first[:, :, 1], second[:, :, 0], second[:, :, 1])
         way = points - feet
-        length = np.sqrt((way * way).sum(axis=-1))
-        links, others = (np.broadcast_to(self._pairs[:, i], length.shape) for i in (0, 1))
-        distances = length - self._radii[links] - self._radii[others]
-        return distances, points, way / np.maximum(length, 1e-9)[..., None], links, others, feet
+        length = np.sqrt(_dot(way, way))
+
+        def contacts() -> Contacts:
+            links, others = (np.broadcast_to(self._pairs[:, i], length.shape) for i in (0, 1))
+            return points, way / np.maximum(length, 1e-9)[..., None], links, others, feet
+
+        return length - self._radii[self._pairs].sum(axis=1), contacts
 
     def _from_boxes(self, ends: Array, boxes: Boxes) -> Part:
         n, k = len(ends), len(boxes)
         start, end = ends[:, self._point_links, 0], ends[:, self._point_links, 1]
         points = start + self._shares[:, None] * (end - start)
         distances = _distances(points.reshape(-1, 3), boxes).reshape(n, -1, k)
-        last = [*self._first_points[1:], len(self._shares)]
-        nearest = [i + distances[:, i:j].argmin(axis=1) for i, j in zip(self._first_points, last, strict=True)]
-        which = np.stack(nearest, axis=1).reshape(n, -1)  # of the points, for each link and box
-        points = np.take_along_axis(points, which[..., None], axis=1)
-        links = np.broadcast_to(np.repeat(self._among_boxes, k), which.shape)
-        every = np.tile(np.arange(k), len(self._among_boxes))
-        distances, normals = _distances_and_normals(points, boxes, every)
-        return distances - self._radii[links], points, normals, links, np.full(links.shape, -1), points
+        least = np.minimum.reduceat(distances, self._first_points, axis=1) - self._radii[self._among_boxes, None]
+
+        def contacts() -> Contacts:
+            last = [*self._first_points[1:], len(self._shares)]
+            nearest = [i + distances[:, i:j].argmin(axis=1) for i, j in zip(self._first_points, last, strict=True)]
+            which = np.stack(nearest, axis=1).reshape(n, -1)  # of the points, for each link and box
+            chosen = points[np.arange(n)[:, None], which]
+            links = np.broadcast_to(np.repeat(self._among_boxes, k), which.shape)
+            normals = _normals(chosen, boxes, np.tile(np.arange(k), len(self._among_boxes)))
+            return chosen, normals, links, np.full(links.shape, -1), chosen
+
+        return least.reshape(n, -1), contacts
 
 
 class Nearest:
@@ -124,26 +138,27 @@ class Nearest:
 
     def __init__(self, clearance: Clearance, frames: Array, boxes: Boxes, count: int) -> None:
         self._clearance, self._frames, self._count = clearance, frames, count
-        self._pairs = [np.concatenate(part, axis=1) for part in zip(*clearance.parts(frames, boxes), strict=True)]
-        self.least = self._pairs[0].min(axis=1, initial=np.inf)
+        distances, self._contacts = zip(*clearance.parts(frames, boxes), strict=True)
+        self._distances = np.concatenate(distances, axis=1)
+        self.least = self._distances.min(axis=1, initial=np.inf)
         """(n,) m: distance of the nearest pair."""
 
     @cached_property
     def rows(self) -> tuple[Array, Array]:
         """Distances (n, m) m, and their gradients (n, m, dof) m/rad. Where pairs are fewer, infinite and zero."""
-        all_distances = self._pairs[0]
-        few = min(self._count, all_distances.shape[1])
+        few = min(self._count, self._distances.shape[1])
         # in an order that stays the same from one posture to the next
-        chosen = np.sort(np.argpartition(all_distances, few - 1, axis=1)[:, :few], axis=1)
+        chosen = np.sort(np.argpartition(self._distances, few - 1, axis=1)[:, :few], axis=1)
         row = np.arange(len(chosen))[:, None]
-        distances, points, normals, links, others, feet = (part[row, chosen] for part in self._pairs)
+        contacts = zip(*(contact() for contact in self._contacts), strict=True)
+        points, normals, links, others, feet = (np.concatenate(part, axis=1)[row, chosen] for part in contacts)
         gradients = self._clearance.moved(self._frames, points, normals, links)
         paired = others >= 0
         if paired.any():
             gradients -= paired[..., None] * self._clearance.moved(self._frames, feet, normals, others)
         missing = (0, self._count - few)
         return (
-            np.pad(distances, ((0, 0), missing), constant_values=np.inf),
+            np.pad(self._distances[row, chosen], ((0, 0), missing), constant_values=np.inf),
             np.pad(gradients, ((0, 0), missing, (0, 0))),
         )
 
@@ -151,14 +166,13 @@ class Nearest:
 def nearest_on_segments(a: Array, b: Array, c: Array, d: Array) -> tuple[Array, Array]:
     """The points of segments ab and cd (..., 3) that are nearest to each other."""
     along, across, between = b - a, d - c, a - c
-    aa, cc, ac = (along * along).sum(-1), (across * across).sum(-1), (along * across).sum(-1)
-    ab, cb = (along * between).sum(-1), (across * between).sum(-1)
+    aa, cc, ac = _dot(along, along), _dot(across, across), _dot(along, across)
+    ab, cb = _dot(along, between), _dot(across, between)
     tiny = 1e-12  # m^2: segments that are points, or parallel
     share = np.clip((ac * cb - ab * cc) / np.maximum(aa * cc - ac * ac, tiny), 0.0, 1.0)
-    other = (ac * share + cb) / np.maximum(cc, tiny)
-    clipped = np.clip(other, 0.0, 1.0)
-    share = np.where(other == clipped, share, np.clip((ac * clipped - ab) / np.maximum(aa, tiny), 0.0, 1.0))
-    return a + share[..., None] * along, c + clipped[..., None] * across
+    other = np.clip((ac * share + cb) / np.maximum(cc, tiny), 0.0, 1.0)
+    share = np.clip((ac * other - ab) / np.maximum(aa, tiny), 0.0, 1.0)
+    return a + share[..., None] * along, c + other[..., None] * across
 
 
 def _distances(points: Array, boxes: Boxes) -> Array:
@@ -173,14 +187,17 @@ def _distances(points: Array, boxes: Boxes) -> Array:
     return np.asarray(np.sqrt(x * x + y * y + z * z) + inside)
 
 
-def _distances_and_normals(points: Array, boxes: Boxes, which: Integers) -> tuple[Array, Array]:
-    """Signed distances (n, p) of points (n, p, 3) from one box each, `which` (p,), and the direction away from it."""
+def _normals(points: Array, boxes: Boxes, which: Integers) -> Array:
+    """Directions (n, p, 3) in which points (n, p, 3) get away the soonest from one box each, `which` (p,)."""
     rotations = boxes.rotations[which]
     local = ((points - boxes.centres[which])[..., None, :] @ rotations)[..., 0, :]
     beyond = np.abs(local) - boxes.half_sizes[which]
     outside = np.maximum(beyond, 0.0)
-    length = np.sqrt((outside * outside).sum(axis=-1, keepdims=True))
+    length = np.sqrt(_dot(outside, outside))[..., None]
     face = beyond == beyond.max(axis=-1, keepdims=True)
     away = np.copysign(np.where(length > 0, outside / np.maximum(length, 1e-12), face), local)
-    distances = length[..., 0] + np.minimum(beyond.max(axis=-1), 0.0)
-    return distances, (away[..., None, :] @ np.swapaxes(rotations, -1, -2))[..., 0, :]
+    return np.asarray((away[..., None, :] @ np.swapaxes(rotations, -1, -2))[..., 0, :])
+
+
+def _dot(first: Array, second: Array) -> Array:
+    return np.asarray(np.einsum("...i,...i->...", first, second))

@@ -7,19 +7,7 @@ from armctl.tasks.reach_obstacles import ObstaclesReachState, ReachObstaclesOpti
 from armctl.tasks.task import Observations, Outcome, RewardLedger, Task
 
 __all__ = [
-    "OBSERVATION",
-    "REWARD",
-    "BridgeOptions",
-    "BridgeState",
-    "BridgeTask",
-    "MovingReachState",
-    "Observations",
-    "Outcome",
-    "ReachMovingOptions",
-    "ReachMovingTask",
-    "ReachOptions",
-    "ReachState",
-    "ReachTask",
-    "RewardLedger",
-    "Task",
+    "OBSERVATION", "REWARD", "BridgeOptions", "BridgeState", "BridgeTask", "MovingReachState", "Observations",
+    "ObstaclesReachState", "Outcome", "ReachMovingOptions", "ReachMovingTask", "ReachObstaclesOptions",
+    "ReachObstaclesTask", "ReachOptions", "ReachState", "ReachTask", "RewardLedger", "Task",
 ]  # fmt: skip

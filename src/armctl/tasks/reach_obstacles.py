@@ -141,7 +141,7 @@ class ReachObstaclesTask(ReachTask):
         contacts = self._touches.lately()[:, 0]
         boxes = self._boxes.reshape(len(contacts), -1)
         self.state: ObstaclesReachState = ObstaclesReachState(
-            **vars(self.state), boxes=boxes, contacts=contacts, collided=contacts.any(axis=1)
+            **vars(self.state), boxes=boxes, contacts=contacts, collided=np.asarray(contacts.any(axis=1))
         )
 
 

@@ -1,0 +1,225 @@
+from types import SimpleNamespace
+
+import numpy as np
+import osqp
+import pytest
+
+from armctl.assets import load_arm
+from armctl.boxes import Boxes
+from armctl.control.reach_mpc import ReachMpc, ReachMpcOptions
+from armctl.control.reach_problem import ReachProblem, Situation, braking, reach_cost
+from armctl.control.reach_reference import ReachReference, symbolic_position
+from armctl.control.streaming import CommandStream
+from armctl.drives import TICK, limited, towards
+from armctl.errors import ConfigurationError
+from armctl.kinematics import ArmModel, Ik
+
+PERIOD, N = ReachProblem().period, ReachProblem().horizon
+MODEL = ArmModel("ur5")
+LIMITS = MODEL.limits
+
+
+def reach(model, rng):
+    """A target, and a free posture there that is soon reached from home."""
+    ik = Ik(model)
+    while True:
+        q = rng.uniform(-np.pi, np.pi, model.dof)
+        if model.is_free(q):
+            target = model.position(q)
+            goals = np.array(list(ik.free_configurations(target))).reshape(-1, model.dof)
+            if len(goals):
+                goals = ik.nearest_turn(goals, model.home)
+                return target, goals[np.argmin(model.least_time(model.home, goals))]
+
+
+def states(rng, count):
+    """Joint states from which a stop within the limits is possible, many of them at limits."""
+    for _ in range(count):
+        velocity = np.clip(rng.uniform(-1.5, 1.5, 6), -1, 1) * LIMITS.velocity
+        room = np.abs(velocity) * (np.abs(velocity) / (2 * LIMITS.acceleration) + PERIOD / 2)
+        low = LIMITS.lower + np.where(velocity < 0, room, 0.0)
+        high = LIMITS.upper - np.where(velocity > 0, room, 0.0)
+        yield low + np.clip(rng.uniform(-0.3, 1.3, 6), 0, 1) * (high - low), velocity
+
+
+def check(motion, lower=LIMITS.lower, upper=LIMITS.upper):
+    """Dynamics and limits."""
+    q, v, a = motion.positions, motion.velocities, motion.accelerations
+    assert (q.shape, v.shape, a.shape) == ((N + 1, 6), (N + 1, 6), (N, 6))
+    np.testing.assert_allclose(v[1:], v[:-1] + PERIOD * a, atol=1e-12)
+    np.testing.assert_allclose(q[1:], q[:-1] + PERIOD * v[:-1] + PERIOD**2 / 2 * a, atol=1e-12)
+    assert (np.abs(v) <= LIMITS.velocity + 1e-9).all()
+    assert (np.abs(a) <= LIMITS.acceleration + 1e-9).all()
+    assert (q >= lower - 1e-9).all()
+    assert (q <= upper + 1e-9).all()
+
+
+@pytest.mark.parametrize("posture", [True, False])
+def test_plans_keep_dynamics_and_limits_and_can_go_on_for_ever(posture):
+    rng, mpc = np.random.default_rng(0), ReachMpc(MODEL)
+    for q, v in states(rng, 40):
+        mpc.reset()
+        target, goal = rng.uniform(-0.8, 0.8, 3), rng.uniform(LIMITS.lower, LIMITS.upper) if posture else None
+        plan = mpc.plan(q, v, target, goal)
+        assert plan.solved
+        check(plan)
+        situation = Situation.checked(ReachProblem(), 6, plan.positions[-1], plan.velocities[-1], target, None)
+        check(braking(ReachProblem(), LIMITS, situation), LIMITS.lower - 2e-3, LIMITS.upper + 2e-3)
+        for _ in range(3):
+            plan = mpc.plan(plan.positions[1], plan.velocities[1], target, goal)
+            check(plan)
+    assert mpc.failures == 0
+
+
+def test_too_fast_to_stop_it_breaks_limits_no_more_than_braking_does():
+    mpc, v = ReachMpc(MODEL), 1.2 * LIMITS.velocity
+    q = LIMITS.upper - 0.05
+    worst = braking(ReachProblem(), LIMITS, Situation.checked(ReachProblem(), 6, q, v, np.zeros(3), None))
+    plan = mpc.plan(q, v, np.array([0.4, 0.2, 0.4]))
+    assert (plan.positions <= np.maximum(LIMITS.upper, worst.positions.max(axis=0)) + 1e-9).all()
+    assert (np.abs(plan.accelerations) <= LIMITS.acceleration + 1e-9).all()
+
+
+def test_a_plan_is_worth_its_cost():
+    rng, mpc = np.random.default_rng(1), ReachMpc(MODEL, ReachMpcOptions(pairs=0))
+    for q, v in states(rng, 20):
+        mpc.reset()
+        target, goal = reach(MODEL, rng)
+        goal = goal if rng.random() < 0.5 else None
+        plan = mpc.plan(q, v, target, goal)
+        situation = Situation.checked(ReachProblem(), 6, q, v, target, goal)
+        assert plan.cost == pytest.approx(reach_cost(MODEL, ReachProblem(), situation, plan))
+        nothing = braking(ReachProblem(), LIMITS, situation)
+        if goal is None:  # else the way to it may cost more at first
+            assert plan.cost <= reach_cost(MODEL, ReachProblem(), situation, nothing)
+
+
+def test_plans_in_closed_loop_cost_what_converged_ones_do():
+    rng, mpc, reference = np.random.default_rng(2), ReachMpc(MODEL, ReachMpcOptions(pairs=0)), ReachReference(MODEL)
+    excess = []
+    for episode in range(4):
+        target, goal = reach(MODEL, rng)
+        mpc.reset()
+        q, v = MODEL.home, np.zeros(6)
+        for k in range(20):
+            swing = 0.1 * np.sin(2 * PERIOD * np.arange(k + 1, k + N + 1)) * (episode % 2)
+            targets = target + swing[:, None] * (1.0, -1.0, 0.5)
+            plan = mpc.plan(q, v, targets, goal)
+            best = reference.plan(q, v, targets, goal, start=plan)
+            assert best.solved
+            check(best)
+            excess.append(plan.cost / best.cost - 1)
+            q, v = plan.positions[1], plan.velocities[1]
+    assert min(excess) > -1e-3  # or the reference were none
+    assert max(excess) < 0.02
+    assert np.median(excess) < 1e-3
+
+
+@pytest.mark.parametrize("robot", ["ur3", "ur5", "panda"])
+def test_symbolic_kinematics_are_the_models(robot):
+    casadi = pytest.importorskip("casadi")
+    if robot == "panda":
+        from armctl import assets
+
+        path = assets.robot_data() / "panda_description/urdf/panda.urdf"
+        robot = load_arm(path, tip="panda_hand_tcp")
+    model = ArmModel(robot)
+    q = casadi.SX.sym("q", model.dof)
+    position = casadi.Function("position", [q], [symbolic_position(model, q)])
+    for sample in np.random.default_rng(0).uniform(-3, 3, (20, model.dof)):
+        np.testing.assert_allclose(position(sample).full().ravel(), model.position(sample), atol=1e-12)
+
+
+def test_a_moving_target_is_met():
+    mpc, stream = ReachMpc(MODEL), CommandStream(LIMITS, PERIOD, MODEL.home)
+    centre, error = MODEL.position(MODEL.home) + np.array((0.05, 0.1, 0.1)), []
+    for k in range(80):
+        angle = 2.0 * PERIOD * np.arange(k + 1, k + N + 1)  # 0.3 m/s
+        targets = centre + 0.15 * np.stack((np.cos(angle), np.sin(angle), 0 * angle), axis=-1)
+        stream.goal(mpc.plan(stream.position, stream.velocity, targets, MODEL.home))
+        error.append(np.linalg.norm(MODEL.position(stream.position) - targets[0]))
+    assert max(error[40:]) < 0.005
+
+
+def test_boxes_are_kept_clear_of_and_the_target_is_reached():
+    rng = np.random.default_rng(0)
+    for _ in range(4):
+        model = MODEL.among(
+            Boxes(rng.uniform((-0.7, -0.7, 0.1), (0.7, 0.7, 0.6), (3, 3)), rng.uniform(0.03, 0.12, (3, 3)), np.zeros(3))
+        )
+        if not model.is_free(model.home):
+            continue
+        target, goal = reach(model, rng)
+        mpc, stream = ReachMpc(model), CommandStream(LIMITS, PERIOD, model.home)
+        position, velocity = model.home, np.zeros(6)
+        for _ in range(40):
+            command = stream.goal(mpc.plan(stream.position, stream.velocity, target, goal))
+            for _ in range(5):
+                velocity = limited(towards(command, position, LIMITS), position, velocity, LIMITS)
+                position = position + velocity * TICK
+                assert model.is_free(position)
+        assert np.linalg.norm(model.position(position) - target) < 0.05
+
+
+def test_a_wall_on_the_way_stops_the_tip_before_it():
+    """Without a way around, the price of the wall is never paid."""
+    home = MODEL.position(MODEL.home)
+    wall = Boxes(np.array([[home[0] + 0.25, home[1], home[2]]]), np.array([[0.02, 1.0, 1.0]]), np.zeros(1))
+    model = MODEL.among(wall)
+    assert model.is_free(model.home)
+    mpc = ReachMpc(model)
+    q, v = model.home, np.zeros(6)
+    for _ in range(30):
+        plan = mpc.plan(q, v, home + np.array((0.4, 0.0, 0.0)))
+        q, v = plan.positions[1], plan.velocities[1]
+        assert model.is_free(q)
+    assert model.position(q)[0] > home[0] + 0.1
+    assert plan.clearance > 0.01
+
+
+@pytest.mark.parametrize(("status", "x"), [("OSQP_PRIMAL_INFEASIBLE", 1.0), ("OSQP_SOLVED", np.nan)])
+def test_it_brakes_and_counts_when_the_solver_fails(monkeypatch, status, x):
+    mpc, (target, goal) = ReachMpc(MODEL), reach(MODEL, np.random.default_rng(3))
+    plan = mpc.plan(MODEL.home, np.zeros(6), target, goal)
+    for _ in range(5):
+        plan = mpc.plan(plan.positions[1], plan.velocities[1], target, goal)
+    info = SimpleNamespace(status_val=getattr(osqp.SolverStatus, status), iter=7)
+    for solver in (mpc._open, mpc._tight):
+        failed = SimpleNamespace(info=info, x=np.full(len(solver.qp.gradient), x), y=np.zeros(len(solver.qp.lower)))
+        monkeypatch.setattr(solver, "_osqp", SimpleNamespace(
+            update=lambda **_: None, warm_start=lambda **_: None, solve=lambda failed=failed, **_: failed,
+        ))  # fmt: skip
+    plan = mpc.plan(plan.positions[1], plan.velocities[1], target, goal)
+    assert not plan.solved
+    assert mpc.failures == 1
+    check(plan)
+    before, after = np.abs(plan.velocities[:-1]), np.abs(plan.velocities[1:])
+    np.testing.assert_allclose(after, np.maximum(before - LIMITS.acceleration * PERIOD, 0), atol=1e-12)
+    assert np.abs(before[0]).max() > 0.5
+    monkeypatch.undo()
+    assert mpc.plan(plan.positions[1], plan.velocities[1], target, goal).solved
+
+
+def test_the_same_situations_give_the_same_plans():
+    rng = np.random.default_rng(4)
+    target, goal = reach(MODEL, rng)
+    mpc, plans = ReachMpc(MODEL), []
+    for _ in range(2):
+        mpc.reset()
+        plan = mpc.plan(MODEL.home, np.zeros(6), target, goal)
+        plans.append(mpc.plan(plan.positions[1], plan.velocities[1], target, goal).positions)
+    np.testing.assert_allclose(*plans, atol=1e-6)
+
+
+def test_what_it_cannot_use_is_refused():
+    mpc, good = ReachMpc(MODEL), (MODEL.home, np.zeros(6), np.zeros(3), MODEL.home)
+    for i, name in enumerate(("position", "velocity", "targets", "posture")):
+        for bad in (np.zeros(5), np.full(np.shape(good[i]), np.nan), "far", np.zeros((N + 1, 3))):
+            with pytest.raises(ConfigurationError, match=name):
+                mpc.plan(*good[:i], bad, *good[i + 1 :])
+    for options in ({"horizon": 1}, {"period": 0.0}, {"posture": -1.0}, {"velocity": np.nan}, {"acceleration": np.inf}):
+        with pytest.raises(ConfigurationError):
+            ReachProblem(**options)
+    for options in ({"programs": 0}, {"max_iterations": 1.5}, {"pairs": -1}, {"price": 0.0}, {"margin": np.nan}):
+        with pytest.raises(ConfigurationError, match=next(iter(options))):
+            ReachMpcOptions(**options)
