@@ -5,12 +5,13 @@ reached the target, it plans again.
 """
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armctl.boxes import Boxes
-from armctl.control.streaming import CommandStream
+from armctl.control.streaming import CommandStream, commanded
 from armctl.control.trajectory import Trajectory, smooth
 from armctl.envs import ArmReachObstaclesVectorEnv
 from armctl.errors import ConfigurationError
@@ -22,9 +23,11 @@ from armctl.tasks.reach_obstacles import OBSTACLES_OBSERVATION, read_boxes
 Array = NDArray[np.float64]
 
 CLEARANCE = 0.005
-"""m that the timed motion keeps: half of what the path does, for corners are cut; the servos lag by 1 or 2 mm."""
-CHECKED = 0.02
-"""s between places of a motion whose connections are checked."""
+"""m that the motion commanded keeps: half of what the path does, for corners are cut; servos are off by a few mm."""
+TICKS_CHECKED = 2
+"""Of the drives, between places whose connections are checked."""
+HEADROOM = 0.7
+"""Of the acceleration limits, for the trajectory: the drives need the rest to follow it."""
 
 
 def make(env: ArmReachObstaclesVectorEnv) -> PerWorld:
@@ -74,7 +77,7 @@ class ReachOmpl:
         motions = FreeMotions(self._shapes, boxes, CLEARANCE, start)
 
         def is_free(motion: Trajectory) -> bool:
-            places = motion.at(np.append(np.arange(0.0, motion.duration, CHECKED), motion.duration))
-            return all(motions.leads(a, b) for a, b in itertools.pairwise(places))
+            places = commanded(limits, motion, self._period)
+            return all(motions.leads(a, b) for a, b in itertools.pairwise(places[::TICKS_CHECKED]))
 
-        return smooth(limits, path, is_free)
+        return smooth(replace(limits, acceleration=HEADROOM * limits.acceleration), path, is_free)

@@ -5,10 +5,13 @@ that a controller knows where its command is without being told, and searched fo
 to be.
 """
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armctl.control.reach_problem import Motion
+from armctl.control.trajectory import Trajectory
 from armctl.drives import TICK, MotionLimits, limited, towards
 
 Array = NDArray[np.float64]
@@ -73,3 +76,16 @@ class CommandStream:
         goal = command_for(self.limits, self.position, self._drives, place - self.position, self.period)
         self.position, self._drives = follow(self.limits, self.position, self._drives, goal, self.period)
         return goal
+
+
+def commanded(limits: MotionLimits, motion: Trajectory, period: float) -> Array:
+    """Where drives go, (ticks, dof) rad, while they are given the goals that make them follow a `motion`."""
+    stream = CommandStream(limits, period, motion.positions[0])
+    places = [stream.position]
+    for decision in range(1, 2 + math.ceil(motion.duration / period)):
+        position, velocity = stream.position, stream._drives
+        goal = stream.goal_towards(motion.at(decision * period))
+        for _ in range(round(period / TICK)):
+            position, velocity = follow(limits, position, velocity, goal, TICK)
+            places.append(position)
+    return np.array(places)

@@ -9,7 +9,7 @@ specifications", Control Engineering Practice 20, 2012).
 
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -96,15 +96,22 @@ def along(limits: JointLimits, path: ArrayLike, pace: float = 1.0, stops: bool =
 def smooth(limits: JointLimits, path: ArrayLike, is_free: Callable[[Trajectory], bool]) -> Trajectory:
     """The quickest trajectory along a path (m, dof) that is free: at a slower pace, or with stops, if it must be.
 
-    The path itself is taken to be free.
+    The path itself is taken to be free, and so is whoever follows it slowly.
     """
     corners = np.asarray(path, dtype=float)
     if len(corners) == 2:
-        return point_to_point(limits, corners[0], corners[1], straight=True)
-    stopping = along(limits, corners, stops=True)
-    paced = (along(limits, corners, pace) for pace in PACES)
-    sooner = itertools.takewhile(lambda trajectory: trajectory.duration < stopping.duration, paced)
-    return next(filter(is_free, sooner), stopping)
+        paced = (point_to_point(_paced(limits, pace), corners[0], corners[1], straight=True) for pace in PACES)
+    else:
+        paced = (along(limits, corners, pace) for pace in PACES)
+    last = along(limits, corners, PACES[-1], stops=True)
+    sooner = itertools.takewhile(lambda trajectory: trajectory.duration < last.duration, paced)
+    return next(filter(is_free, sooner), last)
+
+
+def _paced(limits: JointLimits, pace: float) -> JointLimits:
+    """Limits under which the same motions take 1 / `pace` times as long."""
+    velocity, acceleration, jerk = pace * limits.velocity, pace**2 * limits.acceleration, pace**3 * limits.jerk
+    return replace(limits, velocity=velocity, acceleration=acceleration, jerk=jerk)
 
 
 def _checked(limits: JointLimits, path: Array) -> Array:
