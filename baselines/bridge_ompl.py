@@ -6,14 +6,12 @@ it are entered at the highest speed for which nobody's predicted course comes ne
 It sees the map and the true pose: privileged state.
 """
 
-from typing import Any, Literal
-
 import numpy as np
+from armctl.baselines.bridge_drivers import BridgeDrivers
 from numpy.typing import NDArray
 
 from armctl.control import RegulatedPurePursuit
 from armctl.envs import BridgeCrossVectorEnv
-from armctl.errors import ConfigurationError
 from armctl.planning import BridgeMap, plan_path
 from armctl.robots.rover import RADIUS
 from armctl.tasks.bridge import DECISION_PERIOD
@@ -32,33 +30,9 @@ REPLAN_DISTANCE = 0.4
 """m off the path, from where a new one is planned."""
 
 
-def make(env: BridgeCrossVectorEnv) -> "BridgeOmpl":
+def make(env: BridgeCrossVectorEnv) -> BridgeDrivers:
     """OMPL path on the true map, and pure pursuit; waits for whoever crosses the path."""
-    if not isinstance(env, BridgeCrossVectorEnv):
-        raise ConfigurationError("bridge_ompl crosses bridges: use it with armctl/BridgeCross-v0")
-    return BridgeOmpl(env)
-
-
-class BridgeOmpl:
-    """A driver for each world."""
-
-    sees: Literal["observation", "state"] = "state"
-    training_steps = 0
-
-    def __init__(self, env: BridgeCrossVectorEnv) -> None:
-        self._task = env.task
-        self._drivers: list[Driver | None] = [None] * env.num_envs
-
-    def reset(self, ids: NDArray[np.int32]) -> None:
-        """Worlds `ids` have new maps."""
-        for i in ids:
-            self._drivers[i] = Driver(self._task.map(i), self._task.goal_x)
-
-    def act(self, observations: Any) -> Array:
-        """Linear and angular velocities (n, 2), m/s and rad/s."""
-        state = self._task.state
-        told = zip(self._drivers, state.poses, state.velocities[:, 0], state.time, strict=True)
-        return np.array([driver.act(pose, speed, time) if driver else (0, 0) for driver, pose, speed, time in told])
+    return BridgeDrivers("bridge_ompl", env, Driver)
 
 
 class Driver:
@@ -70,8 +44,9 @@ class Driver:
         self._crossing = bridge.courses.across()
         self._pursuit: RegulatedPurePursuit | None = None
 
-    def act(self, pose: Array, speed: float, time: float) -> tuple[float, float]:
-        """Linear and angular velocity for a pose (x, y, yaw), the present speed (m/s) and time (s)."""
+    def act(self, pose: Array, velocity: Array, time: float) -> tuple[float, float]:
+        """Linear and angular velocity for a pose (x, y, yaw), the present velocities (m/s, rad/s) and time (s)."""
+        speed = float(velocity[0])
         if self._pursuit is None or self._strayed(self._pursuit, pose):
             plan = plan_path(self._beside_lanes, pose[:2], self._goal_x)
             if not plan.found:

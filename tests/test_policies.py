@@ -40,7 +40,7 @@ def test_installed_policies_act_in_batches(name, env_id, worlds):
     env = gymnasium.make_vec(env_id, num_envs=worlds)
     policy = make_policy(name, env)
     assert isinstance(policy, Policy)
-    assert policy.sees == ("state" if name == "bridge_ompl" else "observation")
+    assert policy.sees == ("state" if name in ("bridge_mpc", "bridge_ompl") else "observation")
     observations, _ = env.reset(seed=0)
     policy.reset(np.arange(worlds, dtype=np.int32))
     actions = policy.act(observations)

@@ -53,7 +53,7 @@ DEFAULT_POLICIES = {
     "armctl/ArmReachMoving-v0": ("reach_mpc", "reach_ik", "random"),
     "armctl/ArmReachObstacles-v0": ("reach_ompl", "reach_ik", "random"),
     "armctl/BridgeCross-v0": ("bridge_ompl", "bridge_ppo", "random"),
-    "armctl/BridgeCrossMoving-v0": ("bridge_ompl", "bridge_ppo", "random"),
+    "armctl/BridgeCrossMoving-v0": ("bridge_ompl", "bridge_mpc", "bridge_ppo", "random"),
 }
 
 _HOMES = {

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armctl.errors import ConfigurationError
+from armctl.control.arc_path import ArcPath
 
 Array = NDArray[np.float64]
 
@@ -48,20 +48,14 @@ class PursuitOptions:
 
 
 class RegulatedPurePursuit:
-    """Follows one path (m, 2), m, of at least two points, and straight on beyond its end."""
+    """Follows one path (m, 2), m, of at least two points, and straight on beyond its end.
+
+    Raises `ConfigurationError` for a path that is none.
+    """
 
     def __init__(self, path: ArrayLike, options: PursuitOptions | None = None) -> None:
-        points = np.asarray(path, dtype=float)
-        if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2 or not np.isfinite(points).all():
-            raise ConfigurationError(f"a path is an array (m, 2) of at least two finite points, not {path!r}")
-        steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-        keep = np.concatenate(([True], steps > 1e-9))
-        if keep.sum() < 2:
-            raise ConfigurationError("a path leads somewhere else than where it begins")
         self.options = options or PursuitOptions()
-        self._points = points[keep]
-        self._arc = np.concatenate(([0.0], np.cumsum(steps[keep[1:]])))
-        self._ways = np.diff(self._points, axis=0) / np.diff(self._arc)[:, None]
+        self._path = ArcPath(path)
         self._profile_arc, self._profile = self._speed_profile()
         self.progress = 0.0
         """Arc length of the path's point nearest to the robot, m; it never goes back."""
@@ -69,13 +63,11 @@ class RegulatedPurePursuit:
     @property
     def length(self) -> float:
         """Of the path, m."""
-        return float(self._arc[-1])
+        return self._path.length
 
     def points_at(self, arc_lengths: ArrayLike) -> Array:
         """Points (..., 2) of the path at arc lengths (...), m."""
-        arc = np.asarray(arc_lengths, dtype=float)
-        segment = np.clip(np.searchsorted(self._arc, arc, side="right") - 1, 0, len(self._ways) - 1)
-        return np.asarray(self._points[segment] + self._ways[segment] * (arc - self._arc[segment])[..., None])
+        return self._path.points_at(arc_lengths)
 
     def command(self, pose: ArrayLike, speed: float) -> tuple[float, float]:
         """Linear (m/s) and angular velocity (rad/s) for a pose x, y (m), yaw (rad) and the present speed (m/s)."""
@@ -109,6 +101,4 @@ class RegulatedPurePursuit:
 
     def _advance(self, x: float, y: float) -> None:
         """Move `progress` to the nearest point within reach ahead."""
-        arc = self.progress + np.linspace(0.0, self.options.search, 61)
-        near = self.points_at(arc) - (x, y)
-        self.progress = float(arc[np.argmin((near * near).sum(axis=1))])
+        self.progress = float(self._path.nearest((x, y), self.progress, self.progress + self.options.search))

@@ -1,0 +1,44 @@
+"""What the bridge experts share: a driver for each world, who sees the map and the true state, and makes it cross."""
+
+from collections.abc import Callable
+from typing import Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.envs import BridgeCrossVectorEnv
+from armctl.errors import ConfigurationError
+from armctl.planning import BridgeMap
+
+Array = NDArray[np.float64]
+
+
+class Driver(Protocol):
+    """Crosses one bridge."""
+
+    def act(self, pose: Array, velocity: Array, time: float) -> tuple[float, float]:
+        """Linear (m/s) and angular velocity (rad/s) for a pose (x, y, yaw), velocities now, and time (s)."""
+
+
+class BridgeDrivers:
+    """A policy of drivers, each of whom is made for a map and the goal line's x, m."""
+
+    sees: Literal["observation", "state"] = "state"
+    training_steps = 0
+
+    def __init__(self, name: str, env: BridgeCrossVectorEnv, driver: Callable[[BridgeMap, float], Driver]) -> None:
+        if not isinstance(env, BridgeCrossVectorEnv):
+            raise ConfigurationError(f"{name} crosses bridges: use it with armctl/BridgeCross-v0")
+        self._task, self._driver = env.task, driver
+        self._drivers: list[Driver | None] = [None] * env.num_envs
+
+    def reset(self, ids: NDArray[np.int32]) -> None:
+        """Worlds `ids` have new maps."""
+        for i in ids:
+            self._drivers[i] = self._driver(self._task.map(i), self._task.goal_x)
+
+    def act(self, observations: Any) -> Array:
+        """Linear and angular velocities (n, 2), m/s and rad/s."""
+        state = self._task.state
+        told = zip(self._drivers, state.poses, state.velocities, state.time, strict=True)
+        return np.array([driver.act(*seen) if driver else (0.0, 0.0) for driver, *seen in told])

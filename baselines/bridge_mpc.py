@@ -1,0 +1,63 @@
+"""The MPC expert: OMPL's path over the bridge's map, driven by nonlinear model predictive control.
+
+It keeps away from what stands by half-planes, and from people by where their courses take them over the horizon: it
+slows down for them, or goes around them. The path passes beside lanes along the bridge.
+It sees the map and the true pose: privileged state.
+"""
+
+import numpy as np
+from armctl.baselines.bridge_drivers import BridgeDrivers
+from numpy.typing import NDArray
+
+from armctl.control.drive_mpc import DriveMpc, DriveMpcOptions
+from armctl.envs import BridgeCrossVectorEnv
+from armctl.planning import BridgeMap, plan_path
+from armctl.robots.rover import MAX_VELOCITY, MAX_WHEEL_SPEED, RADIUS, TRACK, WHEEL_RADIUS, WHEEL_SEPARATION_MULTIPLIER
+from armctl.tasks.bridge import DECISION_PERIOD
+
+Array = NDArray[np.float64]
+
+MARGIN = 0.04
+"""m kept between the rover and whatever stands."""
+PEOPLE_MARGIN = 0.15
+"""m kept between the rover and whoever walks."""
+ACCELERATION = 4.0
+"""m/s^2. The rover can do 5.5, up and down. With no more than 4 it has the commanded speed (0.97 to 0.99 of it) within
+the period, and the yaw rate (0.9 to 1.1) sooner: 99 % of predictions for the next decision are within 2 cm."""
+REPLAN_DISTANCE = 1.0
+"""m off the path, from where a new one is planned."""
+
+
+def make(env: BridgeCrossVectorEnv) -> BridgeDrivers:
+    """OMPL path on the true map, and nonlinear MPC along it, around people on their predicted courses."""
+    return BridgeDrivers("bridge_mpc", env, Driver)
+
+
+class Driver:
+    """Crosses one bridge."""
+
+    def __init__(self, bridge: BridgeMap, goal_x: float) -> None:
+        self._bridge, self._goal_x = bridge, goal_x
+        self._options = DriveMpcOptions(
+            max_speed=float(MAX_VELOCITY[0]),
+            max_acceleration=ACCELERATION,
+            max_rim_speed=MAX_WHEEL_SPEED * WHEEL_RADIUS,
+            half_track=TRACK * WHEEL_SEPARATION_MULTIPLIER / 2,
+            clearance=RADIUS + MARGIN,
+            distance=RADIUS + bridge.courses.radius + PEOPLE_MARGIN,
+            period=DECISION_PERIOD,
+        )
+        self._clock = DECISION_PERIOD * np.arange(self._options.steps + 1)
+        self._mpc: DriveMpc | None = None
+
+    def act(self, pose: Array, velocity: Array, time: float) -> tuple[float, float]:
+        """Linear and angular velocity for a pose (x, y, yaw), the present velocities (m/s, rad/s) and time (s)."""
+        if self._mpc is None or self._strayed(self._mpc, pose):
+            plan = plan_path(self._bridge, pose[:2], self._goal_x)
+            if not plan.found:
+                return 0.0, 0.0
+            self._mpc = DriveMpc(plan.path, self._bridge.nearest, self._options)
+        return self._mpc.decide(pose, velocity, self._bridge.courses.positions(time + self._clock)).command
+
+    def _strayed(self, mpc: DriveMpc, pose: Array) -> bool:
+        return bool(np.linalg.norm(mpc.path.points_at(mpc.progress) - pose[:2]) > REPLAN_DISTANCE)

@@ -1,0 +1,63 @@
+import gymnasium
+import numpy as np
+import pytest
+
+from armctl.control.drive_mpc import DriveMpc
+from armctl.errors import ConfigurationError
+from armctl.evaluation import evaluate
+from armctl.policies import make_policy
+
+STATIC, MOVING = "armctl/BridgeCross-v0", "armctl/BridgeCrossMoving-v0"
+FAST = {"observation": "state"}
+"""It looks at the state anyhow, and cameras take time."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("env", [STATIC, MOVING])
+def test_it_crosses_nearly_always_and_decides_in_time(env):
+    results = evaluate("bridge_mpc", env, episodes=100, seed=0, worlds=1, env_options=FAST)
+    assert results.success.mean() >= 0.97
+    assert results.length[results.success].mean() < 105
+    assert results.decision_ms_p99.median() < 100
+
+
+def test_it_crosses_other_bridges():
+    options = {**FAST, "deck_length": 12.0, "deck_width": 4.6, "blocks": 1, "walkers": 2}
+    assert evaluate("bridge_mpc", MOVING, episodes=4, seed=5, worlds=4, env_options=options).success.all()
+
+
+def test_it_is_the_same_in_every_run_and_needs_no_camera():
+    short = {"deck_length": 11.0, "blocks": 2, "walkers": 2}
+    runs = [
+        evaluate("bridge_mpc", MOVING, episodes=2, seed=2, worlds=worlds, env_options={**short, **options})
+        for worlds, options in ((2, FAST), (1, {"resolution": (6, 4)}))
+    ]
+    first, second = (run.drop(columns=["decision_ms_p50", "decision_ms_p99"]) for run in runs)
+    assert first.equals(second)
+
+
+def test_it_keeps_its_distance_and_always_has_a_solution(monkeypatch):
+    results, decide = [], DriveMpc.decide
+    monkeypatch.setattr(DriveMpc, "decide", lambda *told: results.append(decide(*told)) or results[-1])
+    env = gymnasium.make_vec(MOVING, num_envs=3, autoreset_mode="disabled", **FAST)
+    policy = make_policy("bridge_mpc", env)
+    observations, _ = env.reset(seed=7)
+    policy.reset(np.arange(3, dtype=np.int32))
+    task, running = env.unwrapped.task, np.ones(3, dtype=bool)
+    for _ in range(130):
+        observations, _, terminated, truncated, _ = env.step(policy.act(observations))
+        running &= ~(terminated | truncated)
+        for world in np.flatnonzero(running):
+            pose, bridge = task.state.poses[world], task.map(world)
+            assert bridge.clearance(pose[None, :2])[0] > 0.31
+            people = bridge.courses.positions(task.state.time[world])
+            assert np.linalg.norm(people - pose[:2], axis=1).min() > 0.31 + bridge.courses.radius
+        if not running.any():
+            break
+    assert not running.any()
+    assert np.mean([result.solved for result in results]) > 0.99
+
+
+def test_it_refuses_other_tasks():
+    with pytest.raises(ConfigurationError, match="BridgeCross"):
+        make_policy("bridge_mpc", gymnasium.make("armctl/ArmReach-v0"))
