@@ -8,13 +8,14 @@ there are boxes, these.
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.control.reach_mpc import ReachMpc
+from armctl.control.reach_mpc import ReachMpc, ReachMpcOptions
 from armctl.control.streaming import CommandStream
 from armctl.envs import ArmReachVectorEnv
 from armctl.errors import ConfigurationError
 from armctl.kinematics import ArmModel, approach
 from armctl.policies import PerWorld
 from armctl.tasks import OBSERVATION
+from armctl.tasks.reach_obstacles import read_boxes
 
 Array = NDArray[np.float64]
 
@@ -26,6 +27,8 @@ PATIENCE, HEADWAY = 12, 0.005
 """Decisions without the tip having come so many m nearer to the target, after which the arm goes to a posture first."""
 THERE = 0.02
 """rad from a posture, where the arm has come to it."""
+MARGIN = 0.01
+"""m from floor and itself; among boxes, which it may meet from any side, the controller keeps more."""
 TIP_SPEED = 1.0
 """m/s with which the tip is expected to make up for what a posture looked up is off the target."""
 ON_TARGET, MISS = 0.01, 10.0
@@ -41,18 +44,17 @@ def make(env: ArmReachVectorEnv) -> PerWorld:
         raise ConfigurationError(f"reach_mpc reads the observation {', '.join(OBSERVATION)}; here it is another")
     if options.control != "position":
         raise ConfigurationError("reach_mpc commands joint positions: use control 'position'")
-    moving = "target_velocity" in options.observation
-    model = ArmModel(arm.description)
-    postures = Postures(model)
-    return PerWorld([ReachWithMpc(model, postures, options.tolerance, moving) for _ in range(env.num_envs)])
+    postures = Postures(ArmModel(arm.description))
+    return PerWorld([ReachWithMpc(postures, options.tolerance, list(options.observation)) for _ in range(env.num_envs)])
 
 
 class ReachWithMpc:
-    """Reaches with one arm."""
+    """Reaches with one arm, for an observation of these parts, in order."""
 
-    def __init__(self, model: ArmModel, postures: "Postures", tolerance: float, moving: bool) -> None:
-        self._model, self._postures, self._tolerance, self._moving = model, postures, tolerance, moving
-        self.mpc = ReachMpc(model)
+    def __init__(self, postures: "Postures", tolerance: float, parts: list[str]) -> None:
+        self._model, self._postures, self._tolerance = postures.model, postures, tolerance
+        self._moving, self._boxed = "target_velocity" in parts, "boxes" in parts
+        self.mpc = ReachMpc(self._model, ReachMpcOptions(margin=MARGIN))
         self._ahead = self.mpc.problem.period * np.arange(1, self.mpc.problem.horizon + 1)[:, None]
 
     def reset(self) -> None:
@@ -64,38 +66,39 @@ class ReachWithMpc:
         self._nearest, self._waited = np.inf, 0
 
     def act(self, observation: NDArray[np.float32]) -> Array:
-        """Joint positions (dof,) to move to, for an observation (6 + dof,), or (9 + dof,) if the target moves."""
+        """Joint positions (dof,) to move to, for an observation (6 + dof + k,)."""
         dof = self._model.dof
-        tip, q, target, velocity, _ = np.split(observation.astype(float), (3, 3 + dof, 6 + dof, 9 + dof))
+        tip, q, target, extra = np.split(observation.astype(float), (3, 3 + dof, 6 + dof))
         distance = float(np.linalg.norm(tip - target))
         if self._posture is None:
-            self._posture = self._postures.towards(target, q)
+            if self._boxed:
+                self.mpc = ReachMpc(self._model.among(read_boxes(extra)))
+            self._posture = self._postures.towards(target, q, self.mpc.model)
             self._stream = CommandStream(self._model.limits, self.mpc.problem.period, q)
         elif self._gives_up(distance):
-            self._posture, self._stream = self._postures.towards(target, q), None
+            self._posture, self._stream = self._postures.towards(target, q, self.mpc.model), None
         if self._stream is None:
             if np.abs(q - self._posture).max() > THERE:
                 return self._posture
             self._stream = CommandStream(self._model.limits, self.mpc.problem.period, self._posture)
             self.mpc.reset()
         posture = None if distance < self._tolerance else self._posture
-        plan = self.mpc.plan(self._stream.position, self._stream.velocity, self._course(target, velocity), posture)
+        course = self._course(target, extra[:3]) if self._moving else target
+        plan = self.mpc.plan(self._stream.position, self._stream.velocity, course, posture)
         return self._stream.goal(plan)
 
     def _gives_up(self, distance: float) -> bool:
-        """Whether the tip has long been away from the target without coming nearer."""
+        """Whether the tip has long been away from the target without coming nearer, where a detour is open."""
         if distance < self._nearest - HEADWAY:
             self._nearest, self._waited = distance, 0
         self._waited += 1
-        if distance < self._tolerance or self._waited <= PATIENCE or self._stream is None:
+        if distance < self._tolerance or self._waited <= PATIENCE or self._stream is None or self._boxed:
             return False
         self._nearest, self._waited = np.inf, 0
         return True
 
     def _course(self, target: Array, velocity: Array) -> Array:
         """Where the target will be, (N, 3), if its acceleration stays as it was since the last decision."""
-        if not self._moving:
-            return target
         last = velocity if self._target_velocity is None else self._target_velocity
         acceleration = (velocity - last) / self.mpc.problem.period
         self._target_velocity = velocity
@@ -114,7 +117,7 @@ class Postures:
         self._q = np.array([q for q, _ in zip(free, range(POSTURES), strict=False)])
         self._positions = model.positions(self._q)
 
-    def towards(self, target: Array, start: Array) -> Array:
+    def towards(self, target: Array, start: Array, among: ArmModel) -> Array:
         """The posture (dof,) with the tip at `target` (3,) that is soonest reached from `start` (dof,), freely."""
         limits, distance = self.model.limits, np.linalg.norm(self._positions - target, axis=1)
         near = np.argpartition(distance, LOOKED_UP)[:LOOKED_UP]
@@ -123,7 +126,6 @@ class Postures:
         best = np.clip(best, limits.lower, limits.upper)
         off = np.linalg.norm(self.model.positions(best) - target, axis=1)
         best = best[np.argsort(self.model.least_time(start, best) + np.where(off < ON_TARGET, 0.0, MISS))]
-        return next((q for q in best if self._way_is_free(start, q)), best[0])
-
-    def _way_is_free(self, start: Array, goal: Array) -> bool:
-        return all(self.model.is_free(start + share * (goal - start)) for share in np.linspace(1.0, 0.1, 10))
+        ways = np.linspace(1.0, 0.1, 10)[:, None]
+        free = (q for q in best if all(among.is_free(place) for place in start + ways * (q - start)))
+        return next(free, best[0])

@@ -55,3 +55,42 @@ def test_random_is_the_same_in_every_run_and_seldom_lucky():
     again = evaluate("random", episodes=40, seed=0, worlds=3).drop(columns=["decision_ms_p50", "decision_ms_p99"])
     assert first.equals(again)
     assert first.success.mean() < 0.15
+
+
+def test_reach_mpc_reaches_and_keeps_all_limits():
+    results = evaluate("reach_mpc", episodes=60, seed=4, worlds=20)
+    assert results.success.all()
+    assert results.optimality_gap.median() < 0.3
+
+
+def test_reach_mpc_follows_a_moving_target_twice_as_closely_as_reach_ik():
+    env = "armctl/ArmReachMoving-v0"
+    mpc, ik = (evaluate(policy, env, episodes=20, seed=5, worlds=20) for policy in ("reach_mpc", "reach_ik"))
+    assert mpc.success.all()
+    assert mpc.tracking_error.mean() < 0.5 * ik.tracking_error.mean()
+
+
+@pytest.mark.parametrize("robot", ["ur5", "z1", "xarm7"])
+def test_reach_ompl_gets_around_obstacles_without_a_touch(robot):
+    env = "armctl/ArmReachObstacles-v0"
+    results = evaluate("reach_ompl", env, episodes=25, seed=6, worlds=25, env_options={"robot": robot})
+    assert (results.outcome == "reached").mean() >= 0.95
+    assert results.feasible.all()
+
+
+@pytest.mark.parametrize("policy", ["reach_mpc", "reach_ompl"])
+def test_position_experts_refuse_other_controls_and_observations(policy):
+    env = "armctl/ArmReachObstacles-v0"
+    with pytest.raises(ConfigurationError, match="joint positions"):
+        make_policy(policy, gymnasium.make(env, control="velocity"))
+    with pytest.raises(ConfigurationError, match="reads the observation"):
+        make_policy(policy, gymnasium.make(env, observation={"q": lambda state: state.joint_positions}))
+    with pytest.raises(ConfigurationError, match=policy):
+        make_policy(policy, gymnasium.make("armctl/BridgeCross-v0"))
+
+
+def test_no_expert_is_sooner_than_possible_by_more_than_a_decision():
+    for policy in ("reach_ik", "reach_mpc", "reach_ppo"):
+        results = evaluate(policy, episodes=100, seed=7, worlds=50)
+        assert (results.length >= results.least_length - 1).all()
+    assert evaluate("reach_ik", episodes=100, seed=7, worlds=50).optimality_gap.median() <= 0.1

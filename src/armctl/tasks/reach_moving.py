@@ -23,8 +23,8 @@ RATES = (1.0, 3.5)
 """rad/s, the slowest and the quickest sine."""
 PROBES = np.linspace(0.0, 15.0, 76)
 """s into the episode, when the curve is checked to be within reach."""
-SHRINKAGE = 0.7
-"""Of a curve that leaves what is within reach, until it does not."""
+ATTEMPTS = 1000
+"""Places for a curve, of which one is to be within reach."""
 
 MOVING_OBSERVATION: Mapping[str, Any] = {
     **OBSERVATION,
@@ -104,20 +104,25 @@ class ReachMovingTask(ReachTask):
 
     def _draw(self, world: int, rng: np.random.Generator) -> None:
         self._time[world] = self._within_for[world] = self._errors[world] = self._decisions[world] = 0.0
-        self._centres[world] = self._workspace.sample(rng, clearance=self.options.tolerance)
-        amplitudes = self.options.amplitude * rng.uniform(0.3, 1.0, (3, WAVES)) / np.arange(1, WAVES + 1)
         self._rates[world] = rng.uniform(*RATES, (3, WAVES))
         self._phases[world] = rng.uniform(-np.pi, np.pi, (3, WAVES))
-        while not self._within_reach(world, amplitudes):
-            amplitudes = SHRINKAGE * amplitudes
-        self._amplitudes[world] = amplitudes
+        self._amplitudes[world] = self.options.amplitude * rng.uniform(0.5, 1.0, (3, WAVES)) / np.arange(1, WAVES + 1)
+        self._centres[world] = self._centre_of_reach(world, rng)
         self._move_targets()
 
-    def _within_reach(self, world: int, amplitudes: Array) -> bool:
-        if amplitudes.max() < 1e-3:
-            return True
+    def _centre_of_reach(self, world: int, rng: np.random.Generator) -> Array:
+        for _ in range(ATTEMPTS):
+            centre = self._workspace.sample(rng, clearance=self.options.tolerance)
+            if self._within_reach(world, centre):
+                return centre
+        raise ConfigurationError(
+            f"no curve of amplitude {self.options.amplitude} m is within reach of {self.arm.description.name}: "
+            f"{ATTEMPTS} were tried"
+        )
+
+    def _within_reach(self, world: int, centre: Array) -> bool:
         angles = self._rates[world] * PROBES[:, None, None] + self._phases[world]
-        points = self._centres[world] + (amplitudes * np.sin(angles)).sum(axis=-1)
+        points = centre + (self._amplitudes[world] * np.sin(angles)).sum(axis=-1)
         model, clearance = self._workspace.model, self.options.tolerance
         return all(
             point[2] >= clearance and model.base_distance(point) >= clearance and self._workspace.reachable(point)

@@ -1,0 +1,46 @@
+"""How the time-optimal reference holds: the least time that joint limits allow, against what policies need.
+
+    python benchmarks/optimality.py [--episodes 10000] [--policies reach_ik,reach_ppo,reach_mpc]
+
+No policy should be sooner by more than the one decision that servos and sampling may be off.
+"""
+
+import numpy as np
+import pandas as pd
+import typer
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from armctl.evaluation import compare
+
+
+def main(episodes: int = 10_000, seed: int = 0, policies: str = "reach_ik,reach_ppo,reach_mpc") -> None:
+    """Play the same episodes with each policy, and print a table."""
+    names = policies.split(",")
+    with Progress(transient=True) as bar:
+        task = bar.add_task("episodes", total=episodes * len(names))
+        comparison = compare(names, episodes=episodes, seed=seed, worlds=100, progress=lambda result: bar.advance(task))
+    table = Table("policy", "success", "median gap", "95 % interval", "90th percentile", "sooner by 1", "by more")
+    table.title = f"armctl/ArmReach-v0, {episodes:,} episodes, decisions over the least possible"
+    for name, played in comparison.episodes.groupby("policy", sort=False):
+        table.add_row(str(name), *row(played, next(one for one in comparison.policies if one.policy == name)))
+    Console().print(table)
+
+
+def row(played: pd.DataFrame, summary) -> list[str]:
+    """Cells of one policy."""
+    ahead = (played.least_length - played.length)[played.success]
+    gap = summary.optimality_gap
+    return [
+        f"{played.success.mean():.2%}",
+        f"{gap.value:.1%}",
+        f"{gap.low:.1%} to {gap.high:.1%}",
+        f"{np.nanquantile(played.optimality_gap, 0.9):.1%}",
+        f"{(ahead == 1).sum()}",
+        f"{(ahead > 1).sum()}",
+    ]
+
+
+if __name__ == "__main__":
+    typer.run(main)
