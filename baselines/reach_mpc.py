@@ -19,16 +19,16 @@ from armctl.tasks.reach_obstacles import read_boxes
 
 Array = NDArray[np.float64]
 
-POSTURES, LOOKED_UP, WORTH_TRYING = 4096, 256, 32
+POSTURES, LOOKED_UP, WORTH_TRYING = 4096, 192, 24
 """Free configurations; of them those with the tip nearest to the target; of these the soonest, which are tried."""
-ITERATIONS = 6
+ITERATIONS = 5
 """Of Levenberg and Marquardt, from a posture looked up to one with the tip at the target."""
 PATIENCE, HEADWAY = 12, 0.005
 """Decisions without the tip having come so many m nearer to the target, after which the arm goes to a posture first."""
 THERE = 0.02
 """rad from a posture, where the arm has come to it."""
-MARGIN = 0.01
-"""m from floor and itself; among boxes, which it may meet from any side, the controller keeps more."""
+MARGIN, INFLUENCE = 0.01, 0.06
+"""m from floor and itself that are kept, and from which on these are minded. Among boxes it is more."""
 TIP_SPEED = 1.0
 """m/s with which the tip is expected to make up for what a posture looked up is off the target."""
 ON_TARGET, MISS = 0.01, 10.0
@@ -54,7 +54,7 @@ class ReachWithMpc:
     def __init__(self, postures: "Postures", tolerance: float, parts: list[str]) -> None:
         self._model, self._postures, self._tolerance = postures.model, postures, tolerance
         self._moving, self._boxed = "target_velocity" in parts, "boxes" in parts
-        self.mpc = ReachMpc(self._model, ReachMpcOptions(margin=MARGIN))
+        self.mpc = ReachMpc(self._model, ReachMpcOptions(margin=MARGIN, influence=INFLUENCE))
         self._ahead = self.mpc.problem.period * np.arange(1, self.mpc.problem.horizon + 1)[:, None]
 
     def reset(self) -> None:
@@ -71,11 +71,8 @@ class ReachWithMpc:
         tip, q, target, extra = np.split(observation.astype(float), (3, 3 + dof, 6 + dof))
         distance = float(np.linalg.norm(tip - target))
         if self._posture is None:
-            if self._boxed:
-                self.mpc = ReachMpc(self._model.among(read_boxes(extra)))
-            self._posture = self._postures.towards(target, q, self.mpc.model)
-            self._stream = CommandStream(self._model.limits, self.mpc.problem.period, q)
-        elif self._gives_up(distance):
+            return self._first_goal(q, target, extra)
+        if self._gives_up(distance):
             self._posture, self._stream = self._postures.towards(target, q, self.mpc.model), None
         if self._stream is None:
             if np.abs(q - self._posture).max() > THERE:
@@ -86,6 +83,14 @@ class ReachWithMpc:
         course = self._course(target, extra[:3]) if self._moving else target
         plan = self.mpc.plan(self._stream.position, self._stream.velocity, course, posture)
         return self._stream.goal(plan)
+
+    def _first_goal(self, q: Array, target: Array, extra: Array) -> Array:
+        """Where to go while the first plan is not made yet: straight to a posture."""
+        if self._boxed:
+            self.mpc = ReachMpc(self._model.among(read_boxes(extra)))
+        self._posture = self._postures.towards(target, q, self.mpc.model)
+        self._stream = CommandStream(self._model.limits, self.mpc.problem.period, q)
+        return self._stream.goal_towards(self._posture)
 
     def _gives_up(self, distance: float) -> bool:
         """Whether the tip has long been away from the target without coming nearer, where a detour is open."""

@@ -44,11 +44,19 @@ def limited(wanted: Array, position: Array, velocity: Array, limits: MotionLimit
     It differs from the last tick's `velocity` by no more than the acceleration limit, and from it the joint can still
     stop before its position limits.
     """
-    to_upper = _highest_stoppable(np.maximum(limits.upper - position, 0.0), limits.acceleration, TICK)
-    to_lower = _highest_stoppable(np.maximum(position - limits.lower, 0.0), limits.acceleration, TICK)
-    wanted = np.clip(wanted, -np.minimum(to_lower, limits.velocity), np.minimum(to_upper, limits.velocity))
+    room = np.minimum(limits.upper - position, position - limits.lower)
+    if (room < limits.velocity * (limits.velocity / limits.acceleration + TICK)).any():
+        to_upper = _highest_stoppable(np.maximum(limits.upper - position, 0.0), limits.acceleration, TICK)
+        to_lower = _highest_stoppable(np.maximum(position - limits.lower, 0.0), limits.acceleration, TICK)
+        wanted = np.minimum(np.maximum(wanted, -to_lower), to_upper)
+    return limited_in_the_open(wanted, velocity, limits)
+
+
+def limited_in_the_open(wanted: Array, velocity: Array, limits: MotionLimits) -> Array:
+    """The same, far from the position limits, or on the way to a goal within them."""
     change = limits.acceleration * TICK
-    return np.asarray(np.clip(wanted, velocity - change, velocity + change))
+    lowest = np.maximum(velocity - change, -limits.velocity)
+    return np.asarray(np.minimum(np.maximum(wanted, lowest), np.minimum(velocity + change, limits.velocity)))
 
 
 def travel_time(way: Array, velocity: Array | float, limits: MotionLimits) -> Array:

@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 
 RELAXATION = 1.8
 """Of the solver (alpha): near 2, as Stellato et al. advise."""
-STEPS = (1.0, 0.5, 0.2, 0.05)
+STEPS = (1.0, 0.3)
 """Parts of the way to a program's solution that are tried, the longest first."""
 USABLE = (
     osqp.SolverStatus.OSQP_SOLVED,
@@ -53,11 +53,11 @@ class ReachMpcOptions:
     """Effort of the controller."""
 
     problem: ReachProblem = field(default_factory=ReachProblem)
-    programs: int = 3
-    """Most quadratic programs for one plan; one does where the last plan still holds."""
-    settled: float = 2e-3
-    """Part of the cost below which a program's gain ends the search."""
-    max_iterations: int = 25
+    programs: int = 2
+    """Most quadratic programs for a first plan. Later ones begin at the last plan, and have one."""
+    settled: float = 1e-2
+    """Part of the cost below which a program's gain ends the search for a first plan."""
+    max_iterations: int = 15
     """Of the solver, for each program."""
     tolerance: float = 1e-4
     """Of the solver, absolute and relative."""
@@ -115,7 +115,7 @@ class ReachMpc:
         worst = braking(self.problem, self.model.limits, situation)
         best = self._first_guess(situation, worst)
         iterations, solved = 0, True
-        for _ in range(self.options.programs):
+        for _ in range(self.options.programs if self._last is None else 1):
             velocities, spent = self._solve(situation, worst, best)
             iterations += spent
             if velocities is None:

@@ -12,20 +12,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from armctl.control.reach_problem import Motion
 from armctl.control.trajectory import Trajectory
-from armctl.drives import TICK, MotionLimits, limited, towards
+from armctl.drives import TICK, MotionLimits, limited_in_the_open, towards
 
 Array = NDArray[np.float64]
 
-CANDIDATES = 17
-"""Goals that are simulated at once in each round of a search."""
-ROUNDS = 2
-"""Each narrows the search to one of the gaps between candidates; within the last, it interpolates."""
+SHARES = np.linspace(-1.0, 1.0, 49)[:, None]
+"""Of the speed that a joint can gain in a period: goals to choose from are where it would then come to a stop."""
 
 
 def follow(limits: MotionLimits, position: Array, velocity: Array, goal: Array, period: float) -> tuple[Array, Array]:
     """Position (..., dof) rad and velocity (..., dof) rad/s of a command after a `period` (s) on its way to `goal`."""
     for _ in range(max(1, round(period / TICK))):
-        velocity = limited(towards(goal, position, limits), position, velocity, limits)
+        velocity = limited_in_the_open(towards(goal, position, limits), velocity, limits)
         position = position + velocity * TICK
     return position, velocity
 
@@ -36,19 +34,20 @@ def command_for(limits: MotionLimits, position: Array, velocity: Array, displace
     They are at `position` (dof,) with `velocity` (dof,). The further the goal, the further they get: where they cannot
     get that far, or not brake before, it is the goal that leads nearest.
     """
-    wanted = position + displacement
-    fastest = np.abs(velocity) + limits.acceleration * period
-    reach = fastest * period + fastest**2 / (2 * limits.acceleration)
-    low, high = np.maximum(position - reach, limits.lower), np.minimum(position + reach, limits.upper)
-    shares, joints = np.linspace(0.0, 1.0, CANDIDATES)[:, None], np.arange(len(position))
-    for _ in range(ROUNDS):
-        goals = low + shares * (high - low)
-        ends = follow(limits, position, velocity, goals, period)[0]
-        below = np.clip((ends < wanted).sum(axis=0) - 1, 0, CANDIDATES - 2)
-        low, high = goals[below, joints], goals[below + 1, joints]
-        before, after = ends[below, joints], ends[below + 1, joints]
-    share = np.clip((wanted - before) / np.maximum(after - before, 1e-12), 0.0, 1.0)
-    return np.asarray(low + share * (high - low))
+    ends = velocity + SHARES * (limits.acceleration * period)
+    goals = position + (velocity + ends) / 2 * period + ends * np.abs(ends) / (2 * limits.acceleration)
+    goals = np.minimum(np.maximum(goals, limits.lower), limits.upper)
+    moved = follow(limits, position, velocity, goals, period)[0] - position
+    joints = np.arange(len(position))
+    below = np.minimum(np.maximum((moved < displacement).sum(axis=0) - 1, 0), len(SHARES) - 2)
+    low, high, before, after = (
+        goals[below, joints],
+        goals[below + 1, joints],
+        moved[below, joints],
+        moved[below + 1, joints],
+    )
+    share = (displacement - before) / np.maximum(after - before, 1e-12)
+    return np.asarray(low + np.minimum(np.maximum(share, 0.0), 1.0) * (high - low))
 
 
 class CommandStream:
@@ -68,13 +67,15 @@ class CommandStream:
 
     def goal(self, motion: Motion) -> Array:
         """The goal (dof,) rad that makes drives do a plan's first period, after which the command is there."""
+        goal = self.goal_towards(motion.positions[1])
         self.velocity = motion.velocities[1]
-        return self.goal_towards(motion.positions[1])
+        return goal
 
     def goal_towards(self, place: Array) -> Array:
         """The goal (dof,) rad that brings the command to `place` (dof,) rad within the next period, or near to it."""
         goal = command_for(self.limits, self.position, self._drives, place - self.position, self.period)
         self.position, self._drives = follow(self.limits, self.position, self._drives, goal, self.period)
+        self.velocity = self._drives
         return goal
 
 

@@ -156,9 +156,11 @@ class Nearest:
         paired = others >= 0
         if paired.any():
             gradients -= paired[..., None] * self._clearance.moved(self._frames, feet, normals, others)
-        missing = (0, self._count - few)
+        distances, missing = self._distances[row, chosen], (0, self._count - few)
+        if few == self._count:
+            return distances, gradients
         return (
-            np.pad(self._distances[row, chosen], ((0, 0), missing), constant_values=np.inf),
+            np.pad(distances, ((0, 0), missing), constant_values=np.inf),
             np.pad(gradients, ((0, 0), missing, (0, 0))),
         )
 
