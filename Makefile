@@ -26,6 +26,9 @@ benchmarks: $(VENV)/full
 	$(BIN)/python benchmarks/ik.py
 	$(BIN)/python benchmarks/planning.py
 	$(BIN)/python benchmarks/mpc.py
+	$(BIN)/python benchmarks/optimality.py
+	$(BIN)/python benchmarks/arm_planning.py
+	$(BIN)/python benchmarks/capsules.py
 
 clean:
 	rm -rf $(VENV) build src/*.egg-info

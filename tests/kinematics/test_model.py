@@ -144,6 +144,22 @@ def test_base_distance_is_that_to_the_base_capsules(model):
         assert model.base_distance(point) == pytest.approx(min(expected), abs=1e-6)
 
 
+def test_box_distances_are_those_of_points_along_the_capsules(model):
+    rng, frames = np.random.default_rng(0), {frame.name: i for i, frame in enumerate(model.pinocchio.frames)}
+    boxes = Boxes(rng.uniform(-0.8, 0.8, (5, 3)), rng.uniform(0.02, 0.2, (5, 3)), rng.uniform(-np.pi, np.pi, 5))
+    data = model.pinocchio.createData()
+    for q in configurations(model, 100):
+        pinocchio.framesForwardKinematics(model.pinocchio, data, q)
+        nearest = np.full(len(boxes), np.inf)
+        for capsule in model.description.capsules:
+            start, end = (data.oMf[frames[capsule.link]].act(np.array(x)) for x in (capsule.start, capsule.end))
+            along = boxes.distances(np.linspace(start, end, 1000))
+            nearest = np.minimum(nearest, along.min(axis=0) - capsule.radius)
+        found = model.box_distances(q, boxes)
+        np.testing.assert_allclose(found[nearest > 0], nearest[nearest > 0], atol=5e-4)
+        assert (found[nearest < -1e-3] < 0).all()
+
+
 def test_within_limits_is_decided_joint_by_joint(model):
     lower, upper = model.limits.lower, model.limits.upper
     inside = np.random.default_rng(0).uniform(lower, upper, (5, 4, model.dof))
@@ -162,6 +178,10 @@ def test_least_time_is_the_slowest_joints(model):
     np.testing.assert_allclose(model.least_time(start, goals), times.max(axis=1))
     np.testing.assert_allclose(model.least_time(start, goals), [model.least_time(start, goal) for goal in goals])
     np.testing.assert_array_equal(model.least_time(start, start), 0)
+    assert (model.cruise_time(start, goals) <= model.least_time(start, goals)).all()
+    middle = (start + goals) / 2
+    halves = model.cruise_time(start, middle) + model.cruise_time(middle, goals)
+    np.testing.assert_allclose(halves, model.cruise_time(start, goals))
 
 
 def test_boxes_are_minded_where_they_stand_and_only_there(model):

@@ -54,10 +54,10 @@ class ReachMpcOptions:
 
     problem: ReachProblem = field(default_factory=ReachProblem)
     programs: int = 2
-    """Most quadratic programs for a first plan. Later ones begin at the last plan, and have one."""
+    """Most quadratic programs for one plan; one does where the last plan still holds."""
     settled: float = 1e-2
-    """Part of the cost below which a program's gain ends the search for a first plan."""
-    max_iterations: int = 15
+    """Part of the cost below which a program's gain ends the search."""
+    max_iterations: int = 20
     """Of the solver, for each program."""
     tolerance: float = 1e-4
     """Of the solver, absolute and relative."""
@@ -115,7 +115,7 @@ class ReachMpc:
         worst = braking(self.problem, self.model.limits, situation)
         best = self._first_guess(situation, worst)
         iterations, solved = 0, True
-        for _ in range(self.options.programs if self._last is None else 1):
+        for _ in range(self.options.programs):
             velocities, spent = self._solve(situation, worst, best)
             iterations += spent
             if velocities is None:

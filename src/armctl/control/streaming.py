@@ -16,7 +16,7 @@ from armctl.drives import TICK, MotionLimits, limited_in_the_open, towards
 
 Array = NDArray[np.float64]
 
-SHARES = np.linspace(-1.0, 1.0, 49)[:, None]
+SHARES = np.linspace(-1.2, 1.2, 49)[:, None]
 """Of the speed that a joint can gain in a period: goals to choose from are where it would then come to a stop."""
 
 

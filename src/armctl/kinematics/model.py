@@ -144,6 +144,10 @@ class ArmModel:
         """Seconds in which all joints can come from rest at `start` to `goal` (..., dof), where they need not stop."""
         return np.asarray(np.max(travel_time(goal - start, 0.0, self.limits), axis=-1))
 
+    def cruise_time(self, start: Array, goal: Array) -> Array:
+        """Seconds between `start` and `goal` (..., dof) at the velocity limit of the slowest joint: they add up."""
+        return np.asarray(np.max(np.abs(goal - start) / self.limits.velocity, axis=-1))
+
     def _jacobian(self, q: Array, frame: pinocchio.ReferenceFrame) -> Array:
         found = pinocchio.computeFrameJacobian(self.pinocchio, self._data, q, self.tip, frame)
         return np.asarray(found).reshape(6, self.dof)  # Pinocchio gives one joint's as a vector

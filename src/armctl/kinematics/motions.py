@@ -7,6 +7,7 @@ dynamic collision checking for single and multiple robots in complex environment
 """
 
 from collections import deque
+from operator import attrgetter
 
 import coal
 import numpy as np
@@ -16,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from armctl.boxes import Boxes
 from armctl.capsules import Capsule
 from armctl.collisions import FLOOR, add_boxes, add_collision_pairs, capsule_geometry, link_frame
+from armctl.errors import ConfigurationError
 from armctl.kinematics.model import ArmModel
 
 Array = NDArray[np.float64]
@@ -24,10 +26,16 @@ UPRIGHT = 1e-9
 """How far from 1 the cosine of a vertical axis may be, by rounding."""
 FAR = 0.1
 """m: boxes farther than this from all that a link can reach are none of its business."""
+SIGHT = 0.2
+"""m up to which distances are measured: farther ones cost more time than they save."""
 SLACK = 1.5
 """Times the clearance that is kept where a motion is checked, so that the clearance itself is kept in between."""
+MOST_CLEARANCE = 0.05
+"""m that can be asked for: it takes distances of up to twice that, and boxes out of reach by as much."""
 NEAR_START = 0.5
 """Part of the distance at the start that two things must keep, where that is less than is asked for."""
+FINEST = 2**-12
+"""Part of a motion: one that is not known to be free by such parts is called blocked, which bounds the effort."""
 
 
 class ArmShapes:
@@ -52,7 +60,7 @@ class ArmShapes:
         """The geometry among boxes, and how far each of its pairs may move against each other, (pairs, dof) m/rad."""
         geometry = self.geometry.copy()
         add_boxes(geometry, boxes)
-        first, second = np.array([(pair.first, pair.second) for pair in geometry.collisionPairs]).reshape(-1, 2).T
+        first, second = np.array([(pair.first, pair.second) for pair in geometry.collisionPairs], int).reshape(-1, 2).T
         beyond = np.concatenate((np.full(len(self._reach), -np.inf), boxes.distances(self.model.shoulder)))
         near = beyond[second] <= np.append(self._reach, np.zeros(len(boxes)))[first] + FAR
         first, second = first[near], second[near]
@@ -115,66 +123,69 @@ class FreeMotions:
     """Motions of an arm among boxes that keep a clearance, m, from boxes, the floor and the arm itself.
 
     What is nearer to each other at `start` (dof,) need keep only part of its distance there. Not for several threads.
+
+    Raises `ConfigurationError` for a clearance that is not above 0 and at most `MOST_CLEARANCE`.
     """
 
     def __init__(self, shapes: ArmShapes, boxes: Boxes, clearance: float, start: Array) -> None:
+        if not 0 < clearance <= MOST_CLEARANCE:
+            raise ConfigurationError(f"clearance is a distance above 0 and up to {MOST_CLEARANCE} m, not {clearance!r}")
         self._model, self._self_pairs = shapes.model.pinocchio, shapes.self_pairs
         self._geometry, self._motion = shapes.with_boxes(boxes)
         self._data, self._contacts = self._model.createData(), self._geometry.createData()
+        for request in self._contacts.collisionRequests:
+            request.security_margin = SIGHT
         self._results = list(self._contacts.collisionResults)
         self.checks = 0
         """Configurations checked."""
-        self.start_is_free = self.is_free(start)
-        margins = np.zeros(len(self._results))
-        if self.start_is_free:
-            margins = np.minimum(SLACK * clearance, NEAR_START * self._room())
-        for request, margin in zip(self._contacts.collisionRequests, margins.tolist(), strict=True):
-            request.security_margin = margin
-        self._margins, self._spare = margins, 2 * margins * (1 - 1 / SLACK)
-        self._ends: dict[bytes, Array | None] = {}
+        self._ends: dict[bytes, Array] = {}
+        distances = self._distances(start)
+        self.start_is_free = bool((distances > 0).all())
+        self._margins = np.minimum(SLACK * clearance, NEAR_START * np.maximum(distances, 0.0))
+        self._kept = self._margins / SLACK
 
     def is_free(self, q: Array) -> bool:
         """Whether a configuration (dof,) keeps the clearance, and what is to be kept where motions are checked."""
-        self.checks += 1
-        return not pinocchio.computeCollisions(self._model, self._data, self._geometry, self._contacts, q, True)
+        return bool((self._distances_at_end(q) >= self._margins).all())
 
     def leads(self, a: Array, b: Array) -> bool:
         """Whether the straight motion from `a` to `b`, (dof,) each, keeps the clearance all the way."""
-        room_b = self._room_at_end(b)
-        room_a = None if room_b is None else self._room_at_end(a)
-        if room_a is None or room_b is None:
+        if not (self.is_free(b) and self.is_free(a)):
             return False
-        motion = self._motion @ np.abs(b - a)
-        halves = deque([(0.0, room_a, 1.0, room_b)])
+        motion, kept = self._motion @ np.abs(b - a), 2 * self._kept
+        halves = deque([(0.0, self._distances_at_end(a), 1.0, self._distances_at_end(b))])
         while halves:
-            low, room_low, high, room_high = halves.popleft()
-            if (room_low + room_high + self._spare >= motion * (high - low)).all():
+            low, at_low, high, at_high = halves.popleft()
+            if (at_low + at_high >= kept + motion * (high - low)).all():
                 continue
             middle = (low + high) / 2
-            if not self.is_free(a + middle * (b - a)):
+            distances = self._distances(a + middle * (b - a))
+            if (distances < self._margins).any() or high - low < FINEST:
                 return False
-            room = self._room()
-            halves += ((low, room_low, middle, room), (middle, room, high, room_high))
+            halves += ((low, at_low, middle, distances), (middle, distances, high, at_high))
         return True
 
     def clearance(self, path: ArrayLike) -> float:
         """Least distance, m, of the arm from boxes and floor at the corners of a path (m, dof); at most `FAR`."""
-        return min((self._distance(q) for q in np.asarray(path, float)), default=np.nan)
+        corners = (self._distances_at_end(q)[self._self_pairs :] for q in np.asarray(path, float))
+        return min((float(distances.min(initial=FAR)) for distances in corners), default=np.nan)
 
-    def _room_at_end(self, q: Array) -> Array | None:
-        """Room at a configuration where motions end, many of them at some; None if it is not free."""
+    def _distances_at_end(self, q: Array) -> Array:
+        """The same, remembered: motions have ends in common."""
         key = q.tobytes()
         if key not in self._ends:
-            self._ends[key] = self._room() if self.is_free(q) else None
+            self._ends[key] = self._distances(q)
         return self._ends[key]
 
-    def _room(self) -> Array:
-        """Distance beyond its margin of each pair, (pairs,) m, at the free configuration that was checked last."""
-        return np.array([result.distance_lower_bound for result in self._results])
+    def _distances(self, q: Array) -> Array:
+        """Distance of each pair, (pairs,) m: 0 or below where it touches, and at least `SIGHT` where it is more."""
+        self.checks += 1
+        pinocchio.computeCollisions(self._model, self._data, self._geometry, self._contacts, q, False)
+        return np.fromiter(map(_BEYOND_SIGHT, self._results), float, len(self._results)) + SIGHT
 
-    def _distance(self, q: Array) -> float:
-        room = self._room_at_end(q)
-        return 0.0 if room is None else float((room + self._margins)[self._self_pairs :].min(initial=FAR))
+
+_BEYOND_SIGHT = attrgetter("distance_lower_bound")
+"""Exact within the security margin, from which it counts, and a lower bound of the distance beyond."""
 
 
 def _off_axis(point: Array, axis: Array) -> float:

@@ -128,7 +128,10 @@ class SoonestTouch:
         return self.sooner(start, self.ik.nearest_turn(q, start), centre, radius, velocity)
 
     def sooner(self, start: Array, q: Array, centre: Array, radius: float, velocity: Array | float = 0.0) -> Array:
-        """Configurations (k, dof) in the sphere, one from each of q (n, dof) that got there, as soon as it could be."""
+        """Configurations (k, dof) in the sphere, one from each of q (n, dof) that got there, as soon as it could be.
+
+        `start` is (dof,), or (n, dof): one for each.
+        """
         q = np.clip(q, self.model.limits.lower, self.model.limits.upper)
         best, best_time = q, np.full(len(q), np.inf)
         for largest_step in np.geomspace(FIRST_STEP, LAST_STEP, self.options.refine_iterations):

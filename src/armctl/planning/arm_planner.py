@@ -8,7 +8,6 @@ Overmars, "Creating high-quality paths for motion planning", IJRR 2007). Motions
 import itertools
 import math
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +18,7 @@ from ompl import base, geometric, util
 from armctl.boxes import Boxes
 from armctl.errors import ConfigurationError
 from armctl.kinematics import ArmModel, ArmShapes, FreeMotions, SoonestTouch
+from armctl.kinematics.motions import MOST_CLEARANCE
 
 Array = NDArray[np.float64]
 
@@ -30,8 +30,6 @@ DETOUR = 2.0
 """rad beyond start and goals in which ways around boxes are looked for."""
 INSIDE = 0.8
 """Of the sphere's radius: the arm is to come to rest well within it."""
-SHORTCUTS_TO_AN_END = 20
-"""Shortcuts after which another end of the path is looked for."""
 WORTH_IT = 0.99
 """Part of the time that a shortcut may take, at most."""
 
@@ -46,19 +44,19 @@ class ArmPlannerOptions:
     """Goals, the soonest, to which a straight motion is tried before any search."""
     goals: int = 32
     """Goals, the soonest, from which a search grows trees."""
-    iterations: int = 2000
-    """Of the search, at most: it then gives up."""
-    stride: float = 1.5
+    checks: int = 6000
+    """Configurations that a search checks for collisions before it gives up."""
+    stride: float = 1.0
     """Longest motion that is added to a tree, rad."""
     shortcuts: int = 100
     """Straight motions with which it is tried to shorten a path."""
 
     def __post_init__(self) -> None:
-        for name in ("clearance", "stride"):
+        for name, most in (("clearance", MOST_CLEARANCE), ("stride", math.inf)):
             value = getattr(self, name)
-            if not (isinstance(value, (int, float)) and 0 < value < math.inf):
-                raise ConfigurationError(f"{name} is a finite number above 0, not {value!r}")
-        for name in ("direct", "goals", "iterations", "shortcuts"):
+            if not (isinstance(value, (int, float)) and 0 < value <= most):
+                raise ConfigurationError(f"{name} is a number above 0 and up to {most}, not {value!r}")
+        for name in ("direct", "goals", "checks", "shortcuts"):
             value = getattr(self, name)
             if not (isinstance(value, int) and value >= (name == "goals")):
                 raise ConfigurationError(f"{name} is a whole number, not {value!r}")
@@ -145,7 +143,7 @@ class ArmPlanner:
 
     def _by_time(self, start: Array, q: Array) -> Array:
         q = q[self.model.within_limits(q)]
-        return np.asarray(q[np.argsort(self.model.least_time(start, q), kind="stable")])
+        return np.asarray(q[np.argsort(self.model.cruise_time(start, q), kind="stable")])
 
     def _straight(self, motions: FreeMotions, start: Array, goals: Array) -> Array:
         for goal in goals[: self.options.direct]:
@@ -185,41 +183,51 @@ class ArmPlanner:
         planner.setRange(self.options.stride)
         planner.setProblemDefinition(problem)
         planner.setup()
-        planner.solve(_after(self.options.iterations))
+        last = motions.checks + self.options.checks
+        planner.solve(base.PlannerTerminationCondition(lambda: motions.checks >= last))
         if not problem.hasExactSolution():
             return np.zeros((0, dof))
         return np.array([state[0:dof] for state in problem.getSolutionPath().getStates()])
 
     def _shortened(self, motions: FreeMotions, path: Array, centre: Array, radius: float) -> Array:
         """The same path with shortcuts between random places on it, and another end, where they save time."""
-        rng = np.random.default_rng(0)
-        for i in range(1, 1 + self.options.shortcuts if len(path) > 2 else 0):
-            path = self._with_shortcut(motions, path, rng)
-            if i % SHORTCUTS_TO_AN_END == 0:
-                path = self._with_sooner_end(motions, path, centre, radius)
+        rng, tries = np.random.default_rng(0), range(self.options.shortcuts if len(path) > 2 else 0)
+        for half in (tries[::2], tries[1::2]):
+            for _ in half:
+                path = self._with_shortcut(motions, path, rng)
+            path = self._with_sooner_end(motions, path, centre, radius) if tries else path
         return path
 
     def _with_shortcut(self, motions: FreeMotions, path: Array, rng: np.random.Generator) -> Array:
-        times = np.concatenate(([0.0], np.cumsum(self.model.least_time(path[:-1], path[1:]))))
-        first, last = np.sort(rng.uniform(0, times[-1], 2))
-        i, j = np.searchsorted(times, (first, last), side="right")
-        a, b = (self._at(path, times, elapsed) for elapsed in (first, last))
-        if i < j and self.model.least_time(a, b) < WORTH_IT * (last - first) and motions.leads(a, b):
+        times = self._times(path)
+        places = np.sort(rng.uniform(0, times[-1], 2))
+        i, j = corners = np.searchsorted(times, places, side="right")
+        if i == j:
+            return path
+        part = (places - times[corners - 1]) / (times[corners] - times[corners - 1])
+        a, b = path[corners - 1] + part[:, None] * (path[corners] - path[corners - 1])
+        if self.model.cruise_time(a, b) < WORTH_IT * (places[1] - places[0]) and motions.leads(a, b):
             return np.vstack((path[:i], a, b, path[j:]))
         return path
 
     def _with_sooner_end(self, motions: FreeMotions, path: Array, centre: Array, radius: float) -> Array:
-        for end in self._touch.sooner(path[-2], path[-1:], centre, INSIDE * radius):
-            if self.model.least_time(path[-2], end) < WORTH_IT * self._time(path[-2:]) and motions.leads(path[-2], end):
-                return np.vstack((path[:-1], end))
+        """The same path, left at the corner from which a straight motion into the sphere saves most time."""
+        corners = path[:-1]
+        ends = self._touch.sooner(corners, np.tile(path[-1], (len(corners), 1)), centre, INSIDE * radius)
+        times = self.model.cruise_time(corners[:, None], ends) + self._times(path)[:-1, None]
+        for i, j in zip(*np.unravel_index(np.argsort(times, axis=None), times.shape), strict=True):
+            if times[i, j] > WORTH_IT * self._time(path):
+                break
+            if motions.leads(corners[i], ends[j]):
+                return np.vstack((path[: i + 1], ends[j]))
         return path
 
-    @staticmethod
-    def _at(path: Array, times: Array, elapsed: float) -> Array:
-        return np.array([np.interp(elapsed, times, joint) for joint in path.T])
+    def _times(self, path: Array) -> Array:
+        """Seconds from the start to each corner, (m,)."""
+        return np.concatenate(([0.0], np.cumsum(self.model.cruise_time(path[:-1], path[1:]))))
 
     def _time(self, path: Array) -> float:
-        return float(self.model.least_time(path[:-1], path[1:]).sum()) if len(path) else math.inf
+        return float(self._times(path)[-1]) if len(path) else math.inf
 
 
 class _Motions(base.MotionValidator):  # type: ignore[misc]
@@ -229,9 +237,3 @@ class _Motions(base.MotionValidator):  # type: ignore[misc]
 
     def checkMotion(self, a: Any, b: Any) -> bool:  # noqa: N802
         return self._motions.leads(np.array(a[0 : self._dof]), np.array(b[0 : self._dof]))
-
-
-def _after(iterations: int) -> Any:
-    """OMPL's condition that ends a search when it has asked so often."""
-    count: Iterator[int] = itertools.count()
-    return base.PlannerTerminationCondition(lambda: next(count) >= iterations)
