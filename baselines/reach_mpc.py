@@ -19,9 +19,9 @@ from armctl.tasks.reach_obstacles import read_boxes
 
 Array = NDArray[np.float64]
 
-POSTURES, LOOKED_UP, WORTH_TRYING = 4096, 192, 24
+POSTURES, LOOKED_UP, WORTH_TRYING = 4096, 128, 16
 """Free configurations; of them those with the tip nearest to the target; of these the soonest, which are tried."""
-ITERATIONS = 5
+ITERATIONS = 4
 """Of Levenberg and Marquardt, from a posture looked up to one with the tip at the target."""
 PATIENCE, HEADWAY = 12, 0.005
 """Decisions without the tip having come so many m nearer to the target, after which the arm goes to a posture first."""
@@ -85,12 +85,12 @@ class ReachWithMpc:
         return self._stream.goal(plan)
 
     def _first_goal(self, q: Array, target: Array, extra: Array) -> Array:
-        """Where to go while the first plan is not made yet: straight to a posture."""
+        """The way to a posture is begun before there is a plan: to look one up takes its time."""
         if self._boxed:
             self.mpc = ReachMpc(self._model.among(read_boxes(extra)))
         self._posture = self._postures.towards(target, q, self.mpc.model)
         self._stream = CommandStream(self._model.limits, self.mpc.problem.period, q)
-        return self._stream.goal_towards(self._posture)
+        return self._stream.goal(self.mpc.begin(q, np.zeros_like(q), self._posture))
 
     def _gives_up(self, distance: float) -> bool:
         """Whether the tip has long been away from the target without coming nearer, where a detour is open."""

@@ -111,7 +111,7 @@ def test_plans_in_closed_loop_cost_what_converged_ones_do():
             excess.append(plan.cost / best.cost - 1)
             q, v = plan.positions[1], plan.velocities[1]
     assert min(excess) > -1e-3  # or the reference were none
-    assert max(excess) < 0.05  # a first plan, which has no last one to begin from
+    assert max(excess) < 0.1  # a first plan, which has no last one to begin from
     assert np.quantile(excess, 0.98) < 0.02
     assert np.median(excess) < 1e-3
 
