@@ -18,13 +18,17 @@ CLASS_COLOURS = np.array(
 )
 """Of sky, floor, deck, barrier, obstacle, goal and ground."""
 
-env = gymnasium.make("armctl/ArmReach-v0", render_mode="rgb_array")
-policy = armctl.make_policy("reach_ik", env)
-observation, _ = env.reset(seed=3)
-policy.reset(np.zeros(1, dtype=np.int32))
-for _ in range(4):
-    observation, *_ = env.step(policy.act(observation[None])[0])
-imageio.imwrite(FOLDER / "arm_reach.png", env.render())
+for env_id, name, seed, steps, picture in (
+    ("armctl/ArmReach-v0", "reach_ik", 3, 4, "arm_reach.png"),
+    ("armctl/ArmReachObstacles-v0", "reach_ompl", 2, 12, "arm_reach_obstacles.png"),
+):
+    env = gymnasium.make(env_id, render_mode="rgb_array")
+    policy = armctl.make_policy(name, env)
+    observation, _ = env.reset(seed=seed)
+    policy.reset(np.zeros(1, dtype=np.int32))
+    for _ in range(steps):
+        observation, *_ = env.step(policy.act(observation[None])[0])
+    imageio.imwrite(FOLDER / picture, env.render())
 
 bridge = "armctl/BridgeCrossMoving-v0"
 views = {camera: gymnasium.make(bridge, camera=camera) for camera in ("depth", "classes", "rgb")}

@@ -40,8 +40,7 @@ def test_simulated_boxes_are_the_ones_told():
     env = ArmReachObstaclesVectorEnv(4)
     env.reset(seed=1)
     for world in range(4):
-        data, boxes = env.task.simulation.data(world), env.task.boxes(world)
-        model = env.task.simulation._batch.get_model(world)
+        data, boxes, model = env.task.simulation.data(world), env.task.boxes(world), env.task.simulation.model
         for i in range(len(boxes)):
             geom = model.geom(f"box_{i}").id
             np.testing.assert_allclose(data.geom_xpos[geom], boxes.centres[i], atol=1e-9)

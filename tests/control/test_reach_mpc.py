@@ -163,6 +163,22 @@ def test_boxes_are_kept_clear_of_and_most_targets_are_reached():
     assert np.mean(reached) >= 0.6  # the others wait at a box: the optimisation is local
 
 
+def test_a_plan_goes_on_from_the_straight_way_that_was_begun():
+    rng = np.random.default_rng(3)
+    target, goal = reach(MODEL, rng)
+    mpc = ReachMpc(MODEL)
+    begun = mpc.begin(MODEL.home, np.zeros(6), goal)
+    np.testing.assert_array_equal(begun.positions[0], MODEL.home)
+    assert (np.abs(begun.velocities) <= LIMITS.velocity + 1e-9).all()
+    assert (np.abs(begun.accelerations) <= LIMITS.acceleration + 1e-9).all()
+    assert ((begun.positions[-1] - MODEL.home) * (goal - MODEL.home) >= -1e-9).all()
+    plan = mpc.plan(begun.positions[1], begun.velocities[1], target, goal)
+    assert plan.solved
+    assert plan.iterations <= ReachMpcOptions().max_iterations  # of one program
+    with pytest.raises(ConfigurationError, match="posture"):
+        mpc.begin(MODEL.home, np.zeros(6), np.full(6, np.nan))
+
+
 def test_a_wall_on_the_way_stops_the_tip_before_it():
     """Without a way around, the price of the wall is never paid."""
     home = MODEL.position(MODEL.home)

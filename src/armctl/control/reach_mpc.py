@@ -104,7 +104,7 @@ class ReachMpc:
         self._duals = self._tight.qp.first_duals()
 
     def begin(self, position: ArrayLike, velocity: ArrayLike, posture: ArrayLike) -> Motion:
-        """The straight way to a posture (dof,), rad, at which the next plan begins. It takes a tenth of a plan's time.
+        """The straight way to a posture (dof,), rad, at which the next plan begins. It takes a tenth of the time.
 
         Raises `ConfigurationError` as `plan` does.
         """

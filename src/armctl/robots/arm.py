@@ -137,8 +137,10 @@ def _add_shapes(spec: mujoco.MjSpec, description: ArmDescription) -> None:
             conaffinity=0,
             mass=0,
         )
+    drawn = {mesh.link for mesh in description.meshes}
     for capsule in description.capsules:
-        _add_capsule(_link(spec, capsule.link), capsule)
+        group = _COLLISION_GROUP if capsule.link in drawn else _VISUAL_GROUP
+        _add_capsule(_link(spec, capsule.link), capsule, group)
     for first, second in description.collision_pairs:
         spec.add_pair(geomname1=collision_geom(first), geomname2=collision_geom(second))
 
@@ -153,7 +155,7 @@ def collision_geom(link: str) -> str:
     return "floor" if link == FLOOR else f"{link}_collision"
 
 
-def _add_capsule(body: Any, capsule: Capsule) -> None:
+def _add_capsule(body: Any, capsule: Capsule, group: int) -> None:
     length = np.linalg.norm(np.subtract(capsule.end, capsule.start))
     kind = mujoco.mjtGeom.mjGEOM_CAPSULE if length > 1e-6 else mujoco.mjtGeom.mjGEOM_SPHERE
     body.add_geom(
@@ -161,7 +163,8 @@ def _add_capsule(body: Any, capsule: Capsule) -> None:
         type=kind,
         size=[capsule.radius, 0, 0],
         **({"fromto": [*capsule.start, *capsule.end]} if length > 1e-6 else {"pos": capsule.start}),
-        group=_COLLISION_GROUP,
+        group=group,
+        material="aluminium",
         contype=0,
         conaffinity=0,
         mass=0,

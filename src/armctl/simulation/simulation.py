@@ -18,6 +18,7 @@ class Simulation:
     def __init__(self, model: mujoco.MjModel, n: int, threads: int = 0) -> None:
         self.model = model
         self._batch = Batch(model, n, nthread=1 if n == 1 else threads)
+        self._own: dict[str, Array] = {}
 
     def array(self, field: str) -> Array:
         """Live (n, ...) array of an `MjData` field: a state to read and write, or an output to read."""
@@ -25,7 +26,8 @@ class Simulation:
 
     def per_world(self, field: str) -> Array:
         """Live (n, ...) array of an `MjModel` field, which worlds then have each for themselves."""
-        return np.asarray(self._batch.expand(field))
+        self._own[field] = np.asarray(self._batch.expand(field))
+        return self._own[field]
 
     def reset(self, ids: WorldIds | None = None) -> None:
         """Put worlds back into the first keyframe. Call `refresh` once the state is as it should be."""
@@ -50,7 +52,9 @@ class Simulation:
         return np.asarray(distances), np.asarray(geoms)
 
     def data(self, world: int) -> mujoco.MjData:
-        """A copy of one world, for anything that MuJoCo can do with it."""
+        """A copy of one world, for anything that MuJoCo can do with it and `model`, which is then that world's."""
+        for field, values in self._own.items():
+            getattr(self.model, field)[:] = values[world]
         data = self._batch.get_data(world)
-        mujoco.mj_forward(self._batch.get_model(world), data)
+        mujoco.mj_forward(self.model, data)
         return data
