@@ -113,16 +113,18 @@ class ReachObstaclesTask(ReachTask):
     def _draw(self, world: int, rng: np.random.Generator) -> None:
         if self._planner is None:
             self._planner = ArmPlanner(self._workspace.model)
+        home = _as_observed(self._workspace.model.home)
         for _ in range(ATTEMPTS):
             layout = draw_layout(rng, self._workspace, self.options.tolerance)
-            home = self._workspace.model.home
-            plan = self._planner.plan(home, layout.target, self.options.tolerance, layout.boxes)
+            target, drawn = _as_observed(layout.target), layout.boxes
+            boxes = Boxes(_as_observed(drawn.centres), _as_observed(drawn.half_sizes), _as_observed(drawn.yaws))
+            plan = self._planner.plan(home, target, self.options.tolerance, boxes)
             if plan.found or not self.options.solvable:
                 break
         else:
             raise ConfigurationError(f"the planner found no way in {ATTEMPTS} layouts")
-        self._targets[world], self._feasible[world] = layout.target, plan.found
-        self._place(world, layout.boxes)
+        self._targets[world], self._feasible[world] = target, plan.found
+        self._place(world, boxes)
 
     def _place(self, world: int, boxes: Boxes) -> None:
         count = len(boxes)
@@ -150,6 +152,11 @@ def read_boxes(numbers: NDArray[np.floating[Any]]) -> Boxes:
     rows = np.asarray(numbers, dtype=float).reshape(-1, NUMBERS)
     rows = rows[(rows[:, 3:6] > 0).all(axis=1)]
     return Boxes(rows[:, :3], rows[:, 3:6], rows[:, 6])
+
+
+def _as_observed(numbers: Array) -> Array:
+    """Rounded as in an observation, so that who plans on that has the very problem that was found solvable."""
+    return numbers.astype(np.float32).astype(float)
 
 
 def _name(box: int) -> str:
