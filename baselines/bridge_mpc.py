@@ -49,6 +49,12 @@ class Driver:
         )
         self._clock = DECISION_PERIOD * np.arange(self._options.steps + 1)
         self._mpc: DriveMpc | None = None
+        self._failed_before = 0
+
+    @property
+    def failures(self) -> int:
+        """Decisions without a solution, in which the rover braked."""
+        return self._failed_before + (self._mpc.failures if self._mpc else 0)
 
     def act(self, pose: Array, velocity: Array, time: float) -> tuple[float, float]:
         """Linear and angular velocity for a pose (x, y, yaw), the present velocities (m/s, rad/s) and time (s)."""
@@ -56,6 +62,7 @@ class Driver:
             plan = plan_path(self._bridge, pose[:2], self._goal_x)
             if not plan.found:
                 return 0.0, 0.0
+            self._failed_before = self.failures
             self._mpc = DriveMpc(plan.path, self._bridge.nearest, self._options)
         return self._mpc.decide(pose, velocity, self._bridge.courses.positions(time + self._clock)).command
 

@@ -56,6 +56,12 @@ class ReachWithMpc:
         self._moving, self._boxed = "target_velocity" in parts, "boxes" in parts
         self.mpc = ReachMpc(self._model, ReachMpcOptions(margin=MARGIN, influence=INFLUENCE))
         self._ahead = self.mpc.problem.period * np.arange(1, self.mpc.problem.horizon + 1)[:, None]
+        self._failed_before = 0
+
+    @property
+    def failures(self) -> int:
+        """Decisions without a solution, in which the arm braked."""
+        return self._failed_before + self.mpc.failures
 
     def reset(self) -> None:
         """Forget the plan."""
@@ -87,6 +93,7 @@ class ReachWithMpc:
     def _first_goal(self, q: Array, target: Array, extra: Array) -> Array:
         """The way to a posture is begun before there is a plan: to look one up takes its time."""
         if self._boxed:
+            self._failed_before = self.failures
             self.mpc = ReachMpc(self._model.among(read_boxes(extra)))
         self._posture = self._postures.towards(target, q, self.mpc.model)
         self._stream = CommandStream(self._model.limits, self.mpc.problem.period, q)

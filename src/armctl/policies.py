@@ -65,6 +65,11 @@ class PerWorld:
         self.controllers = controllers
         self.sees = sees
 
+    @property
+    def failures(self) -> int:
+        """How often the controllers' solvers have failed; 0 for those that count nothing."""
+        return sum(getattr(controller, "failures", 0) for controller in self.controllers)
+
     def reset(self, ids: NDArray[np.int32]) -> None:
         """Worlds `ids` start a new episode."""
         for i in ids:

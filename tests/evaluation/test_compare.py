@@ -302,3 +302,16 @@ def test_failures_have_no_gap():
     episodes = evaluate("random", episodes=3, env_options={"max_episode_steps": 5})
     assert episodes.optimality_gap.isna().all()
     assert (episodes.least_length >= 1).all()
+
+
+def test_failures_of_solvers_are_reported():
+    def sometimes_at_a_loss(env):
+        policy = Fragile(10**6, fail)
+        policy.failures = 3
+        return policy
+
+    comparison = compare([sometimes_at_a_loss, "reach_ik"], episodes=3, worlds=3)
+    assert [policy.solver_failures for policy in comparison.policies] == [3, 0]
+    console = Console(file=io.StringIO(), width=100)
+    console.print(tables(comparison))
+    assert console.file.getvalue().count("solver failed 3 times") == 1

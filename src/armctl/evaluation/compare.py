@@ -17,7 +17,7 @@ from armctl.errors import ConfigurationError, ResultsError, unknown_name
 from armctl.evaluation.report import EpisodeLog, write_summary
 from armctl.evaluation.rollouts import COLUMNS, EpisodeResult, PolicyFailed, make_worlds, rollouts
 from armctl.evaluation.statistics import Estimate, PairedDifference, mean, median, paired_difference, success_rate
-from armctl.policies import PolicyFactory, make_policy, policy_name
+from armctl.policies import Policy, PolicyFactory, make_policy, policy_name
 
 
 @dataclass(frozen=True)
@@ -45,6 +45,8 @@ class PolicySummary:
     """m, mean distance to a moving target once it was met."""
     decision_ms_p50: float
     decision_ms_p99: float
+    solver_failures: int
+    """Decisions for which a controller's solver found nothing, as far as it counts them."""
 
 
 @dataclass
@@ -123,7 +125,7 @@ def compare(
         comparison.episodes = pd.DataFrame([result.row() for result in results])
         counted, infeasible = _counted(results)
         comparison.policies = [
-            _summary(name, policy.sees, policy.training_steps, episodes, infeasible, counted[name])
+            _summary(name, policy, episodes, infeasible, counted[name])
             for name, policy in made.items()
             if counted.get(name)
         ]
@@ -159,14 +161,12 @@ def _counted(results: list[EpisodeResult]) -> tuple[dict[str, list[EpisodeResult
     return counted, len(infeasible)
 
 
-def _summary(
-    name: str, sees: str, training_steps: int, planned: int, infeasible: int, results: list[EpisodeResult]
-) -> PolicySummary:
+def _summary(name: str, policy: Policy, planned: int, infeasible: int, results: list[EpisodeResult]) -> PolicySummary:
     decisions = np.concatenate([result.decision_ms for result in results])
     return PolicySummary(
         name,
-        sees,
-        training_steps,
+        policy.sees,
+        policy.training_steps,
         planned,
         len(results),
         infeasible,
@@ -178,6 +178,7 @@ def _summary(
         mean(_known(result.tracking_error for result in results)),
         float(np.quantile(decisions, 0.5)),
         float(np.quantile(decisions, 0.99)),
+        getattr(policy, "failures", 0),
     )
 
 

@@ -131,6 +131,8 @@ def _asides(policy: "PolicySummary") -> list[str]:
     if error := policy.tracking_error:
         spread = "" if error.low is None or error.high is None else f" [{1e3 * error.low:.1f}, {1e3 * error.high:.1f}]"
         asides.append(f"{1e3 * error.value:.1f}{spread} mm off the target")
+    if policy.solver_failures:
+        asides.append(f"its solver failed {policy.solver_failures} times")
     return asides
 
 
