@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 
 RELAXATION = 1.8
 """Of the solver (alpha): near 2, as Stellato et al. advise."""
-NEARBY = 0.05
+NEARBY = 0.15
 """m from the targets, within which Gauss and Newton's Hessian does."""
 STEPS = (1.0, 0.3)
 """Parts of the way to a program's solution that are tried, the longest first."""
