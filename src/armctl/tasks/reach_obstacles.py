@@ -38,7 +38,7 @@ OBSTACLES_OBSERVATION: Mapping[str, Any] = {**OBSERVATION, "boxes": lambda state
 OBSTACLES_REWARD: Mapping[str, Any] = {
     "step": lambda state: np.full(len(state.reached), -1.0),
     "goal": lambda state: 100.0 * (state.reached & ~state.collided),
-    "collision": lambda state: -100.0 * state.collided,
+    "collision": lambda state: np.where(state.collided, -100.0, 0.0),
 }
 """The terms of the reward, whose sum is the reward."""
 
