@@ -1,4 +1,4 @@
-"""Controllers that follow what a planner found. Nothing here knows of MuJoCo or Gymnasium."""
+"""Controllers: path following, model predictive control, motions in time. Nothing here knows of MuJoCo or Gymnasium."""
 
 from armctl.control.pursuit import PursuitOptions, RegulatedPurePursuit
 

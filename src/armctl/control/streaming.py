@@ -40,12 +40,8 @@ def command_for(limits: MotionLimits, position: Array, velocity: Array, displace
     moved = follow(limits, position, velocity, goals, period)[0] - position
     joints = np.arange(len(position))
     below = np.minimum(np.maximum((moved < displacement).sum(axis=0) - 1, 0), len(SHARES) - 2)
-    low, high, before, after = (
-        goals[below, joints],
-        goals[below + 1, joints],
-        moved[below, joints],
-        moved[below + 1, joints],
-    )
+    low, high = goals[below, joints], goals[below + 1, joints]
+    before, after = moved[below, joints], moved[below + 1, joints]
     share = (displacement - before) / np.maximum(after - before, 1e-12)
     return np.asarray(low + np.minimum(np.maximum(share, 0.0), 1.0) * (high - low))
 
