@@ -14,7 +14,7 @@ import pytest
 import torch
 from armctl.rl.bridge import ANGULAR, LINEAR, VelocityScale
 from armctl.rl.ppo import RECIPES, PpoOptions, train
-from armctl.rl.reach import SHAPED_REWARD, ActionScale
+from armctl.rl.reach import LARGEST_MOVE, SHAPED_REWARD, ActionScale
 from armctl.rl.vector import StableBaselinesVectorEnv
 
 from armctl.agents import load_agent
@@ -57,7 +57,7 @@ def test_exported_graph_is_the_network(trained):
     observations, _ = worlds.reset(seed=0)
     model = PPO.load(out / "checkpoints" / "ppo_4096_steps", device="cpu")
     raw = model.predict(observations, deterministic=True)[0]
-    expected = observations[:, 3:9] + 0.2 * np.clip(raw, -1, 1)
+    expected = observations[:, 3:9] + LARGEST_MOVE * np.clip(raw, -1, 1)
     np.testing.assert_allclose(load_agent(out / "agent.json", worlds).act(observations), expected, atol=1e-5)
 
 
