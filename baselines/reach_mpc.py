@@ -12,27 +12,19 @@ from armctl.control.reach_mpc import ReachMpc, ReachMpcOptions
 from armctl.control.streaming import CommandStream
 from armctl.envs import ArmReachVectorEnv
 from armctl.errors import ConfigurationError
-from armctl.kinematics import ArmModel, approach
+from armctl.kinematics import ArmModel, Postures
 from armctl.policies import PerWorld
 from armctl.tasks import OBSERVATION
 from armctl.tasks.reach_obstacles import read_boxes
 
 Array = NDArray[np.float64]
 
-POSTURES, LOOKED_UP, WORTH_TRYING = 4096, 128, 16
-"""Free configurations; of them those with the tip nearest to the target; of these the soonest, which are tried."""
-ITERATIONS = 4
-"""Of Levenberg and Marquardt, from a posture looked up to one with the tip at the target."""
 PATIENCE, HEADWAY = 12, 0.005
 """Decisions without the tip having come so many m nearer to the target, after which the arm goes to a posture first."""
 THERE = 0.02
 """rad from a posture, where the arm has come to it."""
 MARGIN, INFLUENCE = 0.01, 0.06
 """m from floor and itself that are kept, and from which on these are minded. Among boxes it is more."""
-TIP_SPEED = 1.0
-"""m/s with which the tip is expected to make up for what a posture looked up is off the target."""
-ON_TARGET, MISS = 0.01, 10.0
-"""m that a posture may be off in the end, and s that it is put back for more."""
 
 
 def make(env: ArmReachVectorEnv) -> PerWorld:
@@ -51,7 +43,7 @@ def make(env: ArmReachVectorEnv) -> PerWorld:
 class ReachWithMpc:
     """Reaches with one arm, for an observation of these parts, in order."""
 
-    def __init__(self, postures: "Postures", tolerance: float, parts: list[str]) -> None:
+    def __init__(self, postures: Postures, tolerance: float, parts: list[str]) -> None:
         self._model, self._postures, self._tolerance = postures.model, postures, tolerance
         self._moving, self._boxed = "target_velocity" in parts, "boxes" in parts
         self.mpc = ReachMpc(self._model, ReachMpcOptions(margin=MARGIN, influence=INFLUENCE))
@@ -115,29 +107,3 @@ class ReachWithMpc:
         acceleration = (velocity - last) / self.mpc.problem.period
         self._target_velocity = velocity
         return target + self._ahead * velocity + self._ahead**2 / 2 * acceleration
-
-
-class Postures:
-    """Configurations that an arm can take, looked up by where the end-effector is to be."""
-
-    def __init__(self, model: ArmModel) -> None:
-        self.model = model
-        rng = np.random.default_rng(0)
-        low, high = np.maximum(model.limits.lower, -np.pi), np.minimum(model.limits.upper, np.pi)
-        drawn = (rng.uniform(low, high) for _ in range(50 * POSTURES))
-        free = (q for q in drawn if model.is_free(q))
-        self._q = np.array([q for q, _ in zip(free, range(POSTURES), strict=False)])
-        self._positions = model.positions(self._q)
-
-    def towards(self, target: Array, start: Array, among: ArmModel) -> Array:
-        """The posture (dof,) with the tip at `target` (3,) that is soonest reached from `start` (dof,), freely."""
-        limits, distance = self.model.limits, np.linalg.norm(self._positions - target, axis=1)
-        near = np.argpartition(distance, LOOKED_UP)[:LOOKED_UP]
-        time = self.model.least_time(start, self._q[near]) + distance[near] / TIP_SPEED
-        best = approach(self.model, self._q[near[np.argsort(time)[:WORTH_TRYING]]], target, ITERATIONS)
-        best = np.clip(best, limits.lower, limits.upper)
-        off = np.linalg.norm(self.model.positions(best) - target, axis=1)
-        best = best[np.argsort(self.model.least_time(start, best) + np.where(off < ON_TARGET, 0.0, MISS))]
-        ways = np.linspace(1.0, 0.1, 10)[:, None]
-        free = (q for q in best if all(among.is_free(place) for place in start + ways * (q - start)))
-        return next(free, best[0])

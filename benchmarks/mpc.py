@@ -70,7 +70,7 @@ def episodes(model: ArmModel) -> Iterator[tuple[Array, Array, Array]]:
         target = model.position(q)
         goals = np.array(list(ik.free_configurations(target))).reshape(-1, model.dof)
         if len(goals):
-            goals = ik.nearest_turn(goals, model.home)
+            goals = model.nearest_turn(goals, model.home)
             count += 1
             swing = AMPLITUDE * (count % 3 == 0) * rng.normal(size=3)
             yield target, swing, goals[np.argmin(model.least_time(model.home, goals))]

@@ -24,6 +24,7 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import SubprocVecEnv
 
 import armctl
+from armctl.shaping import Shaped, oracle_names
 
 ROUNDS = 7
 EPISODE = 100
@@ -81,9 +82,10 @@ def timed(step: Callable[[int], object], physics_steps: int) -> Contender:
     return run
 
 
-def batched(env: str, worlds: int) -> Contender:
-    """`gym.make_vec`: physics, observations, rewards and resets of `worlds` worlds."""
-    made = gymnasium.make_vec(env, num_envs=worlds)
+def batched(env: str, worlds: int, oracle: str | None = None) -> Contender:
+    """`gym.make_vec`: physics, observations, rewards and resets of `worlds` worlds, shaped if an oracle is named."""
+    plain = gymnasium.make_vec(env, num_envs=worlds)
+    made = Shaped(plain, oracle, gamma=0.97) if oracle else plain
     made.reset(seed=0)
     made.action_space.seed(0)
     actions = [made.action_space.sample() for _ in range(50)]
@@ -119,9 +121,11 @@ def main(env: str = armctl.DEFAULT_ENV, worlds: int = 256, seconds: float = 3.0)
     cores = len(os.sched_getaffinity(0))
     subprocess_name = f"SubprocVecEnv, {cores} processes"
     all_cores, one_core = f"raw mj_step, {cores} threads", "raw mj_step, 1 thread"
+    oracles = oracle_names(gymnasium.make_vec(env, num_envs=1).unwrapped)
     contenders = {
         all_cores: (raw(env, cores), all_cores),
         f"gym.make_vec, {worlds} worlds": (batched(env, worlds), all_cores),
+        **{f"shaped by {oracle}": (batched(env, worlds, oracle), all_cores) for oracle in oracles},
         subprocess_name: (subprocesses(env, cores), all_cores),
         one_core: (raw(env, 1), one_core),
         "gym.make": (single(env), one_core),

@@ -41,7 +41,7 @@ def test_the_soonest_straight_motion_often_collides(workspace):
     drawn = layouts(workspace, 100, seed=2)
     for layout in drawn:
         goals = np.array(list(workspace.ik.free_configurations(layout.target)))
-        goals = workspace.ik.nearest_turn(goals, model.home)
+        goals = workspace.model.nearest_turn(goals, model.home)
         goal, among = goals[np.argmin(model.least_time(model.home, goals))], model.among(layout.boxes)
         blocked += not all(among.is_free(q) for q in np.linspace(model.home, goal, 80))
     assert blocked >= 40

@@ -6,7 +6,7 @@ was reset with `seed` plays the episodes of a single environment that was reset 
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 import gymnasium
 import numpy as np
@@ -33,6 +33,16 @@ Infos = dict[str, Any]
 
 RENDER_MODES = ("rgb_array", "human")
 RENDER_FPS = 25
+
+
+class Observer(Protocol):
+    """Is told of all that happens in the worlds, states that an autoreset replaces at once included."""
+
+    def began(self, ids: NDArray[np.int32]) -> None:
+        """Worlds `ids` have begun a new episode."""
+
+    def stepped(self, awake: NDArray[np.bool_]) -> None:
+        """One decision later in the worlds that are `awake` (n,); no world has been reset yet."""
 
 
 class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
@@ -96,6 +106,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._finished = np.ones(num_envs, dtype=bool)
         self._seeded = False
         self._viewer: Camera | Window | None = None
+        self.observers: list[Observer] = []
 
     def reset(
         self, *, seed: int | list[int] | None = None, options: dict[str, Any] | None = None
@@ -152,6 +163,8 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             "reward_terms": ledger,
             **self.task.details(),
         }
+        for observer in self.observers:
+            observer.stepped(~idle)
         self._finished = finished
         if self.autoreset_mode is AutoresetMode.NEXT_STEP and restart is not None:
             self._begin(restart)
@@ -206,7 +219,10 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._steps[ids] = 0
         self._finished[ids] = False
         rngs = [np.random.default_rng((seed, k)) for seed, k in zip(self._seeds[ids], self._episodes[ids], strict=True)]
-        self.task.reset(ids.astype(np.int32), rngs)
+        worlds = ids.astype(np.int32)
+        self.task.reset(worlds, rngs)
+        for observer in self.observers:
+            observer.began(worlds)
 
     def _whole_numbers(self, name: str, given: Any) -> NDArray[np.int64]:
         numbers = np.asarray(given)

@@ -28,7 +28,7 @@ def reach(model, rng):
             target = model.position(q)
             goals = np.array(list(ik.free_configurations(target))).reshape(-1, model.dof)
             if len(goals):
-                goals = ik.nearest_turn(goals, model.home)
+                goals = model.nearest_turn(goals, model.home)
                 return target, goals[np.argmin(model.least_time(model.home, goals))]
 
 

@@ -3,6 +3,8 @@
 from armctl.kinematics.ik import Ik, IkOptions, IkResult
 from armctl.kinematics.model import ArmModel
 from armctl.kinematics.motions import ArmShapes, FreeMotions
+from armctl.kinematics.postures import Postures
+from armctl.kinematics.reach_times import LookUp, ReachTimes, Spheres
 from armctl.kinematics.touch import THOROUGH, SoonestTouch, Touch, TouchOptions, approach
 from armctl.kinematics.workspace import Workspace
 
@@ -14,7 +16,11 @@ __all__ = [
     "Ik",
     "IkOptions",
     "IkResult",
+    "LookUp",
+    "Postures",
+    "ReachTimes",
     "SoonestTouch",
+    "Spheres",
     "Touch",
     "TouchOptions",
     "Workspace",

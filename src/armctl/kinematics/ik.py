@@ -184,7 +184,7 @@ class Ik:
         return _Attempt(best, best_residual, step)
 
     def _result(self, attempts: "list[_Attempt]", seed: Array, count: int | None) -> IkResult:
-        q = self.nearest_turn(np.array([attempt.q for attempt in attempts]).reshape(-1, self.model.dof), seed)
+        q = self.model.nearest_turn(np.array([attempt.q for attempt in attempts]).reshape(-1, self.model.dof), seed)
         residuals = np.array([attempt.residual for attempt in attempts])
         order = np.argsort(np.abs(q - seed).max(axis=-1), kind="stable")
         order = order[(residuals[order] <= self.options.tolerance) & self.model.within_limits(q[order])]
@@ -198,12 +198,6 @@ class Ik:
             float(residuals[closest]) if attempts else np.inf,
             sum(attempt.iterations for attempt in attempts),
         )
-
-    def nearest_turn(self, q: Array, seed: Array) -> Array:
-        """The same configurations, each joint turned by whole turns to be near `seed`, as far as its limits allow."""
-        turn = 2 * np.pi
-        near = q + turn * np.round((seed - q) / turn)
-        return near + turn * ((near < self.model.limits.lower).astype(float) - (near > self.model.limits.upper))
 
 
 @dataclass(frozen=True)

@@ -140,6 +140,12 @@ class ArmModel:
         """Whether all joints are within their position limits, (..., dof) to (...)."""
         return np.asarray(np.all((q >= self.limits.lower) & (q <= self.limits.upper), axis=-1))
 
+    def nearest_turn(self, q: Array, seed: Array) -> Array:
+        """The same configurations, each joint turned by whole turns to be near `seed`, as far as its limits allow."""
+        turn = 2 * np.pi
+        near = q + turn * np.round((seed - q) / turn)
+        return near + turn * ((near < self.limits.lower).astype(float) - (near > self.limits.upper))
+
     def least_time(self, start: Array, goal: Array) -> Array:
         """Seconds in which all joints can come from rest at `start` to `goal` (..., dof), where they need not stop."""
         return np.asarray(np.max(travel_time(goal - start, 0.0, self.limits), axis=-1))

@@ -89,7 +89,7 @@ class SoonestTouch:
         touch = self._first_free(start, soonest)
         if touch is None:
             at_centre = np.array(list(self.ik.free_configurations(centre))).reshape(-1, self.model.dof)
-            touch = self._first_free(start, self._by_time(start, self.ik.nearest_turn(at_centre, start)))
+            touch = self._first_free(start, self._by_time(start, self.model.nearest_turn(at_centre, start)))
         return self._touch(start, soonest[0]) if touch is None and len(soonest) else touch
 
     def least_time(self, start: Array, centre: Array, radius: float, velocity: Array | None = None) -> float:
@@ -125,7 +125,7 @@ class SoonestTouch:
             return start[None]
         starts = np.vstack([start, start + self._around, self._anywhere])
         q = approach(self.model, starts, centre, self.options.approach_iterations)
-        return self.sooner(start, self.ik.nearest_turn(q, start), centre, radius, velocity)
+        return self.sooner(start, self.model.nearest_turn(q, start), centre, radius, velocity)
 
     def sooner(self, start: Array, q: Array, centre: Array, radius: float, velocity: Array | float = 0.0) -> Array:
         """Configurations (k, dof) in the sphere, one from each of q (n, dof) that got there, as soon as it could be.
@@ -135,15 +135,27 @@ class SoonestTouch:
         q = np.clip(q, self.model.limits.lower, self.model.limits.upper)
         best, best_time = q, np.full(len(q), np.inf)
         for largest_step in np.geomspace(FIRST_STEP, LAST_STEP, self.options.refine_iterations):
-            position, jacobian = self.model.positions_and_jacobians(q)
-            offset = centre - position
-            distance = np.linalg.norm(offset, axis=-1, keepdims=True) + 1e-12
-            time = self._times(start, q, velocity)
-            better = (distance[:, 0] <= radius) & (time < best_time)
+            step, time, distance = self.step(q, start, centre, radius, velocity, largest_step)
+            better = (distance <= radius) & (time < best_time)
             best, best_time = np.where(better[:, None], q, best), np.where(better, time, best_time)
-            gain = np.einsum("nij,ni->nj", jacobian, offset / distance)
-            q = q + self._step(q, start, velocity, gain, distance - radius + INSIDE, time[:, None], largest_step)
+            q = q + step
         return np.asarray(best[np.isfinite(best_time)])
+
+    def step(
+        self, q: Array, start: Array, centre: Array, radius: float, velocity: Array | float, largest: float
+    ) -> tuple[Array, Array, Array]:
+        """The step (n, dof) of one linear programme from q (n, dof) on, of no joint more than `largest`, rad.
+
+        And the times (n,) from `start` to q, s, and the distances (n,) at q from the spheres' centres, m. `centre` and
+        `start` are one for all, or one for each.
+        """
+        position, jacobian = self.model.positions_and_jacobians(q)
+        offset = centre - position
+        distance = np.linalg.norm(offset, axis=-1, keepdims=True) + 1e-12
+        time = self._times(start, q, velocity)
+        gain = np.einsum("nij,ni->nj", jacobian, offset / distance)
+        step = self._step(q, start, velocity, gain, distance - radius + INSIDE, time[:, None], largest)
+        return step, time, distance[:, 0]
 
     def _step(
         self, q: Array, start: Array, velocity: Array | float, gain: Array, needed: Array, time: Array, largest: float
@@ -172,7 +184,7 @@ def approach(model: ArmModel, q: Array, centre: Array, iterations: int) -> Array
         position, jacobian = model.positions_and_jacobians(q)
         error = centre - position
         damping = 0.5 * (error * error).sum(axis=-1) + 1e-6
-        gram = jacobian @ jacobian.swapaxes(-1, -2) + damping[:, None, None] * np.eye(3)
+        gram = jacobian @ jacobian.swapaxes(-1, -2) + damping[..., None, None] * np.eye(3)
         step = (jacobian.swapaxes(-1, -2) @ np.linalg.solve(gram, error[..., None]))[..., 0]
         largest = np.abs(step).max(axis=-1, keepdims=True)
         q = q + step * np.minimum(1.0, LARGEST_APPROACH / (largest + 1e-12))

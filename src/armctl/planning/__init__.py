@@ -2,6 +2,7 @@
 
 from armctl.planning.arm_planner import ArmPlan, ArmPlanner, ArmPlannerOptions
 from armctl.planning.bridge_map import BridgeMap, Courses
+from armctl.planning.cost_to_go import Lattice
 from armctl.planning.path_planner import PathPlannerOptions, PlanResult, plan_path
 
 __all__ = [
@@ -10,6 +11,7 @@ __all__ = [
     "ArmPlannerOptions",
     "BridgeMap",
     "Courses",
+    "Lattice",
     "PathPlannerOptions",
     "PlanResult",
     "plan_path",

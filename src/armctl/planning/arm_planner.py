@@ -136,7 +136,7 @@ class ArmPlanner:
     def _goals(self, motions: FreeMotions, start: Array, centre: Array, radius: float) -> Array:
         """Free configurations (k, dof) in the sphere, those first that can be reached soonest."""
         q = np.array(list(self._touch.ik.configurations(centre))).reshape(-1, self.model.dof)
-        q = self._by_time(start, self._touch.ik.nearest_turn(q, start))
+        q = self._by_time(start, self.model.nearest_turn(q, start))
         soonest = self._touch.sooner(start, q[: self.options.goals], centre, INSIDE * radius)
         free = (one for one in self._by_time(start, np.vstack((soonest, q))) if motions.is_free(one))
         return np.array(list(itertools.islice(free, self.options.goals))).reshape(-1, self.model.dof)

@@ -49,6 +49,7 @@ class ReachState:
     """(n, dof) the last action, as the policy gave it."""
 
 
+Worlds = NDArray[np.int32] | slice
 Term = Callable[[ReachState], NDArray[np.floating[Any]]]
 
 OBSERVATION: Mapping[str, Term] = {
@@ -170,7 +171,7 @@ class ReachTask(Task):
         for _ in range(ticks):
             self.arm.drive()
             self.simulation.step(self.substeps // ticks, ids)
-            self._tick()
+            self._tick(slice(None) if ids is None else ids)
 
     def parts(self) -> dict[str, NDArray[np.floating[Any]]]:
         """The parts of `ReachOptions.observation`, (n, k) each."""
@@ -227,8 +228,8 @@ class ReachTask(Task):
         else:
             self._targets[world] = self._workspace.sample(rng, clearance=self.options.tolerance)
 
-    def _tick(self) -> None:
-        """Take note of what the drives' last tick has brought."""
+    def _tick(self, worlds: Worlds) -> None:
+        """Take note of what the drives' last tick has brought in these worlds."""
         self._nearest = np.minimum(self._nearest, self._distances())
 
     def _look(self, action: Array) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from armctl.drives import TICK
 from armctl.errors import ConfigurationError
-from armctl.tasks.reach import OBSERVATION, ReachOptions, ReachState, ReachTask
+from armctl.tasks.reach import OBSERVATION, ReachOptions, ReachState, ReachTask, Worlds
 from armctl.tasks.task import Outcome
 
 Array = NDArray[np.float64]
@@ -129,12 +129,12 @@ class ReachMovingTask(ReachTask):
             for point in points
         )
 
-    def _tick(self) -> None:
-        self._time += TICK
+    def _tick(self, worlds: Worlds) -> None:
+        self._time[worlds] += TICK
         self._move_targets()
-        super()._tick()
+        super()._tick(worlds)
         within = self._distances() <= self.options.tolerance
-        self._within_for = np.where(within, self._within_for + TICK, 0.0)
+        self._within_for[worlds] = np.where(within, self._within_for + TICK, 0.0)[worlds]
 
     def _move_targets(self) -> None:
         angles = self._rates * self._time[:, None, None] + self._phases

@@ -78,11 +78,16 @@ class ReachObstaclesTask(ReachTask):
     def __init__(self, n: int, options: ReachObstaclesOptions, threads: int = 0) -> None:
         self._boxes = np.zeros((n, MOST_OBSTACLES, NUMBERS))
         self._planner: ArmPlanner | None = None
+        self._ways = [np.zeros((0, 0))] * n
         super().__init__(n, options, threads)
 
     def boxes(self, world: int) -> Boxes:
         """What stands in a world's way."""
         return read_boxes(self._boxes[world])
+
+    def way(self, world: int) -> Array:
+        """Corners (m, dof) of the way that the planner has found in a world; none, if it found no way."""
+        return self._ways[world]
 
     def outcome(self) -> NDArray[np.int8]:
         """`COLLIDED`, `REACHED`, or `TIMEOUT` as long as it is neither."""
@@ -123,7 +128,7 @@ class ReachObstaclesTask(ReachTask):
                 break
         else:
             raise ConfigurationError(f"the planner found no way in {ATTEMPTS} layouts")
-        self._targets[world], self._feasible[world] = target, plan.found
+        self._targets[world], self._feasible[world], self._ways[world] = target, plan.found, plan.path
         self._place(world, boxes)
 
     def _place(self, world: int, boxes: Boxes) -> None:

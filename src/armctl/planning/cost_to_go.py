@@ -1,0 +1,88 @@
+"""How far it is to the goal line from all over a bridge, around the blocks: Dijkstra's algorithm on a lattice.
+
+Every point of the lattice is joined to 16 others, so that ways are at most 2.8 % longer than they need be, and 1 % in
+the mean. Near a block, where the clearance is missing, it is as far as from the nearest point that has it, and more.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from armctl.planning.bridge_map import BridgeMap
+
+Array = NDArray[np.float64]
+
+STEPS = ((1, 0), (0, 1), (1, 1), (1, -1), (2, 1), (1, 2), (2, -1), (1, -2))
+"""From a point to its neighbours, in spacings; and back."""
+TOO_NEAR = 3.0
+"""m of way that each m counts which a point is off the nearest one with clearance."""
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """Points all over decks of one size."""
+
+    length: float
+    """Of the deck, m."""
+    half_width: float
+    """m"""
+    spacing: float = 0.1
+    """m, roughly."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of points along the deck, and across it."""
+        return len(self._axes[0]), len(self._axes[1])
+
+    def lengths(self, bridge: BridgeMap, goal_x: float, clearance: float) -> Array:
+        """Length (nx, ny), m, of the shortest way from each point to x = `goal_x`, past lanes along the bridge."""
+        points = np.stack(np.meshgrid(*self._axes, indexing="ij"), axis=-1)
+        blocked = bridge.with_lanes_blocked()
+        free = (blocked.clearance(points.reshape(-1, 2)) >= clearance).reshape(points.shape[:2])
+        there = points[..., 0] >= goal_x
+        first, second, ways = self._edges
+        open_ = free.ravel()[first] & free.ravel()[second]
+        graph = csr_array((ways[open_], (first[open_], second[open_])), shape=(free.size, free.size))
+        lengths = dijkstra(graph, directed=False, indices=np.flatnonzero(there & free), min_only=True)
+        lengths = np.where(there, 0.0, lengths.reshape(free.shape))
+        off, nearest = distance_transform_edt(np.isinf(lengths), self._spacings, return_indices=True)
+        return np.asarray(lengths[tuple(nearest)] + TOO_NEAR * off)
+
+    def interpolate(self, lengths: Array, points: Array) -> Array:
+        """Lengths (m,) at points (m, 2), each on a bridge of its own (m, nx, ny), bilinearly."""
+        last = np.array(lengths.shape[1:]) - 1
+        places = np.clip((points - [0.0, -self.half_width]) / self._spacings, 0, last)
+        i, j = corners = np.minimum(places.astype(int), last - 1).T
+        x, y = places.T - corners
+        bridges = np.arange(len(points))
+        right = (1 - x) * lengths[bridges, i, j] + x * lengths[bridges, i + 1, j]
+        left = (1 - x) * lengths[bridges, i, j + 1] + x * lengths[bridges, i + 1, j + 1]
+        return np.asarray((1 - y) * right + y * left)
+
+    @cached_property
+    def _axes(self) -> tuple[Array, Array]:
+        ends = ((0.0, self.length), (-self.half_width, self.half_width))
+        x, y = (np.linspace(low, high, 1 + round((high - low) / self.spacing)) for low, high in ends)
+        return x, y
+
+    @cached_property
+    def _spacings(self) -> Array:
+        return np.array([axis[1] - axis[0] for axis in self._axes])
+
+    @cached_property
+    def _edges(self) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+        """Indices of the points that are joined, and the lengths between them."""
+        index = np.arange(np.prod(self.shape)).reshape(self.shape)
+        first, second, ways = [], [], []
+        for right, left in STEPS:
+            begin, end = max(0, -left), index.shape[1] - max(0, left)
+            one = index[: len(index) - right, begin:end].ravel()
+            first.append(one)
+            second.append(index[right:, begin + left : end + left].ravel())
+            ways.append(np.full(len(one), np.hypot(*(self._spacings * (right, left)))))
+        return np.concatenate(first), np.concatenate(second), np.concatenate(ways)
