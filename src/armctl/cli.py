@@ -183,6 +183,45 @@ def train(
     show(f"The agent is {folder / 'agent.json'}: armctl compare {rival} {folder / 'agent.json'} --env {env}")
 
 
+@app.command()
+def reproduce(
+    agents: Annotated[list[str], typer.Argument(help="Agents: their cards' paths, or the names of shipped ones.")],
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Seed of other episodes.", show_default="the card's: the same episodes")
+    ] = None,
+    worlds: Annotated[int, typer.Option(min=1, help="Worlds played at once.")] = 64,
+) -> None:
+    """Evaluate learned agents again, and compare with what their cards say.
+
+    An agent agrees if its success rate is within the 95 % interval on its card. If one does not, the exit status is 1.
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    from armctl.evaluation.reproduce import reproduce as run_again
+
+    table = Table("agent", "episodes", "on the card", "95 %", "now", "steps, card", "steps, now", "agrees")
+    agreed, console = True, Console()
+    for agent in agents:
+        with console.status(f"{agent}: playing its episodes again"):
+            again = run_again(agent, seed=seed, worlds=worlds)
+        claimed, found, agreed = again.claimed, again.found, agreed and again.agrees
+        low, high = claimed.success_interval
+        steps = (f"{one.mean_steps_to_goal:.1f}" if one.mean_steps_to_goal else "-" for one in (claimed, found))
+        table.add_row(
+            again.card.name,
+            f"{found.episodes} of seed {found.seed}",
+            f"{claimed.success_rate:.1%}",
+            f"{low:.1%} to {high:.1%}",
+            f"{found.success_rate:.1%}",
+            *steps,
+            "yes" if again.agrees else "[red]no[/]",
+        )
+    console.print(table)
+    if not agreed:
+        raise typer.Exit(1)
+
+
 def _options(pairs: list[str] | None) -> dict[str, Any]:
     """Environment options from NAME=VALUE pairs: numbers, tuples, True, False and None, or else strings."""
     options = {}

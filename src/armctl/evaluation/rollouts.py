@@ -175,8 +175,11 @@ def evaluate(
     seed: int = 0,
     worlds: int = 1,
     env_options: Mapping[str, Any] | None = None,
+    least_lengths: bool = True,
 ) -> pd.DataFrame:
     """Play `episodes` episodes with one policy; a row for each, with the columns of `episodes.csv`.
+
+    Without `least_lengths`, whose search takes longer than many a policy, these and `optimality_gap` are NaN.
 
     Raises `ConfigurationError`, `AgentFileError` or `PolicyFailed`.
     """
@@ -184,5 +187,7 @@ def evaluate(
         raise ConfigurationError(f"episodes and worlds count from 1, not {episodes} and {worlds}")
     with closing(make_worlds(env, min(worlds, episodes), env_options)) as made_env:
         made = make_policy(policy, made_env)
-        rows = [result.row() for result in rollouts(made, made_env, episodes, seed, policy_name(policy))]
+        known = None if least_lengths else dict.fromkeys(range(episodes), math.nan)
+        played = rollouts(made, made_env, episodes, seed, policy_name(policy), known)
+        rows = [result.row() for result in played]
     return pd.DataFrame(rows, columns=list(COLUMNS)).sort_values("episode", ignore_index=True)

@@ -264,13 +264,17 @@ class BridgeTask(Task):
         )
 
     def details(self) -> dict[str, Any]:
-        """`contacts`: whether each part has touched each class of things since the last decision."""
+        """`contacts`: whether each part has touched each class of things since the last decision.
+
+        `feasible`: whether the bridge can be crossed. It always can: `draw_layout` takes no other.
+        """
         touched = self.state.contacts
         return {
+            "feasible": np.ones(len(touched), dtype=bool),
             "contacts": {
                 part: {label: touched[:, i, j] for j, label in enumerate(CONTACT_CLASSES)}
                 for i, part in enumerate(PARTS)
-            }
+            },
         }
 
     def _draw(self, rng: np.random.Generator) -> Layout:

@@ -1,0 +1,84 @@
+"""Whether a learned agent does as its card says."""
+
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from importlib.util import find_spec
+from pathlib import Path
+
+import pandas as pd
+
+from armctl.agents import AgentCard, Evaluation, read_card
+from armctl.errors import AgentFileError, unknown_name
+from armctl.evaluation.rollouts import evaluate
+from armctl.evaluation.statistics import success_rate
+from armctl.policies import GROUP
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """What a card says, and what came out."""
+
+    card: AgentCard
+    claimed: Evaluation
+    """On the card."""
+    found: Evaluation
+    """Now, on the same episodes, or on as many of another seed."""
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the success rate is within the card's 95 % interval; on other episodes, 1 in 20 or so is not."""
+        low, high = self.claimed.success_interval
+        return low <= self.found.success_rate <= high
+
+
+def reproduce(agent: str | Path, *, seed: int | None = None, worlds: int = 64) -> Reproduction:
+    """Evaluate an agent again: on the episodes that its card names, or on those of another seed.
+
+    `agent` is the path of its card or graph, or the name of an installed one. Raises `AgentFileError` for files that
+    cannot be used or whose card has no evaluation, and `ConfigurationError` for an unknown name.
+    """
+    path = card_path(agent)
+    card = read_card(path)
+    if (claimed := card.evaluation) is None:
+        raise AgentFileError(f"the card {path} has no evaluation to reproduce")
+    seed = claimed.seed if seed is None else seed
+    episodes = evaluate(
+        path,
+        card.env,
+        episodes=claimed.episodes,
+        seed=seed,
+        worlds=worlds,
+        env_options=card.env_options,
+        least_lengths=False,
+    )
+    return Reproduction(card, claimed, summarised(episodes, seed))
+
+
+def card_path(agent: str | Path) -> Path:
+    """The path of an agent's card, from that of its card or graph, or from the name of an installed agent."""
+    path = Path(agent)
+    if path.suffix in (".json", ".onnx"):
+        return path.with_suffix(".json")
+    homes = {entry.name: find_spec(entry.module) for entry in entry_points(group=GROUP)}
+    beside = {name: Path(home.origin).with_name(f"{name}.json") for name, home in homes.items() if home and home.origin}
+    cards = {name: card for name, card in beside.items() if card.exists()}
+    if str(agent) not in cards:
+        raise unknown_name("agent", agent, [*cards, "path/to/agent.json"])
+    return cards[str(agent)]
+
+
+def summarised(episodes: pd.DataFrame, seed: int) -> Evaluation:
+    """What a card says of episodes (rows of `armctl.evaluate`) of one seed."""
+    rate = success_rate(episodes.success.to_numpy(bool))
+    assert rate is not None
+    assert rate.low is not None
+    assert rate.high is not None
+    steps = episodes.length[episodes.success]
+    return Evaluation(
+        episodes=len(episodes),
+        seed=seed,
+        success_rate=rate.value,
+        success_interval=(rate.low, rate.high),
+        mean_return=float(episodes["return"].mean()),
+        mean_steps_to_goal=float(steps.mean()) if len(steps) else None,
+    )
