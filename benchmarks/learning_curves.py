@@ -36,11 +36,11 @@ class Study(NamedTuple):
 
 
 STUDIES = {
-    "armctl/ArmReach-v0": Study("reach_ppo", {"distance": 50.0, "ik": 60.0}, ["--steps", "1000000"]),
+    "armctl/ArmReach-v0": Study("reach_ppo", {"distance": 120.0, "ik": 150.0}, ["--steps", "700000"]),
     "armctl/BridgeCross-v0": Study(
         "bridge_ppo",
         {"ompl": 5.0},
-        ["--steps", "600000", "--set", "resolution=(24, 16)", "--option", "validation_episodes=50"],
+        ["--steps", "400000", "--set", "resolution=(24, 16)", "--option", "validation_episodes=50"],
     ),
 }
 
