@@ -1,18 +1,14 @@
-"""What makes the bridge learnable from its camera: inverse depth, a car's range of commands, and a milder reward.
+"""What makes the bridge learnable from its camera: inverse depth, and a car's range of commands.
 
-Features and actions are functions of the observation inside the exported graph: the agent sees and does what any policy
-may. The shaped reward is for training alone: were a collision as dear as in the task, standing still would be learnt.
+Both are functions of the observation inside the exported graph: the agent sees and does what any policy may.
 """
 
 from typing import Any
 
 import numpy as np
 import torch
-from armctl.rl.recipe import PpoOptions, Recipe
 from gymnasium import spaces
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
-
-from armctl.tasks.bridge import REWARD
 
 NEAR = 0.5
 """m: inverse depth is NEAR / (NEAR + depth)."""
@@ -20,13 +16,6 @@ LINEAR = (-0.3, 1.6)
 """m/s that the agent can command; 2.0 is what the rover can do."""
 ANGULAR = (-2.0, 2.0)
 """rad/s."""
-SHAPED_REWARD = {
-    **REWARD,
-    "collision": lambda state: -20.0 * state.collided,
-    "fall": lambda state: -20.0 * state.fell,
-}
-PROGRESS_REWARD = 5.0
-"""Reward for each metre nearer to the goal line."""
 
 
 class BridgeFeatures(BaseFeaturesExtractor):
@@ -58,11 +47,3 @@ class VelocityScale(torch.nn.Module):
     def forward(self, observations: Any, actions: torch.Tensor) -> torch.Tensor:
         """Environment actions (n, 2)."""
         return self.middle + self.span * actions.clamp(-1, 1)
-
-
-RECIPE = Recipe(
-    PpoOptions(steps=2_000_000, gamma=0.99, epochs=4, learning_rate=5e-4, evaluation_episodes=500),
-    shaped={"reward": SHAPED_REWARD, "progress": PROGRESS_REWARD},
-    features=BridgeFeatures,
-    action_scale=lambda worlds, options: VelocityScale(),
-)

@@ -1,54 +1,37 @@
-"""What makes the reach task learnable: what the network is shown, how it acts, and a reward on the way.
+"""What makes the reach tasks learnable: what a network is shown of them, and how it acts.
 
-Features and actions are functions of the observation inside the exported graph: the agent sees and does what any policy
-may. The reward on the way is for training alone.
+Both are functions of the observation inside the exported graph: the agent sees and does what any policy may.
 """
 
 import numpy as np
 import torch
-from armctl.rl.recipe import PpoOptions, Recipe
 from gymnasium import spaces
-from numpy.typing import NDArray
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
-from armctl.tasks import REWARD, ReachState
-
-PROGRESS_REWARD = 50.0
-"""Reward for each metre that the end-effector comes nearer to the target."""
 LARGEST_MOVE = 0.5
 """rad that an action can command away from the present joint positions: a UR5 joint at its highest speed makes 0.126 in
 one decision, and needs 0.33 to brake."""
-
-
 LENGTH_SCALE = 2.0
 """1/m: brings the lengths of an arm's workspace to the order of one."""
 NEARBY = 0.05
 """m from the target, below which its direction fades."""
 
 
-def progress(state: ReachState) -> NDArray[np.float64]:
-    """Reward term (n,): metres come nearer to the target since the last decision."""
-    return np.asarray(PROGRESS_REWARD * (state.previous_distance - state.distance))
-
-
-SHAPED_REWARD = {**REWARD, "progress": progress}
-
-
 class ReachFeatures(BaseFeaturesExtractor):
-    """Observation (6 + dof,) as positions, the offset to the target, and each joint's sine and cosine."""
+    """Observation (6 + dof + k,) as positions, the offset to the target, each joint's sine and cosine, and the rest."""
 
-    def __init__(self, observation_space: spaces.Box) -> None:
-        self.dof = observation_space.shape[0] - 6
-        super().__init__(observation_space, 13 + 2 * self.dof)
+    def __init__(self, observation_space: spaces.Box, dof: int) -> None:
+        self.parts = (3, dof, 3, observation_space.shape[0] - 6 - dof)
+        super().__init__(observation_space, 13 + 2 * dof + self.parts[3])
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
-        """Features (n, 13 + 2 dof) of observations (n, 6 + dof)."""
-        end_effector, joints, target = observations.split((3, self.dof, 3), dim=1)
+        """Features (n, 13 + 2 dof + k) of observations (n, 6 + dof + k)."""
+        end_effector, joints, target, rest = observations.split(self.parts, dim=1)
         offset = target - end_effector
         distance = offset.norm(dim=1, keepdim=True)
         direction = offset / (distance + NEARBY)
         lengths = LENGTH_SCALE * torch.cat((end_effector, target, offset, distance), dim=1)
-        return torch.cat((lengths, direction, joints.sin(), joints.cos()), dim=1)
+        return torch.cat((lengths, direction, joints.sin(), joints.cos(), rest), dim=1)
 
 
 class ActionScale(torch.nn.Module):
@@ -72,14 +55,4 @@ class ActionScale(torch.nn.Module):
     def forward(self, observations: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
         """Environment actions (n, dof)."""
         move = self.middle + self.span * actions.clamp(-1, 1)
-        return observations[:, 3:-3] + move if self.relative else move
-
-
-RECIPE = Recipe(
-    PpoOptions(),
-    shaped={"reward": SHAPED_REWARD},
-    features=ReachFeatures,
-    action_scale=lambda worlds, options: ActionScale(
-        worlds.task.interface["control"], worlds.single_action_space, options.relative
-    ),
-)
+        return observations[:, 3 : 3 + len(self.span)] + move if self.relative else move

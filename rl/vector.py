@@ -1,11 +1,12 @@
 """armctl's batched environments as the vector environments of Stable-Baselines3."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import gymnasium
 import numpy as np
 import torch
+from armctl.rl.actor import tensors
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
@@ -19,18 +20,24 @@ Array = NDArray[np.float64]
 class StableBaselinesVectorEnv(VecEnv):
     """A same-step autoreset vector environment, seen by Stable-Baselines3: actions in [-1, 1], and scaled rewards.
 
-    Its `infos` hold what a learner needs of episodes that end: `terminal_observation`, `TimeLimit.truncated`,
-    `episode` (unscaled return, and length) and `is_success`.
+    The reward is the sum of the ledger's terms, times their weights (1 where there is none). `infos` hold what a
+    learner needs of episodes that end: `terminal_observation`, `TimeLimit.truncated`, `episode` (return, with neither
+    weights nor shaping, and length) and `is_success`.
     """
 
     def __init__(
-        self, env: gymnasium.vector.VectorEnv[Any, Any, Any], action_scale: torch.nn.Module, reward_scale: float = 1.0
+        self,
+        env: gymnasium.vector.VectorEnv[Any, Any, Any],
+        action_scale: torch.nn.Module,
+        reward_scale: float = 1.0,
+        reward_weights: Mapping[str, float] | None = None,
     ) -> None:
         if env.metadata["autoreset_mode"] is not AutoresetMode.SAME_STEP:
             raise ValueError("Stable-Baselines3 needs autoreset_mode='same_step'")
         self.env = env
         self._seed: int | None = None
         self._action_scale, self._reward_scale = action_scale, reward_scale
+        self._weights = reward_weights or {}
         actions = gymnasium.spaces.Box(-1, 1, env.single_action_space.shape)
         super().__init__(env.num_envs, env.single_observation_space, actions)
         self._returns = np.zeros(self.num_envs)
@@ -57,10 +64,12 @@ class StableBaselinesVectorEnv(VecEnv):
     def step_wait(self) -> VecEnvStepReturn:
         """Step all worlds."""
         actions = self._action_scale(tensors(self._observations), torch.as_tensor(self._actions))
-        observations, rewards, terminated, truncated, infos = self.env.step(actions.numpy())
+        observations, _, terminated, truncated, infos = self.env.step(actions.numpy())
+        terms = infos["reward_terms"]
+        rewards = sum(self._weights.get(name, 1.0) * earned for name, earned in terms.items())
         self._observations = observations
         done = terminated | truncated
-        self._returns += rewards
+        self._returns += sum(earned for name, earned in terms.items() if name != "shaping")
         self._lengths += 1
         world_infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         for i in np.flatnonzero(done):
@@ -93,10 +102,3 @@ class StableBaselinesVectorEnv(VecEnv):
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
         """Never: the worlds have no wrappers of their own."""
         return [False] * len(list(self._get_indices(indices)))
-
-
-def tensors(observations: Any) -> Any:
-    """Observations, an array or several by name, as tensors."""
-    if isinstance(observations, dict):
-        return {name: torch.as_tensor(values) for name, values in observations.items()}
-    return torch.as_tensor(observations)

@@ -43,19 +43,29 @@ class AgentCard(BaseModel):
     format: Literal["armctl-agent-1"] = "armctl-agent-1"
     name: str
     learner: str
+    recipe: str | None = None
     env: str
     env_options: dict[str, Any]
     """Options of the environment that it acts in; the rest are defaults."""
+    shaping: str | None = None
+    """Oracle of the reward on the way that it was trained with."""
+    shaping_scale: float | None = None
+    reward_weights: dict[str, float] = {}
+    """Weights of the task's reward terms in training; 1 where not named."""
+    teacher: str | None = None
+    """The policy that it learned from."""
     interface: dict[str, str]
     """What must be the same wherever it acts, such as robot and control."""
     observation_shape: list[int] | dict[str, list[int]]
     """Of the observation, or of each of its arrays."""
     action_shape: list[int]
     training_steps: int
+    best_after: int | None = None
+    """Steps after which it did best on episodes held out for that: this agent is of then."""
     training_minutes: float
     training_seed: int
     learner_options: dict[str, Any]
-    """What the learner was told, and the reward that it was trained on."""
+    """What the learner was told."""
     versions: dict[str, str]
     sha256: str
     """Of the ONNX file."""

@@ -41,13 +41,13 @@ Worlds = Annotated[
 
 @app.command("list")
 def list_() -> None:
-    """Show the environments, policies, arms and learners."""
+    """Show the environments, policies, arms, learners and recipes."""
     from rich.console import Console
     from rich.table import Table
 
     from armctl.assets import BUILTIN_ARMS
     from armctl.evaluation.rollouts import environment_names
-    from armctl.learners import learner_names
+    from armctl.learners import learner_names, load_recipe, recipe_names
     from armctl.policies import describe_policy, policy_names
 
     table = Table.grid(padding=(0, 2))
@@ -55,6 +55,11 @@ def list_() -> None:
         table.add_row(f"[bold]{kind}[/]", "  ".join(names))
     for i, name in enumerate(policy_names()):
         table.add_row("" if i else "[bold]policies[/]", f"[bold]{name}[/]  {describe_policy(name)}")
+    for i, recipe in enumerate(map(load_recipe, recipe_names())):
+        helped = " ".join(f"{name} {value}" for name in ("shaping", "teacher") if (value := getattr(recipe, name)))
+        table.add_row(
+            "" if i else "[bold]recipes[/]", f"[bold]{recipe.name}[/]  {recipe.learner} in {recipe.env} {helped}"
+        )
     table.add_row("", "A policy may also be path/to/agent.json or module:function, and an arm path/to/your.urdf.")
     Console(highlight=False).print(table)
 
@@ -143,44 +148,86 @@ def run(
 
 @app.command()
 def train(
-    learner: Annotated[str, typer.Argument(help="Learner: `armctl list` shows them.")],
-    env: Env = DEFAULT_ENV,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Folder for the agent, logs and checkpoints.", show_default="runs/<learner>-<seed>"),
+    recipe: Annotated[
+        str,
+        typer.Argument(help="Recipe: a name (`armctl list` shows them), path/to/recipe.toml, or a learner's name."),
+    ],
+    env: Annotated[
+        str | None, typer.Option("--env", help="Environment to train in.", show_default="the recipe's")
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Seed of the training.", show_default="the recipe's first")
     ] = None,
     steps: Annotated[
         int | None, typer.Option(min=1, help="Decisions in simulation.", show_default="the recipe's")
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the training.")] = 0,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on from the newest checkpoint in the folder.")] = False,
+    shaping: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ORACLE",
+            help="Potential-based reward on the way: `distance`, `ik`, `mpc`, `ompl` or `none`.",
+            show_default="the recipe's",
+        ),
+    ] = None,
+    shaping_scale: Annotated[
+        float | None, typer.Option(help="Reward per unit of the potential.", show_default="the recipe's")
+    ] = None,
+    teacher: Annotated[
+        str | None, typer.Option(metavar="POLICY", help="Policy to learn from.", show_default="the recipe's")
+    ] = None,
+    options: Annotated[
+        list[str] | None,
+        typer.Option("--option", metavar="NAME=VALUE", help="Option of the learner, such as `--option gamma=0.98`."),
+    ] = None,
     env_options: EnvOptions = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for the agent, logs and checkpoints.", show_default="runs/<recipe>-<seed>"),
+    ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on from the newest checkpoint in the folder.")] = False,
 ) -> None:
-    """Train an agent; needs the extra `rl`: `pip install 'armctl[rl]'`, or `pip install -e '.[rl]'` in a clone.
+    """Train an agent by a recipe; needs the extra `rl`.
 
-    Ctrl-C leaves a checkpoint: the same command with `--resume` goes on. Watch it with `tensorboard --logdir FOLDER`.
+    The extra: `pip install 'armctl[rl]'`, or `pip install -e '.[rl]'` in a clone.
+
+    `armctl train reach_ppo` repeats how the shipped agent was made. All of a recipe can be changed:
+    `armctl train reach_ppo --seed 1 --shaping ik --set robot=ur10 --option worlds=64`, or
+    `armctl train ppo --env armctl/BridgeCross-v0`.
+
+    While it learns, the agent is judged on held-out episodes (`curve.csv`), and the best is kept. Ctrl-C leaves a
+    checkpoint: the same command with `--resume` goes on. Watch it with `tensorboard --logdir FOLDER`.
     """
     from rich import print as show
 
-    from armctl.learners import load_learner
+    from armctl.learners import load_learner, load_recipe
 
-    folder = out or Path("runs") / f"{learner}-{seed}"
+    chosen = load_recipe(recipe, env)
+    given = {"shaping": shaping, "shaping_scale": shaping_scale, "teacher": teacher}
+    changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+    if shaping == "none":
+        changes["shaping"] = None
+    learner_options = _options(options, "--option") | ({} if steps is None else {"steps": steps})
+    chosen = chosen.changed(
+        **changes,
+        options=chosen.options | learner_options,
+        env_options=chosen.env_options | _options(env_options),
+    )
+    seed = chosen.seeds[0] if seed is None else seed
+    folder = out or Path("runs") / f"{chosen.name}-{seed}"
     try:
-        card = load_learner(learner)(
-            env, out=folder, steps=steps, seed=seed, resume=resume, env_options=_options(env_options)
-        )
+        card = load_learner(chosen.learner)(chosen, out=folder, seed=seed, resume=resume)
     except KeyboardInterrupt:
         show(f"Interrupted. The same command with [bold]--resume --out {folder}[/] goes on.")
         raise typer.Exit(130) from None
     assert card.evaluation is not None
     low, high = card.evaluation.success_interval
     show(
-        f"{card.training_steps:,} steps in {card.training_minutes} minutes: "
+        f"{card.training_steps:,} steps in {card.training_minutes} minutes, best after {card.best_after:,}: "
         f"success {card.evaluation.success_rate:.1%} [{low:.1%}, {high:.1%}] "
         f"on {card.evaluation.episodes} held-out episodes"
     )
-    rival = DEFAULT_POLICIES[env][0]
-    show(f"The agent is {folder / 'agent.json'}: armctl compare {rival} {folder / 'agent.json'} --env {env}")
+    rival = DEFAULT_POLICIES[chosen.env][0]
+    show(f"The agent is {folder / 'agent.json'}: armctl compare {rival} {folder / 'agent.json'} --env {chosen.env}")
 
 
 @app.command()
@@ -222,13 +269,13 @@ def reproduce(
         raise typer.Exit(1)
 
 
-def _options(pairs: list[str] | None) -> dict[str, Any]:
-    """Environment options from NAME=VALUE pairs: numbers, tuples, True, False and None, or else strings."""
+def _options(pairs: list[str] | None, flag: str = "--set") -> dict[str, Any]:
+    """Options from NAME=VALUE pairs: numbers, tuples, True, False and None, or else strings."""
     options = {}
     for pair in pairs or []:
         name, equals, value = pair.partition("=")
         if not equals:
-            raise ConfigurationError(f"--set wants NAME=VALUE, not {pair!r}")
+            raise ConfigurationError(f"{flag} wants NAME=VALUE, not {pair!r}")
         try:
             options[name] = ast.literal_eval(value)
         except (ValueError, SyntaxError):

@@ -1,32 +1,72 @@
-"""How learners are found: functions that train an agent, under the entry-point group `armctl.learners`."""
+"""Recipes, which say what is learnt how, and how they and the learners that follow them are found.
 
-from collections.abc import Mapping
+A package offers learners under the entry-point group `armctl.learners`, and packages of recipes (`*.toml`) under
+`armctl.recipes`.
+"""
+
+import tomllib
+from importlib import resources
 from importlib.metadata import entry_points
+from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol
 
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+
+from armctl import DEFAULT_ENV
 from armctl.agents import AgentCard
 from armctl.errors import ConfigurationError, unknown_name
 
-GROUP = "armctl.learners"
+LEARNERS, RECIPES = "armctl.learners", "armctl.recipes"
+
+TrainingSeed = Annotated[int, Field(ge=0, lt=2**32)]
+
+
+class Recipe(BaseModel):
+    """What a learner is to learn, and how: all of a training but its seed."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    name: str
+    """Of its file."""
+    learner: str
+    env: str
+    env_options: dict[str, Any] = {}
+    """Of the environment that the agent acts in."""
+    shaping: str | None = None
+    """Oracle of a potential-based reward on the way (see `armctl.shaping`)."""
+    shaping_scale: FiniteFloat = 1.0
+    """Reward per unit of the oracle's potential."""
+    reward_weights: dict[str, FiniteFloat] = {}
+    """Weights of the task's own reward terms in training; 1 where not named."""
+    teacher: str | None = None
+    """The policy to learn from: any that `armctl.make_policy` takes."""
+    seeds: Annotated[list[TrainingSeed], Field(min_length=1)] = [0]
+    """Training seeds that the published results come from."""
+    options: dict[str, Any] = {}
+    """Options of the learner, such as `steps`."""
+
+    def changed(self, **changes: Any) -> "Recipe":
+        """The recipe with other values. Raises `ConfigurationError`."""
+        return _recipe({**self.model_dump(), **changes}, f"recipe {self.name}, as changed")
 
 
 class Learner(Protocol):
-    """Trains an agent into the folder `out`, or goes on with one that is there."""
+    """Trains an agent into the folder `out`, or goes on with the training that is there."""
 
     def __call__(  # noqa: D102
-        self, env: str, *, out: Path, steps: int | None, seed: int, resume: bool, env_options: Mapping[str, Any]
+        self, recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True
     ) -> AgentCard: ...
 
 
 def learner_names() -> list[str]:
     """Names of all installed learners."""
-    return sorted(entry_points(group=GROUP).names)
+    return sorted(entry_points(group=LEARNERS).names)
 
 
 def load_learner(name: str) -> Learner:
     """The installed learner of that name; raises `ConfigurationError` without it, or without the extra `rl`."""
-    entries = entry_points(group=GROUP)
+    entries = entry_points(group=LEARNERS)
     if name not in entries.names:
         raise unknown_name("learner", name, entries.names)
     try:
@@ -34,3 +74,65 @@ def load_learner(name: str) -> Learner:
     except ModuleNotFoundError as error:
         how = "pip install 'armctl[rl]', or pip install -e '.[rl]' in a clone"
         raise ConfigurationError(f"training needs {error.name}: {how}") from error
+
+
+def recipe_names() -> list[str]:
+    """Names of all installed recipes."""
+    return sorted(_installed())
+
+
+def load_recipe(name: str | Path, env: str | None = None) -> Recipe:
+    """A recipe by its name, or its file's path, or by its learner and environment; `env` replaces the recipe's own.
+
+    A learner's name without `env` means `DEFAULT_ENV`; of several recipes for it, that with the shortest name is
+    taken, which is the plain one. Raises `ConfigurationError`.
+    """
+    installed = _installed()
+    if Path(name).suffix == ".toml":
+        recipe = _read(Path(name), Path(name).stem)
+    elif str(name) in installed:
+        recipe = _read(installed[str(name)], str(name))
+    elif name in learner_names():
+        return _recipe_of(str(name), env or DEFAULT_ENV)
+    else:
+        raise unknown_name("recipe", name, [*installed, *learner_names(), "path/to/recipe.toml"])
+    return recipe if env is None else recipe.changed(env=env)
+
+
+def _installed() -> dict[str, Traversable]:
+    return {
+        file.name.removesuffix(".toml"): file
+        for package in entry_points(group=RECIPES)
+        for file in resources.files(package.value).iterdir()
+        if file.name.endswith(".toml")
+    }
+
+
+def _recipe_of(learner: str, env: str) -> Recipe:
+    recipes = [recipe for recipe in map(load_recipe, recipe_names()) if recipe.learner == learner]
+    suited = [recipe for recipe in recipes if recipe.env == env]
+    if not suited:
+        raise unknown_name(f"environment with a recipe of {learner}", env, {recipe.env for recipe in recipes})
+    return min(suited, key=lambda recipe: len(recipe.name))
+
+
+def _read(file: Traversable, name: str) -> Recipe:
+    try:
+        values = tomllib.loads(file.read_text("utf-8"))
+    except OSError as error:
+        raise ConfigurationError(f"the recipe {file} cannot be read: {error.strerror}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"{file} is not TOML: {error}") from error
+    return _recipe({"name": name, **values}, str(file))
+
+
+def _recipe(values: dict[str, Any], source: str) -> Recipe:
+    for key in values:
+        if key not in Recipe.model_fields:
+            raise unknown_name(f"key of a recipe in {source}:", key, Recipe.model_fields)
+    try:
+        return Recipe.model_validate(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise ConfigurationError(f"{source} is not a recipe: {where}: {first['msg']}") from error

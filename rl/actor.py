@@ -1,0 +1,72 @@
+"""What every learner trains: a torch module from observations to the environment's actions, exported as ONNX."""
+
+import logging
+import warnings
+from pathlib import Path
+from typing import Any, Literal
+
+import gymnasium
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from armctl.agents import INPUT, OUTPUT, inputs
+from armctl.tasks import Observations
+
+
+class Actor(torch.nn.Module):
+    """A network from observations to actions in [-1, 1], and the scale from there to the environment's actions.
+
+    It is an `armctl.policies.Policy` as well, so that it can be judged while it learns.
+    """
+
+    sees: Literal["observation", "state"] = "observation"
+    training_steps = 0
+
+    def __init__(self, network: torch.nn.Module, scale: torch.nn.Module, observed: gymnasium.Space[Any]) -> None:
+        super().__init__()
+        self.network, self.scale = network, scale
+        self.inputs = inputs(observed)
+
+    def forward(self, *arrays: torch.Tensor) -> torch.Tensor:
+        """Environment actions (n, ...) for the observed arrays (n, ...), in the order of `inputs`."""
+        observation: Any = arrays[0] if list(self.inputs) == [INPUT] else dict(zip(self.inputs, arrays, strict=True))
+        return self.scale(observation, self.network(observation))
+
+    def reset(self, ids: NDArray[np.int32]) -> None:
+        """Nothing to forget: the actor has no memory."""
+
+    def act(self, observations: Observations) -> NDArray[np.float32]:
+        """Actions (n, ...) for observations (n, ...)."""
+        arrays = [observations[name] for name in self.inputs] if isinstance(observations, dict) else [observations]
+        with torch.no_grad():
+            return np.asarray(self(*map(torch.as_tensor, arrays)))
+
+    def export(self, path: Path) -> None:
+        """Write the actor as an ONNX graph, with an input for each observed array."""
+        example = {name: torch.as_tensor(space.sample()[None].repeat(2, 0)) for name, space in self.inputs.items()}
+        batch = torch.export.Dim("worlds", min=1)
+        logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # it warns of a torchvision that nobody needs
+        with warnings.catch_warnings(action="ignore"):
+            program = torch.onnx.export(
+                self.eval(),
+                tuple(example.values()),
+                input_names=list(example),
+                output_names=[OUTPUT],
+                dynamic_shapes=(tuple({0: batch} for _ in example),),
+                dynamo=True,
+                verbose=False,
+            )
+        assert program is not None
+        graph = program.model_proto
+        for node in (*graph.graph.node, *(node for function in graph.functions for node in function.node)):
+            node.ClearField("metadata_props")  # stack traces, with the paths of whoever trained it
+            node.ClearField("doc_string")
+        path.write_bytes(graph.SerializeToString())
+
+
+def tensors(observations: Any) -> Any:
+    """Observations, an array or several by name, as tensors."""
+    if isinstance(observations, dict):
+        return {name: torch.as_tensor(values) for name, values in observations.items()}
+    return torch.as_tensor(observations)

@@ -1,0 +1,315 @@
+"""What all learners share: the folder of a training, its clock, its curve on held-out episodes, and the best agent."""
+
+import csv
+import dataclasses
+import json
+import math
+import time
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from types import TracebackType
+from typing import Annotated, Any, Self, TypeVar, get_type_hints
+
+import gymnasium
+import numpy as np
+import torch
+from armctl.rl.actor import Actor
+from armctl.rl.view import view_of
+from pydantic import Field, TypeAdapter, ValidationError
+from stable_baselines3.common.logger import configure
+
+from armctl.agents import AgentCard, Evaluation, sha256, shapes
+from armctl.envs import TaskVectorEnv
+from armctl.errors import ConfigurationError, unknown_name
+from armctl.evaluation import evaluate
+from armctl.evaluation.report import versions
+from armctl.evaluation.rollouts import make_worlds, rollouts
+from armctl.evaluation.statistics import Estimate, success_rate
+from armctl.learners import Recipe
+
+TRAINING_SEEDS = 10**9
+"""Training seed k plays the seeds from (k + 1) * 10^9 on: whatever is evaluated on smaller seeds is held out."""
+VALIDATION_SEED = 10**8
+"""Of the held-out episodes that pick the best agent of a training."""
+EVALUATION_SEED = 0
+"""Of the held-out episodes on its card."""
+VALIDATION_WORLDS = 50
+
+Count = Annotated[int, Field(ge=1)]
+Share = Annotated[float, Field(ge=0, le=1)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainingOptions:
+    """What every learner can be told."""
+
+    steps: Count = 3_000_000
+    """Decisions in simulation, over all worlds."""
+    worlds: Count = 256
+    gamma: Share = 0.97
+    """Discount factor."""
+    learning_rate: Positive = 1e-3
+    hidden_units: Count = 128
+    """In each of two layers."""
+    relative: bool = True
+    """Position commands of an arm are relative to the observed joint positions, not absolute."""
+    features: bool = True
+    """The network is shown features of the observation (see `armctl.rl.view`), not the bare observation."""
+    evaluation_every: Count = 250_000
+    """Steps between two held-out evaluations, each with a checkpoint."""
+    validation_episodes: Count = 100
+    """Of each of them."""
+    evaluation_episodes: Count = 1000
+    """Of the final evaluation, which goes on the card."""
+
+
+Options = TypeVar("Options", bound=TrainingOptions)
+
+
+def read_options(kind: type[Options], recipe: Recipe) -> Options:
+    """A learner's options, checked. Raises `ConfigurationError` for an unknown name, or a value of the wrong type."""
+    allowed = get_type_hints(kind, include_extras=True)
+    for name, value in recipe.options.items():
+        if name not in allowed:
+            raise unknown_name(f"option of {recipe.learner}", name, allowed)
+        try:
+            TypeAdapter(allowed[name]).validate_python(value, strict=True)
+        except ValidationError as error:
+            raise ConfigurationError(f"{name}: {error.errors()[0]['msg']}, not {value!r}") from error
+    return kind(**recipe.options)
+
+
+class Training:
+    """One training: a recipe, learnt with one seed, into one folder.
+
+    Use it as a context manager. The folder gets `settings.json`, `checkpoints/`, `tensorboard/`, `curve.csv`, the best
+    actor so far, `best.pt`, and in the end `agent.onnx` and `agent.json`. Checkpoints are pickles: resume only
+    trainings of your own making.
+
+    Raises `ConfigurationError` for a recipe that cannot be followed, or a folder that another training has used.
+    """
+
+    def __init__(self, recipe: Recipe, options: TrainingOptions, out: Path, seed: int, resume: bool) -> None:
+        if not 0 <= seed < 2**32:
+            raise ConfigurationError(f"a training seed is a whole number from 0 to {2**32 - 1}, not {seed}")
+        self.recipe, self.options, self.out, self.seed = recipe, options, out, seed
+        self.held_out = make_worlds(recipe.env, min(VALIDATION_WORLDS, options.validation_episodes), recipe.env_options)
+        self.worlds = self._make_worlds()
+        self.view = view_of(self.held_out, features=options.features, relative=options.relative)
+        self._prepare(resume)
+        self.logger = configure(str(out / "tensorboard"), ["tensorboard"])
+        clock = out / "clock.json"
+        self._before = json.loads(clock.read_text())["seconds"] if clock.exists() else 0.0
+        self._start = time.perf_counter()
+        curve = self.curve()
+        self._evaluated = curve[-1]["steps"] if curve else -math.inf
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.worlds.close()
+        self.held_out.close()
+        self.logger.close()
+
+    @property
+    def seconds(self) -> float:
+        """Since training began, over all resumptions."""
+        return float(self._before + time.perf_counter() - self._start)
+
+    def first_seed(self, steps: int = 0) -> int:
+        """Seed of the first world after so many steps: a resumed training plays on in episodes that are new to it."""
+        return (self.seed + 1) * TRAINING_SEEDS + steps
+
+    def curve(self) -> list[dict[str, float]]:
+        """Held-out evaluations so far: steps, minutes, success with its 95 % interval (low, high), mean return."""
+        file = self.out / "curve.csv"
+        if not file.exists():
+            return []
+        with file.open(newline="") as lines:
+            return [{name: float(value) for name, value in row.items()} for row in csv.DictReader(lines)]
+
+    def newest_checkpoint(self) -> Path | None:
+        """The checkpoint after most steps."""
+        found = (path for path in (self.out / "checkpoints").glob("*.zip") if path.stem.isdecimal())
+        return max(found, key=lambda path: int(path.stem), default=None)
+
+    def checkpoint(self, steps: int, save: Callable[[Path], Any]) -> None:
+        """Keep what `save` writes to a path, which is whole or not there, and the time."""
+        unfinished = self.out / "checkpoints" / "unfinished.zip"
+        save(unfinished)
+        unfinished.replace(self.out / "checkpoints" / f"{steps}.zip")
+        (self.out / "clock.json").write_text(json.dumps({"seconds": self.seconds}))
+
+    def due(self, steps: int) -> bool:
+        """Whether it is time for a checkpoint and an evaluation."""
+        return steps - self._evaluated >= self.options.evaluation_every
+
+    def evaluate(self, actor: Actor, steps: int) -> None:
+        """Judge the actor on held-out episodes, add it to the curve, and keep it if it is the best so far."""
+        if steps == self._evaluated:
+            return
+        self._evaluated = steps
+        # least lengths, which nobody asks for here, take longer than the episodes
+        unknown = dict.fromkeys(range(self.options.validation_episodes), math.nan)
+        results = list(
+            rollouts(
+                actor, self.held_out, self.options.validation_episodes, VALIDATION_SEED, "agent", least_lengths=unknown
+            )
+        )
+        rate = _rate([result.success for result in results])
+        mean_return = float(np.mean([result.total_reward for result in results]))
+        row = {
+            "steps": steps,
+            "minutes": round(self.seconds / 60, 3),
+            "success": rate.value,
+            "low": rate.low,
+            "high": rate.high,
+            "return": mean_return,
+        }
+        best = self._best()
+        if best is None or (rate.value, mean_return) > (best["success"], best["return"]):
+            _write_whole(self.out / "best.pt", lambda path: torch.save({**row, "actor": actor.state_dict()}, path))
+        file = self.out / "curve.csv"
+        new = not file.exists()
+        with file.open("a", newline="") as lines:
+            writer = csv.DictWriter(lines, row)
+            if new:
+                writer.writeheader()
+            writer.writerow(row)
+        for name in ("success", "return"):
+            self.logger.record(f"held-out/{name}", row[name])
+        self.logger.dump(steps)
+
+    def finish(self, actor: Actor, steps: int) -> AgentCard:
+        """Judge the last actor too, then export the best, and write its card with its final evaluation."""
+        self.evaluate(actor, steps)
+        best = self._best()
+        assert best is not None
+        actor.load_state_dict(best["actor"])
+        graph = self.out / "agent.onnx"
+        actor.export(graph)
+        recipe, worlds = self.recipe, self.held_out
+        card = AgentCard(
+            name=self.out.name,
+            learner=recipe.learner,
+            recipe=recipe.name,
+            env=recipe.env,
+            env_options=_plain(recipe)["env_options"],
+            shaping=recipe.shaping,
+            shaping_scale=recipe.shaping_scale if recipe.shaping else None,
+            reward_weights=recipe.reward_weights,
+            teacher=recipe.teacher,
+            interface=worlds.task.interface,
+            observation_shape=shapes(worlds.single_observation_space),
+            action_shape=list(worlds.single_action_space.shape or ()),
+            training_steps=steps,
+            best_after=best["steps"],
+            training_minutes=round(self.seconds / 60, 2),
+            training_seed=self.seed,
+            learner_options=dataclasses.asdict(self.options),
+            versions=versions() | {name: version(name) for name in ("stable-baselines3", "torch", "onnx")},
+            sha256=sha256(graph),
+        )
+        self._write(card)
+        card.evaluation = self._final_evaluation()
+        self._write(card)
+        return card
+
+    def _make_worlds(self) -> gymnasium.vector.VectorEnv[Any, Any, Any]:
+        recipe, options = self.recipe, self.options
+        worlds = gymnasium.make_vec(
+            recipe.env, num_envs=options.worlds, autoreset_mode="same_step", **recipe.env_options
+        )
+        assert isinstance(worlds, TaskVectorEnv)
+        terms = worlds.task.score()
+        for name in recipe.reward_weights:
+            if name not in terms:
+                raise unknown_name("reward term", name, terms)
+        if recipe.shaping is None:
+            return worlds
+        from armctl.shaping import Shaped  # type: ignore[import-not-found,unused-ignore]
+
+        return Shaped(worlds, recipe.shaping, gamma=options.gamma, scale=recipe.shaping_scale)
+
+    def _prepare(self, resume: bool) -> None:
+        """Make the folder, or check that the training in it is the one to go on with; more steps are welcome."""
+        record = self.out / "settings.json"
+        settings = _plain(self.recipe) | {"seed": self.seed, "options": dataclasses.asdict(self.options)}
+        del settings["seeds"]
+        try:
+            if resume:
+                _check_same(record, settings)
+            elif record.exists():
+                raise ConfigurationError(
+                    f"{self.out} holds a training already: resume it (--resume), or choose another folder"
+                )
+            (self.out / "checkpoints").mkdir(parents=True, exist_ok=True)
+            _write_whole(record, lambda path: path.write_text(json.dumps(settings, indent=2)))
+        except OSError as error:
+            raise ConfigurationError(f"the training cannot be written to {self.out}: {error.strerror}") from error
+
+    def _best(self) -> dict[str, Any] | None:
+        file = self.out / "best.pt"
+        return torch.load(file, weights_only=True) if file.exists() else None
+
+    def _final_evaluation(self) -> Evaluation:
+        episodes, env_options = self.options.evaluation_episodes, self.recipe.env_options
+        results = evaluate(
+            str(self.out / "agent.json"),
+            self.recipe.env,
+            episodes=episodes,
+            seed=EVALUATION_SEED,
+            worlds=64,
+            env_options=env_options,
+        )
+        rate = _rate(results.success)
+        steps = results.length[results.success]
+        return Evaluation(
+            episodes=episodes,
+            seed=EVALUATION_SEED,
+            success_rate=rate.value,
+            success_interval=(rate.low, rate.high),
+            mean_return=float(results["return"].mean()),
+            mean_steps_to_goal=float(steps.mean()) if len(steps) else None,
+        )
+
+    def _write(self, card: AgentCard) -> None:
+        (self.out / "agent.json").write_text(card.model_dump_json(indent=2) + "\n")
+
+
+def _plain(recipe: Recipe) -> dict[str, Any]:
+    """The recipe as JSON can have it."""
+    return recipe.model_dump(mode="json", fallback=str)
+
+
+def _check_same(record: Path, settings: dict[str, Any]) -> None:
+    if not record.exists():
+        raise ConfigurationError(f"there is no training to resume in {record.parent}")
+    before = _flat(json.loads(record.read_text()))
+    for key, value in _flat(settings).items():
+        if before.get(key) != value and key != "steps":
+            raise ConfigurationError(
+                f"the training in {record.parent} was started with {key} {before.get(key)!r}, not {value!r}"
+            )
+
+
+def _flat(settings: dict[str, Any]) -> dict[str, Any]:
+    return {**settings, **settings["options"], "options": None}
+
+
+def _rate(successes: Any) -> Any:
+    rate = success_rate(np.asarray(successes, dtype=bool))
+    assert isinstance(rate, Estimate)
+    return rate
+
+
+def _write_whole(file: Path, write: Callable[[Path], Any]) -> None:
+    """Let `write` write to a path; the file is whole, or what it was before."""
+    unfinished = file.with_name(f"unfinished-{file.name}")
+    write(unfinished)
+    unfinished.replace(file)
