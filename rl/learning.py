@@ -4,12 +4,15 @@ from pathlib import Path
 from typing import Any
 
 from armctl.rl.actor import Actor
-from armctl.rl.training import Training
+from armctl.rl.training import Training, write_whole
 from armctl.rl.vector import StableBaselinesVectorEnv
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from armctl.agents import AgentCard
+
+REPLAY = "replay_buffer.pkl"
 
 
 def learn(training: Training, model: BaseAlgorithm, actor: Actor, progress: bool) -> AgentCard:
@@ -31,7 +34,9 @@ def learn(training: Training, model: BaseAlgorithm, actor: Actor, progress: bool
 
 
 def save(model: BaseAlgorithm, path: Path) -> None:
-    """Write a checkpoint."""
+    """Write a checkpoint; the replay buffer, which is large, is kept for the newest alone."""
+    if isinstance(model, OffPolicyAlgorithm):
+        write_whole(path.with_name(REPLAY), model.save_replay_buffer)
     model.save(path)
 
 

@@ -1,6 +1,5 @@
 """What all learners share: the folder of a training, its clock, its curve on held-out episodes, and the best agent."""
 
-import csv
 import dataclasses
 import json
 import math
@@ -13,6 +12,7 @@ from typing import Annotated, Any, Self, TypeVar, get_type_hints
 
 import gymnasium
 import numpy as np
+import pandas as pd
 import torch
 from armctl.rl.actor import Actor
 from armctl.rl.view import view_of
@@ -27,6 +27,7 @@ from armctl.evaluation.report import versions
 from armctl.evaluation.rollouts import make_worlds, rollouts
 from armctl.evaluation.statistics import Estimate, success_rate
 from armctl.learners import Recipe
+from armctl.shaping import Shaped
 
 TRAINING_SEEDS = 10**9
 """Training seed k plays the seeds from (k + 1) * 10^9 on: whatever is evaluated on smaller seeds is held out."""
@@ -125,13 +126,10 @@ class Training:
         """Seed of the first world after so many steps: a resumed training plays on in episodes that are new to it."""
         return (self.seed + 1) * TRAINING_SEEDS + steps
 
-    def curve(self) -> list[dict[str, float]]:
+    def curve(self) -> list[dict[Any, Any]]:
         """Held-out evaluations so far: steps, minutes, success with its 95 % interval (low, high), mean return."""
         file = self.out / "curve.csv"
-        if not file.exists():
-            return []
-        with file.open(newline="") as lines:
-            return [{name: float(value) for name, value in row.items()} for row in csv.DictReader(lines)]
+        return pd.read_csv(file).to_dict("records") if file.exists() else []
 
     def newest_checkpoint(self) -> Path | None:
         """The checkpoint after most steps."""
@@ -143,7 +141,7 @@ class Training:
         unfinished = self.out / "checkpoints" / "unfinished.zip"
         save(unfinished)
         unfinished.replace(self.out / "checkpoints" / f"{steps}.zip")
-        (self.out / "clock.json").write_text(json.dumps({"seconds": self.seconds}))
+        write_whole(self.out / "clock.json", lambda path: path.write_text(json.dumps({"seconds": self.seconds})))
 
     def due(self, steps: int) -> bool:
         """Whether it is time for a checkpoint and an evaluation."""
@@ -173,14 +171,9 @@ class Training:
         }
         best = self._best()
         if best is None or (rate.value, mean_return) > (best["success"], best["return"]):
-            _write_whole(self.out / "best.pt", lambda path: torch.save({**row, "actor": actor.state_dict()}, path))
-        file = self.out / "curve.csv"
-        new = not file.exists()
-        with file.open("a", newline="") as lines:
-            writer = csv.DictWriter(lines, row)
-            if new:
-                writer.writeheader()
-            writer.writerow(row)
+            write_whole(self.out / "best.pt", lambda path: torch.save({**row, "actor": actor.state_dict()}, path))
+        curve = pd.DataFrame([*self.curve(), row]).astype({"steps": int})
+        write_whole(self.out / "curve.csv", lambda path: curve.to_csv(path, index=False))
         for name in ("success", "return"):
             self.logger.record(f"held-out/{name}", row[name])
         self.logger.dump(steps)
@@ -232,8 +225,6 @@ class Training:
                 raise unknown_name("reward term", name, terms)
         if recipe.shaping is None:
             return worlds
-        from armctl.shaping import Shaped  # type: ignore[import-not-found,unused-ignore]
-
         return Shaped(worlds, recipe.shaping, gamma=options.gamma, scale=recipe.shaping_scale)
 
     def _prepare(self, resume: bool) -> None:
@@ -249,7 +240,7 @@ class Training:
                     f"{self.out} holds a training already: resume it (--resume), or choose another folder"
                 )
             (self.out / "checkpoints").mkdir(parents=True, exist_ok=True)
-            _write_whole(record, lambda path: path.write_text(json.dumps(settings, indent=2)))
+            write_whole(record, lambda path: path.write_text(json.dumps(settings, indent=2)))
         except OSError as error:
             raise ConfigurationError(f"the training cannot be written to {self.out}: {error.strerror}") from error
 
@@ -290,7 +281,10 @@ def _plain(recipe: Recipe) -> dict[str, Any]:
 def _check_same(record: Path, settings: dict[str, Any]) -> None:
     if not record.exists():
         raise ConfigurationError(f"there is no training to resume in {record.parent}")
-    before = _flat(json.loads(record.read_text()))
+    try:
+        before = _flat(json.loads(record.read_text()))
+    except (ValueError, KeyError, TypeError) as error:
+        raise ConfigurationError(f"{record} is not what a training has written: it was changed, or damaged") from error
     for key, value in _flat(settings).items():
         if before.get(key) != value and key != "steps":
             raise ConfigurationError(
@@ -308,7 +302,7 @@ def _rate(successes: Any) -> Any:
     return rate
 
 
-def _write_whole(file: Path, write: Callable[[Path], Any]) -> None:
+def write_whole(file: Path, write: Callable[[Path], Any]) -> None:
     """Let `write` write to a path; the file is whole, or what it was before."""
     unfinished = file.with_name(f"unfinished-{file.name}")
     write(unfinished)

@@ -36,7 +36,8 @@ class StableBaselinesVectorEnv(VecEnv):
             raise ValueError("Stable-Baselines3 needs autoreset_mode='same_step'")
         self.env = env
         self._seed: int | None = None
-        self._action_scale, self._reward_scale = action_scale, reward_scale
+        self.reward_scale = reward_scale
+        self._action_scale = action_scale
         self._weights = reward_weights or {}
         actions = gymnasium.spaces.Box(-1, 1, env.single_action_space.shape)
         super().__init__(env.num_envs, env.single_observation_space, actions)
@@ -50,6 +51,10 @@ class StableBaselinesVectorEnv(VecEnv):
         self._returns[:] = 0.0
         self._lengths[:] = 0
         self._observations = observations
+        return self.shown(observations)
+
+    def shown(self, observations: Any) -> Any:
+        """What the learner is shown of observations, of all worlds or of one."""
         return observations
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
@@ -74,14 +79,14 @@ class StableBaselinesVectorEnv(VecEnv):
         world_infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         for i in np.flatnonzero(done):
             world_infos[i] = {
-                "terminal_observation": one_of(infos["final_obs"], int(i)),
+                "terminal_observation": self.shown(one_of(infos["final_obs"], int(i))),
                 "TimeLimit.truncated": bool(truncated[i]),
                 "is_success": bool(infos["final_info"]["is_success"][i]),
                 "episode": {"r": self._returns[i], "l": int(self._lengths[i])},
             }
         self._returns[done] = 0.0
         self._lengths[done] = 0
-        return observations, self._reward_scale * rewards, done, world_infos
+        return self.shown(observations), self.reward_scale * rewards, done, world_infos
 
     def close(self) -> None:
         """Close the environment."""
