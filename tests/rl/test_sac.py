@@ -1,0 +1,119 @@
+import shutil
+
+import numpy as np
+import pandas as pd
+import pytest
+from armctl.rl.goals import GoalVectorEnv, split
+from armctl.rl.learning import REPLAY
+from armctl.rl.reach import ActionScale
+from armctl.rl.sac import SacOptions, _noise, train
+from stable_baselines3 import SAC
+from stable_baselines3.common.save_util import load_from_pkl
+
+from armctl.agents import load_agent
+from armctl.envs import ArmReachVectorEnv
+from armctl.errors import ConfigurationError
+from armctl.evaluation import evaluate
+from armctl.learners import load_recipe
+
+SMALL = {
+    "steps": 1600,
+    "worlds": 8,
+    "gradient_steps": 1,
+    "batch_size": 64,
+    "buffer_size": 4000,
+    "random_steps": 800,
+    "evaluation_every": 800,
+    "validation_episodes": 4,
+    "evaluation_episodes": 4,
+}
+
+
+def small(**options):
+    return load_recipe("reach_sac").changed(options={**SMALL, **options})
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    out = tmp_path_factory.mktemp("runs") / "small"
+    return out, train(small(), out=out, seed=1, progress=False)
+
+
+def test_training_leaves_a_runnable_agent(trained):
+    out, card = trained
+    assert (card.recipe, card.learner, card.training_steps) == ("reach_sac", "sac", 1600)
+    assert pd.read_csv(out / "curve.csv").steps.tolist() == [0, 800, 1600]
+    assert len(evaluate(str(out / "agent.json"), episodes=3)) == 3
+
+
+def test_exported_graph_is_the_squashed_mean_of_plain_observations(trained):
+    out, card = trained
+    worlds = ArmReachVectorEnv(50)
+    observations, _ = worlds.reset(seed=0)
+    env = ArmReachVectorEnv(8, autoreset_mode="same_step")
+    goals = GoalVectorEnv(0.05, env, ActionScale("position", env.single_action_space))
+    model = SAC.load(out / "checkpoints" / f"{card.best_after}.zip", goals, "cpu")
+    raw = model.predict(split(observations, 6), deterministic=True)[0]
+    assert np.ptp(raw) > 0.01
+    expected = observations[:, 3:9] + 0.5 * raw
+    np.testing.assert_allclose(load_agent(out / "agent.json", worlds).act(observations), expected, atol=1e-5)
+
+
+def test_a_resumed_training_goes_on_with_its_replay_buffer(trained, tmp_path):
+    out = shutil.copytree(trained[0], tmp_path / "small")
+    before = load_from_pkl(out / "checkpoints" / REPLAY)
+    card = train(small(steps=2400), out=out, seed=1, resume=True, progress=False)
+    assert card.training_steps == 2400
+    after = load_from_pkl(out / "checkpoints" / REPLAY)
+    assert (before.pos, after.pos) == (200, 300)
+    np.testing.assert_array_equal(after.rewards[:200], before.rewards[:200])
+    assert pd.read_csv(out / "curve.csv").steps.tolist() == [0, 800, 1600, 2400]
+
+
+def test_without_its_replay_buffer_a_training_does_not_go_on(trained, tmp_path):
+    out = shutil.copytree(trained[0], tmp_path / "small")
+    (out / "checkpoints" / REPLAY).unlink()
+    with pytest.raises(ConfigurationError, match=REPLAY):
+        train(small(steps=2400), out=out, seed=1, resume=True)
+
+
+def test_training_is_reproducible(trained, tmp_path):
+    train(small(), out=tmp_path / "small", seed=1, progress=False)
+    worlds = ArmReachVectorEnv(20)
+    observations, _ = worlds.reset(seed=1)
+    actions = [load_agent(f / "agent.json", worlds).act(observations) for f in (trained[0], tmp_path / "small")]
+    np.testing.assert_allclose(actions[0], actions[1], atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    "changes", [{"shaping": "distance"}, {"reward_weights": {"step": 0.5}}, {"env_options": {"reward": {}}}]
+)
+def test_hindsight_knows_the_plain_reward_only(tmp_path, changes):
+    with pytest.raises(ConfigurationError, match="relabelled to 0"):
+        train(small().changed(**changes), out=tmp_path / "run", seed=0)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("env", "env_options", "changes"),
+    [
+        ("armctl/ArmReach-v0", {}, {"shaping": "distance"}),
+        ("armctl/ArmReachMoving-v0", {}, {}),
+        ("armctl/BridgeCross-v0", {"resolution": [8, 6]}, {}),
+        ("armctl/BridgeCross-v0", {"observation": "state"}, {}),
+    ],
+)
+def test_other_tasks_and_rewards_are_learnt_without_hindsight(tmp_path, monkeypatch, env, env_options, changes):
+    monkeypatch.setattr(GoalVectorEnv, "__init__", None)
+    recipe = small(relabelled=0 if changes else 4).changed(env=env, env_options=env_options, **changes)
+    assert train(recipe, out=tmp_path / "run", seed=0, progress=False).env == env
+
+
+def test_noise_differs_from_world_to_world():
+    noise = _noise(SacOptions(worlds=3, noise=0.4), (6,))
+    played = np.array([noise() for _ in range(2000)])
+    assert (played[:, 0] == 0).all()
+    assert played[:, 1].std() == pytest.approx(0.2 / np.sqrt(0.2), rel=0.15)
+    assert played[:, 2].std() == pytest.approx(0.4 / np.sqrt(0.2), rel=0.15)
+    lasting = np.corrcoef(played[:-1, 2].ravel(), played[1:, 2].ravel())[0, 1]
+    assert lasting == pytest.approx(0.9, abs=0.05)

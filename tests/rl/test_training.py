@@ -1,0 +1,227 @@
+import csv
+import dataclasses
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from armctl.rl import training as module
+from armctl.rl.actor import Actor
+from armctl.rl.ppo import PpoOptions
+from armctl.rl.training import VALIDATION_SEED, Training, TrainingOptions, read_options
+
+from armctl.agents import load_agent
+from armctl.envs import ArmReachVectorEnv
+from armctl.errors import ConfigurationError
+from armctl.evaluation.rollouts import make_worlds, rollouts
+from armctl.learners import load_recipe
+
+OPTIONS = TrainingOptions(worlds=2, validation_episodes=4, evaluation_episodes=3, evaluation_every=100)
+
+
+def recipe(**changes):
+    return load_recipe("reach_ppo").changed(**{"shaping": None, **changes})
+
+
+class Constant(torch.nn.Module):
+    """A network that has learnt one action."""
+
+    def __init__(self, value):
+        super().__init__()
+        self.value = torch.nn.Parameter(torch.tensor(value))
+
+    def forward(self, observation):
+        return self.value.expand(observation.shape[0], 6)
+
+
+def constant_actor(training, value):
+    return Actor(Constant(value), training.view.action_scale, training.held_out.single_observation_space)
+
+
+@pytest.fixture
+def graded(monkeypatch):
+    """Held-out episodes, of which an actor wins the share that its network says, with return 10 if that is below 0."""
+
+    def play(actor, worlds, episodes, seed, name, least_lengths):
+        value = actor.network.value.item()
+        for k in range(episodes):
+            yield SimpleNamespace(success=k < value * episodes, total_reward=10.0 if value < 0 else 1.0)
+
+    monkeypatch.setattr(module, "rollouts", play)
+
+
+def test_the_best_is_kept_and_exported(tmp_path, graded):
+    with Training(recipe(), OPTIONS, tmp_path / "run", 0, False) as training:
+        for steps, value in enumerate((0.25, 0.75, 0.5, 0.0)):
+            training.evaluate(constant_actor(training, value), steps)
+        card = training.finish(constant_actor(training, 0.25), 5)
+    assert (card.best_after, card.training_steps) == (1, 5)
+    worlds = ArmReachVectorEnv(3)
+    observations, _ = worlds.reset(seed=0)
+    moves = load_agent(tmp_path / "run" / "agent.json", worlds).act(observations) - observations[:, 3:9]
+    np.testing.assert_allclose(moves, 0.5 * 0.75, atol=1e-6)
+
+
+def test_of_equal_success_the_higher_return_is_better(tmp_path, graded):
+    with Training(recipe(), OPTIONS, tmp_path / "run", 0, False) as training:
+        for steps, value in enumerate((0.0, -1.0, 0.0)):
+            training.evaluate(constant_actor(training, value), steps)
+        assert training.finish(constant_actor(training, 0.0), 3).best_after == 1
+
+
+def test_curve_and_best_survive_a_resumption(tmp_path, graded):
+    out = tmp_path / "run"
+    with Training(recipe(), OPTIONS, out, 0, False) as training:
+        for steps, value in ((0, 0.25), (100, 0.75)):
+            training.evaluate(constant_actor(training, value), steps)
+        training.checkpoint(150, lambda path: path.write_text("a model"))
+        before = training.seconds
+    with Training(recipe(), OPTIONS, out, 0, True) as training:
+        assert training.newest_checkpoint() == out / "checkpoints" / "150.zip"
+        assert training.seconds > 0.9 * before
+        assert not training.due(199)
+        assert training.due(200)
+        training.evaluate(constant_actor(training, 0.5), 200)
+        training.evaluate(constant_actor(training, 1.0), 200)  # nothing new after as many steps
+        assert [row["steps"] for row in training.curve()] == [0, 100, 200]
+        assert [row["success"] for row in training.curve()] == [0.25, 0.75, 0.5]
+        assert training.finish(constant_actor(training, 0.0), 250).best_after == 100
+
+
+def test_the_curve_is_a_table_of_held_out_episodes(tmp_path):
+    out = tmp_path / "run"
+    with Training(recipe(), OPTIONS, out, 0, False) as training:
+        actor = constant_actor(training, 0.1)
+        training.evaluate(actor, 0)
+    with (out / "curve.csv").open() as lines:
+        (row,) = csv.DictReader(lines)
+    assert list(row) == ["steps", "minutes", "success", "low", "high", "return"]
+    worlds = make_worlds("armctl/ArmReach-v0", 4)
+    played = list(rollouts(actor, worlds, 4, VALIDATION_SEED))
+    assert float(row["return"]) == pytest.approx(np.mean([episode.total_reward for episode in played]))
+    assert float(row["low"]) <= float(row["success"]) <= float(row["high"])
+    assert list((out / "tensorboard").glob("events*"))
+
+
+def test_a_half_written_checkpoint_is_none(tmp_path):
+    out = tmp_path / "run"
+    with Training(recipe(), OPTIONS, out, 0, False) as training:
+        assert training.newest_checkpoint() is None
+        training.checkpoint(90, lambda path: path.write_text("older"))
+        training.checkpoint(1000, lambda path: path.write_text("newer"))
+        with pytest.raises(KeyboardInterrupt):
+            training.checkpoint(2000, half)
+        assert training.newest_checkpoint().name == "1000.zip"
+
+
+def half(path):
+    path.write_text("half")
+    raise KeyboardInterrupt
+
+
+def test_training_plays_other_episodes_than_any_evaluation(tmp_path):
+    with Training(recipe(), OPTIONS, tmp_path / "run", 2, False) as training:
+        assert training.first_seed() == 3 * 10**9
+        assert training.first_seed(500) == 3 * 10**9 + 500
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"name": "another"}, "name 'reach_ppo', not 'another'"),
+        ({"learner": "sac"}, "learner 'ppo', not 'sac'"),
+        ({"shaping": "distance"}, "shaping None, not 'distance'"),
+        ({"env_options": {"robot": "ur10"}}, r"env_options \{\}, not \{'robot': 'ur10'\}"),
+        ({"reward_weights": {"goal": 0.5}}, "reward_weights"),
+        ({"teacher": "reach_ik"}, "teacher None, not 'reach_ik'"),
+    ],
+)
+def test_a_training_resumes_with_its_own_recipe_only(tmp_path, changes, says):
+    out = tmp_path / "run"
+    Training(recipe(), OPTIONS, out, 0, False)
+    with pytest.raises(ConfigurationError, match=says):
+        Training(recipe(**changes), OPTIONS, out, 0, True)
+    with pytest.raises(ConfigurationError, match="seed 0, not 1"):
+        Training(recipe(), OPTIONS, out, 1, True)
+    with pytest.raises(ConfigurationError, match=r"gamma 0.97, not 0.5"):
+        Training(recipe(), dataclasses.replace(OPTIONS, gamma=0.5), out, 0, True)
+    Training(recipe(), dataclasses.replace(OPTIONS, steps=10**9), out, 0, True)
+
+
+def test_a_used_folder_is_not_overwritten(tmp_path):
+    Training(recipe(), OPTIONS, tmp_path / "run", 0, False)
+    with pytest.raises(ConfigurationError, match="--resume"):
+        Training(recipe(), OPTIONS, tmp_path / "run", 0, False)
+    with pytest.raises(ConfigurationError, match="no training to resume"):
+        Training(recipe(), OPTIONS, tmp_path / "other", 0, True)
+
+
+def test_spoilt_settings_are_named(tmp_path):
+    Training(recipe(), OPTIONS, tmp_path / "run", 0, False)
+    for text in ("", "[]", '{"seed": 0}'):
+        (tmp_path / "run" / "settings.json").write_text(text)
+        with pytest.raises(ConfigurationError, match=r"settings\.json"):
+            Training(recipe(), OPTIONS, tmp_path / "run", 0, True)
+
+
+def test_a_folder_that_cannot_be_written(tmp_path):
+    (tmp_path / "file").write_text("")
+    for out in (tmp_path / "file" / "run", tmp_path / "file"):
+        with pytest.raises(ConfigurationError, match="cannot be written"):
+            Training(recipe(), OPTIONS, out, 0, False)
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"env_options": {"control": "nope"}}, "control"),
+        ({"env_options": {"robto": "ur3"}}, "Did you mean 'robot'"),
+        ({"env_options": {"num_envs": 3}}, "num_envs"),
+        ({"env": "CartPole-v1"}, "not one of armctl's"),
+        ({"env": "armctl/Nothing-v0"}, "no environment"),
+        ({"reward_weights": {"gaol": 1.0}}, "Did you mean 'goal'"),
+        ({"shaping": "distanc"}, "Did you mean 'distance'"),
+        ({"shaping": "ompl"}, "ompl"),
+    ],
+)
+def test_a_recipe_that_cannot_be_followed_leaves_no_folder(tmp_path, changes, says):
+    with pytest.raises(ConfigurationError, match=says):
+        Training(recipe(**changes), OPTIONS, tmp_path / "run", 0, False)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("seed", [-1, 2**32])
+def test_a_seed_out_of_range(tmp_path, seed):
+    with pytest.raises(ConfigurationError, match="training seed"):
+        Training(recipe(), OPTIONS, tmp_path / "run", seed, False)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"stepps": 1}, "Did you mean 'steps'"),
+        ({"steps": 0}, "steps: .*greater than or equal to 1, not 0"),
+        ({"steps": "many"}, "steps: .*integer, not 'many'"),
+        ({"steps": 1.5}, "steps"),
+        ({"worlds": True}, "worlds"),
+        ({"gamma": 1.1}, "gamma"),
+        ({"gamma": float("nan")}, "gamma"),
+        ({"learning_rate": 0.0}, "learning_rate"),
+        ({"learning_rate": float("inf")}, "learning_rate"),
+        ({"features": "no"}, "features"),
+    ],
+)
+def test_options_are_checked(options, says):
+    with pytest.raises(ConfigurationError, match=says):
+        read_options(PpoOptions, recipe(options=options))
+
+
+def test_settings_tell_all_that_was_told(tmp_path):
+    shown = recipe(options={"steps": 7, "gamma": 1}, env_options={"tolerance": 0.1})
+    options = read_options(PpoOptions, shown)
+    Training(shown, options, tmp_path / "run", 4, False)
+    settings = json.loads((tmp_path / "run" / "settings.json").read_text())
+    assert settings["seed"] == 4
+    assert settings["env_options"] == {"tolerance": 0.1}
+    assert settings["options"] == dataclasses.asdict(options)

@@ -1,0 +1,77 @@
+import numpy as np
+import pytest
+import torch
+from armctl.rl.actor import Actor, tensors
+from armctl.rl.reach import LARGEST_MOVE, ActionScale
+from armctl.rl.view import view_of
+
+from armctl.envs import ArmReachMovingVectorEnv, ArmReachObstaclesVectorEnv, ArmReachVectorEnv, BridgeCrossVectorEnv
+from armctl.errors import ConfigurationError
+from armctl.tasks import OBSERVATION
+
+CAMERA = {"resolution": (8, 6)}
+WORLDS = {
+    "reach": lambda: ArmReachVectorEnv(5),
+    "panda": lambda: ArmReachVectorEnv(5, robot="panda"),
+    "moving": lambda: ArmReachMovingVectorEnv(5),
+    "obstacles": lambda: ArmReachObstaclesVectorEnv(5, solvable=False),
+    "depth": lambda: BridgeCrossVectorEnv(5, **CAMERA),
+    "classes": lambda: BridgeCrossVectorEnv(5, camera="classes", **CAMERA),
+    "state": lambda: BridgeCrossVectorEnv(5, observation="state"),
+}
+
+
+@pytest.mark.parametrize("features", [True, False])
+@pytest.mark.parametrize("name", WORLDS)
+def test_a_network_can_act_in_every_task(name, features):
+    worlds = WORLDS[name]()
+    view = view_of(worlds, features=features)
+    observations, _ = worlds.reset(seed=0)
+    extractor = view.features(worlds.single_observation_space, **view.features_options)
+    network = torch.nn.Sequential(
+        extractor, torch.nn.Linear(extractor.features_dim, worlds.single_action_space.shape[0])
+    )
+    before = extractor(tensors(observations))
+    assert before.shape == (5, extractor.features_dim)
+    assert torch.isfinite(before).all()
+    actor = Actor(network, view.action_scale, worlds.single_observation_space)
+    for action in actor.act(observations):
+        assert worlds.single_action_space.contains(action)
+
+
+@pytest.mark.parametrize("name", ["moving", "obstacles"])
+def test_the_whole_observation_is_shown(name):
+    worlds = WORLDS[name]()
+    observations, _ = worlds.reset(seed=0)
+    view = view_of(worlds)
+    extractor = view.features(worlds.single_observation_space, **view.features_options)
+    shown = torch.as_tensor(observations[:1]).requires_grad_()
+    torch.linalg.norm(extractor(shown) + 1.0).backward()
+    assert (shown.grad != 0).all()
+
+
+@pytest.mark.parametrize("control", ["position", "delta", "velocity", "torque"])
+def test_scaled_actions_lie_in_the_action_space(control):
+    env = ArmReachVectorEnv(40, control=control)
+    observations, _ = env.reset(seed=0)
+    scale = ActionScale(control, env.single_action_space)
+    raw = torch.randn(40, 6) * 3
+    for action in scale(torch.as_tensor(observations), raw).numpy():
+        assert env.single_action_space.contains(action)
+
+
+@pytest.mark.parametrize("name", ["reach", "panda", "moving", "obstacles"])
+def test_positions_are_commanded_relative_to_the_present_ones(name):
+    worlds = WORLDS[name]()
+    worlds.reset(seed=0)
+    moved, *_ = worlds.step(worlds.action_space.sample())
+    raw = torch.linspace(-2, 2, 5)[:, None].expand(worlds.action_space.shape)
+    scaled = view_of(worlds).action_scale(torch.as_tensor(moved), raw).numpy()
+    joints = worlds.task.state.joint_positions
+    np.testing.assert_allclose(scaled - joints, LARGEST_MOVE * raw.clamp(-1, 1).numpy(), atol=1e-5)
+
+
+def test_an_observation_in_another_order_is_refused():
+    backwards = dict(reversed(OBSERVATION.items()))
+    with pytest.raises(ConfigurationError, match="begins with end_effector_position"):
+        view_of(ArmReachVectorEnv(1, observation=backwards))
