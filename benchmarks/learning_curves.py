@@ -40,7 +40,7 @@ STUDIES = {
     "armctl/BridgeCross-v0": Study(
         "bridge_ppo",
         {"ompl": 5.0},
-        ["--steps", "400000", "--set", "resolution=(24, 16)", "--option", "validation_episodes=50"],
+        ["--steps", "300000", "--set", "resolution=(24, 16)", "--option", "validation_episodes=50"],
     ),
 }
 

@@ -24,6 +24,7 @@ from armctl.envs import TaskVectorEnv
 from armctl.errors import ConfigurationError, unknown_name
 from armctl.evaluation import evaluate
 from armctl.evaluation.report import versions
+from armctl.evaluation.reproduce import summarised
 from armctl.evaluation.rollouts import make_worlds, rollouts
 from armctl.evaluation.statistics import Estimate, success_rate
 from armctl.learners import Recipe
@@ -249,25 +250,16 @@ class Training:
         return torch.load(file, weights_only=True) if file.exists() else None
 
     def _final_evaluation(self) -> Evaluation:
-        episodes, env_options = self.options.evaluation_episodes, self.recipe.env_options
-        results = evaluate(
-            str(self.out / "agent.json"),
+        episodes = evaluate(
+            self.out / "agent.json",
             self.recipe.env,
-            episodes=episodes,
+            episodes=self.options.evaluation_episodes,
             seed=EVALUATION_SEED,
             worlds=64,
-            env_options=env_options,
+            env_options=self.recipe.env_options,
+            least_lengths=False,
         )
-        rate = _rate(results.success)
-        steps = results.length[results.success]
-        return Evaluation(
-            episodes=episodes,
-            seed=EVALUATION_SEED,
-            success_rate=rate.value,
-            success_interval=(rate.low, rate.high),
-            mean_return=float(results["return"].mean()),
-            mean_steps_to_goal=float(steps.mean()) if len(steps) else None,
-        )
+        return summarised(episodes, EVALUATION_SEED)
 
     def _write(self, card: AgentCard) -> None:
         (self.out / "agent.json").write_text(card.model_dump_json(indent=2) + "\n")

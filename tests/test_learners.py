@@ -34,7 +34,7 @@ def test_a_shipped_recipe_can_be_followed(name):
 
 
 def test_what_is_shipped():
-    assert {"reach_ppo", "reach_ik_ppo", "bridge_ppo", "bridge_ompl_ppo", "reach_sac"} <= set(recipe_names())
+    assert {"reach_ppo", "bridge_ppo", "bridge_moving_ppo", "reach_sac"} <= set(recipe_names())
     assert {"ppo", "sac"} <= set(learner_names())
 
 
@@ -102,7 +102,7 @@ def test_a_folder_is_no_recipe(tmp_path):
 def test_a_changed_recipe_is_checked_too():
     recipe = load_recipe("reach_ppo")
     assert recipe.changed(shaping=None).shaping is None
-    assert recipe.shaping == "distance"
+    assert recipe.shaping == "ik"
     with pytest.raises(ConfigurationError, match="seeds"):
         recipe.changed(seeds=["one"])
     with pytest.raises(ConfigurationError, match="Did you mean 'teacher'"):

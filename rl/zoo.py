@@ -1,0 +1,58 @@
+"""The table of all trained agents, from their cards: `python -m armctl.rl.zoo` writes `rl/README.md`.
+
+Cards of agents that are shipped lie beside them in `rl/agents/`, those of other training seeds in `rl/cards/`.
+"""
+
+from itertools import groupby
+from pathlib import Path
+
+from armctl.agents import AgentCard, read_card
+
+HOME = Path(__file__).parent
+HEAD = """<!-- Made by `python -m armctl.rl.zoo` from the agents' cards: change those, or rl/zoo.py. -->
+# The zoo: agents that come with armctl
+
+`armctl compare reach_ik NAME` lets one meet an expert, `armctl train NAME` makes it anew by its recipe in
+`rl/recipes/`, and `armctl reproduce NAME` plays the episodes again that its card speaks of: held-out ones, of the plain
+task. Minutes are those of a machine busy with other trainings.
+
+"""
+COLUMNS = (
+    "agent", "environment", "learner", "shaping", "teacher", "steps", "minutes", "seed", "success", "95 % interval",
+    "steps to goal",
+)  # fmt: skip
+
+
+def table() -> str:
+    """All agents as a Markdown table: a row for each training seed, the shipped one first."""
+    shipped = {path.stem: read_card(path) for path in sorted((HOME / "agents").glob("*.json"))}
+    others = [(path.stem.rpartition("-")[0], read_card(path)) for path in sorted((HOME / "cards").glob("*.json"))]
+    by_name = {name: [card for _, card in cards] for name, cards in groupby(others, key=lambda pair: pair[0])}
+    rows = [COLUMNS, ("---",) * len(COLUMNS)]
+    for name, card in sorted(shipped.items(), key=lambda item: (item[1].env, item[0])):
+        rows += [_row(f"**`{name}`**", card), *(_row("", other) for other in by_name.get(name, []))]
+    return "".join(f"| {' | '.join(row)} |\n" for row in rows)
+
+
+def _row(name: str, card: AgentCard) -> tuple[str, ...]:
+    evaluation = card.evaluation
+    assert evaluation is not None
+    low, high = evaluation.success_interval
+    steps = evaluation.mean_steps_to_goal
+    return (
+        name,
+        card.env.removeprefix("armctl/"),
+        card.learner,
+        card.shaping or "-",
+        card.teacher or "-",
+        f"{card.training_steps:,}",
+        f"{card.training_minutes:.1f}",
+        str(card.training_seed),
+        f"{evaluation.success_rate:.1%} of {evaluation.episodes:,}",
+        f"{low:.1%} to {high:.1%}",
+        f"{steps:.1f}" if steps else "-",
+    )
+
+
+if __name__ == "__main__":
+    (HOME / "README.md").write_text(HEAD + table())
