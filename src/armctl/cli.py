@@ -147,6 +147,47 @@ def run(
 
 
 @app.command()
+def collect(
+    policy: Annotated[str, typer.Argument(help="Policy: a name, an agent's file, or `module:function`.")],
+    out: Annotated[Path, typer.Option(metavar="DATASET", help="Folder of the dataset, such as `data/reach_ik-v0`.")],
+    env: Env = DEFAULT_ENV,
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes to play.")] = 500,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Seed of the episodes; training seed k plays those from (k + 1) * 10^9.")
+    ] = 10**9,
+    worlds: Annotated[int, typer.Option(min=1, help="Worlds played at once.")] = 50,
+    env_options: EnvOptions = None,
+) -> None:
+    """Write a policy's episodes to a Minari dataset, from which `bc` can learn; needs the extra `rl`.
+
+    Ctrl-C keeps the episodes that were finished.
+    """
+    from rich.console import Console
+    from rich.progress import track
+
+    from armctl.evaluation import EpisodeResult
+    from armctl.evaluation.demonstrations import collect as run_collection
+
+    console = Console(stderr=True)
+    ended = iter(track(range(episodes), policy, console=console, transient=True))
+
+    def progress(result: EpisodeResult) -> None:
+        next(ended, None)
+
+    collection = run_collection(
+        policy, env, episodes=episodes, out=out, seed=seed, worlds=worlds, env_options=_options(env_options),
+        progress=progress,
+    )  # fmt: skip
+    Console().print(
+        f"{collection.episodes} episodes of {policy}, {collection.steps} decisions, "
+        f"{collection.successes} successes: {out}",
+        soft_wrap=True,
+    )
+    if collection.interrupted:
+        raise typer.Exit(130)
+
+
+@app.command()
 def train(
     recipe: Annotated[
         str,
