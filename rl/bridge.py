@@ -47,3 +47,7 @@ class VelocityScale(torch.nn.Module):
     def forward(self, observations: Any, actions: torch.Tensor) -> torch.Tensor:
         """Environment actions (n, 2)."""
         return self.middle + self.span * actions.clamp(-1, 1)
+
+    def inverse(self, observations: Any, actions: torch.Tensor) -> torch.Tensor:
+        """The network's actions (n, 2), in [-1, 1], that come nearest to the environment's."""
+        return ((actions - self.middle) / self.span).clamp(-1, 1)

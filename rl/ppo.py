@@ -66,7 +66,7 @@ def new_model(venv: StableBaselinesVectorEnv, view: View, options: PpoOptions, s
         policy_kwargs={
             "features_extractor_class": view.features,
             "features_extractor_kwargs": view.features_options,
-            "net_arch": [options.hidden_units] * 2,
+            "net_arch": [options.hidden_units] * options.layers,
             "activation_fn": torch.nn.ELU,
             "log_std_init": options.initial_log_std,
         },

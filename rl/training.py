@@ -54,11 +54,14 @@ class TrainingOptions:
     """Discount factor."""
     learning_rate: Positive = 1e-3
     hidden_units: Count = 128
-    """In each of two layers."""
+    """In each layer."""
+    layers: Count = 2
     relative: bool = True
     """Position commands of an arm are relative to the observed joint positions, not absolute."""
     features: bool = True
     """The network is shown features of the observation (see `armctl.rl.view`), not the bare observation."""
+    turned: bool = False
+    """An arm's features are in the frame of its first joint."""
     evaluation_every: Count = 250_000
     """Steps between two held-out evaluations, each with a checkpoint."""
     validation_episodes: Count = 100
@@ -99,7 +102,7 @@ class Training:
         self.recipe, self.options, self.out, self.seed = recipe, options, out, seed
         self.held_out = make_worlds(recipe.env, min(VALIDATION_WORLDS, options.validation_episodes), recipe.env_options)
         self.worlds = self._make_worlds()
-        self.view = view_of(self.held_out, features=options.features, relative=options.relative)
+        self.view = view_of(self.held_out, features=options.features, relative=options.relative, turned=options.turned)
         self._prepare(resume)
         self.logger = configure(str(out / "tensorboard"), ["tensorboard"])
         clock = out / "clock.json"

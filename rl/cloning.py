@@ -1,0 +1,185 @@
+"""What learners from demonstrations share: examples, networks, and the fit of one to the other."""
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import torch
+from armctl.rl.actor import Actor, tensors
+from armctl.rl.training import Count, Share, Training, TrainingOptions
+from tqdm import tqdm
+
+from armctl.errors import ConfigurationError
+from armctl.evaluation.demonstrations import Demonstration, demonstrate, read_demonstrations
+from armctl.evaluation.rollouts import make_worlds
+from armctl.learners import Recipe
+from armctl.policies import make_policy
+from armctl.tasks import ReachMovingTask, ReachTask
+
+BACK = 10
+"""Decisions back to which hindsight looks."""
+LAST_RATE = 0.02
+"""Share of the learning rate that is left at the end of a fit."""
+
+
+@dataclass(frozen=True)
+class CloningOptions(TrainingOptions):
+    """What learners from demonstrations can be told besides."""
+
+    steps: Count = 12_000
+    """Gradient steps."""
+    worlds: Count = 50
+    hidden_units: Count = 256
+    layers: Count = 3
+    turned: bool = True
+    evaluation_every: Count = 3_000
+    demonstrations: Count = 500
+    """Episodes of the teacher, over all."""
+    batch_size: Count = 256
+    hindsight: Share = 0.5
+    """Share of the examples that aim at another place of their episode, where an arm reaches for a target at rest."""
+
+
+@dataclass
+class Examples:
+    """Episodes, side by side."""
+
+    task: Any
+    """That they are of."""
+    hindsight: float
+    episodes: list[Demonstration] = field(default_factory=list)
+
+    def add(self, episodes: list[Demonstration]) -> None:
+        """Take in more episodes."""
+        self.episodes += episodes
+        lengths = np.array([len(episode) for episode in self.episodes])
+        begins = np.concatenate(([0], np.cumsum(lengths + 1)[:-1]))
+        self._begins, self._ends = np.repeat(begins, lengths), np.repeat(begins + lengths, lengths)
+        self._rows = np.concatenate([begin + np.arange(length) for begin, length in zip(begins, lengths, strict=True)])
+        self._actions = np.concatenate([episode.actions for episode in self.episodes]).astype(np.float32)
+        parts: Any = [episode.observations for episode in self.episodes]
+        self._observations: Any = (
+            {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+            if isinstance(parts[0], dict)
+            else np.concatenate(parts)
+        )
+
+    def draw(self, rng: np.random.Generator, size: int) -> tuple[Any, torch.Tensor]:
+        """Observations and actions (size, ...).
+
+        Some are seen with hindsight (Ding et al., Goal-conditioned imitation learning, NeurIPS 2019): had the target
+        been where the end-effector was at another time of the episode, the joint positions of then were right.
+        """
+        drawn = rng.integers(len(self._rows), size=size)
+        rows, actions = self._rows[drawn], self._actions[drawn]
+        if isinstance(self._observations, dict):
+            return tensors({name: part[rows] for name, part in self._observations.items()}), torch.as_tensor(actions)
+        observations = self._observations[rows]
+        if self.hindsight:
+            other = rng.random(size) < self.hindsight
+            first = np.maximum(self._begins[drawn], rows - BACK)
+            then = self._observations[rng.integers(first, self._ends[drawn] + 1)]
+            dof = actions.shape[1]
+            observations[other, 3 + dof : 6 + dof] = then[other, :3]
+            actions[other] = then[other, 3 : 3 + dof]
+        return torch.as_tensor(observations), torch.as_tensor(actions)
+
+
+def examples_for(training: Training, options: CloningOptions) -> Examples:
+    """Where examples of the training's task are to go; with hindsight, where the task allows it."""
+    task = training.held_out.task
+    at_rest = isinstance(task, ReachTask) and not isinstance(task, ReachMovingTask)
+    positions = at_rest and task.interface["control"] == "position"
+    return Examples(task, options.hindsight if positions else 0.0)
+
+
+def check_teaching(recipe: Recipe) -> None:
+    """Raises `ConfigurationError` for what has no part in learning from demonstrations alone."""
+    if recipe.shaping or recipe.reward_weights:
+        raise ConfigurationError(f"{recipe.learner} minds no rewards: it takes neither shaping nor reward_weights")
+
+
+class Teacher:
+    """A policy that is asked in worlds of its own. Raises `ConfigurationError` for a recipe without one."""
+
+    def __init__(self, recipe: Recipe, worlds: int) -> None:
+        if recipe.teacher is None:
+            raise ConfigurationError(f"{recipe.learner} learns from a policy: name it, --teacher POLICY")
+        self.name = recipe.teacher
+        self.worlds = make_worlds(recipe.env, worlds, recipe.env_options)
+        try:
+            self.policy = make_policy(self.name, self.worlds)
+        except Exception:
+            self.worlds.close()
+            raise
+
+    def show(self, episodes: int, seed: int, progress: bool, **instead: Any) -> list[Demonstration]:
+        """Episodes of a seed in the order of their numbers, of which the successful ones count; see `demonstrate`."""
+        shown = demonstrate(self.policy, self.worlds, episodes, seed, self.name, **instead)
+        played = sorted(
+            tqdm(shown, self.name, episodes, leave=False, disable=not progress), key=lambda pair: pair[0].episode
+        )
+        return [episode for _, episode in played]
+
+
+def demonstrations(
+    training: Training, options: CloningOptions, dataset: str | None, progress: bool
+) -> list[Demonstration]:
+    """The successes of a dataset, or of as many episodes of the teacher; raises `ConfigurationError` without any."""
+    if dataset is None:
+        teacher = Teacher(training.recipe, min(options.worlds, options.demonstrations))
+        try:
+            episodes, source = teacher.show(options.demonstrations, training.first_seed(), progress), teacher.name
+        finally:
+            teacher.worlds.close()
+    else:
+        episodes, source = read_demonstrations(dataset, training.held_out), dataset
+    won = [episode for episode in episodes if episode.success]
+    if not won:
+        raise ConfigurationError(
+            f"none of {len(episodes)} episodes of {source} was a success: there is nothing to learn"
+        )
+    return won
+
+
+def new_actor(training: Training, options: CloningOptions) -> Actor:
+    """An untrained actor."""
+    torch.manual_seed(training.seed)
+    view, space = training.view, training.held_out.single_observation_space
+    features = view.features(space, **view.features_options)
+    sizes = [features.features_dim] + [options.hidden_units] * options.layers
+    layers: list[torch.nn.Module] = []
+    for fewer, more in itertools.pairwise(sizes):
+        layers += [torch.nn.Linear(fewer, more), torch.nn.ReLU()]
+    actions = training.held_out.single_action_space.shape[0]
+    return Actor(torch.nn.Sequential(features, *layers, torch.nn.Linear(sizes[-1], actions)), view.action_scale, space)
+
+
+def fit(
+    actor: Actor,
+    examples: Examples,
+    steps: int,
+    rng: np.random.Generator,
+    *,
+    batch_size: int,
+    learning_rate: float,
+    progress: bool,
+    start: int = 0,
+) -> Iterator[int]:
+    """Fit the actor's network by least squares, in the network's unit of actions.
+
+    Yields the number of each gradient step that was made, from `start` + 1 to `steps`; the learning rate falls.
+    """
+    optimizer = torch.optim.Adam(actor.network.parameters(), learning_rate)
+    for step in tqdm(range(start, steps), "fit", leave=False, disable=not progress):
+        for group in optimizer.param_groups:
+            group["lr"] = learning_rate * max(1 - step / steps, LAST_RATE)
+        observations, actions = examples.draw(rng, batch_size)
+        wanted = actor.scale.inverse(observations, actions)
+        loss = (actor.network(observations) - wanted).square().mean()
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        yield step + 1
