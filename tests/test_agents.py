@@ -13,6 +13,7 @@ from armctl.agents import load_agent, read_card, sha256
 from armctl.envs import ArmReachVectorEnv
 from armctl.errors import AgentFileError
 from armctl.evaluation import evaluate
+from armctl.learners import load_recipe
 
 SHIPPED = Path(str(resources.files("armctl.rl.agents")))
 ENV = "armctl/ArmReach-v0"
@@ -114,10 +115,33 @@ def test_no_file_is_ever_unpickled():
         assert "torch" not in text.replace("torch than", ""), file
 
 
-def test_the_shipped_card_is_of_the_present_learner():
+@pytest.mark.parametrize("path", sorted(SHIPPED.glob("*.json")), ids=lambda path: path.stem)
+def test_a_shipped_card_is_of_the_present_recipe(path):
     from armctl.rl.ppo import PpoOptions
+    from armctl.rl.sac import SacOptions
+    from armctl.rl.training import read_options
 
-    assert read_card(SHIPPED / "reach_ppo.json").learner_options == dataclasses.asdict(PpoOptions())
+    card = read_card(path)
+    if card.recipe is None:
+        pytest.skip("trained before there were recipes")
+    recipe = load_recipe(card.recipe)
+    learnt = (card.learner, card.env, card.env_options, card.shaping, card.reward_weights, card.teacher)
+    assert learnt == (
+        recipe.learner, recipe.env, recipe.env_options, recipe.shaping, recipe.reward_weights, recipe.teacher,
+    )  # fmt: skip
+    assert card.training_seed in recipe.seeds
+    kind = {"ppo": PpoOptions, "sac": SacOptions}[card.learner]
+    assert card.learner_options == dataclasses.asdict(read_options(kind, recipe))
+
+
+def test_a_card_of_before_there_were_recipes_is_read(agent):
+    old = json.loads(agent.read_text())
+    for name in ("recipe", "shaping", "shaping_scale", "reward_weights", "teacher", "best_after"):
+        old.pop(name, None)
+    agent.write_text(json.dumps(old))
+    card = read_card(agent)
+    assert (card.recipe, card.shaping, card.reward_weights, card.teacher) == (None, None, {}, None)
+    assert load(agent).training_steps == card.training_steps
 
 
 @pytest.mark.slow

@@ -1,3 +1,4 @@
+import json
 import os
 import re
 import signal
@@ -53,8 +54,9 @@ def test_training_without_the_extra_says_what_to_install(tmp_path):
 
 def test_list_shows_what_there_is(tmp_path):
     text = armctl("list", cwd=tmp_path).stdout
-    for name in ("armctl/ArmReach-v0", "reach_ik", "reach_ppo", "random", "ur3", "ur5", "ur10", "ppo"):
+    for name in ("armctl/ArmReach-v0", "reach_ik", "reach_ppo", "random", "ur3", "ur5", "ur10", "ppo", "sac"):
         assert name in text
+    assert re.search(r"recipes\s.*reach_sac  sac in armctl/ArmReach-v0", text, re.DOTALL)
 
 
 def test_compare_prints_and_writes(tmp_path):
@@ -108,6 +110,23 @@ def test_a_policy_in_the_current_folder_is_found(tmp_path):
     assert "reach_ik" in done.stdout
 
 
+def test_train_follows_a_recipe_with_changes(tmp_path):
+    (tmp_path / "mine.toml").write_text(
+        'learner = "ppo"\nenv = "armctl/ArmReach-v0"\nshaping = "distance"\nseeds = [5]\n'
+        "[options]\nworlds = 8\nbatch_size = 64\nvalidation_episodes = 2\nevaluation_episodes = 2\n"
+    )
+    changes = ["--steps", "300", "--shaping", "none", "--option", "gamma=0.9", "--set", "tolerance=0.1"]
+    text = armctl("train", "mine.toml", *changes, cwd=tmp_path).stdout
+    assert "held-out episodes" in text
+    card = json.loads((tmp_path / "runs" / "mine-5" / "agent.json").read_text())
+    assert (card["recipe"], card["training_seed"], card["shaping"]) == ("mine", 5, None)
+    assert card["env_options"] == {"tolerance": 0.1}
+    assert (card["learner_options"]["gamma"], card["learner_options"]["steps"]) == (0.9, 300)
+    again = armctl("train", "mine.toml", "--resume", cwd=tmp_path, check=False)
+    assert again.returncode == 2
+    assert "was started with env_options {'tolerance': 0.1}, not {}" in again.stderr
+
+
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
@@ -118,6 +137,14 @@ def test_a_policy_in_the_current_folder_is_found(tmp_path):
         (["run", "random", "--env", "armctl/Reach-v0"], "ArmReach"),
         (["run", "random", "--set", "control=torqe"], "Did you mean 'torque'"),
         (["train", "pppo"], "Did you mean 'ppo'"),
+        (["train", "reach_pp"], "Did you mean 'reach_ppo'"),
+        (["train", "none.toml"], "cannot be read"),
+        (["train", "reach_ppo", "--shaping", "distanse"], "Did you mean 'distance'"),
+        (["train", "reach_ppo", "--option", "gama=0.9"], "Did you mean 'gamma'"),
+        (["train", "reach_ppo", "--option", "gamma"], "--option wants NAME=VALUE"),
+        (["train", "reach_ppo", "--option", "gamma=high"], "gamma"),
+        (["train", "reach_ppo", "--shaping-scale", "nan"], "shaping_scale"),
+        (["train", "reach_ppo", "--out", "/dev/null/run"], "cannot be written"),
         (["train", "ppo", "--env", "armctl/Nothing-v0"], "armctl/ArmReach-v0"),
         (["train", "ppo", "--resume", "--out", "nowhere"], "no training to resume"),
         (["run", "random", "--video", "/dev/null/film.mp4"], "cannot be written|libegl1"),
