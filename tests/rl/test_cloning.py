@@ -1,0 +1,319 @@
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from armctl.rl.actor import tensors
+from armctl.rl.bc import BcOptions
+from armctl.rl.bc import train as clone
+from armctl.rl.cloned_ppo import ClonedPpoOptions, warm_up
+from armctl.rl.cloned_ppo import train as train_cloned_ppo
+from armctl.rl.cloning import Examples, examples_for
+from armctl.rl.dagger import Forgetful
+from armctl.rl.dagger import train as dagger
+from armctl.rl.ppo import new_model
+from armctl.rl.training import Training
+from armctl.rl.vector import StableBaselinesVectorEnv
+from armctl.rl.view import view_of
+
+from armctl.envs import ArmReachVectorEnv
+from armctl.errors import ConfigurationError
+from armctl.evaluation import collect, evaluate
+from armctl.evaluation.demonstrations import demonstrate
+from armctl.evaluation.rollouts import make_worlds
+from armctl.learners import load_recipe
+from armctl.policies import make_policy
+
+JUDGED = {"validation_episodes": 20, "evaluation_episodes": 20}
+WORLDS = {
+    "ur5": ("armctl/ArmReach-v0", {}),
+    "panda": ("armctl/ArmReach-v0", {"robot": "panda"}),
+    "delta": ("armctl/ArmReach-v0", {"control": "delta"}),
+    "velocity": ("armctl/ArmReach-v0", {"control": "velocity"}),
+    "moving": ("armctl/ArmReachMoving-v0", {}),
+    "obstacles": ("armctl/ArmReachObstacles-v0", {}),
+    "bridge": ("armctl/BridgeCross-v0", {"resolution": (8, 6)}),
+}
+
+
+def small(name, **options):
+    return load_recipe(name).changed(options=load_recipe(name).options | JUDGED | options)
+
+
+def asked(env):
+    """reach_ik, which notes where it was asked and how often it was reset."""
+    policy = make_policy("reach_ik", env)
+    act, reset = policy.act, policy.reset
+    policy.seen, policy.resets = [], 0
+
+    def noting(observations):
+        policy.seen.append(observations)
+        return act(observations)
+
+    def resetting(ids):
+        policy.resets += len(ids)
+        reset(ids)
+
+    policy.act, policy.reset = noting, resetting
+    return policy
+
+
+@pytest.fixture(scope="module")
+def cloned(tmp_path_factory):
+    out = tmp_path_factory.mktemp("runs") / "bc"
+    recipe = small("reach_bc", demonstrations=40, steps=400, evaluation_every=200)
+    return recipe, out, clone(recipe, out=out, seed=0, progress=False)
+
+
+def test_a_clone_is_far_better_than_chance(cloned):
+    _, out, card = cloned
+    assert (card.learner, card.teacher, card.training_steps) == ("bc", "reach_ik", 400)
+    assert card.evaluation.success_rate > 0.4  # random actions: 0.015
+    assert len(evaluate(str(out / "agent.json"), episodes=3)) == 3
+
+
+def test_cloning_is_reproducible_and_goes_on_where_it_was(cloned, tmp_path):
+    recipe, _, card = cloned
+    again = clone(recipe, out=tmp_path / "again", seed=0, progress=False)
+    assert again.evaluation == card.evaluation
+    longer = recipe.changed(options=recipe.options | {"steps": 500})
+    assert clone(longer, out=tmp_path / "again", seed=0, resume=True, progress=False).training_steps == 500
+
+
+def test_a_dataset_teaches_as_the_teacher_does(cloned, tmp_path):
+    recipe, _, card = cloned
+    collect("reach_ik", episodes=40, out=tmp_path / "data", seed=10**9, worlds=40)
+    taught = recipe.changed(options=recipe.options | {"dataset": str(tmp_path / "data")})
+    assert clone(taught, out=tmp_path / "run", seed=0, progress=False).evaluation == card.evaluation
+
+
+def test_failures_are_not_cloned(tmp_path):
+    collect("random", episodes=3, out=tmp_path / "data", env_options={"max_episode_steps": 2})
+    with pytest.raises(ConfigurationError, match="none of 3 episodes"):
+        clone(small("reach_bc", dataset=str(tmp_path / "data")), out=tmp_path / "run", seed=0, progress=False)
+
+
+@pytest.mark.parametrize("train", [clone, dagger])
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"teacher": "reach_ki"}, "Did you mean 'reach_ik'"),
+        ({"teacher": None}, "--teacher"),
+        ({"teacher": "bridge_ompl"}, "crosses bridges"),
+        ({"teacher": "nowhere:policy"}, "nowhere"),
+        ({"shaping": "distance"}, "no rewards"),
+        ({"options": {"hindsite": 0.5}}, "Did you mean 'hindsight'"),
+        ({"options": {"hindsight": 1.5}}, "hindsight"),
+    ],
+)
+def test_mistakes_get_one_clear_error(train, changes, says, tmp_path):
+    recipe = load_recipe("reach_bc" if train is clone else "reach_dagger")
+    with pytest.raises(ConfigurationError, match=says):
+        train(recipe.changed(**changes), out=tmp_path / "run", seed=0, progress=False)
+
+
+def test_a_teacher_of_ones_own(tmp_path, monkeypatch):
+    (tmp_path / "my_own_teacher.py").write_text(
+        "import armctl\n\n\ndef mine(env):\n    return armctl.make_policy('reach_ik', env)\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    recipe = small("reach_bc", demonstrations=3, steps=5).changed(teacher="my_own_teacher:mine")
+    assert clone(recipe, out=tmp_path / "run", seed=0, progress=False).teacher == "my_own_teacher:mine"
+
+
+def _examples(hindsight, episodes=6, **options):
+    env = make_worlds("armctl/ArmReach-v0", 3, options)
+    shown = [episode for _, episode in demonstrate(make_policy("reach_ik", env), env, episodes, 0)]
+    examples = Examples(env.task, hindsight)
+    examples.add(shown)
+    return examples, shown
+
+
+def test_examples_without_hindsight_are_what_was_shown():
+    examples, shown = _examples(0.0)
+    pairs = {
+        (tuple(seen), tuple(done.astype(np.float32)))
+        for episode in shown
+        for seen, done in zip(episode.observations[:-1], episode.actions, strict=True)
+    }
+    observations, actions = examples.draw(np.random.default_rng(0), 200)
+    assert all((tuple(o), tuple(a)) in pairs for o, a in zip(observations.numpy(), actions.numpy(), strict=True))
+
+
+def test_with_hindsight_the_action_brings_the_end_effector_to_the_target():
+    from armctl.kinematics import ArmModel
+
+    examples, shown = _examples(1.0)
+    observations, actions = (part.numpy() for part in examples.draw(np.random.default_rng(0), 200))
+    model = ArmModel(examples.task.arm.description)
+    np.testing.assert_allclose(model.positions(actions.astype(float)), observations[:, 9:], atol=1e-4)
+    started = {tuple(seen) for episode in shown for seen in episode.observations[:-1, :9]}
+    assert all(tuple(row) in started for row in observations[:, :9])
+
+
+def test_hindsight_is_for_positions_and_targets_at_rest():
+    for name, expected in (("ur5", 0.5), ("obstacles", 0.5), ("delta", 0.0), ("moving", 0.0), ("bridge", 0.0)):
+        env, options = WORLDS[name]
+        training = SimpleNamespace(held_out=make_worlds(env, 1, options))
+        assert examples_for(training, BcOptions()).hindsight == expected
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_the_inverse_of_the_scale_gives_the_network_s_action_back(name):
+    env, options = WORLDS[name]
+    worlds = make_worlds(env, 9, options)
+    observations = tensors(worlds.reset(seed=0)[0])
+    scale = view_of(worlds).action_scale
+    raw = torch.rand(9, worlds.single_action_space.shape[0]) * 2 - 1
+    torch.testing.assert_close(scale.inverse(observations, scale(observations, raw)), raw, atol=1e-4, rtol=0)
+    far = scale(observations, raw) + 100
+    assert (scale.inverse(observations, far) == 1).all()
+
+
+def turned_world(observations, angle):
+    """The same world, turned about the vertical by an angle, as its observation has it."""
+    parts = {"tip": (0, 3), "target": (9, 12), "rest": (12, observations.shape[1])}
+    turned = observations.copy()
+    cos, sin = np.cos(angle), np.sin(angle)
+
+    def turn(begin):
+        x, y = observations[:, begin].copy(), observations[:, begin + 1].copy()
+        turned[:, begin], turned[:, begin + 1] = cos * x - sin * y, sin * x + cos * y
+
+    turn(parts["tip"][0])
+    turn(parts["target"][0])
+    turned[:, 3] += angle
+    begin, end = parts["rest"]
+    if end - begin == 3:
+        turn(begin)
+    for box in range(begin, end - 6, 7):
+        there = observations[:, box + 3] > 0
+        turn(box)
+        turned[:, box + 6] += angle * there
+    return turned
+
+
+@pytest.mark.parametrize("name", ["ur5", "moving", "obstacles"])
+def test_turned_features_do_not_change_when_the_world_is_turned(name):
+    torch.manual_seed(0)
+    env, options = WORLDS[name]
+    worlds = make_worlds(env, 4, options)
+    observations, _ = worlds.reset(seed=0)
+    view = view_of(worlds, turned=True)
+    features = view.features(worlds.single_observation_space, **view.features_options)
+    seen = features(torch.as_tensor(observations))
+    assert seen.shape == (4, features.features_dim)
+    torch.testing.assert_close(features(torch.as_tensor(turned_world(observations, 0.7))), seen, atol=1e-4, rtol=0)
+    changed = observations.copy()
+    changed[:, -1 if name == "moving" else 9] += 0.3
+    assert (features(torch.as_tensor(changed)) - seen).abs().max() > 1e-3
+
+
+def test_neither_the_order_of_boxes_nor_absent_ones_matter():
+    torch.manual_seed(0)
+    worlds = make_worlds("armctl/ArmReachObstacles-v0", 2)
+    observations, _ = worlds.reset(seed=0)
+    view = view_of(worlds, turned=True)
+    features = view.features(worlds.single_observation_space, **view.features_options)
+    shuffled = observations.copy()
+    shuffled[:, 12:] = observations[:, 12:].reshape(2, -1, 7)[:, ::-1].reshape(2, -1)
+    torch.testing.assert_close(features(torch.as_tensor(shuffled)), features(torch.as_tensor(observations)))
+
+
+@pytest.mark.parametrize("robot", ["ur3", "ur5", "ur10", "panda", "xarm7", "z1"])
+def test_arms_whose_first_axis_is_vertical_are_seen_in_its_frame(robot):
+    from armctl.rl.reach import TurnedFeatures
+
+    assert view_of(ArmReachVectorEnv(1, robot=robot), turned=True).features is TurnedFeatures
+
+
+def test_dagger_asks_the_teacher_where_the_pupil_gets_to(tmp_path, monkeypatch):
+    from armctl.rl import cloning
+
+    asked_in = []
+    monkeypatch.setattr(cloning, "make_policy", lambda name, env: asked_in.append(asked(env)) or asked_in[-1])
+    recipe = small("reach_dagger", demonstrations=6, rounds=2, mixed_rounds=1, steps=20, teacher_memory=True)
+    dagger(recipe, out=tmp_path / "run", seed=0, progress=False)
+    # the first round is the teacher's own, and short; in the second, a pupil of 10 gradient steps acts until time is up
+    assert 70 < len(asked_in[0].seen) < 140
+    assert asked_in[0].resets == 6
+
+
+def test_a_forgetful_teacher_begins_anew_in_each_state():
+    env = make_worlds("armctl/ArmReach-v0", 2)
+    observations, _ = env.reset(seed=0)
+    teacher = asked(env)
+    forgetful = Forgetful(teacher)
+    first = forgetful.act(observations)
+    far = env.reset(seed=7)[0]
+    answers = forgetful.act(far)
+    assert teacher.resets == 4
+    assert not np.allclose(answers, first)
+    teacher.reset(np.arange(2, dtype=np.int32))
+    np.testing.assert_array_equal(teacher.act(far), answers)
+
+
+def test_dagger_goes_on_after_its_last_whole_round(tmp_path, monkeypatch):
+    from armctl.rl import dagger as module
+
+    recipe = small("reach_dagger", demonstrations=6, rounds=3, mixed_rounds=1, steps=30)
+    whole = dagger(recipe, out=tmp_path / "whole", seed=0, progress=False)
+    evaluate_round, rounds = Training.evaluate, []
+
+    def interrupted(self, actor, steps):
+        rounds.append(steps)
+        if len(rounds) == 2:
+            raise KeyboardInterrupt
+        evaluate_round(self, actor, steps)
+
+    monkeypatch.setattr(Training, "evaluate", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        dagger(recipe, out=tmp_path / "cut", seed=0, progress=False)
+    monkeypatch.setattr(Training, "evaluate", evaluate_round)
+    assert module.RECORD in [file.name for file in (tmp_path / "cut").iterdir()]
+    resumed = dagger(recipe, out=tmp_path / "cut", seed=0, resume=True, progress=False)
+    assert resumed.training_steps == whole.training_steps == 30
+    weights = [torch.load(tmp_path / run / "checkpoints" / "30.zip", weights_only=True) for run in ("whole", "cut")]
+    for name, values in weights[0].items():
+        torch.testing.assert_close(weights[1][name], values)
+
+
+def test_rounds_need_episodes(tmp_path):
+    with pytest.raises(ConfigurationError, match="5 rounds"):
+        dagger(small("reach_dagger", demonstrations=4), out=tmp_path / "run", seed=0, progress=False)
+
+
+def test_a_privileged_teacher_has_a_pupil_who_sees_the_camera(tmp_path):
+    recipe = small("bridge_dagger", demonstrations=2, rounds=2, steps=4, validation_episodes=2, evaluation_episodes=2)
+    recipe = recipe.changed(env_options={"resolution": (8, 6), "max_episode_steps": 8})
+    card = dagger(recipe, out=tmp_path / "run", seed=0, progress=False)
+    assert card.observation_shape == {"image": [6, 8], "motion": [3]}
+    assert card.teacher == "bridge_ompl"
+
+
+def test_while_the_critic_warms_up_the_clone_stays_as_it_is(tmp_path):
+    options = ClonedPpoOptions(worlds=8, rollout_length=16, batch_size=64)
+    recipe = small("reach_cloned_ppo")
+    with Training(recipe, options, tmp_path / "run", 0, False) as training:
+        venv = StableBaselinesVectorEnv(training.worlds, training.view.action_scale, options.reward_scale)
+        model = new_model(venv, training.view, options, 0)
+        before = {name: values.clone() for name, values in model.policy.state_dict().items()}
+        warm_up(training, model, 256, progress=False)
+        after = model.policy.state_dict()
+    changed = {name for name, values in before.items() if not torch.equal(values, after[name])}
+    assert changed
+    assert all("value_net" in name for name in changed)
+    assert all(parameter.requires_grad for parameter in model.policy.parameters())
+
+
+def test_ppo_begins_with_the_clone(tmp_path):
+    recipe = small(
+        "reach_cloned_ppo", demonstrations=40, cloning_steps=300, critic_steps=512, steps=1536, worlds=32,
+        evaluation_every=512,
+    )  # fmt: skip
+    card = train_cloned_ppo(recipe, out=tmp_path / "run", seed=0, progress=False)
+    curve = (tmp_path / "run" / "curve.csv").read_text().splitlines()[1:]
+    assert curve[0].startswith("0,")
+    assert float(curve[0].split(",")[2]) >= 0.2
+    assert card.evaluation.success_rate > 0.2
