@@ -16,3 +16,13 @@ def reach_ppo(env: TaskVectorEnv) -> OnnxPolicy:
 def bridge_ppo(env: TaskVectorEnv) -> OnnxPolicy:
     """PPO on `armctl/BridgeCross-v0`, from the depth camera and its own motion."""
     return load_agent(FOLDER / "bridge_ppo.json", env)
+
+
+def reach_bc(env: TaskVectorEnv) -> OnnxPolicy:
+    """500 episodes of `reach_ik`, cloned."""
+    return load_agent(FOLDER / "reach_bc.json", env)
+
+
+def reach_dagger(env: TaskVectorEnv) -> OnnxPolicy:
+    """Cloned from `reach_ik` by DAgger, with as many episodes."""
+    return load_agent(FOLDER / "reach_dagger.json", env)
