@@ -51,7 +51,9 @@ def main(
     runs: Annotated[Path, typer.Option(help="Folder of the runs.")] = Path("runs/curves"),
     workers: Annotated[int, typer.Option(min=1, help="Trainings at once.")] = 2,
     plot_only: Annotated[bool, typer.Option("--plot-only", help="Train nothing.")] = False,
-    picture: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Where to plot the curves.")] = None,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE.png", help="Where to plot the curves; FILE.csv has them.")
+    ] = None,
 ) -> None:
     """Train all variants, and print a table."""
     if env not in STUDIES:
@@ -72,6 +74,7 @@ def main(
     Console().print(_table(curves, env, seeds))
     if picture:
         _plot(curves, env, picture)
+        curves.to_csv(picture.with_suffix(".csv"), index=False)
 
 
 def _train(study: Study, variant: str, seed: int, folder: Path) -> None:
@@ -118,7 +121,7 @@ def _plot(curves: pd.DataFrame, env: str, picture: Path) -> None:
     axes.axhline(ENOUGH, color="black", linewidth=0.5, linestyle=":")
     axes.set(xlabel="million decisions", ylabel="success on held-out episodes", ylim=(-0.02, 1.02), title=env)
     axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(frameon=False, title="reward on the way")
+    axes.legend(frameon=False, title="reward on the way", loc="upper left", bbox_to_anchor=(1.0, 1.0))
     figure.savefig(picture)
 
 
