@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from armctl.rl.actor import Actor
 from armctl.rl.cloning import CloningOptions, check_teaching, demonstrations, examples_for, fit, new_actor
 from armctl.rl.training import Training, read_options
 
@@ -41,8 +42,13 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
         try:
             for step in fitting:
                 if step % options.evaluation_every == 0:
+                    _save(training, actor, step)
                     training.evaluate(actor, step)
         finally:
             if step:
-                training.checkpoint(step, lambda path: torch.save(actor.state_dict(), path))
+                _save(training, actor, step)
         return training.finish(actor, step)
+
+
+def _save(training: Training, actor: Actor, step: int) -> None:
+    training.checkpoint(step, lambda path: torch.save(actor.state_dict(), path))

@@ -6,7 +6,7 @@ and Uchendu et al., Jump-start reinforcement learning, 2023, for the effect).
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from armctl.rl.cloning import CloningOptions, demonstrations, examples_for, fit
@@ -29,8 +29,7 @@ class ClonedPpoOptions(PpoOptions, CloningOptions):
     worlds: Count = 256
     batch_size: Count = 2048
     evaluation_every: Count = 50_000
-    hidden_units: Count = 128
-    layers: Count = 2
+    activation: Literal["elu", "relu"] = "relu"
     cloning_steps: Count = 6_000
     """Gradient steps of the cloning."""
     cloning_rate: Positive = 1e-3

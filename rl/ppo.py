@@ -5,7 +5,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import gymnasium
 import torch
@@ -19,6 +19,8 @@ from stable_baselines3 import PPO
 
 from armctl.agents import AgentCard
 from armctl.learners import Recipe
+
+ACTIVATIONS = {"elu": torch.nn.ELU, "relu": torch.nn.ReLU}
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,8 @@ class PpoOptions(TrainingOptions):
     """Weight of the action distribution's entropy in the loss."""
     initial_log_std: Annotated[float, Field(allow_inf_nan=False)] = -0.5
     reward_scale: Positive = 0.02
+    activation: Literal["elu", "relu"] = "elu"
+    """After each layer of the network."""
 
 
 def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True) -> AgentCard:
@@ -67,7 +71,7 @@ def new_model(venv: StableBaselinesVectorEnv, view: View, options: PpoOptions, s
             "features_extractor_class": view.features,
             "features_extractor_kwargs": view.features_options,
             "net_arch": [options.hidden_units] * options.layers,
-            "activation_fn": torch.nn.ELU,
+            "activation_fn": ACTIVATIONS[options.activation],
             "log_std_init": options.initial_log_std,
         },
         seed=seed,

@@ -309,7 +309,7 @@ def test_while_the_critic_warms_up_the_clone_stays_as_it_is(tmp_path):
 
 def test_ppo_begins_with_the_clone(tmp_path):
     recipe = small(
-        "reach_cloned_ppo", demonstrations=40, cloning_steps=300, critic_steps=512, steps=1536, worlds=32,
+        "reach_cloned_ppo", demonstrations=40, cloning_steps=400, critic_steps=512, steps=1536, worlds=32,
         evaluation_every=512,
     )  # fmt: skip
     card = train_cloned_ppo(recipe, out=tmp_path / "run", seed=0, progress=False)
