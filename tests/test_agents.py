@@ -117,6 +117,8 @@ def test_no_file_is_ever_unpickled():
 
 @pytest.mark.parametrize("path", sorted(SHIPPED.glob("*.json")), ids=lambda path: path.stem)
 def test_a_shipped_card_is_of_the_present_recipe(path):
+    from armctl.rl.bc import BcOptions
+    from armctl.rl.dagger import DaggerOptions
     from armctl.rl.ppo import PpoOptions
     from armctl.rl.sac import SacOptions
     from armctl.rl.training import read_options
@@ -130,7 +132,7 @@ def test_a_shipped_card_is_of_the_present_recipe(path):
         recipe.learner, recipe.env, recipe.env_options, recipe.shaping, recipe.reward_weights, recipe.teacher,
     )  # fmt: skip
     assert card.training_seed in recipe.seeds
-    kind = {"ppo": PpoOptions, "sac": SacOptions}[card.learner]
+    kind = {"bc": BcOptions, "dagger": DaggerOptions, "ppo": PpoOptions, "sac": SacOptions}[card.learner]
     assert card.learner_options == dataclasses.asdict(read_options(kind, recipe))
 
 

@@ -28,8 +28,8 @@ def test_a_shipped_recipe_can_be_followed(name):
     recipe = load_recipe(name)
     assert recipe.env in environment_names()
     learner = load_learner(recipe.learner)
-    module = vars(importlib.import_module(learner.__module__)).values()
-    (kind,) = (it for it in module if it in TrainingOptions.__subclasses__() and it.__module__ == learner.__module__)
+    module = [it for it in vars(importlib.import_module(learner.__module__)).values() if isinstance(it, type)]
+    (kind,) = (it for it in module if issubclass(it, TrainingOptions) and it.__module__ == learner.__module__)
     assert read_options(kind, recipe).steps == recipe.options["steps"]
 
 

@@ -32,6 +32,7 @@ def no_policy(env):
 
 
 MEETINGS = [(name, env) for env, names in DEFAULT_POLICIES.items() for name in names]
+MEETINGS += [("reach_bc", "armctl/ArmReach-v0"), ("reach_dagger", "armctl/ArmReach-v0")]
 
 
 @pytest.mark.parametrize(("name", "env_id"), MEETINGS)
