@@ -117,7 +117,7 @@ def _new_model(venv: StableBaselinesVectorEnv, training: Training, options: SacO
         policy_kwargs={
             "features_extractor_class": GoalFeatures if goals else view.features,
             "features_extractor_kwargs": {"view": view} if goals else view.features_options,
-            "net_arch": [options.hidden_units] * 2,
+            "net_arch": [options.hidden_units] * options.layers,
         },
         seed=training.seed,
         device="cpu",
