@@ -23,6 +23,7 @@ SMALL = {
     "batch_size": 64,
     "buffer_size": 4000,
     "random_steps": 800,
+    "turned": True,
     "evaluation_every": 800,
     "validation_episodes": 4,
     "evaluation_episodes": 4,
