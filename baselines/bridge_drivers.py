@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from armctl.envs import BridgeCrossVectorEnv
 from armctl.errors import ConfigurationError
-from armctl.planning import BridgeMap
+from armctl.planning import BridgeMap, plan_path
 
 Array = NDArray[np.float64]
 
@@ -18,6 +18,12 @@ class Driver(Protocol):
 
     def act(self, pose: Array, velocity: Array, time: float) -> tuple[float, float]:
         """Linear (m/s) and angular velocity (rad/s) for a pose (x, y, yaw), velocities now, and time (s)."""
+
+
+def path_from(bridge: BridgeMap, place: Array, goal_x: float) -> Array:
+    """Corners (m, 2) of a way to the goal line; (0, 2) without one, as where a pupil has left the free deck."""
+    on_deck = bridge.clearance(place[None])[0] > 0 and place[0] < goal_x
+    return plan_path(bridge, place, goal_x).path if on_deck else np.zeros((0, 2))
 
 
 class BridgeDrivers:

@@ -6,12 +6,12 @@ It sees the map and the true pose: privileged state.
 """
 
 import numpy as np
-from armctl.baselines.bridge_drivers import BridgeDrivers
+from armctl.baselines.bridge_drivers import BridgeDrivers, path_from
 from numpy.typing import NDArray
 
 from armctl.control.drive_mpc import DriveMpc, DriveMpcOptions
 from armctl.envs import BridgeCrossVectorEnv
-from armctl.planning import BridgeMap, plan_path
+from armctl.planning import BridgeMap
 from armctl.robots.rover import MAX_VELOCITY, MAX_WHEEL_SPEED, RADIUS, TRACK, WHEEL_RADIUS, WHEEL_SEPARATION_MULTIPLIER
 from armctl.tasks.bridge import DECISION_PERIOD
 
@@ -59,11 +59,11 @@ class Driver:
     def act(self, pose: Array, velocity: Array, time: float) -> tuple[float, float]:
         """Linear and angular velocity for a pose (x, y, yaw), the present velocities (m/s, rad/s) and time (s)."""
         if self._mpc is None or self._strayed(self._mpc, pose):
-            plan = plan_path(self._bridge, pose[:2], self._goal_x)
-            if not plan.found:
+            path = path_from(self._bridge, pose[:2], self._goal_x)
+            if not len(path):
                 return 0.0, 0.0
             self._failed_before = self.failures
-            self._mpc = DriveMpc(plan.path, self._bridge.nearest, self._options)
+            self._mpc = DriveMpc(path, self._bridge.nearest, self._options)
         return self._mpc.decide(pose, velocity, self._bridge.courses.positions(time + self._clock)).command
 
     def _strayed(self, mpc: DriveMpc, pose: Array) -> bool:

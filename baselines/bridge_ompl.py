@@ -7,12 +7,12 @@ It sees the map and the true pose: privileged state.
 """
 
 import numpy as np
-from armctl.baselines.bridge_drivers import BridgeDrivers
+from armctl.baselines.bridge_drivers import BridgeDrivers, path_from
 from numpy.typing import NDArray
 
 from armctl.control import RegulatedPurePursuit
 from armctl.envs import BridgeCrossVectorEnv
-from armctl.planning import BridgeMap, plan_path
+from armctl.planning import BridgeMap
 from armctl.robots.rover import RADIUS
 from armctl.tasks.bridge import DECISION_PERIOD
 
@@ -40,7 +40,6 @@ class Driver:
 
     def __init__(self, bridge: BridgeMap, goal_x: float) -> None:
         self._bridge, self._goal_x = bridge, goal_x
-        self._beside_lanes = bridge.with_lanes_blocked()
         self._crossing = bridge.courses.across()
         self._pursuit: RegulatedPurePursuit | None = None
 
@@ -48,10 +47,10 @@ class Driver:
         """Linear and angular velocity for a pose (x, y, yaw), the present velocities (m/s, rad/s) and time (s)."""
         speed = float(velocity[0])
         if self._pursuit is None or self._strayed(self._pursuit, pose):
-            plan = plan_path(self._beside_lanes, pose[:2], self._goal_x)
-            if not plan.found:
+            path = path_from(self._bridge, pose[:2], self._goal_x)
+            if not len(path):
                 return 0.0, 0.0
-            self._pursuit = RegulatedPurePursuit(plan.path)
+            self._pursuit = RegulatedPurePursuit(path)
         linear, angular = self._pursuit.command(pose, speed)
         if linear == 0.0 or not len(self._crossing.speed):
             return linear, angular
