@@ -2,11 +2,13 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
 import pandas as pd
 import pytest
+from joblib.externals.loky import get_reusable_executor
 
 from armctl.errors import ConfigurationError
 from armctl.evaluation import compare
@@ -39,8 +41,8 @@ def dying(env):
 def mine(tmp_path, monkeypatch):
     (tmp_path / "mine_for_workers.py").write_text(MINE)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.syspath_prepend(tmp_path)
+    get_reusable_executor().shutdown(wait=True)  # workers of an earlier test are in another folder
 
 
 def timeless(folder):
@@ -68,22 +70,21 @@ def test_a_worker_that_dies_is_told(mine, tmp_path):
 
 
 def test_functions_can_be_sent_and_what_cannot_is_told_before_anything_runs(tmp_path):
-    held = open(os.devnull)  # noqa: SIM115
+    lock = threading.Lock()
 
     def still(env):
         policy = make_policy("random", env)
         policy.act = lambda observations: observations[:, 3:9]
         return policy
 
-    def holding_a_file(env):
-        held.name  # noqa: B018
-        return make_policy("random", env)
+    def holding_a_lock(env):
+        with lock:
+            return make_policy("random", env)
 
     assert len(compare([still], episodes=2, workers=2, env_options={"max_episode_steps": 3}).episodes) == 2
-    with pytest.raises(ConfigurationError, match="holding_a_file cannot be sent to worker processes"):
-        compare([holding_a_file], episodes=2, workers=2, out=tmp_path / "results")
+    with pytest.raises(ConfigurationError, match="holding_a_lock cannot be sent to worker processes"):
+        compare([holding_a_lock], episodes=2, workers=2, out=tmp_path / "results")
     assert not (tmp_path / "results").exists()
-    held.close()
 
 
 def test_no_workers_are_refused():

@@ -118,12 +118,12 @@ def environment_names() -> list[str]:
 def rollouts(
     policy: Policy,
     env: TaskVectorEnv,
-    episodes: Sequence[int],
+    episodes: int | Sequence[int],
     seed: int,
     name: str = "policy",
     least_lengths: dict[int, float] | None = None,
 ) -> Iterator[EpisodeResult]:
-    """Play the `episodes` of these numbers of `seed` in the worlds of `env`, and yield each as it ends.
+    """Play so many `episodes` of `seed`, or those of these numbers, in the worlds of `env`; yield each as it ends.
 
     `least_lengths`, by episode, are taken from there and put there, so that policies can share them.
 
@@ -131,6 +131,7 @@ def rollouts(
     Raises `PolicyFailed` if the policy fails.
     """
     n = env.num_envs
+    episodes = range(episodes) if isinstance(episodes, int) else episodes
     mask = np.arange(n) < len(episodes)
     numbers = np.array([*episodes[:n], *[0] * (n - len(episodes))])
     waiting = iter(episodes[n:])
@@ -232,6 +233,6 @@ def evaluate(
     with closing(make_worlds(env, min(worlds, episodes), env_options)) as made_env:
         made = make_policy(policy, made_env)
         known = None if least_lengths else dict.fromkeys(range(episodes), math.nan)
-        played = rollouts(made, made_env, range(episodes), seed, policy_name(policy), known)
+        played = rollouts(made, made_env, episodes, seed, policy_name(policy), known)
         rows = [result.row() for result in played]
     return pd.DataFrame(rows, columns=list(COLUMNS)).sort_values("episode", ignore_index=True)
