@@ -37,17 +37,18 @@ class BridgeDrivers:
             raise ConfigurationError(f"{name} crosses bridges: use it with armctl/BridgeCross-v0")
         self._task, self._driver = env.task, driver
         self._drivers: list[Driver | None] = [None] * env.num_envs
-        self._failed_before = 0
+        self._failed_before = np.zeros(env.num_envs, dtype=np.int64)
 
     @property
-    def failures(self) -> int:
-        """How often the drivers' solvers have failed; 0 for those that count nothing."""
-        return self._failed_before + sum(getattr(driver, "failures", 0) for driver in self._drivers)
+    def failures(self) -> NDArray[np.int64]:
+        """(n,) how often the drivers' solvers have failed in each world; 0 for those that count nothing."""
+        now = [getattr(driver, "failures", 0) for driver in self._drivers]
+        return np.add(self._failed_before, now, dtype=np.int64)
 
     def reset(self, ids: NDArray[np.int32]) -> None:
         """Worlds `ids` have new maps."""
         for i in ids:
-            self._failed_before += getattr(self._drivers[i], "failures", 0)
+            self._failed_before[i] += getattr(self._drivers[i], "failures", 0)
             self._drivers[i] = self._driver(self._task.map(i), self._task.goal_x)
 
     def act(self, observations: Any) -> Array:

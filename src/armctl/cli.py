@@ -81,11 +81,19 @@ def compare(
     ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace results that the folder holds.")] = False,
     worlds: Worlds = 1,
+    workers: Annotated[
+        int,
+        typer.Option(
+            min=1,
+            help="Processes that play episodes side by side, each on one core. With more than 1, decisions are timed "
+            "while others compute beside them.",
+        ),
+    ] = 1,
     env_options: EnvOptions = None,
 ) -> None:
     """Let policies meet the same episodes, and print who is better, by how much.
 
-    Writes every episode as it ends, so that Ctrl-C loses nothing.
+    Writes every episode as it ends, so that Ctrl-C loses nothing: the same command with the same `--out` goes on.
     """
     from datetime import datetime
 
@@ -114,6 +122,7 @@ def compare(
             out=folder,
             overwrite=overwrite,
             worlds=worlds,
+            workers=workers,
             env_options=_options(env_options),
             progress=progress,
         )
@@ -121,6 +130,7 @@ def compare(
     console.print(tables(comparison))
     console.print(f"{folder / 'episodes.csv'} has every episode, {folder / 'summary.json'} the tables.", soft_wrap=True)
     if comparison.interrupted:
+        console.print(f"The same command with --out {folder} goes on from there.", soft_wrap=True)
         raise typer.Exit(130)
     if comparison.failures:
         raise typer.Exit(1)

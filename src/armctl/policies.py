@@ -27,7 +27,11 @@ GROUP = "armctl.policies"
 
 @runtime_checkable
 class Policy(Protocol):
-    """Decides for n worlds at once."""
+    """Decides for n worlds at once.
+
+    One with a solver may count in `failures` (n,) how often that has found nothing in each world, and one that was
+    trained may tell its `training_minutes`: results then have them.
+    """
 
     sees: Literal["observation", "state"]
     """What it is allowed to see: the environment's observation alone, or privileged state as well."""
@@ -66,9 +70,9 @@ class PerWorld:
         self.sees = sees
 
     @property
-    def failures(self) -> int:
-        """How often the controllers' solvers have failed; 0 for those that count nothing."""
-        return sum(getattr(controller, "failures", 0) for controller in self.controllers)
+    def failures(self) -> NDArray[np.int64]:
+        """(n,) how often each controller's solver has failed; 0 for those that count nothing."""
+        return np.array([getattr(controller, "failures", 0) for controller in self.controllers])
 
     def reset(self, ids: NDArray[np.int32]) -> None:
         """Worlds `ids` start a new episode."""
