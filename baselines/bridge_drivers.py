@@ -12,12 +12,18 @@ from armctl.planning import BridgeMap
 
 Array = NDArray[np.float64]
 
+SHOWN_HEIGHT = 0.05
+"""m above the deck, where plans are drawn."""
+
 
 class Driver(Protocol):
     """Crosses one bridge."""
 
     def act(self, pose: Array, velocity: Array, time: float) -> tuple[float, float]:
         """Linear (m/s) and angular velocity (rad/s) for a pose (x, y, yaw), velocities now, and time (s)."""
+
+    def plans(self) -> dict[str, Array]:
+        """Where it means to drive: lines of points (m, 2), m."""
 
 
 class BridgeDrivers:
@@ -37,6 +43,12 @@ class BridgeDrivers:
     def failures(self) -> int:
         """How often the drivers' solvers have failed; 0 for those that count nothing."""
         return self._failed_before + sum(getattr(driver, "failures", 0) for driver in self._drivers)
+
+    def plans(self, world: int) -> dict[str, Array]:
+        """Where the world's driver means to drive: lines of points (m, 3), m, just above the deck."""
+        driver = self._drivers[world]
+        lines = driver.plans() if driver else {}
+        return {name: np.column_stack((points, np.full(len(points), SHOWN_HEIGHT))) for name, points in lines.items()}
 
     def reset(self, ids: NDArray[np.int32]) -> None:
         """Worlds `ids` have new maps."""

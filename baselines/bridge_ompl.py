@@ -42,7 +42,12 @@ class Driver:
         self._bridge, self._goal_x = bridge, goal_x
         self._beside_lanes = bridge.with_lanes_blocked()
         self._crossing = bridge.courses.across()
+        self._path: Array | None = None
         self._pursuit: RegulatedPurePursuit | None = None
+
+    def plans(self) -> dict[str, Array]:
+        """The path, (m, 2) m."""
+        return {} if self._path is None else {"path": self._path}
 
     def act(self, pose: Array, velocity: Array, time: float) -> tuple[float, float]:
         """Linear and angular velocity for a pose (x, y, yaw), the present velocities (m/s, rad/s) and time (s)."""
@@ -51,7 +56,7 @@ class Driver:
             plan = plan_path(self._beside_lanes, pose[:2], self._goal_x)
             if not plan.found:
                 return 0.0, 0.0
-            self._pursuit = RegulatedPurePursuit(plan.path)
+            self._path, self._pursuit = plan.path, RegulatedPurePursuit(plan.path)
         linear, angular = self._pursuit.command(pose, speed)
         if linear == 0.0 or not len(self._crossing.speed):
             return linear, angular

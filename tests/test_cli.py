@@ -21,7 +21,7 @@ def armctl(*arguments, cwd, check=True):
     return done
 
 
-@pytest.mark.parametrize("verb", ["list", "compare", "run", "train"])
+@pytest.mark.parametrize("verb", ["list", "compare", "run", "view", "train"])
 def test_help_teaches_each_verb(verb, tmp_path):
     assert verb in armctl("--help", cwd=tmp_path).stdout
     assert "Usage: armctl" in armctl(verb, "--help", cwd=tmp_path).stdout
@@ -136,6 +136,7 @@ def test_train_follows_a_recipe_with_changes(tmp_path):
         (["compare", "none.json"], "cannot be read"),
         (["run", "random", "--env", "armctl/Reach-v0"], "ArmReach"),
         (["run", "random", "--set", "control=torqe"], "Did you mean 'torque'"),
+        (["view", "random", "--set", "robto=ur3"], "Did you mean 'robot'"),
         (["train", "pppo"], "Did you mean 'ppo'"),
         (["train", "reach_pp"], "Did you mean 'reach_ppo'"),
         (["train", "none.toml"], "cannot be read"),
