@@ -12,12 +12,18 @@ from armctl.planning import BridgeMap, plan_path
 
 Array = NDArray[np.float64]
 
+SHOWN_HEIGHT = 0.05
+"""m above the deck, where plans are drawn."""
+
 
 class Driver(Protocol):
     """Crosses one bridge."""
 
     def act(self, pose: Array, velocity: Array, time: float) -> tuple[float, float]:
         """Linear (m/s) and angular velocity (rad/s) for a pose (x, y, yaw), velocities now, and time (s)."""
+
+    def plans(self) -> dict[str, Array]:
+        """Where it means to drive: lines of points (m, 2), m."""
 
 
 def path_from(bridge: BridgeMap, place: Array, goal_x: float) -> Array:
@@ -44,6 +50,12 @@ class BridgeDrivers:
         """(n,) how often the drivers' solvers have failed in each world; 0 for those that count nothing."""
         now = [getattr(driver, "failures", 0) for driver in self._drivers]
         return np.add(self._failed_before, now, dtype=np.int64)
+
+    def plans(self, world: int) -> dict[str, Array]:
+        """Where the world's driver means to drive: lines of points (m, 3), m, just above the deck."""
+        driver = self._drivers[world]
+        lines = driver.plans() if driver else {}
+        return {name: np.column_stack((points, np.full(len(points), SHOWN_HEIGHT))) for name, points in lines.items()}
 
     def reset(self, ids: NDArray[np.int32]) -> None:
         """Worlds `ids` have new maps."""
