@@ -35,8 +35,6 @@ class CloningOptions(TrainingOptions):
     layers: Count = 3
     turned: bool = True
     evaluation_every: Count = 3_000
-    validation_episodes: Count = 300
-    """Of each evaluation: by fewer, an early clone is often mistaken for the best."""
     demonstrations: Count = 500
     """Episodes of the teacher, over all."""
     batch_size: Count = 256
