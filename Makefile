@@ -29,6 +29,7 @@ benchmarks: $(VENV)/full
 	$(BIN)/python benchmarks/optimality.py
 	$(BIN)/python benchmarks/arm_planning.py
 	$(BIN)/python benchmarks/capsules.py
+	$(BIN)/python benchmarks/workers.py
 
 clean:
 	rm -rf $(VENV) build src/*.egg-info

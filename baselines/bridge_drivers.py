@@ -12,12 +12,18 @@ from armctl.planning import BridgeMap, plan_path
 
 Array = NDArray[np.float64]
 
+SHOWN_HEIGHT = 0.05
+"""m above the deck, where plans are drawn."""
+
 
 class Driver(Protocol):
     """Crosses one bridge."""
 
     def act(self, pose: Array, velocity: Array, time: float) -> tuple[float, float]:
         """Linear (m/s) and angular velocity (rad/s) for a pose (x, y, yaw), velocities now, and time (s)."""
+
+    def plans(self) -> dict[str, Array]:
+        """Where it means to drive: lines of points (m, 2), m."""
 
 
 def path_from(bridge: BridgeMap, place: Array, goal_x: float) -> Array:
@@ -37,17 +43,24 @@ class BridgeDrivers:
             raise ConfigurationError(f"{name} crosses bridges: use it with armctl/BridgeCross-v0")
         self._task, self._driver = env.task, driver
         self._drivers: list[Driver | None] = [None] * env.num_envs
-        self._failed_before = 0
+        self._failed_before = np.zeros(env.num_envs, dtype=np.int64)
 
     @property
-    def failures(self) -> int:
-        """How often the drivers' solvers have failed; 0 for those that count nothing."""
-        return self._failed_before + sum(getattr(driver, "failures", 0) for driver in self._drivers)
+    def failures(self) -> NDArray[np.int64]:
+        """(n,) how often the drivers' solvers have failed in each world; 0 for those that count nothing."""
+        now = [getattr(driver, "failures", 0) for driver in self._drivers]
+        return np.add(self._failed_before, now, dtype=np.int64)
+
+    def plans(self, world: int) -> dict[str, Array]:
+        """Where the world's driver means to drive: lines of points (m, 3), m, just above the deck."""
+        driver = self._drivers[world]
+        lines = driver.plans() if driver else {}
+        return {name: np.column_stack((points, np.full(len(points), SHOWN_HEIGHT))) for name, points in lines.items()}
 
     def reset(self, ids: NDArray[np.int32]) -> None:
         """Worlds `ids` have new maps."""
         for i in ids:
-            self._failed_before += getattr(self._drivers[i], "failures", 0)
+            self._failed_before[i] += getattr(self._drivers[i], "failures", 0)
             self._drivers[i] = self._driver(self._task.map(i), self._task.goal_x)
 
     def act(self, observations: Any) -> Array:

@@ -49,12 +49,17 @@ class Driver:
         )
         self._clock = DECISION_PERIOD * np.arange(self._options.steps + 1)
         self._mpc: DriveMpc | None = None
+        self._plans: dict[str, Array] = {}
         self._failed_before = 0
 
     @property
     def failures(self) -> int:
         """Decisions without a solution, in which the rover braked."""
         return self._failed_before + (self._mpc.failures if self._mpc else 0)
+
+    def plans(self) -> dict[str, Array]:
+        """The path (m, 2) and where the rover is predicted to be, (steps + 1, 2), m."""
+        return self._plans
 
     def act(self, pose: Array, velocity: Array, time: float) -> tuple[float, float]:
         """Linear and angular velocity for a pose (x, y, yaw), the present velocities (m/s, rad/s) and time (s)."""
@@ -64,7 +69,10 @@ class Driver:
                 return 0.0, 0.0
             self._failed_before = self.failures
             self._mpc = DriveMpc(path, self._bridge.nearest, self._options)
-        return self._mpc.decide(pose, velocity, self._bridge.courses.positions(time + self._clock)).command
+            self._plans["path"] = path
+        decision = self._mpc.decide(pose, velocity, self._bridge.courses.positions(time + self._clock))
+        self._plans["horizon"] = decision.poses[:, :2]
+        return decision.command
 
     def _strayed(self, mpc: DriveMpc, pose: Array) -> bool:
         return bool(np.linalg.norm(mpc.path.points_at(mpc.progress) - pose[:2]) > REPLAN_DISTANCE)

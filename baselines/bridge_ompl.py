@@ -41,7 +41,12 @@ class Driver:
     def __init__(self, bridge: BridgeMap, goal_x: float) -> None:
         self._bridge, self._goal_x = bridge, goal_x
         self._crossing = bridge.courses.across()
+        self._path: Array | None = None
         self._pursuit: RegulatedPurePursuit | None = None
+
+    def plans(self) -> dict[str, Array]:
+        """The path, (m, 2) m."""
+        return {} if self._path is None else {"path": self._path}
 
     def act(self, pose: Array, velocity: Array, time: float) -> tuple[float, float]:
         """Linear and angular velocity for a pose (x, y, yaw), the present velocities (m/s, rad/s) and time (s)."""
@@ -50,7 +55,7 @@ class Driver:
             path = path_from(self._bridge, pose[:2], self._goal_x)
             if not len(path):
                 return 0.0, 0.0
-            self._pursuit = RegulatedPurePursuit(path)
+            self._path, self._pursuit = path, RegulatedPurePursuit(path)
         linear, angular = self._pursuit.command(pose, speed)
         if linear == 0.0 or not len(self._crossing.speed):
             return linear, angular

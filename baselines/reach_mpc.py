@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.control.reach_mpc import ReachMpc, ReachMpcOptions
+from armctl.control.reach_problem import Motion
 from armctl.control.streaming import CommandStream
 from armctl.envs import ArmReachVectorEnv
 from armctl.errors import ConfigurationError
@@ -60,8 +61,13 @@ class ReachWithMpc:
         self.mpc.reset()
         self._posture: Array | None = None
         self._stream: CommandStream | None = None
+        self._plan: Motion | None = None
         self._target_velocity: Array | None = None
         self._nearest, self._waited = np.inf, 0
+
+    def plans(self) -> dict[str, Array]:
+        """Where the end-effector is to be at the end of each period of the horizon, (N + 1, 3) m."""
+        return {} if self._plan is None else {"horizon": self._model.positions(self._plan.positions)}
 
     def act(self, observation: NDArray[np.float32]) -> Array:
         """Joint positions (dof,) to move to, for an observation (6 + dof + k,)."""
@@ -72,6 +78,7 @@ class ReachWithMpc:
             return self._first_goal(q, target, extra)
         if self._gives_up(distance):
             self._posture, self._stream = self._postures.towards(target, q, self.mpc.model), None
+            self._plan = None
         if self._stream is None:
             if np.abs(q - self._posture).max() > THERE:
                 return self._posture
@@ -79,8 +86,8 @@ class ReachWithMpc:
             self.mpc.reset()
         posture = None if distance < self._tolerance else self._posture
         course = self._course(target, extra[:3]) if self._moving else target
-        plan = self.mpc.plan(self._stream.position, self._stream.velocity, course, posture)
-        return self._stream.goal(plan)
+        self._plan = self.mpc.plan(self._stream.position, self._stream.velocity, course, posture)
+        return self._stream.goal(self._plan)
 
     def _first_goal(self, q: Array, target: Array, extra: Array) -> Array:
         """The way to a posture is begun before there is a plan: to look one up takes its time."""
@@ -89,7 +96,8 @@ class ReachWithMpc:
             self.mpc = ReachMpc(self._model.among(read_boxes(extra)))
         self._posture = self._postures.towards(target, q, self.mpc.model)
         self._stream = CommandStream(self._model.limits, self.mpc.problem.period, q)
-        return self._stream.goal(self.mpc.begin(q, np.zeros_like(q), self._posture))
+        self._plan = self.mpc.begin(q, np.zeros_like(q), self._posture)
+        return self._stream.goal(self._plan)
 
     def _gives_up(self, distance: float) -> bool:
         """Whether the tip has long been away from the target without coming nearer, where a detour is open."""

@@ -57,6 +57,13 @@ class ReachOmpl:
         self._motion: Trajectory | None = None
         self._decision = 0
 
+    def plans(self) -> dict[str, Array]:
+        """The end-effector's way, (m, 3) m, a point for each decision."""
+        if self._motion is None:
+            return {}
+        times = np.arange(0.0, self._motion.duration + self._period, self._period)
+        return {"path": self._model.positions(self._motion.at(times))}
+
     def act(self, observation: NDArray[np.float32]) -> Array:
         """Joint positions (dof,) to move to, for an observation (6 + dof + boxes,)."""
         dof = self._model.dof

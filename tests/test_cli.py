@@ -21,7 +21,7 @@ def armctl(*arguments, cwd, check=True):
     return done
 
 
-@pytest.mark.parametrize("verb", ["list", "compare", "run", "collect", "train"])
+@pytest.mark.parametrize("verb", ["list", "compare", "run", "view", "collect", "train"])
 def test_help_teaches_each_verb(verb, tmp_path):
     assert verb in armctl("--help", cwd=tmp_path).stdout
     assert "Usage: armctl" in armctl(verb, "--help", cwd=tmp_path).stdout
@@ -140,6 +140,7 @@ def test_train_follows_a_recipe_with_changes(tmp_path):
         (["collect", "random", "--out", "/proc/data", "--episodes", "1"], "cannot be written"),
         (["train", "reach_bc", "--option", "dataset=nowhere"], "no Minari dataset nowhere"),
         (["train", "reach_dagger", "--teacher", "reach_ki"], "Did you mean 'reach_ik'"),
+        (["view", "random", "--set", "robto=ur3"], "Did you mean 'robot'"),
         (["train", "pppo"], "Did you mean 'ppo'"),
         (["train", "reach_pp"], "Did you mean 'reach_ppo'"),
         (["train", "none.toml"], "cannot be read"),

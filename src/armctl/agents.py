@@ -80,6 +80,7 @@ class OnnxPolicy:
     def __init__(self, graph: Path, card: AgentCard) -> None:
         self.card = card
         self.training_steps = card.training_steps
+        self.training_minutes = card.training_minutes
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = 1
         options.log_severity_level = 4
@@ -98,9 +99,12 @@ class OnnxPolicy:
         """Nothing to forget: the agent has no memory."""
 
     def act(self, observations: Observations) -> NDArray[np.float32]:
-        """Actions (n, ...) for observations (n, ...)."""
+        """Actions (n, ...) for observations (n, ...), the same for a world whatever the number of worlds."""
         shown = observations if isinstance(observations, dict) else {INPUT: observations}
-        return np.asarray(self._session.run([OUTPUT], shown)[0])
+        worlds = len(next(iter(shown.values())))
+        if worlds % 2:  # onnxruntime rounds the last of an odd number of rows in another way than all others
+            shown = {name: np.concatenate((values, values[-1:])) for name, values in shown.items()}
+        return np.asarray(self._session.run([OUTPUT], shown)[0])[:worlds]
 
 
 def load_agent(path: Path, worlds: TaskVectorEnv) -> OnnxPolicy:

@@ -81,11 +81,19 @@ def compare(
     ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace results that the folder holds.")] = False,
     worlds: Worlds = 1,
+    workers: Annotated[
+        int,
+        typer.Option(
+            min=1,
+            help="Processes that play episodes side by side, each on one core. With more than 1, decisions are timed "
+            "while others compute beside them.",
+        ),
+    ] = 1,
     env_options: EnvOptions = None,
 ) -> None:
     """Let policies meet the same episodes, and print who is better, by how much.
 
-    Writes every episode as it ends, so that Ctrl-C loses nothing.
+    Writes every episode as it ends, so that Ctrl-C loses nothing: the same command with the same `--out` goes on.
     """
     from datetime import datetime
 
@@ -114,6 +122,7 @@ def compare(
             out=folder,
             overwrite=overwrite,
             worlds=worlds,
+            workers=workers,
             env_options=_options(env_options),
             progress=progress,
         )
@@ -121,6 +130,7 @@ def compare(
     console.print(tables(comparison))
     console.print(f"{folder / 'episodes.csv'} has every episode, {folder / 'summary.json'} the tables.", soft_wrap=True)
     if comparison.interrupted:
+        console.print(f"The same command with --out {folder} goes on from there.", soft_wrap=True)
         raise typer.Exit(130)
     if comparison.failures:
         raise typer.Exit(1)
@@ -144,6 +154,38 @@ def run(
 
     if not run_episodes(policy, env, episodes, steps, seed, video, watch, _options(env_options)):
         raise typer.Exit(130)
+
+
+@app.command()
+def view(
+    policy: Annotated[str, typer.Argument(help="Policy: a name, an agent's file, or `module:function`.")],
+    env: Env = DEFAULT_ENV,
+    seed: Seed = 0,
+    episode: Annotated[int, typer.Option(min=0, help="Number of the first episode.")] = 0,
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Of the page.", show_default="the first free one from 8080 on")
+    ] = 0,
+    open_browser: Annotated[bool, typer.Option("--open/--no-open", help="Open a browser, where there is one.")] = True,
+    native: Annotated[bool, typer.Option("--native", help="Show it in MuJoCo's own window; needs a screen.")] = False,
+    env_options: EnvOptions = None,
+) -> None:
+    """Show a policy live in the browser, in real time: its plan, contacts and rewards as well.
+
+    A panel on the page has the policies, seeds and episodes to choose from. Keys: Space pauses, Right arrow makes one
+    decision, R plays the episode again, N the next one; the mouse turns the view. Ctrl-C ends it. The page is for this
+    machine alone; from another: `ssh -L 8080:localhost:8080 HOST`.
+    """
+    from armctl.evaluation.stage import Stage
+    from armctl.evaluation.viewer import Player, show_in_browser
+    from armctl.evaluation.window import check_screen, show_in_window
+
+    if native:
+        check_screen()
+    player = Player(Stage(policy, env, seed, episode, _options(env_options)))
+    try:
+        show_in_window(player) if native else show_in_browser(player, port, open_browser)
+    except KeyboardInterrupt:
+        raise typer.Exit(130) from None
 
 
 @app.command()

@@ -7,7 +7,7 @@ import importlib
 import inspect
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Literal, Protocol, runtime_checkable
@@ -27,7 +27,11 @@ GROUP = "armctl.policies"
 
 @runtime_checkable
 class Policy(Protocol):
-    """Decides for n worlds at once."""
+    """Decides for n worlds at once.
+
+    One with a solver may count in `failures` (n,) how often that has found nothing in each world, and one that was
+    trained may tell its `training_minutes`: results then have them.
+    """
 
     sees: Literal["observation", "state"]
     """What it is allowed to see: the environment's observation alone, or privileged state as well."""
@@ -39,6 +43,14 @@ class Policy(Protocol):
 
     def act(self, observations: Observations) -> Actions:
         """Actions (n, ...) for the observations (n, ...) of all worlds."""
+
+
+@runtime_checkable
+class Plans(Protocol):
+    """A policy that can show what it means to do."""
+
+    def plans(self, world: int) -> Mapping[str, NDArray[np.float64]]:
+        """Lines by name, points (m, 3) each, m: the `path` it follows, the `horizon` it predicts, or none as yet."""
 
 
 class Controller(Protocol):
@@ -66,9 +78,13 @@ class PerWorld:
         self.sees = sees
 
     @property
-    def failures(self) -> int:
-        """How often the controllers' solvers have failed; 0 for those that count nothing."""
-        return sum(getattr(controller, "failures", 0) for controller in self.controllers)
+    def failures(self) -> NDArray[np.int64]:
+        """(n,) how often each controller's solver has failed; 0 for those that count nothing."""
+        return np.array([getattr(controller, "failures", 0) for controller in self.controllers])
+
+    def plans(self, world: int) -> Mapping[str, NDArray[np.float64]]:
+        """What the world's controller plans; nothing for those that do not tell."""
+        return dict(getattr(self.controllers[world], "plans", dict)())
 
     def reset(self, ids: NDArray[np.int32]) -> None:
         """Worlds `ids` start a new episode."""

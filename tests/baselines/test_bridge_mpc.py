@@ -5,6 +5,7 @@ import pytest
 from armctl.control.drive_mpc import DriveMpc
 from armctl.errors import ConfigurationError
 from armctl.evaluation import evaluate
+from armctl.evaluation.rollouts import TIME_COLUMNS
 from armctl.policies import make_policy
 
 STATIC, MOVING = "armctl/BridgeCross-v0", "armctl/BridgeCrossMoving-v0"
@@ -32,7 +33,7 @@ def test_it_is_the_same_in_every_run_and_needs_no_camera():
         evaluate("bridge_mpc", MOVING, episodes=2, seed=2, worlds=worlds, env_options={**short, **options})
         for worlds, options in ((2, FAST), (1, {"resolution": (6, 4)}))
     ]
-    first, second = (run.drop(columns=["decision_ms_p50", "decision_ms_p99"]) for run in runs)
+    first, second = (run.drop(columns=list(TIME_COLUMNS)) for run in runs)
     assert first.equals(second)
 
 

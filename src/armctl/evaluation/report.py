@@ -1,15 +1,12 @@
 """Results on disk, and as tables on the terminal."""
 
-import contextlib
-import csv
 import dataclasses
 import json
 import os
 import platform
 from importlib.metadata import version
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Group
@@ -17,54 +14,12 @@ from rich.table import Table
 from rich.text import Text
 
 from armctl.errors import ResultsError
-from armctl.evaluation.rollouts import COLUMNS
+from armctl.evaluation.episode_log import SUMMARY
 from armctl.evaluation.statistics import FEWEST, Estimate, PairedDifference
 
 if TYPE_CHECKING:
-    from armctl.evaluation.compare import Comparison, PolicySummary
-
-EPISODES, SUMMARY = "episodes.csv", "summary.json"
-
-
-class EpisodeLog:
-    """`episodes.csv`, written row by row, so that nothing finished is lost.
-
-    Raises `ResultsError` if the folder cannot be written, or holds results that are not to be overwritten.
-    """
-
-    def __init__(self, folder: Path, overwrite: bool) -> None:
-        self._path = folder / EPISODES
-        if self._path.exists() and not overwrite:
-            raise ResultsError(
-                f"{folder} holds results already: choose another folder, or overwrite them (--overwrite)"
-            )
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            (folder / SUMMARY).unlink(missing_ok=True)
-            self._file = self._path.open("w", newline="")
-        except OSError as error:
-            raise ResultsError(f"results cannot be written to {folder}: {error.strerror}") from error
-        self._writer = csv.DictWriter(self._file, COLUMNS)
-
-    def __enter__(self) -> "EpisodeLog":
-        self._writer.writeheader()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        with contextlib.suppress(OSError):  # a full disk was reported where it was met
-            self._file.close()
-
-    def write(self, row: dict[str, Any]) -> None:
-        """Add an episode, and hand it to the operating system."""
-        try:
-            self._writer.writerow(row)
-            self._file.flush()
-        except OSError as error:
-            raise ResultsError(
-                f"{self._path} could not be written any further ({error.strerror}); the episodes before are in it"
-            ) from error
+    from armctl.evaluation.compare import Comparison
+    from armctl.evaluation.summary import PolicySummary
 
 
 def write_summary(folder: Path, comparison: "Comparison") -> None:
@@ -74,6 +29,7 @@ def write_summary(folder: Path, comparison: "Comparison") -> None:
         "env_options": {name: str(value) for name, value in comparison.env_options.items()},
         "seed": comparison.seed,
         "interrupted": comparison.interrupted,
+        "resumed": comparison.resumed,
         "failures": comparison.failures,
         "policies": [dataclasses.asdict(policy) for policy in comparison.policies],
         "paired": [dataclasses.asdict(difference) for difference in comparison.paired],
@@ -114,6 +70,8 @@ def tables(comparison: "Comparison") -> Group:
     if comparison.policies and (infeasible := comparison.policies[0].infeasible):
         parts.append(Text(f"{infeasible} episodes have a target out of reach; they are left out of all figures."))
     parts += [Text(message, style="red") for message in comparison.failures.values()]
+    if comparison.resumed:
+        parts.append(Text(f"{comparison.resumed} episodes were finished by an earlier run."))
     if comparison.interrupted:
         parts.append(Text("Interrupted.", style="yellow"))
     for policy in comparison.policies:
@@ -133,6 +91,8 @@ def _asides(policy: "PolicySummary") -> list[str]:
         asides.append(f"{1e3 * error.value:.1f}{spread} mm off the target")
     if policy.solver_failures:
         asides.append(f"its solver failed {policy.solver_failures} times")
+    if policy.missed_deadlines:
+        asides.append(f"{100 * policy.missed_deadlines:.2g} % of its decisions came too late")
     return asides
 
 

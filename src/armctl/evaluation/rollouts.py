@@ -2,11 +2,11 @@
 
 import math
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import gymnasium
 import numpy as np
@@ -17,12 +17,16 @@ from numpy.typing import NDArray
 from armctl import DEFAULT_ENV
 from armctl.envs import TaskVectorEnv
 from armctl.errors import ArmctlError, ConfigurationError, InvalidAction
+from armctl.evaluation.metrics import Metrics, control_period, metrics
 from armctl.policies import Policy, PolicyFactory, make_policy, policy_name
+from armctl.tasks.task import Motion
 
 COLUMNS = (
     "policy", "env", "episode", "seed", "outcome", "success", "feasible", "return", "length", "least_length",
-    "optimality_gap", "tracking_error", "decision_ms_p50", "decision_ms_p99",
+    "optimality_gap", "tracking_error", *(field.name for field in fields(Metrics)),
 )  # fmt: skip
+TIME_COLUMNS = ("missed_deadlines", "decision_ms_p50", "decision_ms_p99", "decision_ms_max")
+"""Those that a machine has a say in: all others are the same wherever, and however often, an episode is played."""
 
 
 class PolicyFailed(ArmctlError):
@@ -46,8 +50,9 @@ class EpisodeResult:
     """Decisions that no policy could do with less of; NaN where that is not known (see `Task.least_time`)."""
     tracking_error: float
     """m, mean distance to a moving target since it was first met; NaN where there is none."""
+    metrics: Metrics
     decision_ms: NDArray[np.float64]
-    """(length,) wall time of each decision."""
+    """(length,) wall time of each decision, to 0.1 us."""
 
     @property
     def optimality_gap(self) -> float:
@@ -56,23 +61,47 @@ class EpisodeResult:
 
     def row(self) -> dict[str, Any]:
         """The episode as a row of `episodes.csv`."""
-        p50, p99 = np.quantile(self.decision_ms, (0.5, 0.99))
         values = (
             self.policy, self.env, self.episode, self.seed, self.outcome, self.success, self.feasible,
             self.total_reward, self.length, self.least_length, self.optimality_gap, self.tracking_error,
-            round(float(p50), 4), round(float(p99), 4),
+            *asdict(self.metrics).values(),
         )  # fmt: skip
         return dict(zip(COLUMNS, values, strict=True))
 
+    @classmethod
+    def from_row(cls, row: Mapping[str, str], decision_ms: NDArray[np.float64]) -> "EpisodeResult":
+        """The episode of a row of `episodes.csv`, as text; raises `KeyError` or `ValueError` for what is none."""
+        named = {**row, "total_reward": row["return"]}
 
-def make_worlds(env: str, worlds: int, options: Mapping[str, Any] | None = None) -> TaskVectorEnv:
-    """`worlds` worlds of an environment, that stand still after an episode. Raises `ConfigurationError`."""
+        def read(kind: type[Any], left_out: tuple[str, ...] = ()) -> dict[str, Any]:
+            types = get_type_hints(kind)
+            return {name: _READERS[types[name]](named[name]) for name in types if name not in left_out}
+
+        return cls(**read(cls, ("metrics", "decision_ms")), metrics=Metrics(**read(Metrics)), decision_ms=decision_ms)
+
+
+_READERS: Mapping[type[Any], Callable[[str], Any]] = {
+    str: str,
+    int: int,
+    float: float,
+    bool: {"True": True, "False": False}.__getitem__,
+}
+"""From text, by type."""
+
+
+def make_worlds(env: str, worlds: int, options: Mapping[str, Any] | None = None, threads: int = 0) -> TaskVectorEnv:
+    """`worlds` worlds of an environment, that stand still after an episode, stepped on `threads` (0: all cores).
+
+    Raises `ConfigurationError`.
+    """
     if reserved := {"num_envs", "autoreset_mode", "render_mode", "threads"} & set(options or {}):
         raise ConfigurationError(f"{reserved.pop()} is no option to set here: evaluation has its own")
     if env in gymnasium.registry and env not in environment_names():
         raise ConfigurationError(f"{env} is not one of armctl's environments: {', '.join(environment_names())}")
     try:
-        made = gymnasium.make_vec(env, num_envs=worlds, autoreset_mode=AutoresetMode.DISABLED, **(options or {}))
+        made = gymnasium.make_vec(
+            env, num_envs=worlds, autoreset_mode=AutoresetMode.DISABLED, threads=threads, **(options or {})
+        )
     except gymnasium.error.Error as error:
         raise ConfigurationError(
             f"no environment {env!r}: {error} There are: {', '.join(environment_names())}"
@@ -89,12 +118,12 @@ def environment_names() -> list[str]:
 def rollouts(
     policy: Policy,
     env: TaskVectorEnv,
-    episodes: int,
+    episodes: int | Sequence[int],
     seed: int,
     name: str = "policy",
     least_lengths: dict[int, float] | None = None,
 ) -> Iterator[EpisodeResult]:
-    """Play episodes 0 to `episodes` - 1 of `seed` in the worlds of `env`, and yield each as it ends.
+    """Play so many `episodes` of `seed`, or those of these numbers, in the worlds of `env`; yield each as it ends.
 
     `least_lengths`, by episode, are taken from there and put there, so that policies can share them.
 
@@ -102,17 +131,20 @@ def rollouts(
     Raises `PolicyFailed` if the policy fails.
     """
     n = env.num_envs
-    mask = np.arange(n) < episodes
-    numbers = np.arange(n)
-    waiting = iter(range(n, episodes))
+    episodes = range(episodes) if isinstance(episodes, int) else episodes
+    mask = np.arange(n) < len(episodes)
+    numbers = np.array([*episodes[:n], *[0] * (n - len(episodes))])
+    waiting = iter(episodes[n:])
     observations, details = env.reset(seed=[seed] * n, options={"episode": numbers})
     feasible = details.get("feasible", np.ones(n, dtype=bool))
     least = {} if least_lengths is None else least_lengths
     _add_least_lengths(least, env, numbers, mask)
-    with blaming(name, 0):
+    starts, failures = env.task.motion().position, _failures(policy, n)
+    with blaming(name, numbers[0]):
         policy.reset(np.arange(n, dtype=np.int32))
     returns = np.zeros(n)
     times: list[float] = []
+    motions: list[Motion] = []
     began = np.zeros(n, dtype=np.int64)
     spec = env.spec.id if env.spec else type(env).__name__
     while mask.any():
@@ -123,15 +155,19 @@ def rollouts(
         with blaming(name, numbers[mask][0]):
             observations, rewards, terminated, truncated, infos = env.step(actions)
         returns += rewards
+        motions.append(env.task.motion())
         ended = np.flatnonzero((terminated | truncated) & mask)
         if not len(ended):
             continue
+        failed = _failures(policy, n)
         for i in ended:
+            decision_ms, moved = np.round(times[began[i] :], 4), motions[began[i] :]
+            measured = metrics(env.task, int(i), starts[i], moved, decision_ms, int(failed[i] - failures[i]))
             yield EpisodeResult(
                 name, spec, int(numbers[i]), seed, str(infos["outcome"][i]), bool(infos["is_success"][i]),
-                bool(feasible[i]), float(returns[i]), len(times) - int(began[i]), least[int(numbers[i])],
+                bool(feasible[i]), float(returns[i]), len(moved), least[int(numbers[i])],
                 float(infos["tracking_error"][i]) if "tracking_error" in infos else math.nan,
-                np.array(times[began[i] :]),
+                measured, decision_ms,
             )  # fmt: skip
             returns[i], began[i], numbers[i] = 0.0, len(times), next(waiting, -1)
         again = np.zeros(n, dtype=bool)
@@ -141,19 +177,28 @@ def rollouts(
             observations, details = env.reset(options={"reset_mask": again, "episode": np.maximum(numbers, 0)})
             feasible = details.get("feasible", feasible)
             _add_least_lengths(least, env, numbers, again)
+            starts[again], failures[again] = env.task.motion().position[again], failed[again]
             with blaming(name, numbers[again][0]):
                 policy.reset(np.flatnonzero(again).astype(np.int32))
+        over = min(began[mask], default=0)
+        del times[:over], motions[:over]
+        began -= over
 
 
 def _add_least_lengths(
     least: dict[int, float], env: TaskVectorEnv, numbers: NDArray[np.int64], began: NDArray[np.bool_]
 ) -> None:
     """Add the episodes that have just begun."""
-    period = env.task.substeps * env.task.simulation.model.opt.timestep
+    period = control_period(env.task)
     for i in np.flatnonzero(began):
         if (number := int(numbers[i])) not in least:
             time = env.task.least_time(int(i))
             least[number] = max(1.0, np.ceil(time / period - 1e-9)) if math.isfinite(time) else math.nan
+
+
+def _failures(policy: Policy, n: int) -> NDArray[np.int64]:
+    """(n,) how often a controller's solver has failed in each world; 0 for policies that count nothing."""
+    return np.broadcast_to(getattr(policy, "failures", 0), n).copy()
 
 
 @contextmanager

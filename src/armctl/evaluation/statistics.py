@@ -1,5 +1,6 @@
-"""What can be said of finitely many episodes: intervals, and differences over paired episodes."""
+"""What can be said of finitely many episodes, and of few trainings: intervals, differences, and who beats whom."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +12,8 @@ Array = NDArray[np.float64]
 
 FEWEST = 10
 """Values below which nothing is said of a mean's precision: returns and lengths are too skewed."""
+RESAMPLES = 2000
+"""Of a bootstrap: with so many, a bound of a 95 % interval is itself good to a tenth of the interval's width."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +57,120 @@ def median(values: Array) -> Estimate | None:
     return Estimate(value, float(interval.low), float(interval.high))
 
 
+def interquartile_mean(scores: Sequence[Array]) -> Estimate | None:
+    """Mean of the middle half of all scores (Agarwal et al. 2021), unknown precision for less than `FEWEST`.
+
+    `scores` are those of each training seed, (k,) each: the strata that the percentile bootstrap resamples apart. It
+    tells what other episodes would have brought, not what other trainings would: see `mean_over_trainings`.
+    """
+    strata = [np.asarray(one, dtype=float) for one in scores if len(one)]
+    if not strata:
+        return None
+
+    def statistic(*strata: Array, axis: int = -1) -> Any:
+        return stats.trim_mean(np.concatenate(strata, axis=axis), 0.25, axis=axis)
+
+    return _bootstrapped(float(statistic(*strata)), strata, statistic)
+
+
+@dataclass(frozen=True)
+class Superiority:
+    """How likely one policy's score is above another's; a tie counts half."""
+
+    probability: Estimate
+    p: float
+    """Two-sided p-value for neither being above the other more often."""
+
+
+def superiority(a: Array, b: Array) -> Superiority:
+    """Whether scores a (k,) are above b (m,) of *other* episodes: Mann and Whitney (1947), bootstrapped interval."""
+
+    def statistic(a: Array, b: Array, axis: int = -1) -> Any:
+        wins: Any = stats.mannwhitneyu(a, b, axis=axis, method="asymptotic").statistic
+        return wins / (a.shape[axis] * b.shape[axis])
+
+    probability = _bootstrapped(float(statistic(a, b)), [a, b], statistic)
+    equal = np.ptp(np.concatenate((a, b))) == 0
+    return Superiority(probability, 1.0 if equal else float(stats.mannwhitneyu(a, b).pvalue))
+
+
+def paired_superiority(a: Array, b: Array) -> Superiority:
+    """Whether scores a (k,) are above b (k,) of the *same* episodes, bootstrapped over these.
+
+    The p-value is that of the sign test, which leaves out ties (Conover 1999, section 3.4).
+    """
+    wins = (np.sign(a - b) + 1) / 2
+    decided = int((wins != 0.5).sum())
+    p = float(stats.binomtest(int((wins == 1).sum()), decided).pvalue) if decided else 1.0
+    return Superiority(_bootstrapped(float(wins.mean()), [wins], np.mean), p)
+
+
+def _bootstrapped(value: float, samples: Sequence[Array], statistic: Any) -> Estimate:
+    """Percentile interval over samples that are resampled apart; unknown for few values, and for values all alike."""
+    if sum(map(len, samples)) < FEWEST or min(map(len, samples)) < 2:
+        return Estimate(value, None, None)
+    rows = max(1, 2_000_000 // sum(map(len, samples)))
+    interval = stats.bootstrap(
+        samples, statistic, n_resamples=RESAMPLES, batch=rows, method="percentile", rng=np.random.default_rng(0)
+    ).confidence_interval
+    low, high = float(interval.low), float(interval.high)
+    return Estimate(value, low, high) if low < high else Estimate(value, None, None)
+
+
+def performance_profile(scores: Array, thresholds: Array) -> list[Estimate]:
+    """Share of episodes with a score above each threshold, with Wilson's interval at each (Agarwal et al. 2021).
+
+    The profiles of Dolan and More (2002) are those of minus `performance_ratios`, at minus the ratios allowed.
+    """
+    shares = [success_rate(scores > threshold) for threshold in thresholds]
+    return [share for share in shares if share is not None]
+
+
+def performance_ratios(costs: Mapping[str, Array]) -> dict[str, Array]:
+    """Each policy's cost, (k,) and above 0, over the least of all policies in that episode (Dolan and More 2002).
+
+    The cost of a failure is infinite, and so is its ratio.
+    """
+    least = np.min(list(costs.values()), axis=0)
+    return {
+        policy: np.divide(cost, least, out=np.full(len(cost), np.inf), where=np.isfinite(cost))
+        for policy, cost in costs.items()
+    }
+
+
+@dataclass(frozen=True)
+class TrainingMean:
+    """A mean over several trainings of one recipe, each with several episodes."""
+
+    mean: Estimate
+    """Of the trainings' means; without an interval for a single training, which says nothing of others."""
+    trainings: int
+    between: float | None
+    """Standard deviation between trainings, without what their episodes' scatter brings; None for a single one."""
+    within: float | None
+    """Standard deviation between episodes of one training; None where there is one each."""
+
+
+def mean_over_trainings(scores: Sequence[Array]) -> TrainingMean:
+    """Mean over trainings with the episodes of each, (k,) and not empty, nested in it.
+
+    Trainings are what varies and what one wants to know of: the interval is Student's over their means, however many
+    episodes each has, and the parts of the variance are those of one-way random effects (Montgomery 2012, section 3.9).
+    """
+    means = np.array([np.mean(one) for one in scores])
+    episodes = [one for one in scores if len(one) > 1]
+    degrees = sum(len(one) - 1 for one in episodes)
+    within = sum(float(np.var(one)) * len(one) for one in episodes) / degrees if degrees else None
+    value = float(means.mean())
+    scatter = None if within is None else within**0.5
+    if len(means) < 2:
+        return TrainingMean(Estimate(value, None, None), len(means), None, scatter)
+    half = float(stats.sem(means) * stats.t.ppf(0.975, len(means) - 1))
+    by_episodes = (within or 0.0) * float(np.mean([1 / len(one) for one in scores]))
+    between = max(0.0, float(np.var(means, ddof=1)) - by_episodes) ** 0.5
+    return TrainingMean(Estimate(value, value - half, value + half), len(means), between, scatter)
+
+
 @dataclass(frozen=True)
 class PairedDifference:
     """Policy a against policy b on the same episodes."""
@@ -69,6 +186,8 @@ class PairedDifference:
     """Exact two-sided p-value for equal success (McNemar 1947)."""
     return_difference: Estimate
     """Mean of return a - return b."""
+    superiority: Superiority
+    """Of return a over return b."""
     steps_difference: Estimate | None
     """Mean of steps a - steps b where both succeeded."""
 
@@ -97,5 +216,6 @@ def paired_difference(
         int((~success_a & ~success_b).sum()),
         float(stats.binomtest(only_a, discordant).pvalue) if discordant else 1.0,
         return_difference,
+        paired_superiority(*returns),
         mean((lengths[0] - lengths[1])[both]),
     )

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from armctl.assets import ArmDescription, world_path
 from armctl.capsules import Capsule
 from armctl.collisions import FLOOR
-from armctl.drives import limited, towards
+from armctl.drives import TICK, limited, towards
 from armctl.errors import unknown_name
+from armctl.robots.joints import JointLimits, JointSamples
 from armctl.simulation import Simulation
 
 Array = NDArray[np.float64]
@@ -38,7 +39,8 @@ class Arm:
     - `torque`: joint torques on top of gravity compensation, within the effort limits.
 
     But for torques, `armctl.drives` make of it a command within the limits of position, velocity and acceleration. The
-    joints' servos follow it within their effort limits. Call `drive` every `armctl.drives.TICK` of simulated time.
+    joints' servos follow it within their effort limits. Call `drive` every `armctl.drives.TICK` of simulated time, and
+    `joints.take` after it.
     """
 
     def __init__(self, simulation: Simulation, description: ArmDescription, control: str, period: float) -> None:
@@ -53,6 +55,8 @@ class Arm:
         self._command = simulation.array("act")
         self._wanted = np.zeros_like(self.joint_positions)
         limits = description.limits
+        borne = JointLimits(limits.velocity, limits.effort, (limits.lower, limits.upper))
+        self.joints = JointSamples(simulation, slice(description.dof), borne, round(period / TICK), period)
         bound = {
             "position": (limits.lower, limits.upper),
             "delta": (-limits.velocity * period, limits.velocity * period),

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.assets import world_path
+from armctl.robots.joints import JointLimits, JointSamples
 from armctl.simulation import Simulation
 
 Array = NDArray[np.float64]
@@ -37,16 +38,17 @@ class Rover:
     """n simulated rovers, commanded together."""
 
     def __init__(self, simulation: Simulation) -> None:
-        model = simulation.model
+        self._simulation, model = simulation, simulation.model
         self._qpos, self._qvel = simulation.array("qpos"), simulation.array("qvel")
         self._sensors, self._ctrl = simulation.array("sensordata"), simulation.array("ctrl")
         self._positions = simulation.array("xpos")
         free = model.joint(PREFIX + "base")
         self._pose_columns = slice(free.qposadr[0], free.qposadr[0] + 7)
         self._twist_columns = slice(free.dofadr[0], free.dofadr[0] + 6)
-        self._spin_columns = [model.joint(PREFIX + wheel).dofadr[0] for wheel in WHEELS]
+        self._spin_columns = [int(model.joint(PREFIX + wheel).dofadr[0]) for wheel in WHEELS]
         self._motors = [model.actuator(PREFIX + wheel).id for wheel in WHEELS]
         self._wheel_bodies = [model.body(PREFIX + wheel).id for wheel in WHEELS]
+        self._base = model.body(PREFIX + "base").id
         gyro = model.sensor(PREFIX + "gyro").adr[0]
         self._gyro_columns = slice(gyro, gyro + 3)
 
@@ -56,6 +58,17 @@ class Rover:
         Where a wheel would have to turn faster than it can, both velocities are reduced alike: the curve stays.
         """
         self._ctrl[:, self._motors] = wheel_speeds(np.clip(velocities, -MAX_VELOCITY, MAX_VELOCITY))
+
+    def wheel_samples(self, samples: int, period: float) -> JointSamples:
+        """Of the wheels, to be taken so many times a period, s."""
+        torque = self._simulation.model.actuator_forcerange[self._motors, 1]
+        limits = JointLimits(np.full(len(WHEELS), MAX_WHEEL_SPEED), torque)
+        return JointSamples(self._simulation, self._spin_columns, limits, samples, period)
+
+    @property
+    def positions(self) -> Array:
+        """Where the bases are, (n, 3), m."""
+        return self._positions[:, self._base]
 
     @property
     def poses(self) -> Array:

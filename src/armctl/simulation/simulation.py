@@ -29,6 +29,11 @@ class Simulation:
         self._own[field] = np.asarray(self._batch.expand(field))
         return self._own[field]
 
+    @property
+    def worlds_differ(self) -> bool:
+        """Whether worlds have model fields each for themselves."""
+        return bool(self._own)
+
     def reset(self, ids: WorldIds | None = None) -> None:
         """Put worlds back into the first keyframe. Call `refresh` once the state is as it should be."""
         self._batch.reset(ids, keyframe=0, stage=mujoco.mjtStage.mjSTAGE_NONE.value)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from armctl.errors import ConfigurationError, unknown_name
 from armctl.planning import BridgeMap, Courses
-from armctl.robots.rover import CAMERA, GEOM_GROUP, MAX_VELOCITY, PARTS, WHEEL_RADIUS, Rover
+from armctl.robots.rover import CAMERA, GEOM_GROUP, MAX_VELOCITY, PARTS, RADIUS, WHEEL_RADIUS, Rover
 from armctl.simulation import Camera, ContactSensors, RayCamera, Simulation
 from armctl.tasks.bridge_layout import Layout, draw_layout
 from armctl.tasks.bridge_world import (
@@ -28,7 +28,7 @@ from armctl.tasks.bridge_world import (
     segment_names,
     walker_names,
 )
-from armctl.tasks.task import Observations, Outcome, RewardLedger, Task
+from armctl.tasks.task import Motion, Observations, Outcome, RewardLedger, Task
 
 Array = NDArray[np.float64]
 
@@ -36,6 +36,8 @@ DECISION_PERIOD = 0.1
 """s between two decisions."""
 WALKER_PERIOD = 0.02
 """s between two moves of the walkers: 24 mm of the quickest one."""
+MOVES = round(DECISION_PERIOD / WALKER_PERIOD)
+"""Of the walkers, between two decisions; what the wheels bear is sampled as often."""
 CAMERAS = ("depth", "classes", "rgb")
 OBSERVATIONS = ("camera", "state")
 PIXEL_CLASSES = ("sky", *CONTACT_CLASSES)
@@ -165,6 +167,7 @@ class BridgeTask(Task):
         self.simulation = Simulation(model, n, threads)
         self.substeps = substeps
         self.rover = Rover(self.simulation)
+        self.joints = self.rover.wheel_samples(MOVES, DECISION_PERIOD)
         self.goal_x = options.deck_length - GOAL_MARGIN
         self._terms = dict(options.reward)
         if options.progress:
@@ -232,11 +235,11 @@ class BridgeTask(Task):
     def advance(self, ids: NDArray[np.int32] | None) -> None:
         """Let time go on until the next decision, in worlds `ids`."""
         worlds = np.arange(len(self._time), dtype=np.int32) if ids is None else ids
-        moves = round(DECISION_PERIOD / WALKER_PERIOD) if self.options.walkers else 1
-        for _ in range(moves):
-            self._time[worlds] += DECISION_PERIOD / moves
+        for _ in range(MOVES):
+            self._time[worlds] += DECISION_PERIOD / MOVES
             self._move_walkers(worlds)
-            self.simulation.step(self.substeps // moves, ids)
+            self.simulation.step(self.substeps // MOVES, ids)
+            self.joints.take()
 
     def parts(self) -> dict[str, NDArray[np.floating[Any]]]:
         """Pose, velocity and own motion."""
@@ -276,6 +279,19 @@ class BridgeTask(Task):
                 for i, part in enumerate(PARTS)
             },
         }
+
+    def motion(self) -> Motion:
+        """How the rovers move now; a contact is one with barrier, obstacle or, of the base, the floor."""
+        samples = self.joints.since_last_decision()
+        return Motion(self.rover.positions.copy(), self.state.poses, samples, self.state.collided)
+
+    def least_clearance(self, world: int, configurations: Array) -> float:
+        """Least distance, m, to sides, blocks and people of the disc that the rover can turn in; below 0 within it."""
+        bridge, points = self.map(world), configurations[:, :2]
+        standing = np.linalg.norm(bridge.nearest(points) - points[:, None], axis=-1)
+        times = DECISION_PERIOD * np.arange(1, len(points) + 1)
+        walking = np.linalg.norm(bridge.courses.positions(times) - points[:, None], axis=-1) - bridge.courses.radius
+        return float(min(standing.min(), walking.min(initial=np.inf))) - RADIUS
 
     def _draw(self, rng: np.random.Generator) -> Layout:
         options = self.options

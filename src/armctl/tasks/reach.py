@@ -17,7 +17,7 @@ from armctl.errors import ConfigurationError, unknown_name
 from armctl.kinematics import THOROUGH, ArmModel, SoonestTouch, Workspace
 from armctl.robots import Arm, build_arm_world
 from armctl.simulation import Simulation
-from armctl.tasks.task import Outcome, RewardLedger, Task
+from armctl.tasks.task import Motion, Outcome, RewardLedger, Task
 
 Array = NDArray[np.float64]
 
@@ -122,6 +122,7 @@ class ReachTask(Task):
         self.simulation = Simulation(model, n, threads)
         self.substeps = round(DECISION_PERIOD / model.opt.timestep)
         self.arm = Arm(self.simulation, description, options.control, DECISION_PERIOD)
+        self.joints = self.arm.joints
         self._workspace = Workspace(ArmModel(description))
         self.simulation.model.camera(self.camera).pos[:] *= self._workspace.radius  # the MJCF's suits a reach of 1 m
         self._targets = self.simulation.array("mocap_pos")[:, 0]
@@ -171,6 +172,7 @@ class ReachTask(Task):
         for _ in range(ticks):
             self.arm.drive()
             self.simulation.step(self.substeps // ticks, ids)
+            self.joints.take()
             self._tick(slice(None) if ids is None else ids)
 
     def parts(self) -> dict[str, NDArray[np.floating[Any]]]:
@@ -202,6 +204,16 @@ class ReachTask(Task):
         )
         return self._soonest.least_time(q, target, self.options.tolerance, velocity)
 
+    def motion(self) -> Motion:
+        """How the arms move now; a contact is one of the arm with the floor or itself, now."""
+        arm = self.arm
+        return Motion(
+            arm.end_effector_positions.copy(),
+            arm.joint_positions.copy(),
+            self.joints.since_last_decision(),
+            self._contact(),
+        )
+
     @functools.cached_property
     def _soonest(self) -> SoonestTouch:
         return SoonestTouch(self._workspace.model, THOROUGH)
@@ -219,6 +231,11 @@ class ReachTask(Task):
 
     def _attach(self) -> None:
         """Get hold of what else is in the simulation."""
+        self._contacts = self.simulation.array("ncon")
+
+    def _contact(self) -> NDArray[np.bool_]:
+        """(n,) whether the arm touches what it must not."""
+        return np.asarray(self._contacts > 0)
 
     def _draw(self, world: int, rng: np.random.Generator) -> None:
         """Draw what is new in a world's episode."""

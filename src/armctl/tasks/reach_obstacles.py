@@ -3,6 +3,7 @@
 Touching any of them, the floor, or the arm itself ends the episode. A planner finds a way in every layout that is used.
 """
 
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from armctl.assets import ArmDescription
 from armctl.boxes import Boxes
 from armctl.errors import ConfigurationError
+from armctl.kinematics.clearance import Clearance
 from armctl.planning import ArmPlanner
 from armctl.robots.arm import PREFIX, build_arm_world, collision_geom
 from armctl.simulation.contacts import ContactSensors, add_contact_sensors
@@ -89,6 +91,11 @@ class ReachObstaclesTask(ReachTask):
         """Corners (m, dof) of the way that the planner has found in a world; none, if it found no way."""
         return self._ways[world]
 
+    def least_clearance(self, world: int, configurations: Array) -> float:
+        """Least distance, m, of the arm's links from boxes, floor and each other, as `Clearance` takes them."""
+        frames = self._workspace.model.joint_frames(configurations)
+        return min(float(distances.min()) for distances, _ in self._clearance.parts(frames, self.boxes(world)))
+
     def outcome(self) -> NDArray[np.int8]:
         """`COLLIDED`, `REACHED`, or `TIMEOUT` as long as it is neither."""
         reached = self.state.reached * np.int8(Outcome.REACHED)
@@ -98,6 +105,10 @@ class ReachObstaclesTask(ReachTask):
         """`contacts` besides: whether the arm has touched floor, obstacle, or itself since the last decision."""
         touched = {name: self.state.contacts[:, i].copy() for i, name in enumerate(TOUCHED)}
         return super().details() | {"contacts": touched}
+
+    @functools.cached_property
+    def _clearance(self) -> Clearance:
+        return Clearance(self._workspace.model)
 
     def _build(self, description: ArmDescription) -> mujoco.MjModel:
         def furnish(spec: Any) -> None:
@@ -130,6 +141,9 @@ class ReachObstaclesTask(ReachTask):
             raise ConfigurationError(f"the planner found no way in {ATTEMPTS} layouts")
         self._targets[world], self._feasible[world], self._ways[world] = target, plan.found, plan.path
         self._place(world, boxes)
+
+    def _contact(self) -> NDArray[np.bool_]:
+        return self.state.collided
 
     def _place(self, world: int, boxes: Boxes) -> None:
         count = len(boxes)

@@ -1,6 +1,7 @@
 """What every task has, and how an episode can end."""
 
 import math
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, Protocol
 
@@ -8,6 +9,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.robots.joints import JointSamples
 from armctl.simulation import Simulation
 
 Array = NDArray[np.float64]
@@ -38,6 +40,20 @@ class Outcome(IntEnum):
         return self in (Outcome.REACHED, Outcome.CROSSED, Outcome.HELD)
 
 
+@dataclass(frozen=True)
+class Motion:
+    """How n robots move, and what they bear."""
+
+    position: Array
+    """(n, 3) m: end-effectors, or rovers."""
+    configuration: Array
+    """(n, k): joint positions, rad, or the pose x, y (m) and yaw (rad)."""
+    joints: Array
+    """(2, samples, n, joints) speeds (rad/s) and torques (N m) of joints or wheels since the last decision."""
+    contact: NDArray[np.bool_]
+    """(n,) whether something was touched that must not be."""
+
+
 OUTCOME_LABELS = np.array([outcome.label for outcome in Outcome])
 SUCCESSES = np.array([outcome.success for outcome in Outcome])
 
@@ -46,6 +62,7 @@ class Task(Protocol):
     """n worlds with a job; all arrays carry a leading axis n."""
 
     simulation: Simulation
+    joints: JointSamples
     substeps: int
     """Physics steps between two decisions."""
     camera: str
@@ -83,6 +100,16 @@ class Task(Protocol):
 
     def details(self) -> dict[str, Any]:
         """What `info` says besides: arrays (n,), or dicts of such."""
+
+    def motion(self) -> Motion:
+        """How the robots move now, in arrays of their own."""
+
+    def least_clearance(self, world: int, configurations: Array) -> float:
+        """Least distance, m, in `Motion.configuration` (decisions, k) of an episode that has just ended in a world.
+
+        From the robot to whatever it must not touch; NaN where that is not known.
+        """
+        return math.nan
 
     def least_time(self, world: int) -> float:
         """Seconds in which no policy could do with less until a success from here; NaN where that is not known."""

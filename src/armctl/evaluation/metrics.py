@@ -1,0 +1,105 @@
+"""How an episode was moved through, beside how it ended: way, smoothness, effort, clearance, decision times."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.tasks.task import Motion, Task
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Metrics:
+    """Of one episode; each is a column of `episodes.csv`."""
+
+    path_length: float
+    """m, of the end-effector or the rover, straight from decision to decision."""
+    smoothness: float
+    """Log dimensionless jerk (see `smoothness`): the nearer to 0, the smoother; NaN for too short an episode."""
+    range_use: float
+    """Largest part of the way from the middle of its range to its limit that a joint was at; NaN for a rover."""
+    speed_use: float
+    """Largest share of its speed limit that a joint or wheel had; above 1 where it overshot."""
+    torque_use: float
+    """Largest share of its torque limit that a joint or wheel had."""
+    energy: float
+    """J, time integral of |torque * speed| over all joints or wheels."""
+    clearance: float
+    """m, least distance at a decision to what must not be touched; NaN where that is not known."""
+    contacts: int
+    """Decisions that found something touched that must not be."""
+    solver_failures: int
+    """Decisions for which the controller's solver found nothing, as far as it counts them."""
+    missed_deadlines: int
+    """Decisions that took longer than the time between two."""
+    decision_ms_p50: float
+    decision_ms_p99: float
+    decision_ms_max: float
+
+
+def metrics(
+    task: Task, world: int, start: Array, motions: Sequence[Motion], decision_ms: Array, solver_failures: int
+) -> Metrics:
+    """Metrics of the episode that has just ended in a world.
+
+    `start` (3,) m is where the robot was when it began, `motions` and `decision_ms` (decisions,) what followed.
+    """
+    period = control_period(task)
+    positions = np.array([start, *(motion.position[world] for motion in motions)])
+    configurations = np.array([motion.configuration[world] for motion in motions])
+    speeds, torques = np.array([motion.joints[:, :, world] for motion in motions]).swapaxes(0, 1)
+    limits = task.joints.limits
+    p50, p99, most = np.quantile(decision_ms, (0.5, 0.99, 1.0))
+    return Metrics(
+        path_length(positions),
+        smoothness(positions, period),
+        range_use(configurations, *limits.position) if limits.position else math.nan,
+        float((np.abs(speeds) / limits.speed).max()),
+        float((np.abs(torques) / limits.torque).max()),
+        float(np.abs(torques * speeds).sum() * task.joints.interval),
+        task.least_clearance(world, configurations),
+        sum(bool(motion.contact[world]) for motion in motions),
+        solver_failures,
+        int((decision_ms > 1e3 * period).sum()),
+        round(float(p50), 4),
+        round(float(p99), 4),
+        round(float(most), 4),
+    )
+
+
+def control_period(task: Task) -> float:
+    """Seconds between two decisions."""
+    return task.substeps * float(task.simulation.model.opt.timestep)
+
+
+def range_use(positions: Array, lowest: Array, highest: Array) -> float:
+    """How far joints at positions (m, k) ever are from the middle of their range: 1 at a limit."""
+    return float(np.abs(2 * (positions - lowest) / (highest - lowest) - 1).max())
+
+
+def path_length(positions: Array) -> float:
+    """Length, m, of the line through positions (m, 3)."""
+    return float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
+
+
+def smoothness(positions: Array, period: float) -> float:
+    """Log dimensionless jerk of a motion through positions (m, 3), a period (s) apart; NaN without four, or at rest.
+
+    -ln(duration^3 / peak speed^2 * integral of jerk^2): independent of size and duration, and -ln 204.8 = -5.3 for the
+    smoothest motion from rest to rest (Balasubramanian, Melendez-Calderon, Roby-Brami and Burdet, "On the analysis of
+    movement smoothness", J. NeuroEngineering and Rehabilitation 12:112, 2015). Derivatives are finite differences, so
+    that figures compare between policies with the same period only.
+    """
+    if len(positions) < 4:
+        return math.nan
+    duration = period * (len(positions) - 1)
+    peak_speed = np.linalg.norm(np.diff(positions, axis=0), axis=1).max() / period
+    jerk = np.diff(positions, n=3, axis=0) / period**3
+    squared = float((jerk * jerk).sum()) * period
+    if not (peak_speed > 0 and squared > 0):
+        return math.nan
+    return float(-np.log(duration**3 / peak_speed**2 * squared))

@@ -1,0 +1,146 @@
+"""What all episodes of a comparison say of each policy, and of each pair."""
+
+import itertools
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.evaluation.rollouts import EpisodeResult
+from armctl.evaluation.statistics import (
+    Estimate,
+    PairedDifference,
+    interquartile_mean,
+    mean,
+    median,
+    paired_difference,
+    success_rate,
+)
+from armctl.policies import Policy
+
+METRICS = (
+    "path_length", "smoothness", "range_use", "speed_use", "torque_use", "energy", "clearance", "contacts",
+)  # fmt: skip
+"""Of `armctl.evaluation.metrics.Metrics`, those that a policy's mean is given of."""
+
+
+@dataclass(frozen=True)
+class PolicySummary:
+    """One policy over all its episodes."""
+
+    policy: str
+    sees: str
+    training_steps: int
+    training_minutes: float
+    planned: int
+    """Episodes that were to be played."""
+    episodes: int
+    """Episodes that the figures are over: played, without a gap from the first on, and feasible."""
+    infeasible: int
+    """Episodes with a target out of reach, that no policy won: left out of all figures."""
+    outcomes: dict[str, int]
+    """How the episodes ended, most frequent first."""
+    success: Estimate | None
+    episode_return: Estimate | None
+    return_iqm: Estimate | None
+    """Interquartile mean of the return (Agarwal et al. 2021): few odd episodes hardly move it."""
+    steps_to_goal: Estimate | None
+    """Over successful episodes."""
+    optimality_gap: Estimate | None
+    """Median part by which successful episodes took longer than the fastest possible ones, where those are known."""
+    tracking_error: Estimate | None
+    """m, mean distance to a moving target once it was met."""
+    metrics: dict[str, Estimate | None]
+    """Means of `METRICS` over successful episodes."""
+    decision_ms_p50: float
+    decision_ms_p99: float
+    decision_ms_max: float
+    missed_deadlines: float
+    """Share of decisions that took longer than the time between two."""
+    solver_failures: int
+    """Decisions for which a controller's solver found nothing, as far as it counts them."""
+
+
+def summarised(
+    results: Sequence[EpisodeResult], policies: Mapping[str, Policy], planned: int
+) -> tuple[list[PolicySummary], list[PairedDifference]]:
+    """Of results that are sorted by policy and episode; policies without any are left out."""
+    counted, infeasible = _counted(results)
+    found = [
+        _summary(name, policy, planned, infeasible, counted[name])
+        for name, policy in policies.items()
+        if counted.get(name)
+    ]
+    return found, _paired(counted)
+
+
+def _counted(results: Sequence[EpisodeResult]) -> tuple[dict[str, list[EpisodeResult]], int]:
+    """The results that figures are over, by policy and episode, and the number of infeasible episodes left out.
+
+    Of a policy that was cut short, those from the first episode to the first gap: with many worlds, short episodes end
+    first, and to count them alone would favour it.
+    """
+    won = {result.episode for result in results if result.success}
+    infeasible = {result.episode for result in results if not result.feasible} - won
+    counted = {}
+    for name, played in itertools.groupby(results, key=lambda result: result.policy):
+        unbroken = itertools.takewhile(lambda pair: pair[0] == pair[1].episode, enumerate(played))
+        counted[name] = [result for _, result in unbroken if result.episode not in infeasible]
+    return counted, len(infeasible)
+
+
+def _summary(name: str, policy: Policy, planned: int, infeasible: int, results: list[EpisodeResult]) -> PolicySummary:
+    decisions = np.concatenate([result.decision_ms for result in results])
+    won = [result for result in results if result.success]
+    returns = np.array([result.total_reward for result in results])
+    return PolicySummary(
+        name,
+        policy.sees,
+        policy.training_steps,
+        getattr(policy, "training_minutes", 0.0),
+        planned,
+        len(results),
+        infeasible,
+        dict(Counter(result.outcome for result in results).most_common()),
+        success_rate(np.array([result.success for result in results])),
+        mean(returns),
+        interquartile_mean([returns]),
+        mean(np.array([float(result.length) for result in won])),
+        median(_known(result.optimality_gap for result in results)),
+        mean(_known(result.tracking_error for result in results)),
+        {name: mean(_known(float(getattr(result.metrics, name)) for result in won)) for name in METRICS},
+        float(np.quantile(decisions, 0.5)),
+        float(np.quantile(decisions, 0.99)),
+        float(decisions.max()),
+        sum(result.metrics.missed_deadlines for result in results) / len(decisions),
+        sum(result.metrics.solver_failures for result in results),
+    )
+
+
+def _known(values: Iterable[float]) -> NDArray[np.float64]:
+    return np.array([value for value in values if not np.isnan(value)])
+
+
+def _paired(counted: dict[str, list[EpisodeResult]]) -> list[PairedDifference]:
+    return [
+        paired_difference(
+            a,
+            b,
+            _both(counted[a], counted[b], lambda result: result.success),
+            _both(counted[a], counted[b], lambda result: result.total_reward),
+            _both(counted[a], counted[b], lambda result: float(result.length)),
+        )
+        for a, b in itertools.combinations(counted, 2)
+        if counted[a] and counted[b]
+    ]
+
+
+def _both(
+    a: list[EpisodeResult], b: list[EpisodeResult], value: Callable[[EpisodeResult], float]
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """A value of the episodes that both played: the first ones, since neither has gaps."""
+    pairs = list(zip(a, b, strict=False))
+    return np.array([value(first) for first, _ in pairs]), np.array([value(second) for _, second in pairs])

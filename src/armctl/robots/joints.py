@@ -1,0 +1,50 @@
+"""What the joints of n robots have done and borne since the last decision, beside their limits."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.simulation import Simulation
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """Of k joints or wheels, (k,) each."""
+
+    speed: Array
+    """rad/s."""
+    torque: Array
+    """N m."""
+    position: tuple[Array, Array] | None = None
+    """Lowest and highest, rad; None for wheels."""
+
+
+class JointSamples:
+    """Speeds and torques at `samples` moments, evenly spaced, between two decisions that are `period` (s) apart.
+
+    `dofs` are the joints' columns among the model's degrees of freedom. Nothing is computed here: this is the hot path.
+    """
+
+    def __init__(
+        self, simulation: Simulation, dofs: slice | Sequence[int], limits: JointLimits, samples: int, period: float
+    ) -> None:
+        self._now = simulation.array("qvel"), simulation.array("qfrc_actuator")
+        self._dofs, self.limits = dofs, limits
+        self.interval = period / samples
+        """s between two samples."""
+        self._samples = np.zeros((2, samples, len(self._now[0]), len(limits.speed)))
+        self._next = 0
+
+    def take(self) -> None:
+        """Take note of speeds and torques now."""
+        for samples, now in zip(self._samples, self._now, strict=True):
+            samples[self._next] = now[:, self._dofs]
+        self._next = (self._next + 1) % self._samples.shape[1]
+
+    def since_last_decision(self) -> Array:
+        """Speeds (rad/s) and torques that motors bring to the joints (N m), (2, samples, n, k)."""
+        return self._samples.copy()
