@@ -5,10 +5,13 @@ import numpy as np
 import pytest
 
 from armctl import DEFAULT_POLICIES
+from armctl.agents import read_card
 from armctl.errors import ArmctlError, ConfigurationError
+from armctl.evaluation.reproduce import card_path
 from armctl.policies import Policy, make_policy, policy_names
 
 ENV = "armctl/ArmReach-v0"
+AGENTS = card_path("reach_ppo").parent
 
 
 def stand_still(env):
@@ -32,7 +35,7 @@ def no_policy(env):
 
 
 MEETINGS = [(name, env) for env, names in DEFAULT_POLICIES.items() for name in names]
-MEETINGS += [("reach_bc", "armctl/ArmReach-v0"), ("reach_dagger", "armctl/ArmReach-v0")]
+MEETINGS += sorted({(path.stem, read_card(path).env) for path in AGENTS.glob("*.json")} - set(MEETINGS))
 
 
 @pytest.mark.parametrize(("name", "env_id"), MEETINGS)

@@ -26,3 +26,8 @@ def reach_bc(env: TaskVectorEnv) -> OnnxPolicy:
 def reach_dagger(env: TaskVectorEnv) -> OnnxPolicy:
     """Cloned from `reach_ik` by DAgger, with as many episodes."""
     return load_agent(FOLDER / "reach_dagger.json", env)
+
+
+def bridge_dagger(env: TaskVectorEnv) -> OnnxPolicy:
+    """DAgger: what `bridge_ompl` does with map and true pose, learnt for the depth camera and its own motion."""
+    return load_agent(FOLDER / "bridge_dagger.json", env)
