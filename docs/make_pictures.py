@@ -1,15 +1,22 @@
 """The README's pictures: python docs/make_pictures.py."""
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import imageio.v3 as imageio
 import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
 
 import armctl
+from armctl.envs import batch_of_one
 from armctl.simulation import Camera
 
 FOLDER = Path(__file__).parent
+Array = NDArray[np.uint8]
+LookAt = Callable[[Any], tuple[float, float, float]]
 PIXEL = 8
 """Pixels of the picture for one of the rover's camera."""
 CLASS_COLOURS = np.array(
@@ -47,3 +54,47 @@ framed = [
     for image in images
 ]
 imageio.imwrite(FOLDER / "bridge_cameras.png", np.concatenate(framed, axis=1)[:, :-12])
+
+# A moving picture of both worlds, in real time.
+FRAMES_PER_SECOND, SECONDS = 10, 11
+
+
+def film(env_id: str, name: str, seed: int, distance: float, azimuth: float, look_at: LookAt) -> list[Array]:
+    """Pictures of an episode, and of how it stands in the end for as long as is left."""
+    import mujoco  # after armctl, which chooses its graphics
+
+    env = gymnasium.make(env_id)
+    task = env.unwrapped.task
+    policy = armctl.make_policy(name, env)
+    view = mujoco.MjvCamera()
+    view.distance, view.azimuth, view.elevation = distance, azimuth, -30
+    camera = Camera(task.simulation.model, view, 480, 360)
+    observation, _ = env.reset(seed=seed)
+    policy.reset(np.zeros(1, dtype=np.int32))
+    frames, decisions, over = [], 0, False
+    for frame in range(FRAMES_PER_SECOND * SECONDS):
+        while not over and decisions * FRAMES_PER_SECOND < frame * env.metadata["render_fps"]:
+            observation, _, terminated, truncated, _ = env.step(policy.act(batch_of_one(observation))[0])
+            decisions, over = decisions + 1, terminated or truncated
+        view.lookat[:] = look_at(task)
+        frames.append(camera.picture(task.simulation.data(0)))
+    return frames
+
+
+def ahead_of_rover(task: Any) -> tuple[float, float, float]:
+    """A place on the bridge that goes along with the rover."""
+    return min(float(task.state.poses[0, 0]) + 1.5, 18.0), 0.0, 0.3
+
+
+arm = film("armctl/ArmReachMoving-v0", "reach_mpc", 3, 1.8, 135.0, lambda task: (0.0, 0.0, 0.4))
+rover = film("armctl/BridgeCrossMoving-v0", "bridge_mpc", 2, 6.0, 12.0, ahead_of_rover)
+both = [Image.fromarray(np.concatenate(pair, axis=1)) for pair in zip(arm, rover, strict=True)]
+both[0].save(
+    FOLDER / "worlds.webp",
+    save_all=True,
+    append_images=both[1:],
+    duration=1000 // FRAMES_PER_SECOND,
+    loop=0,
+    quality=60,
+    method=6,
+)

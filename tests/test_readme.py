@@ -5,6 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from armctl.policies import policy_names
+
 README = (Path(__file__).parents[1] / "README.md").read_text()
 EXAMPLES = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
 
@@ -29,3 +31,24 @@ def test_every_folder_and_file_of_the_map_exists():
     mapped = set(re.findall(r"^ +(\w+)", area, re.MULTILINE))
     there = {path.stem for path in (root / "src/armctl").iterdir() if not path.name.startswith(("_", "py.typed"))}
     assert there == mapped
+
+
+def test_every_policy_is_said_what_it_sees():
+    table = README.split("## Who is in it")[1].split("##")[0]
+    said = [
+        name
+        for row in re.findall(r"^\|([^|]+)\|[^|]+\|[^|]+\|$", table, re.MULTILINE)
+        for name in re.findall(r"`(\w+)`", row)
+    ]
+    assert sorted(said) == policy_names()
+
+
+def test_every_link_and_picture_is_there():
+    root = Path(__file__).parents[1]
+    headings = {
+        re.sub(r"[^\w -]", "", line).strip().lower().replace(" ", "-")
+        for line in re.findall(r"^#+ (.*)$", README, re.MULTILINE)
+    }
+    for link in re.findall(r"\]\(([^)]+)\)", README):
+        there = link[1:] in headings if link.startswith("#") else link.startswith("https://") or (root / link).exists()
+        assert there, link

@@ -140,6 +140,12 @@ def make_policy(policy: str | Path | PolicyFactory | Policy, env: gymnasium.Env[
     return made
 
 
+def look_where_called() -> None:
+    """Let modules be imported from the working directory, where a console script does not look."""
+    if os.getcwd() not in sys.path:
+        sys.path.append(os.getcwd())
+
+
 def _factory(policy: Any) -> PolicyFactory:
     if callable(policy):
         return policy  # type: ignore[no-any-return]
@@ -151,8 +157,7 @@ def _factory(policy: Any) -> PolicyFactory:
     module, _, attribute = name.partition(":")
     if not attribute:
         raise unknown_name("policy", name, [*policy_names(), "path/to/agent.json", "module:function"])
-    if os.getcwd() not in sys.path:
-        sys.path.append(os.getcwd())  # a console script does not look where it is called
+    look_where_called()
     try:
         return getattr(importlib.import_module(module), attribute)  # type: ignore[no-any-return]
     except (ImportError, AttributeError) as error:

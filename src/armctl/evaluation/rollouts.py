@@ -18,7 +18,7 @@ from armctl import DEFAULT_ENV
 from armctl.envs import TaskVectorEnv
 from armctl.errors import ArmctlError, ConfigurationError, InvalidAction
 from armctl.evaluation.metrics import Metrics, control_period, metrics
-from armctl.policies import Policy, PolicyFactory, make_policy, policy_name
+from armctl.policies import Policy, PolicyFactory, look_where_called, make_policy, policy_name
 from armctl.tasks.task import Motion
 
 COLUMNS = (
@@ -92,17 +92,19 @@ _READERS: Mapping[type[Any], Callable[[str], Any]] = {
 def make_worlds(env: str, worlds: int, options: Mapping[str, Any] | None = None, threads: int = 0) -> TaskVectorEnv:
     """`worlds` worlds of an environment, that stand still after an episode, stepped on `threads` (0: all cores).
 
-    Raises `ConfigurationError`.
+    `module:armctl/Name-v0` is an environment that the module registers. Raises `ConfigurationError`.
     """
     if reserved := {"num_envs", "autoreset_mode", "render_mode", "threads"} & set(options or {}):
         raise ConfigurationError(f"{reserved.pop()} is no option to set here: evaluation has its own")
-    if env in gymnasium.registry and env not in environment_names():
+    module, _, name = env.rpartition(":")
+    if (module or name in gymnasium.registry) and not name.startswith("armctl/"):
         raise ConfigurationError(f"{env} is not one of armctl's environments: {', '.join(environment_names())}")
+    look_where_called()
     try:
         made = gymnasium.make_vec(
             env, num_envs=worlds, autoreset_mode=AutoresetMode.DISABLED, threads=threads, **(options or {})
         )
-    except gymnasium.error.Error as error:
+    except (gymnasium.error.Error, ModuleNotFoundError) as error:
         raise ConfigurationError(
             f"no environment {env!r}: {error} There are: {', '.join(environment_names())}"
         ) from error

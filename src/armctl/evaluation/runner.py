@@ -15,7 +15,7 @@ from rich.console import Console
 from armctl.envs import batch_of_one
 from armctl.errors import ConfigurationError, ResultsError
 from armctl.evaluation.rollouts import blaming
-from armctl.policies import make_policy
+from armctl.policies import look_where_called, make_policy
 
 Film = Callable[[NDArray[np.uint8]], None]
 
@@ -82,9 +82,10 @@ def _make(
     options: dict[str, Any] = {**env_options, **({} if steps is None else {"max_episode_steps": steps})}
     if not isinstance(options.get("max_episode_steps", 1), int):
         raise ConfigurationError(f"max_episode_steps is a whole number, not {options['max_episode_steps']!r}")
+    look_where_called()
     try:
         return gymnasium.make(env, render_mode=render_mode, **options)
-    except gymnasium.error.Error as error:
+    except (gymnasium.error.Error, ModuleNotFoundError) as error:
         raise ConfigurationError(f"no environment {env!r}: {error}") from error
 
 

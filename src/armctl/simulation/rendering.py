@@ -20,7 +20,9 @@ _NO_GRAPHICS = (
 class Camera:
     """Off-screen pictures of worlds of one model; raises `ConfigurationError` where there is no OpenGL."""
 
-    def __init__(self, model: mujoco.MjModel, camera: str, width: int = 640, height: int = 480) -> None:
+    def __init__(
+        self, model: mujoco.MjModel, camera: str | mujoco.MjvCamera, width: int = 640, height: int = 480
+    ) -> None:
         try:
             with warnings.catch_warnings(action="ignore"):  # GLFW's, before the error that says it all
                 self._renderer = mujoco.Renderer(model, height, width)
