@@ -14,8 +14,8 @@ HEAD = """<!-- Made by `python -m armctl.rl.zoo` from the agents' cards: change 
 
 `armctl compare reach_ik NAME` lets one meet an expert, `armctl train NAME` makes it anew by its recipe in
 `rl/recipes/`, and `armctl reproduce NAME` plays the episodes again that its card speaks of: held-out ones, of the plain
-task. Minutes are those of a machine busy with other trainings. Shaping by
-`progress` is that of agents from before there were recipes: a reward for each metre nearer.
+task. Minutes are wall time on one core of a machine that was busy with other work, two or three times what a quiet one
+takes.
 
 """
 COLUMNS = (
@@ -44,7 +44,7 @@ def _row(name: str, card: AgentCard) -> tuple[str, ...]:
         name,
         card.env.removeprefix("armctl/"),
         card.learner,
-        card.shaping or ("progress" if card.learner_options.get("shaped") else "-"),
+        card.shaping or "-",
         card.teacher or "-",
         f"{card.training_steps:,}",
         f"{card.training_minutes:.1f}",

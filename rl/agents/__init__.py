@@ -31,3 +31,8 @@ def reach_dagger(env: TaskVectorEnv) -> OnnxPolicy:
 def bridge_dagger(env: TaskVectorEnv) -> OnnxPolicy:
     """DAgger: what `bridge_ompl` does with map and true pose, learnt for the depth camera and its own motion."""
     return load_agent(FOLDER / "bridge_dagger.json", env)
+
+
+def reach_sac(env: TaskVectorEnv) -> OnnxPolicy:
+    """SAC with hindsight on `armctl/ArmReach-v0`, from its plain reward."""
+    return load_agent(FOLDER / "reach_sac.json", env)
