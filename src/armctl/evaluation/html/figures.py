@@ -8,6 +8,7 @@ import html
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ TERM_COLOURS = ("#B9B4A7", "#44AA99", "#882255", "#DDCC77", "#332288", "#88CCEE"
 DASHES = ("solid", "dash", "dot", "dashdot")
 INK, PALE, GRID = "#1f2933", "#6b7680", "#e4e8ec"
 FONT = "'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
-LONGEST_LABEL = 22
+LONGEST_LABEL = 20
 THRESHOLDS = 120
 """Most points of a performance profile."""
 ROW = 44
@@ -45,8 +46,8 @@ Looks = Mapping[str, Look]
 
 
 def looks(names: Sequence[str]) -> dict[str, Look]:
-    """A look for each policy; long names, which are mostly paths, keep their ends."""
-    short = {name: name if len(name) <= LONGEST_LABEL else "…" + name[1 - LONGEST_LABEL :] for name in names}
+    """A look for each policy. Agents' files go by their names, or that of their training's folder, if these differ."""
+    short = {name: _short(name) for name in names}
     labels = short if len(set(short.values())) == len(names) else {name: name for name in names}
     return {
         name: Look(labels[name], COLOURS[i % len(COLOURS)], DASHES[i // len(COLOURS) % len(DASHES)])
@@ -75,8 +76,8 @@ def success_bars(policies: Sequence[PolicySummary], look: Looks) -> go.Figure:
             hovertemplate=f"{_text(style.label)}: {value:.1f} % [{low:.1f}, {high:.1f}] of {policy.episodes}"
             "<extra></extra>",
         )  # fmt: skip
-        _at_right(figure, style.label, f"<b>{value:.1f} %</b>  {low:.1f} to {high:.1f}")
-    return _rows(figure, len(policies), {"range": [0, 101], "ticksuffix": " %", "dtick": 25}, right=150)
+        _at_right(figure, style.label, f"<b>{value:.1f} %</b>", f"{low:.1f} to {high:.1f}")
+    return _rows(figure, len(policies), {"range": [0, 101], "ticksuffix": " %", "dtick": 50}, right=100)
 
 
 def profile(episodes: Mapping[str, Sequence[EpisodeResult]], look: Looks) -> go.Figure:
@@ -94,9 +95,7 @@ def profile(episodes: Mapping[str, Sequence[EpisodeResult]], look: Looks) -> go.
     return _framed(figure, "return", "share of episodes above it", y={"range": [-0.02, 1.02], "tickformat": ".0%"})
 
 
-def paired(
-    pair: PairedDifference, episodes: Mapping[str, Sequence[EpisodeResult]], look: Looks
-) -> go.Figure:
+def paired(pair: PairedDifference, episodes: Mapping[str, Sequence[EpisodeResult]], look: Looks) -> go.Figure:
     """Return of one policy against that of another, episode by episode; size tells how many are alike."""
     a, b = look[pair.a], look[pair.b]
     points = pd.DataFrame(
@@ -112,9 +111,7 @@ def paired(
     edge = 0.06 * (highest - lowest or 1.0)
     span = [lowest - edge, highest + edge]
     figure = go.Figure()
-    figure.add_scatter(
-        x=span, y=span, mode="lines", line={"color": PALE, "width": 1, "dash": "dot"}, hoverinfo="skip"
-    )
+    figure.add_scatter(x=span, y=span, mode="lines", line={"color": PALE, "width": 1, "dash": "dot"}, hoverinfo="skip")
     figure.add_scatter(
         x=alike.b.tolist(),
         y=alike.a.tolist(),
@@ -130,9 +127,7 @@ def paired(
         "%{customdata[0]} episodes, the first: %{customdata[1]}<extra></extra>",
     )
     axis = {"range": span, "nticks": 5}
-    return _framed(
-        figure, f"return of {_text(b.label)}", f"return of {_text(a.label)}", x=axis, y=axis, height=300
-    )
+    return _framed(figure, f"return of {_text(b.label)}", f"return of {_text(a.label)}", x=axis, y=axis, height=300)
 
 
 def learning(curves: Mapping[str, pd.DataFrame], policies: Sequence[PolicySummary], look: Looks) -> go.Figure:
@@ -187,15 +182,13 @@ def ledger(terms: Mapping[str, Mapping[str, float]], look: Looks, term_look: Loo
         hovertemplate="return %{x:.4g}<extra></extra>",
     )
     for name, total in totals.items():
-        _at_right(figure, look[name].label, f"<b>{total:.1f}</b>")
+        _at_right(figure, look[name].label, f"<b>{total:.1f}</b>".replace("-", "\u2212"))
     figure.update_layout(barmode="relative")
     x = {"title": {"text": "reward in a mean episode"}, "zeroline": True, "zerolinecolor": INK, "zerolinewidth": 1}
     return _rows(figure, len(terms), x, right=64)
 
 
-def decisions(
-    episodes: Mapping[str, Sequence[EpisodeResult]], look: Looks, deadline_ms: float | None
-) -> go.Figure:
+def decisions(episodes: Mapping[str, Sequence[EpisodeResult]], look: Looks, deadline_ms: float | None) -> go.Figure:
     """Wall times of all decisions: median, middle half, 99 % and the longest, on a logarithmic axis."""
     figure = go.Figure()
     for name, played in episodes.items():
@@ -218,7 +211,7 @@ def decisions(
             customdata=["median", "99 %", "the longest"],
             hovertemplate=f"{label}, %{{customdata}}: %{{x:.3g}} ms<extra></extra>",
         )  # fmt: skip
-        _at_right(figure, look[name].label, f"<b>{p50:.2g}</b>  {p99:.2g}  {most:.3g}")
+        _at_right(figure, look[name].label, f"<b>{p50:.2g}</b>", f"{p99:.2g}, {most:.2g}")
     shown = [edge for trace in figure.data for edge in trace.x]
     if deadline_ms is not None:
         shown.append(deadline_ms)
@@ -232,7 +225,7 @@ def decisions(
         "type": "log", "title": {"text": "ms a decision"}, "dtick": 1, "tickformat": "~g",
         "range": [math.log10(min(shown)) - 0.1, math.log10(max(shown)) + 0.1],
     }  # fmt: skip
-    return _rows(figure, len(episodes), x, right=130, top=26)
+    return _rows(figure, len(episodes), x, right=90, top=26)
 
 
 def term_means(
@@ -272,7 +265,7 @@ def _framed(
 def _rows(figure: go.Figure, rows: int, x: Mapping[str, Any], right: int, top: int = 6) -> go.Figure:
     """One row for each policy, the first on top."""
     _dress(figure, ROW * rows + 64 + top, {"l": 8, "r": right, "t": top, "b": 8})
-    figure.update_xaxes(**x)
+    figure.update_xaxes(tickangle=0, **x)
     figure.update_yaxes(autorange="reversed", showgrid=False, ticks="outside", tickcolor="white", type="category")
     return figure
 
@@ -294,7 +287,10 @@ def _dress(figure: go.Figure, height: int, margin: Mapping[str, int]) -> None:
     figure.update_yaxes(**_AXIS)
 
 
-def _at_right(figure: go.Figure, label: str, text: str) -> None:
+def _at_right(figure: go.Figure, label: str, text: str, small: str = "") -> None:
+    """Beside a policy's row."""
+    if small:
+        text += f'<br><span style="font-size: 11.5px; color: {PALE}">{small}</span>'
     figure.add_annotation(
         x=1, xref="paper", xanchor="left", xshift=12, y=_text(label), text=text, showarrow=False, align="left"
     )
@@ -341,6 +337,13 @@ def _list(values: Any) -> list[Any]:
     """Plain numbers: arrays would be written in base64, which nobody can read in the file."""
     array: NDArray[Any] = np.asarray(values)
     return list(array.tolist())
+
+
+def _short(name: str) -> str:
+    path = Path(name)
+    if path.suffix in (".json", ".onnx"):
+        name = path.parent.name if path.stem == "agent" and path.parent.name else path.stem
+    return name if len(name) <= LONGEST_LABEL else "…" + name[1 - LONGEST_LABEL :]
 
 
 def _text(text: str) -> str:

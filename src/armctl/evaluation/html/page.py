@@ -1,6 +1,7 @@
 """Gathers what a results folder tells, and writes it as one HTML file, from which no request leaves."""
 
 import base64
+import contextlib
 import itertools
 import shlex
 from collections.abc import Callable, Sequence
@@ -30,6 +31,7 @@ from armctl.evaluation.statistics import Estimate
 REPORT, SWEEP, UNDISTURBED = "report.html", "sweep.csv", "none"
 CURVE_COLUMNS = ("steps", "minutes", "success", "low", "high", "return")
 SWEEP_COLUMNS = ("disturbance", "level", "policy", "success", "low", "high")
+NOTHING, MINUS = "\u2013", "\u2212"
 MOST_PAIRS = 6
 """Of more policies than have so many pairs, the best is shown against each other one."""
 
@@ -48,7 +50,7 @@ class Plot:
     def json(self) -> Markup:
         """As Plotly's JavaScript takes it; cannot end the element that it is written in."""
         text = str(self.figure.to_json())
-        return Markup(text.replace("<", r"\u003c").replace(">", r"\u003e").replace("&", r"\u0026"))  # noqa: S704
+        return Markup(text.replace("<", r"\u003c").replace(">", r"\u003e").replace("&", r"\u0026"))
 
 
 def write_report(
@@ -84,6 +86,8 @@ def write_report(
         "robustness": [] if sweep is None else _robustness(sweep, look),
         "swept": [] if sweep is None else [look[name] for name in sweep.policy.unique()],
         "results": results,
+        "together": [],
+        "lowest": [],
     }
     if results is not None:
         progress("drawing figures")
@@ -97,13 +101,15 @@ def write_report(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"percent": _percent, "number": _number, "spread": _spread, "base64": _base64}
-    text = environment.get_template("page.html.j2").render(page, plotly=Markup(get_plotlyjs()))  # noqa: S704
-    unfinished = out.with_name(out.name + ".new")
+    environment.filters |= {"percent": _percent, "mean": _mean, "number": _number, "spread": _spread, "base64": _base64}
+    text = environment.get_template("page.html.j2").render(page, plotly=Markup(get_plotlyjs()))
+    unfinished = Path(f"{out}.new")
     try:
         unfinished.write_text(text, encoding="utf-8", newline="\n")
         unfinished.replace(out)
     except OSError as error:
+        with contextlib.suppress(OSError):
+            unfinished.unlink()
         raise ResultsError(f"the report {out} cannot be written: {error.strerror}") from error
     return out
 
@@ -113,7 +119,10 @@ def _comparison(results: Results, look: figures.Looks) -> dict[str, Any]:
     comparison, episodes = results.comparison, results.episodes
     policies = comparison.policies
     planned = policies[0].planned if policies else 0
-    headline, _, rest = _verdict(results).partition("; ")
+    told = _verdict(results)
+    for name in sorted(look, key=len, reverse=True):
+        told = told.replace(name, look[name].label)
+    headline, _, rest = told.partition("; ")
     page: dict[str, Any] = {
         "headline": headline,
         "lead": rest,
@@ -186,7 +195,7 @@ def _paired(results: Results, look: figures.Looks) -> list[Plot]:
                 f"{a} against {b}",
                 f"Success {100 * (pair.only_a - pair.only_b) / pair.episodes:+.1f} % "
                 f"({pair.only_a} won by the first alone, {pair.only_b} by the second; p = {pair.mcnemar_p:.2g}). "
-                f"Return {difference.value:+.1f} ({_spread(difference, sign='+')}).",
+                + _signed(f"Return {difference.value:+.1f} ({_spread(difference, sign='+')})."),
             )
         )
     return plots
@@ -276,21 +285,28 @@ def _robustness(sweep: pd.DataFrame, look: figures.Looks) -> list[Plot]:
 
 
 def _percent(estimate: Estimate | None) -> str:
-    return "–" if estimate is None else f"{100 * estimate.value:.1f} %"
+    return NOTHING if estimate is None else f"{100 * estimate.value:.1f} %"
 
 
-def _number(value: float | None, digits: int = 3) -> str:
-    """At least so many digits count; whole numbers from 100 on."""
-    if value is None:
-        return "–"
-    return f"{value:,.0f}" if abs(value) >= 10**digits else f"{value:.{digits}g}"
+def _mean(estimate: Estimate | None) -> str:
+    return NOTHING if estimate is None else _signed(f"{estimate.value:,.1f}")
+
+
+def _number(value: float, digits: int = 3) -> str:
+    """So many digits, but all of those before the point."""
+    return _signed(f"{value:,.0f}" if abs(value) >= 10**digits else f"{value:.{digits}g}")
+
+
+def _signed(number: str) -> str:
+    """With a minus sign in place of a hyphen."""
+    return number.replace("-", MINUS)
 
 
 def _spread(estimate: Estimate | None, scale: float = 1.0, sign: str = "") -> str:
     if estimate is None or estimate.low is None or estimate.high is None:
         return "interval unknown" if estimate else ""
     low, high = scale * estimate.low, scale * estimate.high
-    return f"{low:{sign}.1f} to {high:{sign}.1f}"
+    return _signed(f"{low:{sign}.1f} to {high:{sign}.1f}")
 
 
 def _base64(data: bytes) -> str:

@@ -49,12 +49,16 @@ class Clip:
 
 
 def most_different(episodes: Mapping[str, Sequence[EpisodeResult]]) -> list[EpisodeResult]:
-    """The episode, of those that all policies have played, in which their returns differ most; none of one policy."""
+    """The episode, of those that all policies have played, in which their returns differ most; none of one policy.
+
+    The gaps between neighbours are added up as logarithms: one policy that always fails does not decide it alone.
+    """
     played = list(zip(*episodes.values(), strict=False))
     if len(episodes) < 2 or not played:
         return []
-    spread = [np.std([result.total_reward for result in results]) for results in played]
-    return list(played[int(np.argmax(spread))])
+    returns = np.array([[result.total_reward for result in results] for results in played])
+    gaps = np.diff(np.sort(returns, axis=1), axis=1)
+    return list(played[int(np.argmax(np.log1p(gaps).sum(axis=1)))])
 
 
 def worst(episodes: Mapping[str, Sequence[EpisodeResult]]) -> list[EpisodeResult]:
