@@ -1,6 +1,5 @@
 """The verbs of the command line. No logic of its own: each calls the library."""
 
-import ast
 import sys
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
@@ -89,10 +88,10 @@ def compare(
             "while others compute beside them.",
         ),
     ] = 1,
+    env_options: EnvOptions = None,
     report: Annotated[
         bool, typer.Option("--report", help="Write report.html as well, with figures and videos.")
     ] = False,
-    env_options: EnvOptions = None,
 ) -> None:
     """Let policies meet the same episodes, and print who is better, by how much.
 
@@ -384,15 +383,14 @@ def reproduce(
 
 def _options(pairs: list[str] | None, flag: str = "--set") -> dict[str, Any]:
     """Options from NAME=VALUE pairs: numbers, tuples, True, False and None, or else strings."""
+    from armctl.evaluation.results import option_value
+
     options = {}
     for pair in pairs or []:
         name, equals, value = pair.partition("=")
         if not equals:
             raise ConfigurationError(f"{flag} wants NAME=VALUE, not {pair!r}")
-        try:
-            options[name] = ast.literal_eval(value)
-        except (ValueError, SyntaxError):
-            options[name] = value
+        options[name] = option_value(value)
     return options
 
 

@@ -4,7 +4,10 @@ import json
 import os
 import re
 import shutil
+import subprocess
+import sys
 from html import unescape
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -14,8 +17,10 @@ from armctl.envs import TaskVectorEnv
 from armctl.errors import ConfigurationError, ResultsError
 from armctl.evaluation import compare
 from armctl.evaluation.html import figures, page, videos, write_report
+from armctl.evaluation.reproduce import card_path
 from armctl.evaluation.results import option_value, read_results
 
+ARMCTL = str(Path(sys.executable).parent / "armctl")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 POLICIES = ["reach_ik", "reach_ppo", "random"]
 OPTIONS = {"max_episode_steps": 40}
@@ -255,7 +260,7 @@ def test_no_episode_at_all_is_a_report_too(tmp_path):
 
 
 def test_learning_curves_of_agents_beside_the_others(tmp_path):
-    agents = page.card_path("reach_ppo")
+    agents = card_path("reach_ppo")
     mine = tmp_path / "runs" / "mine-0"
     mine.mkdir(parents=True)
     for suffix in (".json", ".onnx"):
@@ -282,9 +287,23 @@ def test_a_sweep_with_and_without_its_undisturbed_comparison(folder, tmp_path):
     lines = [one for one in plot_of(report, "delay")["data"] if one.get("name")]
     assert [line["name"] for line in lines] == ["reach_ik", "reach_bc"]
     np.testing.assert_allclose(lines[1]["y"], [0.9, 0.8, 0.6])
+    assert lines[1]["x"] == ["0", "0.1", "0.3"]
     shutil.copytree(folder, sweep / "none")
     both = plots_of(write_report(sweep, video=False))
     assert len(both) == len(plots_of(write_report(folder, video=False))) + 2
+
+
+def test_the_commands_write_it_and_say_where(tmp_path):
+    def armctl(*arguments):
+        return subprocess.run([ARMCTL, *arguments], capture_output=True, text=True, cwd=tmp_path)
+
+    done = armctl("compare", "reach_ik", "--episodes", "1", "--out", "here", "--report")
+    assert done.returncode == 0, done.stderr
+    assert "here/report.html is the report" in done.stdout
+    assert (tmp_path / "here" / "report.html").stat().st_size > 1e6
+    assert "mine.html is the report" in armctl("report", "here", "--out", "mine.html", "--no-video").stdout
+    missing = armctl("report", "elsewhere")
+    assert (missing.returncode, "elsewhere holds no results" in missing.stderr) == (2, True)
 
 
 def test_policies_are_told_apart():

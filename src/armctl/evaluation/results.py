@@ -96,13 +96,13 @@ def option_value(text: str) -> Any:
     """A number, tuple, True, False or None as Python writes it; anything else is text."""
     try:
         return ast.literal_eval(text)
-    except (ValueError, SyntaxError):
+    except (ValueError, TypeError, SyntaxError, MemoryError, RecursionError):
         return text
 
 
 def _read(path: Path, kind: type[Kind]) -> Kind:
     try:
         return TypeAdapter(kind).validate_python(json.loads(path.read_text()))
-    except (OSError, ValueError, ValidationError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         why = error.errors()[0]["msg"] if isinstance(error, ValidationError) else error
         raise ResultsError(f"{path} cannot be read as results of a comparison: {why}") from error

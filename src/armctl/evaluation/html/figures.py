@@ -92,7 +92,7 @@ def profile(episodes: Mapping[str, Sequence[EpisodeResult]], look: Looks) -> go.
         shares = performance_profile(earned, thresholds)
         _band(figure, thresholds, [share.low for share in shares], [share.high for share in shares], look[name], "hv")
         _line(figure, thresholds, [share.value for share in shares], look[name], "hv", "%{y:.0%} above %{x:.4g}")
-    return _framed(figure, "return", "share of episodes above it", y={"range": [-0.02, 1.02], "tickformat": ".0%"})
+    return _framed(figure, "return", "share of episodes above it", y=_SHARE)
 
 
 def paired(pair: PairedDifference, episodes: Mapping[str, Sequence[EpisodeResult]], look: Looks) -> go.Figure:
@@ -152,12 +152,14 @@ def learning(curves: Mapping[str, pd.DataFrame], policies: Sequence[PolicySummar
 
 
 def robustness(sweep: pd.DataFrame, look: Looks) -> go.Figure:
-    """Success against the level of one disturbance, with 95 % intervals."""
+    """Success against the levels of one disturbance, as steps of equal width, with 95 % intervals."""
     figure = go.Figure()
     for name, rows in sweep.groupby("policy", sort=False):
-        _band(figure, rows.level, rows.low, rows.high, look[str(name)])
-        _line(figure, rows.level, rows.success, look[str(name)], "linear", "%{y:.1%} at %{x}", markers=True)
-    return _framed(figure, "level", "success", y=_SHARE, height=300)
+        levels = [f"{level:g}" for level in rows.level]
+        _band(figure, levels, rows.low, rows.high, look[str(name)])
+        _line(figure, levels, rows.success, look[str(name)], "linear", "%{y:.1%} at %{x}", markers=True)
+    unit = f"level, {sweep.unit.iloc[0]}" if "unit" in sweep and isinstance(sweep.unit.iloc[0], str) else "level"
+    return _framed(figure, unit, "success", x={"type": "category"}, y=_SHARE, height=300)
 
 
 def ledger(terms: Mapping[str, Mapping[str, float]], look: Looks, term_look: Looks) -> go.Figure:
@@ -241,7 +243,11 @@ def term_means(
     return means
 
 
-_SHARE = {"range": [-0.02, 1.02], "tickformat": ".0%"}
+_SHARE = {
+    "range": [-0.02, 1.02],
+    "tickvals": [0, 0.25, 0.5, 0.75, 1],
+    "ticktext": ["0 %", "25 %", "50 %", "75 %", "100 %"],
+}
 _AXIS = {
     "gridcolor": GRID, "zeroline": False, "linecolor": "#aab3bb", "ticks": "", "automargin": True, "fixedrange": True,
     "title": {"standoff": 8, "font": {"size": 13, "color": PALE}},

@@ -20,17 +20,15 @@ from plotly.offline import get_plotlyjs
 from armctl.errors import ArmctlError, ResultsError
 from armctl.evaluation.episode_log import COMPARISON
 from armctl.evaluation.html import figures
+from armctl.evaluation.html.curves import read_sweep, training_curves
 from armctl.evaluation.html.videos import film, most_different, worst
 from armctl.evaluation.metrics import control_period
 from armctl.evaluation.report import verdict
-from armctl.evaluation.reproduce import card_path
 from armctl.evaluation.results import Results, read_results
 from armctl.evaluation.rollouts import EpisodeResult, make_worlds
 from armctl.evaluation.statistics import Estimate
 
 REPORT, SWEEP, UNDISTURBED = "report.html", "sweep.csv", "none"
-CURVE_COLUMNS = ("steps", "minutes", "success", "low", "high", "return")
-SWEEP_COLUMNS = ("disturbance", "level", "policy", "success", "low", "high")
 NOTHING, MINUS = "\u2013", "\u2212"
 MOST_PAIRS = 6
 """Of more policies than have so many pairs, the best is shown against each other one."""
@@ -70,7 +68,7 @@ def write_report(
     """
     folder = Path(folder)
     out = folder / REPORT if out is None else Path(out)
-    sweep = _read_sweep(folder / SWEEP) if (folder / SWEEP).exists() else None
+    sweep = read_sweep(folder / SWEEP) if (folder / SWEEP).exists() else None
     home = folder if sweep is None or (folder / COMPARISON).exists() else folder / UNDISTURBED
     if not folder.is_dir() or (sweep is None and not (home / COMPARISON).exists()):
         raise ResultsError(f"{folder} holds no results: armctl compare --out {folder} writes some")
@@ -127,7 +125,7 @@ def _comparison(results: Results, look: figures.Looks) -> dict[str, Any]:
         "headline": headline,
         "lead": rest,
         "planned": planned,
-        "command": _command("compare", results, f"--episodes {planned}", names=results.names),
+        "command": _command("compare", results, f"--episodes {planned}" if planned else "", names=results.names),
         "missing": [name for name in results.names if name not in episodes],
     }
     if not policies:
@@ -137,7 +135,7 @@ def _comparison(results: Results, look: figures.Looks) -> dict[str, Any]:
         term: figures.Look(term, figures.TERM_COLOURS[i % len(figures.TERM_COLOURS)])
         for i, term in enumerate(dict.fromkeys(itertools.chain(*terms.values())))
     }
-    curves, problems = _curves(results)
+    curves, problems = training_curves([policy.policy for policy in policies])
     period = _period(results)
     return page | {
         "shown": [look[name] for name in episodes],
@@ -230,7 +228,7 @@ def _command(verb: str, results: Results, more: str, names: Sequence[str]) -> st
     comparison = results.comparison
     options = [f"--set {shlex.quote(f'{name}={value}')}" for name, value in comparison.env_options.items()]
     words = ("armctl", verb, *map(shlex.quote, names), "--env", shlex.quote(comparison.env), *options)
-    return " ".join((*words, f"--seed {comparison.seed}", more))
+    return " ".join((*words, f"--seed {comparison.seed}", more)).rstrip()
 
 
 def _period(results: Results) -> float | None:
@@ -240,40 +238,6 @@ def _period(results: Results) -> float | None:
             return control_period(worlds.task)
     except ArmctlError:
         return None
-
-
-def _curves(results: Results) -> tuple[dict[str, pd.DataFrame], list[str]]:
-    """The curve of each policy's training, where one lies beside its card, and what is wrong with those left out."""
-    curves, problems = {}, []
-    for policy in results.comparison.policies:
-        try:
-            card = card_path(policy.policy)
-        except ArmctlError:
-            continue
-        beside = card.with_name("curve.csv") if card.name == "agent.json" else card.with_suffix(".csv")
-        if beside.is_file():
-            try:
-                curves[policy.policy] = _table(beside, CURVE_COLUMNS, CURVE_COLUMNS)
-            except ResultsError as error:
-                problems.append(str(error))
-    return curves, problems
-
-
-def _read_sweep(path: Path) -> pd.DataFrame:
-    return _table(path, SWEEP_COLUMNS, SWEEP_COLUMNS[3:]).astype({"policy": str, "disturbance": str})
-
-
-def _table(path: Path, columns: Sequence[str], numbers: Sequence[str]) -> pd.DataFrame:
-    """A CSV file with at least these columns, some of which are numbers, and a row; raises `ResultsError`."""
-    try:
-        table = pd.read_csv(path)
-        if missing := [column for column in columns if column not in table]:
-            raise ValueError(f"it has no column {missing[0]}")
-        if table.empty:
-            raise ValueError("it has no row")
-        return table.astype(dict.fromkeys(numbers, float))
-    except (OSError, ValueError) as error:
-        raise ResultsError(f"{path} cannot be read: {error}") from error
 
 
 def _robustness(sweep: pd.DataFrame, look: figures.Looks) -> list[Plot]:
