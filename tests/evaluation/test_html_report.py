@@ -113,7 +113,7 @@ def test_figures_hold_the_numbers_of_the_summary(folder):
     text = text_of(report)
     for policy in summary.values():
         assert f"{100 * policy['success']['value']:.1f} %" in text
-        assert f"{policy['return_iqm']['value']:.1f}".replace("-", page.MINUS) in text
+        assert figures.signed(f"{policy['return_iqm']['value']:.1f}") in text
 
 
 def test_verdict_and_how_to_do_it_again(folder):
@@ -154,17 +154,22 @@ def test_names_are_shown_and_not_obeyed(folder):
     assert "<img src=x" not in html
     assert "<b>bold" not in html
     assert "{{ 7 * 7 }}" in text_of(report)
-    assert "which armctl report does not call" in text_of(report)  # a name of a stranger's is no code to run
 
 
-def test_code_that_a_folder_names_is_called_if_trusted_only(tmp_path):
-    name = "tests_that_are_not_there:make"
-    (tmp_path / "there.py").write_text("called = []\n")
+@pytest.mark.parametrize(
+    ("there", "hostile"), [("random", "there:make"), ("armctl/ArmReach-v0", "there:armctl/ArmReach-v0")]
+)
+def test_code_that_a_folder_names_is_called_if_trusted_only(tmp_path, monkeypatch, there, hostile):
+    (tmp_path / "there.py").write_text("import armctl\nfrom pathlib import Path\nPath(__file__ + '.called').touch()\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "there", raising=False)
     compare(["random"], episodes=1, out=tmp_path, env_options=OPTIONS)
     for file in ("comparison.json", "summary.json", "episodes.csv", "decisions.csv"):
-        (tmp_path / file).write_text((tmp_path / file).read_text().replace("random", name))
-    assert "does not call" in text_of(write_report(tmp_path))
-    assert "cannot load the policy" in text_of(write_report(tmp_path, trusted=True))
+        (tmp_path / file).write_text((tmp_path / file).read_text().replace(there, hostile))
+    assert f"There are no videos. {hostile} is code of its own" in text_of(write_report(tmp_path))
+    assert not (tmp_path / "there.py.called").exists()
+    write_report(tmp_path, trusted=True)
+    assert (tmp_path / "there.py.called").exists()
 
 
 @pytest.mark.parametrize(
@@ -304,6 +309,14 @@ def test_the_commands_write_it_and_say_where(tmp_path):
     assert "mine.html is the report" in armctl("report", "here", "--out", "mine.html", "--no-video").stdout
     missing = armctl("report", "elsewhere")
     assert (missing.returncode, "elsewhere holds no results" in missing.stderr) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.01234, "0.012"), (9.96, "10"), (99.7, "100"), (1234.5, "1,234"), (-0.5, "\u22120.5"), (0, "0")],
+)
+def test_numbers_are_short_and_plain(value, text):
+    assert figures.number(value, 2) == text
 
 
 def test_policies_are_told_apart():

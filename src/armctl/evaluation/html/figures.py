@@ -29,6 +29,8 @@ FONT = "'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
 LONGEST_LABEL = 20
 THRESHOLDS = 120
 """Most points of a performance profile."""
+MOST_DOTS, CELLS = 1000, 80
+"""Of a scatter plot: of more episodes, those in one of so many cells by so many are one dot."""
 ROW = 44
 """Pixels: height of a policy's row."""
 
@@ -91,7 +93,7 @@ def profile(episodes: Mapping[str, Sequence[EpisodeResult]], look: Looks) -> go.
     for name, earned in returns.items():
         shares = performance_profile(earned, thresholds)
         _band(figure, thresholds, [share.low for share in shares], [share.high for share in shares], look[name], "hv")
-        _line(figure, thresholds, [share.value for share in shares], look[name], "hv", "%{y:.0%} above %{x:.4g}")
+        _line(figure, thresholds, [share.value for share in shares], look[name], "hv", "%{y:.0%} above %{x:.4~r}")
     return _framed(figure, "return", "share of episodes above it", y=_SHARE)
 
 
@@ -105,9 +107,12 @@ def paired(pair: PairedDifference, episodes: Mapping[str, Sequence[EpisodeResult
         ],
         columns=["a", "b", "episode"],
     )
+    lowest, highest = float(points[["a", "b"]].min().min()), float(points[["a", "b"]].max().max())
+    if len(points) > MOST_DOTS and highest > lowest:
+        cell = (highest - lowest) / CELLS
+        points[["a", "b"]] = (points[["a", "b"]] / cell).round() * cell
     alike = points.groupby(["a", "b"]).episode.agg(["size", "first"]).reset_index()
     colours = np.select([alike.a > alike.b, alike.a < alike.b], [a.colour, b.colour], PALE)
-    lowest, highest = float(points[["a", "b"]].min().min()), float(points[["a", "b"]].max().max())
     edge = 0.06 * (highest - lowest or 1.0)
     span = [lowest - edge, highest + edge]
     figure = go.Figure()
@@ -123,7 +128,7 @@ def paired(pair: PairedDifference, episodes: Mapping[str, Sequence[EpisodeResult
             "line": {"width": 0},
         },
         customdata=alike[["size", "first"]].to_numpy().tolist(),
-        hovertemplate=f"{_text(a.label)} %{{y:.4g}}, {_text(b.label)} %{{x:.4g}}<br>"
+        hovertemplate=f"{_text(a.label)} %{{y:.4~r}}, {_text(b.label)} %{{x:.4~r}}<br>"
         "%{customdata[0]} episodes, the first: %{customdata[1]}<extra></extra>",
     )
     axis = {"range": span, "nticks": 5}
@@ -146,9 +151,8 @@ def learning(curves: Mapping[str, pd.DataFrame], policies: Sequence[PolicySummar
         elif policy.success:
             level = Look(look[name].label, look[name].colour, "dot")
             _line(figure, [0, longest], [policy.success.value] * 2, level, "linear", "%{y:.1%}, without learning")
-    return _framed(
-        figure, "decisions in training", "success", x={"rangemode": "tozero", "tickformat": "~s"}, y=_SHARE
-    )  # fmt: skip
+    x = {"rangemode": "tozero", "tickformat": "~s"}
+    return _framed(figure, "decisions in training", "success", x=x, y=_SHARE)
 
 
 def robustness(sweep: pd.DataFrame, look: Looks) -> go.Figure:
@@ -173,7 +177,7 @@ def ledger(terms: Mapping[str, Mapping[str, float]], look: Looks, term_look: Loo
             orientation="h",
             width=0.56,
             marker={"color": style.colour},
-            hovertemplate=f"{_text(style.label)}: %{{x:.4g}}<extra></extra>",
+            hovertemplate=f"{_text(style.label)}: %{{x:.4~r}}<extra></extra>",
         )
     totals = {name: sum(earned.values()) for name, earned in terms.items()}
     figure.add_scatter(
@@ -181,10 +185,10 @@ def ledger(terms: Mapping[str, Mapping[str, float]], look: Looks, term_look: Loo
         y=labels,
         mode="markers",
         marker={"symbol": "diamond", "size": 10, "color": INK, "line": {"color": "white", "width": 1.5}},
-        hovertemplate="return %{x:.4g}<extra></extra>",
+        hovertemplate="return %{x:.4~r}<extra></extra>",
     )
     for name, total in totals.items():
-        _at_right(figure, look[name].label, f"<b>{total:.1f}</b>".replace("-", "\u2212"))
+        _at_right(figure, look[name].label, f"<b>{signed(f'{total:,.1f}')}</b>")
     figure.update_layout(barmode="relative")
     x = {"title": {"text": "reward in a mean episode"}, "zeroline": True, "zerolinecolor": INK, "zerolinewidth": 1}
     return _rows(figure, len(terms), x, right=64)
@@ -211,9 +215,9 @@ def decisions(episodes: Mapping[str, Sequence[EpisodeResult]], look: Looks, dead
                 "line": {"width": [3, 2, 0], "color": [INK, style.colour, style.colour]},
             },
             customdata=["median", "99 %", "the longest"],
-            hovertemplate=f"{label}, %{{customdata}}: %{{x:.3g}} ms<extra></extra>",
+            hovertemplate=f"{label}, %{{customdata}}: %{{x:.3~r}} ms<extra></extra>",
         )  # fmt: skip
-        _at_right(figure, look[name].label, f"<b>{p50:.2g}</b>", f"{p99:.2g}, {most:.2g}")
+        _at_right(figure, look[name].label, f"<b>{number(p50, 2)}</b>", f"{number(p99, 2)}, {number(most, 2)}")
     shown = [edge for trace in figure.data for edge in trace.x]
     if deadline_ms is not None:
         shown.append(deadline_ms)
@@ -230,9 +234,7 @@ def decisions(episodes: Mapping[str, Sequence[EpisodeResult]], look: Looks, dead
     return _rows(figure, len(episodes), x, right=90, top=26)
 
 
-def term_means(
-    episodes: Mapping[str, Sequence[EpisodeResult]],
-) -> dict[str, dict[str, float]]:
+def term_means(episodes: Mapping[str, Sequence[EpisodeResult]]) -> dict[str, dict[str, float]]:
     """What each reward term has brought each policy, mean over its episodes."""
     means = {}
     for name, played in episodes.items():
@@ -241,6 +243,16 @@ def term_means(
             term: math.fsum(result.reward_terms.get(term, 0.0) for result in played) / len(played) for term in terms
         }
     return means
+
+
+def number(value: float, digits: int = 3) -> str:
+    """So many digits, but all of those before the point."""
+    return signed(f"{value:,.0f}" if abs(value) >= 10**digits - 0.5 else f"{value:.{digits}g}")
+
+
+def signed(number: str) -> str:
+    """With a minus sign in place of a hyphen."""
+    return number.replace("-", "\u2212")
 
 
 _SHARE = {

@@ -21,7 +21,7 @@ from armctl.errors import ArmctlError, ResultsError
 from armctl.evaluation.episode_log import COMPARISON
 from armctl.evaluation.html import figures
 from armctl.evaluation.html.curves import read_sweep, training_curves
-from armctl.evaluation.html.videos import film, most_different, worst
+from armctl.evaluation.html.videos import film, most_different, names_code, worst
 from armctl.evaluation.metrics import control_period
 from armctl.evaluation.report import verdict
 from armctl.evaluation.results import Results, read_results
@@ -29,7 +29,7 @@ from armctl.evaluation.rollouts import EpisodeResult, make_worlds
 from armctl.evaluation.statistics import Estimate
 
 REPORT, SWEEP, UNDISTURBED = "report.html", "sweep.csv", "none"
-NOTHING, MINUS = "\u2013", "\u2212"
+NOTHING = "\u2013"
 MOST_PAIRS = 6
 """Of more policies than have so many pairs, the best is shown against each other one."""
 
@@ -61,8 +61,8 @@ def write_report(
 ) -> Path:
     """Write the report of a comparison's or a sweep's folder to `out` (`folder/report.html`), and return its path.
 
-    Episodes are played again for `video`; where that cannot be, the report says why. Policies of a `module:function`
-    are called if the folder is `trusted`, as one of your own, only. `progress` is told what is being done.
+    Episodes are played again for `video`; where that cannot be, the report says why. Policies that are code of
+    their own (`module:function`) are called only if the folder is `trusted`. `progress` is told what is being done.
 
     Raises `ResultsError` for a folder without results, or with damaged ones, and if the report cannot be written.
     """
@@ -89,7 +89,7 @@ def write_report(
     }
     if results is not None:
         progress("drawing figures")
-        page |= _comparison(results, look)
+        page |= _comparison(results, look, trusted)
         page |= _videos(results, trusted, progress) if video else {"silent": "They were left out (--no-video)."}
     progress("writing")
     environment = jinja2.Environment(
@@ -99,7 +99,13 @@ def write_report(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"percent": _percent, "mean": _mean, "number": _number, "spread": _spread, "base64": _base64}
+    environment.filters |= {
+        "percent": _percent,
+        "mean": _mean,
+        "number": figures.number,
+        "spread": _spread,
+        "base64": _base64,
+    }
     text = environment.get_template("page.html.j2").render(page, plotly=Markup(get_plotlyjs()))
     unfinished = Path(f"{out}.new")
     try:
@@ -112,7 +118,7 @@ def write_report(
     return out
 
 
-def _comparison(results: Results, look: figures.Looks) -> dict[str, Any]:
+def _comparison(results: Results, look: figures.Looks, trusted: bool) -> dict[str, Any]:
     """All that is told of a comparison, but for videos."""
     comparison, episodes = results.comparison, results.episodes
     policies = comparison.policies
@@ -136,7 +142,7 @@ def _comparison(results: Results, look: figures.Looks) -> dict[str, Any]:
         for i, term in enumerate(dict.fromkeys(itertools.chain(*terms.values())))
     }
     curves, problems = training_curves([policy.policy for policy in policies])
-    period = _period(results)
+    period = _period(results, trusted)
     return page | {
         "shown": [look[name] for name in episodes],
         "success": Plot(
@@ -193,7 +199,7 @@ def _paired(results: Results, look: figures.Looks) -> list[Plot]:
                 f"{a} against {b}",
                 f"Success {100 * (pair.only_a - pair.only_b) / pair.episodes:+.1f} % "
                 f"({pair.only_a} won by the first alone, {pair.only_b} by the second; p = {pair.mcnemar_p:.2g}). "
-                + _signed(f"Return {difference.value:+.1f} ({_spread(difference, sign='+')})."),
+                + figures.signed(f"Return {difference.value:+.1f} ({_spread(difference, sign='+')})."),
             )
         )
     return plots
@@ -231,8 +237,10 @@ def _command(verb: str, results: Results, more: str, names: Sequence[str]) -> st
     return " ".join((*words, f"--seed {comparison.seed}", more)).rstrip()
 
 
-def _period(results: Results) -> float | None:
+def _period(results: Results, trusted: bool) -> float | None:
     """Seconds between two decisions; None if the environment cannot be made here."""
+    if names_code(results.comparison.env) and not trusted:
+        return None
     try:
         with closing(make_worlds(results.comparison.env, 1, results.comparison.env_options)) as worlds:
             return control_period(worlds.task)
@@ -253,24 +261,14 @@ def _percent(estimate: Estimate | None) -> str:
 
 
 def _mean(estimate: Estimate | None) -> str:
-    return NOTHING if estimate is None else _signed(f"{estimate.value:,.1f}")
-
-
-def _number(value: float, digits: int = 3) -> str:
-    """So many digits, but all of those before the point."""
-    return _signed(f"{value:,.0f}" if abs(value) >= 10**digits else f"{value:.{digits}g}")
-
-
-def _signed(number: str) -> str:
-    """With a minus sign in place of a hyphen."""
-    return number.replace("-", MINUS)
+    return NOTHING if estimate is None else figures.signed(f"{estimate.value:,.1f}")
 
 
 def _spread(estimate: Estimate | None, scale: float = 1.0, sign: str = "") -> str:
     if estimate is None or estimate.low is None or estimate.high is None:
         return "interval unknown" if estimate else ""
     low, high = scale * estimate.low, scale * estimate.high
-    return _signed(f"{low:{sign}.1f} to {high:{sign}.1f}")
+    return figures.signed(f"{low:{sign}.1f} to {high:{sign}.1f}")
 
 
 def _base64(data: bytes) -> str:

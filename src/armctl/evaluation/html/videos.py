@@ -14,21 +14,20 @@ from armctl.errors import ArmctlError, ConfigurationError
 from armctl.evaluation.results import Results
 from armctl.evaluation.rollouts import EpisodeResult
 from armctl.evaluation.stage import Stage
-from armctl.policies import policy_names
 from armctl.simulation.rendering import Camera
 
 Frame = NDArray[np.uint8]
 
 SIZE = 400, 304
 """Pixels: multiples of 16, as H.264 wants them."""
+BRIEF = 40
+"""Decisions; if most episodes are shorter, they are shown at half speed."""
 MOST_FRAMES = 100
-"""Of a video: of longer episodes it shows each second decision, or each third."""
+"""Of a video, or twice as many at half speed: of longer episodes it shows each second decision, or each third."""
 OFFSAMPLES, SHADOW = 0, 1024
 """MuJoCo's rendering quality: software draws such a picture in half the time of one of the models' own quality."""
 QUALITY = 27
 """H.264's constant rate factor: higher is smaller and worse."""
-BRIEF = 2.0
-"""s; episodes shorter than this are shown at half speed."""
 CURTAIN = 1.0
 """s for which the end stands still."""
 
@@ -67,31 +66,35 @@ def worst(episodes: Mapping[str, Sequence[EpisodeResult]]) -> list[EpisodeResult
 
 
 def film(results: Results, wanted: Sequence[EpisodeResult], trusted: bool) -> list[Clip]:
-    """Videos of equal length and speed, that can be played side by side.
-
-    Policies of a `module:function` are code that somebody's folder names: they are called if it is `trusted` only.
-    """
-    stride = -(-max(result.length for result in wanted) // MOST_FRAMES)
+    """Videos of equal length and speed, that can be played side by side; see `names_code` for `trusted`."""
+    lengths = [result.length for result in wanted]
+    slowness = 2 if np.median(lengths) < BRIEF else 1
+    stride = -(-max(lengths) // (slowness * MOST_FRAMES))
     takes: list[_Take | str] = []
     for result in wanted:
         try:
             takes.append(_play(results, result, stride, trusted))
         except ArmctlError as error:
             takes.append(str(error))
-    taken = [take for take in takes if isinstance(take, _Take)]
-    longest = max((len(take.frames) for take in taken), default=0)
+    longest = max((len(take.frames) for take in takes if isinstance(take, _Take)), default=0)
     clips = []
     for result, take in zip(wanted, takes, strict=True):
         if isinstance(take, str):
             clips.append(Clip(result, problem=take))
             continue
-        brief = np.median([len(take.frames) * take.period for take in taken]) < BRIEF
-        speed = 0.5 if brief else stride
-        fps = speed / (take.period * stride)
+        fps = 1 / (slowness * take.period)
         frames = take.frames + [take.frames[-1]] * (longest - len(take.frames) + round(CURTAIN * fps))
         still = imageio.imwrite("<bytes>", frames[-1], extension=".jpg", quality=80)
-        clips.append(Clip(result, _mp4(frames, fps), still, speed, take.problem))
+        clips.append(Clip(result, _mp4(frames, fps), still, stride / slowness, take.problem))
     return clips
+
+
+def names_code(name: str) -> bool:
+    """Whether a policy or an environment of this name is made by importing a module that it names.
+
+    A name in somebody's folder is no reason to: it takes one that is trusted.
+    """
+    return ":" in name and Path(name).suffix not in (".onnx", ".json")
 
 
 @dataclass(frozen=True)
@@ -107,10 +110,11 @@ class _Take:
 def _play(results: Results, result: EpisodeResult, stride: int, trusted: bool) -> _Take:
     """Play an episode again, with a picture of each `stride`-th decision and of the end."""
     name, comparison = result.policy, results.comparison
-    if not trusted and Path(name).suffix not in (".onnx", ".json") and name not in policy_names():
-        raise ConfigurationError(
-            f"{name} is code of its own, which armctl report does not call: armctl compare --report films it"
-        )
+    for code in filter(names_code, (name, comparison.env)):
+        if not trusted:
+            raise ConfigurationError(
+                f"{code} is code of its own, which armctl report does not call: armctl compare --report films it"
+            )
     with closing(Stage(name, comparison.env, comparison.seed, result.episode, comparison.env_options)) as stage:
         quality = stage.task.simulation.model.vis.quality
         quality.offsamples, quality.shadowsize = OFFSAMPLES, SHADOW
