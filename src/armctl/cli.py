@@ -8,6 +8,7 @@ import typer
 
 from armctl import DEFAULT_ENV, DEFAULT_POLICIES
 from armctl.errors import ArmctlError, ConfigurationError
+from armctl.options import option_value
 
 app = typer.Typer(
     help="Planners and controllers against learned agents, on the same robot episodes.\n\n"
@@ -383,8 +384,6 @@ def reproduce(
 
 def _options(pairs: list[str] | None, flag: str = "--set") -> dict[str, Any]:
     """Options from NAME=VALUE pairs: numbers, tuples, True, False and None, or else strings."""
-    from armctl.evaluation.results import option_value
-
     options = {}
     for pair in pairs or []:
         name, equals, value = pair.partition("=")

@@ -18,7 +18,8 @@ from armctl.errors import ConfigurationError, ResultsError
 from armctl.evaluation import compare
 from armctl.evaluation.html import figures, page, videos, write_report
 from armctl.evaluation.reproduce import card_path
-from armctl.evaluation.results import option_value, read_results
+from armctl.evaluation.results import read_results
+from armctl.options import option_value
 
 ARMCTL = str(Path(sys.executable).parent / "armctl")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")

@@ -1,6 +1,5 @@
 """What a comparison has left in its folder, read back without playing anything."""
 
-import ast
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from armctl.evaluation.episode_log import COMPARISON, SUMMARY, read_episodes
 from armctl.evaluation.rollouts import EpisodeResult
 from armctl.evaluation.statistics import PairedDifference
 from armctl.evaluation.summary import PolicySummary, counted_results
+from armctl.options import option_value
 
 Kind = TypeVar("Kind")
 
@@ -90,14 +90,6 @@ def read_results(folder: Path) -> Results:
         summary.versions,
         summary.machine,
     )
-
-
-def option_value(text: str) -> Any:
-    """A number, tuple, True, False or None as Python writes it; anything else is text."""
-    try:
-        return ast.literal_eval(text)
-    except (ValueError, TypeError, SyntaxError, MemoryError, RecursionError):
-        return text
 
 
 def _read(path: Path, kind: type[Kind]) -> Kind:
