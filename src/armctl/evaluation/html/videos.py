@@ -20,7 +20,7 @@ Frame = NDArray[np.uint8]
 
 SIZE = 400, 304
 """Pixels: multiples of 16, as H.264 wants them."""
-BRIEF = 40
+BRIEF = 50
 """Decisions; if most episodes are shorter, they are shown at half speed."""
 MOST_FRAMES = 100
 """Of a video, or twice as many at half speed: of longer episodes it shows each second decision, or each third."""
