@@ -1,6 +1,5 @@
 """The verbs of the command line. No logic of its own: each calls the library."""
 
-import ast
 import sys
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
@@ -9,6 +8,7 @@ import typer
 
 from armctl import DEFAULT_ENV, DEFAULT_POLICIES
 from armctl.errors import ArmctlError, ConfigurationError
+from armctl.options import option_value
 
 app = typer.Typer(
     help="Planners and controllers against learned agents, on the same robot episodes.\n\n"
@@ -90,6 +90,9 @@ def compare(
         ),
     ] = 1,
     env_options: EnvOptions = None,
+    report: Annotated[
+        bool, typer.Option("--report", help="Write report.html as well, with figures and videos.")
+    ] = False,
 ) -> None:
     """Let policies meet the same episodes, and print who is better, by how much.
 
@@ -132,8 +135,35 @@ def compare(
     if comparison.interrupted:
         console.print(f"The same command with --out {folder} goes on from there.", soft_wrap=True)
         raise typer.Exit(130)
+    if report:
+        _write_report(folder, None, video=True, trusted=True)
     if comparison.failures:
         raise typer.Exit(1)
+
+
+@app.command()
+def report(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a comparison's or a sweep's results.")],
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="HTML file to write.", show_default="DIR/report.html")
+    ] = None,
+    video: Annotated[bool, typer.Option("--video/--no-video", help="Play episodes again, and film them.")] = True,
+) -> None:
+    """Write the report of a comparison: one HTML file that works offline, on a phone and in print."""
+    _write_report(folder, out, video=video, trusted=False)
+
+
+def _write_report(folder: Path, out: Path | None, *, video: bool, trusted: bool) -> None:
+    from rich.console import Console
+
+    from armctl.evaluation.html import write_report
+
+    console = Console()
+    with Console(stderr=True).status("report") as status:
+        path = write_report(
+            folder, out, video=video, trusted=trusted, progress=lambda doing: status.update(f"report: {doing}")
+        )
+    console.print(f"{path} is the report: open it in a browser.", soft_wrap=True)
 
 
 @app.command()
@@ -359,10 +389,7 @@ def _options(pairs: list[str] | None, flag: str = "--set") -> dict[str, Any]:
         name, equals, value = pair.partition("=")
         if not equals:
             raise ConfigurationError(f"{flag} wants NAME=VALUE, not {pair!r}")
-        try:
-            options[name] = ast.literal_eval(value)
-        except (ValueError, SyntaxError):
-            options[name] = value
+        options[name] = option_value(value)
     return options
 
 

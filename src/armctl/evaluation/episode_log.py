@@ -86,29 +86,13 @@ class EpisodeLog:
 
     def _read(self, comparison: Mapping[str, Any], episodes: int) -> list[EpisodeResult]:
         self._check_same(comparison)
-        path = self._folder / DECISIONS
-        times: dict[tuple[str, str], NDArray[np.float64]] = {}
-        for line, row in _rows(path, DECISION_COLUMNS):
-            with self._damage(path, line):
-                times[row["policy"], row["episode"]] = np.array(row["decision_ms"].split(), dtype=float)
-        path, kept = self._folder / EPISODES, {}
-        for line, row in _rows(path, COLUMNS):
-            with self._damage(path, line):
-                if (pair := (row["policy"], row["episode"])) not in times:
-                    continue
-                result = EpisodeResult.from_row(row, times[pair])
-                expected = comparison["env"], comparison["seed"], len(result.decision_ms)
-                if (result.env, result.seed, result.length) != expected or result.policy not in comparison["policies"]:
-                    raise ValueError("not an episode of this comparison")
-                if pair in kept:
-                    raise ValueError(f"episode {result.episode} of {result.policy} for the second time")
-            if not 0 <= result.episode < episodes:
-                raise ResultsError(
-                    f"{self._folder} holds episode {result.episode} already, beyond the {episodes} asked for: ask for "
-                    "more, choose another folder, or overwrite them (--overwrite)"
-                )
-            kept[pair] = result
-        return list(kept.values())
+        kept = read_episodes(self._folder, comparison)
+        if (last := max((result.episode for result in kept), default=0)) >= episodes:
+            raise ResultsError(
+                f"{self._folder} holds episode {last} already, beyond the {episodes} asked for: ask for more, choose "
+                "another folder, or overwrite them (--overwrite)"
+            )
+        return kept
 
     def _check_same(self, comparison: Mapping[str, Any]) -> None:
         otherwise = "choose another folder, or overwrite them (--overwrite)"
@@ -123,14 +107,39 @@ class EpisodeLog:
             what = "; ".join(f"{name}: {there[name]} there, {comparison[name]} here" for name in differing)
             raise ResultsError(f"{self._folder} holds results of another comparison ({what}): {otherwise}")
 
-    @contextlib.contextmanager
-    def _damage(self, path: Path, line: int) -> Iterator[None]:
-        try:
-            yield
-        except (ValueError, KeyError, TypeError) as error:
-            raise ResultsError(
-                f"{path} is damaged in line {line} ({error}): mend it, remove the line, or overwrite all (--overwrite)"
-            ) from error
+
+def read_episodes(folder: Path, comparison: Mapping[str, Any]) -> list[EpisodeResult]:
+    """The finished episodes in a comparison's folder, as they lie; raises `ResultsError` for files that are damaged."""
+    path = folder / DECISIONS
+    times: dict[tuple[str, str], NDArray[np.float64]] = {}
+    for line, row in _rows(path, DECISION_COLUMNS):
+        with _damage(path, line):
+            times[row["policy"], row["episode"]] = np.array(row["decision_ms"].split(), dtype=float)
+    path, kept = folder / EPISODES, {}
+    for line, row in _rows(path, COLUMNS):
+        with _damage(path, line):
+            if (pair := (row["policy"], row["episode"])) not in times:
+                continue
+            result = EpisodeResult.from_row(row, times[pair])
+            expected = comparison["env"], comparison["seed"], len(result.decision_ms)
+            if (result.env, result.seed, result.length) != expected or result.policy not in comparison["policies"]:
+                raise ValueError("not an episode of this comparison")
+            if pair in kept:
+                raise ValueError(f"episode {result.episode} of {result.policy} for the second time")
+            if result.episode < 0:
+                raise ValueError(f"no episode has the number {result.episode}")
+        kept[pair] = result
+    return list(kept.values())
+
+
+@contextlib.contextmanager
+def _damage(path: Path, line: int) -> Iterator[None]:
+    try:
+        yield
+    except (ValueError, KeyError, TypeError) as error:
+        raise ResultsError(
+            f"{path} is damaged in line {line} ({error}): mend it, remove the line, or overwrite all (--overwrite)"
+        ) from error
 
 
 def _rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[int, dict[str, str]]]:

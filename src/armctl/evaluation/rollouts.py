@@ -1,5 +1,6 @@
 """Episodes of one policy, one result each."""
 
+import json
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -22,8 +23,8 @@ from armctl.policies import Policy, PolicyFactory, look_where_called, make_polic
 from armctl.tasks.task import Motion
 
 COLUMNS = (
-    "policy", "env", "episode", "seed", "outcome", "success", "feasible", "return", "length", "least_length",
-    "optimality_gap", "tracking_error", *(field.name for field in fields(Metrics)),
+    "policy", "env", "episode", "seed", "outcome", "success", "feasible", "return", "reward_terms", "length",
+    "least_length", "optimality_gap", "tracking_error", *(field.name for field in fields(Metrics)),
 )  # fmt: skip
 TIME_COLUMNS = ("missed_deadlines", "decision_ms_p50", "decision_ms_p99", "decision_ms_max")
 """Those that a machine has a say in: all others are the same wherever, and however often, an episode is played."""
@@ -45,6 +46,8 @@ class EpisodeResult:
     success: bool
     feasible: bool
     total_reward: float
+    reward_terms: dict[str, float]
+    """What each term of the reward has brought; the return is their sum."""
     length: int
     least_length: float
     """Decisions that no policy could do with less of; NaN where that is not known (see `Task.least_time`)."""
@@ -63,7 +66,8 @@ class EpisodeResult:
         """The episode as a row of `episodes.csv`."""
         values = (
             self.policy, self.env, self.episode, self.seed, self.outcome, self.success, self.feasible,
-            self.total_reward, self.length, self.least_length, self.optimality_gap, self.tracking_error,
+            self.total_reward, json.dumps(self.reward_terms), self.length, self.least_length, self.optimality_gap,
+            self.tracking_error,
             *asdict(self.metrics).values(),
         )  # fmt: skip
         return dict(zip(COLUMNS, values, strict=True))
@@ -85,6 +89,7 @@ _READERS: Mapping[type[Any], Callable[[str], Any]] = {
     int: int,
     float: float,
     bool: {"True": True, "False": False}.__getitem__,
+    dict[str, float]: lambda text: {name: float(term) for name, term in dict(json.loads(text)).items()},
 }
 """From text, by type."""
 
@@ -145,6 +150,7 @@ def rollouts(
     with blaming(name, numbers[0]):
         policy.reset(np.arange(n, dtype=np.int32))
     returns = np.zeros(n)
+    earned: dict[str, NDArray[np.float64]] = {}
     times: list[float] = []
     motions: list[Motion] = []
     began = np.zeros(n, dtype=np.int64)
@@ -157,6 +163,7 @@ def rollouts(
         with blaming(name, numbers[mask][0]):
             observations, rewards, terminated, truncated, infos = env.step(actions)
         returns += rewards
+        earned = {term: earned.get(term, 0.0) + reward for term, reward in infos["reward_terms"].items()}
         motions.append(env.task.motion())
         ended = np.flatnonzero((terminated | truncated) & mask)
         if not len(ended):
@@ -167,11 +174,14 @@ def rollouts(
             measured = metrics(env.task, int(i), starts[i], moved, decision_ms, int(failed[i] - failures[i]))
             yield EpisodeResult(
                 name, spec, int(numbers[i]), seed, str(infos["outcome"][i]), bool(infos["is_success"][i]),
-                bool(feasible[i]), float(returns[i]), len(moved), least[int(numbers[i])],
+                bool(feasible[i]), float(returns[i]), {term: float(sums[i]) for term, sums in earned.items()},
+                len(moved), least[int(numbers[i])],
                 float(infos["tracking_error"][i]) if "tracking_error" in infos else math.nan,
                 measured, decision_ms,
             )  # fmt: skip
             returns[i], began[i], numbers[i] = 0.0, len(times), next(waiting, -1)
+            for sums in earned.values():
+                sums[i] = 0.0
         again = np.zeros(n, dtype=bool)
         again[ended] = numbers[ended] >= 0
         mask[ended] = again[ended]

@@ -68,7 +68,7 @@ def summarised(
     results: Sequence[EpisodeResult], policies: Mapping[str, Policy], planned: int
 ) -> tuple[list[PolicySummary], list[PairedDifference]]:
     """Of results that are sorted by policy and episode; policies without any are left out."""
-    counted, infeasible = _counted(results)
+    counted, infeasible = counted_results(results)
     found = [
         _summary(name, policy, planned, infeasible, counted[name])
         for name, policy in policies.items()
@@ -77,7 +77,7 @@ def summarised(
     return found, _paired(counted)
 
 
-def _counted(results: Sequence[EpisodeResult]) -> tuple[dict[str, list[EpisodeResult]], int]:
+def counted_results(results: Sequence[EpisodeResult]) -> tuple[dict[str, list[EpisodeResult]], int]:
     """The results that figures are over, by policy and episode, and the number of infeasible episodes left out.
 
     Of a policy that was cut short, those from the first episode to the first gap: with many worlds, short episodes end
