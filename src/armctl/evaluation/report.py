@@ -14,12 +14,14 @@ from rich.table import Table
 from rich.text import Text
 
 from armctl.errors import ResultsError
+from armctl.evaluation.degradation import FALSE_ALARMS, Degradation, degradations
 from armctl.evaluation.episode_log import SUMMARY
 from armctl.evaluation.statistics import FEWEST, Estimate, PairedDifference
 
 if TYPE_CHECKING:
     from armctl.evaluation.compare import Comparison
     from armctl.evaluation.summary import PolicySummary
+    from armctl.evaluation.sweep import Sweep
 
 
 def write_summary(folder: Path, comparison: "Comparison") -> None:
@@ -79,6 +81,36 @@ def tables(comparison: "Comparison") -> Group:
             counts = f"the first {policy.episodes} of {policy.planned} episodes"
             parts.append(Text(f"{policy.policy} was cut short: its figures are over {counts}.", style="yellow"))
     return Group(*parts)
+
+
+def sweep_tables(sweep: "Sweep") -> Group:
+    """The sweep for a terminal: success at each level, and at which one each policy fails."""
+    parts: list[Table | Text] = []
+    found = degradations(sweep.points)
+    for name, rows in sweep.points.groupby("disturbance", sort=False):
+        levels = [level for level in sweep.levels[str(name)] if level in set(rows.level)]
+        table = _table(f"{name}, {rows.unit.iloc[0]}", "", ["success, %", *(f"{level:g}" for level in levels)])
+        for policy, its in rows.groupby("policy", sort=False):
+            success = its.set_index("level").success
+            table.add_row(str(policy), *(f"{100 * success[x]:.1f}" if x in success else "-" for x in levels))
+        told = "; ".join(_degradation(one) for one in found if one.disturbance == name)
+        parts += [table, Text(f"{told}."), Text()]
+    parts.append(
+        Text(f"Worse: than undisturbed, in the same episodes; of all such findings, {FALSE_ALARMS:.0%} false.")
+    )
+    parts += [Text(f"{what}: {why}", style="red") for what, why in sweep.failures.items()]
+    if sweep.interrupted:
+        parts.append(Text("Interrupted.", style="yellow"))
+    return Group(*parts)
+
+
+def _degradation(found: Degradation) -> str:
+    sees = " (which sees the state)" if found.sees == "state" else ""
+    if found.drops is None and found.below_half is None:
+        return f"{found.policy}{sees} is not shown to get worse"
+    parts = [] if found.drops is None else [f"worse from {found.drops:g} on"]
+    parts += [] if found.below_half is None else [f"below half from {found.below_half:g} on"]
+    return f"{found.policy}{sees} is {', '.join(parts)}"
 
 
 def _asides(policy: "PolicySummary") -> list[str]:

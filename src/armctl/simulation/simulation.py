@@ -16,7 +16,7 @@ class Simulation:
     """
 
     def __init__(self, model: mujoco.MjModel, n: int, threads: int = 0) -> None:
-        self.model = model
+        self.model, self.n = model, n
         self._batch = Batch(model, n, nthread=1 if n == 1 else threads)
         self._own: dict[str, Array] = {}
 
@@ -28,6 +28,10 @@ class Simulation:
         """Live (n, ...) array of an `MjModel` field, which worlds then have each for themselves."""
         self._own[field] = np.asarray(self._batch.expand(field))
         return self._own[field]
+
+    def derive(self) -> None:
+        """Make the model's constants agree with the masses, lengths and sizes that worlds have for themselves."""
+        self._batch.set_const()
 
     @property
     def worlds_differ(self) -> bool:
