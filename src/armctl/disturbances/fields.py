@@ -13,6 +13,8 @@ from armctl.tasks.task import Task
 
 PAYLOAD_RADIUS = 0.05
 """m: a ball."""
+STIFF = 0.999
+"""Impedance of dry friction: with MuJoCo's default of 0.9, light joints creep."""
 ON_TOP = np.array([0.0, 0.0, 0.22])
 """m above the rover's axles."""
 
@@ -58,7 +60,8 @@ class JointFriction(Disturbance):
     def __init__(self, task: Task, level: float) -> None:
         super().__init__(task, level)
         assert isinstance(task, ReachTask)
-        task.simulation.per_world("dof_frictionloss")[:] += level * task.arm.description.limits.effort
+        task.simulation.per_world("dof_frictionloss")[:] = level * task.arm.description.limits.effort
+        task.simulation.per_world("dof_solimp")[..., :2] = STIFF
 
 
 class Slipperiness(Disturbance):
@@ -104,7 +107,7 @@ class LinkMismatch(Disturbance):
         self._inertias[rows, self._links] = heavier[..., None] * inertia
         self._held[rows, self._links] = 1 / heavier
         self._places[rows, self._links] = longer[..., None] * place
-        self.task.simulation.derive()
+        self.task.simulation.derive(ids)
 
 
 class WheelMismatch(Disturbance):
@@ -131,4 +134,4 @@ class WheelMismatch(Disturbance):
         self._reach[rows, self._wheels] = np.hypot(radii, self._half_width)
         self._masses[ids, self._base] = factors[:, 0] * model.body_mass[self._base]
         self._inertias[ids, self._base] = factors[:, :1] * model.body_inertia[self._base]
-        self.task.simulation.derive()
+        self.task.simulation.derive(ids)
