@@ -57,17 +57,23 @@ Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace results th
 
 @app.command("list")
 def list_() -> None:
-    """Show the environments, policies, arms, learners and recipes."""
+    """Show the environments, policies, arms, disturbances, learners and recipes."""
     from rich.console import Console
     from rich.table import Table
 
     from armctl.assets import BUILTIN_ARMS
+    from armctl.disturbances import ARM, CAMERA, ROVER
     from armctl.evaluation.rollouts import environment_names
     from armctl.learners import learner_names, load_recipe, recipe_names
     from armctl.policies import describe_policy, policy_names
 
     table = Table.grid(padding=(0, 2))
-    for kind, names in (("environments", environment_names()), ("arms", BUILTIN_ARMS), ("learners", learner_names())):
+    for kind, names in (
+        ("environments", environment_names()),
+        ("arms", BUILTIN_ARMS),
+        ("disturbances", ARM | ROVER | CAMERA),
+        ("learners", learner_names()),
+    ):
         table.add_row(f"[bold]{kind}[/]", "  ".join(names))
     for i, name in enumerate(policy_names()):
         table.add_row("" if i else "[bold]policies[/]", f"[bold]{name}[/]  {describe_policy(name)}")

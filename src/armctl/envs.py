@@ -100,7 +100,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self.autoreset_mode = _autoreset_mode(autoreset_mode)
         self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode}
         self.task = self.task_type(self.num_envs, make_options(self.options_type, options), threads)
-        self._disturbances = disturbed(self.task, disturbances)
+        self.disturbances = disturbed(self.task, disturbances)
         self.single_observation_space = self.task.observation_space
         self.single_action_space = self.task.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -145,7 +145,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         idle = self._finished
         restart = np.flatnonzero(idle) if idle.any() else None
         awake = None if restart is None else np.flatnonzero(~idle).astype(np.int32)
-        for disturbance in self._disturbances.values():
+        for disturbance in self.disturbances.values():
             commands = disturbance.command(commands)
         self.task.command(commands)
         self.task.advance(awake)
@@ -227,7 +227,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._finished[ids] = False
         rngs = [np.random.default_rng((seed, k)) for seed, k in zip(self._seeds[ids], self._episodes[ids], strict=True)]
         worlds = ids.astype(np.int32)
-        for name, disturbance in self._disturbances.items():
+        for name, disturbance in self.disturbances.items():
             for i in worlds:
                 disturbance.rngs[i] = stream(name, int(self._seeds[i]), int(self._episodes[i]))
             disturbance.begin(worlds)
@@ -237,7 +237,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
 
     def _observe(self, ids: NDArray[np.int32] | None = None) -> Observations:
         observations = self.task.observe(ids)
-        for disturbance in self._disturbances.values():
+        for disturbance in self.disturbances.values():
             observations = disturbance.observe(observations, slice(None) if ids is None else ids)
         return observations
 

@@ -17,7 +17,7 @@ __all__ = ["ARM", "CAMERA", "ROVER", "Disturbance", "Kind", "disturbed", "kinds"
 
 Share = functools.partial(Kind, highest=1.0)
 
-ARM: Mapping[str, Kind] = {
+ARM: dict[str, Kind] = {
     "noise": Kind(Noise, "sensor noise, standard deviation", "m, rad, m/s", (0, 0.005, 0.01, 0.02, 0.05), 1e3),
     "delay": Kind(Delay, "actions come late by decisions of 40 ms", "decisions", (0, 1, 2, 4, 8), 1e3, whole=True),
     "payload": Kind(Payload, "a ball at the end-effector", "kg", (0, 2, 5, 10, 20), 1e4),
@@ -26,7 +26,7 @@ ARM: Mapping[str, Kind] = {
     "pushes": Kind(Pushes, "pushes at the end-effector, about one a second", "N s", (0, 5, 10, 20, 40), 1e4),
     "mismatch": Share(LinkMismatch, "links' masses and lengths off, at most", "share", (0, 0.02, 0.05, 0.1, 0.2)),
 }
-ROVER: Mapping[str, Kind] = {
+ROVER: dict[str, Kind] = {
     "noise": Kind(Noise, "sensor noise, standard deviation", "m, m/s, rad/s", (0, 0.05, 0.1, 0.2, 0.5), 1e3),
     "delay": Kind(Delay, "actions come late by decisions of 100 ms", "decisions", (0, 1, 2, 3, 5), 1e3, whole=True),
     "payload": Kind(Payload, "a ball on top", "kg", (0, 5, 10, 20, 40), 1e4),
@@ -37,7 +37,7 @@ ROVER: Mapping[str, Kind] = {
         WheelMismatch, "wheels' radii and the base's mass off, at most", "share", (0, 0.02, 0.05, 0.1, 0.2)
     ),
 }
-CAMERA: Mapping[str, Kind] = {
+CAMERA: dict[str, Kind] = {
     "dropout": Share(Dropout, "camera pictures that are lost", "share", (0, 0.1, 0.25, 0.5, 0.75)),
 }
 """By name, for the robots, and for what has a camera besides."""
@@ -46,8 +46,8 @@ CAMERA: Mapping[str, Kind] = {
 def kinds(task: Task) -> dict[str, Kind]:
     """The disturbances that there are in a task, by name."""
     if not isinstance(task, BridgeTask):
-        return dict(ARM)
-    return {**ROVER, **(CAMERA if task.options.observation == "camera" else {})}
+        return ARM
+    return ROVER | (CAMERA if task.options.observation == "camera" else {})
 
 
 def disturbed(task: Task, levels: Mapping[str, Any]) -> dict[str, Disturbance]:

@@ -62,7 +62,7 @@ class Kind:
     @property
     def neutral(self) -> float:
         """The level that changes nothing."""
-        return self.levels[0]
+        return float(self.levels[0])
 
     def checked(self, name: str, level: object) -> float:
         """A level as a number; raises `ConfigurationError` for what is none."""

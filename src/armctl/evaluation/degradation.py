@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import pandas as pd
 from scipy import stats
 
-FALSE_ALARMS = 0.05
-"""Share of false ones among all drops of a sweep that are called significant (Benjamini and Hochberg 1995)."""
+FALSE_DISCOVERY_RATE = 0.05
+"""Of the drops of success that are called significant in a sweep (Benjamini and Hochberg 1995)."""
 
 
 @dataclass(frozen=True)
@@ -17,7 +17,7 @@ class Degradation:
     policy: str
     sees: str
     drops: float | None
-    """The first level with a significant drop of success (see `FALSE_ALARMS`); None: there is none."""
+    """The first level with a significant drop of success (see `FALSE_DISCOVERY_RATE`); None: there is none."""
     below_half: float | None
     """The first level with less than half of all episodes won; None: there is none."""
 
@@ -28,7 +28,7 @@ def degradations(points: pd.DataFrame) -> list[Degradation]:
     levels = points[~points.neutral]
     significant = pd.Series(False, index=points.index)
     if len(levels):
-        significant[levels.index] = stats.false_discovery_control(levels.p) < FALSE_ALARMS
+        significant[levels.index] = stats.false_discovery_control(levels.p) < FALSE_DISCOVERY_RATE
     fell = points.success < points.groupby(["disturbance", "policy"]).success.transform("first")
     points = points.assign(drops=significant & fell)
     return [

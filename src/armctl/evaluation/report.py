@@ -14,7 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from armctl.errors import ResultsError
-from armctl.evaluation.degradation import FALSE_ALARMS, Degradation, degradations
+from armctl.evaluation.degradation import FALSE_DISCOVERY_RATE, Degradation, degradations
 from armctl.evaluation.episode_log import SUMMARY
 from armctl.evaluation.statistics import FEWEST, Estimate, PairedDifference
 
@@ -95,9 +95,8 @@ def sweep_tables(sweep: "Sweep") -> Group:
             table.add_row(str(policy), *(f"{100 * success[x]:.1f}" if x in success else "-" for x in levels))
         told = "; ".join(_degradation(one) for one in found if one.disturbance == name)
         parts += [table, Text(f"{told}."), Text()]
-    parts.append(
-        Text(f"Worse: than undisturbed, in the same episodes; of all such findings, {FALSE_ALARMS:.0%} false.")
-    )
+    rate = f"false discovery rate {100 * FALSE_DISCOVERY_RATE:g} %"
+    parts.append(Text(f"Worse: than undisturbed, on the same episodes (McNemar's exact test, {rate})."))
     parts += [Text(f"{what}: {why}", style="red") for what, why in sweep.failures.items()]
     if sweep.interrupted:
         parts.append(Text("Interrupted.", style="yellow"))

@@ -1,7 +1,9 @@
 """How policies hold out: the same comparison without a disturbance, and with each at each of its levels."""
 
 import functools
+import itertools
 import json
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -29,6 +31,8 @@ COLUMNS = (
 successful as in the same episodes undisturbed."""
 SWEEP, POINTS = "sweep.json", "sweep.csv"
 UNDISTURBED = "none"
+MARKERS = ("circle-open", "square-open", "diamond-open", "cross-open", "x-open", "triangle-up-open", "star-open")
+"""Of a figure's policies: lines that lie on each other are then still told apart."""
 Asked = Mapping[str, Sequence[float] | None] | Sequence[str] | None
 
 
@@ -176,8 +180,11 @@ def _points(found: Sweep, there: Mapping[str, Kind]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
-def _numbers(estimate: Estimate | None) -> tuple[float | None, float | None, float | None]:
-    return (None, None, None) if estimate is None else (estimate.value, estimate.low, estimate.high)
+def _numbers(estimate: Estimate | None) -> tuple[float, float, float]:
+    """Value and bounds; NaN for what is not known."""
+    if estimate is None:
+        return math.nan, math.nan, math.nan
+    return estimate.value, *(math.nan if bound is None else bound for bound in (estimate.low, estimate.high))  # type: ignore[return-value]
 
 
 def _against_undisturbed(found: Sweep, comparison: Comparison | None, policy: PolicySummary) -> float:
@@ -203,31 +210,30 @@ def degradation_figure(points: pd.DataFrame) -> "plotly.graph_objects.Figure":
     units = points.groupby("disturbance").unit.first()
     down = -(-len(names) // across)
     figure = make_subplots(
-        rows=down, cols=min(across, len(names)), subplot_titles=[f"{name}, {units[name]}" for name in names],
-        shared_yaxes=True, vertical_spacing=0.35 / down, horizontal_spacing=0.04,
+        rows=down, cols=min(across, len(names)), subplot_titles=[f"{name} ({units[name]})" for name in names],
+        shared_yaxes=True, vertical_spacing=0.3 / down, horizontal_spacing=0.04,
     )  # fmt: skip
-    colours = dict(zip(points.policy.unique(), qualitative.D3 * 10, strict=False))
+    looks = zip(qualitative.D3, MARKERS, strict=False)
+    look = dict(zip(points.policy.unique(), itertools.cycle(looks), strict=False))
     for i, name in enumerate(names):
         place = {"row": i // across + 1, "col": i % across + 1}
         for policy, rows in points[points.disturbance == name].groupby("policy", sort=False):
+            colour, marker = look[policy]
             # Levels at equal distances: they are steps, chosen to span a wide range.
-            levels = [f"{level:g}" for level in rows.level]
-            common = {"x": levels, "legendgroup": policy, "line_color": colours[policy]}
-            shade = f"rgba{(*hex_to_rgb(colours[policy]), 0.15)}"
-            figure.add_scatter(**common, **place, y=100 * rows.high, line_width=0, showlegend=False, hoverinfo="skip")
+            line = {"x": [f"{level:g}" for level in rows.level], "line_color": colour, "legendgroup": policy, **place}
+            band = line | {"mode": "lines", "line_width": 0, "showlegend": False, "hoverinfo": "skip"}
+            figure.add_scatter(**band, y=100 * rows.high)
+            figure.add_scatter(**band, y=100 * rows.low, fill="tonexty", fillcolor=f"rgba{(*hex_to_rgb(colour), 0.12)}")
             figure.add_scatter(
-                **common, **place, y=100 * rows.low, line_width=0, fill="tonexty", fillcolor=shade,
-                showlegend=False, hoverinfo="skip",
-            )  # fmt: skip
-            figure.add_scatter(
-                **common, **place, y=100 * rows.success, name=policy, mode="lines+markers", showlegend=i == 0,
-                hovertemplate=f"{policy}: %{{y:.1f}} % at %{{x}}<extra></extra>",
+                **line, y=100 * rows.success, name=policy, mode="lines+markers", marker_symbol=marker, marker_size=8,
+                showlegend=i == 0, hovertemplate=f"{policy}: %{{y:.1f}} % at %{{x}}<extra></extra>",
             )  # fmt: skip
     figure.update_xaxes(type="category")
     figure.update_yaxes(range=[-3, 103])
     figure.update_yaxes(title_text="success, %", col=1)
     figure.update_layout(
-        height=90 + 240 * down, template="plotly_white", legend={"orientation": "h", "y": 1 + 0.35 / down},
-        margin={"l": 60, "r": 20, "t": 100, "b": 40},
+        height=100 + 220 * down, template="plotly_white", margin={"l": 60, "r": 20, "t": 80, "b": 30},
+        legend={"orientation": "h", "yref": "container", "y": 0.995, "yanchor": "top"},
     )  # fmt: skip
+    figure.update_annotations(font_size=14)
     return figure
