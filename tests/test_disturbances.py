@@ -214,13 +214,13 @@ def test_weak_motors_bring_that_share_of_the_torque(env):
     forces = []
     for disturbances in (None, {"strength": 0.4}):
         simulation = worlds(env, disturbances=disturbances).task.simulation
-        force = simulation.array("actuator_force")
+        force = simulation.array("qfrc_actuator")
         simulation.array("act")[:] += 0.01
         simulation.array("ctrl")[:] = 0.2
         simulation.array("qvel")[:] = -0.01
         simulation.step(1)
         forces.append(force[0].copy())
-    assert np.abs(forces[0]).min() > 0.1
+    assert np.abs(forces[0]).max() > 0.1
     np.testing.assert_allclose(forces[1], 0.4 * forces[0], rtol=1e-12)
 
 
@@ -302,6 +302,19 @@ def test_a_mismatched_arm_is_not_what_controllers_believe_it_is():
     assert not np.isclose(fields(env, "body_mass")[:, links], before).any()
     env.reset(seed=0)
     assert np.array_equal(fields(env, "body_mass")[:, links], before)
+
+
+@pytest.mark.parametrize(("env", "body", "mass"), [(REACH, "arm/ee_link", 0.0), (BRIDGE, "rover/base", 16.523)])
+def test_a_mismatch_leaves_payload_and_weakness_what_they_are(env, body, mass):
+    made = worlds(env, 3, {"payload": 4.0, "strength": 0.5, "mismatch": 0.1})
+    index = made.task.simulation.model.body(body).id
+    shares = fields(made, "body_mass")[:, index] / (mass + 4.0)
+    assert ((shares > 0.9) & (shares < 1.1) & (shares != 1)).all()
+    if env == REACH:
+        forearm = made.task.simulation.model.body("arm/forearm_link")
+        held = fields(made, "body_gravcomp") * fields(made, "body_mass")
+        np.testing.assert_allclose(held[:, forearm.id], 0.5 * 2.275, rtol=1e-6)
+        np.testing.assert_allclose(held[:, index], 0.0, atol=1e-12)
 
 
 def test_a_mismatched_rover_has_other_wheels_and_does_not_drive_straight():

@@ -222,7 +222,7 @@ def test_what_is_said_of_a_curve_minds_chance():
 def test_the_tables_tell_levels_and_failures(finished):
     text = printed(finished[0])
     assert "noise, m, rad, m/s" in text
-    assert "random is below half from 0 on" in text
+    assert "random: below half from 0 on." in text
 
 
 def test_the_figure_has_a_line_and_a_band_for_each_policy_and_disturbance(finished):

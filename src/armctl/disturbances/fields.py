@@ -74,12 +74,15 @@ class Slipperiness(Disturbance):
 
 
 class Strength(Disturbance):
-    """Lets motors bring `level` of the torque that they otherwise would, and of the most that they can."""
+    """Leaves motors `level` of their torque: of the most, and of all that they would bring, to hold the arm as well."""
 
     def __init__(self, task: Task, level: float) -> None:
         super().__init__(task, level)
-        for field in ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange", "jnt_actfrcrange"):
+        for field in (
+            "actuator_gainprm", "actuator_biasprm", "actuator_forcerange", "jnt_actfrcrange", "body_gravcomp",
+        ):  # fmt: skip
             task.simulation.per_world(field)[:] *= level
+        task.simulation.derive()
 
 
 class LinkMismatch(Disturbance):
@@ -95,17 +98,19 @@ class LinkMismatch(Disturbance):
         self._masses, self._inertias, self._held, self._places = (
             simulation.per_world(f"body_{name}") for name in ("mass", "inertia", "gravcomp", "pos")
         )
-        self._nominal = model.body_mass[self._links], model.body_inertia[self._links], model.body_pos[self._links]
+        self._nominal = [
+            values[0, self._links].copy() for values in (self._masses, self._inertias, self._held, self._places)
+        ]
 
     def begin(self, ids: NDArray[np.int32]) -> None:
         """Draw the arms of these worlds."""
-        mass, inertia, place = self._nominal
+        mass, inertia, held, place = self._nominal
         factors = np.array([self.rngs[i].uniform(-1.0, 1.0, (2, len(self._links))) for i in ids])
         heavier, longer = 1 + self.level * factors.transpose(1, 0, 2)
         rows = ids[:, None]
         self._masses[rows, self._links] = heavier * mass
         self._inertias[rows, self._links] = heavier[..., None] * inertia
-        self._held[rows, self._links] = 1 / heavier
+        self._held[rows, self._links] = held / heavier
         self._places[rows, self._links] = longer[..., None] * place
         self.task.simulation.derive(ids)
 
@@ -122,16 +127,17 @@ class WheelMismatch(Disturbance):
             simulation.per_world(f"geom_{name}") for name in ("size", "aabb", "rbound")
         )
         self._masses, self._inertias = (simulation.per_world(f"body_{name}") for name in ("mass", "inertia"))
+        self._nominal = self._masses[0, self._base], self._inertias[0, self._base].copy()
         self._radius, self._half_width = model.geom_size[self._wheels[0], :2]
 
     def begin(self, ids: NDArray[np.int32]) -> None:
         """Draw the rovers of these worlds."""
-        model = self.task.simulation.model
+        mass, inertia = self._nominal
         factors = 1 + self.level * np.array([self.rngs[i].uniform(-1.0, 1.0, 1 + len(WHEELS)) for i in ids])
         rows, radii = ids[:, None], factors[:, 1:] * self._radius
         self._sizes[rows, self._wheels, 0] = radii
         self._bounds[rows[..., None], np.array(self._wheels)[:, None], [3, 4]] = radii[..., None]
         self._reach[rows, self._wheels] = np.hypot(radii, self._half_width)
-        self._masses[ids, self._base] = factors[:, 0] * model.body_mass[self._base]
-        self._inertias[ids, self._base] = factors[:, :1] * model.body_inertia[self._base]
+        self._masses[ids, self._base] = factors[:, 0] * mass
+        self._inertias[ids, self._base] = factors[:, :1] * inertia
         self.task.simulation.derive(ids)

@@ -89,12 +89,13 @@ def sweep_tables(sweep: "Sweep") -> Group:
     found = degradations(sweep.points)
     for name, rows in sweep.points.groupby("disturbance", sort=False):
         levels = [level for level in sweep.levels[str(name)] if level in set(rows.level)]
+        if len(levels) == 1:  # the undisturbed one: cut short
+            continue
         table = _table(f"{name}, {rows.unit.iloc[0]}", "", ["success, %", *(f"{level:g}" for level in levels)])
         for policy, its in rows.groupby("policy", sort=False):
             success = its.set_index("level").success
             table.add_row(str(policy), *(f"{100 * success[x]:.1f}" if x in success else "-" for x in levels))
-        told = "; ".join(_degradation(one) for one in found if one.disturbance == name)
-        parts += [table, Text(f"{told}."), Text()]
+        parts += [table, Text(_told([one for one in found if one.disturbance == name])), Text()]
     rate = f"false discovery rate {100 * FALSE_DISCOVERY_RATE:g} %"
     parts.append(Text(f"Worse: than undisturbed, on the same episodes (McNemar's exact test, {rate})."))
     parts += [Text(f"{what}: {why}", style="red") for what, why in sweep.failures.items()]
@@ -103,13 +104,20 @@ def sweep_tables(sweep: "Sweep") -> Group:
     return Group(*parts)
 
 
-def _degradation(found: Degradation) -> str:
-    sees = " (which sees the state)" if found.sees == "state" else ""
-    if found.drops is None and found.below_half is None:
-        return f"{found.policy}{sees} is not shown to get worse"
-    parts = [] if found.drops is None else [f"worse from {found.drops:g} on"]
-    parts += [] if found.below_half is None else [f"below half from {found.below_half:g} on"]
-    return f"{found.policy}{sees} is {', '.join(parts)}"
+def _told(found: list[Degradation]) -> str:
+    """What one disturbance does to policies, in a sentence for each that it is shown to harm."""
+    sentences, unharmed = [], []
+    for one in found:
+        name = f"{one.policy} (sees the state)" if one.sees == "state" else one.policy
+        steps = [] if one.drops is None else [f"worse from {one.drops:g} on"]
+        steps += [] if one.below_half is None else [f"below half from {one.below_half:g} on"]
+        if steps:
+            sentences.append(f"{name}: {', '.join(steps)}.")
+        else:
+            unharmed.append(name)
+    if unharmed:
+        sentences.append(f"Not shown to get worse: {', '.join(unharmed)}.")
+    return " ".join(sentences)
 
 
 def _asides(policy: "PolicySummary") -> list[str]:

@@ -184,7 +184,8 @@ def _numbers(estimate: Estimate | None) -> tuple[float, float, float]:
     """Value and bounds; NaN for what is not known."""
     if estimate is None:
         return math.nan, math.nan, math.nan
-    return estimate.value, *(math.nan if bound is None else bound for bound in (estimate.low, estimate.high))  # type: ignore[return-value]
+    low, high = (math.nan if bound is None else bound for bound in (estimate.low, estimate.high))
+    return estimate.value, low, high
 
 
 def _against_undisturbed(found: Sweep, comparison: Comparison | None, policy: PolicySummary) -> float:
