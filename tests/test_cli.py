@@ -91,7 +91,7 @@ def test_sweep_prints_and_writes_and_goes_on(tmp_path):
     assert first == again
     assert "delay, decisions" in first
     assert pd.read_csv(tmp_path / "here" / "sweep.csv").level.tolist() == [0, 1, 0, 0.05]
-    assert {path.name for path in (tmp_path / "here").iterdir() if path.is_dir()} == {"none", "delay-1", "noise-0.05"}
+    assert {path.name for path in (tmp_path / "here").iterdir() if path.is_dir()} == {"none", "delay-1.0", "noise-0.05"}
 
 
 def test_ctrl_c_keeps_what_a_sweep_has_finished(tmp_path):

@@ -68,12 +68,7 @@ def list_() -> None:
     from armctl.policies import describe_policy, policy_names
 
     table = Table.grid(padding=(0, 2))
-    for kind, names in (
-        ("environments", environment_names()),
-        ("arms", BUILTIN_ARMS),
-        ("disturbances", ARM | ROVER | CAMERA),
-        ("learners", learner_names()),
-    ):
+    for kind, names in (("environments", environment_names()), ("arms", BUILTIN_ARMS), ("learners", learner_names())):
         table.add_row(f"[bold]{kind}[/]", "  ".join(names))
     for i, name in enumerate(policy_names()):
         table.add_row("" if i else "[bold]policies[/]", f"[bold]{name}[/]  {describe_policy(name)}")
@@ -82,6 +77,11 @@ def list_() -> None:
         table.add_row(
             "" if i else "[bold]recipes[/]", f"[bold]{recipe.name}[/]  {recipe.learner} in {recipe.env} {helped}"
         )
+    for robot, kinds in (("arm", ARM), ("rover", ROVER | CAMERA)):
+        for i, (name, one) in enumerate(kinds.items()):
+            levels = ", ".join(f"{level:g}" for level in one.levels)
+            heading = "" if i else f"[bold]disturbances[/] {robot}"
+            table.add_row(heading, f"[bold]{name}[/]  {one.does} ({one.unit}): {levels}")
     table.add_row("", "A policy may also be path/to/agent.json or module:function, and an arm path/to/your.urdf.")
     Console(highlight=False).print(table)
 

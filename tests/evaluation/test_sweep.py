@@ -57,7 +57,7 @@ def test_the_points_are_those_of_the_comparisons(finished):
         for policy in POLICIES
     ]
     pd.testing.assert_frame_equal(points, found.points, check_dtype=False)
-    for name, disturbances in (("none", {}), ("noise-0.05", {"noise": 0.05}), ("delay-2", {"delay": 2.0})):
+    for name, disturbances in (("none", {}), ("noise-0.05", {"noise": 0.05}), ("delay-2.0", {"delay": 2.0})):
         options = {"disturbances": disturbances} if disturbances else {}
         alone = compare(POLICIES, episodes=4, seed=3, env_options=options)
         pd.testing.assert_frame_equal(alone.episodes.drop(columns=list(TIME_COLUMNS)), timeless(folder)[name])
@@ -86,7 +86,7 @@ def test_asked_again_nothing_is_played_and_more_is_added(finished, tmp_path):
     told = []
     run(out=folder, progress=lambda setting, result: told.append(setting))
     assert {path: path.read_text() for path in before} == before
-    assert told == ["none"] * 8 + ["noise-0.05"] * 8 + ["delay-2"] * 8
+    assert told == ["none"] * 8 + ["noise-0.05"] * 8 + ["delay-2.0"] * 8
     more = run(out=folder, disturbances={"noise": [0.05, 0.1]})
     assert more.points.level.unique().tolist() == [0, 0.05, 0.1]
     assert {path: path.read_text() for path in before} == before
@@ -151,7 +151,7 @@ def failing_when_late(env):
 
 def test_a_policy_that_fails_at_one_level_spoils_no_other():
     found = run(policies=[failing_when_late, "reach_ik"])
-    assert list(found.failures) == ["delay-2: failing_when_late"]
+    assert list(found.failures) == ["delay-2.0: failing_when_late"]
     assert "is not finite" in printed(found)
     counts = found.points.groupby("policy").size()
     assert (counts["reach_ik"], counts["failing_when_late"]) == (4, 3)
@@ -232,7 +232,7 @@ def test_the_figure_has_a_line_and_a_band_for_each_policy_and_disturbance(finish
     lines = [trace for trace in figure.data if trace.mode == "lines+markers"]
     assert len(lines) == 4
     assert len(figure.data) == 12
-    assert [note.text for note in figure.layout.annotations] == ["noise (m, rad, m/s)", "delay (decisions)"]
+    assert [note.text for note in figure.layout.annotations] == ["noise (m, rad, m/s)", "delay (decisions of 40 ms)"]
     assert sum(trace.showlegend for trace in lines) == 2
     expected = 100 * found.points[(found.points.policy == "random") & (found.points.disturbance == "delay")].success
     assert list(lines[3].y) == expected.tolist()

@@ -19,22 +19,27 @@ Share = functools.partial(Kind, highest=1.0)
 
 ARM: dict[str, Kind] = {
     "noise": Kind(Noise, "sensor noise, standard deviation", "m, rad, m/s", (0, 0.005, 0.01, 0.02, 0.05), 1e3),
-    "delay": Kind(Delay, "actions come late by decisions of 40 ms", "decisions", (0, 1, 2, 4, 8), 1e3, whole=True),
+    "delay": Kind(Delay, "late actions", "decisions of 40 ms", (0, 1, 2, 4, 8), 1e3, whole=True),
     "payload": Kind(Payload, "a ball at the end-effector", "kg", (0, 2, 5, 10, 20), 1e4),
     "friction": Share(JointFriction, "dry friction of the joints", "of largest torque", (0, 0.1, 0.2, 0.4, 0.8)),
-    "strength": Share(Strength, "torque that is left to motors", "left", (1, 0.8, 0.6, 0.4, 0.2)),
+    "strength": Share(Strength, "torque of the motors", "left", (1, 0.8, 0.6, 0.4, 0.2)),
     "pushes": Kind(Pushes, "pushes at the end-effector, about one a second", "N s", (0, 5, 10, 20, 40), 1e4),
-    "mismatch": Share(LinkMismatch, "links' masses and lengths off, at most", "share", (0, 0.02, 0.05, 0.1, 0.2)),
+    "mismatch": Share(
+        LinkMismatch, "links' masses and lengths unlike the model's, at most by", "share", (0, 0.02, 0.05, 0.1, 0.2)
+    ),
 }
 ROVER: dict[str, Kind] = {
     "noise": Kind(Noise, "sensor noise, standard deviation", "m, m/s, rad/s", (0, 0.05, 0.1, 0.2, 0.5), 1e3),
-    "delay": Kind(Delay, "actions come late by decisions of 100 ms", "decisions", (0, 1, 2, 3, 5), 1e3, whole=True),
+    "delay": Kind(Delay, "late actions", "decisions of 100 ms", (0, 1, 2, 3, 5), 1e3, whole=True),
     "payload": Kind(Payload, "a ball on top", "kg", (0, 5, 10, 20, 40), 1e4),
-    "friction": Share(Slipperiness, "friction that is left to the tyres", "left", (1, 0.75, 0.5, 0.25, 0.1)),
-    "strength": Share(Strength, "torque that is left to motors", "left", (1, 0.8, 0.6, 0.4, 0.2)),
+    "friction": Share(Slipperiness, "friction of the tyres", "left", (1, 0.75, 0.5, 0.25, 0.1)),
+    "strength": Share(Strength, "torque of the motors", "left", (1, 0.8, 0.6, 0.4, 0.2)),
     "pushes": Kind(Pushes, "pushes at the base, about one a second", "N s", (0, 5, 10, 20, 40), 1e4),
     "mismatch": Share(
-        WheelMismatch, "wheels' radii and the base's mass off, at most", "share", (0, 0.02, 0.05, 0.1, 0.2)
+        WheelMismatch,
+        "wheels' radii and the base's mass unlike the model's, at most by",
+        "share",
+        (0, 0.02, 0.05, 0.1, 0.2),
     ),
 }
 CAMERA: dict[str, Kind] = {

@@ -45,7 +45,7 @@ class Sweep:
     levels: Mapping[str, Sequence[float]]
     """Of each disturbance, first the one that changes nothing."""
     comparisons: dict[str, Comparison] = field(default_factory=dict)
-    """By name: `none`, `payload-2` and so on, as folders are called."""
+    """By name: `none`, `payload-2.0` and so on, as folders are called."""
     points: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(COLUMNS)))
     """The rows of `sweep.csv`."""
     failures: dict[str, str] = field(default_factory=dict)
@@ -78,7 +78,7 @@ def sweep(
     """
     options = dict(env_options or {})
     there = _kinds(env, options)
-    levels = sweep_levels(env, disturbances, options)
+    levels = _levels(there, disturbances)
     policies = default_policies(env) if policies is None else [policies] if isinstance(policies, str) else policies
     found = Sweep(env, seed, levels)
     folder = None if out is None else Path(out)
@@ -131,7 +131,22 @@ def sweep_levels(
 
     Raises `ConfigurationError`.
     """
-    there = _kinds(env, env_options or {})
+    return _levels(_kinds(env, env_options or {}), disturbances)
+
+
+def folder_name(disturbance: str, level: float) -> str:
+    """How the comparison at a level is called."""
+    return f"{disturbance}-{level}"
+
+
+def _kinds(env: str, options: Mapping[str, Any]) -> dict[str, Kind]:
+    made = make_worlds(env, 1, options)
+    made.close()
+    lasting = options.get("disturbances", {})
+    return {name: kind for name, kind in kinds(made.task).items() if name not in lasting}
+
+
+def _levels(there: Mapping[str, Kind], disturbances: Asked) -> dict[str, list[float]]:
     given = list(there) if disturbances is None else [disturbances] if isinstance(disturbances, str) else disturbances
     asked: Mapping[str, Any] = given if isinstance(given, Mapping) else dict.fromkeys(given)
     levels = {}
@@ -147,18 +162,6 @@ def sweep_levels(
             raise ConfigurationError(f"{name} needs a level besides {kind.neutral:g}, which changes nothing")
         levels[name] = [kind.neutral, *sorted(others, key=functools.partial(_away, kind.neutral))]
     return levels
-
-
-def folder_name(disturbance: str, level: float) -> str:
-    """How the comparison at a level is called."""
-    return f"{disturbance}-{level:g}"
-
-
-def _kinds(env: str, options: Mapping[str, Any]) -> dict[str, Kind]:
-    made = make_worlds(env, 1, options)
-    made.close()
-    lasting = options.get("disturbances", {})
-    return {name: kind for name, kind in kinds(made.task).items() if name not in lasting}
 
 
 def _away(neutral: float, level: float) -> tuple[float, float]:
