@@ -21,7 +21,7 @@ def armctl(*arguments, cwd, check=True):
     return done
 
 
-@pytest.mark.parametrize("verb", ["list", "compare", "run", "view", "collect", "train"])
+@pytest.mark.parametrize("verb", ["list", "compare", "sweep", "run", "view", "collect", "train"])
 def test_help_teaches_each_verb(verb, tmp_path):
     assert verb in armctl("--help", cwd=tmp_path).stdout
     assert "Usage: armctl" in armctl(verb, "--help", cwd=tmp_path).stdout
@@ -83,6 +83,31 @@ def test_ctrl_c_keeps_finished_episodes(tmp_path):
     assert "Interrupted" in output
     assert len(pd.read_csv(csv)) >= 10
     assert (tmp_path / "here" / "summary.json").is_file()
+
+
+def test_sweep_prints_and_writes_and_goes_on(tmp_path):
+    command = ("sweep", "reach_ik", "--episodes", "2", "--disturbance", "delay=1", "--disturbance", "noise=0.05,0")
+    first, again = (armctl(*command, "--out", "here", cwd=tmp_path).stdout for _ in range(2))
+    assert first == again
+    assert "delay, decisions" in first
+    assert pd.read_csv(tmp_path / "here" / "sweep.csv").level.tolist() == [0, 1, 0, 0.05]
+    assert {path.name for path in (tmp_path / "here").iterdir() if path.is_dir()} == {"none", "delay-1.0", "noise-0.05"}
+
+
+def test_ctrl_c_keeps_what_a_sweep_has_finished(tmp_path):
+    command = [ARMCTL, "sweep", "random", "--episodes", "100000", "--disturbance", "delay", "--out", "here"]
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        csv = tmp_path / "here" / "none" / "episodes.csv"
+        for _ in range(600):
+            time.sleep(0.1)
+            if csv.exists() and csv.read_text().count("\n") > 3:
+                break
+        process.send_signal(signal.SIGINT)
+        output, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "goes on from there" in output
+    assert "Traceback" not in errors
+    assert len(pd.read_csv(csv)) >= 3
 
 
 def test_run_prints_states_actions_and_rewards(tmp_path):
@@ -148,6 +173,10 @@ def test_train_follows_a_recipe_with_changes(tmp_path):
     [
         (["compare", "reach_ki"], "Did you mean 'reach_ik'"),
         (["compare", "random", "--set", "robto=ur3"], "Did you mean 'robot'"),
+        (["compare", "random", "--set", "disturbances={'noize': 1}"], "Did you mean 'noise'"),
+        (["sweep", "random", "--disturbance", "playload"], "Did you mean 'payload'"),
+        (["sweep", "random", "--disturbance", "payload=heavy"], "payload are numbers, such as"),
+        (["sweep", "random", "--disturbance", "delay=0.5"], "delay is a whole number"),
         (["compare", "random", "--set", "robot"], "NAME=VALUE"),
         (["compare", "none.json"], "cannot be read"),
         (["run", "random", "--env", "armctl/Reach-v0"], "ArmReach"),

@@ -64,6 +64,7 @@ _HOMES = {
     "Policy": "armctl.policies",
     "evaluate": "armctl.evaluation",
     "compare": "armctl.evaluation",
+    "sweep": "armctl.evaluation",
 }
 __all__ = list(_HOMES)
 

@@ -38,14 +38,31 @@ Worlds = Annotated[
     ),
 ]
 
+Workers = Annotated[
+    int,
+    typer.Option(
+        min=1,
+        help="Processes that play episodes side by side, each on one core. With more than 1, decisions are timed "
+        "while others compute beside them.",
+    ),
+]
+Policies = Annotated[
+    list[str] | None,
+    typer.Argument(
+        help="Policies: names, agents' files, or `module:function`.", show_default="those of the environment"
+    ),
+]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace results that the folder holds.")]
+
 
 @app.command("list")
 def list_() -> None:
-    """Show the environments, policies, arms, learners and recipes."""
+    """Show the environments, policies, arms, disturbances, learners and recipes."""
     from rich.console import Console
     from rich.table import Table
 
     from armctl.assets import BUILTIN_ARMS
+    from armctl.disturbances import ARM, CAMERA, ROVER
     from armctl.evaluation.rollouts import environment_names
     from armctl.learners import learner_names, load_recipe, recipe_names
     from armctl.policies import describe_policy, policy_names
@@ -60,18 +77,18 @@ def list_() -> None:
         table.add_row(
             "" if i else "[bold]recipes[/]", f"[bold]{recipe.name}[/]  {recipe.learner} in {recipe.env} {helped}"
         )
+    for robot, kinds in (("arm", ARM), ("rover", ROVER | CAMERA)):
+        for i, (name, one) in enumerate(kinds.items()):
+            levels = ", ".join(f"{level:g}" for level in one.levels)
+            heading = "" if i else f"[bold]disturbances[/] {robot}"
+            table.add_row(heading, f"[bold]{name}[/]  {one.does} ({one.unit}): {levels}")
     table.add_row("", "A policy may also be path/to/agent.json or module:function, and an arm path/to/your.urdf.")
     Console(highlight=False).print(table)
 
 
 @app.command()
 def compare(
-    policies: Annotated[
-        list[str] | None,
-        typer.Argument(
-            help="Policies: names, agents' files, or `module:function`.", show_default="those of the environment"
-        ),
-    ] = None,
+    policies: Policies = None,
     env: Env = DEFAULT_ENV,
     episodes: Annotated[int, typer.Option(min=1, help="Episodes that every policy meets.")] = 200,
     seed: Seed = 0,
@@ -79,16 +96,9 @@ def compare(
         Path | None,
         typer.Option(help="Folder for episodes.csv and summary.json.", show_default="results/<date and time>"),
     ] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace results that the folder holds.")] = False,
+    overwrite: Overwrite = False,
     worlds: Worlds = 1,
-    workers: Annotated[
-        int,
-        typer.Option(
-            min=1,
-            help="Processes that play episodes side by side, each on one core. With more than 1, decisions are timed "
-            "while others compute beside them.",
-        ),
-    ] = 1,
+    workers: Workers = 1,
     env_options: EnvOptions = None,
     report: Annotated[
         bool, typer.Option("--report", help="Write report.html as well, with figures and videos.")
@@ -98,10 +108,7 @@ def compare(
 
     Writes every episode as it ends, so that Ctrl-C loses nothing: the same command with the same `--out` goes on.
     """
-    from datetime import datetime
-
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     from armctl.evaluation import EpisodeResult
     from armctl.evaluation import compare as run_comparison
@@ -109,9 +116,8 @@ def compare(
     from armctl.evaluation.report import tables
 
     names = policies or default_policies(env)
-    folder = out or Path("results") / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
-    columns = (TextColumn("{task.description:>12}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    folder = out or _new_folder()
+    with _progress() as bar:
         bars = {name: bar.add_task(name, total=episodes) for name in names}
 
         def progress(result: EpisodeResult) -> None:
@@ -164,6 +170,79 @@ def _write_report(folder: Path, out: Path | None, *, video: bool, trusted: bool)
             folder, out, video=video, trusted=trusted, progress=lambda doing: status.update(f"report: {doing}")
         )
     console.print(f"{path} is the report: open it in a browser.", soft_wrap=True)
+
+
+@app.command()
+def sweep(
+    policies: Policies = None,
+    env: Env = DEFAULT_ENV,
+    disturbances: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--disturbance",
+            metavar="NAME[=LEVELS]",
+            help="What to disturb with, as often as needed: `--disturbance noise --disturbance payload=0,1,2,4`.",
+            show_default="all of the environment's",
+        ),
+    ] = None,
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes that every policy meets at each level.")] = 100,
+    seed: Seed = 0,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for sweep.csv and all comparisons.", show_default="results/<date and time>"),
+    ] = None,
+    overwrite: Overwrite = False,
+    worlds: Worlds = 1,
+    workers: Workers = 1,
+    env_options: EnvOptions = None,
+) -> None:
+    """Let policies meet the same episodes under ever stronger disturbances, and print how each holds out.
+
+    Disturbances: `noise` of sensors, `delay` of actions, `payload`, `friction`, `strength` of motors, `pushes`,
+    `mismatch` between the robot and what controllers believe of it, and `dropout` of camera pictures. Policies that see
+    the state are spared noise and dropout. `armctl list` shows the levels.
+
+    Writes every episode as it ends, so that Ctrl-C loses nothing: the same command with the same `--out` goes on.
+    """
+    from rich.console import Console
+
+    from armctl.evaluation import EpisodeResult
+    from armctl.evaluation import sweep as run_sweep
+    from armctl.evaluation.compare import default_policies
+    from armctl.evaluation.report import sweep_tables
+    from armctl.evaluation.sweep import sweep_levels
+
+    names, options = policies or default_policies(env), _options(env_options)
+    asked = _levels(disturbances) if disturbances else None
+    settings = 1 + sum(len(levels) - 1 for levels in sweep_levels(env, asked, options).values())
+    folder = out or _new_folder()
+    with _progress() as bar:
+        shown = bar.add_task("", total=settings * len(names) * episodes)
+
+        def progress(setting: str, result: EpisodeResult) -> None:
+            bar.update(shown, description=setting, advance=1)
+
+        found = run_sweep(
+            names,
+            env,
+            disturbances=asked,
+            episodes=episodes,
+            seed=seed,
+            out=folder,
+            overwrite=overwrite,
+            worlds=worlds,
+            workers=workers,
+            env_options=options,
+            progress=progress,
+        )
+    console = Console()
+    console.print(sweep_tables(found))
+    console.print(f"{folder / 'sweep.csv'} has the curves, and a folder beside it each comparison.", soft_wrap=True)
+    if found.interrupted:
+        console.print(f"The same command with --out {folder} goes on from there.", soft_wrap=True)
+        raise typer.Exit(130)
+    if found.failures:
+        raise typer.Exit(1)
 
 
 @app.command()
@@ -380,6 +459,29 @@ def reproduce(
     console.print(table)
     if not agreed:
         raise typer.Exit(1)
+
+
+def _new_folder() -> Path:
+    from datetime import datetime
+
+    return Path("results") / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+
+
+def _progress() -> Any:
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description:>12}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=Console(stderr=True), transient=True)
+
+
+def _levels(given: list[str]) -> dict[str, Any]:
+    """Levels by disturbance from NAME=LEVEL,LEVEL...; None from NAME alone."""
+    levels: dict[str, Any] = {}
+    for one in given:
+        name, equals, numbers = one.partition("=")
+        levels[name] = option_value(f"[{numbers}]") if equals else None
+    return levels
 
 
 def _options(pairs: list[str] | None, flag: str = "--set") -> dict[str, Any]:

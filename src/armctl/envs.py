@@ -6,6 +6,7 @@ was reset with `seed` plays the episodes of a single environment that was reset 
 
 import dataclasses
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, ClassVar, Protocol
 
 import gymnasium
@@ -14,6 +15,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
+from armctl.disturbances import disturbed, stream
 from armctl.errors import ConfigurationError, InvalidAction, unknown_name
 from armctl.simulation.rendering import Camera, Window
 from armctl.tasks import (
@@ -56,6 +58,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             (`same_step`, with `infos["final_obs"]` and `infos["final_info"]`), or none (`disabled`: the world stands
             still until a `reset` whose `options["reset_mask"]` picks it).
         threads: threads to step the worlds on; 0 for all cores.
+        disturbances: levels by name, such as `{"noise": 0.01, "payload": 2.0}`; see `armctl.disturbances`.
         **options: the task's options, such as `armctl.tasks.ReachOptions`.
 
     `reset(options={"episode": k})` starts at episode number k of the seed (an int, or one for each world) instead of 0.
@@ -82,6 +85,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         render_mode: str | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         threads: int = 0,
+        disturbances: Mapping[str, float] = MappingProxyType({}),
         **options: Any,
     ) -> None:
         self.num_envs = _at_least_one("num_envs", num_envs)
@@ -96,6 +100,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self.autoreset_mode = _autoreset_mode(autoreset_mode)
         self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode}
         self.task = self.task_type(self.num_envs, make_options(self.options_type, options), threads)
+        self.disturbances = disturbed(self.task, disturbances)
         self.single_observation_space = self.task.observation_space
         self.single_action_space = self.task.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -132,7 +137,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         if numbers is not None:
             self._episodes[mask] = numbers[mask] - 1
         self._begin(np.flatnonzero(mask))
-        return self.task.observe(), self.task.details()
+        return self._observe(), self.task.details()
 
     def step(self, actions: ArrayLike) -> tuple[Observations, Array, NDArray[np.bool_], NDArray[np.bool_], Infos]:
         """Make one decision in every world. Raises `InvalidAction`, and steps nothing, if an action is unusable."""
@@ -140,6 +145,8 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         idle = self._finished
         restart = np.flatnonzero(idle) if idle.any() else None
         awake = None if restart is None else np.flatnonzero(~idle).astype(np.int32)
+        for disturbance in self.disturbances.values():
+            commands = disturbance.command(commands)
         self.task.command(commands)
         self.task.advance(awake)
         self._steps += 1
@@ -171,7 +178,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             infos |= self.task.details()
         elif self.autoreset_mode is AutoresetMode.DISABLED and restart is not None:
             self._finished = finished | idle
-        observations = self.task.observe()
+        observations = self._observe()
         if self.autoreset_mode is AutoresetMode.SAME_STEP and finished.any():
             infos |= {
                 "final_obs": observations,
@@ -182,7 +189,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             ended = np.flatnonzero(finished).astype(np.int32)
             self._begin(ended)
             infos |= self.task.details()
-            observations = _replaced(observations, ended, self.task.observe(ended))
+            observations = _replaced(observations, ended, self._observe(ended))
         return observations, rewards, terminated, truncated, infos
 
     def render(self) -> Any:
@@ -220,9 +227,19 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._finished[ids] = False
         rngs = [np.random.default_rng((seed, k)) for seed, k in zip(self._seeds[ids], self._episodes[ids], strict=True)]
         worlds = ids.astype(np.int32)
+        for name, disturbance in self.disturbances.items():
+            for i in worlds:
+                disturbance.rngs[i] = stream(name, int(self._seeds[i]), int(self._episodes[i]))
+            disturbance.begin(worlds)
         self.task.reset(worlds, rngs)
         for observer in self.observers:
             observer.began(worlds)
+
+    def _observe(self, ids: NDArray[np.int32] | None = None) -> Observations:
+        observations = self.task.observe(ids)
+        for disturbance in self.disturbances.values():
+            observations = disturbance.observe(observations, slice(None) if ids is None else ids)
+        return observations
 
     def _whole_numbers(self, name: str, given: Any) -> NDArray[np.int64]:
         numbers = np.asarray(given)
@@ -300,7 +317,7 @@ def make_options(options_type: type[Any], options: Mapping[str, Any]) -> Any:
     names = [field.name for field in dataclasses.fields(options_type)]
     for name in options:
         if name not in names:
-            raise unknown_name("option", name, [*names, "max_episode_steps", "render_mode"])
+            raise unknown_name("option", name, [*names, "max_episode_steps", "render_mode", "disturbances"])
     return options_type(**options)
 
 

@@ -49,6 +49,7 @@ def compare(
     worlds: int = 1,
     workers: int = 1,
     env_options: Mapping[str, Any] | None = None,
+    least_lengths: dict[int, float] | None = None,
     progress: Callable[[EpisodeResult], None] | None = None,
 ) -> Comparison:
     """Let policies meet the same episodes 0 to `episodes` - 1 of `seed`.
@@ -62,7 +63,8 @@ def compare(
     policies decide is then timed while the others compute beside them.
 
     Policies are names, agents' files, `module:function`, or functions (see `make_policy`), and without any, those that
-    `armctl.DEFAULT_POLICIES` has for `env`. `progress` is told of every finished episode, first of an earlier run's.
+    `armctl.DEFAULT_POLICIES` has for `env`. `least_lengths` are shared as in `rollouts`. `progress` is told of every
+    finished episode, first of an earlier run's.
 
     Raises `ConfigurationError`, `AgentFileError`, and `ResultsError` if `out` cannot be written, is damaged, or holds
     the results of another comparison and these are not to be overwritten.
@@ -94,7 +96,8 @@ def compare(
                 progress(result)
         finished = {(result.policy, result.episode) for result in results}
         waiting = {name: [k for k in range(episodes) if (name, k) not in finished] for name in made}
-        least = {result.episode: result.least_length for result in results}
+        least = {} if least_lengths is None else least_lengths
+        least.update((result.episode, result.least_length) for result in results)
         if workers == 1:
             stream = play_here(made, made_env, seed, waiting, least)
         else:

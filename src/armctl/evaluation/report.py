@@ -14,12 +14,14 @@ from rich.table import Table
 from rich.text import Text
 
 from armctl.errors import ResultsError
+from armctl.evaluation.degradation import FALSE_DISCOVERY_RATE, Degradation, degradations
 from armctl.evaluation.episode_log import SUMMARY
 from armctl.evaluation.statistics import FEWEST, Estimate, PairedDifference
 
 if TYPE_CHECKING:
     from armctl.evaluation.compare import Comparison
     from armctl.evaluation.summary import PolicySummary
+    from armctl.evaluation.sweep import Sweep
 
 
 def write_summary(folder: Path, comparison: "Comparison") -> None:
@@ -79,6 +81,43 @@ def tables(comparison: "Comparison") -> Group:
             counts = f"the first {policy.episodes} of {policy.planned} episodes"
             parts.append(Text(f"{policy.policy} was cut short: its figures are over {counts}.", style="yellow"))
     return Group(*parts)
+
+
+def sweep_tables(sweep: "Sweep") -> Group:
+    """The sweep for a terminal: success at each level, and at which one each policy fails."""
+    parts: list[Table | Text] = []
+    found = degradations(sweep.points)
+    for name, rows in sweep.points.groupby("disturbance", sort=False):
+        levels = [level for level in sweep.levels[str(name)] if level in set(rows.level)]
+        if len(levels) == 1:  # the undisturbed one: cut short
+            continue
+        table = _table(f"{name}, {rows.unit.iloc[0]}", "", ["success, %", *(f"{level:g}" for level in levels)])
+        for policy, its in rows.groupby("policy", sort=False):
+            success = its.set_index("level").success
+            table.add_row(str(policy), *(f"{100 * success[x]:.1f}" if x in success else "-" for x in levels))
+        parts += [table, Text(_told([one for one in found if one.disturbance == name])), Text()]
+    rate = f"false discovery rate {100 * FALSE_DISCOVERY_RATE:g} %"
+    parts.append(Text(f"Worse: than undisturbed, on the same episodes (McNemar's exact test, {rate})."))
+    parts += [Text(f"{what}: {why}", style="red") for what, why in sweep.failures.items()]
+    if sweep.interrupted:
+        parts.append(Text("Interrupted.", style="yellow"))
+    return Group(*parts)
+
+
+def _told(found: list[Degradation]) -> str:
+    """What one disturbance does to policies, in a sentence for each that it is shown to harm."""
+    sentences, unharmed = [], []
+    for one in found:
+        name = f"{one.policy} (sees the state)" if one.sees == "state" else one.policy
+        steps = [] if one.drops is None else [f"worse from {one.drops:g} on"]
+        steps += [] if one.below_half is None else [f"below half from {one.below_half:g} on"]
+        if steps:
+            sentences.append(f"{name}: {', '.join(steps)}.")
+        else:
+            unharmed.append(name)
+    if unharmed:
+        sentences.append(f"Not shown to get worse: {', '.join(unharmed)}.")
+    return " ".join(sentences)
 
 
 def _asides(policy: "PolicySummary") -> list[str]:

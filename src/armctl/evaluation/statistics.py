@@ -192,6 +192,11 @@ class PairedDifference:
     """Mean of steps a - steps b where both succeeded."""
 
 
+def mcnemar(only_a: int, only_b: int) -> float:
+    """Exact two-sided p-value for equal success, of the episodes that only a and only b has won (McNemar 1947)."""
+    return float(stats.binomtest(only_a, only_a + only_b).pvalue) if only_a + only_b else 1.0
+
+
 def paired_difference(
     a: str,
     b: str,
@@ -203,7 +208,6 @@ def paired_difference(
     success_a, success_b = success
     both = success_a & success_b
     only_a, only_b = int((success_a & ~success_b).sum()), int((success_b & ~success_a).sum())
-    discordant = only_a + only_b
     return_difference = mean(returns[0] - returns[1])
     assert return_difference is not None
     return PairedDifference(
@@ -214,7 +218,7 @@ def paired_difference(
         only_a,
         only_b,
         int((~success_a & ~success_b).sum()),
-        float(stats.binomtest(only_a, discordant).pvalue) if discordant else 1.0,
+        mcnemar(only_a, only_b),
         return_difference,
         paired_superiority(*returns),
         mean((lengths[0] - lengths[1])[both]),

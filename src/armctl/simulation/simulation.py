@@ -2,7 +2,7 @@
 
 import mujoco
 import numpy as np
-from mujoco.batch import Batch
+from mujoco.batch import MODEL_FIELDS, Batch
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -16,7 +16,7 @@ class Simulation:
     """
 
     def __init__(self, model: mujoco.MjModel, n: int, threads: int = 0) -> None:
-        self.model = model
+        self.model, self.n = model, n
         self._batch = Batch(model, n, nthread=1 if n == 1 else threads)
         self._own: dict[str, Array] = {}
 
@@ -28,6 +28,11 @@ class Simulation:
         """Live (n, ...) array of an `MjModel` field, which worlds then have each for themselves."""
         self._own[field] = np.asarray(self._batch.expand(field))
         return self._own[field]
+
+    def derive(self, ids: WorldIds | None = None) -> None:
+        """Make the model's constants agree with masses, lengths and sizes that worlds have for themselves."""
+        self._batch.set_const(ids)
+        self._own = {field: values for field in MODEL_FIELDS if (values := self._batch.expanded(field)) is not None}
 
     @property
     def worlds_differ(self) -> bool:
@@ -59,7 +64,7 @@ class Simulation:
     def data(self, world: int) -> mujoco.MjData:
         """A copy of one world, for anything that MuJoCo can do with it and `model`, which is then that world's."""
         for field, values in self._own.items():
-            getattr(self.model, field)[:] = values[world]
+            getattr(self.model, field)[: len(values[world])] = values[world]  # of bvh_aabb, only bodies' are own
         data = self._batch.get_data(world)
         mujoco.mj_forward(self.model, data)
         return data

@@ -1,0 +1,143 @@
+"""Disturbances of the simulated robot itself: what controllers believe of it stays as it was."""
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.disturbances.disturbance import Array, Disturbance, carrier
+from armctl.robots.arm import PREFIX as ARM
+from armctl.robots.rover import PREFIX as ROVER
+from armctl.robots.rover import WHEELS
+from armctl.tasks import ReachTask
+from armctl.tasks.task import Task
+
+PAYLOAD_RADIUS = 0.05
+"""m: a ball."""
+STIFF = 0.999
+"""Impedance of dry friction: with MuJoCo's default of 0.9, light joints creep."""
+ON_TOP = np.array([0.0, 0.0, 0.22])
+"""m above the rover's axles."""
+
+
+class Payload(Disturbance):
+    """Fixes a ball of `level` kg to the end-effector, or on top of the rover. Nothing makes up for its weight."""
+
+    def __init__(self, task: Task, level: float) -> None:
+        super().__init__(task, level)
+        simulation, model, body = task.simulation, task.simulation.model, carrier(task)
+        mass, centre, turn, inertia = (
+            np.array(getattr(model, f"body_{name}")[body]) for name in ("mass", "ipos", "iquat", "inertia")
+        )
+        place = np.zeros(3) if isinstance(task, ReachTask) else ON_TOP
+        total = mass + level
+        middle = (mass * centre + level * place) / total
+        flat = np.zeros(9)
+        mujoco.mju_quat2Mat(flat, turn)
+        axes = flat.reshape(3, 3)
+        ball = 0.4 * level * PAYLOAD_RADIUS**2 * np.eye(3)
+        whole = axes @ np.diag(inertia) @ axes.T + _steiner(float(mass), centre - middle) + ball
+        whole += _steiner(level, place - middle)
+        principal, vectors = np.linalg.eigh(whole)
+        vectors[:, 2] *= np.sign(np.linalg.det(vectors))
+        mujoco.mju_mat2Quat(turn, vectors.ravel())
+        for name, value in (
+            ("mass", total), ("ipos", middle), ("iquat", turn), ("inertia", principal),
+            ("sameframe", int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)),
+            ("gravcomp", model.body_gravcomp[body] * mass / total),
+        ):  # fmt: skip
+            simulation.per_world(f"body_{name}")[:, body] = value
+        simulation.derive()
+
+
+def _steiner(mass: float, offset: Array) -> Array:
+    """What a mass away from the centre adds to the inertia there, (3, 3)."""
+    return np.asarray(mass * (offset @ offset * np.eye(3) - np.outer(offset, offset)))
+
+
+class JointFriction(Disturbance):
+    """Gives each joint dry friction of a share `level` of its largest torque."""
+
+    def __init__(self, task: Task, level: float) -> None:
+        super().__init__(task, level)
+        assert isinstance(task, ReachTask)
+        task.simulation.per_world("dof_frictionloss")[:] = level * task.arm.description.limits.effort
+        task.simulation.per_world("dof_solimp")[..., :2] = STIFF
+
+
+class Slipperiness(Disturbance):
+    """Leaves the tyres `level` of their friction."""
+
+    def __init__(self, task: Task, level: float) -> None:
+        super().__init__(task, level)
+        tyres = [task.simulation.model.geom(ROVER + wheel).id for wheel in WHEELS]
+        task.simulation.per_world("geom_friction")[:, tyres, 0] *= level
+
+
+class Strength(Disturbance):
+    """Leaves motors `level` of their torque: of the most, and of all that they would bring, to hold the arm as well."""
+
+    def __init__(self, task: Task, level: float) -> None:
+        super().__init__(task, level)
+        for field in (
+            "actuator_gainprm", "actuator_biasprm", "actuator_forcerange", "jnt_actfrcrange", "body_gravcomp",
+        ):  # fmt: skip
+            task.simulation.per_world(field)[:] *= level
+        task.simulation.derive()
+
+
+class LinkMismatch(Disturbance):
+    """Makes each link's mass and length another in each episode: times 1 - `level` to 1 + `level`, each by itself.
+
+    The drives go on making up for the weight of the links that they know.
+    """
+
+    def __init__(self, task: Task, level: float) -> None:
+        super().__init__(task, level)
+        model, simulation = task.simulation.model, task.simulation
+        self._links = [i for i in range(model.nbody) if model.body(i).name.startswith(ARM)]
+        self._masses, self._inertias, self._held, self._places = (
+            simulation.per_world(f"body_{name}") for name in ("mass", "inertia", "gravcomp", "pos")
+        )
+        self._nominal = [
+            values[0, self._links].copy() for values in (self._masses, self._inertias, self._held, self._places)
+        ]
+
+    def begin(self, ids: NDArray[np.int32]) -> None:
+        """Draw the arms of these worlds."""
+        mass, inertia, held, place = self._nominal
+        factors = np.array([self.rngs[i].uniform(-1.0, 1.0, (2, len(self._links))) for i in ids])
+        heavier, longer = 1 + self.level * factors.transpose(1, 0, 2)
+        rows = ids[:, None]
+        self._masses[rows, self._links] = heavier * mass
+        self._inertias[rows, self._links] = heavier[..., None] * inertia
+        self._held[rows, self._links] = held / heavier
+        self._places[rows, self._links] = longer[..., None] * place
+        self.task.simulation.derive(ids)
+
+
+class WheelMismatch(Disturbance):
+    """Makes each wheel's radius and the rover's mass others in each episode: times 1 - `level` to 1 + `level`."""
+
+    def __init__(self, task: Task, level: float) -> None:
+        super().__init__(task, level)
+        model, simulation = task.simulation.model, task.simulation
+        self._base = carrier(task)
+        self._wheels = [model.geom(ROVER + wheel).id for wheel in WHEELS]
+        self._sizes, self._bounds, self._reach = (
+            simulation.per_world(f"geom_{name}") for name in ("size", "aabb", "rbound")
+        )
+        self._masses, self._inertias = (simulation.per_world(f"body_{name}") for name in ("mass", "inertia"))
+        self._nominal = self._masses[0, self._base], self._inertias[0, self._base].copy()
+        self._radius, self._half_width = model.geom_size[self._wheels[0], :2]
+
+    def begin(self, ids: NDArray[np.int32]) -> None:
+        """Draw the rovers of these worlds."""
+        mass, inertia = self._nominal
+        factors = 1 + self.level * np.array([self.rngs[i].uniform(-1.0, 1.0, 1 + len(WHEELS)) for i in ids])
+        rows, radii = ids[:, None], factors[:, 1:] * self._radius
+        self._sizes[rows, self._wheels, 0] = radii
+        self._bounds[rows[..., None], np.array(self._wheels)[:, None], [3, 4]] = radii[..., None]
+        self._reach[rows, self._wheels] = np.hypot(radii, self._half_width)
+        self._masses[ids, self._base] = factors[:, 0] * mass
+        self._inertias[ids, self._base] = factors[:, :1] * inertia
+        self.task.simulation.derive(ids)

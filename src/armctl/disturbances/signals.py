@@ -1,0 +1,119 @@
+"""Disturbances of what is sensed and commanded, and pushes from outside."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.disturbances.disturbance import Array, Disturbance, carrier
+from armctl.tasks import BridgeTask, Observations, ReachTask
+from armctl.tasks.task import Task
+
+PUSH_INTERVAL = 1.0
+"""s between two pushes, on average."""
+
+
+class Noise(Disturbance):
+    """Adds white Gaussian noise of standard deviation `level` to every number observed, in its own unit.
+
+    Numbers that are exactly 0 stand for what is not there, and stay; so do pictures of whole numbers. What is beyond
+    the observation space is clipped.
+    """
+
+    def __init__(self, task: Task, level: float) -> None:
+        super().__init__(task, level)
+        seen = task.observe()
+        arrays = seen if isinstance(seen, dict) else {"": seen}
+        self._noise = {name: np.zeros_like(values) for name, values in arrays.items() if values.dtype.kind == "f"}
+
+    def begin(self, ids: NDArray[np.int32]) -> None:
+        """Draw what is added to the first observation."""
+        for noise in self._noise.values():
+            for i in ids:
+                self.rngs[i].standard_normal(out=noise[i], dtype=np.float32)
+
+    def command(self, actions: Array) -> Array:
+        """Draw what is added to the next observation."""
+        self.begin(self.worlds)
+        return actions
+
+    def observe(self, observations: Observations, ids: NDArray[np.int32] | slice) -> Observations:
+        """With noise."""
+        space: Any = self.task.observation_space
+        if isinstance(observations, dict):
+            noisy = {name: self._added(values, name, space[name], ids) for name, values in observations.items()}
+            return noisy
+        return self._added(observations, "", space, ids)
+
+    def _added(self, values: NDArray[Any], name: str, space: Any, ids: NDArray[np.int32] | slice) -> NDArray[Any]:
+        if name not in self._noise:
+            return values
+        noise = np.float32(self.level) * self._noise[name][ids]
+        return np.where(values == 0, values, np.clip(values + noise, space.low, space.high))
+
+
+class Dropout(Disturbance):
+    """Loses a share `level` of the camera's pictures, each by itself; one that is lost is black: all 0."""
+
+    def __init__(self, task: Task, level: float) -> None:
+        super().__init__(task, level)
+        self._lost = np.zeros(task.simulation.n, dtype=bool)
+
+    def begin(self, ids: NDArray[np.int32]) -> None:
+        """Draw whether the first picture is lost."""
+        for i in ids:
+            self._lost[i] = self.rngs[i].random() < self.level
+
+    def command(self, actions: Array) -> Array:
+        """Draw whether the next picture is lost."""
+        self.begin(self.worlds)
+        return actions
+
+    def observe(self, observations: Observations, ids: NDArray[np.int32] | slice) -> Observations:
+        """With lost pictures black."""
+        assert isinstance(observations, dict)
+        lost = self._lost[ids][:, *[None] * (observations["image"].ndim - 1)]
+        return observations | {"image": np.where(lost, np.zeros_like(observations["image"]), observations["image"])}
+
+
+class Delay(Disturbance):
+    """Lets actions reach the robot `level` decisions late; until the first one does, the robot is told to stand."""
+
+    def __init__(self, task: Task, level: float) -> None:
+        super().__init__(task, level)
+        self._stand = np.zeros(task.action_space.shape)
+        if isinstance(task, ReachTask) and task.arm.control == "position":
+            self._stand = np.array(task.arm.description.home)
+        self._waiting = np.zeros((task.simulation.n, int(level), *task.action_space.shape))
+
+    def begin(self, ids: NDArray[np.int32]) -> None:
+        """Nothing is on its way."""
+        self._waiting[ids] = self._stand
+
+    def command(self, actions: Array) -> Array:
+        """The actions of `level` decisions ago."""
+        line = np.concatenate((self._waiting, actions[:, None]), axis=1)
+        self._waiting = line[:, 1:]
+        return line[:, 0]
+
+
+class Pushes(Disturbance):
+    """Pushes end-effector or rover with an impulse of `level` N s, about once a `PUSH_INTERVAL`, for one decision.
+
+    In any direction, the rover in any horizontal one.
+    """
+
+    def __init__(self, task: Task, level: float) -> None:
+        super().__init__(task, level)
+        simulation = task.simulation
+        self._period = task.substeps * simulation.model.opt.timestep
+        self._forces = simulation.array("xfrc_applied")[:, carrier(task), :3]
+        self._axes = 2 if isinstance(task, BridgeTask) else 3
+
+    def command(self, actions: Array) -> Array:
+        """Push, or let be."""
+        directions = np.array([rng.standard_normal(self._axes) for rng in self.rngs])
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        pushed = np.array([[rng.random()] for rng in self.rngs]) < self._period / PUSH_INTERVAL
+        self._forces[:, : self._axes] = np.where(pushed, self.level / self._period * directions, 0.0)
+        return actions

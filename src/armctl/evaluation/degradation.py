@@ -1,0 +1,47 @@
+"""What the points of a sweep say: from which level of a disturbance on a policy does worse, and fails."""
+
+from dataclasses import dataclass
+
+import pandas as pd
+from scipy import stats
+
+FALSE_DISCOVERY_RATE = 0.05
+"""Of the drops of success that are called significant in a sweep (Benjamini and Hochberg 1995)."""
+
+
+@dataclass(frozen=True)
+class Degradation:
+    """How one policy takes one disturbance."""
+
+    disturbance: str
+    policy: str
+    sees: str
+    drops: float | None
+    """The first level with a significant drop of success (see `FALSE_DISCOVERY_RATE`); None: there is none."""
+    below_half: float | None
+    """The first level with less than half of all episodes won; None: there is none."""
+
+
+def degradations(points: pd.DataFrame) -> list[Degradation]:
+    """What the rows of `sweep.csv` say of each disturbance and policy."""
+    points = points.assign(neutral=~points.duplicated(["disturbance", "policy"]))
+    levels = points[~points.neutral]
+    significant = pd.Series(False, index=points.index)
+    if len(levels):
+        significant[levels.index] = stats.false_discovery_control(levels.p) < FALSE_DISCOVERY_RATE
+    fell = points.success < points.groupby(["disturbance", "policy"]).success.transform("first")
+    points = points.assign(drops=significant & fell)
+    return [
+        Degradation(
+            str(disturbance),
+            str(policy),
+            str(rows.sees.iloc[0]),
+            _first(rows.level[rows.drops]),
+            _first(rows.level[rows.success < 0.5]),
+        )
+        for (disturbance, policy), rows in points.groupby(["disturbance", "policy"], sort=False)
+    ]
+
+
+def _first(levels: "pd.Series[float]") -> float | None:
+    return float(levels.iloc[0]) if len(levels) else None

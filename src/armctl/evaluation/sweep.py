@@ -1,0 +1,243 @@
+"""How policies hold out: the same comparison without a disturbance, and with each at each of its levels."""
+
+import functools
+import itertools
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
+
+from armctl import DEFAULT_ENV
+from armctl.disturbances import Kind, kinds
+from armctl.errors import ConfigurationError, ResultsError, unknown_name
+from armctl.evaluation.compare import Comparison, compare, default_policies
+from armctl.evaluation.rollouts import EpisodeResult, make_worlds
+from armctl.evaluation.statistics import Estimate, mcnemar
+from armctl.evaluation.summary import PolicySummary
+from armctl.policies import PolicyFactory, policy_name
+
+if TYPE_CHECKING:
+    import plotly.graph_objects
+
+COLUMNS = (
+    "disturbance", "level", "policy", "episodes", "success", "low", "high", "return", "return_low", "return_high",
+    "steps_to_goal", "steps_low", "steps_high", "p", "unit", "sees",
+)  # fmt: skip
+"""Of `sweep.csv`: a row for each disturbance, level and policy, with 95 % intervals. `p` is McNemar's, for being as
+successful as in the same episodes undisturbed."""
+SWEEP, POINTS = "sweep.json", "sweep.csv"
+UNDISTURBED = "none"
+MARKERS = ("circle-open", "square-open", "diamond-open", "cross-open", "x-open", "triangle-up-open", "star-open")
+"""Of a figure's policies: lines that lie on each other are then still told apart."""
+Asked = Mapping[str, Sequence[float] | None] | Sequence[str] | None
+
+
+@dataclass
+class Sweep:
+    """What a sweep found; with an interrupt or a failure, as far as it came."""
+
+    env: str
+    seed: int
+    levels: Mapping[str, Sequence[float]]
+    """Of each disturbance, first the one that changes nothing."""
+    comparisons: dict[str, Comparison] = field(default_factory=dict)
+    """By name: `none`, `payload-2.0` and so on, as folders are called."""
+    points: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(COLUMNS)))
+    """The rows of `sweep.csv`."""
+    failures: dict[str, str] = field(default_factory=dict)
+    """What went wrong: by comparison and policy, or under `results` for what could not be written."""
+    interrupted: bool = False
+
+
+def sweep(
+    policies: Sequence[str | PolicyFactory] | None = None,
+    env: str = DEFAULT_ENV,
+    *,
+    disturbances: Asked = None,
+    episodes: int = 100,
+    seed: int = 0,
+    out: str | Path | None = None,
+    overwrite: bool = False,
+    worlds: int = 1,
+    workers: int = 1,
+    env_options: Mapping[str, Any] | None = None,
+    progress: Callable[[str, EpisodeResult], None] | None = None,
+) -> Sweep:
+    """Compare policies on the same episodes, undisturbed and at each level of each disturbance.
+
+    `disturbances` are names, or levels by name; without levels, a disturbance has its own, and without any, these are
+    all that the environment has. All else is as in `compare`; `out` has a comparison's folder for each level,
+    `out/none` for that without, and `out/sweep.csv`. An interrupted sweep goes on with the same call, and one that asks
+    for more adds to it. `progress` is also told of which comparison an episode is.
+
+    Raises `ConfigurationError`, `AgentFileError`, and `ResultsError` as `compare` does.
+    """
+    options = dict(env_options or {})
+    there = _kinds(env, options)
+    levels = _levels(there, disturbances)
+    policies = default_policies(env) if policies is None else [policies] if isinstance(policies, str) else policies
+    found = Sweep(env, seed, levels)
+    folder = None if out is None else Path(out)
+    lasting = dict(options.pop("disturbances", {}))
+    least: dict[int, float] = {}
+    settings: dict[str, dict[str, float]] = {UNDISTURBED: {}}
+    settings |= {folder_name(name, level): {name: level} for name in levels for level in levels[name][1:]}
+    for name, added in settings.items():
+        disturbing = {"disturbances": lasting | added} if lasting | added else {}
+        try:
+            comparison = compare(
+                policies, env, episodes=episodes, seed=seed, out=folder and folder / name, overwrite=overwrite,
+                worlds=worlds, workers=workers, env_options=options | disturbing, least_lengths=least,
+                progress=progress and functools.partial(progress, name),
+            )  # fmt: skip
+        except ResultsError as error:
+            if name == UNDISTURBED:
+                raise
+            found.failures["results"] = str(error)
+            break
+        except KeyboardInterrupt:  # between two comparisons
+            found.interrupted = True
+            break
+        found.comparisons[name] = comparison
+        found.failures |= {
+            what if what == "results" else f"{name}: {what}": why for what, why in comparison.failures.items()
+        }
+        found.interrupted = comparison.interrupted
+        if found.interrupted or "results" in comparison.failures:
+            break
+    found.points = _points(found, there)
+    if folder is not None:
+        asked = {
+            "env": env, "env_options": {name: str(value) for name, value in (env_options or {}).items()}, "seed": seed,
+            "episodes": episodes, "policies": [policy_name(policy) for policy in policies], "disturbances": levels,
+            "interrupted": found.interrupted, "failures": found.failures,
+        }  # fmt: skip
+        try:
+            (folder / SWEEP).write_text(json.dumps(asked, indent=2) + "\n")
+            found.points.to_csv(folder / POINTS, index=False)
+        except OSError as error:
+            found.failures["results"] = f"{folder / POINTS} could not be written: {error.strerror}"
+    return found
+
+
+def sweep_levels(
+    env: str, disturbances: Asked = None, env_options: Mapping[str, Any] | None = None
+) -> dict[str, list[float]]:
+    """The levels of a sweep's disturbances: each once, from the one that changes nothing away.
+
+    Raises `ConfigurationError`.
+    """
+    return _levels(_kinds(env, env_options or {}), disturbances)
+
+
+def folder_name(disturbance: str, level: float) -> str:
+    """How the comparison at a level is called."""
+    return f"{disturbance}-{level}"
+
+
+def _kinds(env: str, options: Mapping[str, Any]) -> dict[str, Kind]:
+    made = make_worlds(env, 1, options)
+    made.close()
+    lasting = options.get("disturbances", {})
+    return {name: kind for name, kind in kinds(made.task).items() if name not in lasting}
+
+
+def _levels(there: Mapping[str, Kind], disturbances: Asked) -> dict[str, list[float]]:
+    given = list(there) if disturbances is None else [disturbances] if isinstance(disturbances, str) else disturbances
+    asked: Mapping[str, Any] = given if isinstance(given, Mapping) else dict.fromkeys(given)
+    levels = {}
+    for name, wanted in asked.items():
+        if name not in there:
+            raise unknown_name("disturbance to sweep here", name, there)
+        kind = there[name]
+        wanted = kind.levels if wanted is None else wanted
+        if isinstance(wanted, str) or not isinstance(wanted, Sequence):
+            raise ConfigurationError(f"the levels of {name} are numbers, such as {list(kind.levels)}, not {wanted!r}")
+        others = {kind.checked(name, level) for level in wanted} - {kind.neutral}
+        if not others:
+            raise ConfigurationError(f"{name} needs a level besides {kind.neutral:g}, which changes nothing")
+        levels[name] = [kind.neutral, *sorted(others, key=functools.partial(_away, kind.neutral))]
+    return levels
+
+
+def _away(neutral: float, level: float) -> tuple[float, float]:
+    return abs(level - neutral), level
+
+
+def _points(found: Sweep, there: Mapping[str, Kind]) -> pd.DataFrame:
+    rows = []
+    for name, levels in found.levels.items():
+        for i, level in enumerate(levels):
+            comparison = found.comparisons.get(folder_name(name, level) if i else UNDISTURBED)
+            for policy in comparison.policies if comparison else []:
+                values = (
+                    name, level, policy.policy, policy.episodes, *_numbers(policy.success),
+                    *_numbers(policy.episode_return), *_numbers(policy.steps_to_goal),
+                    _against_undisturbed(found, comparison, policy) if i else 1.0, there[name].unit, policy.sees,
+                )  # fmt: skip
+                rows.append(dict(zip(COLUMNS, values, strict=True)))
+    return pd.DataFrame(rows, columns=list(COLUMNS))
+
+
+def _numbers(estimate: Estimate | None) -> tuple[float, float, float]:
+    """Value and bounds; NaN for what is not known."""
+    if estimate is None:
+        return math.nan, math.nan, math.nan
+    low, high = (math.nan if bound is None else bound for bound in (estimate.low, estimate.high))
+    return estimate.value, low, high
+
+
+def _against_undisturbed(found: Sweep, comparison: Comparison | None, policy: PolicySummary) -> float:
+    before, after = (
+        one.episodes[one.episodes.policy == policy.policy].set_index("episode").success
+        for one in (found.comparisons[UNDISTURBED], comparison)
+        if one is not None
+    )
+    both = before.index.intersection(after.index)
+    won, lost = (before[both] & ~after[both]).sum(), (~before[both] & after[both]).sum()
+    return mcnemar(int(won), int(lost))
+
+
+def degradation_figure(points: pd.DataFrame) -> "plotly.graph_objects.Figure":
+    """Success against level, a panel for each disturbance and a line with 95 % band for each policy; needs plotly.
+
+    `points` has the columns of `sweep.csv`.
+    """
+    from plotly.colors import hex_to_rgb, qualitative
+    from plotly.subplots import make_subplots
+
+    names, across = list(points.disturbance.unique()), 3
+    units = points.groupby("disturbance").unit.first()
+    down = -(-len(names) // across)
+    figure = make_subplots(
+        rows=down, cols=min(across, len(names)), subplot_titles=[f"{name} ({units[name]})" for name in names],
+        shared_yaxes=True, vertical_spacing=0.3 / down, horizontal_spacing=0.04,
+    )  # fmt: skip
+    looks = zip(qualitative.D3, MARKERS, strict=False)
+    look = dict(zip(points.policy.unique(), itertools.cycle(looks), strict=False))
+    for i, name in enumerate(names):
+        place = {"row": i // across + 1, "col": i % across + 1}
+        for policy, rows in points[points.disturbance == name].groupby("policy", sort=False):
+            colour, marker = look[policy]
+            # Levels at equal distances: they are steps, chosen to span a wide range.
+            line = {"x": [f"{level:g}" for level in rows.level], "line_color": colour, "legendgroup": policy, **place}
+            band = line | {"mode": "lines", "line_width": 0, "showlegend": False, "hoverinfo": "skip"}
+            figure.add_scatter(**band, y=100 * rows.high)
+            figure.add_scatter(**band, y=100 * rows.low, fill="tonexty", fillcolor=f"rgba{(*hex_to_rgb(colour), 0.12)}")
+            figure.add_scatter(
+                **line, y=100 * rows.success, name=policy, mode="lines+markers", marker_symbol=marker, marker_size=8,
+                showlegend=i == 0, hovertemplate=f"{policy}: %{{y:.1f}} % at %{{x}}<extra></extra>",
+            )  # fmt: skip
+    figure.update_xaxes(type="category")
+    figure.update_yaxes(range=[-3, 103])
+    figure.update_yaxes(title_text="success, %", col=1)
+    figure.update_layout(
+        height=100 + 220 * down, template="plotly_white", margin={"l": 60, "r": 20, "t": 80, "b": 30},
+        legend={"orientation": "h", "yref": "container", "y": 0.995, "yanchor": "top"},
+    )  # fmt: skip
+    figure.update_annotations(font_size=14)
+    return figure

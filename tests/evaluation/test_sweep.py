@@ -1,0 +1,239 @@
+import io
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from rich.console import Console
+
+import armctl
+from armctl.errors import ConfigurationError, ResultsError
+from armctl.evaluation import compare
+from armctl.evaluation.degradation import degradations
+from armctl.evaluation.report import sweep_tables
+from armctl.evaluation.rollouts import TIME_COLUMNS
+from armctl.evaluation.statistics import mcnemar
+from armctl.evaluation.sweep import COLUMNS, degradation_figure, sweep, sweep_levels
+
+POLICIES = ["reach_ik", "random"]
+LEVELS = {"noise": [0.05], "delay": [2, 0, 2]}
+REACH = "armctl/ArmReach-v0"
+
+
+def run(**arguments):
+    return sweep(arguments.pop("policies", POLICIES), **{"disturbances": LEVELS, "episodes": 4, "seed": 3} | arguments)
+
+
+def printed(found):
+    console = Console(file=io.StringIO(), width=100)
+    console.print(sweep_tables(found))
+    return console.file.getvalue()
+
+
+def timeless(folder):
+    return {
+        path.parent.name: pd.read_csv(path).drop(columns=list(TIME_COLUMNS)) for path in folder.glob("*/episodes.csv")
+    }
+
+
+def same(one, other):
+    return one.keys() == other.keys() and all(one[name].equals(other[name]) for name in one)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sweep")
+    return run(out=folder), folder
+
+
+def test_the_points_are_those_of_the_comparisons(finished):
+    found, folder = finished
+    points = pd.read_csv(folder / "sweep.csv")
+    assert tuple(points.columns) == COLUMNS
+    assert list(zip(points.disturbance, points.level, points.policy, strict=True)) == [
+        (name, level, policy)
+        for name, levels in (("noise", (0, 0.05)), ("delay", (0, 2)))
+        for level in levels
+        for policy in POLICIES
+    ]
+    pd.testing.assert_frame_equal(points, found.points, check_dtype=False)
+    for name, disturbances in (("none", {}), ("noise-0.05", {"noise": 0.05}), ("delay-2.0", {"delay": 2.0})):
+        options = {"disturbances": disturbances} if disturbances else {}
+        alone = compare(POLICIES, episodes=4, seed=3, env_options=options)
+        pd.testing.assert_frame_equal(alone.episodes.drop(columns=list(TIME_COLUMNS)), timeless(folder)[name])
+        for policy in alone.policies:
+            level = next(iter(disturbances.values()), 0.0)
+            rows = points[(points.policy == policy.policy) & (points.level == level)]
+            rows = rows[rows.disturbance == next(iter(disturbances), "delay")]
+            assert rows.success.tolist() == [policy.success.value]
+            assert rows.low.tolist() == [policy.success.low]
+            np.testing.assert_allclose(rows["return"], policy.episode_return.value)
+    undisturbed = points[points.level == 0].drop(columns=["disturbance", "unit"])
+    assert undisturbed[:2].reset_index(drop=True).equals(undisturbed[2:].reset_index(drop=True))
+
+
+def test_p_is_mcnemars_on_the_same_episodes():
+    found = run(policies=["reach_ik"], disturbances={"mismatch": [0.2]}, episodes=12, worlds=6)
+    before, after = (found.comparisons[name].episodes.set_index("episode").success for name in ("none", "mismatch-0.2"))
+    expected = mcnemar(int((before & ~after).sum()), int((~before & after).sum()))
+    assert found.points.p.tolist() == [1.0, expected]
+    assert expected < 1
+
+
+def test_asked_again_nothing_is_played_and_more_is_added(finished, tmp_path):
+    _, folder = finished
+    before = {path: path.read_text() for path in folder.glob("*/episodes.csv")}
+    told = []
+    run(out=folder, progress=lambda setting, result: told.append(setting))
+    assert {path: path.read_text() for path in before} == before
+    assert told == ["none"] * 8 + ["noise-0.05"] * 8 + ["delay-2.0"] * 8
+    more = run(out=folder, disturbances={"noise": [0.05, 0.1]})
+    assert more.points.level.unique().tolist() == [0, 0.05, 0.1]
+    assert {path: path.read_text() for path in before} == before
+
+
+def test_another_seed_is_refused_and_nothing_lost(finished):
+    _, folder = finished
+    before = timeless(folder)
+    with pytest.raises(ResultsError, match="seed: 3 there, 4 here"):
+        run(out=folder, seed=4)
+    assert same(timeless(folder), before)
+
+
+def test_worlds_and_workers_change_nothing(tmp_path):
+    run(out=tmp_path / "one")
+    run(out=tmp_path / "other", worlds=2, workers=2)
+    assert same(timeless(tmp_path / "one"), timeless(tmp_path / "other"))
+    one, other = (pd.read_csv(tmp_path / name / "sweep.csv") for name in ("one", "other"))
+    assert one.equals(other)
+
+
+class Interrupting:
+    sees, training_steps = "observation", 0
+    decisions = 0
+
+    def __init__(self, env):
+        self.policy = armctl.make_policy("reach_ik", env)
+
+    def reset(self, ids):
+        self.policy.reset(ids)
+
+    def act(self, observations):
+        Interrupting.decisions -= 1
+        if Interrupting.decisions == 0:
+            raise KeyboardInterrupt
+        return self.policy.act(observations)
+
+
+@pytest.mark.parametrize("decisions", [5, 80])
+def test_an_interrupted_sweep_keeps_its_episodes_and_goes_on(decisions, tmp_path):
+    Interrupting.decisions = decisions
+    cut = run(policies=[Interrupting], out=tmp_path / "cut")
+    assert cut.interrupted
+    assert "Interrupted." in printed(cut)
+    assert json.loads((tmp_path / "cut" / "sweep.json").read_text())["interrupted"]
+    kept = sum(map(len, timeless(tmp_path / "cut").values()))
+    assert 0 <= kept < 12
+    again = run(policies=[Interrupting], out=tmp_path / "cut")
+    assert not again.interrupted
+    assert sum(one.resumed for one in again.comparisons.values()) == kept
+    run(policies=[Interrupting], out=tmp_path / "whole")
+    assert same(timeless(tmp_path / "cut"), timeless(tmp_path / "whole"))
+    assert (tmp_path / "cut" / "sweep.csv").read_text() == (tmp_path / "whole" / "sweep.csv").read_text()
+
+
+def failing_when_late(env):
+    policy = armctl.make_policy("reach_ik", env)
+    if "delay" in env.disturbances:
+        policy.act = lambda observations: np.full((len(observations), 6), np.nan)
+    return policy
+
+
+def test_a_policy_that_fails_at_one_level_spoils_no_other():
+    found = run(policies=[failing_when_late, "reach_ik"])
+    assert list(found.failures) == ["delay-2.0: failing_when_late"]
+    assert "is not finite" in printed(found)
+    counts = found.points.groupby("policy").size()
+    assert (counts["reach_ik"], counts["failing_when_late"]) == (4, 3)
+
+
+def test_options_of_the_environment_hold_at_every_level():
+    options = {"disturbances": {"strength": 0.1}, "max_episode_steps": 7}
+    found = run(policies=["reach_ik"], env_options=options, disturbances=["noise"])
+    assert all(one.episodes.length.max() <= 7 for one in found.comparisons.values())
+    assert found.comparisons["none"].env_options["disturbances"] == {"strength": 0.1}
+    assert found.comparisons["noise-0.02"].env_options["disturbances"] == {"strength": 0.1, "noise": 0.02}
+    assert options["disturbances"] == {"strength": 0.1}
+
+
+@pytest.mark.parametrize(
+    ("asked", "says"),
+    [
+        (["noises"], "Did you mean 'noise'"),
+        (["dropout"], "no disturbance to sweep here 'dropout'"),
+        ({"payload": [-1]}, "payload is a number from 0"),
+        ({"payload": ["a"]}, "not 'a'"),
+        ({"payload": "1,2"}, "are numbers, such as"),
+        ({"payload": 3}, "are numbers, such as"),
+        ({"payload": []}, "needs a level besides 0"),
+        ({"strength": [1]}, "needs a level besides 1"),
+    ],
+)
+def test_unusable_levels_say_what_is_allowed(asked, says, tmp_path):
+    with pytest.raises(ConfigurationError, match=says):
+        sweep(["random"], disturbances=asked, out=tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_disturbance_that_lasts_is_none_to_sweep():
+    with pytest.raises(ConfigurationError, match="to sweep here 'noise'"):
+        sweep_levels(REACH, ["noise"], {"disturbances": {"noise": 0.1}})
+
+
+def test_without_any_asked_for_there_are_all_with_their_own_levels():
+    assert sweep_levels(REACH)["strength"] == [1, 0.8, 0.6, 0.4, 0.2]
+    assert "dropout" in sweep_levels("armctl/BridgeCross-v0")
+    assert "dropout" not in sweep_levels("armctl/BridgeCross-v0", env_options={"observation": "state"})
+    assert sweep_levels(REACH, {"strength": [0.5, 0.9], "noise": None})["strength"] == [1, 0.9, 0.5]
+
+
+def points(**successes):
+    rows = [
+        {"disturbance": "noise", "level": level, "policy": policy, "success": success, "p": p, "unit": "m",
+         "sees": "observation", "low": success - 0.1, "high": success + 0.1}
+        for policy, curve in successes.items()
+        for level, (success, p) in enumerate(curve)
+    ]  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def test_what_is_said_of_a_curve_minds_chance():
+    frame = points(
+        steady=[(1.0, 1.0), (0.96, 0.5), (0.9, 0.06)],
+        failing=[(1.0, 1.0), (0.7, 1e-5), (0.4, 1e-9)],
+        better=[(0.4, 1.0), (0.9, 1e-6), (1.0, 1e-9)],
+    )
+    found = {one.policy: (one.drops, one.below_half) for one in degradations(frame)}
+    assert found == {"steady": (None, None), "failing": (1.0, 2.0), "better": (None, 0.0)}
+    unlucky = points(**{f"p{i}": [(1.0, 1.0), (0.9, 0.5 if i else 0.04)] for i in range(20)})
+    assert all(one.drops is None for one in degradations(unlucky))  # one of 20 is below 0.05 by chance
+
+
+def test_the_tables_tell_levels_and_failures(finished):
+    text = printed(finished[0])
+    assert "noise, m, rad, m/s" in text
+    assert "random: below half from 0 on." in text
+
+
+def test_the_figure_has_a_line_and_a_band_for_each_policy_and_disturbance(finished):
+    pytest.importorskip("plotly")
+    found, _ = finished
+    figure = degradation_figure(found.points)
+    lines = [trace for trace in figure.data if trace.mode == "lines+markers"]
+    assert len(lines) == 4
+    assert len(figure.data) == 12
+    assert [note.text for note in figure.layout.annotations] == ["noise (m, rad, m/s)", "delay (decisions of 40 ms)"]
+    assert sum(trace.showlegend for trace in lines) == 2
+    expected = 100 * found.points[(found.points.policy == "random") & (found.points.disturbance == "delay")].success
+    assert list(lines[3].y) == expected.tolist()
+    assert list(lines[3].x) == ["0", "2"]
