@@ -1,4 +1,5 @@
 import dataclasses
+import signal
 import subprocess
 import sys
 
@@ -235,6 +236,26 @@ def test_unusable_options_are_refused(options):
 def test_unusable_paths_are_refused(path):
     with pytest.raises(ConfigurationError, match="path"):
         DriveMpc(path, open_deck)
+
+
+def test_an_interrupt_while_it_solves_is_heard():
+    code = """
+import numpy as np
+from armctl.control.drive_mpc import DriveMpc
+mpc = DriveMpc(np.array([[0.0, 0.0], [10.0, 0.0]]), lambda points: np.zeros((len(points), 0, 2)))
+for k in range(2000):
+    mpc.decide((0.0, 0.0, 0.0), (0.0, 0.0))
+    if not k:
+        print("ready", flush=True)
+"""
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as deaf:
+        assert deaf.stdout.readline() == "ready\n"
+        deaf.send_signal(signal.SIGINT)
+        _, told = deaf.communicate(timeout=60)
+    assert deaf.returncode == -signal.SIGINT
+    assert "KeyboardInterrupt" in told
 
 
 def test_nobody_else_pays_for_casadi():

@@ -8,6 +8,10 @@ IROS 2023) is an interior-point method that makes use of the stages: here it tak
 """
 
 import math
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from functools import lru_cache
 from typing import Any
@@ -173,7 +177,8 @@ class DriveNlp:
         """
         parameters = np.concatenate([one.ravel() for one in (start, reference, planes, people)])
         try:
-            found = self._solver(x0=_joined(states, controls), p=parameters, **self.bounds)
+            with _interrupts_kept():
+                found = self._solver(x0=_joined(states, controls), p=parameters, **self.bounds)
             stats = self._solver.stats()
         except RuntimeError:  # Fatrop's exceptions, as for numbers that overflow
             return Solution(states, controls, math.inf, False, 0)
@@ -190,6 +195,22 @@ class DriveNlp:
 def drive_nlp(options: DriveMpcOptions) -> DriveNlp:
     """The one problem that all robots with these options share."""
     return DriveNlp(options)
+
+
+@contextmanager
+def _interrupts_kept() -> Iterator[None]:
+    """Raise an interrupt (Ctrl-C) afterwards: CasADi takes it for an end of the search, and nobody else hears of it."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    kept: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, _: kept.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+        if kept:
+            signal.raise_signal(signal.SIGINT)
 
 
 def _joined(states: Array, controls: Array) -> Array:
