@@ -13,7 +13,7 @@ from armctl.evaluation.degradation import degradations
 from armctl.evaluation.report import sweep_tables
 from armctl.evaluation.rollouts import TIME_COLUMNS
 from armctl.evaluation.statistics import mcnemar
-from armctl.evaluation.sweep import COLUMNS, degradation_figure, sweep, sweep_levels
+from armctl.evaluation.sweep import COLUMNS, sweep, sweep_levels
 
 POLICIES = ["reach_ik", "random"]
 LEVELS = {"noise": [0.05], "delay": [2, 0, 2]}
@@ -223,17 +223,3 @@ def test_the_tables_tell_levels_and_failures(finished):
     text = printed(finished[0])
     assert "noise, m, rad, m/s" in text
     assert "random: below half from 0 on." in text
-
-
-def test_the_figure_has_a_line_and_a_band_for_each_policy_and_disturbance(finished):
-    pytest.importorskip("plotly")
-    found, _ = finished
-    figure = degradation_figure(found.points)
-    lines = [trace for trace in figure.data if trace.mode == "lines+markers"]
-    assert len(lines) == 4
-    assert len(figure.data) == 12
-    assert [note.text for note in figure.layout.annotations] == ["noise (m, rad, m/s)", "delay (decisions of 40 ms)"]
-    assert sum(trace.showlegend for trace in lines) == 2
-    expected = 100 * found.points[(found.points.policy == "random") & (found.points.disturbance == "delay")].success
-    assert list(lines[3].y) == expected.tolist()
-    assert list(lines[3].x) == ["0", "2"]

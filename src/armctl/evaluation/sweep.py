@@ -1,13 +1,12 @@
 """How policies hold out: the same comparison without a disturbance, and with each at each of its levels."""
 
 import functools
-import itertools
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pandas as pd
 
@@ -20,9 +19,6 @@ from armctl.evaluation.statistics import Estimate, mcnemar
 from armctl.evaluation.summary import PolicySummary
 from armctl.policies import PolicyFactory, policy_name
 
-if TYPE_CHECKING:
-    import plotly.graph_objects
-
 COLUMNS = (
     "disturbance", "level", "policy", "episodes", "success", "low", "high", "return", "return_low", "return_high",
     "steps_to_goal", "steps_low", "steps_high", "p", "unit", "sees",
@@ -31,8 +27,6 @@ COLUMNS = (
 successful as in the same episodes undisturbed."""
 SWEEP, POINTS = "sweep.json", "sweep.csv"
 UNDISTURBED = "none"
-MARKERS = ("circle-open", "square-open", "diamond-open", "cross-open", "x-open", "triangle-up-open", "star-open")
-"""Of a figure's policies: lines that lie on each other are then still told apart."""
 Asked = Mapping[str, Sequence[float] | None] | Sequence[str] | None
 
 
@@ -200,44 +194,3 @@ def _against_undisturbed(found: Sweep, comparison: Comparison | None, policy: Po
     both = before.index.intersection(after.index)
     won, lost = (before[both] & ~after[both]).sum(), (~before[both] & after[both]).sum()
     return mcnemar(int(won), int(lost))
-
-
-def degradation_figure(points: pd.DataFrame) -> "plotly.graph_objects.Figure":
-    """Success against level, a panel for each disturbance and a line with 95 % band for each policy; needs plotly.
-
-    `points` has the columns of `sweep.csv`.
-    """
-    from plotly.colors import hex_to_rgb, qualitative
-    from plotly.subplots import make_subplots
-
-    names, across = list(points.disturbance.unique()), 3
-    units = points.groupby("disturbance").unit.first()
-    down = -(-len(names) // across)
-    figure = make_subplots(
-        rows=down, cols=min(across, len(names)), subplot_titles=[f"{name} ({units[name]})" for name in names],
-        shared_yaxes=True, vertical_spacing=0.3 / down, horizontal_spacing=0.04,
-    )  # fmt: skip
-    looks = zip(qualitative.D3, MARKERS, strict=False)
-    look = dict(zip(points.policy.unique(), itertools.cycle(looks), strict=False))
-    for i, name in enumerate(names):
-        place = {"row": i // across + 1, "col": i % across + 1}
-        for policy, rows in points[points.disturbance == name].groupby("policy", sort=False):
-            colour, marker = look[policy]
-            # Levels at equal distances: they are steps, chosen to span a wide range.
-            line = {"x": [f"{level:g}" for level in rows.level], "line_color": colour, "legendgroup": policy, **place}
-            band = line | {"mode": "lines", "line_width": 0, "showlegend": False, "hoverinfo": "skip"}
-            figure.add_scatter(**band, y=100 * rows.high)
-            figure.add_scatter(**band, y=100 * rows.low, fill="tonexty", fillcolor=f"rgba{(*hex_to_rgb(colour), 0.12)}")
-            figure.add_scatter(
-                **line, y=100 * rows.success, name=policy, mode="lines+markers", marker_symbol=marker, marker_size=8,
-                showlegend=i == 0, hovertemplate=f"{policy}: %{{y:.1f}} % at %{{x}}<extra></extra>",
-            )  # fmt: skip
-    figure.update_xaxes(type="category")
-    figure.update_yaxes(range=[-3, 103])
-    figure.update_yaxes(title_text="success, %", col=1)
-    figure.update_layout(
-        height=100 + 220 * down, template="plotly_white", margin={"l": 60, "r": 20, "t": 80, "b": 30},
-        legend={"orientation": "h", "yref": "container", "y": 0.995, "yanchor": "top"},
-    )  # fmt: skip
-    figure.update_annotations(font_size=14)
-    return figure
