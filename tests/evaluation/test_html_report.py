@@ -295,7 +295,9 @@ def test_a_sweep_with_and_without_its_undisturbed_comparison(folder, tmp_path):
     np.testing.assert_allclose(lines[1]["y"], [0.9, 0.8, 0.6])
     assert lines[1]["x"] == ["0", "0.1", "0.3"]
     shutil.copytree(folder, sweep / "none")
-    both = plots_of(write_report(sweep, video=False))
+    again = write_report(sweep, video=False)
+    assert "--disturbance noise=0,0.1,0.3 --disturbance delay=0,0.1,0.3" in again.read_text()
+    both = plots_of(again)
     assert len(both) == len(plots_of(write_report(folder, video=False))) + 2
 
 

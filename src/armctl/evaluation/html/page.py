@@ -90,6 +90,8 @@ def write_report(
     if results is not None:
         progress("drawing figures")
         page |= _comparison(results, look, trusted)
+        if sweep is not None:
+            page["command"] = f"{_command('sweep', results, page['extent'], results.names)}{_disturbances(sweep)}"
         page |= _videos(results, trusted, progress) if video else {"silent": "They were left out (--no-video)."}
     progress("writing")
     environment = jinja2.Environment(
@@ -123,6 +125,7 @@ def _comparison(results: Results, look: figures.Looks, trusted: bool) -> dict[st
     comparison, episodes = results.comparison, results.episodes
     policies = comparison.policies
     planned = policies[0].planned if policies else 0
+    extent = f"--episodes {planned}" if planned else ""
     told = _verdict(results)
     for name in sorted(look, key=len, reverse=True):
         told = told.replace(name, look[name].label)
@@ -131,7 +134,8 @@ def _comparison(results: Results, look: figures.Looks, trusted: bool) -> dict[st
         "headline": headline,
         "lead": rest,
         "planned": planned,
-        "command": _command("compare", results, f"--episodes {planned}" if planned else "", names=results.names),
+        "extent": extent,
+        "command": _command("compare", results, extent, results.names),
         "missing": [name for name in results.names if name not in episodes],
     }
     if not policies:
@@ -235,6 +239,12 @@ def _command(verb: str, results: Results, more: str, names: Sequence[str]) -> st
     options = [f"--set {shlex.quote(f'{name}={value}')}" for name, value in comparison.env_options.items()]
     words = ("armctl", verb, *map(shlex.quote, names), "--env", shlex.quote(comparison.env), *options)
     return " ".join((*words, f"--seed {comparison.seed}", more)).rstrip()
+
+
+def _disturbances(sweep: pd.DataFrame) -> str:
+    levels = sweep.groupby("disturbance", sort=False)["level"].unique()
+    asked = [f"{name}={','.join(f'{level:g}' for level in at)}" for name, at in levels.items()]
+    return "".join(f" --disturbance {shlex.quote(one)}" for one in asked)
 
 
 def _period(results: Results, trusted: bool) -> float | None:
