@@ -36,3 +36,18 @@ def bridge_dagger(env: TaskVectorEnv) -> OnnxPolicy:
 def reach_sac(env: TaskVectorEnv) -> OnnxPolicy:
     """SAC with hindsight on `armctl/ArmReach-v0`, from its plain reward."""
     return load_agent(FOLDER / "reach_sac.json", env)
+
+
+def moving_ppo(env: TaskVectorEnv) -> OnnxPolicy:
+    """PPO on `armctl/ArmReachMoving-v0`, rewarded on the way by the least time to the target."""
+    return load_agent(FOLDER / "moving_ppo.json", env)
+
+
+def obstacles_dagger(env: TaskVectorEnv) -> OnnxPolicy:
+    """DAgger: the ways of `reach_ompl` around boxes, learnt from what it sees as well."""
+    return load_agent(FOLDER / "obstacles_dagger.json", env)
+
+
+def bridge_moving_ppo(env: TaskVectorEnv) -> OnnxPolicy:
+    """PPO on `armctl/BridgeCrossMoving-v0`, from the depth camera and its own motion."""
+    return load_agent(FOLDER / "bridge_moving_ppo.json", env)

@@ -50,10 +50,10 @@ for _id, _steps, _options in (
 DEFAULT_ENV = "armctl/ArmReach-v0"
 DEFAULT_POLICIES = {
     "armctl/ArmReach-v0": ("reach_ik", "reach_ppo", "random"),
-    "armctl/ArmReachMoving-v0": ("reach_mpc", "reach_ik", "random"),
-    "armctl/ArmReachObstacles-v0": ("reach_ompl", "reach_ik", "random"),
+    "armctl/ArmReachMoving-v0": ("reach_mpc", "reach_ik", "moving_ppo", "random"),
+    "armctl/ArmReachObstacles-v0": ("reach_ompl", "reach_ik", "obstacles_dagger", "random"),
     "armctl/BridgeCross-v0": ("bridge_ompl", "bridge_ppo", "random"),
-    "armctl/BridgeCrossMoving-v0": ("bridge_ompl", "bridge_mpc", "bridge_ppo", "random"),
+    "armctl/BridgeCrossMoving-v0": ("bridge_ompl", "bridge_mpc", "bridge_moving_ppo", "random"),
 }
 
 _HOMES = {
