@@ -1,19 +1,19 @@
 """The MPC expert: OMPL's path over the bridge's map, driven by nonlinear model predictive control.
 
-It keeps away from what stands by half-planes, and from people by where their courses take them over the horizon: it
+It keeps away from what stands by half-planes, and from people by where they are predicted to be over the horizon: it
 slows down for them, or goes around them. The path passes beside lanes along the bridge.
 It sees the map and the true pose: privileged state.
 """
 
 import numpy as np
-from armctl.baselines.bridge_drivers import BridgeDrivers, path_from
 from numpy.typing import NDArray
 
+from armctl.baselines.bridge_controllers import BridgePolicy, path_from
 from armctl.control.drive_mpc import DriveMpc, DriveMpcOptions
-from armctl.envs import BridgeCrossVectorEnv
-from armctl.planning import BridgeMap
+from armctl.envs import TaskVectorEnv
 from armctl.robots.rover import MAX_VELOCITY, MAX_WHEEL_SPEED, RADIUS, TRACK, WHEEL_RADIUS, WHEEL_SEPARATION_MULTIPLIER
-from armctl.tasks.bridge import DECISION_PERIOD
+from armctl.scene import BridgeMap
+from armctl.tasks.bridge import CONTROL_PERIOD
 
 Array = NDArray[np.float64]
 
@@ -28,12 +28,12 @@ REPLAN_DISTANCE = 1.0
 """m off the path, from where a new one is planned."""
 
 
-def make(env: BridgeCrossVectorEnv) -> BridgeDrivers:
-    """OMPL path on the true map, and nonlinear MPC along it, around people on their predicted courses."""
-    return BridgeDrivers("bridge_mpc", env, Driver)
+def make(env: TaskVectorEnv) -> BridgePolicy:
+    """OMPL path on the true map, and nonlinear MPC along it, around people where they are predicted to be."""
+    return BridgePolicy("bridge_mpc", env, BridgeController)
 
 
-class Driver:
+class BridgeController:
     """Crosses one bridge."""
 
     def __init__(self, bridge: BridgeMap, goal_x: float) -> None:
@@ -44,10 +44,10 @@ class Driver:
             max_rim_speed=MAX_WHEEL_SPEED * WHEEL_RADIUS,
             half_track=TRACK * WHEEL_SEPARATION_MULTIPLIER / 2,
             clearance=RADIUS + MARGIN,
-            distance=RADIUS + bridge.courses.radius + PEOPLE_MARGIN,
-            period=DECISION_PERIOD,
+            distance=RADIUS + bridge.pedestrians.radius + PEOPLE_MARGIN,
+            period=CONTROL_PERIOD,
         )
-        self._clock = DECISION_PERIOD * np.arange(self._options.steps + 1)
+        self._clock = CONTROL_PERIOD * np.arange(self._options.steps + 1)
         self._mpc: DriveMpc | None = None
         self._plans: dict[str, Array] = {}
         self._failed_before = 0
@@ -70,7 +70,7 @@ class Driver:
             self._failed_before = self.failures
             self._mpc = DriveMpc(path, self._bridge.nearest, self._options)
             self._plans["path"] = path
-        decision = self._mpc.decide(pose, velocity, self._bridge.courses.positions(time + self._clock))
+        decision = self._mpc.decide(pose, velocity, self._bridge.pedestrians.positions(time + self._clock))
         self._plans["horizon"] = decision.poses[:, :2]
         return decision.command
 

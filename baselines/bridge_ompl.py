@@ -7,14 +7,14 @@ It sees the map and the true pose: privileged state.
 """
 
 import numpy as np
-from armctl.baselines.bridge_drivers import BridgeDrivers, path_from
 from numpy.typing import NDArray
 
+from armctl.baselines.bridge_controllers import BridgePolicy, path_from
 from armctl.control import RegulatedPurePursuit
-from armctl.envs import BridgeCrossVectorEnv
-from armctl.planning import BridgeMap
+from armctl.envs import TaskVectorEnv
 from armctl.robots.rover import RADIUS
-from armctl.tasks.bridge import DECISION_PERIOD
+from armctl.scene import BridgeMap
+from armctl.tasks.bridge import CONTROL_PERIOD
 
 Array = NDArray[np.float64]
 
@@ -30,17 +30,17 @@ REPLAN_DISTANCE = 0.4
 """m off the path, from where a new one is planned."""
 
 
-def make(env: BridgeCrossVectorEnv) -> BridgeDrivers:
+def make(env: TaskVectorEnv) -> BridgePolicy:
     """OMPL path on the true map, and pure pursuit; waits for whoever crosses the path."""
-    return BridgeDrivers("bridge_ompl", env, Driver)
+    return BridgePolicy("bridge_ompl", env, BridgeController)
 
 
-class Driver:
+class BridgeController:
     """Crosses one bridge."""
 
     def __init__(self, bridge: BridgeMap, goal_x: float) -> None:
         self._bridge, self._goal_x = bridge, goal_x
-        self._crossing = bridge.courses.across()
+        self._crossing = bridge.pedestrians.across()
         self._path: Array | None = None
         self._pursuit: RegulatedPurePursuit | None = None
 
@@ -81,16 +81,16 @@ class Driver:
         apart = np.linalg.norm(places[:, :, None] - people, axis=-1).min(axis=-1)
         room = apart - RADIUS - self._crossing.radius
         stops = pursuit.points_at(pursuit.progress + travelled + wanted**2 / (2 * ACCELERATION))
-        refuge = self._off_all_lanes(places) & self._off_all_lanes(stops) & (clock >= DECISION_PERIOD)
+        refuge = self._off_all_lanes(places) & self._off_all_lanes(stops) & (clock >= CONTROL_PERIOD)
         until = np.where(refuge.any(axis=1), refuge.argmax(axis=1), len(clock) - 1)
         closest = np.array([row[: last + 1].min() for row, last in zip(room, until, strict=True)])
         safe = (closest >= MARGIN) & refuge.any(axis=1)
         return float(shares[safe.argmax()] if safe.any() else shares[closest.argmax()])
 
     def _off_all_lanes(self, places: Array) -> NDArray[np.bool_]:
-        courses = self._crossing
-        way = courses.end - courses.start
-        offset = places[..., None, :] - courses.start
+        pedestrians = self._crossing
+        way = pedestrians.end - pedestrians.start
+        offset = places[..., None, :] - pedestrians.start
         share = np.clip((offset * way).sum(axis=-1) / (way * way).sum(axis=-1), 0.0, 1.0)
         distance = np.linalg.norm(offset - share[..., None] * way, axis=-1).min(axis=-1)
-        return np.asarray(distance >= RADIUS + courses.radius + MARGIN / 2)
+        return np.asarray(distance >= RADIUS + pedestrians.radius + MARGIN / 2)

@@ -7,12 +7,12 @@ the arm stand still elsewhere, it plans again from there. A target that moves it
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.drives import towards
-from armctl.envs import ArmReachMovingVectorEnv, ArmReachVectorEnv
+from armctl.envs import TaskVectorEnv
 from armctl.errors import ConfigurationError
-from armctl.kinematics import ArmModel, SoonestTouch
+from armctl.kinematics import ArmModel, MinimumTimeReach
 from armctl.policies import PerWorld
-from armctl.tasks import OBSERVATION
+from armctl.robot_description.joint_profiles import towards
+from armctl.tasks import OBSERVATION, ReachMovingTask, ReachTask
 
 Array = NDArray[np.float64]
 
@@ -24,22 +24,22 @@ PATIENCE = 5
 """Decisions at a standstill after which it plans anew."""
 
 
-def make(env: ArmReachVectorEnv) -> PerWorld:
+def make(env: TaskVectorEnv) -> PerWorld:
     """Pinocchio IK: of the ways to touch the target without a collision, the one that the joints reach soonest."""
-    if not isinstance(env, ArmReachVectorEnv):
+    if not isinstance(env.task, ReachTask):
         raise ConfigurationError("reach_ik moves arms: use it with armctl/ArmReach-v0")
     options, arm = env.task.options, env.task.arm
     if list(options.observation)[: len(OBSERVATION)] != list(OBSERVATION):
         raise ConfigurationError(f"reach_ik reads the observation {', '.join(OBSERVATION)}; here it is another")
-    touch = SoonestTouch(ArmModel(arm.description))
-    make_one = Follow if isinstance(env, ArmReachMovingVectorEnv) else ReachIk
+    touch = MinimumTimeReach(ArmModel(arm.description))
+    make_one = Follow if isinstance(env.task, ReachMovingTask) else ReachIk
     return PerWorld([make_one(touch, options.tolerance, options.control, arm.period) for _ in range(env.num_envs)])
 
 
 class ReachIk:
     """Reaches with one arm. Raises `ConfigurationError` for torque control, which IK has no say in."""
 
-    def __init__(self, touch: SoonestTouch, tolerance: float, control: str, period: float) -> None:
+    def __init__(self, touch: MinimumTimeReach, tolerance: float, control: str, period: float) -> None:
         if control == "torque":
             raise ConfigurationError("reach_ik commands joint motions: use control 'position', 'delta' or 'velocity'")
         self._touch, self._tolerance, self._control, self._period = touch, tolerance, control, period

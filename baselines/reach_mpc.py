@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.control.reach_mpc import ReachMpc, ReachMpcOptions
-from armctl.control.reach_problem import Motion
+from armctl.control.reach_problem import JointTrajectory
 from armctl.control.streaming import CommandStream
-from armctl.envs import ArmReachVectorEnv
+from armctl.envs import TaskVectorEnv
 from armctl.errors import ConfigurationError
-from armctl.kinematics import ArmModel, Postures
+from armctl.kinematics import ArmModel, ReachabilityMap
 from armctl.policies import PerWorld
-from armctl.tasks import OBSERVATION
-from armctl.tasks.reach_obstacles import read_boxes
+from armctl.tasks import OBSERVATION, ReachTask
+from armctl.tasks.reach import read_boxes
 
 Array = NDArray[np.float64]
 
@@ -28,26 +28,26 @@ MARGIN, INFLUENCE = 0.01, 0.06
 """m from floor and itself that are kept, and from which on these are minded. Among boxes it is more."""
 
 
-def make(env: ArmReachVectorEnv) -> PerWorld:
+def make(env: TaskVectorEnv) -> PerWorld:
     """MPC with OSQP on Pinocchio's kinematics: joint limits kept, motion of the target predicted."""
-    if not isinstance(env, ArmReachVectorEnv):
+    if not isinstance(env.task, ReachTask):
         raise ConfigurationError("reach_mpc moves arms: use it with armctl/ArmReach-v0")
     options, arm = env.task.options, env.task.arm
     if list(options.observation)[: len(OBSERVATION)] != list(OBSERVATION):
         raise ConfigurationError(f"reach_mpc reads the observation {', '.join(OBSERVATION)}; here it is another")
     if options.control != "position":
         raise ConfigurationError("reach_mpc commands joint positions: use control 'position'")
-    postures = Postures(ArmModel(arm.description))
+    postures = ReachabilityMap(ArmModel(arm.description))
     return PerWorld([ReachWithMpc(postures, options.tolerance, list(options.observation)) for _ in range(env.num_envs)])
 
 
 class ReachWithMpc:
     """Reaches with one arm, for an observation of these parts, in order."""
 
-    def __init__(self, postures: Postures, tolerance: float, parts: list[str]) -> None:
+    def __init__(self, postures: ReachabilityMap, tolerance: float, parts: list[str]) -> None:
         self._model, self._postures, self._tolerance = postures.model, postures, tolerance
         self._moving, self._boxed = "target_velocity" in parts, "boxes" in parts
-        self.mpc = ReachMpc(self._model, ReachMpcOptions(margin=MARGIN, influence=INFLUENCE))
+        self.mpc = ReachMpc(self._model, ReachMpcOptions(margin=MARGIN, influence_distance=INFLUENCE))
         self._ahead = self.mpc.problem.period * np.arange(1, self.mpc.problem.horizon + 1)[:, None]
         self._failed_before = 0
 
@@ -61,7 +61,7 @@ class ReachWithMpc:
         self.mpc.reset()
         self._posture: Array | None = None
         self._stream: CommandStream | None = None
-        self._plan: Motion | None = None
+        self._plan: JointTrajectory | None = None
         self._target_velocity: Array | None = None
         self._nearest, self._waited = np.inf, 0
 

@@ -10,15 +10,17 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.boxes import Boxes
 from armctl.control.streaming import CommandStream, commanded
 from armctl.control.trajectory import Trajectory, smooth
-from armctl.envs import ArmReachObstaclesVectorEnv
+from armctl.envs import TaskVectorEnv
 from armctl.errors import ConfigurationError
-from armctl.kinematics import ArmModel, ArmShapes, FreeMotions
+from armctl.kinematics import ArmModel, ArmShapes, EdgeChecker
 from armctl.planning import ArmPlanner
 from armctl.policies import PerWorld
-from armctl.tasks.reach_obstacles import OBSTACLES_OBSERVATION, read_boxes
+from armctl.scene import Boxes
+from armctl.tasks import ReachObstaclesTask
+from armctl.tasks.reach import read_boxes
+from armctl.tasks.reach.obstacles import OBSTACLES_OBSERVATION
 
 Array = NDArray[np.float64]
 
@@ -30,9 +32,9 @@ HEADROOM = 0.7
 """Of the acceleration limits, for the trajectory: the drives need the rest to follow it."""
 
 
-def make(env: ArmReachObstaclesVectorEnv) -> PerWorld:
+def make(env: TaskVectorEnv) -> PerWorld:
     """OMPL path around the obstacles, timed within velocity, acceleration and jerk limits, and followed."""
-    if not isinstance(env, ArmReachObstaclesVectorEnv):
+    if not isinstance(env.task, ReachObstaclesTask):
         raise ConfigurationError("reach_ompl reaches around obstacles: use it with armctl/ArmReachObstacles-v0")
     options, arm = env.task.options, env.task.arm
     if list(options.observation)[: len(OBSTACLES_OBSERVATION)] != list(OBSTACLES_OBSERVATION):
@@ -81,10 +83,10 @@ class ReachOmpl:
         path = self._planner.plan(start, target, self._tolerance, boxes).path
         if len(path) < 2:
             return Trajectory(start[None])
-        motions = FreeMotions(self._shapes, boxes, CLEARANCE, start)
+        motions = EdgeChecker(self._shapes, boxes, CLEARANCE, start)
 
         def is_free(motion: Trajectory) -> bool:
             places = commanded(limits, motion, self._period)
-            return all(motions.leads(a, b) for a, b in itertools.pairwise(places[::TICKS_CHECKED]))
+            return all(motions.is_edge_free(a, b) for a, b in itertools.pairwise(places[::TICKS_CHECKED]))
 
         return smooth(replace(limits, acceleration=HEADROOM * limits.acceleration), path, is_free)

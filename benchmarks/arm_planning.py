@@ -22,9 +22,9 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from armctl.kinematics import ArmModel, ArmShapes, FreeMotions, Ik, Workspace
+from armctl.kinematics import ArmModel, ArmShapes, EdgeChecker, Ik, Workspace
 from armctl.planning import ArmPlanner, ArmPlannerOptions
-from armctl.tasks.reach_layout import ReachLayout, draw_layout
+from armctl.tasks.reach.obstacle_layout import ReachLayout, sample_layout
 
 Array = NDArray[np.float64]
 Planner = Callable[[ReachLayout], tuple[float, Array]]
@@ -40,18 +40,18 @@ GOALS = 32
 class Motions(base.MotionValidator):
     """Motions by the test that armctl uses."""
 
-    def __init__(self, information: base.SpaceInformation, motions: FreeMotions, dof: int) -> None:
+    def __init__(self, information: base.SpaceInformation, motions: EdgeChecker, dof: int) -> None:
         super().__init__(information)
         self.motions, self.dof = motions, dof
 
     def checkMotion(self, a: base.State, b: base.State) -> bool:  # noqa: D102, N802
-        return self.motions.leads(np.array(a[0 : self.dof]), np.array(b[0 : self.dof]))
+        return self.motions.is_edge_free(np.array(a[0 : self.dof]), np.array(b[0 : self.dof]))
 
 
 class Configurations(base.StateValidityChecker):
     """Configurations likewise."""
 
-    def __init__(self, information: base.SpaceInformation, motions: FreeMotions, dof: int) -> None:
+    def __init__(self, information: base.SpaceInformation, motions: EdgeChecker, dof: int) -> None:
         super().__init__(information)
         self.motions, self.dof = motions, dof
 
@@ -81,7 +81,7 @@ def by_ompl(model: ArmModel, planner: str, seconds: float) -> Planner:
                 one[joint] = angle
             return one
 
-        motions = FreeMotions(shapes, layout.boxes, ArmPlannerOptions().clearance, model.home)
+        motions = EdgeChecker(shapes, layout.boxes, ArmPlannerOptions().clearance, model.home)
         space, bounds = base.RealVectorStateSpace(model.dof), base.RealVectorBounds(model.dof)
         for joint in range(model.dof):
             bounds.setLow(joint, low[joint])
@@ -133,7 +133,7 @@ def main(count: int = typer.Option(500, "--layouts"), robot: str = "ur5") -> Non
     model, rng = ArmModel(robot), np.random.default_rng(0)
     workspace = Workspace(model)
     begin = time.perf_counter()
-    layouts = [draw_layout(rng, workspace, TOLERANCE) for _ in range(count)]
+    layouts = [sample_layout(rng, workspace, TOLERANCE) for _ in range(count)]
     drawing = 1e3 * (time.perf_counter() - begin) / count
     contenders = {
         "armctl": by_armctl(model),

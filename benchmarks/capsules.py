@@ -16,9 +16,9 @@ from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
 
-from armctl.boxes import Boxes
-from armctl.collisions import FLOOR, link_frame
 from armctl.kinematics import ArmModel
+from armctl.robot_description.collision_pairs import FLOOR, link_frame
+from armctl.scene import Boxes
 
 BOXES = 6
 PER_LAYOUT = 50

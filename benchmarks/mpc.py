@@ -21,12 +21,12 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from armctl.boxes import Boxes
 from armctl.control.reach_mpc import ReachMpc, ReachMpcOptions
 from armctl.control.reach_problem import MpcResult
 from armctl.control.reach_qp import ReachQp
 from armctl.control.reach_reference import ReachReference
 from armctl.kinematics import ArmModel, Ik
+from armctl.scene import Boxes
 
 Array = NDArray[np.float64]
 

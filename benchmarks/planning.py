@@ -22,8 +22,9 @@ from rich.table import Table
 from scipy.sparse.csgraph import dijkstra
 from shapely import affinity
 
-from armctl.planning import BridgeMap, PathPlannerOptions, plan_path
-from armctl.tasks.bridge_layout import draw_layout
+from armctl.planning import PathPlannerOptions, plan_path
+from armctl.scene import BridgeMap
+from armctl.tasks.bridge.layout import sample_layout
 
 Array = NDArray[np.float64]
 
@@ -35,7 +36,7 @@ NO_PATH = np.zeros((0, 2))
 def layouts(count: int) -> list[BridgeMap]:
     """Maps of the static world, and of the moving one, in turn."""
     rng = np.random.default_rng(0)
-    drawn = [draw_layout(rng, 20.0, 4.0, *((7, 0) if i % 2 == 0 else (3, 3)), 1).map for i in range(count)]
+    drawn = [sample_layout(rng, 20.0, 4.0, *((7, 0) if i % 2 == 0 else (3, 3)), 1).map for i in range(count)]
     return [bridge.with_lanes_blocked() for bridge in drawn]
 
 

@@ -24,7 +24,7 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import SubprocVecEnv
 
 import armctl
-from armctl.shaping import Shaped, oracle_names
+from armctl.shaping import Shaped, potential_names
 
 ROUNDS = 7
 EPISODE = 100
@@ -121,7 +121,7 @@ def main(env: str = armctl.DEFAULT_ENV, worlds: int = 256, seconds: float = 3.0)
     cores = len(os.sched_getaffinity(0))
     subprocess_name = f"SubprocVecEnv, {cores} processes"
     all_cores, one_core = f"raw mj_step, {cores} threads", "raw mj_step, 1 thread"
-    oracles = oracle_names(gymnasium.make_vec(env, num_envs=1).unwrapped)
+    oracles = potential_names(gymnasium.make_vec(env, num_envs=1).unwrapped)
     contenders = {
         all_cores: (raw(env, cores), all_cores),
         f"gym.make_vec, {worlds} worlds": (batched(env, worlds), all_cores),

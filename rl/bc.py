@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from armctl.rl.actor import Actor
-from armctl.rl.cloning import CloningOptions, check_teaching, demonstrations, examples_for, fit, new_actor
-from armctl.rl.training import Training, read_options
 
 from armctl.agents import AgentCard
 from armctl.learners import Recipe
+from armctl.rl.actor import Actor
+from armctl.rl.cloning import CloningOptions, check_teaching, demonstrations, examples_for, fit, new_actor
+from armctl.rl.training import Training, read_options
 
 
 @dataclass(frozen=True)

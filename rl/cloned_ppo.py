@@ -9,16 +9,16 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from armctl.rl.cloning import CloningOptions, demonstrations, examples_for, fit
-from armctl.rl.learning import learn
-from armctl.rl.ppo import PpoOptions, actor_of, new_model
-from armctl.rl.training import Count, Positive, Training, read_options
-from armctl.rl.vector import StableBaselinesVectorEnv
 from pydantic import Field
 from stable_baselines3 import PPO
 
 from armctl.agents import AgentCard
 from armctl.learners import Recipe
+from armctl.rl.cloning import CloningOptions, demonstrations, examples_for, fit
+from armctl.rl.learning import learn
+from armctl.rl.ppo import PpoOptions, actor_of, new_model
+from armctl.rl.training import Count, Positive, Training, read_options
+from armctl.rl.vector import StableBaselinesVectorEnv
 
 
 @dataclass(frozen=True)

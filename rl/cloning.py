@@ -7,15 +7,17 @@ from typing import Any
 
 import numpy as np
 import torch
-from armctl.rl.actor import Actor, tensors
-from armctl.rl.training import Count, Share, Training, TrainingOptions
 from tqdm import tqdm
 
+from armctl.datasets.demonstrations import Demonstration, demonstrate
+from armctl.datasets.minari import read_demonstrations
+from armctl.envs import make_worlds
 from armctl.errors import ConfigurationError
-from armctl.evaluation.demonstrations import Demonstration, demonstrate, read_demonstrations
-from armctl.evaluation.rollouts import make_worlds
 from armctl.learners import Recipe
 from armctl.policies import make_policy
+from armctl.rl.actor import Actor, tensors
+from armctl.rl.training import Count, Share, Training, TrainingOptions
+from armctl.rl.view import Features
 from armctl.tasks import ReachMovingTask, ReachTask
 
 BACK = 10
@@ -33,7 +35,7 @@ class CloningOptions(TrainingOptions):
     worlds: Count = 50
     hidden_units: Count = 256
     layers: Count = 3
-    turned: bool = True
+    features: Features = "invariant"
     evaluation_every: Count = 3_000
     demonstrations: Count = 500
     """Episodes of the teacher, over all."""
@@ -98,7 +100,9 @@ def examples_for(training: Training, options: CloningOptions) -> Examples:
 def check_teaching(recipe: Recipe) -> None:
     """Raises `ConfigurationError` for what has no part in learning from demonstrations alone."""
     if recipe.shaping or recipe.reward_weights:
-        raise ConfigurationError(f"{recipe.learner} minds no rewards: it takes neither shaping nor reward_weights")
+        raise ConfigurationError(
+            f"{recipe.learner} learns from no rewards: it takes neither shaping nor reward_weights"
+        )
 
 
 class Teacher:

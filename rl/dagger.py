@@ -1,6 +1,6 @@
-"""DAgger (Ross, Gordon and Bagnell, AISTATS 2011): the teacher is asked in the states that the pupil gets into.
+"""DAgger (Ross, Gordon and Bagnell, AISTATS 2011): the teacher is asked in the states that the student gets into.
 
-In the first round the teacher acts; then the pupil does, more and more, and all that the teacher has said is learnt.
+In the first round the teacher acts; then the student does, more and more, and all that the teacher has said is learnt.
 """
 
 from dataclasses import dataclass
@@ -9,16 +9,16 @@ from typing import Any
 
 import numpy as np
 import torch
-from armctl.rl.actor import Actor, tensors
-from armctl.rl.cloning import CloningOptions, Examples, Teacher, check_teaching, examples_for, fit, new_actor
-from armctl.rl.training import Count, Training, read_options, write_whole
 from numpy.typing import NDArray
 
 from armctl.agents import AgentCard
+from armctl.datasets.demonstrations import Demonstration
 from armctl.errors import ConfigurationError
-from armctl.evaluation.demonstrations import Demonstration
 from armctl.learners import Recipe
 from armctl.policies import Policy
+from armctl.rl.actor import Actor, tensors
+from armctl.rl.cloning import CloningOptions, Examples, Teacher, check_teaching, examples_for, fit, new_actor
+from armctl.rl.training import Count, Training, read_options, write_whole
 
 RECORD = "rounds.pt"
 
@@ -29,13 +29,13 @@ class DaggerOptions(CloningOptions):
 
     rounds: Count = 10
     mixed_rounds: Count = 3
-    """Rounds until the pupil acts alone; before that, each decision is the teacher's by a chance that falls from 1."""
+    """Rounds until the student acts alone; before that, each decision is the teacher's by a chance that falls from 1."""
     teacher_memory: bool = True
-    """Without it, the teacher is asked in each state as if an episode began there. A pupil has no memory: it cannot
+    """Without it, the teacher is asked in each state as if an episode began there. A student has no memory: it cannot
     learn what depends on more than what it sees."""
 
 
-class Forgetful:
+class MemorylessTeacher:
     """A policy that is asked in each state as if an episode began there."""
 
     training_steps = 0
@@ -60,7 +60,7 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
     with Training(recipe, options, out, seed, resume) as training:
         teacher = Teacher(recipe, min(options.worlds, each))
         if not options.teacher_memory:
-            teacher.policy = Forgetful(teacher.policy)
+            teacher.policy = MemorylessTeacher(teacher.policy)
         try:
             actor, examples = new_actor(training, options), examples_for(training, options)
             before = _load(training, actor, examples)
@@ -82,7 +82,7 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
 
 
 def _mixture(actor: Actor, share: float, rng: np.random.Generator) -> Any:
-    """Acts as the teacher with probability `share`, and as the pupil else."""
+    """Acts as the teacher with probability `share`, and as the student else."""
 
     def acting(observations: Any, labels: NDArray[Any]) -> NDArray[Any]:
         chosen = rng.random(len(labels)) < share

@@ -3,14 +3,14 @@
 from pathlib import Path
 from typing import Any
 
-from armctl.rl.actor import Actor
-from armctl.rl.training import Training, write_whole
-from armctl.rl.vector import StableBaselinesVectorEnv
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from armctl.agents import AgentCard
+from armctl.rl.actor import Actor
+from armctl.rl.training import Training, write_whole
+from armctl.rl.vector import StableBaselinesVectorEnv
 
 REPLAY = "replay_buffer.pkl"
 
@@ -23,7 +23,7 @@ def learn(training: Training, model: BaseAlgorithm, actor: Actor, progress: bool
     model.set_logger(training.logger)
     assert isinstance(model.env, StableBaselinesVectorEnv)
     model.env.seed(training.first_seed(model.num_timesteps))
-    watch = Watch(training, actor)
+    watch = EvalCheckpointCallback(training, actor)
     try:
         remaining = training.options.steps - model.num_timesteps
         if remaining > 0:
@@ -40,7 +40,7 @@ def save(model: BaseAlgorithm, path: Path) -> None:
     model.save(path)
 
 
-class Watch(BaseCallback):
+class EvalCheckpointCallback(BaseCallback):
     """Checkpoints and evaluations, when they are due."""
 
     def __init__(self, training: Training, actor: Actor) -> None:

@@ -9,16 +9,16 @@ from typing import Annotated, Any, Literal
 
 import gymnasium
 import torch
-from armctl.rl.actor import Actor
-from armctl.rl.learning import learn
-from armctl.rl.training import Count, Positive, Share, Training, TrainingOptions, read_options
-from armctl.rl.vector import StableBaselinesVectorEnv
-from armctl.rl.view import View
 from pydantic import Field
 from stable_baselines3 import PPO
 
 from armctl.agents import AgentCard
 from armctl.learners import Recipe
+from armctl.rl.actor import Actor
+from armctl.rl.learning import learn
+from armctl.rl.training import Count, Positive, Share, Training, TrainingOptions, read_options
+from armctl.rl.vector import StableBaselinesVectorEnv
+from armctl.rl.view import View
 
 ACTIVATIONS = {"elu": torch.nn.ELU, "relu": torch.nn.ReLU}
 

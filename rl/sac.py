@@ -11,11 +11,6 @@ from typing import Annotated, Any
 import gymnasium
 import numpy as np
 import torch
-from armctl.rl.actor import Actor
-from armctl.rl.goals import GoalFeatures, GoalVectorEnv, HindsightBuffer, split
-from armctl.rl.learning import REPLAY, learn
-from armctl.rl.training import Count, Positive, Share, Training, TrainingOptions, read_options
-from armctl.rl.vector import StableBaselinesVectorEnv
 from pydantic import Field
 from stable_baselines3 import SAC
 from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise, VectorizedActionNoise
@@ -23,6 +18,11 @@ from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise, Vectori
 from armctl.agents import AgentCard
 from armctl.errors import ConfigurationError
 from armctl.learners import Recipe
+from armctl.rl.actor import Actor
+from armctl.rl.hindsight import GoalFeatures, GoalVectorEnv, HindsightBuffer, split
+from armctl.rl.learning import REPLAY, learn
+from armctl.rl.training import Count, Positive, Share, Training, TrainingOptions, read_options
+from armctl.rl.vector import StableBaselinesVectorEnv
 from armctl.tasks import ReachTask
 
 NOISE_LASTS = 10

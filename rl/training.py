@@ -14,20 +14,20 @@ import gymnasium
 import numpy as np
 import pandas as pd
 import torch
-from armctl.rl.actor import Actor
-from armctl.rl.view import view_of
 from pydantic import Field, TypeAdapter, ValidationError
 from stable_baselines3.common.logger import configure
 
 from armctl.agents import AgentCard, Evaluation, sha256, shapes
-from armctl.envs import TaskVectorEnv
+from armctl.envs import make_worlds
 from armctl.errors import ConfigurationError, unknown_name
 from armctl.evaluation import evaluate
-from armctl.evaluation.report import versions
+from armctl.evaluation.provenance import versions
 from armctl.evaluation.reproduce import summarised
-from armctl.evaluation.rollouts import make_worlds, rollouts
+from armctl.evaluation.rollouts import rollouts
 from armctl.evaluation.statistics import Estimate, success_rate
 from armctl.learners import Recipe
+from armctl.rl.actor import Actor
+from armctl.rl.view import Features, view_of
 from armctl.shaping import Shaped
 
 TRAINING_SEEDS = 10**9
@@ -58,10 +58,9 @@ class TrainingOptions:
     layers: Count = 2
     relative: bool = True
     """Position commands of an arm are relative to the observed joint positions, not absolute."""
-    features: bool = True
-    """The network is shown features of the observation (see `armctl.rl.view`), not the bare observation."""
-    turned: bool = False
-    """An arm's features are in the frame of its first joint."""
+    features: Features = "plain"
+    """What the network is shown: the bare observation (`none`), the task's features (`plain`), or those that rotations
+    of the scene do not change (`invariant`), where the task has some."""
     evaluation_every: Count = 250_000
     """Steps between two held-out evaluations, each with a checkpoint."""
     validation_episodes: Count = 100
@@ -102,7 +101,7 @@ class Training:
         self.recipe, self.options, self.out, self.seed = recipe, options, out, seed
         self.held_out = make_worlds(recipe.env, min(VALIDATION_WORLDS, options.validation_episodes), recipe.env_options)
         self.worlds = self._make_worlds()
-        self.view = view_of(self.held_out, features=options.features, relative=options.relative, turned=options.turned)
+        self.view = view_of(self.held_out, features=options.features, relative=options.relative)
         self._prepare(resume)
         self.logger = configure(str(out / "tensorboard"), ["tensorboard"])
         clock = out / "clock.json"
@@ -219,11 +218,8 @@ class Training:
 
     def _make_worlds(self) -> gymnasium.vector.VectorEnv[Any, Any, Any]:
         recipe, options = self.recipe, self.options
-        worlds = gymnasium.make_vec(
-            recipe.env, num_envs=options.worlds, autoreset_mode="same_step", **recipe.env_options
-        )
-        assert isinstance(worlds, TaskVectorEnv)
-        terms = worlds.task.score()
+        worlds = make_worlds(recipe.env, options.worlds, recipe.env_options, autoreset_mode="same_step")
+        terms = worlds.task.reward_terms()
         for name in recipe.reward_weights:
             if name not in terms:
                 raise unknown_name("reward term", name, terms)

@@ -6,13 +6,13 @@ from typing import Any
 import gymnasium
 import numpy as np
 import torch
-from armctl.rl.actor import tensors
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from armctl.envs import one_of
+from armctl.rl.actor import tensors
 
 Array = NDArray[np.float64]
 

@@ -1,20 +1,17 @@
-"""How networks see a task and act in it: the same for every learner."""
+"""How networks see a task and act in it: what a task declares (`Task.learner_view`), made of torch."""
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
-import gymnasium
 import numpy as np
 import torch
-from armctl.rl.bridge import BridgeFeatures, VelocityScale
-from armctl.rl.reach import ActionScale, ReachFeatures, TurnedFeatures
-from armctl.rl.reach import turned as turned_by
-from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, CombinedExtractor, FlattenExtractor
+from numpy.typing import NDArray
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 from armctl.envs import TaskVectorEnv
-from armctl.errors import ConfigurationError
-from armctl.kinematics import ArmModel
-from armctl.tasks import OBSERVATION, BridgeTask, ReachTask
+from armctl.rl.features import features_by_name
+
+Features = Literal["none", "plain", "invariant"]
 
 
 @dataclass(frozen=True)
@@ -27,35 +24,48 @@ class View:
     features_options: dict[str, Any] = field(default_factory=dict)
 
 
-def view_of(worlds: TaskVectorEnv, *, features: bool = True, relative: bool = True, turned: bool = False) -> View:
-    """The view of a task; without `features`, of the bare observation.
+def view_of(worlds: TaskVectorEnv, *, features: Features = "plain", relative: bool = True) -> View:
+    """The view of a task.
 
-    For arms: `relative` (see `ActionScale`), and `turned` (see `TurnedFeatures`), where the first axis is vertical.
+    `features`: `none` for the bare observation, `plain` for the task's features, `invariant` for those that symmetries
+    of the task do not change, where it has some. `relative`: actions are relative to a part of the observation, where
+    the task allows it.
 
-    Raises `ConfigurationError` for a task that there is no view of.
+    Raises `ConfigurationError` for an observation that learners of this task cannot use.
     """
-    task, space, actions = worlds.task, worlds.single_observation_space, worlds.single_action_space
-    bare = CombinedExtractor if isinstance(space, gymnasium.spaces.Dict) else FlattenExtractor
-    if isinstance(task, ReachTask):
-        if list(task.options.observation)[: len(OBSERVATION)] != list(OBSERVATION):
-            raise ConfigurationError(f"learners need an observation that begins with {', '.join(OBSERVATION)}")
-        scale = ActionScale(task.interface["control"], actions, relative)
-        if not features:
-            return View(scale, bare)
-        dof = actions.shape[0]
-        if not (turned and _turns_about_vertical(ArmModel(task.arm.description))):
-            return View(scale, ReachFeatures, {"dof": dof})
-        parts = {name: part.shape[1] for name, part in list(task.parts().items())[len(OBSERVATION) :]}
-        return View(scale, TurnedFeatures, {"dof": dof, "parts": parts})
-    if isinstance(task, BridgeTask):
-        depth = task.options.observation == "camera" and task.options.camera == "depth"
-        return View(VelocityScale(), BridgeFeatures if features and depth else bare)
-    raise ConfigurationError(f"learners have no view of {type(task).__name__} yet")
+    declared = worlds.task.learner_view
+    chosen = {
+        "none": None,
+        "plain": declared.features,
+        "invariant": declared.invariant_features or declared.features,
+    }[features]
+    extractor = features_by_name(chosen.name if chosen else None, worlds.single_observation_space)
+    if relative and declared.relative_to is not None:
+        largest = np.full(worlds.single_action_space.shape, declared.largest_move)
+        scale = ActionScale(-largest, largest, declared.relative_to)
+    else:
+        scale = ActionScale(declared.action_low, declared.action_high)
+    return View(scale, extractor, dict(chosen.options) if chosen else {})
 
 
-def _turns_about_vertical(model: ArmModel) -> bool:
-    """Whether turning the first joint turns the end-effector about the vertical through the origin."""
-    q = model.home + np.array([[0.3], [0.3]])
-    q[1, 0] += 1.0
-    before, after = torch.as_tensor(model.positions(q))
-    return bool(torch.allclose(turned_by(before, torch.ones(1, dtype=before.dtype)), after, atol=1e-4))
+class ActionScale(torch.nn.Module):
+    """From the network's actions in [-1, 1] to the environment's, between `low` and `high` (k,).
+
+    With `relative_to`, they are added to that part of the observation.
+    """
+
+    def __init__(self, low: NDArray[Any], high: NDArray[Any], relative_to: slice | None = None) -> None:
+        super().__init__()
+        self.relative_to = relative_to
+        self.register_buffer("middle", torch.as_tensor((low + high) / 2, dtype=torch.float32))
+        self.register_buffer("span", torch.as_tensor((high - low) / 2, dtype=torch.float32))
+
+    def forward(self, observations: Any, actions: torch.Tensor) -> torch.Tensor:
+        """Environment actions (n, k)."""
+        scaled = self.middle + self.span * actions.clamp(-1, 1)
+        return scaled if self.relative_to is None else observations[:, self.relative_to] + scaled
+
+    def inverse(self, observations: Any, actions: torch.Tensor) -> torch.Tensor:
+        """The network's actions (n, k), in [-1, 1], that come nearest to the environment's."""
+        scaled = actions if self.relative_to is None else actions - observations[:, self.relative_to]
+        return ((scaled - self.middle) / self.span).clamp(-1, 1)

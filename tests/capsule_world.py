@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 
-from armctl.collisions import FLOOR, link_frame
+from armctl.robot_description.collision_pairs import FLOOR, link_frame
 
 FAR = 0.1
 """m from which on distances are not measured."""

@@ -10,10 +10,11 @@ import onnx
 import pytest
 
 from armctl.agents import load_agent, read_card, sha256
-from armctl.envs import ArmReachVectorEnv
+from armctl.envs import TaskVectorEnv
 from armctl.errors import AgentFileError
 from armctl.evaluation import evaluate
 from armctl.learners import load_recipe
+from armctl.tasks import ReachTask
 
 SHIPPED = Path(str(resources.files("armctl.rl.agents")))
 ENV = "armctl/ArmReach-v0"
@@ -36,7 +37,7 @@ def load(card, **options):
 
 
 def test_card_or_graph_may_be_named(agent):
-    worlds = ArmReachVectorEnv(3)
+    worlds = TaskVectorEnv(3, task=ReachTask)
     observations, _ = worlds.reset(seed=0)
     first = load_agent(agent, worlds).act(observations)
     np.testing.assert_array_equal(load_agent(agent.with_suffix(".onnx"), worlds).act(observations), first)

@@ -137,14 +137,13 @@ def test_a_policy_in_the_current_folder_is_found(tmp_path):
 
 def test_a_task_in_the_current_folder_is_found(tmp_path):
     (tmp_path / "mine.py").write_text(
-        "import gymnasium\n"
-        "face = dict(entry_point='armctl.envs:ArmReachEnv', vector_entry_point='armctl.envs:ArmReachVectorEnv')\n"
-        "gymnasium.register('armctl/Loose-v0', **face, max_episode_steps=60, kwargs={'tolerance': 0.3})\n"
+        "import armctl\n"
+        "armctl.register('mine/Loose-v0', 'armctl.tasks:ReachTask', max_episode_steps=60, tolerance=0.3)\n"
     )
-    loose = ["--episodes", "2", "--env", "mine:armctl/Loose-v0"]
+    loose = ["--episodes", "2", "--env", "mine:mine/Loose-v0"]
     assert "reach_ik: 2 reached" in armctl("compare", "reach_ik", *loose, cwd=tmp_path).stdout
     assert "reward" in armctl("run", "random", *loose[2:], "--steps", "1", cwd=tmp_path).stdout
-    for env in ("nobodys:armctl/Loose-v0", "mine:armctl/Tight-v0", "mine:CartPole-v1"):
+    for env in ("nobodys:mine/Loose-v0", "mine:mine/Tight-v0", "mine:CartPole-v1"):
         for verb in ("compare", "run"):
             done = armctl(verb, "random", "--env", env, cwd=tmp_path, check=False)
             assert done.returncode == 2, done.stdout

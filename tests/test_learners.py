@@ -5,8 +5,8 @@ from importlib import resources
 import pytest
 
 from armctl.errors import ConfigurationError
-from armctl.evaluation.rollouts import environment_names
 from armctl.learners import learner_names, load_learner, load_recipe, recipe_names
+from armctl.registration import environment_names
 
 GOOD = 'learner = "ppo"\nenv = "armctl/ArmReach-v0"\n'
 

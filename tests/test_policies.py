@@ -4,11 +4,12 @@ import gymnasium
 import numpy as np
 import pytest
 
-from armctl import DEFAULT_POLICIES
 from armctl.agents import read_card
 from armctl.errors import ArmctlError, ConfigurationError
+from armctl.evaluation.compare import default_policies
 from armctl.evaluation.reproduce import card_path
 from armctl.policies import Policy, make_policy, policy_names
+from armctl.registration import environment_names
 
 ENV = "armctl/ArmReach-v0"
 AGENTS = card_path("reach_ppo").parent
@@ -34,7 +35,7 @@ def no_policy(env):
     return object()
 
 
-MEETINGS = [(name, env) for env, names in DEFAULT_POLICIES.items() for name in names]
+MEETINGS = [(name, env) for env in environment_names() for name in default_policies(env)]
 MEETINGS += sorted({(path.stem, read_card(path).env) for path in AGENTS.glob("*.json")} - set(MEETINGS))
 
 

@@ -10,7 +10,6 @@ from typing import Any, Literal
 import gymnasium
 import numpy as np
 import onnxruntime
-from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -48,7 +47,7 @@ class AgentCard(BaseModel):
     env_options: dict[str, Any]
     """Options of the environment that it acts in; the rest are defaults."""
     shaping: str | None = None
-    """Oracle of the reward on the way that it was trained with."""
+    """Potential of the reward on the way that it was trained with."""
     shaping_scale: float | None = None
     reward_weights: dict[str, float] = {}
     """Weights of the task's reward terms in training; 1 where not named."""
@@ -140,8 +139,6 @@ def sha256(path: Path) -> str:
 
 
 def _check_made_for(card: AgentCard, worlds: TaskVectorEnv) -> None:
-    if worlds.spec is not None and not _same_task(card.env, worlds.spec):
-        raise AgentFileError(f"agent {card.name} was trained in {card.env}, and this is {worlds.spec.id}")
     trained = (card.observation_shape, card.action_shape)
     here = (shapes(worlds.single_observation_space), shapes(worlds.single_action_space))
     if trained != here:
@@ -152,11 +149,6 @@ def _check_made_for(card: AgentCard, worlds: TaskVectorEnv) -> None:
     for name, value in worlds.task.interface.items():
         if (learnt := card.interface.get(name)) != value:
             raise AgentFileError(f"agent {card.name} was trained for {name} {learnt!r}, and this is {name} {value!r}")
-
-
-def _same_task(env: str, spec: EnvSpec) -> bool:
-    """Whether two environments differ in their options at most."""
-    return env in gymnasium.registry and gymnasium.registry[env].vector_entry_point == spec.vector_entry_point
 
 
 def inputs(space: gymnasium.Space[Any]) -> dict[str, gymnasium.Space[Any]]:

@@ -34,7 +34,7 @@ class Recipe(BaseModel):
     env_options: dict[str, Any] = {}
     """Of the environment that the agent acts in."""
     shaping: str | None = None
-    """Oracle of a potential-based reward on the way (see `armctl.shaping`)."""
+    """Potential of a potential-based reward on the way (see `armctl.shaping`)."""
     shaping_scale: FiniteFloat = 1.0
     """Reward per unit of the oracle's potential."""
     reward_weights: dict[str, FiniteFloat] = {}

@@ -1,7 +1,48 @@
-"""Options as they are written: on the command line, and in results."""
+"""Options: dataclasses that check what they are given, and how options are written as text."""
 
 import ast
-from typing import Any
+import dataclasses
+import functools
+import re
+from collections.abc import Mapping
+from typing import Any, TypeVar, dataclass_transform
+
+import pydantic
+from pydantic import ConfigDict, ValidationError
+
+from armctl.errors import ConfigurationError, unknown_name
+
+Options = TypeVar("Options")
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(dataclasses.field,))
+def options(cls: type[Options]) -> type[Options]:
+    """Decorator: a frozen dataclass that checks its fields' types and bounds, as pydantic does, strictly.
+
+    What does not fit raises `ConfigurationError`, which names the option, what is allowed, and the value.
+    """
+    config = ConfigDict(strict=True, arbitrary_types_allowed=True, allow_inf_nan=False)
+    made: Any = pydantic.dataclasses.dataclass(cls, frozen=True, config=config)
+    checked = made.__init__
+
+    @functools.wraps(checked)
+    def init(self: Any, *args: Any, **values: Any) -> None:
+        try:
+            checked(self, *args, **values)
+        except ValidationError as error:
+            raise _explained(error) from error
+
+    made.__init__ = init
+    return made  # type: ignore[no-any-return]
+
+
+def make_options(options_type: type[Options], values: Mapping[str, Any], kind: str = "option") -> Options:
+    """Options from values by name; raises `ConfigurationError`, also for a name that there is not."""
+    names = [field.name for field in dataclasses.fields(options_type)]  # type: ignore[arg-type]
+    for name in values:
+        if name not in names:
+            raise unknown_name(kind, name, names)
+    return options_type(**values)
 
 
 def option_value(text: str) -> Any:
@@ -10,3 +51,14 @@ def option_value(text: str) -> Any:
         return ast.literal_eval(text)
     except (ValueError, TypeError, SyntaxError, MemoryError, RecursionError):
         return text
+
+
+def _explained(error: ValidationError) -> ConfigurationError:
+    first = error.errors()[0]
+    if isinstance(raised := first.get("ctx", {}).get("error"), ConfigurationError):
+        return raised
+    name = str(first["loc"][0]) if first["loc"] else error.title
+    if first["type"] == "literal_error":
+        return unknown_name(name, first["input"], re.findall(r"'([^']*)'", first["ctx"]["expected"]))
+    message = first["msg"].removeprefix("Value error, ")
+    return ConfigurationError(f"{name}: {message[0].lower()}{message[1:]}, not {first['input']!r}")

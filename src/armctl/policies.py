@@ -3,10 +3,7 @@
 A package offers a policy under the entry-point group `armctl.policies`: a function from an environment to a `Policy`.
 """
 
-import importlib
 import inspect
-import os
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -19,6 +16,7 @@ from numpy.typing import NDArray
 from armctl.agents import load_agent
 from armctl.envs import TaskEnv, TaskVectorEnv, one_of
 from armctl.errors import ArmctlError, ConfigurationError, unknown_name
+from armctl.registration import import_attribute
 from armctl.tasks import Observations
 
 Actions = NDArray[np.floating[Any]]
@@ -140,12 +138,6 @@ def make_policy(policy: str | Path | PolicyFactory | Policy, env: gymnasium.Env[
     return made
 
 
-def look_where_called() -> None:
-    """Let modules be imported from the working directory, where a console script does not look."""
-    if os.getcwd() not in sys.path:
-        sys.path.append(os.getcwd())
-
-
 def _factory(policy: Any) -> PolicyFactory:
     if callable(policy):
         return policy  # type: ignore[no-any-return]
@@ -154,11 +146,6 @@ def _factory(policy: Any) -> PolicyFactory:
         return lambda worlds: load_agent(Path(name), worlds)
     if name in policy_names():
         return entry_points(group=GROUP)[name].load()  # type: ignore[no-any-return]
-    module, _, attribute = name.partition(":")
-    if not attribute:
+    if ":" not in name:
         raise unknown_name("policy", name, [*policy_names(), "path/to/agent.json", "module:function"])
-    look_where_called()
-    try:
-        return getattr(importlib.import_module(module), attribute)  # type: ignore[no-any-return]
-    except (ImportError, AttributeError) as error:
-        raise ConfigurationError(f"cannot load the policy {name!r}: {error}") from error
+    return import_attribute(name, "policy")  # type: ignore[no-any-return]

@@ -5,7 +5,7 @@ import pytest
 from armctl.control.drive_mpc import DriveMpc
 from armctl.errors import ConfigurationError
 from armctl.evaluation import evaluate
-from armctl.evaluation.rollouts import TIME_COLUMNS
+from armctl.evaluation.record import TIME_COLUMNS
 from armctl.policies import make_policy
 
 STATIC, MOVING = "armctl/BridgeCross-v0", "armctl/BridgeCrossMoving-v0"
@@ -51,8 +51,8 @@ def test_it_keeps_its_distance_and_always_has_a_solution(monkeypatch):
         for world in np.flatnonzero(running):
             pose, bridge = task.state.poses[world], task.map(world)
             assert bridge.clearance(pose[None, :2])[0] > 0.31
-            people = bridge.courses.positions(task.state.time[world])
-            assert np.linalg.norm(people - pose[:2], axis=1).min() > 0.31 + bridge.courses.radius
+            people = bridge.pedestrians.positions(task.state.time[world])
+            assert np.linalg.norm(people - pose[:2], axis=1).min() > 0.31 + bridge.pedestrians.radius
         if not running.any():
             break
     assert not running.any()

@@ -5,7 +5,7 @@ from scipy import ndimage
 
 from armctl.errors import ConfigurationError
 from armctl.evaluation import evaluate
-from armctl.evaluation.rollouts import TIME_COLUMNS
+from armctl.evaluation.record import TIME_COLUMNS
 from armctl.policies import make_policy
 
 STATIC, MOVING = "armctl/BridgeCross-v0", "armctl/BridgeCrossMoving-v0"
@@ -49,7 +49,7 @@ def test_it_keeps_its_distance_from_all_that_walks_and_stands():
         for world in np.flatnonzero(running):
             pose, bridge = task.state.poses[world], task.map(world)
             assert bridge.clearance(pose[None, :2])[0] > 0.28
-            people = bridge.courses.positions(task.state.time[world])
+            people = bridge.pedestrians.positions(task.state.time[world])
             assert np.linalg.norm(people - pose[:2], axis=1).min() > 0.25 + 0.22
     assert not running.any()
 
@@ -69,8 +69,8 @@ def crossing_time(bridge, radius, speed=1.0, limit=60.0, cell=0.1):
     stands = bridge.clearance(grid.reshape(-1, 2)).reshape(grid.shape[:2]) >= radius
     reached = np.hypot(grid[..., 0] - 1.0, grid[..., 1]) < cell
     for time in np.arange(0.0, limit, cell / speed):
-        people = bridge.courses.positions(time)
-        away = np.linalg.norm(grid[:, :, None] - people, axis=-1).min(axis=-1) >= radius + bridge.courses.radius
+        people = bridge.pedestrians.positions(time)
+        away = np.linalg.norm(grid[:, :, None] - people, axis=-1).min(axis=-1) >= radius + bridge.pedestrians.radius
         reached = ndimage.binary_dilation(reached) & stands & away
         if reached[x > 19.0 - cell].any():
             return time

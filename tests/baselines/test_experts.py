@@ -3,7 +3,7 @@ import pytest
 
 from armctl.errors import ConfigurationError
 from armctl.evaluation import evaluate
-from armctl.evaluation.rollouts import TIME_COLUMNS
+from armctl.evaluation.record import TIME_COLUMNS
 from armctl.policies import make_policy
 
 

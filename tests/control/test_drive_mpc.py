@@ -11,7 +11,7 @@ from armctl.control.drive_mpc import DriveMpc, DriveMpcOptions
 from armctl.control.drive_nlp import DriveNlp, drive_nlp
 from armctl.errors import ConfigurationError
 from armctl.planning import plan_path
-from armctl.tasks.bridge_layout import draw_layout
+from armctl.tasks.bridge.layout import sample_layout
 
 OPTIONS = DriveMpcOptions(max_rim_speed=2.45)
 STRAIGHT = [(0.0, 0.0), (20.0, 0.0)]
@@ -52,7 +52,7 @@ def hard_scenes(count, seed=0):
     """Controllers in the middle of bridges, with a pose, a velocity and a walker each."""
     rng = np.random.default_rng(seed)
     for _ in range(count):
-        bridge = draw_layout(rng, 20.0, 4.0, 5, 0, 1).map
+        bridge = sample_layout(rng, 20.0, 4.0, 5, 0, 1).map
         path = plan_path(bridge, (1.0, 0.0), 19.0).path
         mpc = DriveMpc(path, bridge.nearest, OPTIONS)
         pose = (1.0, rng.uniform(-0.3, 0.3), rng.uniform(-0.5, 0.5))
@@ -146,7 +146,7 @@ def test_between_walls_it_waits_for_whoever_stands_in_the_way_without_touching()
 def test_blocks_are_driven_around_in_closed_loop():
     rng = np.random.default_rng(3)
     for _ in range(2):
-        bridge = draw_layout(rng, 12.0, 4.0, 4, 0, 1).map
+        bridge = sample_layout(rng, 12.0, 4.0, 4, 0, 1).map
         path = plan_path(bridge, (1.0, 0.0), 11.0).path
         poses, _ = drive(DriveMpc(path, bridge.nearest, OPTIONS), 65, (1.0, 0.0, 0.0))
         poses = poses[poses[:, 0] < 11]

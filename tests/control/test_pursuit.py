@@ -4,7 +4,7 @@ import pytest
 from armctl.control import PursuitOptions, RegulatedPurePursuit
 from armctl.errors import ConfigurationError
 from armctl.planning import plan_path
-from armctl.tasks.bridge_layout import draw_layout
+from armctl.tasks.bridge.layout import sample_layout
 
 PERIOD = 0.1
 
@@ -39,7 +39,7 @@ def deviation(poses, path):
 def test_planned_paths_are_kept_to_at_speed(turning):
     rng, averages = np.random.default_rng(0), []
     for _ in range(15):
-        path = plan_path(draw_layout(rng, 20.0, 4.0, 7, 0, 1).map, (1.0, 0.0), 19.0).path
+        path = plan_path(sample_layout(rng, 20.0, 4.0, 7, 0, 1).map, (1.0, 0.0), 19.0).path
         poses, speeds, _ = drive(path, turning, (1.0, 0.0, 0.0))
         assert deviation(poses, path) < 0.08
         averages.append(speeds.mean())

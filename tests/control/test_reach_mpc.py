@@ -4,15 +4,15 @@ import numpy as np
 import osqp
 import pytest
 
-from armctl.assets import load_arm
-from armctl.boxes import Boxes
 from armctl.control.reach_mpc import ReachMpc, ReachMpcOptions
-from armctl.control.reach_problem import ReachProblem, Situation, braking, reach_cost
+from armctl.control.reach_problem import OcpParameters, ReachProblem, braking, reach_cost
 from armctl.control.reach_reference import ReachReference, symbolic_position
 from armctl.control.streaming import CommandStream
-from armctl.drives import TICK, limited, towards
 from armctl.errors import ConfigurationError
 from armctl.kinematics import ArmModel, Ik
+from armctl.robot_description import load_arm
+from armctl.robot_description.joint_profiles import TICK, limited, towards
+from armctl.scene import Boxes
 
 PERIOD, N = ReachProblem().period, ReachProblem().horizon
 MODEL = ArmModel("ur5")
@@ -63,7 +63,7 @@ def test_plans_keep_dynamics_and_limits_and_can_go_on_for_ever(posture):
         plan = mpc.plan(q, v, target, goal)
         assert plan.solved
         check(plan)
-        situation = Situation.checked(ReachProblem(), 6, plan.positions[-1], plan.velocities[-1], target, None)
+        situation = OcpParameters.checked(ReachProblem(), 6, plan.positions[-1], plan.velocities[-1], target, None)
         check(braking(ReachProblem(), LIMITS, situation), LIMITS.lower - 2e-3, LIMITS.upper + 2e-3)
         for _ in range(3):
             plan = mpc.plan(plan.positions[1], plan.velocities[1], target, goal)
@@ -74,7 +74,7 @@ def test_plans_keep_dynamics_and_limits_and_can_go_on_for_ever(posture):
 def test_too_fast_to_stop_it_breaks_limits_no_more_than_braking_does():
     mpc, v = ReachMpc(MODEL), 1.2 * LIMITS.velocity
     q = LIMITS.upper - 0.05
-    worst = braking(ReachProblem(), LIMITS, Situation.checked(ReachProblem(), 6, q, v, np.zeros(3), None))
+    worst = braking(ReachProblem(), LIMITS, OcpParameters.checked(ReachProblem(), 6, q, v, np.zeros(3), None))
     plan = mpc.plan(q, v, np.array([0.4, 0.2, 0.4]))
     assert (plan.positions <= np.maximum(LIMITS.upper, worst.positions.max(axis=0)) + 1e-9).all()
     assert (np.abs(plan.accelerations) <= LIMITS.acceleration + 1e-9).all()
@@ -87,7 +87,7 @@ def test_a_plan_is_worth_its_cost():
         target, goal = reach(MODEL, rng)
         goal = goal if rng.random() < 0.5 else None
         plan = mpc.plan(q, v, target, goal)
-        situation = Situation.checked(ReachProblem(), 6, q, v, target, goal)
+        situation = OcpParameters.checked(ReachProblem(), 6, q, v, target, goal)
         assert plan.cost == pytest.approx(reach_cost(MODEL, ReachProblem(), situation, plan))
         nothing = braking(ReachProblem(), LIMITS, situation)
         if goal is None:  # else the way to it may cost more at first
@@ -120,9 +120,9 @@ def test_plans_in_closed_loop_cost_what_converged_ones_do():
 def test_symbolic_kinematics_are_the_models(robot):
     casadi = pytest.importorskip("casadi")
     if robot == "panda":
-        from armctl import assets
+        from armctl.robot_description import arm as arms
 
-        path = assets.robot_data() / "panda_description/urdf/panda.urdf"
+        path = arms.robot_data() / "panda_description/urdf/panda.urdf"
         robot = load_arm(path, tip="panda_hand_tcp")
     model = ArmModel(robot)
     q = casadi.SX.sym("q", model.dof)
@@ -238,6 +238,12 @@ def test_what_it_cannot_use_is_refused():
     for options in ({"horizon": 1}, {"period": 0.0}, {"posture": -1.0}, {"velocity": np.nan}, {"acceleration": np.inf}):
         with pytest.raises(ConfigurationError):
             ReachProblem(**options)
-    for options in ({"programs": 0}, {"max_iterations": 1.5}, {"pairs": -1}, {"price": 0.0}, {"margin": np.nan}):
+    for options in (
+        {"max_sqp_iterations": 0},
+        {"max_iterations": 1.5},
+        {"pairs": -1},
+        {"slack_penalty": 0.0},
+        {"margin": np.nan},
+    ):
         with pytest.raises(ConfigurationError, match=next(iter(options))):
             ReachMpcOptions(**options)

@@ -3,10 +3,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armctl.assets import load_arm
-from armctl.control.reach_problem import ReachProblem, Situation, straight_to
+from armctl.control.reach_problem import OcpParameters, ReachProblem, straight_to
 from armctl.control.streaming import CommandStream, command_for, follow
-from armctl.drives import TICK, limited, towards
+from armctl.robot_description import load_arm
+from armctl.robot_description.joint_profiles import TICK, limited, towards
 
 LIMITS = load_arm("ur5").limits
 PERIOD = 0.04
@@ -52,7 +52,7 @@ def test_drives_do_a_plan_and_keep_their_limits():
     stream, goal = CommandStream(LIMITS, PERIOD, np.zeros(6)), np.array([1.0, -0.8, 0.6, -0.4, 0.2, 0.0])
     position, velocity, off = np.zeros(6), np.zeros(6), []
     for _ in range(40):
-        situation = Situation(stream.position, stream.velocity, np.zeros((40, 3)), None)
+        situation = OcpParameters(stream.position, stream.velocity, np.zeros((40, 3)), None)
         motion = straight_to(problem, LIMITS, situation, goal)
         command = stream.goal(motion)
         for _ in range(5):

@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armctl.assets import load_arm
 from armctl.control.streaming import commanded
 from armctl.control.trajectory import SAMPLE, Trajectory, along, point_to_point, smooth
 from armctl.errors import ConfigurationError
+from armctl.robot_description import load_arm
 
 LIMITS = load_arm("ur5").limits
 properties = settings(deadline=None, derandomize=True, max_examples=50)

@@ -9,8 +9,9 @@ from rich.console import Console
 import armctl
 from armctl.errors import ConfigurationError, ResultsError
 from armctl.evaluation import PolicyFailed, compare, evaluate
-from armctl.evaluation.report import tables, verdict
-from armctl.evaluation.rollouts import COLUMNS, TIME_COLUMNS
+from armctl.evaluation.record import COLUMNS, TIME_COLUMNS
+from armctl.evaluation.verdict import verdict
+from armctl.report.terminal import tables
 
 TIMES = list(TIME_COLUMNS)
 

@@ -6,9 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from armctl.envs import make_worlds
 from armctl.evaluation import evaluate
 from armctl.evaluation.metrics import path_length, range_use, smoothness
-from armctl.evaluation.rollouts import TIME_COLUMNS, make_worlds, rollouts
+from armctl.evaluation.record import TIME_COLUMNS
+from armctl.evaluation.rollouts import rollouts
 from armctl.policies import make_policy
 
 

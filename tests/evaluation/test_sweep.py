@@ -10,10 +10,10 @@ import armctl
 from armctl.errors import ConfigurationError, ResultsError
 from armctl.evaluation import compare
 from armctl.evaluation.degradation import degradations
-from armctl.evaluation.report import sweep_tables
-from armctl.evaluation.rollouts import TIME_COLUMNS
+from armctl.evaluation.record import TIME_COLUMNS
 from armctl.evaluation.statistics import mcnemar
 from armctl.evaluation.sweep import COLUMNS, sweep, sweep_levels
+from armctl.report.terminal import sweep_tables
 
 POLICIES = ["reach_ik", "random"]
 LEVELS = {"noise": [0.05], "delay": [2, 0, 2]}

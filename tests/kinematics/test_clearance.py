@@ -2,10 +2,10 @@ import numpy as np
 import pinocchio
 import pytest
 
-from armctl.boxes import NO_BOXES, Boxes
-from armctl.collisions import FLOOR
 from armctl.kinematics import ArmModel
 from armctl.kinematics.clearance import SPACING, Clearance, nearest_on_segments
+from armctl.robot_description.collision_pairs import FLOOR
+from armctl.scene import NO_BOXES, Boxes
 
 STEP = 1e-6
 """rad, of finite differences"""

@@ -4,9 +4,9 @@ import numpy as np
 import pinocchio
 import pytest
 
-from armctl import assets
 from armctl.errors import ConfigurationError, UnreachableTarget
 from armctl.kinematics import ArmModel, Ik, IkOptions
+from armctl.robot_description import arm as arms
 
 TOLERANCE = IkOptions().tolerance
 DISTINCT = IkOptions().distinct
@@ -32,8 +32,8 @@ def numeric(model, options=None):
 
 
 def panda():
-    path = assets.robot_data() / "panda_description/urdf/panda.urdf"
-    return ArmModel(assets.load_arm(path, tip="panda_hand_tcp"))
+    path = arms.robot_data() / "panda_description/urdf/panda.urdf"
+    return ArmModel(arms.load_arm(path, tip="panda_hand_tcp"))
 
 
 def configurations(model, count, seed=0):
@@ -198,10 +198,10 @@ def test_out_of_reach_is_said_soon(ur5, solver, kind):
 
 @pytest.mark.parametrize("solver", [Ik, numeric])
 def test_within_limits_counts_as_reachable_and_no_more(solver, tmp_path):
-    path = assets.robot_data() / "ur_description/urdf/ur5_robot.urdf"
+    path = arms.robot_data() / "ur_description/urdf/ur5_robot.urdf"
     narrow = tmp_path / "narrow.urdf"
     narrow.write_text(path.read_text().replace("6.28318530718", "0.5").replace("3.14159265359", "0.5"))
-    model = ArmModel(assets.load_arm(narrow, tip="ee_link"))
+    model = ArmModel(arms.load_arm(narrow, tip="ee_link"))
     ik = solver(model)
     for q in configurations(model, 50):
         assert ik.pose(model.pose(q)).reachable

@@ -4,11 +4,11 @@ import pinocchio
 import pytest
 from scipy.spatial.transform import Rotation
 
-from armctl import assets
-from armctl.boxes import Boxes
-from armctl.drives import travel_time
 from armctl.kinematics import ArmModel
+from armctl.robot_description import arm as arms
+from armctl.robot_description.joint_profiles import travel_time
 from armctl.robots import build_arm_world
+from armctl.scene import Boxes
 
 STEP = 1e-6
 """rad, of finite differences"""
@@ -18,8 +18,8 @@ STEP = 1e-6
 def model(request):
     if request.param != "panda":
         return ArmModel(request.param)
-    path = assets.robot_data() / "panda_description/urdf/panda.urdf"
-    return ArmModel(assets.load_arm(path, tip="panda_hand_tcp"))
+    path = arms.robot_data() / "panda_description/urdf/panda.urdf"
+    return ArmModel(arms.load_arm(path, tip="panda_hand_tcp"))
 
 
 @pytest.fixture(scope="module")

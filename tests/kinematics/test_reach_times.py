@@ -1,14 +1,14 @@
 import numpy as np
 import pytest
 
-from armctl.assets import load_arm
-from armctl.kinematics import THOROUGH, ArmModel, ReachTimes, SoonestTouch, Workspace
+from armctl.kinematics import THOROUGH, ArmModel, MinimumTimeReach, ReachTimes, Workspace
+from armctl.robot_description import load_arm
 
 
 @pytest.mark.parametrize("robot", ["ur5", "panda"])
 def test_times_are_near_above_the_least(robot):
     model = ArmModel(load_arm(robot))
-    times, touch, workspace = ReachTimes(model, 0.05), SoonestTouch(model, THOROUGH), Workspace(model)
+    times, touch, workspace = ReachTimes(model, 0.05), MinimumTimeReach(model, THOROUGH), Workspace(model)
     rng = np.random.default_rng(0)
     centres = np.array([workspace.sample(rng, clearance=0.05) for _ in range(30)])
     q = np.clip(model.home + rng.uniform(-0.7, 0.7, (30, model.dof)), model.limits.lower, model.limits.upper)

@@ -6,15 +6,15 @@ import sys
 import numpy as np
 import pytest
 
-from armctl import assets
-from armctl.boxes import NO_BOXES, Boxes
 from armctl.errors import ConfigurationError
 from armctl.kinematics import ArmModel, Workspace
 from armctl.planning import ArmPlanner, ArmPlannerOptions, plan_path
-from armctl.tasks.reach_layout import draw_layout
+from armctl.robot_description import arm as arms
+from armctl.scene import NO_BOXES, Boxes
+from armctl.tasks.reach.obstacle_layout import sample_layout
 
 from ..capsule_world import CapsuleWorld
-from .test_bridge_map import random_map
+from ..scene.test_bridge_map import random_map
 
 TOLERANCE = 0.05
 
@@ -27,7 +27,7 @@ class Case:
 
     def layouts(self, count, seed=0):
         rng = np.random.default_rng(seed)
-        return [draw_layout(rng, self.workspace, TOLERANCE) for _ in range(count)]
+        return [sample_layout(rng, self.workspace, TOLERANCE) for _ in range(count)]
 
     def plan(self, layout):
         return self.planner.plan(self.model.home, layout.target, TOLERANCE, layout.boxes)
@@ -42,8 +42,8 @@ def ur5():
 def case(request):
     if request.param != "panda":
         return Case(request.param)
-    path = assets.robot_data() / "panda_description/urdf/panda.urdf"
-    return Case(assets.load_arm(path, tip="panda_hand_tcp", home=(0, -0.785, 0, -2.356, 0, 1.571, 0.785)))
+    path = arms.robot_data() / "panda_description/urdf/panda.urdf"
+    return Case(arms.load_arm(path, tip="panda_hand_tcp", home=(0, -0.785, 0, -2.356, 0, 1.571, 0.785)))
 
 
 def densely(path):
@@ -107,7 +107,7 @@ def test_another_process_finds_the_same_path(ur5):
     layout = next(layout for layout in ur5.layouts(20, seed=3) if ur5.plan(layout).searched)
     boxes = (layout.boxes.centres.tolist(), layout.boxes.half_sizes.tolist(), layout.boxes.yaws.tolist())
     code = (
-        "import numpy as np; from armctl.boxes import Boxes; from armctl.kinematics import ArmModel\n"
+        "import numpy as np; from armctl.scene import Boxes; from armctl.kinematics import ArmModel\n"
         f"from armctl.planning import ArmPlanner; arm = ArmModel(); boxes = Boxes(*map(np.array, {boxes}))\n"
         f"print(ArmPlanner(arm).plan(arm.home, {layout.target.tolist()}, {TOLERANCE}, boxes).path.tolist())"
     )

@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 
-from armctl.planning import BridgeMap, Lattice, plan_path
-from armctl.tasks.bridge_layout import draw_layout
+from armctl.planning import Lattice, plan_path
+from armctl.scene import BridgeMap
+from armctl.tasks.bridge.layout import sample_layout
 
 NOTHING = BridgeMap(20.0, 1.4, np.zeros((0, 5)))
 
@@ -12,7 +13,7 @@ def test_lengths_are_those_of_planned_paths():
     lattice = Lattice(20.0, 1.39)
     ratios = []
     for _ in range(25):
-        bridge = draw_layout(rng, 20.0, 4.0, 7, 0, 1).map
+        bridge = sample_layout(rng, 20.0, 4.0, 7, 0, 1).map
         lattice = Lattice(bridge.length, bridge.half_width)
         lengths = lattice.lengths(bridge, 19.0, 0.36)
         assert np.isfinite(lengths).all()
@@ -52,8 +53,8 @@ def test_lanes_along_the_bridge_count_as_blocks():
     rng = np.random.default_rng(1)
     bridge = next(
         layout.map
-        for layout in (draw_layout(rng, 20.0, 4.0, 3, 3, 1) for _ in range(50))
-        if layout.map.courses.along.any()
+        for layout in (sample_layout(rng, 20.0, 4.0, 3, 3, 1) for _ in range(50))
+        if layout.map.pedestrians.along.any()
     )
     lattice = Lattice(bridge.length, bridge.half_width)
     with_lanes = lattice.lengths(bridge, 19.0, 0.36)

@@ -3,26 +3,27 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+
+from armctl.datasets.demonstrations import demonstrate
+from armctl.datasets.minari import collect
+from armctl.envs import TaskVectorEnv, make_worlds
+from armctl.errors import ConfigurationError
+from armctl.evaluation import evaluate
+from armctl.learners import load_recipe
+from armctl.policies import make_policy
 from armctl.rl.actor import tensors
 from armctl.rl.bc import BcOptions
 from armctl.rl.bc import train as clone
 from armctl.rl.cloned_ppo import ClonedPpoOptions, warm_up
 from armctl.rl.cloned_ppo import train as train_cloned_ppo
 from armctl.rl.cloning import Examples, examples_for
-from armctl.rl.dagger import Forgetful
+from armctl.rl.dagger import MemorylessTeacher
 from armctl.rl.dagger import train as dagger
 from armctl.rl.ppo import new_model
 from armctl.rl.training import Training
 from armctl.rl.vector import StableBaselinesVectorEnv
 from armctl.rl.view import view_of
-
-from armctl.envs import ArmReachVectorEnv
-from armctl.errors import ConfigurationError
-from armctl.evaluation import collect, evaluate
-from armctl.evaluation.demonstrations import demonstrate
-from armctl.evaluation.rollouts import make_worlds
-from armctl.learners import load_recipe
-from armctl.policies import make_policy
+from armctl.tasks import ReachTask
 
 JUDGED = {"validation_episodes": 20, "evaluation_episodes": 20}
 WORLDS = {
@@ -200,7 +201,7 @@ def test_turned_features_do_not_change_when_the_world_is_turned(name):
     env, options = WORLDS[name]
     worlds = make_worlds(env, 4, options)
     observations, _ = worlds.reset(seed=0)
-    view = view_of(worlds, turned=True)
+    view = view_of(worlds, features="invariant")
     features = view.features(worlds.single_observation_space, **view.features_options)
     seen = features(torch.as_tensor(observations))
     assert seen.shape == (4, features.features_dim)
@@ -214,7 +215,7 @@ def test_neither_the_order_of_boxes_nor_absent_ones_matter():
     torch.manual_seed(0)
     worlds = make_worlds("armctl/ArmReachObstacles-v0", 2)
     observations, _ = worlds.reset(seed=0)
-    view = view_of(worlds, turned=True)
+    view = view_of(worlds, features="invariant")
     features = view.features(worlds.single_observation_space, **view.features_options)
     shuffled = observations.copy()
     shuffled[:, 12:] = observations[:, 12:].reshape(2, -1, 7)[:, ::-1].reshape(2, -1)
@@ -223,9 +224,12 @@ def test_neither_the_order_of_boxes_nor_absent_ones_matter():
 
 @pytest.mark.parametrize("robot", ["ur3", "ur5", "ur10", "panda", "xarm7", "z1"])
 def test_arms_whose_first_axis_is_vertical_are_seen_in_its_frame(robot):
-    from armctl.rl.reach import TurnedFeatures
+    from armctl.rl.features import BaseYawInvariantFeatures
 
-    assert view_of(ArmReachVectorEnv(1, robot=robot), turned=True).features is TurnedFeatures
+    assert (
+        view_of(TaskVectorEnv(1, task=ReachTask, robot=robot), features="invariant").features
+        is BaseYawInvariantFeatures
+    )
 
 
 def test_dagger_asks_the_teacher_where_the_pupil_gets_to(tmp_path, monkeypatch):
@@ -235,7 +239,7 @@ def test_dagger_asks_the_teacher_where_the_pupil_gets_to(tmp_path, monkeypatch):
     monkeypatch.setattr(cloning, "make_policy", lambda name, env: asked_in.append(asked(env)) or asked_in[-1])
     recipe = small("reach_dagger", demonstrations=6, rounds=2, mixed_rounds=1, steps=20, teacher_memory=True)
     dagger(recipe, out=tmp_path / "run", seed=0, progress=False)
-    # the first round is the teacher's own, and short; in the second, a pupil of 10 gradient steps acts until time is up
+    # the first round is the teacher's own, and short; in the second, a student of 10 gradient steps acts until time is up
     assert 70 < len(asked_in[0].seen) < 140
     assert asked_in[0].resets == 6
 
@@ -244,7 +248,7 @@ def test_a_forgetful_teacher_begins_anew_in_each_state():
     env = make_worlds("armctl/ArmReach-v0", 2)
     observations, _ = env.reset(seed=0)
     teacher = asked(env)
-    forgetful = Forgetful(teacher)
+    forgetful = MemorylessTeacher(teacher)
     first = forgetful.act(observations)
     far = env.reset(seed=7)[0]
     answers = forgetful.act(far)

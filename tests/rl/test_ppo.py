@@ -11,16 +11,17 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from armctl.rl.bridge import ANGULAR, LINEAR
-from armctl.rl.ppo import train
-from armctl.rl.reach import LARGEST_MOVE
 from stable_baselines3 import PPO
 
 from armctl.agents import load_agent
-from armctl.envs import ArmReachVectorEnv, BridgeCrossVectorEnv
+from armctl.envs import TaskVectorEnv
 from armctl.errors import AgentFileError, ConfigurationError
 from armctl.evaluation import evaluate
 from armctl.learners import load_recipe
+from armctl.rl.ppo import train
+from armctl.tasks import BridgeTask, ReachTask
+from armctl.tasks.bridge.bridge import LEARNER_VELOCITY
+from armctl.tasks.reach.reach import LARGEST_RELATIVE_MOVE
 
 SMALL = {
     "steps": 4096,
@@ -57,11 +58,11 @@ def test_training_leaves_a_runnable_agent_its_card_logs_curve_and_checkpoints(tr
 
 def test_exported_graph_is_the_network(trained):
     out, card = trained
-    worlds = ArmReachVectorEnv(50)
+    worlds = TaskVectorEnv(50, task=ReachTask)
     observations, _ = worlds.reset(seed=0)
     model = PPO.load(out / "checkpoints" / f"{card.best_after}.zip", device="cpu")
     raw = model.predict(observations, deterministic=True)[0]
-    expected = observations[:, 3:9] + LARGEST_MOVE * np.clip(raw, -1, 1)
+    expected = observations[:, 3:9] + LARGEST_RELATIVE_MOVE * np.clip(raw, -1, 1)
     np.testing.assert_allclose(load_agent(out / "agent.json", worlds).act(observations), expected, atol=1e-5)
 
 
@@ -74,7 +75,7 @@ def test_exported_graph_tells_nothing_of_the_machine(trained):
 def test_training_is_reproducible(trained, tmp_path):
     out, card = trained
     again = train(small(), out=tmp_path / "small", seed=3, progress=False)
-    worlds = ArmReachVectorEnv(20)
+    worlds = TaskVectorEnv(20, task=ReachTask)
     observations, _ = worlds.reset(seed=1)
     actions = [load_agent(folder / "agent.json", worlds).act(observations) for folder in (out, tmp_path / "small")]
     np.testing.assert_allclose(actions[0], actions[1], atol=1e-4)
@@ -137,11 +138,11 @@ def test_a_camera_agent_is_trained_exported_and_loaded(trained_on_bridge):
     assert card.observation_shape == {"image": [6, 8], "motion": [3]}
     assert card.interface["camera"] == "depth 8 x 6, 110 degrees, to 10 m"
     assert card.reward_weights == {"collision": 0.2, "fall": 0.2}
-    worlds = BridgeCrossVectorEnv(20, **CAMERA)
+    worlds = TaskVectorEnv(20, task=BridgeTask, **CAMERA)
     observations, _ = worlds.reset(seed=0)
     model = PPO.load(out / "checkpoints" / f"{card.best_after}.zip", device="cpu")
     raw = np.clip(model.predict(observations, deterministic=True)[0], -1, 1)
-    (slow, fast), (right, left) = LINEAR, ANGULAR
+    (slow, fast), (right, left) = LEARNER_VELOCITY.T
     expected = np.array((slow + fast, right + left)) / 2 + np.array((fast - slow, left - right)) / 2 * raw
     np.testing.assert_allclose(load_agent(out / "agent.json", worlds).act(observations), expected, atol=1e-5)
     for env in ("armctl/BridgeCross-v0", "armctl/BridgeCrossMoving-v0"):
@@ -153,4 +154,4 @@ def test_a_camera_agent_is_trained_exported_and_loaded(trained_on_bridge):
 )
 def test_a_camera_agent_refuses_another_camera(trained_on_bridge, options):
     with pytest.raises(AgentFileError):
-        load_agent(trained_on_bridge[0] / "agent.json", BridgeCrossVectorEnv(1, **options))
+        load_agent(trained_on_bridge[0] / "agent.json", TaskVectorEnv(1, task=BridgeTask, **options))

@@ -3,18 +3,19 @@ import shutil
 import numpy as np
 import pandas as pd
 import pytest
-from armctl.rl.goals import GoalVectorEnv, split
-from armctl.rl.learning import REPLAY
-from armctl.rl.reach import ActionScale
-from armctl.rl.sac import SacOptions, _noise, train
 from stable_baselines3 import SAC
 from stable_baselines3.common.save_util import load_from_pkl
 
 from armctl.agents import load_agent
-from armctl.envs import ArmReachVectorEnv
+from armctl.envs import TaskVectorEnv
 from armctl.errors import ConfigurationError
 from armctl.evaluation import evaluate
 from armctl.learners import load_recipe
+from armctl.rl.hindsight import GoalVectorEnv, split
+from armctl.rl.learning import REPLAY
+from armctl.rl.sac import SacOptions, _noise, train
+from armctl.rl.view import view_of
+from armctl.tasks import ReachTask
 
 SMALL = {
     "steps": 1600,
@@ -49,10 +50,10 @@ def test_training_leaves_a_runnable_agent(trained):
 
 def test_exported_graph_is_the_squashed_mean_of_plain_observations(trained):
     out, card = trained
-    worlds = ArmReachVectorEnv(50)
+    worlds = TaskVectorEnv(50, task=ReachTask)
     observations, _ = worlds.reset(seed=0)
-    env = ArmReachVectorEnv(8, autoreset_mode="same_step")
-    goals = GoalVectorEnv(0.05, env, ActionScale("position", env.single_action_space))
+    env = TaskVectorEnv(8, task=ReachTask, autoreset_mode="same_step")
+    goals = GoalVectorEnv(0.05, env, view_of(env).action_scale)
     model = SAC.load(out / "checkpoints" / f"{card.best_after}.zip", goals, "cpu")
     raw = model.predict(split(observations, 6), deterministic=True)[0]
     assert np.ptp(raw) > 0.01
@@ -80,7 +81,7 @@ def test_without_its_replay_buffer_a_training_does_not_go_on(trained, tmp_path):
 
 def test_training_is_reproducible(trained, tmp_path):
     train(small(), out=tmp_path / "small", seed=1, progress=False)
-    worlds = ArmReachVectorEnv(20)
+    worlds = TaskVectorEnv(20, task=ReachTask)
     observations, _ = worlds.reset(seed=1)
     actions = [load_agent(f / "agent.json", worlds).act(observations) for f in (trained[0], tmp_path / "small")]
     np.testing.assert_allclose(actions[0], actions[1], atol=1e-4)

@@ -6,16 +6,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+
+from armctl.agents import load_agent
+from armctl.envs import TaskVectorEnv, make_worlds
+from armctl.errors import ConfigurationError
+from armctl.evaluation.rollouts import rollouts
+from armctl.learners import load_recipe
 from armctl.rl import training as module
 from armctl.rl.actor import Actor
 from armctl.rl.ppo import PpoOptions
 from armctl.rl.training import VALIDATION_SEED, Training, TrainingOptions, read_options
-
-from armctl.agents import load_agent
-from armctl.envs import ArmReachVectorEnv
-from armctl.errors import ConfigurationError
-from armctl.evaluation.rollouts import make_worlds, rollouts
-from armctl.learners import load_recipe
+from armctl.tasks import ReachTask
 
 OPTIONS = TrainingOptions(worlds=2, validation_episodes=4, evaluation_episodes=3, evaluation_every=100)
 
@@ -57,7 +58,7 @@ def test_the_best_is_kept_and_exported(tmp_path, graded):
             training.evaluate(constant_actor(training, value), steps)
         card = training.finish(constant_actor(training, 0.25), 5)
     assert (card.best_after, card.training_steps) == (1, 5)
-    worlds = ArmReachVectorEnv(3)
+    worlds = TaskVectorEnv(3, task=ReachTask)
     observations, _ = worlds.reset(seed=0)
     moves = load_agent(tmp_path / "run" / "agent.json", worlds).act(observations) - observations[:, 3:9]
     np.testing.assert_allclose(moves, 0.5 * 0.75, atol=1e-6)

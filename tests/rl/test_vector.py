@@ -1,19 +1,19 @@
 import gymnasium
 import numpy as np
 import pytest
-from armctl.rl.bridge import VelocityScale
-from armctl.rl.reach import ActionScale
-from armctl.rl.vector import StableBaselinesVectorEnv
 
-from armctl.envs import ArmReachVectorEnv, BridgeCrossVectorEnv
+from armctl.envs import TaskVectorEnv
+from armctl.rl.vector import StableBaselinesVectorEnv
+from armctl.rl.view import view_of
 from armctl.shaping import Shaped
+from armctl.tasks import BridgeTask, ReachTask
 
 CAMERA = {"resolution": (8, 6)}
 
 
 def adapter(worlds, *, reward_scale=1.0, weights=None, shaping=None, **options):
-    env = ArmReachVectorEnv(worlds, autoreset_mode="same_step", **options)
-    scale = ActionScale(env.task.interface["control"], env.single_action_space)
+    env = TaskVectorEnv(worlds, task=ReachTask, autoreset_mode="same_step", **options)
+    scale = view_of(env).action_scale
     shaped = Shaped(env, shaping, gamma=0.9, scale=50.0) if shaping else env
     return StableBaselinesVectorEnv(shaped, scale, reward_scale, weights)
 
@@ -48,8 +48,8 @@ def test_rewards_are_weighted_and_shaped_and_returns_are_not():
 
 
 def test_the_learner_sees_the_last_observation_of_an_episode_and_the_first_of_the_next():
-    env = BridgeCrossVectorEnv(4, autoreset_mode="same_step", max_episode_steps=5, **CAMERA)
-    venv = StableBaselinesVectorEnv(env, VelocityScale())
+    env = TaskVectorEnv(4, task=BridgeTask, autoreset_mode="same_step", max_episode_steps=5, **CAMERA)
+    venv = StableBaselinesVectorEnv(env, view_of(env).action_scale)
     venv.seed(0)
     first = venv.reset()
     for _ in range(5):
@@ -68,4 +68,4 @@ def test_the_learner_sees_the_last_observation_of_an_episode_and_the_first_of_th
 def test_another_autoreset_mode_is_refused():
     env = gymnasium.make_vec("armctl/ArmReach-v0", num_envs=2)
     with pytest.raises(ValueError, match="same_step"):
-        StableBaselinesVectorEnv(env, ActionScale("position", env.single_action_space))
+        StableBaselinesVectorEnv(env, view_of(env).action_scale)

@@ -1,27 +1,27 @@
 import numpy as np
 import pytest
 import torch
-from armctl.rl.actor import Actor, tensors
-from armctl.rl.reach import LARGEST_MOVE, ActionScale
-from armctl.rl.view import view_of
 
-from armctl.envs import ArmReachMovingVectorEnv, ArmReachObstaclesVectorEnv, ArmReachVectorEnv, BridgeCrossVectorEnv
+from armctl.envs import TaskVectorEnv
 from armctl.errors import ConfigurationError
-from armctl.tasks import OBSERVATION
+from armctl.rl.actor import Actor, tensors
+from armctl.rl.view import view_of
+from armctl.tasks import OBSERVATION, BridgeTask, ReachMovingTask, ReachObstaclesTask, ReachTask
+from armctl.tasks.reach.reach import LARGEST_RELATIVE_MOVE
 
 CAMERA = {"resolution": (8, 6)}
 WORLDS = {
-    "reach": lambda: ArmReachVectorEnv(5),
-    "panda": lambda: ArmReachVectorEnv(5, robot="panda"),
-    "moving": lambda: ArmReachMovingVectorEnv(5),
-    "obstacles": lambda: ArmReachObstaclesVectorEnv(5, solvable=False),
-    "depth": lambda: BridgeCrossVectorEnv(5, **CAMERA),
-    "classes": lambda: BridgeCrossVectorEnv(5, camera="classes", **CAMERA),
-    "state": lambda: BridgeCrossVectorEnv(5, observation="state"),
+    "reach": lambda: TaskVectorEnv(5, task=ReachTask),
+    "panda": lambda: TaskVectorEnv(5, task=ReachTask, robot="panda"),
+    "moving": lambda: TaskVectorEnv(5, task=ReachMovingTask),
+    "obstacles": lambda: TaskVectorEnv(5, task=ReachObstaclesTask, solvable=False),
+    "depth": lambda: TaskVectorEnv(5, task=BridgeTask, **CAMERA),
+    "classes": lambda: TaskVectorEnv(5, task=BridgeTask, camera="classes", **CAMERA),
+    "state": lambda: TaskVectorEnv(5, task=BridgeTask, observation="state"),
 }
 
 
-@pytest.mark.parametrize("features", [True, False])
+@pytest.mark.parametrize("features", ["none", "plain", "invariant"])
 @pytest.mark.parametrize("name", WORLDS)
 def test_a_network_can_act_in_every_task(name, features):
     worlds = WORLDS[name]()
@@ -52,9 +52,9 @@ def test_the_whole_observation_is_shown(name):
 
 @pytest.mark.parametrize("control", ["position", "delta", "velocity", "torque"])
 def test_scaled_actions_lie_in_the_action_space(control):
-    env = ArmReachVectorEnv(40, control=control)
+    env = TaskVectorEnv(40, task=ReachTask, control=control)
     observations, _ = env.reset(seed=0)
-    scale = ActionScale(control, env.single_action_space)
+    scale = view_of(env).action_scale
     raw = torch.randn(40, 6) * 3
     for action in scale(torch.as_tensor(observations), raw).numpy():
         assert env.single_action_space.contains(action)
@@ -68,10 +68,10 @@ def test_positions_are_commanded_relative_to_the_present_ones(name):
     raw = torch.linspace(-2, 2, 5)[:, None].expand(worlds.action_space.shape)
     scaled = view_of(worlds).action_scale(torch.as_tensor(moved), raw).numpy()
     joints = worlds.task.state.joint_positions
-    np.testing.assert_allclose(scaled - joints, LARGEST_MOVE * raw.clamp(-1, 1).numpy(), atol=1e-5)
+    np.testing.assert_allclose(scaled - joints, LARGEST_RELATIVE_MOVE * raw.clamp(-1, 1).numpy(), atol=1e-5)
 
 
 def test_an_observation_in_another_order_is_refused():
     backwards = dict(reversed(OBSERVATION.items()))
     with pytest.raises(ConfigurationError, match="begins with end_effector_position"):
-        view_of(ArmReachVectorEnv(1, observation=backwards))
+        view_of(TaskVectorEnv(1, task=ReachTask, observation=backwards))

@@ -2,10 +2,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from armctl.assets import load_arm
-from armctl.drives import TICK, progress, travel_time
 from armctl.errors import ConfigurationError
 from armctl.kinematics import ArmModel
+from armctl.robot_description import load_arm
+from armctl.robot_description.joint_profiles import TICK, trapezoidal_displacement, travel_time
 from armctl.robots import CONTROLS, Arm, build_arm_world
 from armctl.simulation import Simulation
 
@@ -47,7 +47,7 @@ class Rig:
         goals = []
         while len(goals) < self.n:
             way = rng.uniform(-1.5, 1.5, 6)
-            if all(model.is_free(model.home + moved) for moved in progress(clock, way, self.limits)):
+            if all(model.is_free(model.home + moved) for moved in trapezoidal_displacement(clock, way, self.limits)):
                 goals.append(model.home + way)
         return np.array(goals)
 

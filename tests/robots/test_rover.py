@@ -3,7 +3,7 @@ import pytest
 
 from armctl.robots.rover import MAX_VELOCITY, MAX_WHEEL_SPEED, TRACK, WHEEL_RADIUS, Rover, wheel_speeds
 from armctl.simulation import Simulation
-from armctl.tasks.bridge_world import build_bridge_world
+from armctl.tasks.bridge.world import build_bridge_world
 
 
 @pytest.fixture(scope="module")

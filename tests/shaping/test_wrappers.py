@@ -3,13 +3,13 @@ import numpy as np
 import pytest
 
 import armctl.shaping.wrappers
-from armctl.envs import ArmReachVectorEnv
+from armctl.envs import TaskVectorEnv
 from armctl.errors import ConfigurationError
 from armctl.planning import Lattice
 from armctl.policies import make_policy
-from armctl.shaping import Shaped, ShapedEnv, make_oracle
+from armctl.shaping import Shaped, ShapedEnv, make_potential
 from armctl.shaping.wrappers import difference
-from armctl.tasks.bridge_layout import draw_layout
+from armctl.tasks.bridge.layout import sample_layout
 
 GAMMA = 0.97
 PAIRS = [
@@ -43,7 +43,7 @@ def play(env, actor, steps):
 
 def assert_telescopes(env, oracle, policy, limit, steps):
     plain, worlds = make(env, max_episode_steps=limit), make(env, max_episode_steps=limit)
-    shaped, witness = Shaped(worlds, oracle, gamma=GAMMA, scale=2.0), make_oracle(oracle, plain)
+    shaped, witness = Shaped(worlds, oracle, gamma=GAMMA, scale=2.0), make_potential(oracle, plain)
     plain.reset(seed=3)
     everywhere = np.arange(plain.num_envs, dtype=np.int32)
     witness.begin(everywhere)
@@ -178,7 +178,7 @@ def test_what_cannot_be_shaped_is_refused():
 def test_an_oracle_of_ones_own_shapes():
     class Constant:
         def __init__(self, worlds):
-            assert isinstance(worlds, ArmReachVectorEnv)
+            assert isinstance(worlds, TaskVectorEnv)
 
         def begin(self, ids):
             pass
@@ -194,7 +194,7 @@ def test_an_oracle_of_ones_own_shapes():
 
 def best_actions(shaping, offset=0.0, scale=1.0):
     """Which of four moves are best in each cell of a bridge in squares, by value iteration: bool (nx, ny, 4)."""
-    bridge = draw_layout(np.random.default_rng(4), 12.0, 4.0, 3, 0, 0).map
+    bridge = sample_layout(np.random.default_rng(4), 12.0, 4.0, 3, 0, 0).map
     lattice = Lattice(bridge.length, bridge.half_width, 0.25)
     potential = offset - scale * lattice.lengths(bridge, 10.0, 0.36)
     x, y = (axis for axis in lattice._axes)

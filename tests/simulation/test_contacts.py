@@ -4,7 +4,7 @@ import pytest
 
 from armctl.robots.rover import PARTS, PREFIX
 from armctl.simulation import ContactSensors, Simulation
-from armctl.tasks.bridge_world import BLOCK_SIZES, CONTACT_CLASSES, WALKER_RADIUS, build_bridge_world
+from armctl.tasks.bridge.world import BLOCK_SIZES, CONTACT_CLASSES, WALKER_RADIUS, build_bridge_world
 
 OUTWARD = {
     "base": (1, 0, 0),

@@ -6,8 +6,8 @@ from armctl.errors import ConfigurationError
 from armctl.robots.rover import CAMERA, GEOM_GROUP
 from armctl.simulation import Camera, RayCamera, Simulation
 from armctl.simulation.ray_camera import pixel_rays, vertical_field_of_view
-from armctl.tasks.bridge import PIXEL_CLASSES, pixel_classes
-from armctl.tasks.bridge_world import LOOKS, build_bridge_world
+from armctl.tasks.bridge.observation import PIXEL_CLASSES, pixel_classes
+from armctl.tasks.bridge.world import LOOKS, build_bridge_world
 
 RESOLUTION, FIELD_OF_VIEW = (48, 32), 90.0
 

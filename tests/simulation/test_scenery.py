@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from armctl.evaluation.rollouts import make_worlds
+from armctl.envs import make_worlds
 from armctl.simulation.scenery import MOST_POINTS, STATE, Scenery, polyline
 
 UNSEEN = 3

@@ -19,14 +19,14 @@ import osqp
 from numpy.typing import ArrayLike, NDArray
 
 from armctl.control.reach_problem import (
-    Motion,
+    JointTrajectory,
     MpcResult,
+    OcpParameters,
     ReachProblem,
-    Situation,
     braking,
     cost,
+    project_onto_limits,
     straight_to,
-    within_limits,
 )
 from armctl.control.reach_qp import ReachQp
 from armctl.errors import ConfigurationError
@@ -55,9 +55,9 @@ class ReachMpcOptions:
     """Effort of the controller."""
 
     problem: ReachProblem = field(default_factory=ReachProblem)
-    programs: int = 2
+    max_sqp_iterations: int = 2
     """Most quadratic programs for a first plan. Those that begin at another have one."""
-    settled: float = 1e-2
+    cost_tolerance: float = 1e-2
     """Part of the cost below which a program's gain ends the search for a first plan."""
     max_iterations: int = 15
     """Of the solver, for each program."""
@@ -69,16 +69,16 @@ class ReachMpcOptions:
     """How many of the nearest pairs of links, floor and boxes each knot minds; with 0, none."""
     margin: float = 0.03
     """m that they shall keep between them: between knots and points of links, they come nearer than there."""
-    influence: float = 0.15
+    influence_distance: float = 0.15
     """m from which on they are minded: no knot comes nearer than that by one program from further away."""
-    price: float = 50.0
+    slack_penalty: float = 50.0
     """m^2 for each m that a knot is too near: above what a shorter way could save, so that none is taken."""
 
     def __post_init__(self) -> None:
-        for name, least in (("programs", 1), ("max_iterations", 1), ("pairs", 0)):
+        for name, least in (("max_sqp_iterations", 1), ("max_iterations", 1), ("pairs", 0)):
             if not (isinstance(getattr(self, name), int) and getattr(self, name) >= least):
                 raise ConfigurationError(f"{name} is a whole number of at least {least}, not {getattr(self, name)!r}")
-        for name in ("settled", "tolerance", "step_size", "margin", "influence", "price"):
+        for name in ("cost_tolerance", "tolerance", "step_size", "margin", "influence_distance", "slack_penalty"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
                 raise ConfigurationError(f"{name} is a finite number above 0, not {getattr(self, name)!r}")
 
@@ -99,17 +99,17 @@ class ReachMpc:
 
     def reset(self) -> None:
         """Forget the last plan: what comes is another episode."""
-        self._last: Motion | None = None
+        self._last: JointTrajectory | None = None
         self._posture: Array | None = None
         self._duals = self._tight.qp.first_duals()
 
-    def begin(self, position: ArrayLike, velocity: ArrayLike, posture: ArrayLike) -> Motion:
+    def begin(self, position: ArrayLike, velocity: ArrayLike, posture: ArrayLike) -> JointTrajectory:
         """The straight way to a posture (dof,), rad, at which the next plan begins. It takes a tenth of the time.
 
         Raises `ConfigurationError` as `plan` does.
         """
         no_target = np.zeros(3)
-        situation = Situation.checked(self.problem, self.model.dof, position, velocity, no_target, posture)
+        situation = OcpParameters.checked(self.problem, self.model.dof, position, velocity, no_target, posture)
         assert situation.posture is not None
         self.reset()
         self._last = straight_to(self.problem, self.model.limits, situation, situation.posture)
@@ -126,20 +126,20 @@ class ReachMpc:
         Raises `ConfigurationError` for arguments of other shapes, or not finite.
         """
         began = time.perf_counter()
-        situation = Situation.checked(self.problem, self.model.dof, position, velocity, targets, posture)
+        situation = OcpParameters.checked(self.problem, self.model.dof, position, velocity, targets, posture)
         worst = braking(self.problem, self.model.limits, situation)
         best = self._first_guess(situation, worst)
         iterations, solved = 0, True
-        for _ in range(self.options.programs if self._last is None else 1):
+        for _ in range(self.options.max_sqp_iterations if self._last is None else 1):
             velocities, spent = self._solve(situation, worst, best)
             iterations += spent
             if velocities is None:
                 self.failures += 1
                 self.reset()
-                best, solved = _Linearised(self, situation, worst), False
+                best, solved = _Linearisation(self, situation, worst), False
                 break
             gain, best = self._towards(situation, best, velocities)
-            if gain <= self.options.settled * best.merit:
+            if gain <= self.options.cost_tolerance * best.merit:
                 break
         if solved:
             best = self._safe(situation, worst, best)
@@ -150,20 +150,20 @@ class ReachMpc:
             best.cost, best.least, solved, iterations, time.perf_counter() - began,
         )  # fmt: skip
 
-    def _first_guess(self, situation: Situation, worst: Motion) -> "_Linearised":
+    def _first_guess(self, situation: OcpParameters, worst: JointTrajectory) -> "_Linearisation":
         """The last plan shifted by a period; where there is none for this posture, the straight way to it."""
         limits, guesses = self.model.limits, []
         if self._last is not None:
             shifted = np.concatenate((self._last.velocities[1:], self._last.velocities[-1:]))
-            guesses.append(within_limits(self.problem, limits, situation, shifted))
+            guesses.append(project_onto_limits(self.problem, limits, situation, shifted))
             self._tight.qp.shift(self._duals)
         goal, known = situation.posture, self._posture
         if goal is not None and (known is None or not np.array_equal(known, goal)):
             guesses.append(straight_to(self.problem, limits, situation, goal))
-        linearised = [_Linearised(self, situation, guess) for guess in guesses or [worst]]
+        linearised = [_Linearisation(self, situation, guess) for guess in guesses or [worst]]
         return min(linearised, key=lambda one: one.merit)
 
-    def _safe(self, situation: Situation, worst: Motion, best: "_Linearised") -> "_Linearised":
+    def _safe(self, situation: OcpParameters, worst: JointTrajectory, best: "_Linearisation") -> "_Linearisation":
         """The plan, unless after its first period it would be too late to brake before an obstacle: then braking.
 
         Few iterations may not yet have led a plan around what is on its way.
@@ -174,15 +174,19 @@ class ReachMpc:
         first, falls = best.motion.velocities[1], self.model.limits.acceleration * self.problem.period
         speeds = np.maximum(np.abs(first) - np.arange(self.problem.horizon)[:, None] * falls, 0.0)
         velocities = np.concatenate((situation.velocity[None], np.copysign(speeds, first)))
-        later = _Linearised(self, situation, within_limits(self.problem, self.model.limits, situation, velocities))
+        later = _Linearisation(
+            self, situation, project_onto_limits(self.problem, self.model.limits, situation, velocities)
+        )
         if later.least >= enough:
             return best
-        now = _Linearised(self, situation, worst)
+        now = _Linearisation(self, situation, worst)
         return now if now.least > later.least else best
 
-    def _solve(self, situation: Situation, worst: Motion, at: "_Linearised") -> tuple[Array | None, int]:
+    def _solve(
+        self, situation: OcpParameters, worst: JointTrajectory, at: "_Linearisation"
+    ) -> tuple[Array | None, int]:
         """Velocities (N + 1, dof) by the program linearised at a motion, None if it was not solved; and iterations."""
-        solver = self._tight if at.least < self.options.influence else self._open
+        solver = self._tight if at.least < self.options.influence_distance else self._open
         qp = solver.qp
         qp.write(situation, worst, *at.quadratic_model())
         if qp.rows:
@@ -197,12 +201,14 @@ class ReachMpc:
         ways = found[qp.states : 2 * qp.states].reshape(-1, self.model.dof)
         return np.concatenate((situation.velocity[None], ways / self.problem.period)), solver.iterations
 
-    def _towards(self, situation: Situation, best: "_Linearised", velocities: Array) -> tuple[float, "_Linearised"]:
+    def _towards(
+        self, situation: OcpParameters, best: "_Linearisation", velocities: Array
+    ) -> tuple[float, "_Linearisation"]:
         """The gain in cost, and the motion, of the longest step towards `velocities` that makes it cheaper."""
         for step in STEPS:
             wanted = best.motion.velocities + step * (velocities - best.motion.velocities)
-            motion = within_limits(self.problem, self.model.limits, situation, wanted)
-            found = _Linearised(self, situation, motion)
+            motion = project_onto_limits(self.problem, self.model.limits, situation, wanted)
+            found = _Linearisation(self, situation, motion)
             if found.merit < best.merit:
                 return best.merit - found.merit, found
         return 0.0, best
@@ -212,7 +218,7 @@ class _Solver:
     """OSQP for programs of one pattern."""
 
     def __init__(self, options: ReachMpcOptions, model: ArmModel, rows: int) -> None:
-        self.qp = ReachQp(options.problem, model.limits, rows, options.price)
+        self.qp = ReachQp(options.problem, model.limits, rows, options.slack_penalty)
         self.iterations = 0
         self._osqp = osqp.OSQP()
         self._osqp.setup(
@@ -240,10 +246,10 @@ class _Solver:
         return np.asarray(result.x)
 
 
-class _Linearised:
+class _Linearisation:
     """A motion, its exact cost, and what that is nearby."""
 
-    def __init__(self, controller: ReachMpc, situation: Situation, motion: Motion) -> None:
+    def __init__(self, controller: ReachMpc, situation: OcpParameters, motion: JointTrajectory) -> None:
         self.problem, self.situation, self.motion = controller.problem, situation, motion
         model, options = controller.model, controller.options
         self.q = motion.positions[1:]
@@ -256,7 +262,7 @@ class _Linearised:
         if options.pairs:
             self.nearest = controller.clearance.nearest(frames, model.boxes, options.pairs)
             self.least = float(self.nearest.least.min())
-            self.merit += options.price * float(np.maximum(options.margin - self.nearest.least, 0.0).sum())
+            self.merit += options.slack_penalty * float(np.maximum(options.margin - self.nearest.least, 0.0).sum())
         self.axes = model.joint_axes(frames)
         self.gradients = cross(self.axes, tips[:, None] - frames[..., :3, 3])
         """(N, dof, 3) of the tip's position by each joint."""

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armctl.drives import MotionLimits
 from armctl.errors import ConfigurationError
 from armctl.kinematics import ArmModel
+from armctl.robot_description.joint_profiles import MotionLimits
 
 Array = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ class ReachProblem:
 
 
 @dataclass(frozen=True, eq=False)
-class Situation:
+class OcpParameters:
     """Where the joints are, and what is asked of them."""
 
     position: Array
@@ -63,7 +63,7 @@ class Situation:
     def checked(
         cls, problem: ReachProblem, dof: int, position: ArrayLike, velocity: ArrayLike, targets: ArrayLike,
         posture: ArrayLike | None,
-    ) -> "Situation":  # fmt: skip
+    ) -> "OcpParameters":  # fmt: skip
         """From what a caller gave; one target (3,) stands still. Raises `ConfigurationError` for what is amiss."""
         if np.shape(targets) == (3,):
             targets = np.tile(targets, (problem.horizon, 1))
@@ -76,7 +76,7 @@ class Situation:
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class JointTrajectory:
     """What the joints do over the horizon."""
 
     positions: Array
@@ -88,7 +88,7 @@ class Motion:
 
 
 @dataclass(frozen=True, eq=False)
-class MpcResult(Motion):
+class MpcResult(JointTrajectory):
     """A plan, and what it was measured to be."""
 
     cost: float
@@ -103,7 +103,7 @@ class MpcResult(Motion):
     """That it took to find."""
 
 
-def cost(problem: ReachProblem, situation: Situation, motion: Motion, tips: Array) -> float:
+def cost(problem: ReachProblem, situation: OcpParameters, motion: JointTrajectory, tips: Array) -> float:
     """What a motion costs whose end-effector passes `tips` (N, 3) m, in m^2."""
     error = tips - situation.targets
     total = (error * error).sum() + problem.velocity * (motion.velocities[1:] ** 2).sum()
@@ -113,7 +113,7 @@ def cost(problem: ReachProblem, situation: Situation, motion: Motion, tips: Arra
     return float(total)
 
 
-def reach_cost(model: ArmModel, problem: ReachProblem, situation: Situation, motion: Motion) -> float:
+def reach_cost(model: ArmModel, problem: ReachProblem, situation: OcpParameters, motion: JointTrajectory) -> float:
     """What a motion costs, m^2."""
     return cost(problem, situation, motion, model.positions(motion.positions[1:]))
 
@@ -128,7 +128,7 @@ def stopping_times(limits: MotionLimits) -> Array:
     return np.asarray(limits.velocity / limits.acceleration)
 
 
-def braking(problem: ReachProblem, limits: MotionLimits, situation: Situation) -> Motion:
+def braking(problem: ReachProblem, limits: MotionLimits, situation: OcpParameters) -> JointTrajectory:
     """All joints brake at their acceleration limits, and stay."""
     change = limits.acceleration * problem.period
     falls = np.arange(problem.horizon + 1)[:, None] * change
@@ -136,7 +136,7 @@ def braking(problem: ReachProblem, limits: MotionLimits, situation: Situation) -
     return rolled_out(problem, situation.position, velocities)
 
 
-def straight_to(problem: ReachProblem, limits: MotionLimits, situation: Situation, goal: Array) -> Motion:
+def straight_to(problem: ReachProblem, limits: MotionLimits, situation: OcpParameters, goal: Array) -> JointTrajectory:
     """Each joint goes to `goal` (dof,) as soon as it can, and stops there."""
     period = problem.period
     joints = (situation.position, situation.velocity, goal, limits.velocity, limits.acceleration)
@@ -152,17 +152,19 @@ def straight_to(problem: ReachProblem, limits: MotionLimits, situation: Situatio
             velocity = next_velocity
             joint.append(velocity)
         velocities.append(joint)
-    return within_limits(problem, limits, situation, np.array(velocities).T)
+    return project_onto_limits(problem, limits, situation, np.array(velocities).T)
 
 
-def rolled_out(problem: ReachProblem, position: Array, velocities: Array) -> Motion:
+def rolled_out(problem: ReachProblem, position: Array, velocities: Array) -> JointTrajectory:
     """The motion (N + 1, dof) of given velocities from `position` on."""
     ways = (velocities[:-1] + velocities[1:]) * (problem.period / 2)
     positions = np.concatenate((position[None], position + np.cumsum(ways, axis=0)))
-    return Motion(positions, velocities, np.diff(velocities, axis=0) / problem.period)
+    return JointTrajectory(positions, velocities, np.diff(velocities, axis=0) / problem.period)
 
 
-def within_limits(problem: ReachProblem, limits: MotionLimits, situation: Situation, wanted: Array) -> Motion:
+def project_onto_limits(
+    problem: ReachProblem, limits: MotionLimits, situation: OcpParameters, wanted: Array
+) -> JointTrajectory:
     """The motion near to velocities `wanted` (N + 1, dof) that keeps the limits, as far as the start allows."""
     change = limits.acceleration * problem.period
     changes = np.minimum(np.maximum(np.diff(wanted, axis=0), -change), change)
@@ -181,7 +183,7 @@ def _stopping_way(problem: ReachProblem, limits: MotionLimits, velocity: Array) 
     return np.asarray(velocity * (np.abs(velocity) / (2 * limits.acceleration) + problem.period / 2))
 
 
-def _stoppable(problem: ReachProblem, limits: MotionLimits, situation: Situation, wanted: Array) -> Motion:
+def _stoppable(problem: ReachProblem, limits: MotionLimits, situation: OcpParameters, wanted: Array) -> JointTrajectory:
     """As `wanted` (N + 1, dof), but no faster than a stop before the position limits allows."""
     period, acceleration = problem.period, limits.acceleration
     velocities, position = wanted.copy(), situation.position

@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from armctl.control.reach_problem import Motion, ReachProblem, Situation, stopping_times
-from armctl.drives import MotionLimits
+from armctl.control.reach_problem import JointTrajectory, OcpParameters, ReachProblem, stopping_times
+from armctl.robot_description.joint_profiles import MotionLimits
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 SLACK_CURVATURE = 10.0
-"""Weight of squared nearness beside its price, for the solver's sake: it converges the faster."""
+"""Weight of squared nearness beside its slack_penalty, for the solver's sake: it converges the faster."""
 ACCELERATION, VELOCITY, POSITION, CLEARANCE = 20.0, 3.0, 0.1, 3.0
 """Scales of rows: a solver that splits operators wants the larger steps the stiffer what a row limits. An acceleration
 moves all knots after it, so that costs bend by it thousands of times as much as by the last knot's position."""
@@ -31,21 +31,21 @@ _MARK = 1e9
 class ReachQp:
     """Writes programs: `write`, then read `hessian` (its upper triangle), `gradient`, `matrix`, `lower`, `upper`.
 
-    `rows` is how many obstacles each knot minds, at `price` for each m that it comes too near.
+    `rows` is how many obstacles each knot minds, at `slack_penalty` for each m that it comes too near.
     """
 
-    def __init__(self, problem: ReachProblem, limits: MotionLimits, rows: int, price: float) -> None:
+    def __init__(self, problem: ReachProblem, limits: MotionLimits, rows: int, slack_penalty: float) -> None:
         self.problem, self.limits, self.rows = problem, limits, rows
         self.dof = len(limits.lower)
         self.states = problem.horizon * self.dof
         self.hessian, self._blocks = self._hessian_pattern()
         self.matrix, self._normals = self._matrix_pattern()
         self.gradient = np.zeros(self.hessian.shape[0])
-        self.gradient[2 * self.states :] = price
+        self.gradient[2 * self.states :] = slack_penalty
         self._bounds = self._constant_bounds()
         self.lower, self.upper = self._bounds
 
-    def write(self, situation: Situation, braking: Motion, hessians: Array, gradients: Array) -> None:
+    def write(self, situation: OcpParameters, braking: JointTrajectory, hessians: Array, gradients: Array) -> None:
         """The program of a situation; tips cost q_k' H q_k / 2 + g q_k, with H (N, dof, dof) and g (N, dof).
 
         `braking` is what the joints do in the worst case: if that breaks limits, so may the plan, but not by more.
@@ -77,7 +77,7 @@ class ReachQp:
         self.lower[begin : begin + least.size] = CLEARANCE * least.ravel()
 
     def first_duals(self) -> Array:
-        """Multipliers of all rows, for a solver to start from: of nothing that presses but the price of slack."""
+        """Multipliers of all rows, for a solver to start from: of nothing that presses but the slack_penalty of slack."""
         duals = np.zeros(self.matrix.shape[0])
         if self.rows:
             duals[-self.problem.horizon :] = -self.gradient[-1]

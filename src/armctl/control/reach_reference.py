@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armctl.control.reach_problem import (
-    Motion,
+    JointTrajectory,
     MpcResult,
+    OcpParameters,
     ReachProblem,
-    Situation,
     braking,
+    project_onto_limits,
     reach_cost,
     stopping_times,
-    within_limits,
 )
 from armctl.kinematics import ArmModel
 
@@ -41,12 +41,12 @@ class ReachReference:
 
     def plan(
         self, position: ArrayLike, velocity: ArrayLike, targets: ArrayLike, posture: ArrayLike | None = None,
-        start: Motion | None = None,
+        start: JointTrajectory | None = None,
     ) -> MpcResult:  # fmt: skip
         """As `ReachMpc.plan`, from the motion `start` on; without one, from braking."""
         began = time.perf_counter()
         problem, limits, dof = self.problem, self.model.limits, self.model.dof
-        situation = Situation.checked(problem, dof, position, velocity, targets, posture)
+        situation = OcpParameters.checked(problem, dof, position, velocity, targets, posture)
         worst = braking(problem, limits, situation)
         guess = start or worst
         self._solver = self._solver or self._built()
@@ -63,7 +63,7 @@ class ReachReference:
         )
         statistics = self._solver.stats()
         velocities = np.array(found["x"].full()).reshape(2, problem.horizon, dof)[1]
-        motion = within_limits(problem, limits, situation, np.concatenate((situation.velocity[None], velocities)))
+        motion = project_onto_limits(problem, limits, situation, np.concatenate((situation.velocity[None], velocities)))
         return MpcResult(
             motion.positions, motion.velocities, motion.accelerations,
             reach_cost(self.model, problem, situation, motion), np.inf, bool(statistics["success"]),

@@ -1,6 +1,6 @@
 """A plan's next period, as the position command that makes an arm's drives do it.
 
-The drives (`armctl.drives`) take a position to move to, and go there by their own law. The law is simulated here, so
+The drives (`armctl.robot_description.joint_profiles`) take a position to move to, and go there by their own law. The law is simulated here, so
 that a controller knows where its command is without being told, and searched for the position that leads where it wants
 to be.
 """
@@ -10,9 +10,9 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armctl.control.reach_problem import Motion
+from armctl.control.reach_problem import JointTrajectory
 from armctl.control.trajectory import Trajectory
-from armctl.drives import TICK, MotionLimits, limited_in_the_open, towards
+from armctl.robot_description.joint_profiles import TICK, MotionLimits, limited_in_the_open, towards
 
 Array = NDArray[np.float64]
 
@@ -61,7 +61,7 @@ class CommandStream:
         """(dof,) rad/s, what the plan has it at."""
         self._drives: Array = np.zeros_like(self.position)
 
-    def goal(self, motion: Motion) -> Array:
+    def goal(self, motion: JointTrajectory) -> Array:
         """The goal (dof,) rad that makes drives do a plan's first period, after which the command is there."""
         goal = self.goal_towards(motion.positions[1])
         self.velocity = motion.velocities[1]

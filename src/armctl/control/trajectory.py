@@ -17,8 +17,8 @@ from ruckig import InputParameter, Ruckig, Synchronization
 from ruckig import Trajectory as RuckigTrajectory
 from scipy.ndimage import uniform_filter1d
 
-from armctl.assets import JointLimits
 from armctl.errors import ConfigurationError
+from armctl.robot_description import JointLimits
 
 Array = NDArray[np.float64]
 

@@ -1,17 +1,43 @@
-"""What a disturbance is: something that happens between a policy and its robot, and that nobody tells the policy of."""
+"""What a disturbance is: something that happens between a policy and its robot, and that the policy is not told about."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, Protocol
 
+import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
 from armctl.errors import ConfigurationError
-from armctl.robots.arm import PREFIX as ARM
-from armctl.robots.rover import PREFIX as ROVER
-from armctl.tasks import Observations, ReachTask, Task
+from armctl.robots.joints import JointSamples
+from armctl.simulation import Simulation
 
 Array = NDArray[np.float64]
+Observations = NDArray[np.float32] | dict[str, NDArray[Any]]
+
+
+class Disturbable(Protocol):
+    """What disturbances need of a task."""
+
+    simulation: Simulation
+    joints: JointSamples | None
+    observation_space: gymnasium.spaces.Space[Any]
+    action_space: gymnasium.spaces.Box
+
+    @property
+    def control_period(self) -> float:
+        """Seconds between two control steps."""
+
+    @property
+    def idle_action(self) -> Array:
+        """The action that leaves the robot where it starts."""
+
+    @property
+    def payload_body(self) -> str:
+        """The body that carries a payload and that pushes act on."""
+
+    def observe(self, ids: NDArray[np.int32] | None = None) -> Observations:
+        """What policies see now."""
 
 
 class Disturbance:
@@ -21,7 +47,7 @@ class Disturbance:
     neither on the policy nor on the other worlds.
     """
 
-    def __init__(self, task: Task, level: float) -> None:
+    def __init__(self, task: Disturbable, level: float) -> None:
         self.task, self.level = task, level
         self.worlds = np.arange(task.simulation.n, dtype=np.int32)
         self.rngs = [np.random.default_rng(0)] * task.simulation.n
@@ -30,25 +56,25 @@ class Disturbance:
         """Worlds `ids`, which have their new `rngs`, are about to be reset."""
 
     def command(self, actions: Array) -> Array:
-        """What reaches the robots of `actions` (n, ...), once a decision, before time goes on."""
+        """What reaches the robots of `actions` (n, ...). Called once a control step, before it is simulated."""
         return actions
 
     def observe(self, observations: Observations, ids: NDArray[np.int32] | slice) -> Observations:
-        """What the policies see of `observations` of worlds `ids`; however often it is asked for, the same."""
+        """What policies see of the `observations` of worlds `ids`: the same, however often it is called."""
         return observations
 
 
-def carrier(task: Task) -> int:
-    """The body that carries a payload, and that pushes meet: end-effector or base."""
-    name = ARM + task.arm.description.tip if isinstance(task, ReachTask) else ROVER + "base"
-    return int(task.simulation.model.body(name).id)
+def everywhere(task: Disturbable) -> bool:
+    """Applies to every task."""
+    return True
 
 
 @dataclass(frozen=True)
-class Kind:
-    """One kind of disturbance of one kind of robot."""
+class DisturbanceSpec:
+    """One kind of disturbance of one kind of task."""
 
-    make: Callable[[Task, float], Disturbance]
+    make: Callable[[Any, float], Disturbance]
+    """From the task and the level."""
     does: str
     """What it does, in a line."""
     unit: str
@@ -58,6 +84,8 @@ class Kind:
     """Levels are from 0 to this."""
     whole: bool = False
     """Whether levels are whole numbers."""
+    applies: Callable[[Any], bool] = everywhere
+    """Whether a task, with its options, can be disturbed in this way."""
 
     @property
     def neutral(self) -> float:

@@ -2,81 +2,71 @@
 
 import mujoco
 import numpy as np
+import pinocchio
 from numpy.typing import NDArray
 
-from armctl.disturbances.disturbance import Array, Disturbance, carrier
+from armctl.disturbances.disturbance import Disturbable, Disturbance
 from armctl.robots.arm import PREFIX as ARM
 from armctl.robots.rover import PREFIX as ROVER
 from armctl.robots.rover import WHEELS
-from armctl.tasks import ReachTask
-from armctl.tasks.task import Task
 
 PAYLOAD_RADIUS = 0.05
 """m: a ball."""
 STIFF = 0.999
 """Impedance of dry friction: with MuJoCo's default of 0.9, light joints creep."""
-ON_TOP = np.array([0.0, 0.0, 0.22])
-"""m above the rover's axles."""
 
 
 class Payload(Disturbance):
-    """Fixes a ball of `level` kg to the end-effector, or on top of the rover. Nothing makes up for its weight."""
+    """Fixes a ball of `level` kg to the task's `payload_body`, at `offset` (m). Nothing compensates for its weight."""
 
-    def __init__(self, task: Task, level: float) -> None:
+    def __init__(self, task: Disturbable, level: float, offset: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
         super().__init__(task, level)
-        simulation, model, body = task.simulation, task.simulation.model, carrier(task)
-        mass, centre, turn, inertia = (
+        simulation, model = task.simulation, task.simulation.model
+        body = model.body(task.payload_body).id
+        mass, centre, quaternion, moments = (
             np.array(getattr(model, f"body_{name}")[body]) for name in ("mass", "ipos", "iquat", "inertia")
         )
-        place = np.zeros(3) if isinstance(task, ReachTask) else ON_TOP
-        total = mass + level
-        middle = (mass * centre + level * place) / total
-        flat = np.zeros(9)
-        mujoco.mju_quat2Mat(flat, turn)
-        axes = flat.reshape(3, 3)
-        ball = 0.4 * level * PAYLOAD_RADIUS**2 * np.eye(3)
-        whole = axes @ np.diag(inertia) @ axes.T + _steiner(float(mass), centre - middle) + ball
-        whole += _steiner(level, place - middle)
-        principal, vectors = np.linalg.eigh(whole)
+        rotation = np.zeros(9)
+        mujoco.mju_quat2Mat(rotation, quaternion)
+        axes = rotation.reshape(3, 3)
+        own = pinocchio.Inertia(float(mass), centre, axes @ np.diag(moments) @ axes.T)
+        ball = pinocchio.Inertia.FromSphere(level, PAYLOAD_RADIUS).se3Action(pinocchio.SE3(np.eye(3), np.array(offset)))
+        total = own + ball
+        principal, vectors = np.linalg.eigh(total.inertia)
         vectors[:, 2] *= np.sign(np.linalg.det(vectors))
-        mujoco.mju_mat2Quat(turn, vectors.ravel())
+        mujoco.mju_mat2Quat(quaternion, vectors.ravel())
         for name, value in (
-            ("mass", total), ("ipos", middle), ("iquat", turn), ("inertia", principal),
+            ("mass", total.mass), ("ipos", total.lever), ("iquat", quaternion), ("inertia", principal),
             ("sameframe", int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)),
-            ("gravcomp", model.body_gravcomp[body] * mass / total),
+            ("gravcomp", model.body_gravcomp[body] * mass / total.mass),
         ):  # fmt: skip
             simulation.per_world(f"body_{name}")[:, body] = value
         simulation.derive()
 
 
-def _steiner(mass: float, offset: Array) -> Array:
-    """What a mass away from the centre adds to the inertia there, (3, 3)."""
-    return np.asarray(mass * (offset @ offset * np.eye(3) - np.outer(offset, offset)))
-
-
 class JointFriction(Disturbance):
     """Gives each joint dry friction of a share `level` of its largest torque."""
 
-    def __init__(self, task: Task, level: float) -> None:
+    def __init__(self, task: Disturbable, level: float) -> None:
         super().__init__(task, level)
-        assert isinstance(task, ReachTask)
-        task.simulation.per_world("dof_frictionloss")[:] = level * task.arm.description.limits.effort
+        assert task.joints is not None
+        task.simulation.per_world("dof_frictionloss")[:] = level * task.joints.limits.torque
         task.simulation.per_world("dof_solimp")[..., :2] = STIFF
 
 
 class Slipperiness(Disturbance):
     """Leaves the tyres `level` of their friction."""
 
-    def __init__(self, task: Task, level: float) -> None:
+    def __init__(self, task: Disturbable, level: float) -> None:
         super().__init__(task, level)
         tyres = [task.simulation.model.geom(ROVER + wheel).id for wheel in WHEELS]
         task.simulation.per_world("geom_friction")[:, tyres, 0] *= level
 
 
 class Strength(Disturbance):
-    """Leaves motors `level` of their torque: of the most, and of all that they would bring, to hold the arm as well."""
+    """Leaves motors `level` of their torque: of its limit, and of all that they would apply, gravity compensation too."""
 
-    def __init__(self, task: Task, level: float) -> None:
+    def __init__(self, task: Disturbable, level: float) -> None:
         super().__init__(task, level)
         for field in (
             "actuator_gainprm", "actuator_biasprm", "actuator_forcerange", "jnt_actfrcrange", "body_gravcomp",
@@ -88,10 +78,10 @@ class Strength(Disturbance):
 class LinkMismatch(Disturbance):
     """Makes each link's mass and length another in each episode: times 1 - `level` to 1 + `level`, each by itself.
 
-    The drives go on making up for the weight of the links that they know.
+    The drives compensate for the weight of the nominal links.
     """
 
-    def __init__(self, task: Task, level: float) -> None:
+    def __init__(self, task: Disturbable, level: float) -> None:
         super().__init__(task, level)
         model, simulation = task.simulation.model, task.simulation
         self._links = [i for i in range(model.nbody) if model.body(i).name.startswith(ARM)]
@@ -118,10 +108,10 @@ class LinkMismatch(Disturbance):
 class WheelMismatch(Disturbance):
     """Makes each wheel's radius and the rover's mass others in each episode: times 1 - `level` to 1 + `level`."""
 
-    def __init__(self, task: Task, level: float) -> None:
+    def __init__(self, task: Disturbable, level: float) -> None:
         super().__init__(task, level)
         model, simulation = task.simulation.model, task.simulation
-        self._base = carrier(task)
+        self._base = model.body(task.payload_body).id
         self._wheels = [model.geom(ROVER + wheel).id for wheel in WHEELS]
         self._sizes, self._bounds, self._reach = (
             simulation.per_world(f"geom_{name}") for name in ("size", "aabb", "rbound")

@@ -5,9 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.disturbances.disturbance import Array, Disturbance, carrier
-from armctl.tasks import BridgeTask, Observations, ReachTask
-from armctl.tasks.task import Task
+from armctl.disturbances.disturbance import Array, Disturbable, Disturbance, Observations
 
 PUSH_INTERVAL = 1.0
 """s between two pushes, on average."""
@@ -20,7 +18,7 @@ class Noise(Disturbance):
     the observation space is clipped.
     """
 
-    def __init__(self, task: Task, level: float) -> None:
+    def __init__(self, task: Disturbable, level: float) -> None:
         super().__init__(task, level)
         seen = task.observe()
         arrays = seen if isinstance(seen, dict) else {"": seen}
@@ -55,7 +53,7 @@ class Noise(Disturbance):
 class Dropout(Disturbance):
     """Loses a share `level` of the camera's pictures, each by itself; one that is lost is black: all 0."""
 
-    def __init__(self, task: Task, level: float) -> None:
+    def __init__(self, task: Disturbable, level: float) -> None:
         super().__init__(task, level)
         self._lost = np.zeros(task.simulation.n, dtype=bool)
 
@@ -77,38 +75,36 @@ class Dropout(Disturbance):
 
 
 class Delay(Disturbance):
-    """Lets actions reach the robot `level` decisions late; until the first one does, the robot is told to stand."""
+    """Lets actions reach the robot `level` control steps late; until the first one does, it gets the idle action."""
 
-    def __init__(self, task: Task, level: float) -> None:
+    def __init__(self, task: Disturbable, level: float) -> None:
         super().__init__(task, level)
-        self._stand = np.zeros(task.action_space.shape)
-        if isinstance(task, ReachTask) and task.arm.control == "position":
-            self._stand = np.array(task.arm.description.home)
+        self._idle = np.array(task.idle_action)
         self._waiting = np.zeros((task.simulation.n, int(level), *task.action_space.shape))
 
     def begin(self, ids: NDArray[np.int32]) -> None:
         """Nothing is on its way."""
-        self._waiting[ids] = self._stand
+        self._waiting[ids] = self._idle
 
     def command(self, actions: Array) -> Array:
-        """The actions of `level` decisions ago."""
+        """The actions of `level` control steps ago."""
         line = np.concatenate((self._waiting, actions[:, None]), axis=1)
         self._waiting = line[:, 1:]
         return line[:, 0]
 
 
 class Pushes(Disturbance):
-    """Pushes end-effector or rover with an impulse of `level` N s, about once a `PUSH_INTERVAL`, for one decision.
+    """Pushes the task's `payload_body` with an impulse of `level` N s, about once a `PUSH_INTERVAL`.
 
-    In any direction, the rover in any horizontal one.
+    Each push lasts a control step. It has a random direction, a horizontal one if `horizontal`.
     """
 
-    def __init__(self, task: Task, level: float) -> None:
+    def __init__(self, task: Disturbable, level: float, horizontal: bool = False) -> None:
         super().__init__(task, level)
         simulation = task.simulation
-        self._period = task.substeps * simulation.model.opt.timestep
-        self._forces = simulation.array("xfrc_applied")[:, carrier(task), :3]
-        self._axes = 2 if isinstance(task, BridgeTask) else 3
+        self._period = task.control_period
+        self._forces = simulation.array("xfrc_applied")[:, simulation.model.body(task.payload_body).id, :3]
+        self._axes = 2 if horizontal else 3
 
     def command(self, actions: Array) -> Array:
         """Push, or let be."""

@@ -2,40 +2,22 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from armctl import DEFAULT_ENV, DEFAULT_POLICIES
+from armctl import DEFAULT_ENV
 from armctl.agents import OnnxPolicy
-from armctl.errors import ConfigurationError, ResultsError, unknown_name
-from armctl.evaluation.episode_log import EpisodeLog
-from armctl.evaluation.report import versions, write_summary
-from armctl.evaluation.rollouts import COLUMNS, EpisodeResult, make_worlds
-from armctl.evaluation.statistics import PairedDifference
-from armctl.evaluation.summary import PolicySummary, summarised
-from armctl.evaluation.workers import Setting, WorkersFailed, check_sendable, play_here, play_in_workers
+from armctl.envs import make_worlds, task_of
+from armctl.errors import ConfigurationError, ResultsError
+from armctl.evaluation.comparison import Comparison, write_summary
+from armctl.evaluation.parallel import WorkerConfig, WorkersFailed, check_sendable, play_here, play_in_workers
+from armctl.evaluation.provenance import versions
+from armctl.evaluation.record import COLUMNS, EpisodeResult
+from armctl.evaluation.store import EpisodeLog
+from armctl.evaluation.summary import summarised
 from armctl.policies import Policy, PolicyFactory, make_policy, policy_name
-
-
-@dataclass
-class Comparison:
-    """What a comparison found; with an interrupt or a failure, as far as it came."""
-
-    env: str
-    seed: int
-    env_options: Mapping[str, Any]
-    episodes: pd.DataFrame
-    """A row for each policy and episode: the columns of `episodes.csv`."""
-    policies: list[PolicySummary] = field(default_factory=list)
-    paired: list[PairedDifference] = field(default_factory=list)
-    failures: dict[str, str] = field(default_factory=dict)
-    """What went wrong: by policy, under `results` for what could not be written, or under `workers`."""
-    interrupted: bool = False
-    resumed: int = 0
-    """Episodes that an earlier run had finished."""
 
 
 def compare(
@@ -101,7 +83,7 @@ def compare(
         if workers == 1:
             stream = play_here(made, made_env, seed, waiting, least)
         else:
-            setting = Setting(env, worlds, comparison.env_options, seed)
+            setting = WorkerConfig(env, worlds, comparison.env_options, seed)
             stream = play_in_workers(by_name, setting, waiting, least, workers)
         try:
             with closing(stream):
@@ -140,10 +122,8 @@ def compare(
 
 
 def default_policies(env: str) -> tuple[str, ...]:
-    """The policies that meet in an environment unless others are asked for."""
-    if env not in DEFAULT_POLICIES:
-        raise unknown_name("environment with policies of its own", env, DEFAULT_POLICIES)
-    return DEFAULT_POLICIES[env]
+    """The default line-up of an environment: what its task declares."""
+    return task_of(env).default_policies
 
 
 def _identity(comparison: Comparison, policies: Mapping[str, Policy]) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.tasks.task import Motion, Task
+from armctl.tasks import MotionSample, Task
 
 Array = NDArray[np.float64]
 
@@ -42,25 +42,21 @@ class Metrics:
 
 
 def metrics(
-    task: Task, world: int, start: Array, motions: Sequence[Motion], decision_ms: Array, solver_failures: int
+    task: Task, world: int, start: Array, motions: Sequence[MotionSample], decision_ms: Array, solver_failures: int
 ) -> Metrics:
     """Metrics of the episode that has just ended in a world.
 
     `start` (3,) m is where the robot was when it began, `motions` and `decision_ms` (decisions,) what followed.
     """
-    period = control_period(task)
+    period = task.control_period
     positions = np.array([start, *(motion.position[world] for motion in motions)])
     configurations = np.array([motion.configuration[world] for motion in motions])
-    speeds, torques = np.array([motion.joints[:, :, world] for motion in motions]).swapaxes(0, 1)
-    limits = task.joints.limits
+    use = _joint_use(task, world, motions, configurations)
     p50, p99, most = np.quantile(decision_ms, (0.5, 0.99, 1.0))
     return Metrics(
         path_length(positions),
         smoothness(positions, period),
-        range_use(configurations, *limits.position) if limits.position else math.nan,
-        float((np.abs(speeds) / limits.speed).max()),
-        float((np.abs(torques) / limits.torque).max()),
-        float(np.abs(torques * speeds).sum() * task.joints.interval),
+        *use,
         task.least_clearance(world, configurations),
         sum(bool(motion.contact[world]) for motion in motions),
         solver_failures,
@@ -71,9 +67,20 @@ def metrics(
     )
 
 
-def control_period(task: Task) -> float:
-    """Seconds between two decisions."""
-    return task.substeps * float(task.simulation.model.opt.timestep)
+def _joint_use(
+    task: Task, world: int, motions: Sequence[MotionSample], configurations: Array
+) -> tuple[float, float, float, float]:
+    """Use of range, speed and torque, and energy; NaN for a task that does not sample its joints."""
+    if task.joints is None:
+        return math.nan, math.nan, math.nan, math.nan
+    samples = [motion.joints[:, :, world] for motion in motions if motion.joints is not None]
+    (speeds, torques), limits = np.array(samples).swapaxes(0, 1), task.joints.limits
+    return (
+        range_use(configurations, *limits.position) if limits.position else math.nan,
+        float((np.abs(speeds) / limits.speed).max()),
+        float((np.abs(torques) / limits.torque).max()),
+        float(np.abs(torques * speeds).sum() * task.joints.interval),
+    )
 
 
 def range_use(positions: Array, lowest: Array, highest: Array) -> float:

@@ -10,10 +10,10 @@ import pandas as pd
 from pydantic import TypeAdapter, ValidationError
 
 from armctl.errors import ResultsError
-from armctl.evaluation.compare import Comparison
-from armctl.evaluation.episode_log import COMPARISON, SUMMARY, read_episodes
-from armctl.evaluation.rollouts import EpisodeResult
+from armctl.evaluation.comparison import Comparison
+from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.statistics import PairedDifference
+from armctl.evaluation.store import COMPARISON, SUMMARY, read_episodes
 from armctl.evaluation.summary import PolicySummary, counted_results
 from armctl.options import option_value
 
@@ -29,7 +29,7 @@ class _Identity:
 
 @dataclass(frozen=True)
 class _Summary:
-    """`summary.json`, as `armctl.evaluation.report.write_summary` writes it."""
+    """`summary.json`, as `armctl.report.terminal.write_summary` writes it."""
 
     env: str
     env_options: dict[str, str]

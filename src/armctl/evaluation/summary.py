@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.evaluation.rollouts import EpisodeResult
+from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.statistics import (
     Estimate,
     PairedDifference,

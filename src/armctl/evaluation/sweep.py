@@ -11,10 +11,12 @@ from typing import Any
 import pandas as pd
 
 from armctl import DEFAULT_ENV
-from armctl.disturbances import Kind, kinds
+from armctl.disturbances import DisturbanceSpec, available
+from armctl.envs import make_worlds
 from armctl.errors import ConfigurationError, ResultsError, unknown_name
-from armctl.evaluation.compare import Comparison, compare, default_policies
-from armctl.evaluation.rollouts import EpisodeResult, make_worlds
+from armctl.evaluation.compare import compare, default_policies
+from armctl.evaluation.comparison import Comparison
+from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.statistics import Estimate, mcnemar
 from armctl.evaluation.summary import PolicySummary
 from armctl.policies import PolicyFactory, policy_name
@@ -71,7 +73,7 @@ def sweep(
     Raises `ConfigurationError`, `AgentFileError`, and `ResultsError` as `compare` does.
     """
     options = dict(env_options or {})
-    there = _kinds(env, options)
+    there = _specs(env, options)
     levels = _levels(there, disturbances)
     policies = default_policies(env) if policies is None else [policies] if isinstance(policies, str) else policies
     found = Sweep(env, seed, levels)
@@ -125,7 +127,7 @@ def sweep_levels(
 
     Raises `ConfigurationError`.
     """
-    return _levels(_kinds(env, env_options or {}), disturbances)
+    return _levels(_specs(env, env_options or {}), disturbances)
 
 
 def folder_name(disturbance: str, level: float) -> str:
@@ -133,28 +135,29 @@ def folder_name(disturbance: str, level: float) -> str:
     return f"{disturbance}-{level}"
 
 
-def _kinds(env: str, options: Mapping[str, Any]) -> dict[str, Kind]:
+def _specs(env: str, options: Mapping[str, Any]) -> dict[str, DisturbanceSpec]:
     made = make_worlds(env, 1, options)
     made.close()
     lasting = options.get("disturbances", {})
-    return {name: kind for name, kind in kinds(made.task).items() if name not in lasting}
+    specs = available(made.task.disturbances, made.task)
+    return {name: spec for name, spec in specs.items() if name not in lasting}
 
 
-def _levels(there: Mapping[str, Kind], disturbances: Asked) -> dict[str, list[float]]:
+def _levels(there: Mapping[str, DisturbanceSpec], disturbances: Asked) -> dict[str, list[float]]:
     given = list(there) if disturbances is None else [disturbances] if isinstance(disturbances, str) else disturbances
     asked: Mapping[str, Any] = given if isinstance(given, Mapping) else dict.fromkeys(given)
     levels = {}
     for name, wanted in asked.items():
         if name not in there:
             raise unknown_name("disturbance to sweep here", name, there)
-        kind = there[name]
-        wanted = kind.levels if wanted is None else wanted
+        spec = there[name]
+        wanted = spec.levels if wanted is None else wanted
         if isinstance(wanted, str) or not isinstance(wanted, Sequence):
-            raise ConfigurationError(f"the levels of {name} are numbers, such as {list(kind.levels)}, not {wanted!r}")
-        others = {kind.checked(name, level) for level in wanted} - {kind.neutral}
+            raise ConfigurationError(f"the levels of {name} are numbers, such as {list(spec.levels)}, not {wanted!r}")
+        others = {spec.checked(name, level) for level in wanted} - {spec.neutral}
         if not others:
-            raise ConfigurationError(f"{name} needs a level besides {kind.neutral:g}, which changes nothing")
-        levels[name] = [kind.neutral, *sorted(others, key=functools.partial(_away, kind.neutral))]
+            raise ConfigurationError(f"{name} needs a level besides {spec.neutral:g}, which changes nothing")
+        levels[name] = [spec.neutral, *sorted(others, key=functools.partial(_away, spec.neutral))]
     return levels
 
 
@@ -162,7 +165,7 @@ def _away(neutral: float, level: float) -> tuple[float, float]:
     return abs(level - neutral), level
 
 
-def _points(found: Sweep, there: Mapping[str, Kind]) -> pd.DataFrame:
+def _points(found: Sweep, there: Mapping[str, DisturbanceSpec]) -> pd.DataFrame:
     rows = []
     for name, levels in found.levels.items():
         for i, level in enumerate(levels):

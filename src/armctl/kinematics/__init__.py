@@ -1,28 +1,34 @@
 """What is known about an arm: forward kinematics, Jacobians, limits, collisions, and its inverse kinematics."""
 
+from armctl.kinematics.edge_checker import ArmShapes, EdgeChecker
 from armctl.kinematics.ik import Ik, IkOptions, IkResult
+from armctl.kinematics.minimum_time_reach import (
+    THOROUGH,
+    MinimumTimeReach,
+    MinimumTimeReachOptions,
+    ReachGoal,
+    approach,
+)
 from armctl.kinematics.model import ArmModel
-from armctl.kinematics.motions import ArmShapes, FreeMotions
-from armctl.kinematics.postures import Postures
-from armctl.kinematics.reach_times import LookUp, ReachTimes, Spheres
-from armctl.kinematics.touch import THOROUGH, SoonestTouch, Touch, TouchOptions, approach
+from armctl.kinematics.reach_times import ReachTimes, ReachTimesOptions, Spheres
+from armctl.kinematics.reachability_map import ReachabilityMap
 from armctl.kinematics.workspace import Workspace
 
 __all__ = [
     "THOROUGH",
     "ArmModel",
     "ArmShapes",
-    "FreeMotions",
+    "EdgeChecker",
     "Ik",
     "IkOptions",
     "IkResult",
-    "LookUp",
-    "Postures",
+    "ReachTimesOptions",
+    "ReachabilityMap",
     "ReachTimes",
-    "SoonestTouch",
+    "MinimumTimeReach",
     "Spheres",
-    "Touch",
-    "TouchOptions",
+    "ReachGoal",
+    "MinimumTimeReachOptions",
     "Workspace",
     "approach",
 ]

@@ -10,9 +10,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.boxes import Boxes
-from armctl.collisions import FLOOR, link_frame
 from armctl.kinematics.model import ArmModel, cross
+from armctl.robot_description.collision_pairs import FLOOR, link_frame
+from armctl.scene import Boxes
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -1,6 +1,7 @@
 """An arm as its controllers believe it to be: Pinocchio's model of one URDF."""
 
 import copy
+from functools import cached_property
 from pathlib import Path
 
 import coal
@@ -8,10 +9,11 @@ import numpy as np
 import pinocchio
 from numpy.typing import NDArray
 
-from armctl.assets import ArmDescription, load_arm
-from armctl.boxes import NO_BOXES, Boxes
-from armctl.collisions import FLOOR, add_boxes, add_collision_pairs, capsule_geometry, link_frame
-from armctl.drives import travel_time
+from armctl.kinematics.obstacles import add_boxes
+from armctl.robot_description import ArmDescription, load_arm
+from armctl.robot_description.collision_pairs import FLOOR, add_collision_pairs, capsule_geometry, link_frame
+from armctl.robot_description.joint_profiles import travel_time
+from armctl.scene import NO_BOXES, Boxes
 
 Array = NDArray[np.float64]
 
@@ -145,6 +147,15 @@ class ArmModel:
         turn = 2 * np.pi
         near = q + turn * np.round((seed - q) / turn)
         return near + turn * ((near < self.limits.lower).astype(float) - (near > self.limits.upper))
+
+    @cached_property
+    def base_yaw_is_vertical(self) -> bool:
+        """Whether the first joint turns the end-effector about the vertical through the origin."""
+        q = self.home + np.array([[0.3], [0.3]])
+        q[1, 0] += 1.0
+        (x, y, z), after = self.positions(q)
+        cos, sin = np.cos(1.0), np.sin(1.0)
+        return bool(np.allclose((cos * x - sin * y, sin * x + cos * y, z), after, atol=1e-4))
 
     def least_time(self, start: Array, goal: Array) -> Array:
         """Seconds in which all joints can come from rest at `start` to `goal` (..., dof), where they need not stop."""

@@ -1,4 +1,4 @@
-"""The least times of many arms at once into spheres of their own: bounds on `SoonestTouch.least_time` from above.
+"""The least times of many arms at once into spheres of their own: bounds on `MinimumTimeReach.least_time` from above.
 
 Configurations are looked up by where their end-effector is, and the soonest of them from home are brought into the
 sphere. They then stay the same wherever the arm goes, so that the time is one function of its state: to the best of
@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from armctl.drives import travel_time
+from armctl.kinematics.minimum_time_reach import MinimumTimeReach, approach
 from armctl.kinematics.model import ArmModel
-from armctl.kinematics.touch import SoonestTouch, approach
+from armctl.robot_description.joint_profiles import travel_time
 
 Array = NDArray[np.float64]
 
@@ -29,7 +29,7 @@ TIP_SPEED = 1.0
 
 
 @dataclass(frozen=True)
-class LookUp:
+class ReachTimesOptions:
     """Effort for a sphere."""
 
     nearby: int = 256
@@ -64,13 +64,13 @@ class Spheres:
 class ReachTimes:
     """Least times of one kind of arm into spheres of `radius`, m."""
 
-    def __init__(self, model: ArmModel, radius: float, effort: LookUp | None = None) -> None:
-        self.model, self.radius, self.effort = model, radius, effort or LookUp()
+    def __init__(self, model: ArmModel, radius: float, effort: ReachTimesOptions | None = None) -> None:
+        self.model, self.radius, self.effort = model, radius, effort or ReachTimesOptions()
         low, high = np.maximum(model.limits.lower, -np.pi), np.minimum(model.limits.upper, np.pi)
         postures = np.random.default_rng(0).uniform(low, high, (POSTURES, model.dof))
         self._postures = model.nearest_turn(postures, model.home)
         self._from_home = model.least_time(model.home, self._postures)
-        self._touch = SoonestTouch(model)
+        self._touch = MinimumTimeReach(model)
         self._by_position = KDTree(model.positions(postures))
 
     def spheres(self, centres: Array) -> Spheres:

@@ -2,7 +2,7 @@
 
 RRT-Connect (Kuffner and LaValle, "RRT-Connect: an efficient approach to single-query path planning", ICRA 2000) grows
 trees from the start and from configurations in the sphere; shortcuts then straighten what it finds (Geraerts and
-Overmars, "Creating high-quality paths for motion planning", IJRR 2007). Motions are free without gaps: `FreeMotions`.
+Overmars, "Creating high-quality paths for motion planning", IJRR 2007). Motions are free without gaps: `EdgeChecker`.
 """
 
 import itertools
@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from ompl import base, geometric, util
 
-from armctl.boxes import Boxes
 from armctl.errors import ConfigurationError
-from armctl.kinematics import ArmModel, ArmShapes, FreeMotions, SoonestTouch
-from armctl.kinematics.motions import MOST_CLEARANCE
+from armctl.kinematics import ArmModel, ArmShapes, EdgeChecker, MinimumTimeReach
+from armctl.kinematics.edge_checker import MOST_CLEARANCE
+from armctl.scene import Boxes
 
 Array = NDArray[np.float64]
 
@@ -92,7 +92,7 @@ class ArmPlanner:
 
     def __init__(self, model: ArmModel, options: ArmPlannerOptions | None = None) -> None:
         self.model, self.options = model, options or ArmPlannerOptions()
-        self._touch, self._shapes = SoonestTouch(model), ArmShapes(model)
+        self._touch, self._shapes = MinimumTimeReach(model), ArmShapes(model)
 
     def plan(self, start: ArrayLike, target: ArrayLike, tolerance: float, boxes: Boxes) -> ArmPlan:
         """Plan from `start` (dof,) rad until the end-effector is within `tolerance` of `target` (3,), m.
@@ -104,7 +104,7 @@ class ArmPlanner:
         """
         begin = time.perf_counter()
         origin, centre = self._checked(start, target, tolerance)
-        motions = FreeMotions(self._shapes, boxes, self.options.clearance, origin)
+        motions = EdgeChecker(self._shapes, boxes, self.options.clearance, origin)
         path, raw, searched = np.zeros((0, self.model.dof)), math.inf, False
         if motions.start_is_free:
             if np.linalg.norm(self.model.position(origin) - centre) <= tolerance:
@@ -133,7 +133,7 @@ class ArmPlanner:
             )
         return origin, centre
 
-    def _goals(self, motions: FreeMotions, start: Array, centre: Array, radius: float) -> Array:
+    def _goals(self, motions: EdgeChecker, start: Array, centre: Array, radius: float) -> Array:
         """Free configurations (k, dof) in the sphere, those first that can be reached soonest."""
         q = np.array(list(self._touch.ik.configurations(centre))).reshape(-1, self.model.dof)
         q = self._by_time(start, self.model.nearest_turn(q, start))
@@ -145,13 +145,13 @@ class ArmPlanner:
         q = q[self.model.within_limits(q)]
         return np.asarray(q[np.argsort(self.model.cruise_time(start, q), kind="stable")])
 
-    def _straight(self, motions: FreeMotions, start: Array, goals: Array) -> Array:
+    def _straight(self, motions: EdgeChecker, start: Array, goals: Array) -> Array:
         for goal in goals[: self.options.direct]:
-            if motions.leads(start, goal):
+            if motions.is_edge_free(start, goal):
                 return np.array((start, goal))
         return np.zeros((0, self.model.dof))
 
-    def _search(self, motions: FreeMotions, start: Array, goals: Array) -> Array:
+    def _search(self, motions: EdgeChecker, start: Array, goals: Array) -> Array:
         """The path that RRT-Connect finds, (m, dof), or (0, dof)."""
         util.RNG.setSeed(OMPL_SEED)
         dof, limits = self.model.dof, self.model.limits
@@ -189,7 +189,7 @@ class ArmPlanner:
             return np.zeros((0, dof))
         return np.array([state[0:dof] for state in problem.getSolutionPath().getStates()])
 
-    def _shortened(self, motions: FreeMotions, path: Array, centre: Array, radius: float) -> Array:
+    def _shortened(self, motions: EdgeChecker, path: Array, centre: Array, radius: float) -> Array:
         """The same path with shortcuts between random places on it, and another end, where they save time."""
         rng, tries = np.random.default_rng(0), range(self.options.shortcuts if len(path) > 2 else 0)
         for half in (tries[::2], tries[1::2]):
@@ -198,7 +198,7 @@ class ArmPlanner:
             path = self._with_sooner_end(motions, path, centre, radius) if tries else path
         return path
 
-    def _with_shortcut(self, motions: FreeMotions, path: Array, rng: np.random.Generator) -> Array:
+    def _with_shortcut(self, motions: EdgeChecker, path: Array, rng: np.random.Generator) -> Array:
         times = self._times(path)
         places = np.sort(rng.uniform(0, times[-1], 2))
         i, j = corners = np.searchsorted(times, places, side="right")
@@ -206,11 +206,11 @@ class ArmPlanner:
             return path
         part = (places - times[corners - 1]) / (times[corners] - times[corners - 1])
         a, b = path[corners - 1] + part[:, None] * (path[corners] - path[corners - 1])
-        if self.model.cruise_time(a, b) < WORTH_IT * (places[1] - places[0]) and motions.leads(a, b):
+        if self.model.cruise_time(a, b) < WORTH_IT * (places[1] - places[0]) and motions.is_edge_free(a, b):
             return np.vstack((path[:i], a, b, path[j:]))
         return path
 
-    def _with_sooner_end(self, motions: FreeMotions, path: Array, centre: Array, radius: float) -> Array:
+    def _with_sooner_end(self, motions: EdgeChecker, path: Array, centre: Array, radius: float) -> Array:
         """The same path, left at the corner from which a straight motion into the sphere saves most time."""
         corners = path[:-1]
         ends = self._touch.sooner(corners, np.tile(path[-1], (len(corners), 1)), centre, INSIDE * radius)
@@ -218,7 +218,7 @@ class ArmPlanner:
         for i, j in zip(*np.unravel_index(np.argsort(times, axis=None), times.shape), strict=True):
             if times[i, j] > WORTH_IT * self._time(path):
                 break
-            if motions.leads(corners[i], ends[j]):
+            if motions.is_edge_free(corners[i], ends[j]):
                 return np.vstack((path[: i + 1], ends[j]))
         return path
 
@@ -231,9 +231,9 @@ class ArmPlanner:
 
 
 class _Motions(base.MotionValidator):  # type: ignore[misc]
-    def __init__(self, information: Any, motions: FreeMotions, dof: int) -> None:
+    def __init__(self, information: Any, motions: EdgeChecker, dof: int) -> None:
         super().__init__(information)
         self._motions, self._dof = motions, dof
 
     def checkMotion(self, a: Any, b: Any) -> bool:  # noqa: N802
-        return self._motions.leads(np.array(a[0 : self._dof]), np.array(b[0 : self._dof]))
+        return self._motions.is_edge_free(np.array(a[0 : self._dof]), np.array(b[0 : self._dof]))

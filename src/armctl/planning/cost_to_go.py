@@ -13,7 +13,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from armctl.planning.bridge_map import BridgeMap
+from armctl.scene import BridgeMap
 
 Array = NDArray[np.float64]
 

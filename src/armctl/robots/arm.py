@@ -7,13 +7,14 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.assets import ArmDescription, world_path
-from armctl.capsules import Capsule
-from armctl.collisions import FLOOR
-from armctl.drives import TICK, limited, towards
 from armctl.errors import unknown_name
-from armctl.robots.joints import JointLimits, JointSamples
+from armctl.robot_description import ArmDescription
+from armctl.robot_description.capsules import Capsule
+from armctl.robot_description.collision_pairs import FLOOR
+from armctl.robot_description.joint_profiles import TICK, limited, towards
+from armctl.robots.joints import ActuatorLimits, JointSamples
 from armctl.simulation import Simulation
+from armctl.simulation.worlds import world_path
 
 Array = NDArray[np.float64]
 
@@ -38,8 +39,8 @@ class Arm:
     - `velocity`: joint velocities, within the velocity limits;
     - `torque`: joint torques on top of gravity compensation, within the effort limits.
 
-    But for torques, `armctl.drives` make of it a command within the limits of position, velocity and acceleration. The
-    joints' servos follow it within their effort limits. Call `drive` every `armctl.drives.TICK` of simulated time, and
+    But for torques, `armctl.robot_description.joint_profiles` make of it a command within the limits of position, velocity and acceleration. The
+    joints' servos follow it within their effort limits. Call `drive` every `armctl.robot_description.joint_profiles.TICK` of simulated time, and
     `joints.take` after it.
     """
 
@@ -55,7 +56,7 @@ class Arm:
         self._command = simulation.array("act")
         self._wanted = np.zeros_like(self.joint_positions)
         limits = description.limits
-        borne = JointLimits(limits.velocity, limits.effort, (limits.lower, limits.upper))
+        borne = ActuatorLimits(limits.velocity, limits.effort, (limits.lower, limits.upper))
         self.joints = JointSamples(simulation, slice(description.dof), borne, round(period / TICK), period)
         bound = {
             "position": (limits.lower, limits.upper),

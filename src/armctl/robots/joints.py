@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class JointLimits:
+class ActuatorLimits:
     """Of k joints or wheels, (k,) each."""
 
     speed: Array
@@ -30,7 +30,7 @@ class JointSamples:
     """
 
     def __init__(
-        self, simulation: Simulation, dofs: slice | Sequence[int], limits: JointLimits, samples: int, period: float
+        self, simulation: Simulation, dofs: slice | Sequence[int], limits: ActuatorLimits, samples: int, period: float
     ) -> None:
         self._now = simulation.array("qvel"), simulation.array("qfrc_actuator")
         self._dofs, self.limits = dofs, limits
@@ -45,6 +45,6 @@ class JointSamples:
             samples[self._next] = now[:, self._dofs]
         self._next = (self._next + 1) % self._samples.shape[1]
 
-    def since_last_decision(self) -> Array:
+    def since_last_step(self) -> Array:
         """Speeds (rad/s) and torques that motors bring to the joints (N m), (2, samples, n, k)."""
         return self._samples.copy()

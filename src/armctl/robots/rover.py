@@ -6,9 +6,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.assets import world_path
-from armctl.robots.joints import JointLimits, JointSamples
+from armctl.robots.joints import ActuatorLimits, JointSamples
 from armctl.simulation import Simulation
+from armctl.simulation.worlds import world_path
 
 Array = NDArray[np.float64]
 
@@ -62,7 +62,7 @@ class Rover:
     def wheel_samples(self, samples: int, period: float) -> JointSamples:
         """Of the wheels, to be taken so many times a period, s."""
         torque = self._simulation.model.actuator_forcerange[self._motors, 1]
-        limits = JointLimits(np.full(len(WHEELS), MAX_WHEEL_SPEED), torque)
+        limits = ActuatorLimits(np.full(len(WHEELS), MAX_WHEEL_SPEED), torque)
         return JointSamples(self._simulation, self._spin_columns, limits, samples, period)
 
     @property

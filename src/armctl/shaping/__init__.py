@@ -1,6 +1,7 @@
 """Potential-based reward shaping: what an expert knows of a state, as a reward that leaves the best policy as it is."""
 
-from armctl.shaping.oracles import Oracle, OracleFactory, make_oracle, oracle_names
+from armctl.shaping.potentials import PotentialFactory, make_potential, potential_names
 from armctl.shaping.wrappers import Shaped, ShapedEnv
+from armctl.tasks import Potential
 
-__all__ = ["Oracle", "OracleFactory", "Shaped", "ShapedEnv", "make_oracle", "oracle_names"]
+__all__ = ["Potential", "PotentialFactory", "Shaped", "ShapedEnv", "make_potential", "potential_names"]

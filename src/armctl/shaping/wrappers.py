@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from armctl.envs import TaskEnv, TaskVectorEnv
 from armctl.errors import ConfigurationError
-from armctl.shaping.oracles import OracleFactory, make_oracle
+from armctl.shaping.potentials import PotentialFactory, make_potential
 
 Array = NDArray[np.float64]
 
@@ -34,7 +34,7 @@ class Shaped(gymnasium.vector.VectorWrapper[Any, Any, Any, Any, Any]):
 
     Args:
         env: vector environment of armctl, in any autoreset mode, before its first reset.
-        oracle: name of a potential (see `oracle_names`), or a function from the vector environment to an `Oracle`.
+        oracle: name of a potential (see `potential_names`), or a function from the vector environment to an `Potential`.
         gamma: discount factor of the learner.
         scale: reward for each unit of the potential.
 
@@ -45,7 +45,7 @@ class Shaped(gymnasium.vector.VectorWrapper[Any, Any, Any, Any, Any]):
     def __init__(
         self,
         env: gymnasium.vector.VectorEnv[Any, Any, Any],
-        oracle: str | OracleFactory,
+        oracle: str | PotentialFactory,
         *,
         gamma: float,
         scale: float = 1.0,
@@ -65,7 +65,7 @@ class ShapedEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
     """The same for one environment: `ShapedEnv(gymnasium.make("armctl/ArmReach-v0"), "ik", gamma=0.99)`."""
 
     def __init__(
-        self, env: gymnasium.Env[Any, Any], oracle: str | OracleFactory, *, gamma: float, scale: float = 1.0
+        self, env: gymnasium.Env[Any, Any], oracle: str | PotentialFactory, *, gamma: float, scale: float = 1.0
     ) -> None:
         super().__init__(env)
         inner = env.unwrapped
@@ -82,7 +82,7 @@ class ShapedEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
 class _Difference:
     """What the last step has changed in the potential, seen before any autoreset."""
 
-    def __init__(self, worlds: Any, oracle: str | OracleFactory, gamma: float, scale: float) -> None:
+    def __init__(self, worlds: Any, oracle: str | PotentialFactory, gamma: float, scale: float) -> None:
         if not isinstance(worlds, TaskVectorEnv):
             raise ConfigurationError(f"armctl's own environments can be shaped; {worlds} is none")
         if worlds.observers:
@@ -91,7 +91,7 @@ class _Difference:
             raise ConfigurationError(f"gamma is the learner's discount factor, from 0 to 1, not {gamma!r}")
         if not (isinstance(scale, (int, float)) and np.isfinite(scale)):
             raise ConfigurationError(f"scale is a finite number, not {scale!r}")
-        self._oracle, self._gamma, self._scale = make_oracle(oracle, worlds), gamma, scale
+        self._oracle, self._gamma, self._scale = make_potential(oracle, worlds), gamma, scale
         self._now, self._before, self._after = np.full((3, worlds.num_envs), np.nan)
         self._awake = np.zeros(worlds.num_envs, dtype=bool)
         worlds.observers.append(self)

@@ -52,7 +52,7 @@ class ContactSensors:
         """What touches now, (n, parts, classes)."""
         return self._now[:, self._columns] > 0
 
-    def lately(self) -> NDArray[np.bool_]:
+    def since_last_step(self) -> NDArray[np.bool_]:
         """What touches now, or did in one of the physics steps that the sensors remember, (n, parts, classes)."""
         return self.now() | (self._history[:, self._remembered] > 0).any(axis=-1)
 

@@ -1,0 +1,146 @@
+"""Whether a change of the code has changed an episode: digests of all that happens, in every environment, bit for bit.
+
+    python benchmarks/golden.py record before.json      # with the code as it was
+    python benchmarks/golden.py record after.json       # with the code as it is
+    python benchmarks/golden.py compare before.json after.json
+
+Digests hold on one machine, with one set of packages. Through Gymnasium and `armctl.make_policy` alone, so that it runs
+on any version of armctl.
+"""
+
+import hashlib
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+import armctl
+from armctl.errors import ArmctlError
+
+REACH, MOVING, OBSTACLES = "armctl/ArmReach-v0", "armctl/ArmReachMoving-v0", "armctl/ArmReachObstacles-v0"
+BRIDGE, BRIDGE_MOVING = "armctl/BridgeCross-v0", "armctl/BridgeCrossMoving-v0"
+EXPERTS = ("reach_ik", "reach_mpc", "reach_ompl", "bridge_ompl", "bridge_mpc")
+AGENTS = ("reach_ppo", "reach_bc", "reach_dagger", "reach_sac", "moving_ppo", "obstacles_dagger")
+DRIVERS = ("bridge_ppo", "bridge_dagger", "bridge_moving_ppo")
+POLICIES = (*EXPERTS, *AGENTS, *DRIVERS, "random")
+SEED = 7
+
+
+def cases() -> Iterator[tuple[str, dict[str, Any], str, int, int]]:
+    """Environment, options, policy, worlds and steps of each recorded run."""
+    for env in (REACH, MOVING, OBSTACLES, BRIDGE, BRIDGE_MOVING):
+        for policy in POLICIES:
+            yield env, {}, policy, 3, 120
+    for control in ("delta", "velocity", "torque"):
+        for policy in ("reach_ik", "random"):
+            yield REACH, {"control": control}, policy, 2, 40
+    for robot in ("ur3", "ur10", "z1", "panda", "xarm7"):
+        for env in (REACH, OBSTACLES):
+            yield env, {"robot": robot, **({"solvable": False} if env == OBSTACLES else {})}, "reach_ik", 2, 40
+        yield REACH, {"robot": robot}, "reach_mpc", 2, 40
+    yield REACH, {"target": "box"}, "reach_ik", 4, 60
+    for option in ({"observation": "state"}, {"camera": "classes"}, {"progress": 0.5, "blocks": 3, "walkers": 2}):
+        for policy in ("random", "bridge_ompl"):
+            yield BRIDGE, option, policy, 2, 60
+    for name, arm, rover in (
+        ("noise", 0.01, 0.1), ("delay", 2, 2), ("payload", 5, 10), ("friction", 0.2, 0.5), ("strength", 0.6, 0.6),
+        ("pushes", 10, 10), ("mismatch", 0.05, 0.05),
+    ):  # fmt: skip
+        for policy in ("reach_ik", "reach_ppo"):
+            yield REACH, {"disturbances": {name: arm}}, policy, 3, 50
+        for policy in ("bridge_ompl", "bridge_ppo"):
+            yield BRIDGE, {"disturbances": {name: rover}}, policy, 2, 60
+    yield BRIDGE, {"disturbances": {"dropout": 0.25}}, "bridge_ppo", 2, 60
+    for env, oracle in (
+        (REACH, "distance"), (REACH, "ik"), (REACH, "mpc"), (MOVING, "ik"), (OBSTACLES, "ompl"),
+        (BRIDGE, "distance"), (BRIDGE, "ompl"),
+    ):  # fmt: skip
+        yield env, {"shaping": oracle}, "random", 2, 40
+
+
+def played(env: str, options: dict[str, Any], policy: str, worlds: int, steps: int) -> dict[str, Any]:
+    """What happens in one run: a digest of it all, and the outcomes, for people."""
+    options = dict(options)
+    oracle = options.pop("shaping", None)
+    made = gymnasium.make_vec(env, num_envs=worlds, autoreset_mode="disabled", threads=1, **options)
+    actor = armctl.make_policy(policy, made)
+    playing: Any = made
+    if oracle:
+        from armctl.shaping import Shaped
+
+        playing = Shaped(made, oracle, gamma=0.97)
+    digest = hashlib.sha256()
+    observations, infos = playing.reset(seed=[SEED] * worlds, options={"episode": np.arange(worlds)})
+    actor.reset(np.arange(worlds, dtype=np.int32))
+    finished, returns, lengths = np.zeros(worlds, bool), np.zeros(worlds), np.zeros(worlds, int)
+    outcomes = [""] * worlds
+    _take_in(digest, observations, infos)
+    for _ in range(steps):
+        actions = actor.act(observations)
+        observations, rewards, terminated, truncated, infos = playing.step(actions)
+        _take_in(digest, observations, actions, rewards, terminated, truncated, infos)
+        returns += rewards * ~finished
+        lengths += ~finished
+        for i in np.flatnonzero((terminated | truncated) & ~finished):
+            outcomes[i] = str(infos["outcome"][i])
+        ended = terminated | truncated
+        finished |= ended
+        if finished.all():
+            break
+        if ended.any():
+            observations, infos = playing.reset(options={"reset_mask": ended, "episode": np.arange(worlds) + worlds})
+            actor.reset(np.flatnonzero(ended).astype(np.int32))
+            _take_in(digest, observations, infos)
+    made.close()
+    return {
+        "digest": digest.hexdigest(),
+        "outcomes": outcomes,
+        "returns": returns.round(6).tolist(),
+        "lengths": lengths.tolist(),
+    }
+
+
+def _take_in(digest: Any, *values: Any) -> None:
+    for value in values:
+        if isinstance(value, dict):
+            for key in sorted(value):
+                digest.update(key.encode())
+                _take_in(digest, value[key])
+        else:
+            array = np.asarray(value)
+            digest.update(str(array.tolist()).encode() if array.dtype.kind in "OUS" else array.tobytes())
+
+
+def record(path: Path) -> None:
+    """Play all cases, and write what happened."""
+    found: dict[str, Any] = {}
+    for env, options, policy, worlds, steps in cases():
+        name = f"{env} {json.dumps(options, sort_keys=True)} {policy}"
+        try:
+            found[name] = played(env, options, policy, worlds, steps)
+        except ArmctlError as error:
+            found[name] = {"error": type(error).__name__}
+        print(name, found[name].get("outcomes", "-"), flush=True)
+    path.write_text(json.dumps(found, indent=1) + "\n")
+
+
+def compare(before: Path, after: Path) -> int:
+    """Print what differs; the number of runs that do."""
+    first, second = (json.loads(path.read_text()) for path in (before, after))
+    differing = [name for name in first if first[name] != second.get(name)]
+    for name in differing:
+        print(f"{name}\n  before {first[name]}\n  after  {second.get(name)}")
+    ran = sum("digest" in one for one in first.values())
+    print(f"{len(first)} runs, {ran} of them with episodes: {len(differing)} differ")
+    return len(differing)
+
+
+if __name__ == "__main__":
+    if sys.argv[1] == "record":
+        record(Path(sys.argv[2]))
+    else:
+        sys.exit(compare(Path(sys.argv[2]), Path(sys.argv[3])) > 0)

@@ -1,0 +1,162 @@
+"""Hover: a quadrotor flies to a target and stops there. A task, its expert and its potential, in one file."""
+
+from typing import Annotated
+
+import gymnasium
+import mujoco
+import numpy as np
+from pydantic import Field
+
+from armctl import Task, register
+from armctl.disturbances import GENERIC, DisturbanceSpec, Payload, Pushes
+from armctl.options import options
+from armctl.simulation import Simulation
+from armctl.tasks import MotionSample, Outcome
+
+WORLD = """
+<mujoco>
+  <option timestep="0.004" integrator="implicitfast"/>
+  <worldbody>
+    <light pos="0 0 4"/> <camera name="overview" pos="0 -4 2" xyaxes="1 0 0 0 0.3 1"/>
+    <geom name="floor" type="plane" size="5 5 0.1" rgba="0.7 0.75 0.8 1"/>
+    <body name="target" mocap="true"> <geom type="sphere" size="0.1" rgba="0 0.8 0 0.5" contype="0" conaffinity="0"/> </body>
+    <body name="quadrotor" pos="0 0 1">
+      <freejoint/> <geom type="box" size="0.12 0.12 0.03" mass="1" rgba="0.2 0.2 0.25 1"/>
+      <site name="front_left" pos="0.1 0.1 0"/> <site name="front_right" pos="0.1 -0.1 0"/>
+      <site name="rear_left" pos="-0.1 0.1 0"/> <site name="rear_right" pos="-0.1 -0.1 0"/>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor site="front_left" gear="0 0 1 0 0 0.02"/> <motor site="front_right" gear="0 0 1 0 0 -0.02"/>
+    <motor site="rear_left" gear="0 0 1 0 0 -0.02"/> <motor site="rear_right" gear="0 0 1 0 0 0.02"/>
+  </actuator>
+  <keyframe> <key name="start" qpos="0 0 1 1 0 0 0"/> </keyframe>
+</mujoco>
+"""
+ARM, YAW_TORQUE, MASS, GRAVITY, MAX_THRUST = 0.1, 0.02, 1.0, 9.81, 6.0
+
+
+@options
+class HoverOptions:
+    """Options of `mine/Hover-v0`."""
+
+    tolerance: Annotated[float, Field(gt=0)] = 0.1
+    """m from the target, within which a quadrotor slower than 0.5 m/s has done its job."""
+
+
+class HoverOutcome(Outcome):
+    """How an episode ends; True marks a success."""
+
+    TIMEOUT = 0
+    HOVERING = 1, True
+    CRASHED = 2
+
+
+class DistanceToTarget:
+    """A potential for reward shaping: minus the distance to the target, m."""
+
+    def __init__(self, task):
+        self._task = task
+
+    def begin(self, ids):
+        """Nothing to prepare."""
+
+    def potentials(self, ids):
+        """In m, (len(ids),)."""
+        return -self._task.goal_distances()[ids]
+
+
+class HoverTask(Task):
+    """n quadrotors, each with its target."""
+
+    options_type = HoverOptions
+    outcomes = HoverOutcome
+    default_policies = ("hover:expert", "random")
+    potentials = {"distance": DistanceToTarget}
+    disturbances = GENERIC | {
+        "payload": DisturbanceSpec(Payload, "a ball in the middle", "kg", (0, 0.1, 0.2, 0.5), highest=2.0),
+        "pushes": DisturbanceSpec(Pushes, "pushes, about one a second", "N s", (0, 0.5, 1, 2), highest=10.0),
+    }
+    payload_body = "quadrotor"
+    idle_action = np.full(4, MASS * GRAVITY / 4)
+    render_fps = 50
+
+    def __init__(self, n, options, threads=0):
+        super().__init__(Simulation(mujoco.MjModel.from_xml_string(WORLD), n, threads), control_period=0.02)
+        self.options = options
+        self._qpos, self._qvel, self._thrusts, self._contacts, self._targets = (
+            self.simulation.array(name) for name in ("qpos", "qvel", "ctrl", "ncon", "mocap_pos")
+        )
+        self.action_space = gymnasium.spaces.Box(0.0, MAX_THRUST, (4,))
+        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (18,))
+
+    def reset(self, ids, rngs):
+        """Quadrotors hang in the air at the origin; targets are somewhere around them."""
+        self.simulation.reset(ids)
+        for i, rng in zip(ids, rngs, strict=True):
+            self._targets[i, 0] = rng.uniform((-1, -1, 0.5), (1, 1, 2))
+        self.simulation.refresh(ids)
+
+    def command(self, actions):
+        """Thrusts (n, 4), N."""
+        self._thrusts[:] = np.clip(actions, 0.0, MAX_THRUST)
+
+    def observe(self, ids=None):
+        """Offset to the target (m), rotation matrix, velocity (m/s) and body rates (rad/s): (n, 18)."""
+        rotations = self.simulation.array("xmat")[:, -1].reshape(-1, 9)
+        seen = np.concatenate((self._offsets(), rotations, self._qvel), axis=1, dtype=np.float32)
+        return seen if ids is None else seen[ids]
+
+    def reward_terms(self):
+        """A step costs 1; hovering earns 100, and a crash costs as much."""
+        outcome = self.outcome()
+        return {
+            "step": np.full(self.n, -1.0),
+            "goal": 100.0 * (outcome == HoverOutcome.HOVERING),
+            "crash": -100.0 * (outcome == HoverOutcome.CRASHED),
+        }
+
+    def outcome(self):
+        """`CRASHED` on contact with the floor, `HOVERING` near the target and slow."""
+        slow = np.linalg.norm(self._qvel[:, :3], axis=1) < 0.5
+        there = (self.goal_distances() < self.options.tolerance) & slow
+        return np.where(self._contacts > 0, HoverOutcome.CRASHED, there * HoverOutcome.HOVERING)
+
+    def goal_distances(self):
+        """(n,) m."""
+        return np.linalg.norm(self._offsets(), axis=1)
+
+    def motion(self):
+        """Positions, poses and contacts, for the metrics."""
+        return MotionSample(self._qpos[:, :3].copy(), self._qpos.copy(), self._contacts > 0)
+
+    def _offsets(self):
+        return self._targets[:, 0] - self._qpos[:, :3]
+
+
+class Expert:
+    """A cascade of PD controllers: for the acceleration, then for the attitude that it takes."""
+
+    sees = "observation"
+    training_steps = 0
+
+    def reset(self, ids):
+        """Nothing to forget."""
+
+    def act(self, observations):
+        """Thrusts (n, 4) for observations (n, 18)."""
+        offset, rotation, velocity, rates = np.split(observations.astype(float), (3, 12, 15), axis=1)
+        wanted = np.clip(4 * offset - 3 * velocity, -4, 4) + (0, 0, GRAVITY)
+        ahead = np.einsum("nij,ni->nj", rotation.reshape(-1, 3, 3), wanted)  # in the body frame
+        roll, pitch, yaw = (0.4 * np.cross((0, 0, 1), ahead / GRAVITY) - 0.08 * rates).T
+        lift, roll, pitch, yaw = MASS * ahead[:, 2] / 4, roll / ARM / 4, pitch / ARM / 4, yaw / YAW_TORQUE / 4
+        thrusts = (lift + roll - pitch + yaw, lift - roll - pitch - yaw, lift + roll + pitch - yaw, lift - roll + pitch + yaw)
+        return np.stack(thrusts, axis=1)
+
+
+def expert(env):
+    """Cascaded PD control of position and attitude."""
+    return Expert()
+
+
+register("mine/Hover-v0", HoverTask, max_episode_steps=250)

@@ -1,0 +1,84 @@
+"""The reach task as a goal-conditioned environment: an episode that missed its target has reached another one.
+
+Hindsight experience replay, Andrychowicz et al. 2017, by Stable-Baselines3's buffer.
+"""
+
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from numpy.typing import NDArray
+from stable_baselines3 import HerReplayBuffer
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.common.type_aliases import DictReplayBufferSamples
+
+from armctl.rl.vector import StableBaselinesVectorEnv
+from armctl.rl.view import View
+
+STEP, GOAL = -1.0, 100.0
+"""The reach task's reward for a step, and for one to the goal."""
+
+
+def split(observations: Any, dof: int) -> dict[str, Any]:
+    """Plain observations (..., 6 + dof), arrays or tensors, as those of a goal-conditioned environment."""
+    return {
+        "achieved_goal": observations[..., :3],
+        "observation": observations[..., 3 : 3 + dof],
+        "desired_goal": observations[..., 3 + dof :],
+    }
+
+
+class GoalVectorEnv(StableBaselinesVectorEnv):
+    """Reach worlds with `achieved_goal`, the end-effector's position, and `desired_goal`, the target's (m)."""
+
+    def __init__(self, tolerance: float, *args: Any) -> None:
+        super().__init__(*args)
+        self.tolerance = tolerance
+        plain = self.env.single_observation_space
+        self.dof = plain.shape[0] - 6
+        low, high = split(plain.low, self.dof), split(plain.high, self.dof)
+        self.observation_space = spaces.Dict({name: spaces.Box(low[name], high[name]) for name in low})
+
+    def shown(self, observations: Any) -> Any:
+        """Observations (..., 6 + dof) by name."""
+        return split(observations, self.dof)
+
+    def compute_reward(self, achieved: NDArray[np.floating[Any]], desired: NDArray[np.floating[Any]]) -> Any:
+        """Scaled reward (n,) of a step that ends at positions (n, 3), were these the targets (n, 3)."""
+        reached = np.linalg.norm(achieved - desired, axis=1) <= self.tolerance
+        return self.reward_scale * (STEP + GOAL * reached)
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
+        """Call a method once, for all worlds."""
+        if method_name == "compute_reward":
+            return [self.compute_reward(*args[:2])]
+        return super().env_method(method_name, *args, indices=indices, **kwargs)
+
+
+class GoalFeatures(BaseFeaturesExtractor):
+    """A view's features of the plain observation, which is put together again."""
+
+    def __init__(self, observation_space: spaces.Dict, view: View) -> None:
+        size = spaces.flatdim(observation_space)
+        plain = view.features(spaces.Box(-np.inf, np.inf, (size,)), **view.features_options)
+        super().__init__(observation_space, plain.features_dim)
+        self.plain = plain
+
+    def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
+        """Features (n, k) of observations by name."""
+        parts = [observations[name] for name in ("achieved_goal", "observation", "desired_goal")]
+        return self.plain(torch.cat(parts, dim=1))
+
+
+class HindsightBuffer(HerReplayBuffer):
+    """Relabelled successes end their episode, as successes do in the task; Stable-Baselines3 would go on after them."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.infos = np.empty(0)  # a dict for each transition, which nobody reads
+
+    def _get_virtual_samples(self, *args: Any) -> DictReplayBufferSamples:
+        samples = super()._get_virtual_samples(*args)
+        reached = samples.rewards > self.env.reward_scale * STEP
+        return samples._replace(dones=reached.float())

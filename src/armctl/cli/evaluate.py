@@ -1,0 +1,220 @@
+"""Verbs that compare: `compare`, `report`, `sweep`, `reproduce`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from armctl import DEFAULT_ENV
+from armctl.cli.app import app
+from armctl.cli.options import (
+    Env,
+    EnvOptions,
+    Overwrite,
+    Policies,
+    Seed,
+    Workers,
+    Worlds,
+    levels_of,
+    new_folder,
+    options_of,
+    progress_bar,
+)
+
+
+@app.command()
+def compare(
+    policies: Policies = None,
+    env: Env = DEFAULT_ENV,
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes that every policy meets.")] = 200,
+    seed: Seed = 0,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for episodes.csv and summary.json.", show_default="results/<date and time>"),
+    ] = None,
+    overwrite: Overwrite = False,
+    worlds: Worlds = 1,
+    workers: Workers = 1,
+    env_options: EnvOptions = None,
+    report: Annotated[
+        bool, typer.Option("--report", help="Write report.html as well, with figures and videos.")
+    ] = False,
+) -> None:
+    """Let policies meet the same episodes, and print who is better, by how much.
+
+    Writes every episode as it ends, so that Ctrl-C loses nothing: the same command with the same `--out` goes on.
+    """
+    from rich.console import Console
+
+    from armctl.evaluation import EpisodeResult
+    from armctl.evaluation import compare as run_comparison
+    from armctl.evaluation.compare import default_policies
+    from armctl.report.terminal import tables
+
+    names = policies or default_policies(env)
+    folder = out or new_folder()
+    with progress_bar() as bar:
+        bars = {name: bar.add_task(name, total=episodes) for name in names}
+
+        def progress(result: EpisodeResult) -> None:
+            bar.advance(bars[result.policy])
+
+        comparison = run_comparison(
+            names,
+            env,
+            episodes=episodes,
+            seed=seed,
+            out=folder,
+            overwrite=overwrite,
+            worlds=worlds,
+            workers=workers,
+            env_options=options_of(env_options),
+            progress=progress,
+        )
+    console = Console()
+    console.print(tables(comparison))
+    console.print(f"{folder / 'episodes.csv'} has every episode, {folder / 'summary.json'} the tables.", soft_wrap=True)
+    if comparison.interrupted:
+        console.print(f"The same command with --out {folder} goes on from there.", soft_wrap=True)
+        raise typer.Exit(130)
+    if report:
+        _write_report(folder, None, video=True, trusted=True)
+    if comparison.failures:
+        raise typer.Exit(1)
+
+
+@app.command()
+def report(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a comparison's or a sweep's results.")],
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="HTML file to write.", show_default="DIR/report.html")
+    ] = None,
+    video: Annotated[bool, typer.Option("--video/--no-video", help="Play episodes again, and film them.")] = True,
+) -> None:
+    """Write the report of a comparison: one HTML file that works offline, on a phone and in print."""
+    _write_report(folder, out, video=video, trusted=False)
+
+
+def _write_report(folder: Path, out: Path | None, *, video: bool, trusted: bool) -> None:
+    from rich.console import Console
+
+    from armctl.report import write_report
+
+    console = Console()
+    with Console(stderr=True).status("report") as status:
+        path = write_report(
+            folder, out, video=video, trusted=trusted, progress=lambda doing: status.update(f"report: {doing}")
+        )
+    console.print(f"{path} is the report: open it in a browser.", soft_wrap=True)
+
+
+@app.command()
+def sweep(
+    policies: Policies = None,
+    env: Env = DEFAULT_ENV,
+    disturbances: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--disturbance",
+            metavar="NAME[=LEVELS]",
+            help="What to disturb with, as often as needed: `--disturbance noise --disturbance payload=0,1,2,4`.",
+            show_default="all of the environment's",
+        ),
+    ] = None,
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes that every policy meets at each level.")] = 100,
+    seed: Seed = 0,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for sweep.csv and all comparisons.", show_default="results/<date and time>"),
+    ] = None,
+    overwrite: Overwrite = False,
+    worlds: Worlds = 1,
+    workers: Workers = 1,
+    env_options: EnvOptions = None,
+) -> None:
+    """Let policies meet the same episodes under ever stronger disturbances, and print how each holds out.
+
+    Disturbances: `noise` of sensors, `delay` of actions, `payload`, `friction`, `strength` of motors, `pushes`,
+    `mismatch` between the robot and what controllers believe of it, and `dropout` of camera pictures. Policies that see
+    the state are spared noise and dropout. `armctl list` shows the levels.
+
+    Writes every episode as it ends, so that Ctrl-C loses nothing: the same command with the same `--out` goes on.
+    """
+    from rich.console import Console
+
+    from armctl.evaluation import EpisodeResult
+    from armctl.evaluation import sweep as run_sweep
+    from armctl.evaluation.compare import default_policies
+    from armctl.evaluation.sweep import sweep_levels
+    from armctl.report.terminal import sweep_tables
+
+    names, options = policies or default_policies(env), options_of(env_options)
+    asked = levels_of(disturbances) if disturbances else None
+    settings = 1 + sum(len(levels) - 1 for levels in sweep_levels(env, asked, options).values())
+    folder = out or new_folder()
+    with progress_bar() as bar:
+        shown = bar.add_task("", total=settings * len(names) * episodes)
+
+        def progress(setting: str, result: EpisodeResult) -> None:
+            bar.update(shown, description=setting, advance=1)
+
+        found = run_sweep(
+            names,
+            env,
+            disturbances=asked,
+            episodes=episodes,
+            seed=seed,
+            out=folder,
+            overwrite=overwrite,
+            worlds=worlds,
+            workers=workers,
+            env_options=options,
+            progress=progress,
+        )
+    console = Console()
+    console.print(sweep_tables(found))
+    console.print(f"{folder / 'sweep.csv'} has the curves, and a folder beside it each comparison.", soft_wrap=True)
+    if found.interrupted:
+        console.print(f"The same command with --out {folder} goes on from there.", soft_wrap=True)
+        raise typer.Exit(130)
+    if found.failures:
+        raise typer.Exit(1)
+
+
+@app.command()
+def reproduce(
+    agents: Annotated[list[str], typer.Argument(help="Agents: their cards' paths, or the names of shipped ones.")],
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Seed of other episodes.", show_default="the card's: the same episodes")
+    ] = None,
+    worlds: Annotated[int, typer.Option(min=1, help="Worlds played at once.")] = 64,
+) -> None:
+    """Evaluate learned agents again, and compare with what their cards say.
+
+    An agent agrees if its success rate is within the 95 % interval on its card. If one does not, the exit status is 1.
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    from armctl.evaluation.reproduce import reproduce as run_again
+
+    table = Table("agent", "episodes", "on the card", "95 %", "now", "steps, card", "steps, now", "agrees")
+    agreed, console = True, Console()
+    for agent in agents:
+        with console.status(f"{agent}: playing its episodes again"):
+            again = run_again(agent, seed=seed, worlds=worlds)
+        claimed, found, agreed = again.claimed, again.found, agreed and again.agrees
+        low, high = claimed.success_interval
+        steps = (f"{one.mean_steps_to_goal:.1f}" if one.mean_steps_to_goal else "-" for one in (claimed, found))
+        table.add_row(
+            again.card.name,
+            f"{found.episodes} of seed {found.seed}",
+            f"{claimed.success_rate:.1%}",
+            f"{low:.1%} to {high:.1%}",
+            f"{found.success_rate:.1%}",
+            *steps,
+            "yes" if again.agrees else "[red]no[/]",
+        )
+    console.print(table)
+    if not agreed:
+        raise typer.Exit(1)

@@ -1,0 +1,78 @@
+"""Options that several verbs share, and what is made of their text."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from armctl.errors import ConfigurationError
+from armctl.options import option_value
+
+Env = Annotated[str, typer.Option("--env", help="Environment id; `armctl list` shows them.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of the episodes: the same seed, the same episodes.")]
+EnvOptions = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="NAME=VALUE",
+        help="Option of the environment, as often as needed: `--set robot=ur10 --set tolerance=0.02`.",
+    ),
+]
+Worlds = Annotated[
+    int,
+    typer.Option(
+        min=1, help="Worlds played at once. With 1, decision times are latencies; with more, shares of a batch."
+    ),
+]
+
+Workers = Annotated[
+    int,
+    typer.Option(
+        min=1,
+        help="Processes that play episodes side by side, each on one core. With more than 1, decisions are timed "
+        "while others compute beside them.",
+    ),
+]
+Policies = Annotated[
+    list[str] | None,
+    typer.Argument(
+        help="Policies: names, agents' files, or `module:function`.", show_default="those of the environment"
+    ),
+]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace results that the folder holds.")]
+
+
+def new_folder() -> Path:
+    """A folder for results, named after the present time."""
+    from datetime import datetime
+
+    return Path("results") / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+
+
+def progress_bar() -> Any:
+    """A bar for each policy, on standard error."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description:>12}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=Console(stderr=True), transient=True)
+
+
+def levels_of(given: list[str]) -> dict[str, Any]:
+    """Levels by disturbance from NAME=LEVEL,LEVEL...; None from NAME alone."""
+    levels: dict[str, Any] = {}
+    for one in given:
+        name, equals, numbers = one.partition("=")
+        levels[name] = option_value(f"[{numbers}]") if equals else None
+    return levels
+
+
+def options_of(pairs: list[str] | None, flag: str = "--set") -> dict[str, Any]:
+    """Options from NAME=VALUE pairs: numbers, tuples, True, False and None, or else strings."""
+    options = {}
+    for pair in pairs or []:
+        name, equals, value = pair.partition("=")
+        if not equals:
+            raise ConfigurationError(f"{flag} wants NAME=VALUE, not {pair!r}")
+        options[name] = option_value(value)
+    return options

@@ -1,0 +1,108 @@
+"""Verbs that play: `run`, `view`, `collect`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from armctl import DEFAULT_ENV
+from armctl.cli.app import app
+from armctl.cli.options import (
+    Env,
+    EnvOptions,
+    Seed,
+    options_of,
+)
+
+
+@app.command()
+def run(
+    policy: Annotated[str, typer.Argument(help="Policy: a name, an agent's file, or `module:function`.")],
+    env: Env = DEFAULT_ENV,
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes to play.")] = 1,
+    steps: Annotated[
+        int | None, typer.Option(min=1, help="Most steps of an episode.", show_default="the environment's")
+    ] = None,
+    seed: Seed = 0,
+    video: Annotated[Path | None, typer.Option(metavar="FILE.mp4", help="Record what happens.")] = None,
+    watch: Annotated[bool, typer.Option("--watch", help="Show it in MuJoCo's window, in real time.")] = False,
+    env_options: EnvOptions = None,
+) -> None:
+    """Play episodes with one policy, and print its states, actions and rewards."""
+    from armctl.viewer.terminal import run_episodes
+
+    if not run_episodes(policy, env, episodes, steps, seed, video, watch, options_of(env_options)):
+        raise typer.Exit(130)
+
+
+@app.command()
+def view(
+    policy: Annotated[str, typer.Argument(help="Policy: a name, an agent's file, or `module:function`.")],
+    env: Env = DEFAULT_ENV,
+    seed: Seed = 0,
+    episode: Annotated[int, typer.Option(min=0, help="Number of the first episode.")] = 0,
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Of the page.", show_default="the first free one from 8080 on")
+    ] = 0,
+    open_browser: Annotated[bool, typer.Option("--open/--no-open", help="Open a browser, where there is one.")] = True,
+    native: Annotated[bool, typer.Option("--native", help="Show it in MuJoCo's own window; needs a screen.")] = False,
+    env_options: EnvOptions = None,
+) -> None:
+    """Show a policy live in the browser, in real time: its plan, contacts and rewards as well.
+
+    A panel on the page has the policies, seeds and episodes to choose from. Keys: Space pauses, Right arrow makes one
+    decision, R plays the episode again, N the next one; the mouse turns the view. Ctrl-C ends it. The page is for this
+    machine alone; from another: `ssh -L 8080:localhost:8080 HOST`.
+    """
+    from armctl.viewer.browser import Player, show_in_browser
+    from armctl.viewer.stage import Stage
+    from armctl.viewer.window import check_screen, show_in_window
+
+    if native:
+        check_screen()
+    player = Player(Stage(policy, env, seed, episode, options_of(env_options)))
+    try:
+        show_in_window(player) if native else show_in_browser(player, port, open_browser)
+    except KeyboardInterrupt:
+        raise typer.Exit(130) from None
+
+
+@app.command()
+def collect(
+    policy: Annotated[str, typer.Argument(help="Policy: a name, an agent's file, or `module:function`.")],
+    out: Annotated[Path, typer.Option(metavar="DATASET", help="Folder of the dataset, such as `data/reach_ik-v0`.")],
+    env: Env = DEFAULT_ENV,
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes to play.")] = 500,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Seed of the episodes; training seed k plays those from (k + 1) * 10^9.")
+    ] = 10**9,
+    worlds: Annotated[int, typer.Option(min=1, help="Worlds played at once.")] = 50,
+    env_options: EnvOptions = None,
+) -> None:
+    """Write a policy's episodes to a Minari dataset, from which `bc` can learn; needs the extra `rl`.
+
+    Ctrl-C keeps the episodes that were finished.
+    """
+    from rich.console import Console
+    from rich.progress import track
+
+    from armctl.datasets.minari import collect as run_collection
+    from armctl.evaluation import EpisodeResult
+
+    console = Console(stderr=True)
+    ended = iter(track(range(episodes), policy, console=console, transient=True))
+
+    def progress(result: EpisodeResult) -> None:
+        next(ended, None)
+
+    collection = run_collection(
+        policy, env, episodes=episodes, out=out, seed=seed, worlds=worlds, env_options=options_of(env_options),
+        progress=progress,
+    )  # fmt: skip
+    Console().print(
+        f"{collection.episodes} episodes of {policy}, {collection.steps} decisions, "
+        f"{collection.successes} successes: {out}",
+        soft_wrap=True,
+    )
+    if collection.interrupted:
+        raise typer.Exit(130)

@@ -1,0 +1,1 @@
+"""Episodes as datasets that others can read."""

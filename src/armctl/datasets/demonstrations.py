@@ -1,0 +1,120 @@
+"""Demonstrations: whole episodes of a policy, played in many worlds at once."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armctl.envs import TaskVectorEnv, one_of
+from armctl.evaluation.record import EpisodeResult
+from armctl.evaluation.rollouts import rollouts
+from armctl.policies import Policy
+from armctl.tasks import Observations
+
+
+@dataclass(frozen=True)
+class Demonstration:
+    """One episode of T decisions."""
+
+    observations: Observations
+    """(T + 1, ...), the last one of its end."""
+    actions: NDArray[np.floating[Any]]
+    """(T, ...) as the demonstrator gave them."""
+    rewards: NDArray[np.float64]
+    """(T,)"""
+    terminated: bool
+    """Whether the task ended it; if not, it was cut off."""
+    success: bool
+
+    def __len__(self) -> int:
+        return len(self.actions)
+
+
+class Recorder(gymnasium.vector.VectorWrapper[Any, Any, Any, Any, Any]):
+    """Keeps what happens in worlds that stand still after an episode; `finished` has whole episodes, by number."""
+
+    def __init__(self, env: TaskVectorEnv) -> None:
+        super().__init__(env)
+        self.finished: dict[int, Demonstration] = {}
+        self.labels: NDArray[np.floating[Any]] | None = None
+        """(n, ...) what is recorded as the next actions, instead of what is done."""
+        self._worlds, self.task = env, env.task
+        self._seen: list[list[Any]] = [[] for _ in range(env.num_envs)]
+        self._done: list[list[Any]] = [[] for _ in range(env.num_envs)]
+        self._open = np.zeros(env.num_envs, dtype=bool)
+
+    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Observations, dict[str, Any]]:
+        """Start new episodes."""
+        observations, infos = self.env.reset(seed=seed, options=options)
+        began = (options or {}).get("reset_mask", np.ones(self.num_envs, dtype=bool))
+        for i in np.flatnonzero(began):
+            self._seen[i], self._done[i] = [_copy(one_of(observations, int(i)))], []
+        self._open |= began
+        return observations, infos
+
+    def step(self, actions: ArrayLike) -> tuple[Any, Any, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """Make one decision in every world, and record it."""
+        labels = np.array(actions if self.labels is None else self.labels)
+        observations, rewards, terminated, truncated, infos = self.env.step(actions)
+        for i in np.flatnonzero(self._open):
+            self._seen[i].append(_copy(one_of(observations, int(i))))
+            self._done[i].append((labels[i], rewards[i]))
+        for i in np.flatnonzero((terminated | truncated) & self._open):
+            told, earned = zip(*self._done[i], strict=True)
+            self.finished[int(self._worlds.episodes[i])] = Demonstration(
+                _stacked(self._seen[i]), np.array(told), np.array(earned), bool(terminated[i]),
+                bool(infos["is_success"][i]),
+            )  # fmt: skip
+            self._open[i] = False
+        return observations, rewards, terminated, truncated, infos
+
+
+def demonstrate(
+    policy: Policy,
+    worlds: TaskVectorEnv,
+    episodes: int,
+    seed: int,
+    name: str = "policy",
+    acting: Callable[[Observations, NDArray[Any]], NDArray[Any]] | None = None,
+) -> Iterator[tuple[EpisodeResult, Demonstration]]:
+    """Play episodes 0 to `episodes` - 1 of `seed`, and yield each as it ends.
+
+    With `acting`, a function of observations and the policy's actions, what it returns is done instead; what the policy
+    says is recorded all the same. `worlds` must stand still after an episode (see `make_worlds`), and be no more than
+    `episodes`. Raises `PolicyFailed` if the policy fails.
+    """
+    recorder: Any = Recorder(worlds)
+    actor: Any = policy if acting is None else _Instead(policy, acting, recorder)
+    unknown = dict.fromkeys(range(episodes), np.nan)  # least lengths, which nobody asks for here
+    for result in rollouts(actor, recorder, episodes, seed, name, unknown):
+        yield result, recorder.finished.pop(result.episode)
+
+
+class _Instead:
+    """Asks a policy, and does what `acting` makes of its answers."""
+
+    training_steps = 0
+
+    def __init__(self, policy: Policy, acting: Callable[[Any, Any], NDArray[Any]], recorder: Recorder) -> None:
+        self.sees, self.reset = policy.sees, policy.reset
+        self._policy, self._acting, self._recorder = policy, acting, recorder
+
+    def act(self, observations: Observations) -> NDArray[Any]:
+        """Actions (n, ...)."""
+        self._recorder.labels = self._policy.act(observations)
+        return self._acting(observations, self._recorder.labels)
+
+
+def _copy(observation: Any) -> Any:
+    if isinstance(observation, dict):
+        return {name: np.array(value) for name, value in observation.items()}
+    return np.array(observation)
+
+
+def _stacked(observations: list[Any]) -> Observations:
+    if isinstance(observations[0], dict):
+        return {name: np.array([seen[name] for seen in observations]) for name in observations[0]}
+    return np.array(observations)

@@ -1,0 +1,281 @@
+"""A policy's episodes as a Minari dataset.
+
+Minari (Younis et al. 2024) is Gymnasium's format for offline data: a folder with an HDF5 file and a JSON file. Nothing
+in it is unpickled, and no environment is made from it.
+"""
+
+import contextlib
+import copy
+import re
+import shutil
+from collections import Counter
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from armctl import DEFAULT_ENV
+from armctl.agents import shapes
+from armctl.datasets.demonstrations import Demonstration, demonstrate
+from armctl.envs import TaskVectorEnv, make_worlds
+from armctl.errors import ConfigurationError, ResultsError
+from armctl.evaluation.provenance import versions
+from armctl.evaluation.record import EpisodeResult
+from armctl.policies import Policy, PolicyFactory, make_policy, policy_name
+
+DATA = "data"
+"""The folder inside a dataset's that Minari keeps its files in."""
+
+
+@dataclass
+class Collection:
+    """What was collected."""
+
+    folder: Path
+    episodes: int = 0
+    steps: int = 0
+    successes: int = 0
+    interrupted: bool = False
+
+
+def collect(
+    policy: str | Path | PolicyFactory,
+    env: str = DEFAULT_ENV,
+    *,
+    episodes: int,
+    out: str | Path,
+    seed: int = 0,
+    worlds: int = 1,
+    env_options: Mapping[str, Any] | None = None,
+    progress: Callable[[EpisodeResult], None] | None = None,
+) -> Collection:
+    """Write episodes 0 to `episodes` - 1 of `seed`, played by a policy, to a Minari dataset in the folder `out`.
+
+    The episodes come in the order of their numbers, however many worlds play at once. `minari.MinariDataset(out /
+    "data")` opens it, and so does `minari.load_dataset(out.name)` where `MINARI_DATASETS_PATH` is the folder above and
+    `out.name` ends with a version, such as `-v0`. An interrupt (Ctrl-C) or a failing policy keeps what was finished.
+
+    Raises `ConfigurationError`, `AgentFileError`, `PolicyFailed`, and `ResultsError` if `out` holds a dataset already
+    or cannot be written, or if no episode was finished.
+    """
+    storage_type = _minari().dataset.minari_storage.MinariStorage
+    if episodes < 1 or worlds < 1:
+        raise ConfigurationError(f"episodes and worlds count from 1, not {episodes} and {worlds}")
+    collection, name = Collection(Path(out)), policy_name(policy)
+    with contextlib.closing(make_worlds(env, min(worlds, episodes), env_options)) as made_env:
+        made_env.reset(seed=seed)  # an unusable seed is to be found before anything is written
+        made = make_policy(policy, made_env)
+        with _Writer(storage_type, collection, made_env, env, env_options or {}, name, made, seed) as writer:
+            try:
+                for result, demonstration in demonstrate(made, made_env, episodes, seed, name):
+                    writer.add(result, demonstration)
+                    if progress is not None:
+                        progress(result)
+            except KeyboardInterrupt:
+                collection.interrupted = True
+    if not collection.episodes:
+        raise ResultsError(f"no episode was finished: {out} was not written")
+    return collection
+
+
+class _Writer:
+    """Writes episodes in the order of their numbers.
+
+    It does so in a thread of its own, to which no interrupt comes: what is in the dataset is whole.
+    """
+
+    def __init__(
+        self, storage_type: Any, collection: Collection, worlds: TaskVectorEnv, env: str,
+        env_options: Mapping[str, Any], name: str, policy: Policy, seed: int,
+    ) -> None:  # fmt: skip
+        self._collection = collection
+        self._data = collection.folder.resolve() / DATA  # Minari 0.5.4 cannot add up sizes under a relative path
+        self._waiting: dict[int, tuple[EpisodeResult, Demonstration]] = {}
+        self._next, self._outcomes, self._seed = 0, Counter[str](), seed
+        try:
+            self._data.mkdir(parents=True)
+            self._storage = storage_type.new(
+                self._data,
+                observation_space=worlds.single_observation_space,
+                action_space=worlds.single_action_space,
+                env_spec=_spec(env, env_options),
+                jpeg_encoding=False,  # which would lose something
+            )
+            self._storage.update_metadata(
+                {
+                    "dataset_id": _dataset_id(collection.folder),
+                    "minari_version": _minari().__version__,
+                    "algorithm_name": name,
+                    "env": env,
+                    "env_options": {option: str(value) for option, value in env_options.items()},
+                    "interface": worlds.task.interface,
+                    "sees": policy.sees,
+                    "seed": seed,
+                    "versions": versions() | {"minari": _minari().__version__},
+                }
+            )
+        except FileExistsError as error:
+            raise ResultsError(f"{collection.folder} holds a dataset already: choose another folder") from error
+        except OSError as error:
+            raise ResultsError(f"the dataset cannot be written to {collection.folder}: {error.strerror}") from error
+
+    def __enter__(self) -> "_Writer":
+        self._thread = ThreadPoolExecutor(1)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        try:
+            self._thread.submit(lambda: self._write(sorted(self._waiting))).result()
+        finally:
+            self._thread.shutdown()
+            if not self._collection.episodes:
+                shutil.rmtree(self._data)
+                with contextlib.suppress(OSError):
+                    self._collection.folder.rmdir()  # unless it holds something else
+
+    def add(self, result: EpisodeResult, demonstration: Demonstration) -> None:
+        """Write the episode, as soon as all before it are there."""
+        self._waiting[result.episode] = (result, demonstration)
+        ready = []
+        while self._next in self._waiting:
+            ready.append(self._next)
+            self._next += 1
+        if ready:
+            self._thread.submit(self._write, ready).result()
+
+    def _write(self, numbers: list[int]) -> None:
+        from minari.data_collector import EpisodeBuffer
+
+        for number in numbers:
+            if number not in self._waiting:
+                continue  # written by a job that an interrupt did not wait for
+            result, shown = self._waiting[number]
+            ended = np.arange(len(shown)) == len(shown) - 1
+            buffer = EpisodeBuffer(
+                seed=self._seed,
+                options={"episode": number},
+                observations=shown.observations,
+                actions=shown.actions,
+                rewards=shown.rewards,
+                terminations=ended & shown.terminated,
+                truncations=ended & (not shown.terminated),
+                infos={},
+            )
+            try:
+                self._storage.update_episodes([buffer])
+                index = self._collection.episodes
+                self._storage.update_episode_metadata([{"outcome": result.outcome, "success": shown.success}], [index])
+                self._outcomes[result.outcome] += 1
+                successes = self._collection.successes + shown.success
+                self._storage.update_metadata({"outcomes": dict(self._outcomes), "successes": successes})
+            except OSError as error:
+                raise ResultsError(
+                    f"{self._collection.folder} could not be written any further: {error.strerror or error}"
+                ) from error
+            self._collection.episodes, self._collection.successes = index + 1, successes
+            self._collection.steps += len(shown)
+            del self._waiting[number]
+
+
+def read_demonstrations(dataset: str | Path, worlds: TaskVectorEnv) -> list[Demonstration]:
+    """All episodes of a Minari dataset: a folder, or the id of one in Minari's own.
+
+    Those of which nothing tells how they ended count as successes. Raises `ConfigurationError` for a dataset that is
+    missing or corrupt, or whose observations and actions are not those of `worlds`.
+    """
+    folder = _find(dataset)
+    storage_type = _minari().dataset.minari_storage.MinariStorage
+    try:
+        metadata = storage_type.read_raw_metadata(folder)
+        if not {"observation_space", "action_space"} <= set(metadata):
+            raise ConfigurationError(f"the dataset {dataset} does not tell its observation and action spaces")
+        storage = storage_type.read(folder)
+        _check_fits(str(dataset), metadata, storage, worlds)
+        indices = range(storage.total_episodes)
+        told = list(storage.get_episode_metadata(indices))
+        episodes = [
+            Demonstration(
+                episode["observations"], episode["actions"], np.asarray(episode["rewards"], dtype=float),
+                bool(np.any(episode["terminations"])), bool(facts.get("success", True)),
+            )
+            for episode, facts in zip(storage.get_episodes(indices), told, strict=True)
+        ]  # fmt: skip
+    except ConfigurationError:
+        raise
+    except Exception as error:  # Minari, h5py and json have one for each way a file can be broken
+        raise ConfigurationError(
+            f"{dataset} is not a Minari dataset that can be read: {type(error).__name__}: {error}"
+        ) from error
+    if not episodes:
+        raise ConfigurationError(f"the dataset {dataset} has no episodes")
+    for i, episode in enumerate(episodes):
+        _check_whole(f"episode {i} of the dataset {dataset}", episode, worlds)
+    return episodes
+
+
+def _find(dataset: str | Path) -> Path:
+    from minari.storage.datasets_root_dir import get_dataset_path
+
+    for folder in (Path(dataset) / DATA, Path(dataset), Path(get_dataset_path(str(dataset))) / DATA):
+        if (folder / "metadata.json").is_file():
+            return folder
+    raise ConfigurationError(f"there is no Minari dataset {dataset}: make one with `armctl collect`")
+
+
+def _check_fits(name: str, metadata: Mapping[str, Any], storage: Any, worlds: TaskVectorEnv) -> None:
+    there = (shapes(storage.observation_space), shapes(storage.action_space))
+    here = (shapes(worlds.single_observation_space), shapes(worlds.single_action_space))
+    if there != here:
+        raise ConfigurationError(
+            f"the dataset {name} has observations {there[0]} and actions {there[1]}; "
+            f"here they are {here[0]} and {here[1]}"
+        )
+    recorded = metadata.get("interface", {})
+    for key, value in worlds.task.interface.items():
+        if recorded.get(key, value) != value:
+            raise ConfigurationError(f"the dataset {name} is of {key} {recorded[key]!r}, and this is {key} {value!r}")
+
+
+def _check_whole(name: str, episode: Demonstration, worlds: TaskVectorEnv) -> None:
+    parts = episode.observations if isinstance(episode.observations, dict) else {"observation": episode.observations}
+    spaces = worlds.single_observation_space
+    expected = dict(spaces.spaces) if isinstance(spaces, gymnasium.spaces.Dict) else {"observation": spaces}
+    steps = len(episode.actions)
+    whole = steps > 0 and episode.actions.shape[1:] == worlds.single_action_space.shape and set(parts) == set(expected)
+    if not whole or any(parts[part].shape != (steps + 1, *(space.shape or ())) for part, space in expected.items()):
+        raise ConfigurationError(f"{name} is not whole: it needs one observation more than actions, of the spaces told")
+    if not all(np.isfinite(values).all() for values in (episode.actions, *parts.values())):
+        raise ConfigurationError(f"{name} has numbers that are not finite")
+
+
+def _minari() -> Any:
+    try:
+        import h5py  # noqa: F401
+        import minari.dataset.minari_storage
+    except ModuleNotFoundError as error:
+        how = "pip install 'armctl[rl]', or pip install -e '.[rl]' in a clone"
+        raise ConfigurationError(f"demonstrations need {error.name}: {how}") from error
+    return minari
+
+
+def _spec(env: str, options: Mapping[str, Any]) -> Any:
+    """How to make the environment again; None where an option cannot be written down."""
+    spec = copy.deepcopy(gymnasium.spec(env))
+    given = dict(options)
+    spec.max_episode_steps = given.pop("max_episode_steps", spec.max_episode_steps)
+    spec.kwargs.update(given)
+    try:
+        spec.to_json()
+    except (TypeError, ValueError):
+        return None
+    return spec
+
+
+def _dataset_id(folder: Path) -> str:
+    """The folder's name as Minari wants it: letters, digits, - and _, and a version."""
+    name = re.sub(r"[^-\w]", "_", folder.resolve().name)
+    return name if re.search(r".-v\d+$", name) else f"{name}-v0"

@@ -1,0 +1,9 @@
+"""The environments that come with armctl."""
+
+from armctl.registration import register
+
+register("armctl/ArmReach-v0", "armctl.tasks:ReachTask", max_episode_steps=100)
+register("armctl/ArmReachMoving-v0", "armctl.tasks:ReachMovingTask", max_episode_steps=300)
+register("armctl/ArmReachObstacles-v0", "armctl.tasks:ReachObstaclesTask", max_episode_steps=200)
+register("armctl/BridgeCross-v0", "armctl.tasks:BridgeTask", max_episode_steps=300)
+register("armctl/BridgeCrossMoving-v0", "armctl.tasks:BridgeMovingTask", max_episode_steps=600)

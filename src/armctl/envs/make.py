@@ -1,0 +1,61 @@
+"""Environments by their ids, for whatever plays episodes in them."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium
+from gymnasium.vector import AutoresetMode
+
+from armctl.envs.vector import TaskVectorEnv
+from armctl.errors import ConfigurationError, unknown_name
+from armctl.registration import add_cwd_to_path, environment_names, load_task
+from armctl.tasks import Task
+
+RESERVED = {"num_envs", "autoreset_mode", "render_mode", "threads", "task"}
+"""Arguments that are not options to set."""
+
+
+def make_worlds(
+    env: str,
+    worlds: int,
+    options: Mapping[str, Any] | None = None,
+    threads: int = 0,
+    autoreset_mode: AutoresetMode | str = AutoresetMode.DISABLED,
+) -> TaskVectorEnv:
+    """`worlds` worlds of an environment, stepped on `threads` (0: all cores), that stand still after an episode.
+
+    `module:Name-v0` is an environment that the module registers. Raises `ConfigurationError`.
+    """
+    if reserved := RESERVED & set(options or {}):
+        raise ConfigurationError(f"{reserved.pop()} is no option to set here: evaluation has its own")
+    spec = find_spec(env)
+    made = gymnasium.make_vec(spec, num_envs=worlds, autoreset_mode=autoreset_mode, threads=threads, **(options or {}))
+    assert isinstance(made, TaskVectorEnv)
+    return made
+
+
+def task_of(env: str) -> type[Task]:
+    """The task class of an environment; raises `ConfigurationError`."""
+    return load_task(find_spec(env).kwargs["task"])
+
+
+def find_spec(env: str) -> Any:
+    """Gymnasium's specification of an environment that was made of a task, whose module is imported if it names one.
+
+    Raises `ConfigurationError`.
+    """
+    module, _, name = env.rpartition(":")
+    try:
+        if module:
+            add_cwd_to_path()
+            __import__(module)
+        spec = gymnasium.spec(name)
+    except (gymnasium.error.Error, ModuleNotFoundError) as error:
+        if not module:
+            raise unknown_name("environment", env, environment_names()) from error
+        raise ConfigurationError(
+            f"no environment {env!r}: {error} There are: {', '.join(environment_names())}"
+        ) from error
+    if name not in environment_names():
+        raise ConfigurationError(f"{env} is not one of armctl's environments: {', '.join(environment_names())}")
+    return spec

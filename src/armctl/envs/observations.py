@@ -1,0 +1,48 @@
+"""Observations and actions of n worlds, and of one of them."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armctl.errors import InvalidAction
+from armctl.tasks import Observations
+
+Array = NDArray[np.float64]
+
+
+def one_of(observations: Observations, world: int) -> Any:
+    """What one world observes."""
+    if isinstance(observations, dict):
+        return {name: values[world] for name, values in observations.items()}
+    return observations[world]
+
+
+def with_replaced(observations: Observations, ids: NDArray[np.int32], new: Observations) -> Observations:
+    """Observations with those of worlds `ids` replaced by new ones."""
+    if isinstance(observations, dict):
+        assert isinstance(new, dict)
+        return {name: _replaced_rows(values, ids, new[name]) for name, values in observations.items()}
+    assert isinstance(new, np.ndarray)
+    return _replaced_rows(observations, ids, new)
+
+
+def _replaced_rows(values: NDArray[Any], ids: NDArray[np.int32], new: NDArray[Any]) -> NDArray[Any]:
+    values = values.copy()
+    values[ids] = new
+    return values
+
+
+def batch_of_one(observation: Any) -> Observations:
+    """One world's observation as a batch."""
+    if isinstance(observation, dict):
+        return {name: np.asarray(value)[None] for name, value in observation.items()}
+    return np.asarray(observation)[None]
+
+
+def action_numbers(actions: ArrayLike) -> Array:
+    """Actions as an array; raises `InvalidAction`."""
+    try:
+        return np.array(actions, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise InvalidAction(f"an action is an array of numbers, not {actions!r}") from error

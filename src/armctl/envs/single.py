@@ -1,0 +1,69 @@
+"""One world as an ordinary Gymnasium environment."""
+
+from typing import Any
+
+import gymnasium
+from gymnasium.vector import AutoresetMode
+from numpy.typing import ArrayLike
+
+from armctl.envs.observations import action_numbers, one_of
+from armctl.envs.vector import RENDER_MODES, Infos, TaskVectorEnv
+from armctl.errors import InvalidAction
+from armctl.tasks import Observations, Task
+
+
+class TaskEnv(gymnasium.Env[Any, Any]):
+    """One world: the n = 1 view of a `TaskVectorEnv`, with the same options.
+
+    `max_episode_steps` is given to `gym.make`, whose `TimeLimit` wrapper truncates.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES)}
+
+    def __init__(self, task: str | type[Task], *, render_mode: str | None = None, **options: Any) -> None:
+        self.worlds = TaskVectorEnv(
+            1, task=task, render_mode=render_mode, autoreset_mode=AutoresetMode.DISABLED, threads=1, **options
+        )
+        self.metadata = self.metadata | {"render_fps": self.worlds.metadata["render_fps"]}
+        self.render_mode = render_mode
+        self.observation_space = self.worlds.single_observation_space
+        self.action_space = self.worlds.single_action_space
+
+    @property
+    def task(self) -> Any:
+        """The `Task`, with its robot and simulation."""
+        return self.worlds.task
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observations, Infos]:
+        """Start the next episode, or the first of `seed`, or episode `options["episode"]`."""
+        super().reset(seed=seed)
+        observations, infos = self.worlds.reset(seed=seed, options=options)
+        if self.render_mode == "human":
+            self.render()
+        return one_of(observations, 0), _first(infos)
+
+    def step(self, action: ArrayLike) -> tuple[Observations, float, bool, bool, Infos]:
+        """Make one control step. Raises `InvalidAction`, and steps nothing, if the action is unusable."""
+        if self.worlds._finished[0]:
+            raise gymnasium.error.ResetNeeded("the episode has ended, or none has begun: call reset() before step()")
+        given = action_numbers(action)
+        if given.shape != self.action_space.shape:
+            raise InvalidAction(f"the action has shape {given.shape}; expected {self.action_space.shape}")
+        observations, rewards, terminated, truncated, infos = self.worlds.step(given[None])
+        if self.render_mode == "human":
+            self.render()
+        return one_of(observations, 0), float(rewards[0]), bool(terminated[0]), bool(truncated[0]), _first(infos)
+
+    def render(self) -> Any:
+        """Picture (height, width, 3), or None in the mode `human`."""
+        frames = self.worlds.render()
+        return None if frames is None else frames[0]
+
+    def close(self) -> None:
+        """Close the window and give graphics memory back."""
+        self.worlds.close()
+
+
+def _first(infos: Infos) -> Infos:
+    """The first world's share of a vector environment's infos."""
+    return {key: _first(value) if isinstance(value, dict) else value[0].item() for key, value in infos.items()}

@@ -1,0 +1,280 @@
+"""A task as Gymnasium's vector environment: n worlds, stepped at once.
+
+An episode is fixed by (environment id and options, seed, episode number) alone. World i of a vector environment that
+was reset with `seed` plays the episodes of a single environment that was reset with `seed + i`, bit for bit.
+"""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, Protocol
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+from numpy.typing import ArrayLike, NDArray
+
+from armctl.disturbances import disturb, episode_rng
+from armctl.envs.observations import action_numbers, with_replaced
+from armctl.errors import ConfigurationError, InvalidAction, unknown_name
+from armctl.options import make_options
+from armctl.registration import load_task
+from armctl.simulation.rendering import Camera, Window
+from armctl.tasks import Observations, Task
+
+Array = NDArray[np.float64]
+Infos = dict[str, Any]
+
+RENDER_MODES = ("rgb_array", "human")
+TIMEOUT = 0
+"""The value of every task's `TIMEOUT` outcome."""
+
+
+class Observer(Protocol):
+    """Is notified of everything that happens in the worlds, also of final states that an autoreset replaces."""
+
+    def began(self, ids: NDArray[np.int32]) -> None:
+        """Worlds `ids` have begun a new episode."""
+
+    def stepped(self, awake: NDArray[np.bool_]) -> None:
+        """The worlds that are `awake` (n,) have made a control step; none has been reset yet."""
+
+
+class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
+    """n worlds of one task.
+
+    Args:
+        num_envs: number of worlds.
+        task: subclass of `armctl.tasks.Task`, or its `module:Class`.
+        max_episode_steps: control steps until an episode is truncated; None: never.
+        render_mode: `rgb_array` (pictures of all worlds), `human` (a window on the first), or None.
+        autoreset_mode: what follows an episode's end: a new one on the next step (`next_step`), on the same step
+            (`same_step`, with `infos["final_obs"]` and `infos["final_info"]`), or none (`disabled`: the world stands
+            still until a `reset` whose `options["reset_mask"]` picks it).
+        threads: threads to step the worlds on; 0 for all cores.
+        disturbances: levels by name, such as `{"noise": 0.01, "payload": 2.0}`; see `armctl.disturbances`.
+        **options: the task's options; those of `armctl/ArmReach-v0` are `armctl.tasks.ReachOptions`.
+
+    `reset(options={"episode": k})` starts at episode number k of the seed (an int, or one for each world) instead of 0.
+
+    """
+
+    metadata: dict[str, Any] = {
+        "render_modes": list(RENDER_MODES),
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+    task: Any
+    """The `Task`, with its robot and simulation."""
+    single_observation_space: gymnasium.spaces.Space[Any]
+    single_action_space: gymnasium.spaces.Box
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        task: str | type[Task],
+        max_episode_steps: int | None = None,
+        render_mode: str | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        threads: int = 0,
+        disturbances: Mapping[str, float] = MappingProxyType({}),
+        **options: Any,
+    ) -> None:
+        self.num_envs = _at_least_one("num_envs", num_envs)
+        self.max_episode_steps = (
+            None if max_episode_steps is None else _at_least_one("max_episode_steps", max_episode_steps)
+        )
+        if render_mode not in (None, *RENDER_MODES):
+            raise unknown_name("render_mode", render_mode, RENDER_MODES)
+        if not isinstance(threads, int) or threads < 0:
+            raise ConfigurationError(f"threads is a whole number, 0 for all cores, not {threads!r}")
+        self.render_mode = render_mode
+        self.autoreset_mode = _autoreset_mode(autoreset_mode)
+        task_type: type[Task] = load_task(task)
+        _check_complete(task_type)
+        self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode, "render_fps": task_type.render_fps}
+        make_task: Any = task_type
+        self.task = make_task(self.num_envs, make_options(task_type.options_type, options), threads)
+        self._outcome_labels = np.array([outcome.label for outcome in task_type.outcomes])
+        self._successes = np.array([outcome.success for outcome in task_type.outcomes])
+        self.disturbances = disturb(self.task, task_type.disturbances, disturbances)
+        self.single_observation_space = self.task.observation_space
+        self.single_action_space = self.task.action_space
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._seeds = np.zeros(num_envs, dtype=np.int64)
+        self._episodes = np.full(num_envs, -1)
+        self._steps = np.zeros(num_envs, dtype=np.int64)
+        self._finished = np.ones(num_envs, dtype=bool)
+        self._seeded = False
+        self._viewer: Camera | Window | None = None
+        self.observers: list[Observer] = []
+
+    def reset(
+        self, *, seed: int | list[int] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observations, Infos]:
+        """Start new episodes: in all worlds, or in those of `options["reset_mask"]` (n,) bool.
+
+        `seed` starts world i at episode 0 of seed + i (or of seed[i]); without it, worlds go on to their next episode.
+        """
+        options = options or {}
+        mask = np.asarray(options.get("reset_mask", np.ones(self.num_envs, dtype=bool)))
+        if mask.shape != (self.num_envs,) or mask.dtype != bool:
+            raise ConfigurationError(f"reset_mask is a bool array ({self.num_envs},), not {mask.dtype} {mask.shape}")
+        if seed is None and not self._seeded:
+            seed = int(np.random.SeedSequence().generate_state(1)[0])
+        seeds = None if seed is None else self._whole_numbers("seed", seed)
+        numbers = self._whole_numbers("episode", options["episode"]) if "episode" in options else None
+        if seeds is not None:
+            seeds = seeds if isinstance(seed, list) else seeds + np.arange(self.num_envs)
+            super().reset(seed=int(seeds[0]))
+            self._seeds[mask] = seeds[mask]
+            self._episodes[mask] = -1
+            self._seeded = True
+        if numbers is not None:
+            self._episodes[mask] = numbers[mask] - 1
+        self._begin(np.flatnonzero(mask))
+        return self._observe(), self.task.info()
+
+    def step(self, actions: ArrayLike) -> tuple[Observations, Array, NDArray[np.bool_], NDArray[np.bool_], Infos]:
+        """Make one control step in every world. Raises `InvalidAction`, and steps nothing, if an action is unusable."""
+        commands = self._checked(actions)
+        idle = self._finished
+        restart = np.flatnonzero(idle) if idle.any() else None
+        awake = None if restart is None else np.flatnonzero(~idle).astype(np.int32)
+        for disturbance in self.disturbances.values():
+            commands = disturbance.command(commands)
+        self.task.command(commands)
+        self.task.advance(awake)
+        self._steps += 1
+        terms = self.task.reward_terms()
+        outcome = np.array(self.task.outcome(), dtype=np.int8)
+        if restart is not None:
+            outcome[restart] = TIMEOUT
+        terminated = outcome != TIMEOUT
+        truncated = np.zeros(self.num_envs, dtype=bool)
+        if self.max_episode_steps is not None:
+            truncated = ~terminated & (self._steps >= self.max_episode_steps)
+        if restart is not None:
+            truncated[restart] = False
+            for earned in terms.values():
+                earned[restart] = 0.0
+        rewards = sum(terms.values(), start=np.zeros(self.num_envs))
+        finished = terminated | truncated
+        infos: Infos = {
+            "is_success": self._successes[outcome],
+            "outcome": self._outcome_labels[outcome],
+            "reward_terms": terms,
+            **self.task.info(),
+        }
+        for observer in self.observers:
+            observer.stepped(~idle)
+        self._finished = finished
+        if self.autoreset_mode is AutoresetMode.NEXT_STEP and restart is not None:
+            self._begin(restart)
+            infos |= self.task.info()
+        elif self.autoreset_mode is AutoresetMode.DISABLED and restart is not None:
+            self._finished = finished | idle
+        observations = self._observe()
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and finished.any():
+            infos |= {
+                "final_obs": observations,
+                "_final_obs": finished,
+                "final_info": infos | {f"_{key}": finished for key in infos},
+                "_final_info": finished,
+            }
+            ended = np.flatnonzero(finished).astype(np.int32)
+            self._begin(ended)
+            infos |= self.task.info()
+            observations = with_replaced(observations, ended, self._observe(ended))
+        return observations, rewards, terminated, truncated, infos
+
+    def render(self) -> Any:
+        """Pictures (height, width, 3) of all worlds as a tuple; None in the mode `human`, which shows the first."""
+        simulation = self.task.simulation
+        if self.render_mode is None:
+            raise ConfigurationError("nothing to render: make the environment with render_mode='rgb_array' or 'human'")
+        if self._viewer is None:
+            human = self.render_mode == "human"
+            self._viewer = Window(simulation.model) if human else Camera(simulation.model, self.task.camera)
+        if isinstance(self._viewer, Window):
+            self._viewer.show(simulation.data(0))
+            return None
+        return tuple(self._viewer.picture(simulation.data(i)) for i in range(self.num_envs))
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Close the window and give graphics memory back."""
+        if self._viewer is not None:
+            self._viewer.close()
+            self._viewer = None
+
+    @property
+    def seeds(self) -> NDArray[np.int64]:
+        """Seed of each world's present episode, (n,)."""
+        return self._seeds.copy()
+
+    @property
+    def episodes(self) -> NDArray[np.int64]:
+        """Number of each world's present episode under its seed, (n,)."""
+        return self._episodes.copy()
+
+    def _begin(self, ids: NDArray[np.integer[Any]]) -> None:
+        self._episodes[ids] += 1
+        self._steps[ids] = 0
+        self._finished[ids] = False
+        rngs = [np.random.default_rng((seed, k)) for seed, k in zip(self._seeds[ids], self._episodes[ids], strict=True)]
+        worlds = ids.astype(np.int32)
+        for name, disturbance in self.disturbances.items():
+            for i in worlds:
+                disturbance.rngs[i] = episode_rng(name, int(self._seeds[i]), int(self._episodes[i]))
+            disturbance.begin(worlds)
+        self.task.reset(worlds, rngs)
+        for observer in self.observers:
+            observer.began(worlds)
+
+    def _observe(self, ids: NDArray[np.int32] | None = None) -> Observations:
+        observations: Observations = self.task.observe(ids)
+        for disturbance in self.disturbances.values():
+            observations = disturbance.observe(observations, slice(None) if ids is None else ids)
+        return observations
+
+    def _whole_numbers(self, name: str, given: Any) -> NDArray[np.int64]:
+        numbers = np.asarray(given)
+        usable = numbers.shape in ((), (self.num_envs,)) and numbers.dtype.kind in "iu"
+        if not usable or (numbers < 0).any() or (numbers >= 2**62).any():
+            raise ConfigurationError(f"{name} is a whole number from 0 on, or {self.num_envs} of them, not {given!r}")
+        return np.broadcast_to(numbers, self.num_envs).astype(np.int64)
+
+    def _checked(self, actions: ArrayLike) -> Array:
+        if not self._seeded:
+            raise gymnasium.error.ResetNeeded("call reset() before the first step()")
+        checked = action_numbers(actions)
+        if checked.shape != self.action_space.shape:
+            raise InvalidAction(f"actions have shape {checked.shape}; expected {self.action_space.shape}")
+        if not np.isfinite(checked).all():
+            worlds = np.flatnonzero(~np.isfinite(checked).reshape(self.num_envs, -1).all(axis=1))
+            raise InvalidAction(f"action {checked[worlds[0]]} of world {worlds[0]} is not finite; no world was stepped")
+        return checked
+
+
+def _at_least_one(name: str, value: int) -> int:
+    if not isinstance(value, (int, np.integer)) or value < 1:
+        raise ConfigurationError(f"{name} is a whole number from 1 on, not {value!r}")
+    return int(value)
+
+
+def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
+    if isinstance(mode, AutoresetMode):
+        return mode
+    if mode.upper() not in AutoresetMode.__members__:
+        raise unknown_name("autoreset_mode", mode, [name.lower() for name in AutoresetMode.__members__])
+    return AutoresetMode[mode.upper()]
+
+
+def _check_complete(task_type: type[Task]) -> None:
+    if not (isinstance(task_type, type) and issubclass(task_type, Task)):
+        raise ConfigurationError(f"a task is a subclass of armctl.Task, not {task_type!r}")
+    missing = sorted(task_type.__abstractmethods__)
+    missing += [name for name in ("outcomes",) if not hasattr(task_type, name)]
+    if missing:
+        raise ConfigurationError(f"the task {task_type.__name__} lacks {', '.join(missing)}")

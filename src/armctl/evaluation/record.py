@@ -1,0 +1,86 @@
+"""The record of an episode: what is kept of it, and its row in `episodes.csv`."""
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Json, TypeAdapter, ValidationError
+from typing_extensions import TypedDict
+
+from armctl.evaluation.metrics import Metrics
+
+COLUMNS = (
+    "policy", "env", "episode", "seed", "outcome", "success", "feasible", "return", "reward_terms", "length",
+    "least_length", "optimality_gap", "tracking_error", *(field.name for field in fields(Metrics)),
+)  # fmt: skip
+TIME_COLUMNS = ("missed_deadlines", "decision_ms_p50", "decision_ms_p99", "decision_ms_max")
+"""Those that depend on the machine: all others are the same wherever, and however often, an episode is played."""
+
+
+@dataclass(frozen=True)
+class EpisodeResult:
+    """How one episode went. `env.reset(seed=seed, options={"episode": episode})` plays it again."""
+
+    policy: str
+    env: str
+    episode: int
+    seed: int
+    outcome: str
+    success: bool
+    feasible: bool
+    total_reward: float
+    reward_terms: dict[str, float]
+    """The sum of each reward term; the return is the sum of these."""
+    length: int
+    least_length: float
+    """Control steps that every policy needs at least; NaN where that is not known (see `Task.least_time`)."""
+    tracking_error: float
+    """m, mean distance to a moving target since it was first met; NaN where there is none."""
+    metrics: Metrics
+    decision_ms: NDArray[np.float64]
+    """(length,) decision times: wall time of each call of the policy, to 0.1 us."""
+
+    @property
+    def optimality_gap(self) -> float:
+        """Fraction by which the episode took longer than the fastest possible one; NaN unless it was a success."""
+        return self.length / self.least_length - 1 if self.success else math.nan
+
+    def row(self) -> dict[str, Any]:
+        """The episode as a row of `episodes.csv`."""
+        values = (
+            self.policy, self.env, self.episode, self.seed, self.outcome, self.success, self.feasible,
+            self.total_reward, json.dumps(self.reward_terms), self.length, self.least_length, self.optimality_gap,
+            self.tracking_error,
+            *asdict(self.metrics).values(),
+        )  # fmt: skip
+        return dict(zip(COLUMNS, values, strict=True))
+
+    @classmethod
+    def from_row(cls, row: Mapping[str, str], decision_ms: NDArray[np.float64]) -> "EpisodeResult":
+        """The episode of a row of `episodes.csv`, as text; raises `KeyError` or `ValueError` for what is none."""
+        named = {**row, "total_reward": row["return"]}
+        return cls(
+            **_read(_PLAIN_COLUMNS, named), metrics=Metrics(**_read(_METRICS_COLUMNS, named)), decision_ms=decision_ms
+        )
+
+
+def _columns(kind: type[Any], left_out: tuple[str, ...] = (), **types: Any) -> TypeAdapter[dict[str, Any]]:
+    """Reads a dataclass's fields from text."""
+    hints = {name: types.get(name, hint) for name, hint in get_type_hints(kind).items() if name not in left_out}
+    return TypeAdapter(TypedDict("_Row", hints))  # type: ignore[operator]
+
+
+_PLAIN_COLUMNS = _columns(EpisodeResult, ("metrics", "decision_ms"), reward_terms=Json[dict[str, float]])
+_METRICS_COLUMNS = _columns(Metrics)
+
+
+def _read(columns: TypeAdapter[dict[str, Any]], row: Mapping[str, str]) -> dict[str, Any]:
+    try:
+        return columns.validate_strings(row)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise ValueError(f"{first['loc'][0]}: {first['msg']}") from error

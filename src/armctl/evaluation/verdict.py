@@ -1,0 +1,29 @@
+"""The verdict: what a comparison says of its two best policies, in a sentence."""
+
+from armctl.evaluation.comparison import Comparison
+from armctl.evaluation.statistics import FEWEST, Estimate
+
+
+def verdict(comparison: Comparison) -> str:
+    """The two best policies in a sentence: which wins more often, and which earns more, or that neither is shown to."""
+    fewest = min(pair.episodes for pair in comparison.paired)
+    if fewest < FEWEST:
+        return f"No verdict from {fewest} episodes: it takes {FEWEST}."
+    ranked = sorted(comparison.policies, key=lambda policy: _rank(policy.success, policy.episode_return), reverse=True)
+    best, second = (policy.policy for policy in ranked[:2])
+    pair = next(pair for pair in comparison.paired if {pair.a, pair.b} == {best, second})
+    won = {pair.a: pair.only_a, pair.b: pair.only_b}
+    if pair.mcnemar_p < 0.05:
+        first = f"{best} wins more episodes than {second} ({won[best]} against {won[second]} that the other lost)"
+    else:
+        first = f"{best} and {second} cannot be told apart by success (p = {pair.mcnemar_p:.2g})"
+    gain = pair.return_difference
+    if gain.low is None or gain.high is None or gain.low <= 0 <= gain.high:
+        return f"{first}; their returns cannot be told apart."
+    better, other = (pair.a, pair.b) if gain.value > 0 else (pair.b, pair.a)
+    low, high = sorted((abs(gain.low), abs(gain.high)))
+    return f"{first}; {better} earns {abs(gain.value):.1f} [{low:.1f}, {high:.1f}] more an episode than {other}."
+
+
+def _rank(success: Estimate | None, episode_return: Estimate | None) -> tuple[float, float]:
+    return (success.value if success else 0.0, episode_return.value if episode_return else 0.0)

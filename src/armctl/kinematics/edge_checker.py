@@ -1,0 +1,193 @@
+"""Which motions of an arm are free: straight ones between two configurations, checked without gaps.
+
+While joint j turns by dq_j, no point of a capsule moves farther than |dq_j| times its greatest distance from that
+joint's axis. Two configurations with distances d_a and d_b between two capsules thus leave (d_a + d_b - motion) / 2
+between them, all the way, or more: a motion is halved until that is enough (Schwarzer, Saha and Latombe, "Adaptive
+dynamic collision checking for single and multiple robots in complex environments", IEEE Trans. Robotics 2005).
+"""
+
+from collections import deque
+from operator import attrgetter
+
+import coal
+import numpy as np
+import pinocchio
+from numpy.typing import ArrayLike, NDArray
+
+from armctl.errors import ConfigurationError
+from armctl.kinematics.model import ArmModel
+from armctl.kinematics.obstacles import add_boxes
+from armctl.robot_description.capsules import Capsule
+from armctl.robot_description.collision_pairs import FLOOR, add_collision_pairs, capsule_geometry, link_frame
+from armctl.scene import Boxes
+
+Array = NDArray[np.float64]
+
+UPRIGHT = 1e-9
+"""How far from 1 the cosine of a vertical axis may be, by rounding."""
+FAR = 0.1
+"""m: boxes farther than this from all that a link can reach are none of its business."""
+SECURITY_MARGIN = 0.2
+"""m up to which distances are measured: farther ones cost more time than they save."""
+SLACK = 1.5
+"""Times the clearance that is kept where a motion is checked, so that the clearance itself is kept in between."""
+MOST_CLEARANCE = 0.05
+"""m that can be asked for: it takes distances of up to twice that, and boxes out of reach by as much."""
+NEAR_START = 0.5
+"""Part of the distance at the start that two things must keep, where that is less than is asked for."""
+FINEST = 2**-12
+"""Part of a motion: one that is not known to be free by such parts is called blocked, which bounds the effort."""
+
+
+class ArmShapes:
+    """What of an arm can touch what, and how far the joints can move it: all that does not depend on boxes."""
+
+    def __init__(self, model: ArmModel) -> None:
+        self.model = model
+        description = model.description
+        pairs = description.collision_pairs
+        self.geometry = capsule_geometry(model.pinocchio, description.capsules)
+        add_collision_pairs(self.geometry, (pair for pair in pairs if FLOOR not in pair))
+        self.self_pairs = len(self.geometry.collisionPairs)
+        grounded = {link for pair in pairs if FLOOR in pair for link in pair}
+        self._on_upright = abs((model.pinocchio.jointPlacements[1].rotation @ model.axes[0])[2]) > 1 - UPRIGHT
+        for capsule in description.capsules:
+            if capsule.link in grounded:
+                self._add_ends_above_floor(capsule)
+        bounds = [self._bounds(shape) for shape in self.geometry.geometryObjects]
+        self._radii, self._reach = np.array([radii for radii, _ in bounds]), np.array([reach for _, reach in bounds])
+
+    def with_boxes(self, boxes: Boxes) -> tuple[pinocchio.GeometryModel, Array]:
+        """The geometry among boxes, and how far each of its pairs may move against each other, (pairs, dof) m/rad."""
+        geometry = self.geometry.copy()
+        add_boxes(geometry, boxes)
+        first, second = np.array([(pair.first, pair.second) for pair in geometry.collisionPairs], int).reshape(-1, 2).T
+        beyond = np.concatenate((np.full(len(self._reach), -np.inf), boxes.distances(self.model.shoulder)))
+        near = beyond[second] <= np.append(self._reach, np.zeros(len(boxes)))[first] + FAR
+        first, second = first[near], second[near]
+        geometry.removeAllCollisionPairs()
+        for pair in zip(first.tolist(), second.tolist(), strict=True):
+            geometry.addCollisionPair(pinocchio.CollisionPair(*pair))
+
+        joints = np.array([shape.parentJoint for shape in geometry.geometryObjects])
+        radii = np.vstack((self._radii, np.zeros((len(boxes), self.model.dof))))
+        pairs = np.sort((joints[first], joints[second]), axis=0)[..., None]
+        between = (np.arange(self.model.dof) >= pairs[0]) & (np.arange(self.model.dof) < pairs[1])
+        motion = np.maximum(radii[first], radii[second]) * between
+        if self._on_upright:  # turning about the vertical leaves heights as they are
+            motion[second == geometry.getGeometryId(FLOOR), 0] = 0.0
+        return geometry, motion
+
+    def _add_ends_above_floor(self, capsule: Capsule) -> None:
+        """Let the floor meet a capsule's two ends, one of which it meets first.
+
+        Not an end that the second joint cannot turn down to it: a shoulder is near the floor, and stays there.
+        """
+        frame = self.model.pinocchio.frames[link_frame(self.model.pinocchio, capsule.link)]
+        for name, end in (("start", capsule.start), ("end", capsule.end)):
+            centre = frame.placement.act(np.array(end))
+            if frame.parentJoint == 2 and self._lowest_on_second_joint(centre) > capsule.radius:
+                continue
+            placement, ball = pinocchio.SE3(np.eye(3), centre), coal.Sphere(capsule.radius)
+            name = f"{capsule.link} ({name})"
+            self.geometry.addGeometryObject(pinocchio.GeometryObject(name, frame.parentJoint, placement, ball))
+            add_collision_pairs(self.geometry, [(name, FLOOR)])
+
+    def _lowest_on_second_joint(self, point: Array) -> float:
+        """Height (m) to which a `point` (3,) in the second joint's frame can come down; -inf if that is not known."""
+        if not self._on_upright:
+            return -np.inf
+        placements, axis = self.model.pinocchio.jointPlacements, self.model.axes[1]
+        shoulder = placements[1] * placements[2]
+        upward = float((shoulder.rotation @ axis)[2])
+        height = shoulder.translation[2] + (axis @ point) * upward
+        return float(height - _off_axis(point, axis) * np.sqrt(max(0.0, 1 - upward**2)))
+
+    def _bounds(self, shape: pinocchio.GeometryObject) -> tuple[Array, float]:
+        """How far a shape's points can be from each joint's axis (dof,) and from the shoulder, at most, m."""
+        radii, joint = np.zeros(self.model.dof), shape.parentJoint
+        if joint == 0:
+            return radii, 0.0
+        half = np.array([0, 0, getattr(shape.geometry, "halfLength", 0.0)])
+        ends = [shape.placement.act(end) for end in (half, -half)]
+        axis = self.model.axes[joint - 1]
+        radii[joint - 1] = max(_off_axis(end, axis) for end in ends) + shape.geometry.radius
+        reach = max(float(np.linalg.norm(end)) for end in ends) + shape.geometry.radius
+        for i in range(joint - 1, 0, -1):
+            offset = self.model.pinocchio.jointPlacements[i + 1].translation
+            radii[i - 1] = _off_axis(offset, self.model.axes[i - 1]) + reach
+            reach += float(np.linalg.norm(offset))
+        return radii, reach
+
+
+class EdgeChecker:
+    """Motions of an arm among boxes that keep a clearance, m, from boxes, the floor and the arm itself.
+
+    What is nearer to each other at `start` (dof,) need keep only part of its distance there. Not for several threads.
+
+    Raises `ConfigurationError` for a clearance that is not above 0 and at most `MOST_CLEARANCE`.
+    """
+
+    def __init__(self, shapes: ArmShapes, boxes: Boxes, clearance: float, start: Array) -> None:
+        if not 0 < clearance <= MOST_CLEARANCE:
+            raise ConfigurationError(f"clearance is a distance above 0 and up to {MOST_CLEARANCE} m, not {clearance!r}")
+        self._model, self._self_pairs = shapes.model.pinocchio, shapes.self_pairs
+        self._geometry, self._motion = shapes.with_boxes(boxes)
+        self._data, self._contacts = self._model.createData(), self._geometry.createData()
+        for request in self._contacts.collisionRequests:
+            request.security_margin = SECURITY_MARGIN
+        self._results = list(self._contacts.collisionResults)
+        self.checks = 0
+        """Configurations checked."""
+        self._ends: dict[bytes, Array] = {}
+        distances = self._distances(start)
+        self.start_is_free = bool((distances > 0).all())
+        self._margins = np.minimum(SLACK * clearance, NEAR_START * np.maximum(distances, 0.0))
+        self._kept = self._margins / SLACK
+
+    def is_free(self, q: Array) -> bool:
+        """Whether a configuration (dof,) keeps the clearance, and what is to be kept where motions are checked."""
+        return bool((self._distances_at_end(q) >= self._margins).all())
+
+    def is_edge_free(self, a: Array, b: Array) -> bool:
+        """Whether the straight motion from `a` to `b`, (dof,) each, keeps the clearance all the way."""
+        if not (self.is_free(b) and self.is_free(a)):
+            return False
+        motion, kept = self._motion @ np.abs(b - a), 2 * self._kept
+        halves = deque([(0.0, self._distances_at_end(a), 1.0, self._distances_at_end(b))])
+        while halves:
+            low, at_low, high, at_high = halves.popleft()
+            if (at_low + at_high >= kept + motion * (high - low)).all():
+                continue
+            middle = (low + high) / 2
+            distances = self._distances(a + middle * (b - a))
+            if (distances < self._margins).any() or high - low < FINEST:
+                return False
+            halves += ((low, at_low, middle, distances), (middle, distances, high, at_high))
+        return True
+
+    def clearance(self, path: ArrayLike) -> float:
+        """Least distance, m, of the arm from boxes and floor at the corners of a path (m, dof); at most `FAR`."""
+        corners = (self._distances_at_end(q)[self._self_pairs :] for q in np.asarray(path, float))
+        return min((float(distances.min(initial=FAR)) for distances in corners), default=np.nan)
+
+    def _distances_at_end(self, q: Array) -> Array:
+        """The same, remembered: motions have ends in common."""
+        key = q.tobytes()
+        if key not in self._ends:
+            self._ends[key] = self._distances(q)
+        return self._ends[key]
+
+    def _distances(self, q: Array) -> Array:
+        """Distance of each pair, (pairs,) m: 0 or below where it touches, and at least `SECURITY_MARGIN` where it is more."""
+        self.checks += 1
+        pinocchio.computeCollisions(self._model, self._data, self._geometry, self._contacts, q, False)
+        return np.fromiter(map(_BEYOND_SIGHT, self._results), float, len(self._results)) + SECURITY_MARGIN
+
+
+_BEYOND_SIGHT = attrgetter("distance_lower_bound")
+"""Exact within the security margin, from which it counts, and a lower bound of the distance beyond."""
+
+
+def _off_axis(point: Array, axis: Array) -> float:
+    return float(np.linalg.norm(np.cross(axis, point)))

@@ -1,0 +1,72 @@
+"""How tasks become environments, and how code is found by its name. Light: it imports neither MuJoCo nor a task.
+
+A package offers its tasks under the entry-point group `armctl.tasks`: a module that registers them when it is imported.
+"""
+
+import importlib
+import os
+import sys
+import warnings
+from importlib.metadata import entry_points
+from typing import Any
+
+import gymnasium
+
+from armctl.errors import ConfigurationError
+
+GROUP = "armctl.tasks"
+ENV, VECTOR_ENV = "armctl.envs:TaskEnv", "armctl.envs:TaskVectorEnv"
+
+
+def register(env_id: str, task: "str | type[Any]", *, max_episode_steps: int | None, **options: Any) -> None:
+    """Make a task an environment of Gymnasium's, for `gym.make`, `gym.make_vec` and every verb of armctl.
+
+    Args:
+        env_id: any id that Gymnasium takes, such as `mine/Hover-v0`.
+        task: subclass of `armctl.tasks.Task`, or `module:Class`, which is imported when the environment is made.
+        max_episode_steps: control steps until an episode is truncated; None: never.
+        **options: values of the task's options that differ from its defaults.
+
+    """
+    gymnasium.register(
+        id=env_id,
+        entry_point=ENV,
+        vector_entry_point=VECTOR_ENV,
+        max_episode_steps=max_episode_steps,
+        kwargs={"task": task, **options},
+    )
+
+
+def environment_names() -> list[str]:
+    """Ids of all environments that were made of tasks."""
+    return sorted(env_id for env_id, spec in gymnasium.registry.items() if spec.vector_entry_point == VECTOR_ENV)
+
+
+def register_installed() -> None:
+    """Register the tasks of all installed packages. One that fails is left out, with a warning."""
+    for entry in entry_points(group=GROUP):
+        try:
+            entry.load()
+        except Exception as error:  # whatever somebody else's module may raise
+            warnings.warn(f"the tasks of {entry.value} were left out: {type(error).__name__}: {error}", stacklevel=2)
+
+
+def load_task(task: "str | type[Any]") -> type[Any]:
+    """The task class that was registered, imported if it was registered by name; raises `ConfigurationError`."""
+    return import_attribute(task, "task") if isinstance(task, str) else task
+
+
+def import_attribute(name: str, kind: str) -> Any:
+    """What `module:attribute` names; raises `ConfigurationError`."""
+    module, _, attribute = name.partition(":")
+    add_cwd_to_path()
+    try:
+        return getattr(importlib.import_module(module), attribute)
+    except (ImportError, AttributeError) as error:
+        raise ConfigurationError(f"cannot load the {kind} {name!r}: {error}") from error
+
+
+def add_cwd_to_path() -> None:
+    """Let modules be imported from the working directory, where a console script does not look."""
+    if os.getcwd() not in sys.path:
+        sys.path.append(os.getcwd())

@@ -1,0 +1,224 @@
+"""The report's figures, by Plotly: from numbers to `plotly.graph_objects.Figure`, no I/O.
+
+A policy has one look throughout: colours by Okabe and Ito (2008), which colour-blind readers can tell apart, and beyond
+those other dashes as well.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pandas as pd
+import plotly.graph_objects as go
+
+from armctl.evaluation.record import EpisodeResult
+from armctl.evaluation.statistics import PairedDifference, performance_profile
+from armctl.evaluation.summary import PolicySummary
+from armctl.report.style import (
+    CELLS,
+    INK,
+    MOST_DOTS,
+    PALE,
+    SHARE_AXIS,
+    THRESHOLDS,
+    Look,
+    Looks,
+    add_band,
+    add_label,
+    add_line,
+    escaped,
+    framed,
+    number,
+    signed,
+    with_rows,
+)
+
+
+def success_bars(policies: Sequence[PolicySummary], look: Looks) -> go.Figure:
+    """Success of each policy, with its 95 % interval."""
+    figure = go.Figure()
+    for policy in policies:
+        if (success := policy.success) is None or success.low is None or success.high is None:
+            continue
+        value, low, high = 100 * success.value, 100 * success.low, 100 * success.high
+        style = look[policy.policy]
+        figure.add_bar(
+            x=[value],
+            y=[escaped(style.label)],
+            orientation="h",
+            width=0.56,
+            marker={"color": style.colour, "pattern": {"shape": "" if style.dash == "solid" else "/"}},
+            error_x={
+                "type": "data", "symmetric": False, "array": [high - value], "arrayminus": [value - low],
+                "color": INK, "thickness": 1.6, "width": 5,
+            },
+            hovertemplate=f"{escaped(style.label)}: {value:.1f} % [{low:.1f}, {high:.1f}] of {policy.episodes}"
+            "<extra></extra>",
+        )  # fmt: skip
+        add_label(figure, style.label, f"<b>{value:.1f} %</b>", f"{low:.1f} to {high:.1f}")
+    return with_rows(figure, len(policies), {"range": [0, 101], "ticksuffix": " %", "dtick": 50}, right=100)
+
+
+def profile(episodes: Mapping[str, Sequence[EpisodeResult]], look: Looks) -> go.Figure:
+    """Share of episodes with a return above each threshold, with 95 % intervals (Agarwal et al. 2021)."""
+    returns = {name: np.array([result.total_reward for result in played]) for name, played in episodes.items()}
+    values = np.unique(np.concatenate(list(returns.values())))
+    if len(values) > THRESHOLDS:
+        values = np.unique(np.quantile(values, np.linspace(0, 1, THRESHOLDS)))
+    thresholds = np.concatenate(([values[0] - 0.02 * (np.ptp(values) or 1.0)], values))
+    figure = go.Figure()
+    for name, earned in returns.items():
+        shares = performance_profile(earned, thresholds)
+        add_band(
+            figure, thresholds, [share.low for share in shares], [share.high for share in shares], look[name], "hv"
+        )
+        add_line(figure, thresholds, [share.value for share in shares], look[name], "hv", "%{y:.0%} above %{x:.4~r}")
+    return framed(figure, "return", "share of episodes above it", y=SHARE_AXIS)
+
+
+def paired(pair: PairedDifference, episodes: Mapping[str, Sequence[EpisodeResult]], look: Looks) -> go.Figure:
+    """Return of one policy against that of another, episode by episode; size tells how many are alike."""
+    a, b = look[pair.a], look[pair.b]
+    points = pd.DataFrame(
+        [
+            (one.total_reward, other.total_reward, one.episode)
+            for one, other in zip(episodes[pair.a], episodes[pair.b], strict=False)
+        ],
+        columns=["a", "b", "episode"],
+    )
+    lowest, highest = float(points[["a", "b"]].min().min()), float(points[["a", "b"]].max().max())
+    if len(points) > MOST_DOTS and highest > lowest:
+        cell = (highest - lowest) / CELLS
+        points[["a", "b"]] = (points[["a", "b"]] / cell).round() * cell
+    alike = points.groupby(["a", "b"]).episode.agg(["size", "first"]).reset_index()
+    colours = np.select([alike.a > alike.b, alike.a < alike.b], [a.colour, b.colour], PALE)
+    edge = 0.06 * (highest - lowest or 1.0)
+    span = [lowest - edge, highest + edge]
+    figure = go.Figure()
+    figure.add_scatter(x=span, y=span, mode="lines", line={"color": PALE, "width": 1, "dash": "dot"}, hoverinfo="skip")
+    figure.add_scatter(
+        x=alike.b.tolist(),
+        y=alike.a.tolist(),
+        mode="markers",
+        marker={
+            "color": colours.tolist(),
+            "size": np.clip(5 + 2.5 * np.sqrt(alike["size"]), 0, 26).tolist(),
+            "opacity": 0.6,
+            "line": {"width": 0},
+        },
+        customdata=alike[["size", "first"]].to_numpy().tolist(),
+        hovertemplate=f"{escaped(a.label)} %{{y:.4~r}}, {escaped(b.label)} %{{x:.4~r}}<br>"
+        "%{customdata[0]} episodes, the first: %{customdata[1]}<extra></extra>",
+    )
+    axis = {"range": span, "nticks": 5}
+    return framed(figure, f"return of {escaped(b.label)}", f"return of {escaped(a.label)}", x=axis, y=axis, height=300)
+
+
+def learning(curves: Mapping[str, pd.DataFrame], policies: Sequence[PolicySummary], look: Looks) -> go.Figure:
+    """Success on held-out episodes while agents learnt, beside that of policies which did not (dotted)."""
+    figure = go.Figure()
+    longest = max(float(curve.steps.max()) for curve in curves.values())
+    for policy in policies:
+        name = policy.policy
+        if name in curves:
+            curve = curves[name]
+            add_band(figure, curve.steps, curve.low, curve.high, look[name])
+            add_line(
+                figure, curve.steps, curve.success, look[name], "linear",
+                "%{y:.1%} after %{x:,} steps, %{customdata:.1f} minutes", curve.minutes.tolist(),
+            )  # fmt: skip
+        elif policy.success:
+            level = Look(look[name].label, look[name].colour, "dot")
+            add_line(figure, [0, longest], [policy.success.value] * 2, level, "linear", "%{y:.1%}, without learning")
+    x = {"rangemode": "tozero", "tickformat": "~s"}
+    return framed(figure, "decisions in training", "success", x=x, y=SHARE_AXIS)
+
+
+def robustness(sweep: pd.DataFrame, look: Looks) -> go.Figure:
+    """Success against the levels of one disturbance, as steps of equal width, with 95 % intervals."""
+    figure = go.Figure()
+    for name, rows in sweep.groupby("policy", sort=False):
+        levels = [f"{level:g}" for level in rows.level]
+        add_band(figure, levels, rows.low, rows.high, look[str(name)])
+        add_line(figure, levels, rows.success, look[str(name)], "linear", "%{y:.1%} at %{x}", markers=True)
+    unit = f"level, {sweep.unit.iloc[0]}" if "unit" in sweep and isinstance(sweep.unit.iloc[0], str) else "level"
+    return framed(figure, unit, "success", x={"type": "category"}, y=SHARE_AXIS, height=300)
+
+
+def ledger(terms: Mapping[str, Mapping[str, float]], look: Looks, term_look: Looks) -> go.Figure:
+    """What each reward term brings a policy in a mean episode; the diamond is their sum, the mean return."""
+    labels = [escaped(look[name].label) for name in terms]
+    figure = go.Figure()
+    for term, style in term_look.items():
+        figure.add_bar(
+            x=[earned.get(term, 0.0) for earned in terms.values()],
+            y=labels,
+            orientation="h",
+            width=0.56,
+            marker={"color": style.colour},
+            hovertemplate=f"{escaped(style.label)}: %{{x:.4~r}}<extra></extra>",
+        )
+    totals = {name: sum(earned.values()) for name, earned in terms.items()}
+    figure.add_scatter(
+        x=list(totals.values()),
+        y=labels,
+        mode="markers",
+        marker={"symbol": "diamond", "size": 10, "color": INK, "line": {"color": "white", "width": 1.5}},
+        hovertemplate="return %{x:.4~r}<extra></extra>",
+    )
+    for name, total in totals.items():
+        add_label(figure, look[name].label, f"<b>{signed(f'{total:,.1f}')}</b>")
+    figure.update_layout(barmode="relative")
+    x = {"title": {"text": "reward in a mean episode"}, "zeroline": True, "zerolinecolor": INK, "zerolinewidth": 1}
+    return with_rows(figure, len(terms), x, right=64)
+
+
+def decisions(episodes: Mapping[str, Sequence[EpisodeResult]], look: Looks, deadline_ms: float | None) -> go.Figure:
+    """Wall times of all decisions: median, middle half, 99 % and the longest, on a logarithmic axis."""
+    figure = go.Figure()
+    for name, played in episodes.items():
+        times = np.maximum(np.concatenate([result.decision_ms for result in played]), 1e-4)
+        q1, p25, p50, p75, p99, most = np.quantile(times, (0.01, 0.25, 0.5, 0.75, 0.99, 1.0)).tolist()
+        style, label = look[name], escaped(look[name].label)
+        for ends, width, opacity in (((q1, most), 2, 0.5), ((q1, p99), 6, 0.55), ((p25, p75), 14, 1.0)):
+            figure.add_scatter(
+                x=list(ends), y=[label] * 2, mode="lines", line={"color": style.colour, "width": width},
+                opacity=opacity, hoverinfo="skip",
+            )  # fmt: skip
+        figure.add_scatter(
+            x=[p50, p99, most],
+            y=[label] * 3,
+            mode="markers",
+            marker={
+                "symbol": ["line-ns", "line-ns", "circle"], "size": [20, 14, 7], "color": style.colour,
+                "line": {"width": [3, 2, 0], "color": [INK, style.colour, style.colour]},
+            },
+            customdata=["median", "99 %", "the longest"],
+            hovertemplate=f"{label}, %{{customdata}}: %{{x:.3~r}} ms<extra></extra>",
+        )  # fmt: skip
+        add_label(figure, look[name].label, f"<b>{number(p50, 2)}</b>", f"{number(p99, 2)}, {number(most, 2)}")
+    shown = [edge for trace in figure.data for edge in trace.x]
+    if deadline_ms is not None:
+        shown.append(deadline_ms)
+        red = "#b42318"
+        figure.add_vline(x=deadline_ms, line={"color": red, "width": 1.5, "dash": "dash"})
+        figure.add_annotation(
+            x=math.log10(deadline_ms), y=1, yref="paper", yanchor="bottom", xanchor="right", showarrow=False,
+            text=f"deadline {deadline_ms:g} ms", font={"color": red, "size": 12},
+        )  # fmt: skip
+    x = {
+        "type": "log", "title": {"text": "ms a decision"}, "dtick": 1, "tickformat": "~g",
+        "range": [math.log10(min(shown)) - 0.1, math.log10(max(shown)) + 0.1],
+    }  # fmt: skip
+    return with_rows(figure, len(episodes), x, right=90, top=26)
+
+
+def term_means(episodes: Mapping[str, Sequence[EpisodeResult]]) -> dict[str, dict[str, float]]:
+    """What each reward term has brought each policy, mean over its episodes."""
+    means = {}
+    for name, played in episodes.items():
+        terms = list(dict.fromkeys(term for result in played for term in result.reward_terms))
+        means[name] = {
+            term: math.fsum(result.reward_terms.get(term, 0.0) for result in played) / len(played) for term in terms
+        }
+    return means

@@ -1,0 +1,171 @@
+"""How figures look: colours by policy, axes, labels, bands."""
+
+import html
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import NDArray
+
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5A5A5A")
+TERM_COLOURS = ("#B9B4A7", "#44AA99", "#882255", "#DDCC77", "#332288", "#88CCEE", "#999933", "#AA4499")
+"""Of reward terms, by Tol (2021): no policy's."""
+DASHES = ("solid", "dash", "dot", "dashdot")
+INK, PALE, GRID = "#1f2933", "#6b7680", "#e4e8ec"
+FONT = "'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
+LONGEST_LABEL = 20
+THRESHOLDS = 120
+"""Most points of a performance profile."""
+MOST_DOTS, CELLS = 1000, 80
+"""Of a scatter plot: of more episodes, those in one of so many cells by so many are one dot."""
+ROW = 44
+"""Pixels: height of a policy's row."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """How a policy, or a reward term, is called and drawn."""
+
+    label: str
+    colour: str
+    dash: str = "solid"
+
+
+Looks = Mapping[str, Look]
+
+
+def looks(names: Sequence[str]) -> dict[str, Look]:
+    """A look for each policy. Agents' files go by their names, or that of their training's folder, if these differ."""
+    short = {name: shortened(name) for name in names}
+    labels = short if len(set(short.values())) == len(names) else {name: name for name in names}
+    return {
+        name: Look(labels[name], COLOURS[i % len(COLOURS)], DASHES[i // len(COLOURS) % len(DASHES)])
+        for i, name in enumerate(names)
+    }
+
+
+def number(value: float, digits: int = 3) -> str:
+    """So many digits, but all of those before the point."""
+    return signed(f"{value:,.0f}" if abs(value) >= 10**digits - 0.5 else f"{value:.{digits}g}")
+
+
+def signed(number: str) -> str:
+    """With a minus sign in place of a hyphen."""
+    return number.replace("-", "\u2212")
+
+
+SHARE_AXIS = {
+    "range": [-0.02, 1.02],
+    "tickvals": [0, 0.25, 0.5, 0.75, 1],
+    "ticktext": ["0 %", "25 %", "50 %", "75 %", "100 %"],
+}
+AXIS = {
+    "gridcolor": GRID, "zeroline": False, "linecolor": "#aab3bb", "ticks": "", "automargin": True, "fixedrange": True,
+    "title": {"standoff": 8, "font": {"size": 13, "color": PALE}},
+}  # fmt: skip
+
+
+def framed(
+    figure: go.Figure,
+    x_title: str,
+    y_title: str,
+    x: Mapping[str, Any] | None = None,
+    y: Mapping[str, Any] | None = None,
+    height: int = 360,
+) -> go.Figure:
+    dress(figure, height, {"l": 8, "r": 12, "t": 10, "b": 8})
+    figure.update_xaxes(title_text=x_title, showline=True, **(x or {}))
+    figure.update_yaxes(title_text=y_title, **(y or {}))
+    return figure
+
+
+def with_rows(figure: go.Figure, rows: int, x: Mapping[str, Any], right: int, top: int = 6) -> go.Figure:
+    """One row for each policy, the first on top."""
+    dress(figure, ROW * rows + 64 + top, {"l": 8, "r": right, "t": top, "b": 8})
+    figure.update_xaxes(tickangle=0, **x)
+    figure.update_yaxes(autorange="reversed", showgrid=False, ticks="outside", tickcolor="white", type="category")
+    return figure
+
+
+def dress(figure: go.Figure, height: int, margin: Mapping[str, int]) -> None:
+    figure.update_layout(
+        template="none",
+        height=height,
+        margin=margin,
+        font={"family": FONT, "size": 13, "color": INK},
+        paper_bgcolor="rgba(0,0,0,0)",
+        plot_bgcolor="rgba(0,0,0,0)",
+        showlegend=False,
+        hovermode="closest",
+        dragmode=False,
+        hoverlabel={"bgcolor": "white", "bordercolor": GRID, "font": {"family": FONT, "size": 13, "color": INK}},
+    )
+    figure.update_xaxes(**AXIS)
+    figure.update_yaxes(**AXIS)
+
+
+def add_label(figure: go.Figure, label: str, text: str, small: str = "") -> None:
+    """Beside a policy's row."""
+    if small:
+        text += f'<br><span style="font-size: 11.5px; color: {PALE}">{small}</span>'
+    figure.add_annotation(
+        x=1, xref="paper", xanchor="left", xshift=12, y=escaped(label), text=text, showarrow=False, align="left"
+    )
+
+
+def add_line(
+    figure: go.Figure,
+    x: Any,
+    y: Any,
+    style: Look,
+    shape: str,
+    hover: str,
+    customdata: Sequence[float] | None = None,
+    markers: bool = False,
+) -> None:
+    figure.add_scatter(
+        x=listed(x),
+        y=listed(y),
+        name=escaped(style.label),
+        mode="lines+markers" if markers or len(listed(x)) == 1 else "lines",
+        marker={"size": 6},
+        line={"color": style.colour, "width": 2.5, "dash": style.dash, "shape": shape},
+        customdata=customdata,
+        hovertemplate=f"{escaped(style.label)}: {hover}<extra></extra>",
+    )
+
+
+def add_band(figure: go.Figure, x: Any, low: Any, high: Any, style: Look, shape: str = "linear") -> None:
+    """Between `low` and `high`; left out where either is unknown."""
+    x, low, high = listed(x), listed(low), listed(high)
+    edge = {"width": 0, "shape": shape}
+    figure.add_scatter(x=x, y=low, mode="lines", line=edge, hoverinfo="skip")
+    figure.add_scatter(
+        x=x, y=high, mode="lines", line=edge, hoverinfo="skip", fill="tonexty", fillcolor=faint(style.colour)
+    )
+
+
+def faint(colour: str) -> str:
+    red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+    return f"rgba({red},{green},{blue},0.16)"
+
+
+def listed(values: Any) -> list[Any]:
+    """Plain numbers: arrays would be written in base64, which nobody can read in the file."""
+    array: NDArray[Any] = np.asarray(values)
+    return list(array.tolist())
+
+
+def shortened(name: str) -> str:
+    path = Path(name)
+    if path.suffix in (".json", ".onnx"):
+        name = path.parent.name if path.stem == "agent" and path.parent.name else path.stem
+    return name if len(name) <= LONGEST_LABEL else "…" + name[1 - LONGEST_LABEL :]
+
+
+def escaped(text: str) -> str:
+    """As Plotly shows it, which understands some HTML."""
+    return html.escape(text, quote=False)

@@ -1,0 +1,231 @@
+"""Where arms are found, and what is known of an arm before any software models it.
+
+`load_arm` reads one URDF into an `ArmDescription`. Pinocchio and MuJoCo both build on it, so that they cannot disagree.
+"""
+
+import functools
+import itertools
+import sysconfig
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pinocchio
+from numpy.typing import NDArray
+
+from armctl.errors import ConfigurationError, unknown_name
+from armctl.robot_description.capsules import Capsule, enclosing_capsule
+from armctl.robot_description.collision_pairs import Pair, pairs_worth_testing
+from armctl.robot_description.urdf import Shape, Urdf, impossible_pairs
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class BuiltinArm:
+    """What armctl adds to the URDF of an arm from example-robot-data."""
+
+    urdf: str
+    srdf: str
+    tip: str
+    home: tuple[float, ...]
+    max_acceleration: float | tuple[float, ...]
+
+
+MAX_ACCELERATION = 15.0
+"""rad/s^2, unless told otherwise, for a URDF says nothing: about what its effort allows a stretched-out UR5."""
+MAX_JERK = 300.0
+"""rad/s^3, likewise: reaches that acceleration within 50 ms."""
+
+_UR_HOME = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
+
+BUILTIN_ARMS = {
+    name: BuiltinArm(
+        f"ur_description/urdf/{name}_robot.urdf", "ur_description/srdf/ur5.srdf", "ee_link", _UR_HOME, MAX_ACCELERATION
+    )
+    for name in ("ur3", "ur5", "ur10")
+} | {
+    "z1": BuiltinArm(
+        "z1_description/urdf/z1.urdf",
+        "z1_description/srdf/z1.srdf",
+        "gripperStator",
+        (0.0, 1.2, -1.2, 0.0, 0.0, 0.0),
+        MAX_ACCELERATION,
+    ),
+    "panda": BuiltinArm(
+        "panda_description/urdf/panda.urdf",
+        "panda_description/srdf/panda.srdf",
+        "panda_hand_tcp",
+        (0.0, -0.785398, 0.0, -2.35619, 0.0, 1.5707, 0.785398),
+        (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0),  # Franka Control Interface documentation, limits for the Panda
+    ),
+    "xarm7": BuiltinArm(
+        "xarm_description/urdf/xarm7.urdf",
+        "xarm_description/srdf/xarm7.srdf",
+        "link_eef",
+        (0.0, -0.5, 0.0, 0.9, 0.0, 1.4, 0.0),
+        MAX_ACCELERATION,
+    ),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class JointLimits:
+    """Limits of each joint, all (dof,): rad, rad/s, N m, rad/s^2, rad/s^3."""
+
+    lower: Array
+    upper: Array
+    velocity: Array
+    effort: Array
+    acceleration: Array
+    jerk: Array
+
+
+@dataclass(frozen=True, eq=False)
+class ArmDescription:
+    """A serial arm: one URDF text for every library, and what no URDF says.
+
+    `urdf` has the joints from root to `tip` movable, all others fixed, and no geometry. `meshes` are for the eye only;
+    what collides are the `capsules`, one for each link that has a shape, in the pairs of `collision_pairs`.
+    """
+
+    name: str
+    urdf: str
+    joints: tuple[str, ...]
+    tip: str
+    home: Array
+    limits: JointLimits
+    capsules: tuple[Capsule, ...]
+    meshes: tuple[Shape, ...]
+    collision_pairs: tuple[Pair, ...]
+
+    @property
+    def dof(self) -> int:
+        """Number of joints."""
+        return len(self.joints)
+
+
+@functools.cache
+def robot_data() -> Path:
+    """Folder of example-robot-data's robots."""
+    relative = Path("cmeel.prefix/share/example-robot-data/robots")
+    for site in (sysconfig.get_path("platlib"), sysconfig.get_path("purelib"), *pinocchio.__path__):
+        for folder in (Path(site), *Path(site).parents):
+            if (folder / relative).is_dir():
+                return folder / relative
+    raise ConfigurationError("example-robot-data is not installed beside armctl: pip install example-robot-data")
+
+
+def load_arm(
+    robot: "str | Path | ArmDescription",
+    *,
+    tip: str | None = None,
+    home: Sequence[float] | Array | None = None,
+    srdf: str | Path | None = None,
+    max_acceleration: float | Sequence[float] | Array | None = None,
+    max_jerk: float | Sequence[float] | Array | None = None,
+) -> ArmDescription:
+    """Read an arm by name (`ur3`, `ur5`, `ur10`, `z1`, `panda`, `xarm7`) or from the path of a URDF file.
+
+    `tip` names the link that is the end-effector; without it a file's only leaf link is taken. `home` (dof,) is where
+    episodes start, rad; without it zero, or the middle of the range where zero is out of range. `srdf` names the file
+    whose `<disable_collisions>` rule out pairs of links that cannot touch. Limits are rad/s^2 and rad/s^3, one for all
+    joints or one for each; without `max_acceleration` a named arm has its own, and others `MAX_ACCELERATION`; without
+    `max_jerk` all have `MAX_JERK`.
+
+    Raises `ConfigurationError` for an unknown name, and for a file that lacks what a reach arm needs: at least one
+    revolute joint between root and tip, with position, velocity and effort limits, and mass behind each joint.
+    """
+    if isinstance(robot, ArmDescription):
+        if any(option is not None for option in (tip, home, srdf, max_acceleration, max_jerk)):
+            raise ConfigurationError(f"the arm {robot.name!r} is loaded already: give the options where it is loaded")
+        return robot
+    if isinstance(robot, str) and robot in BUILTIN_ARMS:
+        builtin = BUILTIN_ARMS[robot]
+        path, tip, srdf = robot_data() / builtin.urdf, tip or builtin.tip, srdf or robot_data() / builtin.srdf
+        home = builtin.home if home is None else home
+        max_acceleration = builtin.max_acceleration if max_acceleration is None else max_acceleration
+    elif not isinstance(robot, (str, Path)):
+        raise ConfigurationError(f"a robot is a name, a path or what load_arm returned, not {robot!r}")
+    else:
+        path = Path(robot).resolve()
+        if path.suffix.lower() not in (".urdf", ".xml"):
+            raise unknown_name("robot", robot, [*BUILTIN_ARMS, "path/to/your.urdf"])
+        if not path.is_file():
+            raise ConfigurationError(f"there is no URDF file {str(robot)!r}")
+    srdf = None if srdf is None else Path(srdf)
+    edited = tuple(file.stat().st_mtime_ns for file in (path, srdf) if file is not None and file.is_file())
+    acceleration = _as_tuple("max_acceleration", MAX_ACCELERATION if max_acceleration is None else max_acceleration)
+    jerk = _as_tuple("max_jerk", MAX_JERK if max_jerk is None else max_jerk)
+    home = None if home is None else _as_tuple("home", home)
+    return _read_arm(path, edited, tip, home, srdf, acceleration, jerk)
+
+
+def _as_tuple(name: str, values: float | Sequence[float] | Array) -> tuple[float, ...]:
+    try:
+        return tuple(float(value) for value in np.atleast_1d(values))
+    except (TypeError, ValueError) as error:
+        raise ConfigurationError(f"{name} is a number for each joint, not {values}") from error
+
+
+@functools.lru_cache(maxsize=16)
+def _read_arm(
+    path: Path,
+    edited: tuple[int, ...],
+    tip: str | None,
+    home: tuple[float, ...] | None,
+    srdf: Path | None,
+    max_acceleration: tuple[float, ...],
+    max_jerk: tuple[float, ...],
+) -> ArmDescription:
+    """Read a file; `edited` (ns) tells its versions apart in the cache."""
+    source = Urdf(path, tip, packages=robot_data().parents[1])
+    dof = len(source.joints)
+    acceleration = _limit("max_acceleration", max_acceleration, dof)
+    joint_limits = JointLimits(*_frozen(*source.limits(), acceleration, _limit("max_jerk", max_jerk, dof)))
+    (home_position,) = _frozen(_home_position(home, joint_limits))
+    shapes = source.shapes()
+    capsules = tuple(
+        enclosing_capsule(link, np.vstack([shape.vertices for shape in parts]))
+        for link, parts in itertools.groupby(shapes, key=lambda shape: shape.link)
+    )
+    impossible = impossible_pairs(srdf) if srdf else set()
+    return ArmDescription(
+        name=source.name,
+        urdf=source.text(),
+        joints=source.joints,
+        tip=source.tip,
+        home=home_position,
+        limits=joint_limits,
+        capsules=capsules,
+        meshes=tuple(shape for shape in shapes if len(shape.triangles)),
+        collision_pairs=pairs_worth_testing(source.text(), capsules, home_position, impossible),
+    )
+
+
+def _limit(name: str, limit: tuple[float, ...], dof: int) -> Array:
+    numbers = np.array(limit)
+    if len(limit) not in (1, dof) or not (np.isfinite(numbers) & (numbers > 0)).all():
+        raise ConfigurationError(f"{name} is one finite number above 0, or {dof} of them, not {limit}")
+    return np.broadcast_to(numbers, dof)
+
+
+def _home_position(home: tuple[float, ...] | None, limits: JointLimits) -> Array:
+    if home is None:
+        zero_allowed = (limits.lower <= 0) & (limits.upper >= 0)
+        return np.where(zero_allowed, 0.0, (limits.lower + limits.upper) / 2)
+    position = np.array(home, dtype=float)
+    if position.shape != limits.lower.shape:
+        raise ConfigurationError(f"home has shape {position.shape}, and the arm {len(limits.lower)} joints")
+    if not np.all((position >= limits.lower) & (position <= limits.upper)):
+        raise ConfigurationError(f"home {position} is outside the joint limits {limits.lower} to {limits.upper}")
+    return position
+
+
+def _frozen(*arrays: Array) -> tuple[Array, ...]:
+    """Copies that nobody can write to: descriptions are shared."""
+    copies = tuple(np.array(array) for array in arrays)
+    for copy in copies:
+        copy.flags.writeable = False
+    return copies

@@ -1,0 +1,76 @@
+"""An arm's capsules as Pinocchio's collision geometry, and which pairs of them are worth testing."""
+
+import itertools
+from collections.abc import Iterable
+
+import coal
+import numpy as np
+import pinocchio
+from numpy.typing import NDArray
+
+from armctl.robot_description.capsules import Capsule
+
+Array = NDArray[np.float64]
+Pair = tuple[str, str]
+
+FLOOR = "(floor)"
+"""Stands for the half-space below z = 0 among the names of links."""
+
+
+def capsule_geometry(model: pinocchio.Model, capsules: tuple[Capsule, ...]) -> pinocchio.GeometryModel:
+    """Pinocchio's collision geometry: the capsules, and the floor."""
+    geometry = pinocchio.GeometryModel()
+    for capsule in capsules:
+        frame = model.frames[link_frame(model, capsule.link)]
+        start, end = np.array(capsule.start), np.array(capsule.end)
+        axis, length = end - start, float(np.linalg.norm(end - start))
+        rotation = pinocchio.Quaternion.FromTwoVectors(np.array([0.0, 0, 1]), axis).matrix() if length else np.eye(3)
+        placement = frame.placement * pinocchio.SE3(rotation, (start + end) / 2)
+        shape = coal.Capsule(capsule.radius, length)
+        geometry.addGeometryObject(pinocchio.GeometryObject(capsule.link, frame.parentJoint, placement, shape))
+    floor = coal.Halfspace(np.array([0.0, 0, 1]), 0.0)
+    geometry.addGeometryObject(pinocchio.GeometryObject(FLOOR, 0, pinocchio.SE3.Identity(), floor))
+    return geometry
+
+
+def link_frame(model: pinocchio.Model, link: str) -> int:
+    """Pinocchio's frame of a link, which may share its name with a joint."""
+    return int(model.getFrameId(link, pinocchio.FrameType.BODY))
+
+
+def add_collision_pairs(geometry: pinocchio.GeometryModel, pairs: Iterable[Pair]) -> None:
+    """Make Pinocchio's collision checks look at these pairs."""
+    for pair in pairs:
+        geometry.addCollisionPair(pinocchio.CollisionPair(*(geometry.getGeometryId(name) for name in pair)))
+
+
+def pairs_worth_testing(
+    urdf: str, capsules: tuple[Capsule, ...], home: Array, impossible: set[frozenset[str]]
+) -> tuple[Pair, ...]:
+    """Pairs of links, or of a link and `FLOOR`, that can come to touch.
+
+    Not those that are neighbours, that touch at `home` (capsules are wider than links), or whose joints carry a pair of
+    links that is `impossible`.
+    """
+    model = pinocchio.buildModelFromXML(urdf)
+    geometry = capsule_geometry(model, capsules)
+    bodies = (frame for frame in model.frames if frame.type == pinocchio.FrameType.BODY)
+    joint_of = {frame.name: frame.parentJoint for frame in bodies} | {FLOOR: None}
+    ruled_out = {frozenset(joint_of.get(link) for link in pair) for pair in impossible}
+    pairs = [
+        (first.name, second.name)
+        for first, second in itertools.combinations(geometry.geometryObjects, 2)
+        if frozenset(joints := (joint_of[first.name], joint_of[second.name])) not in ruled_out
+        and _may_touch(model, *joints)
+    ]
+    add_collision_pairs(geometry, pairs)
+    data = geometry.createData()
+    pinocchio.computeCollisions(model, model.createData(), geometry, data, home, False)
+    return tuple(pair for pair, result in zip(pairs, data.collisionResults, strict=True) if not result.isCollision())
+
+
+def _may_touch(model: pinocchio.Model, first: int | None, second: int | None) -> bool:
+    """Whether bodies on two joints (None: the floor) can move against each other without being neighbours."""
+    if first is None or second is None:
+        return (first or second or 0) > 1  # what turns on the spot stays off the floor
+    return first != second and model.parents[max(first, second)] != min(first, second)

@@ -1,0 +1,187 @@
+"""The map of a bridge: where its sides and blocks are, and where pedestrians walk.
+
+x runs along the bridge from its start, y across it from its middle.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armctl.errors import ConfigurationError
+from armctl.scene.pedestrians import NO_PEDESTRIANS, PedestrianTrajectories
+
+Array = NDArray[np.float64]
+EdgeTest = Callable[[float, float, float, float], bool]
+
+
+@dataclass(frozen=True, eq=False)
+class BridgeMap:
+    """A bridge from above. Raises `ConfigurationError` for sizes that no bridge has."""
+
+    length: float
+    """Of the deck, m."""
+    half_width: float
+    """Of the free deck between the barriers, m: |y| is less on it."""
+    blocks: Array
+    """(k, 5): x, y (m), yaw (rad), half length and half width (m) of what stands on the deck."""
+    pedestrians: PedestrianTrajectories = NO_PEDESTRIANS
+
+    def __post_init__(self) -> None:
+        if not (0 < self.length < math.inf and 0 < self.half_width < math.inf):
+            raise ConfigurationError(f"no deck is {self.length} m long and {self.half_width} m wide to a side")
+        shape = np.shape(self.blocks)
+        if len(shape) != 2 or shape[1] != 5 or not np.isfinite(self.blocks).all() or (self.blocks[:, 3:] < 0).any():
+            raise ConfigurationError(f"blocks are rows of x, y, yaw, half length and half width, not {self.blocks}")
+
+    def clearance(self, points: ArrayLike) -> Array:
+        """Distance of points (m, 2) to the nearest block, side or end of the deck, (m,); not above 0 inside a block."""
+        points = np.asarray(points, dtype=float)
+        x, y = self._in_frames(points)
+        to_blocks = _to_boxes(x, y, *self._sizes).min(axis=1, initial=np.inf)
+        return np.asarray(np.minimum(to_blocks, self._to_edges(points)))
+
+    def nearest(self, points: ArrayLike) -> Array:
+        """The nearest point of each block, and of the two sides, to each of points (m, 2): (m, k + 2, 2)."""
+        points = np.asarray(points, dtype=float)
+        (x, y), (half_x, half_y) = self._in_frames(points), self._sizes
+        x, y, (cos, sin) = np.clip(x, -half_x, half_x), np.clip(y, -half_y, half_y), self._directions
+        on_blocks = self.blocks[:, :2] + np.stack((x * cos - y * sin, x * sin + y * cos), axis=-1)
+        on_sides = np.stack(np.broadcast_arrays(points[:, :1], (-self.half_width, self.half_width)), axis=-1)
+        return np.concatenate((on_blocks, on_sides), axis=1)
+
+    def segment_clearance(self, starts: ArrayLike, ends: ArrayLike) -> Array:
+        """Exact distance of segments between points (m, 2) to the nearest block, side or end of the deck, (m,).
+
+        Not above 0 where they meet it.
+        """
+        starts, ends = np.asarray(starts, dtype=float), np.asarray(ends, dtype=float)
+        (ax, ay), (bx, by), (half_x, half_y) = self._in_frames(starts), self._in_frames(ends), self._sizes
+        x, y, wx, wy = (ax + bx) / 2, (ay + by) / 2, (bx - ax) / 2, (by - ay) / 2
+        # Boxes have three axes on which they may be apart from a segment: their own two, and across the segment.
+        meet = (np.abs(x) <= half_x + np.abs(wx)) & (np.abs(y) <= half_y + np.abs(wy))
+        aside = x * wy - y * wx
+        meet &= np.abs(aside) <= half_x * np.abs(wy) + half_y * np.abs(wx)
+        # Apart, they are nearest at an end of the segment, or at the box's foremost corner towards it.
+        corner_x, corner_y = np.copysign(half_x, aside * wy) - x, np.copysign(half_y, -aside * wx) - y
+        share = (corner_x * wx + corner_y * wy) / np.maximum(wx * wx + wy * wy, 1e-24)
+        share = np.minimum(np.maximum(share, -1.0), 1.0)
+        to_corner = np.hypot(corner_x - share * wx, corner_y - share * wy)
+        to_end = np.minimum(_to_boxes(ax, ay, half_x, half_y), _to_boxes(bx, by, half_x, half_y))
+        to_blocks = np.where(meet, 0.0, np.minimum(to_corner, to_end)).min(axis=1, initial=np.inf)
+        return np.asarray(np.minimum(to_blocks, np.minimum(self._to_edges(starts), self._to_edges(ends))))
+
+    def edge_test(self, clearance: float) -> EdgeTest:
+        """Test for segments one at a time, from x, y to x, y: `segment_clearance` not less than `clearance`.
+
+        In plain floats, and with a look at nearby blocks only, it takes a tenth of the time.
+        """
+        corners, (x, y, _, *sizes) = self.corners, self.blocks.T
+        low, high = corners.min(axis=1, initial=np.inf) - clearance, corners.max(axis=1, initial=-np.inf) + clearance
+        boxes = np.column_stack((low, high, x, y, *self._directions, *sizes)).tolist()
+        side, last = self.half_width - clearance, self.length - clearance
+
+        def is_free(ax: float, ay: float, bx: float, by: float) -> bool:
+            if max(abs(ay), abs(by)) > side or min(ax, bx) < clearance or max(ax, bx) > last:
+                return False
+            for left, bottom, right, top, *box in boxes:
+                apart = (ax < left and bx < left) or (ax > right and bx > right)
+                apart = apart or (ay < bottom and by < bottom) or (ay > top and by > top)
+                if not apart and _segment_to_box(ax, ay, bx, by, *box) < clearance:
+                    return False
+            return True
+
+        return is_free
+
+    def with_lanes_blocked(self) -> "BridgeMap":
+        """The map with a block in place of each lane along the bridge, and without walkers.
+
+        There is a way beside such a lane; a lane across the bridge can only be waited for.
+        """
+        pedestrians = self.pedestrians
+        if not len(pedestrians.speed):
+            return self
+        start, end = pedestrians.start[pedestrians.along], pedestrians.end[pedestrians.along]
+        (x, y), (way_x, way_y) = (start + end).T / 2, (end - start).T
+        half_length, half_width = np.hypot(way_x, way_y) / 2 + pedestrians.radius, np.full(len(x), pedestrians.radius)
+        lanes = np.column_stack((x, y, np.arctan2(way_y, way_x), half_length, half_width))
+        return dataclasses.replace(self, blocks=np.vstack((self.blocks, lanes)), pedestrians=NO_PEDESTRIANS)
+
+    def crossable(self, radius: float) -> bool:
+        """Whether a disc can get from before all blocks to behind them, past lanes along the bridge: exactly.
+
+        By duality: it cannot if and only if blocks with gaps too narrow for it make a wall from side to side.
+        """
+        bridge = self.with_lanes_blocked()
+        y = bridge.corners[..., 1]
+        right = y.min(axis=1, initial=np.inf) + self.half_width < 2 * radius
+        left = self.half_width - y.max(axis=1, initial=-np.inf) < 2 * radius
+        narrow = bridge._gaps() < 2 * radius
+        wall = right
+        while (grown := narrow[wall].any(axis=0) | right).sum() > wall.sum():
+            wall = grown
+        return bool(radius <= self.half_width and not (wall & left).any())
+
+    @cached_property
+    def corners(self) -> Array:
+        """Of the blocks, in turn, (k, 4, 2), m."""
+        x, y, _, half_length, half_width = self.blocks.T[..., None]
+        ahead, left = half_length * (1, -1, -1, 1), half_width * (1, 1, -1, -1)
+        cos, sin = (one[:, None] for one in self._directions)
+        return np.stack((x + ahead * cos - left * sin, y + ahead * sin + left * cos), axis=-1)
+
+    @property
+    def _directions(self) -> tuple[Array, Array]:
+        return np.cos(self.blocks[:, 2]), np.sin(self.blocks[:, 2])
+
+    @property
+    def _sizes(self) -> tuple[Array, Array]:
+        return self.blocks[:, 3], self.blocks[:, 4]
+
+    def _gaps(self) -> Array:
+        """Distances between blocks, (k, k); 0 where they overlap."""
+        k, (half_x, half_y) = len(self.blocks), self._sizes
+        x, y = (one.reshape(k, 4, k) for one in self._in_frames(self.corners.reshape(-1, 2)))
+        apart = (np.abs(x).min(axis=1) > half_x) & ((x > 0).all(axis=1) | (x < 0).all(axis=1))
+        apart |= (np.abs(y).min(axis=1) > half_y) & ((y > 0).all(axis=1) | (y < 0).all(axis=1))
+        gaps = np.where(apart | apart.T, _to_boxes(x, y, half_x, half_y).min(axis=1), 0.0)
+        return np.minimum(gaps, gaps.T)
+
+    def _in_frames(self, points: Array) -> tuple[Array, Array]:
+        """Points (m, 2) in the frames of the blocks: x and y, (m, k)."""
+        x, y = points[:, 0, None] - self.blocks[:, 0], points[:, 1, None] - self.blocks[:, 1]
+        cos, sin = self._directions
+        return x * cos + y * sin, y * cos - x * sin
+
+    def _to_edges(self, points: Array) -> Array:
+        x, y = points.T
+        return np.asarray(np.minimum(self.half_width - np.abs(y), np.minimum(x, self.length - x)))
+
+
+def _to_boxes(x: Array, y: Array, half_x: Array, half_y: Array) -> Array:
+    """Distances of points to boxes, in their frames; negative inside."""
+    x, y = np.abs(x) - half_x, np.abs(y) - half_y
+    return np.asarray(np.hypot(np.maximum(x, 0.0), np.maximum(y, 0.0)) + np.minimum(np.maximum(x, y), 0.0))
+
+
+def _segment_to_box(
+    ax: float, ay: float, bx: float, by: float, x: float, y: float, cos: float, sin: float, half_x: float, half_y: float
+) -> float:
+    """Distance of a segment to a box: `BridgeMap.segment_clearance` for one of each."""
+    ax, ay, bx, by = ax - x, ay - y, bx - x, by - y
+    ax, ay, bx, by = ax * cos + ay * sin, ay * cos - ax * sin, bx * cos + by * sin, by * cos - bx * sin
+    x, y, wx, wy = (ax + bx) / 2, (ay + by) / 2, (bx - ax) / 2, (by - ay) / 2
+    aside = x * wy - y * wx
+    if abs(x) <= half_x + abs(wx) and abs(y) <= half_y + abs(wy) and abs(aside) <= half_x * abs(wy) + half_y * abs(wx):
+        return 0.0
+    corner_x, corner_y = math.copysign(half_x, aside * wy) - x, math.copysign(half_y, -aside * wx) - y
+    share = (corner_x * wx + corner_y * wy) / max(wx * wx + wy * wy, 1e-24)
+    share = min(max(share, -1.0), 1.0)
+    to_corner = math.hypot(corner_x - share * wx, corner_y - share * wy)
+    to_a = math.hypot(max(abs(ax) - half_x, 0.0), max(abs(ay) - half_y, 0.0))
+    to_b = math.hypot(max(abs(bx) - half_x, 0.0), max(abs(by) - half_y, 0.0))
+    return min(to_corner, to_a, to_b)

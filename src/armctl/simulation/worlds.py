@@ -1,0 +1,9 @@
+"""Where armctl's own MJCF worlds and robots are found."""
+
+from importlib import resources
+from pathlib import Path
+
+
+def world_path(name: str) -> Path:
+    """Path of one of armctl's own MJCF models, such as `arm_reach`."""
+    return Path(str(resources.files("armctl.models") / f"{name}.xml"))

@@ -1,0 +1,16 @@
+"""Rovers that cross a bridge without touching anything."""
+
+from armctl.tasks.bridge.bridge import (
+    CONTROL_PERIOD,
+    BridgeMovingOptions,
+    BridgeMovingTask,
+    BridgeOptions,
+    BridgeOutcome,
+    BridgeTask,
+)
+from armctl.tasks.bridge.state import REWARD, BridgeState
+
+__all__ = [
+    "CONTROL_PERIOD", "REWARD", "BridgeMovingOptions", "BridgeMovingTask", "BridgeOptions", "BridgeOutcome",
+    "BridgeState", "BridgeTask",
+]  # fmt: skip

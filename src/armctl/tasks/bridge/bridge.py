@@ -1,0 +1,349 @@
+"""Bridge crossing: a skid-steer rover drives to the goal line at the far end without touching anything.
+
+The reward is easy to change: see `REWARD`, and `BridgeOptions`.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import field
+from typing import Annotated, Any, ClassVar, Literal
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, Strict
+
+from armctl.disturbances import ROVER
+from armctl.errors import ConfigurationError
+from armctl.options import options
+from armctl.robots.joints import JointSamples
+from armctl.robots.rover import MAX_VELOCITY, PARTS, PREFIX, RADIUS, WHEEL_RADIUS, Rover
+from armctl.scene import BridgeMap, PedestrianTrajectories
+from armctl.simulation import ContactSensors, Simulation
+from armctl.tasks.bridge.layout import Layout, sample_layout
+from armctl.tasks.bridge.observation import full_state, make_camera, make_observation_space
+from armctl.tasks.bridge.potentials import CrossingCostToGo, DistanceToGoalLine
+from armctl.tasks.bridge.state import REWARD, BridgeState, Term
+from armctl.tasks.bridge.world import (
+    CONTACT_CLASSES,
+    GOAL_MARGIN,
+    HIDDEN,
+    WALKER_RADIUS,
+    block_names,
+    build_bridge_world,
+    segment_names,
+    walker_names,
+)
+from armctl.tasks.task import (
+    FeatureSpec,
+    Ids,
+    LearnerView,
+    MotionSample,
+    Observations,
+    Outcome,
+    Potential,
+    RewardTerms,
+    Task,
+    check_reward_terms,
+)
+
+Array = NDArray[np.float64]
+
+CONTROL_PERIOD = 0.1
+"""s between two control steps."""
+WALKER_PERIOD = 0.02
+"""s between two moves of the walkers, who make 24 mm at most in it."""
+MOVES = round(CONTROL_PERIOD / WALKER_PERIOD)
+"""Of the walkers, between two control steps; wheel speeds and torques are sampled as often."""
+LEARNER_VELOCITY = np.array([[-0.3, -2.0], [1.6, 2.0]], dtype=np.float32)
+"""Lowest and highest linear (m/s) and angular velocity (rad/s) that a learner's network commands."""
+
+Blocks = Annotated[int, Field(ge=0, le=50)]
+Walkers = Annotated[int, Field(ge=0, le=20)]
+Side = Annotated[int, Field(ge=4, le=1024)]
+
+
+class BridgeOutcome(Outcome):
+    """How an episode of a bridge task ends."""
+
+    TIMEOUT = 0
+    CROSSED = 1, True
+    COLLIDED = 2
+    FELL = 3
+
+
+@options
+class BridgeOptions:
+    """Options of the bridge environments."""
+
+    deck_length: Annotated[float, Field(ge=8, le=200)] = 20.0
+    """m."""
+    deck_width: Annotated[float, Field(ge=3, le=20)] = 4.0
+    """m, of which the barriers take 1.22."""
+    blocks: Blocks = 7
+    """Barrier blocks on the deck, placed anew in each episode."""
+    walkers: Walkers = 0
+    """People-sized obstacles that walk across and along the bridge."""
+    missing_barriers: Annotated[int, Field(ge=0, le=100)] = 1
+    """Jersey barriers that are missing, different ones in each episode: the edge is open there."""
+    observation: Literal["camera", "state"] = "camera"
+    """`camera`: a dict of `image` and own `motion`. `state`: pose, velocity and surroundings."""
+    camera: Literal["depth", "classes", "rgb"] = "depth"
+    """`depth` (m, along the optical axis), `classes` (an index into `PIXEL_CLASSES`) or `rgb` (needs OpenGL)."""
+    resolution: Annotated[tuple[Side, Side], Strict(False)] = (48, 32)
+    """Of the camera: width and height, pixels."""
+    field_of_view: Annotated[float, Field(ge=20, le=150)] = 110.0
+    """Of the camera, horizontally, degrees."""
+    camera_range: Annotated[float, Field(ge=0.5, le=1000)] = 10.0
+    """Largest depth that the camera measures, m."""
+    timestep: Annotated[float, Field(ge=1e-5, le=0.02)] = 0.005
+    """Of the physics, s; see `benchmarks/physics_step.py`."""
+    progress: Annotated[float, Field(ge=-1e6, le=1e6)] = 0.0
+    """Reward for each metre nearer to the goal line, as one more reward term."""
+    reward: Mapping[str, Term] = field(default_factory=lambda: REWARD)
+    """Named reward terms."""
+
+    def __post_init__(self) -> None:
+        chunks = WALKER_PERIOD / self.timestep
+        if abs(chunks - round(chunks)) > 1e-6:
+            raise ConfigurationError(
+                f"timestep divides {WALKER_PERIOD} s without remainder, which {self.timestep} does not"
+            )
+
+
+@options
+class BridgeMovingOptions(BridgeOptions):
+    """Options of `armctl/BridgeCrossMoving-v0`: the same, with fewer blocks, and people."""
+
+    blocks: Blocks = 3
+    walkers: Walkers = 3
+
+
+class BridgeTask(Task):
+    """n bridges, each with a rover."""
+
+    options_type: ClassVar[type[Any]] = BridgeOptions
+    outcomes = BridgeOutcome
+    default_policies: ClassVar[tuple[str, ...]] = ("bridge_ompl", "bridge_ppo", "random")
+    disturbances = ROVER
+    potentials: ClassVar[Mapping[str, Callable[[Any], Potential]]] = {
+        "distance": DistanceToGoalLine,
+        "ompl": CrossingCostToGo,
+    }
+    render_fps = round(1 / CONTROL_PERIOD)
+    joints: JointSamples
+
+    def __init__(self, n: int, options: BridgeOptions, threads: int = 0) -> None:
+        self.options = options
+        model = build_bridge_world(
+            options.deck_length,
+            options.deck_width,
+            options.blocks,
+            options.walkers,
+            options.timestep,
+            round(CONTROL_PERIOD / options.timestep),
+            options.resolution,
+            options.field_of_view,
+        )
+        super().__init__(Simulation(model, n, threads), CONTROL_PERIOD)
+        self.rover = Rover(self.simulation)
+        self.joints = self.rover.wheel_samples(MOVES, CONTROL_PERIOD)
+        self.goal_x = options.deck_length - GOAL_MARGIN
+        self._terms = dict(options.reward)
+        if options.progress:
+            self._terms["progress"] = lambda state: options.progress * (state.previous_distance - state.distance)
+        self._contacts = ContactSensors(self.simulation, PARTS, CONTACT_CLASSES)
+        self._positions, self._rotations = (self.simulation.per_world(name) for name in ("body_pos", "body_quat"))
+        self._barrier_bodies, self._block_bodies, self._walker_bodies = (
+            np.array([model.body(name).id for name in names], dtype=int)
+            for names in (
+                segment_names(options.deck_length), block_names(options.blocks), walker_names(options.walkers),
+            )
+        )  # fmt: skip
+        self._see = make_camera(
+            self.simulation, options.camera, options.resolution, options.field_of_view, options.camera_range
+        )
+        walkers = (n, options.walkers)
+        self._pedestrians = PedestrianTrajectories(
+            np.zeros((*walkers, 2)), np.zeros((*walkers, 2)), np.zeros(walkers), np.zeros(walkers), WALKER_RADIUS
+        )
+        self._layouts: list[Layout] = [self._sample_episode(np.random.default_rng(0))] * n
+        self._time, self._action, self._distance = np.zeros(n), np.zeros((n, 2)), np.zeros(n)
+        self.reset(np.arange(n, dtype=np.int32), [np.random.default_rng(0)] * n)
+        check_reward_terms(self.reward_terms(), n)
+        limits = np.float32(MAX_VELOCITY)
+        self.action_space = gymnasium.spaces.Box(-limits, limits, dtype=np.float32)
+        self.observation_space = make_observation_space(self.observe(), options.camera, options.camera_range)
+
+    @property
+    def interface(self) -> dict[str, str]:
+        """Robot, and what is observed."""
+        if self.options.observation == "state":
+            return {
+                "robot": "rover",
+                "observation": f"state of {self.options.blocks} blocks, {self.options.walkers} walkers",
+            }
+        width, height = self.options.resolution
+        seen = f", to {self.options.camera_range:g} m" if self.options.camera == "depth" else ""
+        return {
+            "robot": "rover",
+            "observation": "camera and motion",
+            "camera": f"{self.options.camera} {width} x {height}, {self.options.field_of_view:g} degrees{seen}",
+        }
+
+    @property
+    def payload_body(self) -> str:
+        """The rover's base."""
+        return PREFIX + "base"
+
+    @property
+    def learner_view(self) -> LearnerView:
+        """Inverse depths, and the velocities that a car would be driven with."""
+        depth = self.options.observation == "camera" and self.options.camera == "depth"
+        low, high = LEARNER_VELOCITY
+        return LearnerView(low, high, features=FeatureSpec("inverse_depth") if depth else None)
+
+    def map(self, world: int) -> BridgeMap:
+        """What is on the bridge of a world: privileged knowledge."""
+        return self._layouts[world].map
+
+    def reset(self, ids: Ids, rngs: list[np.random.Generator]) -> None:
+        """The rover stands at the start, and everything else is somewhere new."""
+        self.simulation.reset(ids)
+        for i, rng in zip(ids, rngs, strict=True):
+            self._layouts[i] = self._sample_episode(rng)
+            self._furnish(i, self._layouts[i])
+        self._time[ids] = 0.0
+        self._move_walkers(ids)
+        self.simulation.refresh(ids)
+        self._action[ids] = 0.0
+        self._distance[ids] = self.goal_x - self.rover.poses[ids, 0]
+        self._update_state(self._contacts.since_last_step())
+
+    def command(self, actions: Array) -> None:
+        """Linear and angular velocities (n, 2), m/s and rad/s."""
+        self._action = actions
+        self._distance = self.state.distance
+        self.rover.command(actions)
+
+    def advance(self, ids: Ids | None) -> None:
+        """Simulate until the next control step, in worlds `ids` or in all."""
+        worlds = np.arange(len(self._time), dtype=np.int32) if ids is None else ids
+        for _ in range(MOVES):
+            self._time[worlds] += CONTROL_PERIOD / MOVES
+            self._move_walkers(worlds)
+            self.simulation.step(self.substeps // MOVES, ids)
+            self.joints.take()
+
+    def observation_parts(self) -> dict[str, NDArray[np.floating[Any]]]:
+        """Pose, velocity and own motion."""
+        return {"pose": self.state.poses, "velocity": self.state.velocities, "motion": self._motion()}
+
+    def observe(self, ids: Ids | None = None) -> Observations:
+        """Observations: `image` (n, height, width) and `motion` (n, 3), or the state (n, k)."""
+        worlds = slice(None) if ids is None else ids
+        if self.options.observation == "state":
+            return full_state(self.state, self._blocks(), self._pedestrians)[worlds]
+        return {"image": self._see(ids), "motion": self._motion().astype(np.float32)[worlds]}
+
+    def reward_terms(self) -> RewardTerms:
+        """The terms of `BridgeOptions.reward`."""
+        self._update_state(self._contacts.since_last_step())
+        return {name: np.array(term(self.state), dtype=float) for name, term in self._terms.items()}
+
+    def outcome(self) -> NDArray[np.int8]:
+        """`CROSSED`, `COLLIDED`, `FELL`, or `TIMEOUT` as long as it is none of them."""
+        state = self.state
+        return np.select(
+            (state.fell, state.collided, state.crossed),
+            (np.int8(BridgeOutcome.FELL), np.int8(BridgeOutcome.COLLIDED), np.int8(BridgeOutcome.CROSSED)),
+            np.int8(BridgeOutcome.TIMEOUT),
+        )
+
+    def info(self) -> dict[str, Any]:
+        """`contacts`: whether each part has touched each class of things since the last control step.
+
+        `feasible`: whether the bridge can be crossed. It always can: `sample_layout` accepts no other.
+        """
+        touched = self.state.contacts
+        return {
+            "feasible": np.ones(len(touched), dtype=bool),
+            "contacts": {
+                part: {label: touched[:, i, j] for j, label in enumerate(CONTACT_CLASSES)}
+                for i, part in enumerate(PARTS)
+            },
+        }
+
+    def goal_distances(self) -> Array:
+        """(n,) m to the goal line."""
+        return self.state.distance
+
+    def motion(self) -> MotionSample:
+        """How the rovers move now; a contact is one with barrier, obstacle or, of the base, the floor."""
+        samples = self.joints.since_last_step()
+        return MotionSample(self.rover.positions.copy(), self.state.poses, self.state.collided, samples)
+
+    def least_clearance(self, world: int, configurations: Array) -> float:
+        """Least distance, m, of the disc that the rover can turn in from sides, blocks and people; negative if they overlap."""
+        bridge, points = self.map(world), configurations[:, :2]
+        people = bridge.pedestrians
+        standing = np.linalg.norm(bridge.nearest(points) - points[:, None], axis=-1)
+        times = CONTROL_PERIOD * np.arange(1, len(points) + 1)
+        walking = np.linalg.norm(people.positions(times) - points[:, None], axis=-1) - people.radius
+        return float(min(standing.min(), walking.min(initial=np.inf))) - RADIUS
+
+    def _sample_episode(self, rng: np.random.Generator) -> Layout:
+        options = self.options
+        return sample_layout(
+            rng, options.deck_length, options.deck_width, options.blocks, options.walkers, options.missing_barriers
+        )
+
+    def _furnish(self, world: int, layout: Layout) -> None:
+        positions, rotations = self._positions[world], self._rotations[world]
+        positions[self._barrier_bodies, 2] = 0.0
+        positions[self._barrier_bodies[layout.missing], 2] = HIDDEN
+        x, y, yaw, *_ = layout.map.blocks.T
+        positions[self._block_bodies] = np.column_stack((x, y, np.zeros_like(x)))
+        rotations[self._block_bodies] = np.column_stack((np.cos(yaw / 2), 0 * yaw, 0 * yaw, np.sin(yaw / 2)))
+        positions[self._walker_bodies, 2] = 0.0
+        for name in ("start", "end", "speed", "phase"):
+            getattr(self._pedestrians, name)[world] = getattr(layout.map.pedestrians, name)
+
+    def _move_walkers(self, worlds: NDArray[np.int32]) -> None:
+        if self.options.walkers:
+            places = self._pedestrians.positions(self._time)
+            self._positions[worlds[:, None], self._walker_bodies, :2] = places[worlds]
+
+    def _update_state(self, contacts: NDArray[np.bool_]) -> None:
+        label = {name: i for i, name in enumerate(CONTACT_CLASSES)}
+        poses = self.rover.poses
+        base_on_floor = contacts[:, PARTS.index("base"), label["floor"]]
+        collided = contacts[:, :, (label["barrier"], label["obstacle"])].any(axis=(1, 2)) | base_on_floor
+        fell = np.asarray((self.rover.wheel_heights < WHEEL_RADIUS / 2).any(axis=1))
+        at_goal = contacts[:, :, label["goal"]].any(axis=1)
+        self.state = BridgeState(
+            time=self._time.copy(),
+            poses=poses,
+            velocities=self.rover.velocities,
+            distance=self.goal_x - poses[:, 0],
+            previous_distance=self._distance,
+            contacts=contacts,
+            crossed=at_goal & ~collided & ~fell,
+            collided=collided & ~fell,
+            fell=fell,
+            action=self._action,
+        )
+
+    def _blocks(self) -> Array:
+        """Blocks of all worlds, (n, blocks, 5): see `BridgeMap.blocks`."""
+        return np.array([layout.map.blocks for layout in self._layouts])
+
+    def _motion(self) -> Array:
+        """Odometry (m/s, rad/s) and the gyro's yaw rate (rad/s), (n, 3)."""
+        return np.column_stack((self.rover.odometry, self.rover.gyro[:, 2]))
+
+
+class BridgeMovingTask(BridgeTask):
+    """The same, with people who walk across and along the bridge."""
+
+    options_type: ClassVar[type[Any]] = BridgeMovingOptions
+    default_policies = ("bridge_ompl", "bridge_mpc", "bridge_moving_ppo", "random")

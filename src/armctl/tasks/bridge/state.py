@@ -1,0 +1,47 @@
+"""What is known of n bridge worlds at a control step: reward and potentials are functions of it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class BridgeState:
+    """All that reward terms may use; every array has a leading axis n, the number of worlds."""
+
+    time: Array
+    """Since the episode began, s, (n,)."""
+    poses: Array
+    """True x, y (m) and yaw (rad) of the rover, (n, 3)."""
+    velocities: Array
+    """True forward velocity (m/s) and yaw rate (rad/s), (n, 2)."""
+    distance: Array
+    """To the goal line, m, (n,)."""
+    previous_distance: Array
+    """The distance one control step ago, m, (n,); after a reset, `distance`."""
+    contacts: NDArray[np.bool_]
+    """What each part has touched since the last control step, (n, `PARTS`, `CONTACT_CLASSES`)."""
+    crossed: NDArray[np.bool_]
+    """A part has touched the goal line, and no part has touched anything forbidden, (n,)."""
+    collided: NDArray[np.bool_]
+    """A part has touched a barrier or an obstacle, or the base the floor, (n,)."""
+    fell: NDArray[np.bool_]
+    """A wheel has dropped over the edge of the deck, (n,)."""
+    action: Array
+    """Linear and angular velocity commanded last, before clipping, (n, 2); zeros after a reset."""
+
+
+Term = Callable[[BridgeState], NDArray[np.floating[Any]]]
+
+REWARD: dict[str, Term] = {
+    "time": lambda state: np.full(len(state.crossed), -0.1),
+    "goal": lambda state: np.where(state.crossed, 100.0, 0.0),
+    "collision": lambda state: np.where(state.collided, -100.0, 0.0),
+    "fall": lambda state: np.where(state.fell, -100.0, 0.0),
+}
+"""Named reward terms, (n,) each; the reward is their sum."""

@@ -1,0 +1,152 @@
+"""Reach a target that moves: come within the tolerance soon, and stay there.
+
+The target moves along a smooth curve, a sum of slow sines in each axis, all of it within reach.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from armctl.errors import ConfigurationError
+from armctl.options import options
+from armctl.robot_description.joint_profiles import TICK
+from armctl.tasks.reach.potentials import MinimumTimeToMovingTarget
+from armctl.tasks.reach.reach import ReachOptions, ReachOutcome, ReachTask, Terms, Worlds
+from armctl.tasks.reach.state import OBSERVATION, ReachState, Term
+from armctl.tasks.task import Ids, Potential
+
+Array = NDArray[np.float64]
+
+WAVES = 2
+"""Sines in each axis."""
+RATES = (1.0, 3.5)
+"""rad/s, the slowest and the fastest sine."""
+PROBES = np.linspace(0.0, 15.0, 76)
+"""s into the episode at which the curve is checked to be within reach."""
+ATTEMPTS = 1000
+"""Positions of a curve that are tried."""
+
+MOVING_OBSERVATION: Mapping[str, Term] = {
+    **OBSERVATION,
+    "target_velocity": lambda state: state.target_velocity,
+}
+"""The parts of an observation, in order."""
+
+MOVING_REWARD: Mapping[str, Term] = {
+    "away": lambda state: np.where(state.within, 0.0, -1.0),
+    "goal": lambda state: 100.0 * state.held,
+}
+"""The terms of the reward, whose sum is the reward."""
+
+
+@dataclass(frozen=True)
+class MovingReachState(ReachState):
+    """The state, and how the target is followed."""
+
+    within: NDArray[np.bool_]
+    """(n,) whether the end-effector is within the tolerance now."""
+    held: NDArray[np.bool_]
+    """(n,) whether it has stayed there for the whole hold time."""
+
+
+@options
+class ReachMovingOptions(ReachOptions):
+    """Options of `armctl/ArmReachMoving-v0`; raises `ConfigurationError` for values it cannot take."""
+
+    hold_time: Annotated[float, Field(gt=0)] = 4.0
+    """s within the tolerance without a break after which the episode is a success."""
+    amplitude: Annotated[float, Field(ge=0)] = 0.12
+    """m, of the largest sine in an axis."""
+    target: Literal["reachable"] = "reachable"
+    """A moving target is always sampled within reach."""
+    reward: Terms = field(default_factory=lambda: MOVING_REWARD)
+    observation: Terms = field(default_factory=lambda: MOVING_OBSERVATION)
+
+
+class ReachMovingTask(ReachTask):
+    """n arms, each with a target that moves."""
+
+    options: ReachMovingOptions
+    options_type: ClassVar[type[Any]] = ReachMovingOptions
+    default_policies = ("reach_mpc", "reach_ik", "moving_ppo", "random")
+    potentials: ClassVar[Mapping[str, Callable[[Any], Potential]]] = {
+        **ReachTask.potentials,
+        "ik": MinimumTimeToMovingTarget,
+    }
+
+    def __init__(self, n: int, options: ReachMovingOptions, threads: int = 0) -> None:
+        self._time = np.zeros(n)
+        self._centres = np.zeros((n, 3))
+        self._amplitudes, self._rates, self._phases = np.zeros((3, n, 3, WAVES))
+        self._within_for = np.zeros(n)
+        self._errors, self._steps = np.zeros(n), np.zeros(n)
+        super().__init__(n, options, threads)
+
+    def advance(self, ids: Ids | None) -> None:
+        """Simulate until the next control step, in worlds `ids` or in all."""
+        super().advance(ids)
+        self._errors += np.where(self._steps > 0, self._distances(), 0.0)
+        self._steps += (self._steps > 0) | (self._distances() <= self.options.tolerance)
+
+    def outcome(self) -> NDArray[np.int8]:
+        """`HELD`, or `TIMEOUT` as long as it is not."""
+        return self.state.held * np.int8(ReachOutcome.HELD)
+
+    def info(self) -> dict[str, NDArray[Any]]:
+        """Also `tracking_error`: mean distance (m) at all control steps since the first within the tolerance."""
+        tracked = np.maximum(self._steps - 1, 0)
+        error = np.divide(self._errors, tracked, out=np.full(len(tracked), np.nan), where=tracked > 0)
+        return super().info() | {"tracking_error": error}
+
+    def least_time(self, world: int) -> float:
+        """The hold time; the earliest time at which the target can be met is not known."""
+        return self.options.hold_time
+
+    def _sample_episode(self, world: int, rng: np.random.Generator) -> None:
+        self._time[world] = self._within_for[world] = self._errors[world] = self._steps[world] = 0.0
+        self._rates[world] = rng.uniform(*RATES, (3, WAVES))
+        self._phases[world] = rng.uniform(-np.pi, np.pi, (3, WAVES))
+        self._amplitudes[world] = self.options.amplitude * rng.uniform(0.5, 1.0, (3, WAVES)) / np.arange(1, WAVES + 1)
+        self._centres[world] = self._centre_of_reach(world, rng)
+        self._move_targets()
+
+    def _centre_of_reach(self, world: int, rng: np.random.Generator) -> Array:
+        for _ in range(ATTEMPTS):
+            centre = self._workspace.sample(rng, clearance=self.options.tolerance)
+            if self._within_reach(world, centre):
+                return centre
+        raise ConfigurationError(
+            f"no curve of amplitude {self.options.amplitude} m is within reach of {self.arm.description.name}: "
+            f"{ATTEMPTS} were tried"
+        )
+
+    def _within_reach(self, world: int, centre: Array) -> bool:
+        angles = self._rates[world] * PROBES[:, None, None] + self._phases[world]
+        points = centre + (self._amplitudes[world] * np.sin(angles)).sum(axis=-1)
+        model, clearance = self._workspace.model, self.options.tolerance
+        return all(
+            point[2] >= clearance and model.base_distance(point) >= clearance and self._workspace.reachable(point)
+            for point in points
+        )
+
+    def _on_tick(self, worlds: Worlds) -> None:
+        self._time[worlds] += TICK
+        self._move_targets()
+        super()._on_tick(worlds)
+        within = self._distances() <= self.options.tolerance
+        self._within_for[worlds] = np.where(within, self._within_for + TICK, 0.0)[worlds]
+
+    def _move_targets(self) -> None:
+        angles = self._rates * self._time[:, None, None] + self._phases
+        self._targets[:] = self._centres + (self._amplitudes * np.sin(angles)).sum(axis=-1)
+        self._target_velocities[:] = (self._amplitudes * self._rates * np.cos(angles)).sum(axis=-1)
+
+    def _update_state(self, action: Array) -> None:
+        super()._update_state(action)
+        within = self.state.distance <= self.options.tolerance
+        held = self._within_for >= self.options.hold_time - TICK / 2
+        self.state: MovingReachState = MovingReachState(**vars(self.state), within=within, held=held)

@@ -1,0 +1,203 @@
+"""Reach around obstacles: boxes, posts and shelves between home and target, different ones in each episode.
+
+Touching any of them, the floor, or the arm itself ends the episode. Every layout used has a path that a planner found.
+"""
+
+import functools
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.errors import ConfigurationError
+from armctl.kinematics.clearance import Clearance
+from armctl.options import options
+from armctl.planning import ArmPlanner
+from armctl.robot_description import ArmDescription
+from armctl.robots.arm import PREFIX, build_arm_world, collision_geom
+from armctl.scene import Boxes
+from armctl.simulation.contacts import ContactSensors, add_contact_sensors
+from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES, sample_layout
+from armctl.tasks.reach.potentials import PathCostToGo
+from armctl.tasks.reach.reach import CONTROL_PERIOD, ReachOptions, ReachOutcome, ReachTask, Terms
+from armctl.tasks.reach.state import OBSERVATION, ReachState, Term
+from armctl.tasks.task import Potential
+
+Array = NDArray[np.float64]
+
+NUMBERS = 7
+"""In the observation of a box: centre and half sizes, m, and yaw, rad."""
+ATTEMPTS = 50
+"""Layouts that are sampled until one is solvable."""
+TOUCHED = ("floor", "obstacle", "itself")
+"""What the arm can touch."""
+HIDDEN = (0.0, 0.0, -9.0)
+"""m, where boxes are that an episode does not use."""
+
+OBSTACLES_OBSERVATION: Mapping[str, Term] = {**OBSERVATION, "boxes": lambda state: state.boxes}
+"""The parts of an observation, in order."""
+
+OBSTACLES_REWARD: Mapping[str, Term] = {
+    "step": lambda state: np.full(len(state.reached), -1.0),
+    "goal": lambda state: 100.0 * (state.reached & ~state.collided),
+    "collision": lambda state: np.where(state.collided, -100.0, 0.0),
+}
+"""The terms of the reward, whose sum is the reward."""
+
+
+@dataclass(frozen=True)
+class ObstaclesReachState(ReachState):
+    """The state, and obstacles and contacts."""
+
+    boxes: Array
+    """(n, `MOST_OBSTACLES` * `NUMBERS`), box by box; zeros for those that are absent."""
+    contacts: NDArray[np.bool_]
+    """(n, `TOUCHED`) what the arm has touched since the last control step."""
+    collided: NDArray[np.bool_]
+    """(n,) whether that is anything."""
+
+
+@options
+class ReachObstaclesOptions(ReachOptions):
+    """Options of `armctl/ArmReachObstacles-v0`; raises `ConfigurationError` for values it cannot take."""
+
+    solvable: bool = True
+    """Sample layouts until the planner finds a path. If False, the first is taken, and `info["feasible"]` tells."""
+    target: Literal["reachable"] = "reachable"
+    """A target among obstacles is sampled with them, within reach."""
+    reward: Terms = field(default_factory=lambda: OBSTACLES_REWARD)
+    observation: Terms = field(default_factory=lambda: OBSTACLES_OBSERVATION)
+
+
+class ReachObstaclesTask(ReachTask):
+    """n arms, each with a target behind obstacles."""
+
+    options: ReachObstaclesOptions
+    options_type: ClassVar[type[Any]] = ReachObstaclesOptions
+    default_policies = ("reach_ompl", "reach_ik", "obstacles_dagger", "random")
+    potentials: ClassVar[Mapping[str, Callable[[Any], Potential]]] = {**ReachTask.potentials, "ompl": PathCostToGo}
+
+    def __init__(self, n: int, options: ReachObstaclesOptions, threads: int = 0) -> None:
+        self._boxes = np.zeros((n, MOST_OBSTACLES, NUMBERS))
+        self._planner: ArmPlanner | None = None
+        self._paths = [np.zeros((0, 0))] * n
+        super().__init__(n, options, threads)
+
+    def boxes(self, world: int) -> Boxes:
+        """The obstacles of a world."""
+        return read_boxes(self._boxes[world])
+
+    def path(self, world: int) -> Array:
+        """Waypoints (m, dof) of the path that the planner has found in a world; (0, dof) if it found none."""
+        return self._paths[world]
+
+    def least_clearance(self, world: int, configurations: Array) -> float:
+        """Least distance, m, of the arm's links from boxes, floor and each other, as `Clearance` takes them."""
+        frames = self._workspace.model.joint_frames(configurations)
+        return min(float(distances.min()) for distances, _ in self._clearance.parts(frames, self.boxes(world)))
+
+    def outcome(self) -> NDArray[np.int8]:
+        """`COLLIDED`, `REACHED`, or `TIMEOUT` as long as it is neither."""
+        reached = self.state.reached * np.int8(ReachOutcome.REACHED)
+        return np.where(self.state.collided, np.int8(ReachOutcome.COLLIDED), reached)
+
+    def info(self) -> dict[str, Any]:
+        """Also `contacts`: whether the arm has touched floor, obstacle, or itself since the last control step."""
+        touched = {name: self.state.contacts[:, i].copy() for i, name in enumerate(TOUCHED)}
+        return super().info() | {"contacts": touched}
+
+    @functools.cached_property
+    def _clearance(self) -> Clearance:
+        return Clearance(self._workspace.model)
+
+    def _build(self, description: ArmDescription) -> mujoco.MjModel:
+        def furnish(spec: Any) -> None:
+            _add_boxes(spec, description)
+            _add_sensors(spec, round(CONTROL_PERIOD / spec.option.timestep))
+
+        return build_arm_world(description, self.options.control, furnish)
+
+    def _bind_arrays(self) -> None:
+        model, simulation = self.simulation.model, self.simulation
+        self._bodies = np.array([model.body(_name(i)).id for i in range(MOST_OBSTACLES)])
+        self._geoms = np.array([model.geom(_name(i)).id for i in range(MOST_OBSTACLES)])
+        self._positions, self._turns, self._sizes, self._bounds, self._radii = (
+            simulation.per_world(name) for name in ("body_pos", "body_quat", "geom_size", "geom_aabb", "geom_rbound")
+        )
+        self._touches = ContactSensors(simulation, ("arm",), TOUCHED)
+
+    def _sample_episode(self, world: int, rng: np.random.Generator) -> None:
+        if self._planner is None:
+            self._planner = ArmPlanner(self._workspace.model)
+        home = _as_observed(self._workspace.model.home)
+        for _ in range(ATTEMPTS):
+            layout = sample_layout(rng, self._workspace, self.options.tolerance)
+            target, drawn = _as_observed(layout.target), layout.boxes
+            boxes = Boxes(_as_observed(drawn.centres), _as_observed(drawn.half_sizes), _as_observed(drawn.yaws))
+            plan = self._planner.plan(home, target, self.options.tolerance, boxes)
+            if plan.found or not self.options.solvable:
+                break
+        else:
+            raise ConfigurationError(f"the planner found no path in {ATTEMPTS} layouts")
+        self._targets[world], self._feasible[world], self._paths[world] = target, plan.found, plan.path
+        self._place(world, boxes)
+
+    def _contact(self) -> NDArray[np.bool_]:
+        return self.state.collided
+
+    def _place(self, world: int, boxes: Boxes) -> None:
+        count = len(boxes)
+        self._boxes[world] = 0.0
+        self._boxes[world, :count] = np.column_stack((boxes.centres, boxes.half_sizes, boxes.yaws))
+        bodies, geoms = self._bodies[:count], self._geoms[:count]
+        self._positions[world, self._bodies] = HIDDEN
+        self._positions[world, bodies] = boxes.centres
+        self._turns[world, bodies] = 0.0
+        self._turns[world, bodies, 0], self._turns[world, bodies, 3] = np.cos(boxes.yaws / 2), np.sin(boxes.yaws / 2)
+        self._sizes[world, geoms] = self._bounds[world, geoms, 3:] = boxes.half_sizes
+        self._radii[world, geoms] = np.linalg.norm(boxes.half_sizes, axis=1)
+
+    def _update_state(self, action: Array) -> None:
+        super()._update_state(action)
+        contacts = self._touches.since_last_step()[:, 0]
+        boxes = self._boxes.reshape(len(contacts), -1)
+        self.state: ObstaclesReachState = ObstaclesReachState(
+            **vars(self.state), boxes=boxes, contacts=contacts, collided=np.asarray(contacts.any(axis=1))
+        )
+
+
+def read_boxes(numbers: NDArray[np.floating[Any]]) -> Boxes:
+    """Boxes from their observation: any array with `NUMBERS` for each, zeros for those that are absent."""
+    rows = np.asarray(numbers, dtype=float).reshape(-1, NUMBERS)
+    rows = rows[(rows[:, 3:6] > 0).all(axis=1)]
+    return Boxes(rows[:, :3], rows[:, 3:6], rows[:, 6])
+
+
+def _as_observed(numbers: Array) -> Array:
+    """Rounded as in an observation: a policy that plans on it gets exactly the problem that was found solvable."""
+    return numbers.astype(np.float32).astype(float)
+
+
+def _name(box: int) -> str:
+    return f"box_{box}"
+
+
+def _add_boxes(spec: Any, description: ArmDescription) -> None:
+    parent = spec.worldbody.add_body(name="obstacles")
+    for i in range(MOST_OBSTACLES):
+        body = parent.add_body(name=_name(i), pos=HIDDEN)
+        body.add_geom(
+            name=_name(i), type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.1] * 3, contype=0, conaffinity=0, material="obstacle"
+        )
+        for capsule in description.capsules:
+            spec.add_pair(geomname1=collision_geom(capsule.link), geomname2=_name(i))
+
+
+def _add_sensors(spec: Any, memory: int) -> None:
+    root = next(body for body in spec.worldbody.bodies if body.name.startswith(PREFIX)).name
+    arm = (mujoco.mjtObj.mjOBJ_XBODY, root)
+    touched = ((mujoco.mjtObj.mjOBJ_GEOM, "floor"), (mujoco.mjtObj.mjOBJ_XBODY, "obstacles"), arm)
+    add_contact_sensors(spec, {"arm": arm}, dict(zip(TOUCHED, touched, strict=True)), memory)

@@ -1,0 +1,1 @@
+"""A policy at work: one episode at a time, in the terminal, the browser or a window."""

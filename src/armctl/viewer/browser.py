@@ -1,0 +1,306 @@
+"""A policy at work, live, in the browser, by MuJoCo Studio.
+
+The main thread plays the episodes in real time (`Player`), Studio's thread shows them (`Panel`). Between two decisions
+the world is drawn on its way from one to the other, along the plan that led there.
+"""
+
+import socket
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+from mujoco.studio import launch_thread, messages, plugin, sim, ux, viewer_protocol, web_viewer
+from mujoco.studio.dear_imgui import dear_imgui as imgui
+from numpy.typing import NDArray
+
+from armctl.errors import ArmctlError, ConfigurationError
+from armctl.policies import policy_names
+from armctl.simulation.scenery import STATE, Scenery, polyline
+from armctl.viewer.stage import Stage, Status
+
+Array = NDArray[np.float64]
+
+LOOPBACK = "127.0.0.1"
+FIRST_PORT = 8080
+CURTAIN = 1.5
+"""s between the end of an episode and the next."""
+TICK = 0.01
+"""s between two states that are sent to the viewer."""
+LINE_WIDTH = 1.5e-3
+"""Of the distance at which the camera starts: radius of lines."""
+COLOURS = {"path": (0.15, 0.4, 0.95, 0.9), "horizon": (1.0, 0.5, 0.05, 1.0)}
+"""Of plans, by name."""
+OTHER_COLOUR = (0.6, 0.2, 0.8, 0.9)
+BUTTON_WIDTH = 64.0
+"""Pixels."""
+PANEL = (12.0, 12.0, 360.0, 0.0)
+"""Where the panel is at first, and its size: pixels; 0 for as much as it takes."""
+
+
+@dataclass(frozen=True)
+class Play(messages.Event):
+    """From the panel to the player: begin this episode."""
+
+    policy: str
+    seed: int
+    episode: int
+
+
+@dataclass(frozen=True)
+class Frame(messages.Snapshot):
+    """From the player to the panel: what is to be shown."""
+
+    status: Status
+    paused: bool
+    geoms: list[mujoco.MjvGeom]
+    plans: tuple[str, ...]
+    notice: str
+    """Why a wish could not be granted."""
+
+
+class Player(plugin.SimPlugin):
+    """Plays episodes in real time, one after the other, as the panel wishes."""
+
+    def __init__(self, stage: Stage) -> None:
+        self.stage = stage
+        self._paused, self._notice = False, ""
+        self.scenery = Scenery(stage.task.simulation, stage.task.camera)
+        self._width = LINE_WIDTH * float(1.5 * self.scenery.model.stat.extent)
+        self._begin()
+
+    @messages.handler
+    def on_play(self, wish: Play) -> bool:
+        """Another policy, seed or episode."""
+        try:
+            self.stage.play(wish.policy, wish.seed, wish.episode)
+        except ArmctlError as error:
+            self._notice = str(error)
+            self._send()
+        else:
+            self._notice = ""
+            self._begin()
+        return True
+
+    @messages.handler
+    def on_pause(self, wish: messages.RequestPauseEvent) -> bool:
+        """Pause, or go on."""
+        self._paused = wish.pause_state != sim.PauseState.UNPAUSED
+        self._due = time.perf_counter()
+        self._send()
+        return True
+
+    @messages.handler
+    def on_single_step(self, _: messages.SingleStepEvent) -> bool:
+        """One decision, and pause."""
+        self._paused = True
+        self._decide(time.perf_counter())
+        return True
+
+    @messages.handler
+    def on_load(self, _: messages.LoadModelEvent) -> bool:
+        """No other model is let in, though one be dropped onto the page."""
+        return True
+
+    @messages.handler
+    def on_step(self, event: messages.StepEvent) -> bool:
+        """Decide if it is time to, and show where the world is by now."""
+        now = time.perf_counter()
+        status = self.stage.status
+        if not self._paused and now >= self._due:
+            if status.outcome is None:
+                self._decide(now)
+            else:
+                self.on_play(Play(status.policy, status.seed, status.episode + 1))
+        share = np.clip((now - self._decided) / self.stage.period, 0.0, 1.0)
+        mujoco.mj_setState(event.model, event.data, self._before + share * (self._after - self._before), STATE)
+        time.sleep(TICK)
+        return True
+
+    def _begin(self) -> None:
+        self._after, geoms = self.scenery.now()
+        self._before = self._after
+        self._decided = self._due = time.perf_counter()
+        self._show(geoms)
+
+    def _decide(self, now: float) -> None:
+        self.stage.step()
+        self._before = self._after
+        self._after, geoms = self.scenery.now()
+        late = now - self._due > self.stage.period
+        self._decided, self._due = now, (now if late else self._due) + self.stage.period
+        if self.stage.status.outcome is not None:
+            self._due += CURTAIN
+        self._show(geoms)
+
+    def _show(self, geoms: list[mujoco.MjvGeom]) -> None:
+        plans = self.stage.plans()
+        for name, points in plans.items():
+            colour = COLOURS.get(name, OTHER_COLOUR)
+            geoms += polyline(points, self._width, colour, beads=name == "horizon")
+        self._shown = geoms, tuple(plans)
+        self._send()
+
+    def _send(self) -> None:
+        self.frame = Frame(self.stage.status, self._paused, *self._shown, self._notice)
+        if self._handle is not None:
+            self.handle.send_to_viewer(self.frame)
+
+
+class Panel(plugin.ViewerPlugin):
+    """Tells how the episode stands, takes wishes, and draws plans into the scene."""
+
+    def __init__(self, stage: Stage) -> None:
+        self._stage = stage
+        self._policies = sorted({stage.status.policy, *policy_names()})
+        self._frame = Frame(stage.status, False, [], (), "")
+        self._theme = ux.GuiTheme.DARK
+
+    @messages.handler
+    def on_theme(self, event: plugin.ThemeEvent) -> None:
+        """The browser likes it light or dark."""
+        self._theme = event.theme
+
+    @messages.handler
+    def on_model(self, event: messages.PostModelEvent) -> None:
+        """Look at the world."""
+        mujoco.mjv_defaultFreeCamera(event.model, self.viewer.camera)
+
+    @messages.handler
+    def on_frame(self, frame: Frame) -> None:
+        """Something new to show."""
+        self._frame = frame
+
+    @messages.handler
+    def on_update(self, _: messages.UpdateEvent) -> None:
+        """Decorate the scene."""
+        self.viewer.extra_geoms[:] = self._frame.geoms
+
+    @messages.handler
+    def on_build_gui(self, _: messages.BuildGuiEvent) -> None:
+        """Lay the panel out."""
+        x, y, width, height = PANEL
+        imgui.SetNextWindowPos(imgui.Vec2(x, y), int(imgui.Cond.FirstUseEver))
+        imgui.SetNextWindowSize(imgui.Vec2(width, height))
+        ux.setup_theme(self._theme)
+        imgui.Begin("armctl", flags=int(imgui.WindowFlags.NoTitleBar))
+        imgui.TextUnformatted(self._stage.env_id)
+        self._build_choices_gui()
+        self._build_buttons_gui()
+        self._build_status_gui()
+        imgui.End()
+
+    def _build_choices_gui(self) -> None:
+        status = self._frame.status
+        policy = status.policy
+        if imgui.BeginCombo("policy", policy):
+            for name in self._policies:
+                if imgui.Selectable(name, name == status.policy):
+                    policy = name
+            imgui.EndCombo()
+        enter = int(imgui.InputTextFlags.EnterReturnsTrue)
+        _, seed = imgui.InputInt("seed", status.seed, 1, 100, enter)
+        _, episode = imgui.InputInt("episode", status.episode, 1, 100, enter)
+        if (policy, seed, episode) != (status.policy, status.seed, status.episode):
+            self._wish(Play(policy, max(seed, 0), max(episode, 0)))
+
+    def _build_buttons_gui(self) -> None:
+        status, paused = self._frame.status, self._frame.paused
+        if self._button("Go on" if paused else "Pause", imgui.Key.Space, "Space"):
+            self._wish(messages.RequestPauseEvent(sim.PauseState(not paused)))
+        if self._button("Step", imgui.Key.RightArrow, "Right arrow: one decision"):
+            self._wish(messages.SingleStepEvent())
+        if self._button("Again", imgui.Key.R, "R: this episode from its start"):
+            self._wish(Play(status.policy, status.seed, status.episode))
+        if self._button("Next", imgui.Key.N, "N: the next episode"):
+            self._wish(Play(status.policy, status.seed, status.episode + 1))
+        imgui.NewLine()
+
+    def _build_status_gui(self) -> None:
+        rows = rows_of(self._frame.status, self._stage)
+        for name, text in rows.items():
+            imgui.TextDisabled(name)
+            imgui.SameLine(90)
+            imgui.TextWrapped(text)
+        for name in self._frame.plans:
+            imgui.TextColored(imgui.Vec4(*COLOURS.get(name, OTHER_COLOUR)), f"- {name}")
+        if self._frame.notice:
+            imgui.Separator()
+            imgui.TextWrapped(self._frame.notice)
+
+    def _button(self, label: str, key: Any, hint: str) -> bool:
+        pressed = imgui.Button(label, imgui.Vec2(BUTTON_WIDTH, 0.0))
+        imgui.SetItemTooltip(hint)
+        imgui.SameLine()
+        return bool(pressed or (not imgui.IsAnyItemActive() and imgui.IsKeyPressed(key, False)))
+
+    def _wish(self, wish: messages.Event) -> None:
+        self.viewer.send_to_sim(wish)
+
+
+def rows_of(status: Status, stage: Stage) -> dict[str, str]:
+    """What there is to tell of an episode on a stage, by name."""
+    earned = ", ".join(f"{name} {value:g}" for name, value in status.rewards.items())
+    of = "" if stage.longest is None else f" of {stage.longest}"
+    ended = "" if status.outcome is None else f": {status.outcome}"
+    return {
+        "step": f"{status.steps}{of}, {status.steps * stage.period:.2f} s{ended}",
+        "return": f"{status.total_reward:.4g}" + (f"  ({earned})" if earned else ""),
+        "distance": f"{status.distance:.3f} m",
+        "contacts": _contact_text(status.contacts),
+        "decision": f"{status.decision_ms:.2f} ms",
+    }
+
+
+def _contact_text(contacts: Mapping[str, tuple[str, ...]]) -> str:
+    return "; ".join(f"{thing}: {', '.join(parts)}" if parts else thing for thing, parts in contacts.items()) or "none"
+
+
+class LoopbackViewer(web_viewer.WebViewer):
+    """Studio's web viewer, for this machine alone: its own listens on all interfaces, and asks nobody who they are."""
+
+    _host = property(lambda self: LOOPBACK, lambda self, host: None)
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        if self._http_sock.getsockname()[0] != LOOPBACK:  # another version of Studio may not ask `_host`
+            self.close()
+            raise ConfigurationError(
+                f"MuJoCo {mujoco.__version__} would show this to the network: take another version"
+            )
+
+    def get_drop_file(self) -> str:
+        """Nothing: what is dropped onto the page is not written to disk."""
+        return ""
+
+
+def show_in_browser(player: Player, port: int = 0, open_browser: bool = True) -> None:
+    """Play until the viewer ends; `port` 0 is the first free one from `FIRST_PORT` on.
+
+    Raises `ConfigurationError` for a port that cannot be had.
+    """
+    _check_port(port)
+    panel = Panel(player.stage)
+    config = viewer_protocol.ViewerConfig(title="armctl", gfx="web", http_port=port, open_browser=open_browser)
+
+    def show(endpoint: Any) -> None:
+        viewer_protocol.run_viewer_loop(LoopbackViewer(config, endpoint, plugins=[panel]))
+
+    with launch_thread.launch_thread(show, sim_plugins=[player]) as handle:
+        handle.set_model(player.scenery.model)
+        while handle.is_running():
+            handle.sync()
+
+
+def _check_port(port: int) -> None:
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((LOOPBACK, port))
+        except OSError as error:
+            raise ConfigurationError(
+                f"port {port} cannot be had ({error.strerror}): name another one, or none for the first free one from "
+                f"{FIRST_PORT} on"
+            ) from error

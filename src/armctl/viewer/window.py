@@ -1,0 +1,65 @@
+"""A policy at work in MuJoCo's own window, with keys instead of a panel: Studio's window asks for Python 3.12."""
+
+import os
+import queue
+import sys
+
+import mujoco
+from mujoco.studio import messages, sim
+
+from armctl.errors import ConfigurationError
+from armctl.viewer.browser import Frame, Play, Player, rows_of
+
+SPACE, RIGHT, AGAIN, NEXT = 32, 262, ord("R"), ord("N")
+"""Keys, as GLFW numbers them."""
+COPIED = ("type", "dataid", "objtype", "objid", "category", "matid", "emission", "specular", "shininess", "reflectance")
+
+
+def check_screen() -> None:
+    """Raise `ConfigurationError` where there is no screen."""
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise ConfigurationError("--native opens a window, and there is no display here: without it, a browser will do")
+
+
+def show_in_window(player: Player) -> None:
+    """Play until the window is closed."""
+    import mujoco.viewer as viewer  # opens GLFW, which only a window needs
+
+    pressed: queue.SimpleQueue[int] = queue.SimpleQueue()
+    model = player.scenery.model
+    data = mujoco.MjData(model)
+    with viewer.launch_passive(
+        model, data, key_callback=pressed.put, show_left_ui=False, show_right_ui=False
+    ) as window:
+        mujoco.mjv_defaultFreeCamera(model, window.cam)
+        while window.is_running():
+            while not pressed.empty():
+                _grant(player, pressed.get())
+            with window.lock():
+                player.on_step(messages.StepEvent(model, data))
+                mujoco.mj_forward(model, data)
+                _decorate(window.user_scn, player.frame)
+            rows = rows_of(player.frame.status, player.stage)
+            corner, size = mujoco.mjtGridPos.mjGRID_TOPLEFT, mujoco.mjtFontScale.mjFONTSCALE_150
+            window.set_texts((size, corner, "\n".join(rows), "\n".join(rows.values())))
+            window.sync()
+
+
+def _grant(player: Player, key: int) -> None:
+    status = player.frame.status
+    if key == SPACE:
+        player.on_pause(messages.RequestPauseEvent(sim.PauseState(not player.frame.paused)))
+    elif key == RIGHT:
+        player.on_single_step(messages.SingleStepEvent())
+    elif key in (AGAIN, NEXT):
+        player.on_play(Play(status.policy, status.seed, status.episode + (key == NEXT)))
+
+
+def _decorate(scene: mujoco.MjvScene, frame: Frame) -> None:
+    geoms = frame.geoms[: scene.maxgeom]
+    for ours, drawn in zip(geoms, scene.geoms, strict=False):
+        for name in COPIED:
+            setattr(drawn, name, getattr(ours, name))
+        for name in ("size", "pos", "mat", "rgba"):
+            getattr(drawn, name)[:] = getattr(ours, name)
+    scene.ngeom = len(geoms)

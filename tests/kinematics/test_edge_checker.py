@@ -1,0 +1,155 @@
+import numpy as np
+import pinocchio
+import pytest
+
+from armctl.errors import ConfigurationError
+from armctl.kinematics import ArmModel, ArmShapes, EdgeChecker
+from armctl.robot_description import arm as arms
+from armctl.scene import NO_BOXES, Boxes
+
+from ..capsule_world import CapsuleWorld
+
+CLEARANCE = 0.01
+
+
+@pytest.fixture(scope="module", params=["ur5", "ur10", "panda"])
+def model(request):
+    if request.param != "panda":
+        return ArmModel(request.param)
+    path = arms.robot_data() / "panda_description/urdf/panda.urdf"
+    return ArmModel(arms.load_arm(path, tip="panda_hand_tcp"))
+
+
+@pytest.fixture(scope="module")
+def shapes(model):
+    return ArmShapes(model)
+
+
+def random_boxes(rng, model, count=6):
+    while True:
+        boxes = Boxes(
+            rng.uniform((-0.8, -0.8, 0), (0.8, 0.8, 1), (count, 3)),
+            rng.uniform(0.02, 0.12, (count, 3)),
+            rng.uniform(-np.pi, np.pi, count),
+        )
+        if model.box_distances(model.home, boxes).min() > 0.03:
+            return boxes
+
+
+def configurations(model, rng, count):
+    low, high = np.maximum(model.limits.lower, -np.pi), np.minimum(model.limits.upper, np.pi)
+    return rng.uniform(low, high, (count, model.dof))
+
+
+def short_ways(model, rng, count):
+    """Pairs of configurations 0.02 to 2 rad apart."""
+    steps = rng.normal(size=(count, model.dof))
+    steps *= rng.uniform(0.02, 2, (count, 1)) / np.linalg.norm(steps, axis=1, keepdims=True)
+    starts = configurations(model, rng, count)
+    return zip(starts, np.clip(starts + steps, model.limits.lower, model.limits.upper), strict=True)
+
+
+def test_no_distance_changes_by_more_than_the_motion_that_is_reckoned_with(model, shapes):
+    rng = np.random.default_rng(0)
+    geometry, motion = shapes.with_boxes(random_boxes(rng, model))
+    data, distances = model.pinocchio.createData(), geometry.createData()
+
+    def measured(q):
+        pinocchio.computeDistances(model.pinocchio, data, geometry, distances, q)
+        return np.array([result.min_distance for result in distances.distanceResults])
+
+    for a, b in short_ways(model, rng, 500):
+        before, after = measured(a), measured(b)
+        apart = (before > 0) & (after > 0)  # penetration depths are another thing
+        assert (np.abs(after - before) <= motion @ np.abs(b - a) + 1e-6)[apart].all()
+
+
+def test_what_is_free_by_capsules_is_free_here_and_the_other_way_around(model, shapes):
+    rng = np.random.default_rng(1)
+    boxes = random_boxes(rng, model)
+    among, motions = model.among(boxes), EdgeChecker(shapes, boxes, 1e-9, model.home)
+    free = [(among.is_free(q), motions.is_free(q)) for q in configurations(model, rng, 2000)]
+    assert len({a for a, _ in free}) == 2
+    assert all(a == b for a, b in free)
+
+
+def test_a_motion_that_leads_keeps_the_clearance_by_mujoco(model, shapes):
+    rng, led = np.random.default_rng(2), 0
+    for _ in range(8):
+        boxes = random_boxes(rng, model)
+        world, motions = CapsuleWorld(model, boxes), EdgeChecker(shapes, boxes, CLEARANCE, model.home)
+        for a, b in short_ways(model, rng, 100):
+            if motions.is_edge_free(a, b):
+                led += 1
+                nearest = min(world.distance(q) for q in np.linspace(a, b, 60))
+                assert nearest >= CLEARANCE - 1e-5
+    assert led > 100
+
+
+def test_a_motion_with_more_than_the_clearance_leads(model, shapes):
+    rng, wide = np.random.default_rng(3), 0
+    for _ in range(8):
+        boxes = random_boxes(rng, model)
+        world, motions = CapsuleWorld(model, boxes), EdgeChecker(shapes, boxes, CLEARANCE, model.home)
+        for a, b in short_ways(model, rng, 100):
+            if min(world.distance(q) for q in np.linspace(a, b, 60)) > 2 * CLEARANCE:
+                wide += 1
+                assert motions.is_edge_free(a, b)
+                assert motions.is_edge_free(b, a)
+    assert wide > 50
+
+
+def test_thin_walls_are_not_jumped_over(model, shapes):
+    """A sheet of 2 mm, met by the end-effector somewhere between two free configurations."""
+    rng, met = np.random.default_rng(4), 0
+    among, low = EdgeChecker(shapes, NO_BOXES, CLEARANCE, model.home), model.limits.lower
+    for a, b in short_ways(model, rng, 400):
+        if not among.is_edge_free(a, b) or not (b >= low).all():
+            continue
+        middle = model.position((a + b) / 2)
+        along = model.position(b) - model.position(a)
+        sheet = Boxes(middle[None], np.array([[0.001, 0.05, 0.05]]), np.arctan2(along[1:2], along[:1]))
+        if model.box_distances(a, sheet)[0] < 0.02 or model.box_distances(b, sheet)[0] < 0.02:
+            continue
+        met += 1
+        assert not EdgeChecker(shapes, sheet, CLEARANCE, a).is_edge_free(a, b)
+    assert met > 5
+
+
+def test_clearance_is_the_distance_from_boxes_and_floor_by_mujoco(model, shapes):
+    rng = np.random.default_rng(5)
+    boxes = random_boxes(rng, model)
+    world, motions = CapsuleWorld(model, boxes), EdgeChecker(shapes, boxes, CLEARANCE, model.home)
+    for q in (q for q in configurations(model, rng, 500) if motions.is_free(q)):
+        assert motions.clearance(q[None]) == pytest.approx(world.outer_distance(q), abs=1e-5)
+
+
+def test_what_is_near_at_the_start_need_keep_only_part_of_it(model, shapes):
+    half_sizes, gap = np.full((1, 3), 0.05), 0.004
+    at, up = model.position(model.home), np.array((0, 0, 1.0))
+    low, high = 0.0, 1.0  # the box's height above the end-effector: down to where it all but touches
+    for _ in range(60):
+        middle = (low + high) / 2
+        above = Boxes((at + middle * up)[None], half_sizes, np.zeros(1))
+        low, high = (low, middle) if model.box_distances(model.home, above)[0] > gap else (middle, high)
+    above = Boxes((at + high * up)[None], half_sizes, np.zeros(1))
+    motions, world = EdgeChecker(shapes, above, CLEARANCE, model.home), CapsuleWorld(model, above)
+    assert motions.clearance(model.home[None]) == pytest.approx(gap, abs=1e-5)
+    assert motions.is_free(model.home)
+    led = 0
+    for _, b in short_ways(model, np.random.default_rng(6), 300):
+        if motions.is_edge_free(model.home, b):
+            led += 1
+            assert min(world.distance(q) for q in np.linspace(model.home, b, 100)) >= gap / 3 - 1e-5
+    assert led > 5
+
+
+def test_a_start_that_touches_is_said_to(shapes, model):
+    boxes = Boxes(model.position(model.home)[None], np.full((1, 3), 0.1), np.zeros(1))
+    assert not EdgeChecker(shapes, boxes, CLEARANCE, model.home).start_is_free
+
+
+@pytest.mark.parametrize("clearance", [0.0, -0.01, 0.06, np.nan])
+def test_clearances_out_of_range_are_refused(shapes, model, clearance):
+    with pytest.raises(ConfigurationError, match="clearance"):
+        EdgeChecker(shapes, NO_BOXES, clearance, model.home)

@@ -1,0 +1,440 @@
+"""The HTML report: what it holds, of which folders it can be made, and its page in headless Chromium."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from html import unescape
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from armctl.envs import TaskVectorEnv
+from armctl.errors import ConfigurationError, ResultsError
+from armctl.evaluation import compare
+from armctl.evaluation.reproduce import card_path
+from armctl.evaluation.results import read_results
+from armctl.options import option_value
+from armctl.report import page, style, videos, write_report
+
+ARMCTL = str(Path(sys.executable).parent / "armctl")
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+POLICIES = ["reach_ik", "reach_ppo", "random"]
+OPTIONS = {"max_episode_steps": 40}
+CURVE = "steps,minutes,success,low,high,return\n1000,0.5,0.25,0.1,0.4,-50\n9000,4.5,0.875,0.7,0.95,60\n"
+SWEEP = "disturbance,level,policy,success,low,high,episodes\n" + "".join(
+    f"{kind},{level},{policy},{0.9 - level},{0.8 - level},{1 - level},20\n"
+    for kind in ("noise", "delay")
+    for level in (0, 0.1, 0.3)
+    for policy in ("reach_ik", "reach_bc")
+)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("finished")
+    compare(POLICIES, episodes=12, worlds=4, out=folder, env_options=OPTIONS)
+    return folder
+
+
+@pytest.fixture
+def folder(finished, tmp_path):
+    return shutil.copytree(finished, tmp_path / "results")
+
+
+def text_of(report):
+    """What a reader sees, without scripts, styles and tags."""
+    html = re.sub(r"<(script|style)\b.*?</\1>", "", report.read_text(), flags=re.DOTALL)
+    return re.sub(r"\s+", " ", unescape(re.sub(r"<[^>]*>", " ", html)))
+
+
+def plots_of(report):
+    """The figures, by what they say to those who do not see them."""
+    written = re.findall(
+        r'aria-label="([^"]*)" style="[^"]*"></div>\s*<script type="application/json">(.*?)</script>',
+        report.read_text(),
+        re.DOTALL,
+    )
+    return {unescape(says): json.loads(figure) for says, figure in written}
+
+
+def plot_of(report, says):
+    return next(figure for name, figure in plots_of(report).items() if says in name)
+
+
+def test_terms_of_the_reward_are_in_the_table_and_add_up(finished):
+    episodes = pd.read_csv(finished / "episodes.csv")
+    terms = pd.DataFrame(list(episodes.reward_terms.map(json.loads)))
+    np.testing.assert_allclose(terms.sum(axis=1), episodes["return"])
+    assert (terms.step == -episodes.length).all()
+    assert (terms.goal == 100 * episodes.success).all()
+
+
+def test_results_read_back_are_those_that_were_written(tmp_path):
+    made = compare(["random", "reach_ik"], episodes=10, out=tmp_path, env_options=OPTIONS)
+    read = read_results(tmp_path)
+    pd.testing.assert_frame_equal(read.comparison.episodes, made.episodes)
+    assert (read.comparison.policies, read.comparison.paired) == (made.policies, made.paired)
+    assert read.comparison.env_options == OPTIONS
+
+
+@pytest.mark.parametrize("value", [3, 0.02, (4, 4), None, True, "ur10", "path/to my.urdf"])
+def test_options_survive_as_text(value):
+    assert option_value(str(value)) == value
+
+
+def test_figures_hold_the_numbers_of_the_summary(folder):
+    report = write_report(folder, video=False)
+    summary = {policy["policy"]: policy for policy in json.loads((folder / "summary.json").read_text())["policies"]}
+    bars = plot_of(report, "reach_ik: success")["data"]
+    for bar in bars:
+        success = summary[bar["y"][0]]["success"]
+        low, high = bar["x"][0] - bar["error_x"]["arrayminus"][0], bar["x"][0] + bar["error_x"]["array"][0]
+        np.testing.assert_allclose([bar["x"][0], low, high], [100 * success[name] for name in ("value", "low", "high")])
+    assert len(bars) == 3
+    episodes = pd.read_csv(folder / "episodes.csv")
+    lines = [one for one in plot_of(report, "Share of episodes above")["data"] if one.get("name")]
+    for line in lines:
+        returns = episodes[episodes.policy == line["name"]]["return"]
+        np.testing.assert_allclose(line["y"], [(returns > threshold).mean() for threshold in line["x"]])
+    assert (lines[0]["y"][0], len(lines)) == (1, 3)
+    *terms, total = plot_of(report, "goal")["data"]
+    np.testing.assert_allclose(np.sum([term["x"] for term in terms], axis=0), total["x"])
+    np.testing.assert_allclose(total["x"], [one["episode_return"]["value"] for one in summary.values()])
+    dots = plot_of(report, "Returns of reach_ik against those of reach_ppo")["data"][1]
+    assert sum(size for size, _ in dots["customdata"]) == 12
+    ticks = [one for one in plot_of(report, "99 % within")["data"] if one["mode"] == "markers"]
+    for tick, policy in zip(ticks, summary.values(), strict=True):
+        expected = [policy[f"decision_ms_{name}"] for name in ("p50", "p99", "max")]
+        np.testing.assert_allclose(tick["x"], expected)
+    text = text_of(report)
+    for policy in summary.values():
+        assert f"{100 * policy['success']['value']:.1f} %" in text
+        assert style.signed(f"{policy['return_iqm']['value']:.1f}") in text
+
+
+def test_verdict_and_how_to_do_it_again(folder):
+    text = text_of(write_report(folder, video=False))
+    assert "more an episode than reach_ppo" in text or "cannot be told apart" in text
+    command = "armctl compare reach_ik reach_ppo random --env armctl/ArmReach-v0 --set max_episode_steps=40 --seed 0"
+    assert f"{command} --episodes 12" in text
+    assert json.loads((folder / "summary.json").read_text())["versions"]["mujoco"] in text
+    assert "There are no videos. They were left out" in text
+
+
+def test_nothing_on_the_page_points_elsewhere(folder):
+    html = re.sub(r"<script>.*?</script>", "", write_report(folder, video=False).read_text(), flags=re.DOTALL)
+    assert re.findall(r'(?:src|href)="(?!data:)[^"]*"|url\(|@import', html) == []
+    assert "default-src 'none'" in html
+
+
+def test_the_report_goes_where_it_is_asked_to(folder, tmp_path):
+    assert write_report(folder, tmp_path / "mine.html", video=False) == tmp_path / "mine.html"
+    assert not (folder / "report.html").exists()
+
+
+NAMES = ["<script>alert(1)</script>", '</script><img src=x onerror="alert(1)">', "<b>bold</b> & 'so' {{ 7 * 7 }}"]
+
+
+def test_names_are_shown_and_not_obeyed(folder):
+    for name, hostile in zip(POLICIES, NAMES, strict=True):
+        for file in ("comparison.json", "summary.json"):
+            text = (folder / file).read_text()
+            (folder / file).write_text(text.replace(f'"{name}"', json.dumps(hostile)))
+        for file in ("episodes.csv", "decisions.csv"):
+            table = pd.read_csv(folder / file, dtype=str, keep_default_na=False)
+            table.policy = table.policy.replace({name: hostile})
+            table.to_csv(folder / file, index=False)
+    report = write_report(folder)
+    html = re.sub(r"<script>.*?</script>", "", report.read_text(), count=2, flags=re.DOTALL)
+    assert "<script>alert" not in report.read_text()
+    assert "<img src=x" not in html
+    assert "<b>bold" not in html
+    assert "{{ 7 * 7 }}" in text_of(report)
+
+
+@pytest.mark.parametrize(
+    ("there", "hostile"), [("random", "there:make"), ("armctl/ArmReach-v0", "there:armctl/ArmReach-v0")]
+)
+def test_code_that_a_folder_names_is_called_if_trusted_only(tmp_path, monkeypatch, there, hostile):
+    (tmp_path / "there.py").write_text("import armctl\nfrom pathlib import Path\nPath(__file__ + '.called').touch()\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "there", raising=False)
+    compare(["random"], episodes=1, out=tmp_path, env_options=OPTIONS)
+    for file in ("comparison.json", "summary.json", "episodes.csv", "decisions.csv"):
+        (tmp_path / file).write_text((tmp_path / file).read_text().replace(there, hostile))
+    assert f"There are no videos. {hostile} is code of its own" in text_of(write_report(tmp_path))
+    assert not (tmp_path / "there.py.called").exists()
+    write_report(tmp_path, trusted=True)
+    assert (tmp_path / "there.py.called").exists()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "says"),
+    [
+        (lambda folder: shutil.rmtree(folder), "holds no results"),
+        (lambda folder: (folder / "comparison.json").unlink(), "holds no results"),
+        (lambda folder: (folder / "summary.json").unlink(), "has not ended"),
+        (lambda folder: (folder / "summary.json").write_text("{"), "cannot be read"),
+        (lambda folder: (folder / "summary.json").write_text("[]"), "cannot be read"),
+        (lambda folder: (folder / "comparison.json").write_bytes(b"\xff\xfe"), "cannot be read"),
+        (lambda folder: (folder / "episodes.csv").unlink(), "cannot be read"),
+        (lambda folder: (folder / "episodes.csv").write_text("policy\nrandom\n"), "line 1"),
+        (lambda folder: (folder / "decisions.csv").write_text("policy,episode,decision_ms\n"), "not of the episodes"),
+        (lambda folder: (folder / "sweep.csv").write_text("level\n1\n"), "no column disturbance"),
+        (lambda folder: (folder / "report.html").mkdir(), "cannot be written"),
+    ],
+)
+def test_folders_of_which_no_report_can_be_made(folder, spoil, says):
+    spoil(folder)
+    with pytest.raises(ResultsError, match=says):
+        write_report(folder, video=False)
+    assert not list(folder.glob("report.html.new"))
+
+
+def test_a_damaged_reward_term_is_told(folder):
+    text = (folder / "episodes.csv").read_text()
+    (folder / "episodes.csv").write_text(text.replace('""goal""', '""goal', 1))
+    with pytest.raises(ResultsError, match="damaged in line 2"):
+        write_report(folder, video=False)
+
+
+def test_a_folder_that_cannot_be_written(folder):
+    with pytest.raises(ResultsError, match="cannot be written"):
+        write_report(folder, "/proc/report.html", video=False)
+    if os.geteuid():  # root may write anywhere
+        folder.chmod(0o500)
+        with pytest.raises(ResultsError, match="cannot be written"):
+            write_report(folder, video=False)
+        folder.chmod(0o700)
+
+
+def test_one_policy_and_a_single_episode(tmp_path):
+    compare("reach_ik", episodes=1, out=tmp_path)
+    text = text_of(write_report(tmp_path, video=False))
+    assert "reach_ik succeeds in 100.0 % of 1 episodes (20.7 to 100.0 %)." in text
+    assert "Pair by pair" not in text
+
+
+def test_a_few_episodes_have_no_verdict(tmp_path):
+    compare(["reach_ik", "random"], episodes=2, out=tmp_path, env_options=OPTIONS)
+    assert "No verdict from 2 episodes" in text_of(write_report(tmp_path, video=False))
+
+
+class Still:
+    """Holds still, but for what happens when the episode `last` begins."""
+
+    sees = "observation"
+    training_steps = 0
+
+    def __init__(self, env, last, happens):
+        self.env, self.last, self.happens = env, last, happens
+
+    def reset(self, ids):
+        if self.env.episodes.max() == self.last:
+            raise self.happens
+
+    def act(self, observations):
+        return observations[:, 3:9]
+
+
+def broken(env):
+    return Still(env, 0, RuntimeError("out of ideas"))
+
+
+def stopping(env):
+    return Still(env, 2, KeyboardInterrupt)
+
+
+def test_an_interrupted_comparison_and_a_failed_policy(tmp_path):
+    comparison = compare([broken, "reach_ik", stopping], episodes=5, out=tmp_path, env_options=OPTIONS)
+    assert comparison.interrupted
+    text = text_of(write_report(tmp_path, video=False))
+    assert "The comparison was interrupted" in text
+    assert "broken has finished no episode that counts" in text
+    assert "out of ideas" in text
+    assert "stopping was cut short: its figures are over the first 2 of 5 episodes" in text
+
+
+def test_no_episode_at_all_is_a_report_too(tmp_path):
+    compare([broken], episodes=2, out=tmp_path)
+    assert "No episode was finished." in text_of(write_report(tmp_path))
+
+
+def test_learning_curves_of_agents_beside_the_others(tmp_path):
+    agents = card_path("reach_ppo")
+    mine = tmp_path / "runs" / "mine-0"
+    mine.mkdir(parents=True)
+    for suffix in (".json", ".onnx"):
+        shutil.copy(agents.with_suffix(suffix), mine / f"agent{suffix}")
+    (mine / "curve.csv").write_text(CURVE)
+    agent = str(mine / "agent.json")
+    compare(["reach_ik", agent], episodes=2, out=tmp_path / "results")
+    report = write_report(tmp_path / "results", video=False)
+    ik, curve = (one for one in plot_of(report, "during training")["data"] if one.get("name"))
+    assert (curve["name"], curve["x"], curve["y"]) == ("mine-0", [1000, 9000], [0.25, 0.875])
+    assert (ik["name"], ik["y"], ik["line"]["dash"]) == ("reach_ik", [1, 1], "dot")
+    (mine / "curve.csv").write_text("steps\n1\n")
+    assert "curve.csv cannot be read: it has no column minutes" in text_of(
+        write_report(tmp_path / "results", video=False)
+    )
+
+
+def test_a_sweep_with_and_without_its_undisturbed_comparison(folder, tmp_path):
+    sweep = tmp_path / "sweep"
+    sweep.mkdir()
+    (sweep / "sweep.csv").write_text(SWEEP)
+    report = write_report(sweep)
+    assert list(plots_of(report)) == [f"Success against the level of {kind}" for kind in ("noise", "delay")]
+    lines = [one for one in plot_of(report, "delay")["data"] if one.get("name")]
+    assert [line["name"] for line in lines] == ["reach_ik", "reach_bc"]
+    np.testing.assert_allclose(lines[1]["y"], [0.9, 0.8, 0.6])
+    assert lines[1]["x"] == ["0", "0.1", "0.3"]
+    shutil.copytree(folder, sweep / "none")
+    again = write_report(sweep, video=False)
+    assert "--disturbance noise=0,0.1,0.3 --disturbance delay=0,0.1,0.3" in again.read_text()
+    both = plots_of(again)
+    assert len(both) == len(plots_of(write_report(folder, video=False))) + 2
+
+
+def test_the_commands_write_it_and_say_where(tmp_path):
+    def armctl(*arguments):
+        return subprocess.run([ARMCTL, *arguments], capture_output=True, text=True, cwd=tmp_path)
+
+    done = armctl("compare", "reach_ik", "--episodes", "1", "--out", "here", "--report")
+    assert done.returncode == 0, done.stderr
+    assert "here/report.html is the report" in done.stdout
+    assert (tmp_path / "here" / "report.html").stat().st_size > 1e6
+    assert "mine.html is the report" in armctl("report", "here", "--out", "mine.html", "--no-video").stdout
+    missing = armctl("report", "elsewhere")
+    assert (missing.returncode, "elsewhere holds no results" in missing.stderr) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.01234, "0.012"), (9.96, "10"), (99.7, "100"), (1234.5, "1,234"), (-0.5, "\u22120.5"), (0, "0")],
+)
+def test_numbers_are_short_and_plain(value, text):
+    assert style.number(value, 2) == text
+
+
+def test_policies_are_told_apart():
+    names = ["random", "runs/ppo-0/agent.json", "runs/ppo-1/agent.onnx", "shipped/reach_bc.json", *map(str, range(9))]
+    look = style.looks(names)
+    assert [look[name].label for name in names[:4]] == ["random", "ppo-0", "ppo-1", "reach_bc"]
+    assert len({(one.colour, one.dash) for one in look.values()}) == len(names)
+    assert style.looks(["a/x/agent.json", "b/x/agent.json"])["a/x/agent.json"].label == "a/x/agent.json"
+
+
+def test_episodes_to_show(finished):
+    episodes = read_results(finished).episodes
+    together = videos.most_different(episodes)
+    assert [result.policy for result in together] == POLICIES
+    assert len({result.episode for result in together}) == 1
+    for result in videos.worst(episodes):
+        assert result.total_reward == min(one.total_reward for one in episodes[result.policy])
+    assert videos.most_different({"reach_ik": episodes["reach_ik"]}) == []
+
+
+def needs_opengl():
+    from armctl.simulation import Camera
+
+    env = page.make_worlds("armctl/ArmReach-v0", 1)
+    assert isinstance(env, TaskVectorEnv)
+    try:
+        Camera(env.task.simulation.model, env.task.camera, 16, 16).close()
+    except ConfigurationError as error:
+        pytest.skip(f"no OpenGL: another test checks what is said then ({error})")
+
+
+def test_videos_show_the_episodes_of_the_table(finished, tmp_path):
+    needs_opengl()
+    import imageio.v3 as imageio
+
+    results = read_results(finished)
+    together = videos.most_different(results.episodes)
+    clips = videos.film(results, together, trusted=False)
+    assert [clip.problem for clip in clips] == [""] * 3
+    frames = [imageio.imread(clip.video, extension=".mp4") for clip in clips]
+    assert len({one.shape for one in frames}) == 1
+    longest = max(result.length for result in together)
+    assert len(frames[0]) > longest + 1
+    for result, shown in zip(together, frames, strict=True):
+        assert np.abs(shown[0].astype(int) - shown[result.length]).max() > 50  # the arm has moved
+        assert np.abs(shown[-1].astype(int) - shown[result.length]).mean() < 2  # and stands still in the end
+
+
+def test_a_replay_that_goes_otherwise_is_told(finished):
+    needs_opengl()
+    from dataclasses import replace
+
+    results = read_results(finished)
+    (clip,) = videos.film(results, [replace(results.episodes["reach_ik"][0], outcome="fell")], trusted=False)
+    assert clip.problem.startswith("Played again: reached after")
+    assert clip.video
+
+
+def test_policies_that_are_gone_are_told_and_the_others_shown(folder):
+    needs_opengl()
+    for file in ("comparison.json", "summary.json", "episodes.csv", "decisions.csv"):
+        (folder / file).write_text((folder / file).read_text().replace("reach_ppo", "gone/agent.json"))
+    report = write_report(folder)
+    assert text_of(report).count("No video: the agent's card gone/agent.json cannot be read") == 2
+    assert report.read_text().count("<video") == 4
+
+
+def test_without_opengl_the_report_says_so(folder, monkeypatch):
+    def none(*arguments):
+        raise ConfigurationError("pictures need OpenGL, and MuJoCo found none")
+
+    monkeypatch.setattr(videos, "Camera", none)
+    report = write_report(folder)
+    assert "There are no videos. pictures need OpenGL" in text_of(report)
+    assert "<video" not in report.read_text()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
+@pytest.mark.parametrize("width", [1280, 390])
+def test_the_page_in_a_browser(folder, tmp_path, width):
+    playwright = pytest.importorskip("playwright.sync_api", reason="no Playwright here: pip install playwright")
+    (folder / "sweep.csv").write_text(SWEEP)
+    report = write_report(folder)
+    assert report.stat().st_size < 15e6
+    requests, complaints = [], []
+    with playwright.sync_playwright() as p:
+        browser = p.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        tab = browser.new_page(viewport={"width": width, "height": 844})
+        tab.on("request", lambda request: requests.append(request.url))
+        tab.on("console", lambda message: complaints.append(message.text))
+        tab.on("pageerror", lambda error: complaints.append(str(error)))
+        tab.goto(report.as_uri(), timeout=120_000)
+        drawn = (
+            "() => [...document.querySelectorAll('.canvas')].every(canvas => canvas.querySelector('.trace, .point'))"
+        )
+        tab.wait_for_function(drawn, timeout=120_000)
+        assert tab.locator(".canvas").count() == len(plots_of(report)) == 10
+        assert tab.evaluate("document.documentElement.scrollWidth") <= width
+        clips = tab.locator("video")
+        if clips.count():
+            tab.wait_for_function("() => [...document.querySelectorAll('video')].every(clip => clip.duration > 0.5)")
+            tab.locator(".together").scroll_into_view_if_needed()
+            tab.wait_for_function("() => document.querySelector('video').currentTime > 0.2")
+            shown = tab.evaluate("[...document.querySelectorAll('.together video')].map(clip => clip.currentTime)")
+            assert max(shown) - min(shown) < 0.5
+        else:
+            assert "OpenGL" in tab.locator("body").inner_text()
+        wide = "[...document.querySelectorAll('.canvas .main-svg')].map(svg => svg.getBoundingClientRect().width)"
+        tab.evaluate("dispatchEvent(new Event('beforeprint'))")
+        assert max(tab.evaluate(wide)) <= 680
+        tab.evaluate("dispatchEvent(new Event('afterprint'))")
+        pdf = tab.pdf(prefer_css_page_size=True)
+        assert pdf.startswith(b"%PDF")
+        assert 3 <= len(re.findall(rb"/Type\s*/Page\b", pdf)) <= 12
+        browser.close()
+    assert [url for url in requests if not url.startswith("data:")] == [report.as_uri()]
+    assert complaints == []

@@ -1,0 +1,111 @@
+import gymnasium
+import numpy as np
+import pytest
+
+from armctl.envs import TaskVectorEnv
+from armctl.kinematics import THOROUGH, MinimumTimeReach
+from armctl.policies import make_policy
+from armctl.shaping import make_potential, potential_names
+from armctl.tasks import ReachTask
+
+from .test_wrappers import PAIRS, make
+
+
+def test_each_environment_names_its_oracles():
+    names = {env: potential_names(make(env, 1)) for env in gymnasium.registry if env.startswith("armctl/")}
+    assert names == {
+        "armctl/ArmReach-v0": ["distance", "ik", "mpc"],
+        "armctl/ArmReachMoving-v0": ["distance", "ik", "mpc"],
+        "armctl/ArmReachObstacles-v0": ["distance", "ik", "mpc", "ompl"],
+        "armctl/BridgeCross-v0": ["distance", "ompl"],
+        "armctl/BridgeCrossMoving-v0": ["distance", "ompl"],
+    }
+
+
+@pytest.mark.parametrize(("env", "name", "expert"), PAIRS)
+def test_a_potential_is_one_function_of_the_state_for_an_episode(env, name, expert):
+    """A state has the same potential for who has followed the episode and for who looks at its end only."""
+    worlds = make(env)
+    follower, actor = make_potential(name, worlds), make_policy(expert, worlds)
+    observations, _ = worlds.reset(seed=2)
+    ids = np.arange(4, dtype=np.int32)
+    actor.reset(ids)
+    follower.begin(ids)
+    for _ in range(6):
+        observations, *_ = worlds.step(actor.act(observations))
+        follower.potentials(ids)
+    now = follower.potentials(ids)
+    assert np.isfinite(now).all()
+    assert (now <= 0).all()
+    late = make_potential(name, worlds)
+    if name == "mpc":
+        late._chosen = follower._chosen  # chosen at the start of the episode
+    else:
+        late.begin(ids)
+    np.testing.assert_array_equal(late.potentials(ids[::-1]), now[::-1])
+    np.testing.assert_array_equal(late.potentials(ids[1:3]), now[1:3])
+
+
+@pytest.mark.parametrize(("env", "name", "expert"), [pair for pair in PAIRS if "Moving" not in pair[0]])
+def test_an_expert_climbs_its_potential(env, name, expert):
+    worlds = make(env)
+    oracle, actor = make_potential(name, worlds), make_policy(expert, worlds)
+    observations, _ = worlds.reset(seed=2)
+    ids = np.arange(4, dtype=np.int32)
+    actor.reset(ids)
+    oracle.begin(ids)
+    begin = highest = oracle.potentials(ids)
+    won = np.zeros(4, dtype=bool)
+    while not won.all():
+        observations, _, terminated, truncated, infos = worlds.step(actor.act(observations))
+        won |= terminated & infos["is_success"]
+        assert not truncated.any()
+        highest = np.maximum(highest, oracle.potentials(ids))
+    assert (highest > 0.5 * begin).all()
+
+
+def test_ik_is_near_the_least_time():
+    worlds = TaskVectorEnv(40, task=ReachTask)
+    oracle = make_potential("ik", worlds)
+    worlds.reset(seed=1)
+    ids = np.arange(40, dtype=np.int32)
+    oracle.begin(ids)
+    least = np.array([worlds.task.least_time(i) for i in ids])
+    over = -oracle.potentials(ids) - least
+    assert (over > -0.01).all()
+    assert np.median(over) < 0.03
+    assert np.quantile(over, 0.9) < 0.12
+
+
+def test_ik_is_zero_in_the_sphere_only():
+    worlds = TaskVectorEnv(8, task=ReachTask)
+    oracle, actor = make_potential("ik", worlds), make_policy("reach_ik", worlds)
+    observations, _ = worlds.reset(seed=1)
+    ids = np.arange(8, dtype=np.int32)
+    actor.reset(ids)
+    oracle.begin(ids)
+    for _ in range(40):
+        observations, *_ = worlds.step(actor.act(observations))
+        inside = worlds.task.state.distance <= 0.05
+        np.testing.assert_array_equal(oracle.potentials(ids) == 0, inside)
+
+
+def test_ompl_knows_nothing_where_there_is_no_way():
+    worlds = make("armctl/ArmReachObstacles-v0", 2)
+    worlds.reset(seed=0)
+    worlds.task._ways[1] = np.zeros((0, 6))
+    oracle = make_potential("ompl", worlds)
+    ids = np.arange(2, dtype=np.int32)
+    oracle.begin(ids)
+    potentials = oracle.potentials(ids)
+    assert potentials[0] < 0
+    assert potentials[1] == 0
+
+
+def test_the_way_of_ompl_leads_into_the_sphere():
+    worlds = make("armctl/ArmReachObstacles-v0", 5)
+    worlds.reset(seed=0)
+    touch = MinimumTimeReach(worlds.task._workspace.model, THOROUGH)
+    for i in range(5):
+        tip = touch.model.position(worlds.task.way(i)[-1])
+        assert np.linalg.norm(tip - worlds.task.state.target_position[i]) <= worlds.task.options.tolerance

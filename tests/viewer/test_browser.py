@@ -1,0 +1,193 @@
+"""The live viewer: its player without a browser, its page in headless Chromium, where there is one."""
+
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from io import BytesIO
+from pathlib import Path
+from urllib.request import urlopen
+
+import imageio.v3 as imageio
+import numpy as np
+import pytest
+from mujoco.studio import launch_thread, messages, sim, viewer_handle
+
+from armctl.viewer.browser import LOOPBACK, Frame, Play, Player
+from armctl.viewer.stage import Stage
+
+ARMCTL = str(Path(sys.executable).parent / "armctl")
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+SOFTWARE_GL = ("--no-sandbox", "--enable-unsafe-swiftshader", "--use-angle=swiftshader")
+
+
+class Viewer:
+    """The other end of a player: what Studio's thread would be."""
+
+    def __init__(self, policy, env="armctl/ArmReach-v0"):
+        self.end, other_end = launch_thread.make_thread_endpoints()
+        self.player = Player(Stage(policy, env, seed=3))
+        self.handle = viewer_handle.ViewerHandle(other_end, sim_plugins=[self.player])
+        self.handle.set_model(self.player.scenery.model)
+        self.frame = None
+
+    def play(self, seconds=0.1):
+        until = time.perf_counter() + seconds
+        while time.perf_counter() < until:
+            self.handle.sync()
+        frames = [one for one in self.end.get_sim_snapshots() if isinstance(one, Frame)]
+        self.frame = frames[-1] if frames else self.frame
+        return self.frame.status
+
+    def wish(self, *wishes, seconds=0.1):
+        for wish in wishes:
+            self.end.send_to_sim(wish)
+        return self.play(seconds)
+
+
+def test_an_episode_takes_as_long_as_it_lasts():
+    viewer = Viewer("random")
+    viewer.play()
+    before = viewer.frame.status.steps
+    assert viewer.play(2.0).steps - before == pytest.approx(50, abs=5)
+    assert viewer.handle.data.qpos.any()
+
+
+def test_pause_step_again_and_next():
+    viewer = Viewer("random")
+    pause, go_on = (messages.RequestPauseEvent(sim.PauseState(paused)) for paused in (True, False))
+    stopped = viewer.wish(pause)
+    assert viewer.frame.paused
+    assert viewer.play(0.3) == stopped
+    assert viewer.wish(messages.SingleStepEvent()).steps == stopped.steps + 1
+    assert viewer.wish(Play("random", 3, 0)).steps == 0
+    status = viewer.wish(go_on, Play("random", 9, 4), seconds=0.3)
+    assert (status.seed, status.episode) == (9, 4)
+    assert status.steps > 2
+
+
+def test_the_next_episode_follows_and_another_policy_may_come_on():
+    viewer = Viewer("reach_ik")
+    assert viewer.play(4.0).episode == 1
+    assert viewer.wish(Play("random", 3, 1)).policy == "random"
+    status = viewer.wish(Play("bridge_ompl", 3, 1))
+    assert (status.policy, viewer.frame.notice[:11]) == ("random", "bridge_ompl")
+    viewer.wish(Play("random", 3, 2))
+    assert viewer.frame.notice == ""
+
+
+def test_plans_are_drawn_and_no_other_model_is_let_in(tmp_path):
+    viewer = Viewer("reach_mpc")
+    viewer.play(0.3)
+    assert viewer.frame.plans == ("horizon",)
+    assert len(viewer.frame.geoms) > 10
+    model = tmp_path / "other.xml"
+    model.write_text("<mujoco/>")
+    viewer.wish(messages.LoadModelEvent(path=str(model)))
+    assert viewer.handle.model is viewer.player.scenery.model
+
+
+@contextmanager
+def viewing(tmp_path, *arguments):
+    """`armctl view`, and the port of its page once that is there; ended as with Ctrl-C."""
+    command = [ARMCTL, "view", *arguments, "--no-open"]
+    log = tmp_path / "log.txt"
+    with log.open("w") as output, subprocess.Popen(command, stdout=output, stderr=output, cwd=tmp_path) as process:
+        try:
+            port = None
+            while port is None:
+                assert process.poll() is None, log.read_text()
+                time.sleep(0.2)
+                found = re.search(r"http://localhost:(\d+)/", log.read_text())
+                port = found and int(found[1])
+            yield port
+        finally:
+            process.send_signal(signal.SIGINT)
+            code = process.wait(60)
+    assert code == 130, log.read_text()
+    assert "Traceback" not in log.read_text()
+
+
+def answers(host, port):
+    with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as client:
+        client.settimeout(5)
+        return client.connect_ex((host, port)) == 0
+
+
+def own_addresses():
+    """Of this machine's interfaces, as far as its name tells, and a loopback address that only `0.0.0.0` answers."""
+    named = {place[0] for *_, place in socket.getaddrinfo(socket.gethostname(), None, proto=socket.IPPROTO_TCP)}
+    return {"127.0.0.2", *named} - {LOOPBACK}
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere 127.0.0.2 needs to be set up")
+def test_the_page_answers_on_loopback_alone_and_a_taken_port_is_told(tmp_path):
+    with viewing(tmp_path, "random") as port:
+        with urlopen(f"http://{LOOPBACK}:{port}/") as page:
+            assert b"web_client" in page.read()
+        assert [address for address in own_addresses() if answers(address, port)] == []
+        again = subprocess.run([ARMCTL, "view", "random", "--port", str(port)], capture_output=True, text=True)
+    assert again.returncode == 2
+    assert f"port {port}" in again.stderr
+    with socket.socket() as public:  # what the addresses above do answer to
+        public.bind(("0.0.0.0", 0))
+        public.listen()
+        assert answers("127.0.0.2", public.getsockname()[1])
+
+
+def test_a_window_without_a_screen_is_a_clear_error(tmp_path):
+    blind = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    done = subprocess.run([ARMCTL, "view", "random", "--native"], capture_output=True, text=True, env=blind)
+    assert (done.returncode, "no display" in done.stderr) == (2, True)
+
+
+def picture(page):
+    """What the page shows of the world, beside the panel, (height, width, 3)."""
+    return imageio.imread(BytesIO(page.screenshot(timeout=120_000)))[:-40, 380:, :3].astype(int)
+
+
+def changed(before, now):
+    """Part of a picture that another one shows otherwise."""
+    return (np.abs(now - before).max(axis=2) > 30).mean()
+
+
+def stands_still(page):
+    """For longer than between two episodes."""
+    before = picture(page)
+    page.wait_for_timeout(3000)
+    return changed(before, picture(page)) < 1e-4
+
+
+def eventually(page, holds, seconds=200):
+    """Whether something comes to hold: a browser that renders in software can be late by many seconds."""
+    until = time.monotonic() + seconds
+    while not (held := holds()) and time.monotonic() < until:
+        page.wait_for_timeout(500)
+    return held
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
+def test_the_robot_moves_on_the_page_and_no_request_leaves_the_machine(tmp_path):
+    playwright = pytest.importorskip("playwright.sync_api", reason="no Playwright here: pip install playwright")
+    addresses = []
+    with viewing(tmp_path, "reach_mpc", "--env", "armctl/ArmReachMoving-v0") as port, playwright.sync_playwright() as p:
+        browser = p.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE_GL)
+        page = browser.new_page(viewport={"width": 800, "height": 500})
+        page.on("request", lambda request: addresses.append(request.url))
+        page.on("websocket", lambda connection: addresses.append(connection.url))
+        page.goto(f"http://localhost:{port}/", wait_until="commit", timeout=120_000)
+        assert eventually(page, lambda: picture(page).std() > 15)
+        first = picture(page)
+        assert eventually(page, lambda: changed(first, picture(page)) > 0.005)
+        page.mouse.click(700, 400)
+        page.keyboard.down("Space")
+        assert eventually(page, lambda: stands_still(page))
+        browser.close()
+    assert any(address.startswith("ws://") for address in addresses)
+    assert [address for address in addresses if not re.match(rf"(http|ws)://localhost:{port}/", address)] == []
