@@ -11,29 +11,27 @@ from armctl import Task, register
 from armctl.disturbances import GENERIC, DisturbanceSpec, Payload, Pushes
 from armctl.options import options
 from armctl.simulation import Simulation
-from armctl.tasks import MotionSample, Outcome
+from armctl.tasks import MotionSample, Outcome, Potential
 
 WORLD = """
 <mujoco>
   <option timestep="0.004" integrator="implicitfast"/>
-  <worldbody>
-    <light pos="0 0 4"/> <camera name="overview" pos="0 -4 2" xyaxes="1 0 0 0 0.3 1"/>
+  <worldbody> <light pos="0 0 4"/>
+    <camera name="overview" pos="0 -4 2" xyaxes="1 0 0 0 0.3 1"/>
     <geom name="floor" type="plane" size="5 5 0.1" rgba="0.7 0.75 0.8 1"/>
-    <body name="target" mocap="true"> <geom type="sphere" size="0.1" rgba="0 0.8 0 0.5" contype="0" conaffinity="0"/> </body>
+    <body name="target" mocap="true"> <geom size="0.1" rgba="0 0.8 0 0.5" contype="0" conaffinity="0"/> </body>
     <body name="quadrotor" pos="0 0 1">
       <freejoint/> <geom type="box" size="0.12 0.12 0.03" mass="1" rgba="0.2 0.2 0.25 1"/>
       <site name="front_left" pos="0.1 0.1 0"/> <site name="front_right" pos="0.1 -0.1 0"/>
       <site name="rear_left" pos="-0.1 0.1 0"/> <site name="rear_right" pos="-0.1 -0.1 0"/>
     </body>
-  </worldbody>
-  <actuator>
+  </worldbody> <actuator>
     <motor site="front_left" gear="0 0 1 0 0 0.02"/> <motor site="front_right" gear="0 0 1 0 0 -0.02"/>
     <motor site="rear_left" gear="0 0 1 0 0 -0.02"/> <motor site="rear_right" gear="0 0 1 0 0 0.02"/>
-  </actuator>
-  <keyframe> <key name="start" qpos="0 0 1 1 0 0 0"/> </keyframe>
-</mujoco>
-"""
-ARM, YAW_TORQUE, MASS, GRAVITY, MAX_THRUST = 0.1, 0.02, 1.0, 9.81, 6.0
+  </actuator> <keyframe> <key name="start" qpos="0 0 1 1 0 0 0"/> </keyframe>
+</mujoco>"""
+MASS, ARM, YAW_TORQUE, MAX_THRUST, GRAVITY = 1.0, 0.1, 0.02, 6.0, 9.81
+MIXER = np.array([(1, 1, -1, 1), (1, -1, -1, -1), (1, 1, 1, -1), (1, -1, 1, 1)])  # rotors by lift, roll, pitch, yaw
 
 
 @options
@@ -41,7 +39,7 @@ class HoverOptions:
     """Options of `mine/Hover-v0`."""
 
     tolerance: Annotated[float, Field(gt=0)] = 0.1
-    """m from the target, within which a quadrotor slower than 0.5 m/s has done its job."""
+    """m from the target within which a quadrotor that is slower than 0.5 m/s hovers."""
 
 
 class HoverOutcome(Outcome):
@@ -52,18 +50,12 @@ class HoverOutcome(Outcome):
     CRASHED = 2
 
 
-class DistanceToTarget:
-    """A potential for reward shaping: minus the distance to the target, m."""
-
-    def __init__(self, task):
-        self._task = task
-
-    def begin(self, ids):
-        """Nothing to prepare."""
+class TimeToGo(Potential):
+    """A potential for reward shaping: minus the seconds to the target at 1 m/s, and as long again to slow down."""
 
     def potentials(self, ids):
-        """In m, (len(ids),)."""
-        return -self._task.goal_distances()[ids]
+        """In s, (len(ids),)."""
+        return -self.task.goal_distances()[ids] - np.linalg.norm(self.task.velocities[ids], axis=1)
 
 
 class HoverTask(Task):
@@ -71,8 +63,8 @@ class HoverTask(Task):
 
     options_type = HoverOptions
     outcomes = HoverOutcome
-    default_policies = ("hover:expert", "random")
-    potentials = {"distance": DistanceToTarget}
+    default_policies = ("hover:Expert", "random")
+    potentials = Task.potentials | {"time": TimeToGo}
     disturbances = GENERIC | {
         "payload": DisturbanceSpec(Payload, "a ball in the middle", "kg", (0, 0.1, 0.2, 0.5), highest=2.0),
         "pushes": DisturbanceSpec(Pushes, "pushes, about one a second", "N s", (0, 0.5, 1, 2), highest=10.0),
@@ -83,18 +75,17 @@ class HoverTask(Task):
 
     def __init__(self, n, options, threads=0):
         super().__init__(Simulation(mujoco.MjModel.from_xml_string(WORLD), n, threads), control_period=0.02)
-        self.options = options
         self._qpos, self._qvel, self._thrusts, self._contacts, self._targets = (
             self.simulation.array(name) for name in ("qpos", "qvel", "ctrl", "ncon", "mocap_pos")
         )
+        self.options, self.velocities = options, self._qvel[:, :3]
         self.action_space = gymnasium.spaces.Box(0.0, MAX_THRUST, (4,))
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (18,))
 
     def reset(self, ids, rngs):
         """Quadrotors hang in the air at the origin; targets are somewhere around them."""
         self.simulation.reset(ids)
-        for i, rng in zip(ids, rngs, strict=True):
-            self._targets[i, 0] = rng.uniform((-1, -1, 0.5), (1, 1, 2))
+        self._targets[ids, 0] = [rng.uniform((-1, -1, 0.5), (1, 1, 2)) for rng in rngs]
         self.simulation.refresh(ids)
 
     def command(self, actions):
@@ -118,9 +109,9 @@ class HoverTask(Task):
 
     def outcome(self):
         """`CRASHED` on contact with the floor, `HOVERING` near the target and slow."""
-        slow = np.linalg.norm(self._qvel[:, :3], axis=1) < 0.5
-        there = (self.goal_distances() < self.options.tolerance) & slow
-        return np.where(self._contacts > 0, HoverOutcome.CRASHED, there * HoverOutcome.HOVERING)
+        slow = np.linalg.norm(self.velocities, axis=1) < 0.5
+        hovering = (self.goal_distances() < self.options.tolerance) & slow
+        return np.where(self._contacts > 0, HoverOutcome.CRASHED, hovering * HoverOutcome.HOVERING)
 
     def goal_distances(self):
         """(n,) m."""
@@ -137,8 +128,10 @@ class HoverTask(Task):
 class Expert:
     """A cascade of PD controllers: for the acceleration, then for the attitude that it takes."""
 
-    sees = "observation"
-    training_steps = 0
+    sees, training_steps = "observation", 0
+
+    def __init__(self, env):
+        """From the environment it acts in, of which it needs to know nothing."""
 
     def reset(self, ids):
         """Nothing to forget."""
@@ -146,17 +139,11 @@ class Expert:
     def act(self, observations):
         """Thrusts (n, 4) for observations (n, 18)."""
         offset, rotation, velocity, rates = np.split(observations.astype(float), (3, 12, 15), axis=1)
-        wanted = np.clip(4 * offset - 3 * velocity, -4, 4) + (0, 0, GRAVITY)
-        ahead = np.einsum("nij,ni->nj", rotation.reshape(-1, 3, 3), wanted)  # in the body frame
-        roll, pitch, yaw = (0.4 * np.cross((0, 0, 1), ahead / GRAVITY) - 0.08 * rates).T
-        lift, roll, pitch, yaw = MASS * ahead[:, 2] / 4, roll / ARM / 4, pitch / ARM / 4, yaw / YAW_TORQUE / 4
-        thrusts = (lift + roll - pitch + yaw, lift - roll - pitch - yaw, lift + roll + pitch - yaw, lift - roll + pitch + yaw)
-        return np.stack(thrusts, axis=1)
-
-
-def expert(env):
-    """Cascaded PD control of position and attitude."""
-    return Expert()
+        wanted = np.array((0, 0, GRAVITY)) + np.clip(4 * offset - 3 * velocity, -4, 4)
+        body_frame = np.einsum("nij,ni->nj", rotation.reshape(-1, 3, 3), wanted)
+        roll, pitch, yaw = (0.4 * np.cross((0, 0, 1), body_frame / GRAVITY) - 0.08 * rates).T
+        wrench = np.stack((MASS * body_frame[:, 2], roll / ARM, pitch / ARM, yaw / YAW_TORQUE), axis=1)
+        return wrench @ MIXER.T / 4
 
 
 register("mine/Hover-v0", HoverTask, max_episode_steps=250)

@@ -37,6 +37,11 @@ def register(env_id: str, task: "str | type[Any]", *, max_episode_steps: int | N
     )
 
 
+def bare_id(env: str) -> str:
+    """The id of an environment without the module that registers it: `mine/Hover-v0` of `hover:mine/Hover-v0`."""
+    return env.rpartition(":")[2]
+
+
 def environment_names() -> list[str]:
     """Ids of all environments that were made of tasks."""
     return sorted(env_id for env_id, spec in gymnasium.registry.items() if spec.vector_entry_point == VECTOR_ENV)

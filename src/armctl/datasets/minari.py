@@ -21,7 +21,7 @@ import numpy as np
 from armctl import DEFAULT_ENV
 from armctl.agents import shapes
 from armctl.datasets.demonstrations import Demonstration, demonstrate
-from armctl.envs import TaskVectorEnv, make_worlds
+from armctl.envs import TaskVectorEnv, find_spec, make_worlds
 from armctl.errors import ConfigurationError, ResultsError
 from armctl.evaluation.provenance import versions
 from armctl.evaluation.record import EpisodeResult
@@ -264,7 +264,7 @@ def _minari() -> Any:
 
 def _spec(env: str, options: Mapping[str, Any]) -> Any:
     """How to make the environment again; None where an option cannot be written down."""
-    spec = copy.deepcopy(gymnasium.spec(env))
+    spec = copy.deepcopy(find_spec(env))
     given = dict(options)
     spec.max_episode_steps = given.pop("max_episode_steps", spec.max_episode_steps)
     spec.kwargs.update(given)

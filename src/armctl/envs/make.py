@@ -49,13 +49,11 @@ def find_spec(env: str) -> Any:
         if module:
             add_cwd_to_path()
             __import__(module)
-        spec = gymnasium.spec(name)
-    except (gymnasium.error.Error, ModuleNotFoundError) as error:
-        if not module:
-            raise unknown_name("environment", env, environment_names()) from error
-        raise ConfigurationError(
-            f"no environment {env!r}: {error} There are: {', '.join(environment_names())}"
-        ) from error
+    except Exception as error:  # whatever somebody else's module may raise
+        raise ConfigurationError(f"no environment {env!r}: {type(error).__name__}: {error}") from error
+    if name not in gymnasium.registry:
+        raise unknown_name("environment", name, environment_names())
+    spec = gymnasium.spec(name)
     if name not in environment_names():
         raise ConfigurationError(f"{env} is not one of armctl's environments: {', '.join(environment_names())}")
     return spec

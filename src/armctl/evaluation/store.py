@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from armctl.errors import ResultsError
 from armctl.evaluation.record import COLUMNS, EpisodeResult
+from armctl.registration import bare_id
 
 COMPARISON, EPISODES, DECISIONS, SUMMARY = "comparison.json", "episodes.csv", "decisions.csv", "summary.json"
 DECISION_COLUMNS = ("policy", "episode", "decision_ms")
@@ -121,7 +122,7 @@ def read_episodes(folder: Path, comparison: Mapping[str, Any]) -> list[EpisodeRe
             if (pair := (row["policy"], row["episode"])) not in times:
                 continue
             result = EpisodeResult.from_row(row, times[pair])
-            expected = comparison["env"], comparison["seed"], len(result.decision_ms)
+            expected = bare_id(comparison["env"]), comparison["seed"], len(result.decision_ms)
             if (result.env, result.seed, result.length) != expected or result.policy not in comparison["policies"]:
                 raise ValueError("not an episode of this comparison")
             if pair in kept:

@@ -1,7 +1,8 @@
-"""How far an arm's links are from what they must not touch, and how that changes with its joints, for many postures.
+"""Distances of an arm's links from obstacles and each other, and their gradients, for many configurations at once.
 
-Links are capsules: segments, with a radius. From boxes their distance is taken at points along the segment, from the
-floor at its ends, and from each other in closed form (Ericson, "Real-time collision detection", 2005, section 5.1.9).
+Links are capsules: segments with a radius. Distances from boxes are sampled along the segment, those from the floor are
+taken at its ends, and those between links in closed form (Ericson, "Real-time collision detection", 2005, section
+5.1.9).
 """
 
 from collections.abc import Callable
@@ -18,13 +19,13 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 SPACING = 0.06
-"""m, at most, between points along a link: one of 5 cm radius may come nearer to an edge by 8 mm than they tell."""
+"""m: largest spacing of sample points. A link of 5 cm radius may be nearer to an edge by 8 mm than they show."""
 
 
 Contacts = tuple[Array, Array, Integers, Integers, Array]
-"""Of p pairs: points (n, p, 3) of links, normals (n, p, 3) towards them, links, other links (-1: none), their feet."""
+"""Of p pairs: points (n, p, 3) on links, normals (n, p, 3) towards them, links, other links (-1: none), their feet."""
 Part = tuple[Array, Callable[[], Contacts]]
-"""Distances (n, p) of p pairs, m, and how they come about, for those who ask."""
+"""Distances (n, p) of p pairs, m, and a function that computes their contacts on demand."""
 
 
 class Clearance:
@@ -47,22 +48,22 @@ class Clearance:
         on_floor = [pair[0] for pair in model.description.collision_pairs if pair[1] == FLOOR]
         self._floor_links = np.repeat([links.index(link) for link in on_floor], 2).astype(int)
         self._floor_ends = np.tile([0, 1], len(on_floor))
-        # what the first joint turns stays where it is
+        # the first link only turns on the spot
         self._among_boxes = np.flatnonzero(self._joints > 1)
         length = np.linalg.norm(self._ends[:, 1] - self._ends[:, 0], axis=-1)
         self._counts = 1 + np.ceil(length / SPACING).astype(int)
         self._set_points()
-        self._leave_out_what_stays()
+        self._drop_fixed_ends()
 
-    def _leave_out_what_stays(self) -> None:
-        """An end at a joint that stands still turns about it: it is as near to the floor as the arm was built."""
-        spread = np.random.default_rng(0).uniform(-np.pi, np.pi, (100, self.model.dof))
-        heights = self._segment_ends(self.model.joint_frames(spread))[:, self._floor_links, self._floor_ends, 2]
+    def _drop_fixed_ends(self) -> None:
+        """Drop link ends whose height the joints do not change: their distance from the floor is fixed."""
+        samples = np.random.default_rng(0).uniform(-np.pi, np.pi, (100, self.model.dof))
+        heights = self._segment_ends(self.model.joint_frames(samples))[:, self._floor_links, self._floor_ends, 2]
         moves = np.ptp(heights, axis=0) > self._radii[self._floor_links]
         self._floor_links, self._floor_ends = self._floor_links[moves], self._floor_ends[moves]
 
     def _set_points(self) -> None:
-        """Where along which link distances from boxes are taken."""
+        """Sample points along the links, at which distances from boxes are taken."""
         shares = [np.linspace(0, 1, self._counts[link]) for link in self._among_boxes]
         self._shares = np.concatenate([np.zeros(0), *shares])
         self._point_links = np.repeat(self._among_boxes, self._counts[self._among_boxes])
@@ -74,13 +75,13 @@ class Clearance:
         return Nearest(self, frames, boxes, count)
 
     def parts(self, frames: Array, boxes: Boxes) -> list[Part]:
-        """All pairs: with the floor, of links, and with boxes."""
+        """All pairs: of links with the floor, with each other, and with boxes."""
         ends = self._segment_ends(frames)
         parts = [self._from_floor(ends), self._from_links(ends)]
         return [*parts, self._from_boxes(ends, boxes)] if len(boxes) else parts
 
     def moved(self, frames: Array, points: Array, normals: Array, links: Integers) -> Array:
-        """How points (n, m, 3) on `links` (n, m) move along `normals` with each joint, (n, m, dof) m/rad."""
+        """Motion of points (n, m, 3) on `links` (n, m) along `normals` per joint, (n, m, dof) m/rad."""
         axes = self.model.joint_axes(frames)
         turned = np.swapaxes(cross(axes, frames[..., :3, 3]), -1, -2)
         moved = cross(points, normals) @ np.swapaxes(axes, -1, -2) - normals @ turned  # n . (a x (p - o))
@@ -105,12 +106,12 @@ class Clearance:
     def _from_links(self, ends: Array) -> Part:
         first, second = ends[:, self._pairs[:, 0]], ends[:, self._pairs[:, 1]]
         points, feet = nearest_on_segments(first[:, :, 0], first[:, :, 1], second[:, :, 0], second[:, :, 1])
-        way = points - feet
-        length = np.sqrt(_dot(way, way))
+        offset = points - feet
+        length = np.sqrt(_dot(offset, offset))
 
         def contacts() -> Contacts:
             links, others = (np.broadcast_to(self._pairs[:, i], length.shape) for i in (0, 1))
-            return points, way / np.maximum(length, 1e-9)[..., None], links, others, feet
+            return points, offset / np.maximum(length, 1e-9)[..., None], links, others, feet
 
         return length - self._radii[self._pairs].sum(axis=1), contacts
 
@@ -124,7 +125,7 @@ class Clearance:
         def contacts() -> Contacts:
             last = [*self._first_points[1:], len(self._shares)]
             nearest = [i + distances[:, i:j].argmin(axis=1) for i, j in zip(self._first_points, last, strict=True)]
-            which = np.stack(nearest, axis=1).reshape(n, -1)  # of the points, for each link and box
+            which = np.stack(nearest, axis=1).reshape(n, -1)  # point, for each link and box
             chosen = points[np.arange(n)[:, None], which]
             links = np.broadcast_to(np.repeat(self._among_boxes, k), which.shape)
             normals = _normals(chosen, boxes, np.tile(np.arange(k), len(self._among_boxes)))
@@ -134,20 +135,20 @@ class Clearance:
 
 
 class Nearest:
-    """The pairs that are nearest to touching, for n postures; see `Clearance.nearest`."""
+    """The pairs nearest to contact in n configurations; see `Clearance.nearest`."""
 
     def __init__(self, clearance: Clearance, frames: Array, boxes: Boxes, count: int) -> None:
         self._clearance, self._frames, self._count = clearance, frames, count
         distances, self._contacts = zip(*clearance.parts(frames, boxes), strict=True)
         self._distances = np.concatenate(distances, axis=1)
         self.least = self._distances.min(axis=1, initial=np.inf)
-        """(n,) m: distance of the nearest pair."""
+        """(n,) m: distance of the nearest pair"""
 
     @cached_property
     def rows(self) -> tuple[Array, Array]:
-        """Distances (n, m) m, and their gradients (n, m, dof) m/rad. Where pairs are fewer, infinite and zero."""
+        """Distances (n, m) m and gradients (n, m, dof) m/rad; infinite and zero if there are fewer pairs."""
         few = min(self._count, self._distances.shape[1])
-        # in an order that stays the same from one posture to the next
+        # in an order that stays the same from one configuration to the next
         chosen = np.sort(np.argpartition(self._distances, few - 1, axis=1)[:, :few], axis=1)
         row = np.arange(len(chosen))[:, None]
         contacts = zip(*(contact() for contact in self._contacts), strict=True)
@@ -166,7 +167,7 @@ class Nearest:
 
 
 def nearest_on_segments(a: Array, b: Array, c: Array, d: Array) -> tuple[Array, Array]:
-    """The points of segments ab and cd (..., 3) that are nearest to each other."""
+    """The points of segments ab and cd, (..., 3) each, that are nearest to each other."""
     along, across, between = b - a, d - c, a - c
     aa, cc, ac = _dot(along, along), _dot(across, across), _dot(along, across)
     ab, cb = _dot(along, between), _dot(across, between)
@@ -178,7 +179,7 @@ def nearest_on_segments(a: Array, b: Array, c: Array, d: Array) -> tuple[Array, 
 
 
 def _distances(points: Array, boxes: Boxes) -> Array:
-    """Signed distances (p, k) of points (p, 3) from all boxes: `Boxes.distances`, the fast way."""
+    """Signed distances (p, k) of points (p, 3) from all boxes: a faster `Boxes.distances`."""
     rotations = boxes.rotations
     into = np.moveaxis(rotations, 0, 2).reshape(3, -1)  # columns: first axes of all boxes, second axes, third axes
     centres = np.einsum("ki,kij->jk", boxes.centres, rotations)
@@ -190,7 +191,7 @@ def _distances(points: Array, boxes: Boxes) -> Array:
 
 
 def _normals(points: Array, boxes: Boxes, which: Integers) -> Array:
-    """Directions (n, p, 3) in which points (n, p, 3) get away the soonest from one box each, `which` (p,)."""
+    """Outward normals (n, p, 3) at points (n, p, 3), each of one box, `which` (p,)."""
     rotations = boxes.rotations[which]
     local = ((points - boxes.centres[which])[..., None, :] @ rotations)[..., 0, :]
     beyond = np.abs(local) - boxes.half_sizes[which]

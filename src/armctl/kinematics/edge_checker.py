@@ -1,9 +1,9 @@
-"""Which motions of an arm are free: straight ones between two configurations, checked without gaps.
+"""Continuous collision checking of an arm's edges: straight joint motions between two configurations.
 
-While joint j turns by dq_j, no point of a capsule moves farther than |dq_j| times its greatest distance from that
-joint's axis. Two configurations with distances d_a and d_b between two capsules thus leave (d_a + d_b - motion) / 2
-between them, all the way, or more: a motion is halved until that is enough (Schwarzer, Saha and Latombe, "Adaptive
-dynamic collision checking for single and multiple robots in complex environments", IEEE Trans. Robotics 2005).
+While joint j turns by dq_j, no point of a capsule moves farther than |dq_j| times its largest distance from that
+joint's axis. If two capsules are d_a and d_b apart at an edge's ends, they keep at least (d_a + d_b - motion) / 2 in
+between. An edge is bisected until that bound suffices (Schwarzer, Saha and Latombe, "Adaptive dynamic collision
+checking for single and multiple robots in complex environments", IEEE Trans. Robotics 2005).
 """
 
 from collections import deque
@@ -24,23 +24,23 @@ from armctl.scene import Boxes
 Array = NDArray[np.float64]
 
 UPRIGHT = 1e-9
-"""How far from 1 the cosine of a vertical axis may be, by rounding."""
+"""Tolerance on the cosine of a vertical axis, for rounding."""
 FAR = 0.1
-"""m: boxes farther than this from all that a link can reach are none of its business."""
+"""m: boxes farther than this from a link's reach are not checked against it."""
 SECURITY_MARGIN = 0.2
-"""m up to which distances are measured: farther ones cost more time than they save."""
+"""m: distances are measured up to this; longer ones cost more time than they save."""
 SLACK = 1.5
-"""Times the clearance that is kept where a motion is checked, so that the clearance itself is kept in between."""
-MOST_CLEARANCE = 0.05
-"""m that can be asked for: it takes distances of up to twice that, and boxes out of reach by as much."""
+"""Factor on the clearance at checked configurations, so that the clearance itself is kept in between."""
+MAX_CLEARANCE = 0.05
+"""m: limit on the clearance, which needs distances of up to twice as much, and boxes as far out of reach."""
 NEAR_START = 0.5
-"""Part of the distance at the start that two things must keep, where that is less than is asked for."""
+"""Fraction of their distance at the start that a pair must keep if it starts nearer than the clearance."""
 FINEST = 2**-12
-"""Part of a motion: one that is not known to be free by such parts is called blocked, which bounds the effort."""
+"""Finest fraction of an edge: an edge still undecided there counts as blocked, which bounds the effort."""
 
 
 class ArmShapes:
-    """What of an arm can touch what, and how far the joints can move it: all that does not depend on boxes."""
+    """An arm's collision pairs, and bounds on how far the joints move them: everything that does not depend on boxes."""
 
     def __init__(self, model: ArmModel) -> None:
         self.model = model
@@ -58,7 +58,7 @@ class ArmShapes:
         self._radii, self._reach = np.array([radii for radii, _ in bounds]), np.array([reach for _, reach in bounds])
 
     def with_boxes(self, boxes: Boxes) -> tuple[pinocchio.GeometryModel, Array]:
-        """The geometry among boxes, and how far each of its pairs may move against each other, (pairs, dof) m/rad."""
+        """The geometry with boxes, and bounds on the relative motion of each pair, (pairs, dof) m/rad."""
         geometry = self.geometry.copy()
         add_boxes(geometry, boxes)
         first, second = np.array([(pair.first, pair.second) for pair in geometry.collisionPairs], int).reshape(-1, 2).T
@@ -74,14 +74,14 @@ class ArmShapes:
         pairs = np.sort((joints[first], joints[second]), axis=0)[..., None]
         between = (np.arange(self.model.dof) >= pairs[0]) & (np.arange(self.model.dof) < pairs[1])
         motion = np.maximum(radii[first], radii[second]) * between
-        if self._on_upright:  # turning about the vertical leaves heights as they are
+        if self._on_upright:  # turning about the vertical does not change heights
             motion[second == geometry.getGeometryId(FLOOR), 0] = 0.0
         return geometry, motion
 
     def _add_ends_above_floor(self, capsule: Capsule) -> None:
-        """Let the floor meet a capsule's two ends, one of which it meets first.
+        """Pair the floor with a capsule's two end spheres, one of which touches it first.
 
-        Not an end that the second joint cannot turn down to it: a shoulder is near the floor, and stays there.
+        An end that the second joint cannot lower to the floor is left out: a shoulder is near the floor, and stays so.
         """
         frame = self.model.pinocchio.frames[link_frame(self.model.pinocchio, capsule.link)]
         for name, end in (("start", capsule.start), ("end", capsule.end)):
@@ -94,7 +94,7 @@ class ArmShapes:
             add_collision_pairs(self.geometry, [(name, FLOOR)])
 
     def _lowest_on_second_joint(self, point: Array) -> float:
-        """Height (m) to which a `point` (3,) in the second joint's frame can come down; -inf if that is not known."""
+        """Lowest height (m) of a `point` (3,) in the second joint's frame; -inf if unknown."""
         if not self._on_upright:
             return -np.inf
         placements, axis = self.model.pinocchio.jointPlacements, self.model.axes[1]
@@ -104,7 +104,7 @@ class ArmShapes:
         return float(height - _off_axis(point, axis) * np.sqrt(max(0.0, 1 - upward**2)))
 
     def _bounds(self, shape: pinocchio.GeometryObject) -> tuple[Array, float]:
-        """How far a shape's points can be from each joint's axis (dof,) and from the shoulder, at most, m."""
+        """Upper bounds on the distance of a shape's points from each joint's axis (dof,) and from the shoulder, m."""
         radii, joint = np.zeros(self.model.dof), shape.parentJoint
         if joint == 0:
             return radii, 0.0
@@ -121,16 +121,16 @@ class ArmShapes:
 
 
 class EdgeChecker:
-    """Motions of an arm among boxes that keep a clearance, m, from boxes, the floor and the arm itself.
+    """Checks whether an arm keeps a clearance (m) from boxes, the floor and itself.
 
-    What is nearer to each other at `start` (dof,) need keep only part of its distance there. Not for several threads.
+    Pairs that are nearer than that at `start` (dof,) must keep only part of their distance there. Not thread-safe.
 
-    Raises `ConfigurationError` for a clearance that is not above 0 and at most `MOST_CLEARANCE`.
+    Raises `ConfigurationError` unless the clearance is above 0 and at most `MAX_CLEARANCE`.
     """
 
     def __init__(self, shapes: ArmShapes, boxes: Boxes, clearance: float, start: Array) -> None:
-        if not 0 < clearance <= MOST_CLEARANCE:
-            raise ConfigurationError(f"clearance is a distance above 0 and up to {MOST_CLEARANCE} m, not {clearance!r}")
+        if not 0 < clearance <= MAX_CLEARANCE:
+            raise ConfigurationError(f"clearance should be above 0 and at most {MAX_CLEARANCE} m, not {clearance!r}")
         self._model, self._self_pairs = shapes.model.pinocchio, shapes.self_pairs
         self._geometry, self._motion = shapes.with_boxes(boxes)
         self._data, self._contacts = self._model.createData(), self._geometry.createData()
@@ -146,11 +146,11 @@ class EdgeChecker:
         self._kept = self._margins / SLACK
 
     def is_free(self, q: Array) -> bool:
-        """Whether a configuration (dof,) keeps the clearance, and what is to be kept where motions are checked."""
+        """Whether a configuration (dof,) keeps the clearance, with the margin that edges need."""
         return bool((self._distances_at_end(q) >= self._margins).all())
 
     def is_edge_free(self, a: Array, b: Array) -> bool:
-        """Whether the straight motion from `a` to `b`, (dof,) each, keeps the clearance all the way."""
+        """Whether the straight motion from `a` to `b`, (dof,) each, keeps the clearance throughout."""
         if not (self.is_free(b) and self.is_free(a)):
             return False
         motion, kept = self._motion @ np.abs(b - a), 2 * self._kept
@@ -167,26 +167,26 @@ class EdgeChecker:
         return True
 
     def clearance(self, path: ArrayLike) -> float:
-        """Least distance, m, of the arm from boxes and floor at the corners of a path (m, dof); at most `FAR`."""
+        """Least distance (m) of the arm from boxes and floor at the corners of a path (m, dof); at most `FAR`."""
         corners = (self._distances_at_end(q)[self._self_pairs :] for q in np.asarray(path, float))
         return min((float(distances.min(initial=FAR)) for distances in corners), default=np.nan)
 
     def _distances_at_end(self, q: Array) -> Array:
-        """The same, remembered: motions have ends in common."""
+        """Cached `_distances`: edges share their ends."""
         key = q.tobytes()
         if key not in self._ends:
             self._ends[key] = self._distances(q)
         return self._ends[key]
 
     def _distances(self, q: Array) -> Array:
-        """Distance of each pair, (pairs,) m: 0 or below where it touches, and at least `SECURITY_MARGIN` where it is more."""
+        """Distance of each pair, (pairs,) m: 0 or below in contact, a lower bound beyond `SECURITY_MARGIN`."""
         self.checks += 1
         pinocchio.computeCollisions(self._model, self._data, self._geometry, self._contacts, q, False)
-        return np.fromiter(map(_BEYOND_SIGHT, self._results), float, len(self._results)) + SECURITY_MARGIN
+        return np.fromiter(map(_BEYOND_MARGIN, self._results), float, len(self._results)) + SECURITY_MARGIN
 
 
-_BEYOND_SIGHT = attrgetter("distance_lower_bound")
-"""Exact within the security margin, from which it counts, and a lower bound of the distance beyond."""
+_BEYOND_MARGIN = attrgetter("distance_lower_bound")
+"""Distance less the security margin: exact if negative, otherwise a lower bound."""
 
 
 def _off_axis(point: Array, axis: Array) -> float:

@@ -1,7 +1,7 @@
-"""Inverse kinematics: every configuration that brings the end-effector to a pose or a position, with its residual.
+"""Inverse kinematics: configurations with the end-effector at a pose or a position, with their residuals.
 
 Poses of arms with a known geometric decomposition (all UR) are solved in closed form by EAIK (Ostermeier, Kuelz and
-Althoff, "Automatic geometric decomposition for analytical inverse kinematics", RA-L 2025). All else is solved by
+Althoff, "Automatic geometric decomposition for analytical inverse kinematics", RA-L 2025). Everything else is solved by
 Levenberg-Marquardt with error-proportional damping (Sugihara, "Solvability-unconcerned inverse kinematics by the
 Levenberg-Marquardt method", T-RO 2011) from several starts.
 """
@@ -9,38 +9,41 @@ Levenberg-Marquardt method", T-RO 2011) from several starts.
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import eaik.pybindings.EAIK as eaik
 import numpy as np
 import pinocchio
 from numpy.typing import NDArray
+from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from armctl.errors import ConfigurationError, UnreachableTarget
+from armctl.kinematics.damped_least_squares import damped_step
 from armctl.kinematics.model import ArmModel
+from armctl.options import options
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@options
 class IkOptions:
     """Bounds of a search."""
 
-    tolerance: float = 1e-6
+    tolerance: Annotated[float, Field(gt=0)] = 1e-6
     """Largest residual of a solution: norm of the position error (m), or of the pose's twist (m and rad)."""
-    max_iterations: int = 60
+    max_iterations: Annotated[int, Field(ge=1)] = 60
     """Levenberg-Marquardt steps from one start."""
-    starts: int = 24
+    starts: Annotated[int, Field(ge=1)] = 24
     """Random starts of a numeric search, after the seed and home."""
-    damping: float = 0.02
-    """Levenberg-Marquardt damping for each squared unit of residual."""
-    rng_seed: int = 0
-    """Seed of the random starts: a search is a function of its arguments alone."""
-    near: float = 0.1
+    damping: Annotated[float, Field(ge=0)] = 0.02
+    """Levenberg-Marquardt damping per squared unit of residual."""
+    rng_seed: Annotated[int, Field(ge=0)] = 0
+    """Seed of the random starts: a search depends only on its arguments."""
+    near: Annotated[float, Field(ge=0)] = 0.1
     """Residual below which the seed is polished too: singular poses have more solutions than a closed form gives."""
-    distinct: float = 1e-3
-    """Configurations closer than this in every joint (rad) are one solution."""
+    distinct: Annotated[float, Field(ge=0)] = 1e-3
+    """Configurations closer than this in every joint (rad) count as one solution."""
 
 
 @dataclass(frozen=True)
@@ -48,11 +51,11 @@ class IkResult:
     """Solutions within the joint limits, the one nearest to the seed first."""
 
     solutions: Array
-    """(k, dof) rad; k is 0 when the target is out of reach."""
+    """(k, dof) rad; k is 0 if the target is out of reach."""
     residuals: Array
     """(k,) measured by forward kinematics, in the unit of `IkOptions.tolerance`."""
     closest: Array
-    """(dof,) the best configuration found, a solution or not."""
+    """(dof,) rad: the configuration with the least residual, a solution or not."""
     closest_residual: float
     iterations: int
 
@@ -79,8 +82,7 @@ class Ik:
         self.options = options or IkOptions()
         self._analytic = _analytic_solver(model)
         rng = np.random.default_rng(self.options.rng_seed)
-        low, high = np.maximum(model.limits.lower, -np.pi), np.minimum(model.limits.upper, np.pi)
-        self._random_starts = rng.uniform(low, high, (self.options.starts, model.dof))
+        self._random_starts = model.random_configurations(rng, self.options.starts)
         self._orientations = Rotation.random(self.options.starts, rng=rng).as_matrix()
         self._full_turn = model.limits.upper - model.limits.lower >= 2 * np.pi - 1e-6
 
@@ -90,9 +92,9 @@ class Ik:
         return self._analytic is not None
 
     def pose(self, target: Array, seed: Array | None = None, count: int | None = None) -> IkResult:
-        """Configurations for a full pose, homogeneous (4, 4); at most `count` of them, nearest to `seed` (dof,) first.
+        """Up to `count` configurations for a full pose, homogeneous (4, 4); the nearest to `seed` (dof,) comes first.
 
-        A closed-form arm gives all there are (up to 8 for a UR), a numeric one those found until `count` (default 1).
+        The closed form gives all solutions (up to 8 for a UR). The numeric search stops at `count` (default 1).
         Raises `ConfigurationError` if `target` is not a rigid transform.
         """
         target = np.asarray(target, dtype=float)
@@ -110,7 +112,7 @@ class Ik:
         return self._result([self._polish(problem, q) for q in starts], seed, count)
 
     def position(self, target: Array, seed: Array | None = None, count: int = 1) -> IkResult:
-        """Configurations for a position alone, (3,) m: up to `count` distinct ones, nearest to `seed` (dof,) first.
+        """Up to `count` distinct configurations for a position (3,) m; the nearest to `seed` (dof,) comes first.
 
         Raises `ConfigurationError` if `target` is not three finite numbers.
         """
@@ -121,16 +123,16 @@ class Ik:
         return self._search(_PositionProblem(self.model, target), seed, count)
 
     def free_configurations(self, position: Array) -> Iterator[Array]:
-        """Configurations (dof,) at `position` (3,) in which the arm touches neither itself nor the floor.
+        """Collision-free configurations (dof,) at `position` (3,).
 
-        Not all there are, but the same every time: a fixed set of orientations (or of numeric starts) is tried.
+        These are not all, but the same every time: a fixed set of orientations (or of numeric starts) is tried.
         """
         for q in self.configurations(position):
             if self.model.within_limits(q) and self.model.is_free(q):
                 yield q
 
     def configurations(self, position: Array) -> Iterator[Array]:
-        """The same, touching or not, and within the joint limits or beyond them by whole turns."""
+        """The same, in collision or not; joints may exceed their limits by whole turns."""
         if self._analytic is None:
             yield from self.position(position, count=self.options.starts).solutions
             return
@@ -145,7 +147,7 @@ class Ik:
 
     def _checked(self, seed: Array | None, count: int | None) -> Array:
         if count is not None and count < 1:
-            raise ConfigurationError(f"count is a number of solutions from 1 on, not {count}")
+            raise ConfigurationError(f"count should be at least 1, not {count}")
         if seed is None:
             return self.model.home
         seed = np.asarray(seed, dtype=float)
@@ -154,7 +156,7 @@ class Ik:
         return np.clip(seed, self.model.limits.lower, self.model.limits.upper)
 
     def _search(self, problem: "_Problem", seed: Array, count: int) -> IkResult:
-        """Start afresh until there are `count` solutions, or no starts."""
+        """Try one start after the other until there are `count` solutions."""
         attempts: list[_Attempt] = []
         home = [] if np.array_equal(seed, self.model.home) else [self.model.home]
         for start in (seed, *home, *self._random_starts):
@@ -166,7 +168,7 @@ class Ik:
         return self._result(attempts, seed, count)
 
     def _polish(self, problem: "_Problem", q: Array) -> "_Attempt":
-        """Levenberg-Marquardt from `q` until the residual is met, or sinks no more."""
+        """Levenberg-Marquardt from `q` until the tolerance is met or the residual stalls."""
         best, best_residual, stalled = q, np.inf, 0
         for step in range(self.options.max_iterations):  # noqa: B007
             error = problem.error(q)
@@ -176,10 +178,7 @@ class Ik:
                 best, best_residual = q, residual
             if residual < 0.01 * self.options.tolerance or stalled > 8:
                 break
-            jacobian = problem.jacobian(q)
-            normal = jacobian.T @ jacobian
-            normal.flat[:: self.model.dof + 1] += self.options.damping * residual**2 + 1e-9
-            q = q - np.linalg.solve(normal, jacobian.T @ error)
+            q = q - damped_step(problem.jacobian(q), error, self.options.damping * residual**2 + 1e-9)
             q = np.where(self._full_turn, q, np.clip(q, self.model.limits.lower, self.model.limits.upper))
         return _Attempt(best, best_residual, step)
 
@@ -208,7 +207,7 @@ class _Attempt:
 
 
 class _Problem(Protocol):
-    """What is to become zero, (m,), and its derivative by q, (m, dof)."""
+    """An error (m,) to bring to zero, and its derivative by q, (m, dof)."""
 
     def error(self, q: Array) -> Array: ...
     def jacobian(self, q: Array) -> Array: ...
@@ -247,7 +246,7 @@ def _is_rigid(pose: Array) -> bool:
 
 
 def _analytic_solver(model: ArmModel) -> "eaik.Robot | None":
-    """EAIK's solver for the arm, or None if it knows no decomposition."""
+    """EAIK's solver for the arm, or None if it has no decomposition for it."""
     if model.dof != 6:
         return None
     origins = [np.zeros(3)]

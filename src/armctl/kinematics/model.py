@@ -1,4 +1,4 @@
-"""An arm as its controllers believe it to be: Pinocchio's model of one URDF."""
+"""The controllers' model of an arm: Pinocchio, built from one URDF."""
 
 import copy
 from functools import cached_property
@@ -33,7 +33,7 @@ class ArmModel:
         self.tip = link_frame(self.pinocchio, self.description.tip)
         self._data = self.pinocchio.createData()
         self.boxes = NO_BOXES
-        """What stands in the way."""
+        """Obstacles."""
         self._shapes = capsule_geometry(self.pinocchio, self.description.capsules)
         add_collision_pairs(self._shapes, self.description.collision_pairs)
         self._contacts = self._shapes.createData()
@@ -48,7 +48,7 @@ class ArmModel:
         """Origin of the first joint, (3,) m."""
 
     def among(self, boxes: Boxes) -> "ArmModel":
-        """The same arm with boxes in its way, which `is_free` then minds."""
+        """The same arm among boxes: `is_free` then takes them into account."""
         model = copy.copy(self)
         model.boxes = boxes
         model._data = self.pinocchio.createData()
@@ -58,7 +58,7 @@ class ArmModel:
         return model
 
     def placement(self, q: Array) -> pinocchio.SE3:
-        """Pose of the end-effector as Pinocchio holds it; valid until the next call."""
+        """Pose of the end-effector as a Pinocchio object, valid until the next call."""
         pinocchio.forwardKinematics(self.pinocchio, self._data, q)
         return pinocchio.updateFramePlacement(self.pinocchio, self._data, self.tip)
 
@@ -79,7 +79,7 @@ class ArmModel:
         return self._jacobian(q, pinocchio.LOCAL)
 
     def positions(self, q: Array) -> Array:
-        """End-effector positions of a batch, (..., dof) to (..., 3) m, without a Python loop over the batch."""
+        """End-effector positions (..., 3) m of a batch (..., dof), without a Python loop over it."""
         return self.positions_and_jacobians(q)[0]
 
     def positions_and_jacobians(self, q: Array) -> tuple[Array, Array]:
@@ -90,7 +90,7 @@ class ArmModel:
         return tip, np.swapaxes(jacobians, -1, -2)
 
     def joint_frames(self, q: Array) -> Array:
-        """Poses of what each joint turns, homogeneous, (..., dof) to (..., dof, 4, 4)."""
+        """Homogeneous poses (..., dof, 4, 4) of the frames that the joints move, for q (..., dof)."""
         q = np.asarray(q, dtype=float)[..., None, None]
         steps = self._chain[0] + np.sin(q) * self._chain[1] + (1 - np.cos(q)) * self._chain[2]
         for i in range(1, self.dof):
@@ -98,7 +98,7 @@ class ArmModel:
         return np.asarray(steps)
 
     def joint_axes(self, frames: Array) -> Array:
-        """Directions (..., dof, 3) about which the joints turn, at `joint_frames` (..., dof, 4, 4)."""
+        """Joint axes (..., dof, 3) in the base frame, at `joint_frames` (..., dof, 4, 4)."""
         return np.asarray((frames[..., :3, :3] @ self.axes[:, :, None])[..., 0])
 
     def tip_positions(self, frames: Array) -> Array:
@@ -106,11 +106,11 @@ class ArmModel:
         return np.asarray(frames[..., -1, :3, :3] @ self._tip_offset + frames[..., -1, :3, 3])
 
     def is_free(self, q: Array) -> bool:
-        """Whether the arm's capsules touch neither each other, nor the floor, nor a box."""
+        """Whether q is collision-free: the capsules touch neither each other, nor the floor, nor a box."""
         return not pinocchio.computeCollisions(self.pinocchio, self._data, self._shapes, self._contacts, q, True)
 
     def box_distances(self, q: Array, boxes: Boxes) -> Array:
-        """Distance (m) of each box from the whole arm at `q` (dof,), (k,): 0 or below where it touches."""
+        """Distance (k,) m of each box from the whole arm at `q` (dof,): 0 or below in contact."""
         pinocchio.updateGeometryPlacements(self.pinocchio, self._data, self._shapes, self._contacts, q)
         links = [
             (shape.geometry, coal.Transform3s(placement.rotation, placement.translation))
@@ -129,7 +129,7 @@ class ArmModel:
         return distances
 
     def base_distance(self, position: Array) -> float:
-        """Distance (m) of `position` (3,) from the arm's immovable links; infinite if they have no shape."""
+        """Distance (m) of `position` (3,) from the arm's fixed links; infinite if they have no shape."""
         point, placement = coal.Sphere(0.0), coal.Transform3s(np.eye(3), position)
         request, result = coal.DistanceRequest(), coal.DistanceResult()
         distances = [
@@ -139,11 +139,16 @@ class ArmModel:
         return min(distances, default=np.inf)
 
     def within_limits(self, q: Array) -> NDArray[np.bool_]:
-        """Whether all joints are within their position limits, (..., dof) to (...)."""
+        """Whether all joints of q (..., dof) are within their position limits, (...)."""
         return np.asarray(np.all((q >= self.limits.lower) & (q <= self.limits.upper), axis=-1))
 
+    def random_configurations(self, rng: np.random.Generator, count: int) -> Array:
+        """Configurations (count, dof), uniform within the joint limits and +-pi."""
+        low, high = np.maximum(self.limits.lower, -np.pi), np.minimum(self.limits.upper, np.pi)
+        return rng.uniform(low, high, (count, self.dof))
+
     def nearest_turn(self, q: Array, seed: Array) -> Array:
-        """The same configurations, each joint turned by whole turns to be near `seed`, as far as its limits allow."""
+        """The same configurations, each joint shifted by whole turns to be near `seed`, as far as its limits allow."""
         turn = 2 * np.pi
         near = q + turn * np.round((seed - q) / turn)
         return near + turn * ((near < self.limits.lower).astype(float) - (near > self.limits.upper))
@@ -158,16 +163,16 @@ class ArmModel:
         return bool(np.allclose((cos * x - sin * y, sin * x + cos * y, z), after, atol=1e-4))
 
     def least_time(self, start: Array, goal: Array) -> Array:
-        """Seconds in which all joints can come from rest at `start` to `goal` (..., dof), where they need not stop."""
+        """Seconds until all joints can have moved from rest at `start` to `goal` (..., dof), where they need not stop."""
         return np.asarray(np.max(travel_time(goal - start, 0.0, self.limits), axis=-1))
 
     def cruise_time(self, start: Array, goal: Array) -> Array:
-        """Seconds between `start` and `goal` (..., dof) at the velocity limit of the slowest joint: they add up."""
+        """Seconds from `start` to `goal` (..., dof) at the velocity limit of the slowest joint: additive along a path."""
         return np.asarray(np.max(np.abs(goal - start) / self.limits.velocity, axis=-1))
 
     def _jacobian(self, q: Array, frame: pinocchio.ReferenceFrame) -> Array:
         found = pinocchio.computeFrameJacobian(self.pinocchio, self._data, q, self.tip, frame)
-        return np.asarray(found).reshape(6, self.dof)  # Pinocchio gives one joint's as a vector
+        return np.asarray(found).reshape(6, self.dof)  # Pinocchio returns a vector for a single joint
 
     def _joint_axes(self) -> Array:
         """Axis of each joint in its own frame, (dof, 3)."""
@@ -180,7 +185,7 @@ class ArmModel:
     def _joint_chain(self) -> Array:
         """Terms (3, dof, 4, 4) of each joint's pose in the frame of the joint before it.
 
-        The first is constant, the second goes with the sine of the joint's angle, the third with 1 - its cosine
+        The first is constant, the second scales with the sine of the joint angle, the third with 1 - its cosine
         (Rodrigues' formula).
         """
         chain = np.zeros((3, self.dof, 4, 4))
@@ -193,6 +198,6 @@ class ArmModel:
 
 
 def cross(first: Array, second: Array) -> Array:
-    """Cross product (..., 3): NumPy's own takes several times as long for as few vectors as an arm has."""
+    """Cross product (..., 3): several times faster than NumPy's for the few vectors of an arm."""
     ahead, behind = [1, 2, 0], [2, 0, 1]
     return np.asarray(first[..., ahead] * second[..., behind] - first[..., behind] * second[..., ahead])

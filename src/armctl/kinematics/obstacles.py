@@ -7,7 +7,7 @@ from armctl.scene import Boxes
 
 
 def add_boxes(geometry: pinocchio.GeometryModel, boxes: Boxes) -> None:
-    """Add boxes, and pairs of each with every link that moves, to Pinocchio's collision geometry."""
+    """Add boxes to the geometry, and a collision pair of each box with every moving link."""
     capsules = [shape for shape in geometry.geometryObjects if isinstance(shape.geometry, coal.Capsule)]
     links = [geometry.getGeometryId(shape.name) for shape in capsules if shape.parentJoint > 0]
     for i, (centre, half_size, rotation) in enumerate(

@@ -1,43 +1,45 @@
-"""The least times of many arms at once into spheres of their own: bounds on `MinimumTimeReach.least_time` from above.
+"""Upper bounds on `MinimumTimeReach.least_time` for many arms at once, each with its own target sphere.
 
-Configurations are looked up by where their end-effector is, and the soonest of them from home are brought into the
-sphere. They then stay the same wherever the arm goes, so that the time is one function of its state: to the best of
-them, or straight into the sphere, improved by a few linear programmes. What stands in the way is not minded.
+A few sampled configurations are moved into each sphere once. They stay the same wherever the arm goes, which makes the
+time one function of the arm's state: the least over these configurations and the straight move into the sphere, refined
+by a few linear programs. Obstacles are ignored.
 """
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
+from pydantic import Field
 
 from armctl.kinematics.minimum_time_reach import MinimumTimeReach, approach
 from armctl.kinematics.model import ArmModel
+from armctl.kinematics.reachability_map import ReachabilityMap
+from armctl.options import options
 from armctl.robot_description.joint_profiles import travel_time
 
 Array = NDArray[np.float64]
 
-POSTURES = 30_000
-"""Configurations, drawn uniformly, that spheres are looked up in."""
+CONFIGURATIONS = 30_000
+"""Size of the table in which spheres are looked up."""
 REFINEMENTS = (0.2, 0.13, 0.08, 0.05, 0.03, 0.02, 0.0)
-"""rad that a joint may move in each linear programme."""
+"""rad: joint step limit in each linear program."""
 INSIDE = 0.9
-"""Of a sphere's radius: the place in it that is nearest to the end-effector is taken to be so far from its centre."""
+"""Fraction of the radius: the straight move aims at the sphere's nearest point at this distance from its centre."""
 TIP_SPEED = 1.0
-"""m/s with which the end-effector is expected to make up for what it is outside the sphere."""
+"""m/s: speed at which the end-effector is assumed to cover the remaining distance to the sphere."""
 
 
-@dataclass(frozen=True)
+@options
 class ReachTimesOptions:
-    """Effort for a sphere."""
+    """Effort per sphere."""
 
-    nearby: int = 256
-    """Configurations with the end-effector nearest to it."""
-    goals: int = 32
-    """Of these, the soonest from home."""
-    iterations: int = 3
-    """Of Levenberg and Marquardt, from these into the sphere."""
+    nearby: Annotated[int, Field(ge=2, le=CONFIGURATIONS)] = 256
+    """Configurations with the end-effector nearest to the centre."""
+    goals: Annotated[int, Field(ge=1)] = 32
+    """Of these, those reached earliest from home."""
+    iterations: Annotated[int, Field(ge=0)] = 3
+    """Levenberg-Marquardt iterations from these into the sphere."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +51,7 @@ class Spheres:
     goals: Array
     """(m, goals, dof) rad"""
     excess: Array
-    """(m, goals) s, for what the end-effector still is outside."""
+    """(m, goals) s: added time for goals whose end-effector is still outside."""
 
     def put(self, ids: NDArray[np.integer[Any]], others: "Spheres") -> None:
         """Replace spheres `ids` by others."""
@@ -62,26 +64,24 @@ class Spheres:
 
 
 class ReachTimes:
-    """Least times of one kind of arm into spheres of `radius`, m."""
+    """Times of one kind of arm into spheres of `radius`, m."""
 
     def __init__(self, model: ArmModel, radius: float, effort: ReachTimesOptions | None = None) -> None:
         self.model, self.radius, self.effort = model, radius, effort or ReachTimesOptions()
-        low, high = np.maximum(model.limits.lower, -np.pi), np.minimum(model.limits.upper, np.pi)
-        postures = np.random.default_rng(0).uniform(low, high, (POSTURES, model.dof))
-        self._postures = model.nearest_turn(postures, model.home)
-        self._from_home = model.least_time(model.home, self._postures)
-        self._touch = MinimumTimeReach(model)
-        self._by_position = KDTree(model.positions(postures))
+        self._map = ReachabilityMap(model, CONFIGURATIONS, collision_free=False)
+        self._near_home = model.nearest_turn(self._map.configurations, model.home)
+        self._from_home = model.least_time(model.home, self._near_home)
+        self._minimum_time = MinimumTimeReach(model)
 
     def spheres(self, centres: Array) -> Spheres:
         """Spheres around `centres` (m, 3), m."""
-        near = self._by_position.query(centres, self.effort.nearby)[1]
-        soonest = np.argpartition(self._from_home[near], self.effort.goals, axis=1)[:, : self.effort.goals]
-        postures = self._postures[np.take_along_axis(near, soonest, axis=1)]
-        return Spheres(centres.copy(), *self._brought_to(postures, centres[:, None], centres[:, None]))
+        near = self._map.nearest(centres, self.effort.nearby)[1]
+        earliest = np.argpartition(self._from_home[near], self.effort.goals, axis=1)[:, : self.effort.goals]
+        q = self._near_home[np.take_along_axis(near, earliest, axis=1)]
+        return Spheres(centres.copy(), *self._moved_to(q, centres[:, None], centres[:, None]))
 
     def least(self, q: Array, velocity: Array, spheres: Spheres) -> Array:
-        """Seconds (m,) from q (m, dof), moving with `velocity` (m, dof), rad/s, each into its sphere; 0 inside."""
+        """Seconds (m,) from q (m, dof), moving with `velocity` (m, dof) rad/s, each into its sphere; 0 inside."""
         goals = self.model.nearest_turn(spheres.goals, q[:, None])
         times = self._times(q[:, None], velocity[:, None], goals, spheres.excess)
         best = times.argmin(axis=1)[:, None]
@@ -92,28 +92,24 @@ class ReachTimes:
         offset = self.model.positions(q) - spheres.centres
         distance = np.linalg.norm(offset, axis=-1)
         nearest = spheres.centres + offset * (INSIDE * self.radius / np.maximum(distance, self.radius))[:, None]
-        straight, excess = self._brought_to(q, nearest, spheres.centres)
+        straight, excess = self._moved_to(q, nearest, spheres.centres)
         straight_time = self._times(q, velocity, straight, excess)
         goal = np.where((straight_time < time)[:, None], straight, goal)
         least = np.minimum(straight_time, time)
-        for largest in REFINEMENTS:
-            step, time, off = self._touch.step(goal, q, spheres.centres, self.radius, velocity, largest)
+        for max_step in REFINEMENTS:
+            step, time, distances = self._minimum_time.step(goal, q, spheres.centres, self.radius, velocity, max_step)
             goal = goal + step
-            least = np.minimum(least, time + self._excess(off))
+            least = np.minimum(least, time + self._excess(distances))
         return np.where(distance <= self.radius, 0.0, least)
 
     def _times(self, q: Array, velocity: Array, goals: Array, excess: Array) -> Array:
         return np.asarray(travel_time(goals - q, velocity, self.model.limits).max(axis=-1) + excess)
 
-    def _brought_to(self, q: Array, places: Array, centres: Array) -> tuple[Array, Array]:
-        """Configurations (..., dof) with the end-effector at `places`, from q (..., dof) on, or near them.
-
-        And the time for what they are off the spheres around `centres`, s.
-        """
-        goals = approach(self.model, q, places, self.effort.iterations)
+    def _moved_to(self, q: Array, positions: Array, centres: Array) -> tuple[Array, Array]:
+        """Configurations (..., dof), moved from q until the end-effector is at `positions` or near, and their excess, s."""
+        goals = approach(self.model, q, positions, self.effort.iterations)
         goals = np.clip(goals, self.model.limits.lower, self.model.limits.upper)
-        off = np.linalg.norm(self.model.positions(goals) - centres, axis=-1)
-        return goals, self._excess(off)
+        return goals, self._excess(np.linalg.norm(self.model.positions(goals) - centres, axis=-1))
 
     def _excess(self, distance: Array) -> Array:
         return np.maximum(distance - self.radius, 0.0) / TIP_SPEED

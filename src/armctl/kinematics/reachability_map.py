@@ -1,44 +1,63 @@
-"""ReachabilityMap of an arm, looked up by where the end-effector is to be: a global search before a local one."""
+"""Sampled configurations of an arm, looked up by the position of the end-effector: a global search before a local one."""
+
+import itertools
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from armctl.kinematics.minimum_time_reach import approach
 from armctl.kinematics.model import ArmModel
 
 Array = NDArray[np.float64]
 
-POSTURES, LOOKED_UP, WORTH_TRYING = 4096, 128, 16
-"""Free configurations; of them those with the tip nearest to the target; of these the soonest, which are tried."""
+CONFIGURATIONS = 4096
+MAX_DRAWS = 50
+"""Draws per configuration: an arm that seldom avoids itself gets fewer configurations."""
+NEIGHBOURS, CANDIDATES = 128, 16
+"""Configurations with the end-effector nearest to the target; of these, those reached earliest, which are refined."""
 ITERATIONS = 4
-"""Of Levenberg and Marquardt, from a posture looked up to one with the tip at the target."""
+"""Levenberg-Marquardt iterations from a candidate to the target."""
 TIP_SPEED = 1.0
-"""m/s with which the tip is expected to make up for what a posture looked up is off the target."""
-ON_TARGET, MISS = 0.01, 10.0
-"""m that a posture may be off in the end, and s that it is put back for more."""
+"""m/s: speed at which the end-effector is assumed to cover the remaining distance to the target."""
+ON_TARGET, MISS_PENALTY = 0.01, 10.0
+"""m: largest final error of a refined candidate; s: what a larger error adds to its time."""
 
 
 class ReachabilityMap:
-    """Configurations that an arm can take, looked up by where the end-effector is to be."""
+    """`count` configurations, uniform within the joint limits and +-pi, with their end-effector positions.
 
-    def __init__(self, model: ArmModel) -> None:
+    With `collision_free`, the arm touches neither itself nor the floor in any of them.
+    """
+
+    def __init__(self, model: ArmModel, count: int = CONFIGURATIONS, collision_free: bool = True) -> None:
         self.model = model
         rng = np.random.default_rng(0)
-        low, high = np.maximum(model.limits.lower, -np.pi), np.minimum(model.limits.upper, np.pi)
-        drawn = (rng.uniform(low, high) for _ in range(50 * POSTURES))
-        free = (q for q in drawn if model.is_free(q))
-        self._q = np.array([q for q, _ in zip(free, range(POSTURES), strict=False)])
-        self._positions = model.positions(self._q)
+        batches = (model.random_configurations(rng, count) for _ in range(MAX_DRAWS))
+        drawn = itertools.chain.from_iterable(batches)
+        kept = filter(model.is_free, drawn) if collision_free else drawn
+        self.configurations: Array = np.array(list(itertools.islice(kept, count)))
+        """(count, dof) rad"""
+        self._by_position = KDTree(model.positions(self.configurations))
+
+    def nearest(self, positions: Array, count: int) -> tuple[Array, NDArray[np.intp]]:
+        """Distances (..., count) m and indices of the configurations whose end-effector is nearest to `positions`."""
+        distances, indices = self._by_position.query(positions, count)
+        return distances, indices
 
     def towards(self, target: Array, start: Array, among: ArmModel) -> Array:
-        """The posture (dof,) with the tip at `target` (3,) that is soonest reached from `start` (dof,), freely."""
-        limits, distance = self.model.limits, np.linalg.norm(self._positions - target, axis=1)
-        near = np.argpartition(distance, LOOKED_UP)[:LOOKED_UP]
-        time = self.model.least_time(start, self._q[near]) + distance[near] / TIP_SPEED
-        best = approach(self.model, self._q[near[np.argsort(time)[:WORTH_TRYING]]], target, ITERATIONS)
-        best = np.clip(best, limits.lower, limits.upper)
-        off = np.linalg.norm(self.model.positions(best) - target, axis=1)
-        best = best[np.argsort(self.model.least_time(start, best) + np.where(off < ON_TARGET, 0.0, MISS))]
-        ways = np.linspace(1.0, 0.1, 10)[:, None]
-        free = (q for q in best if all(among.is_free(place) for place in start + ways * (q - start)))
-        return next(free, best[0])
+        """The configuration (dof,) with the end-effector at `target` (3,) that is reached earliest from `start` (dof,).
+
+        The straight path to it is free in the model `among`, if such a candidate was found.
+        """
+        limits = self.model.limits
+        distances, near = self.nearest(target, NEIGHBOURS)
+        time = self.model.least_time(start, self.configurations[near]) + distances / TIP_SPEED
+        earliest = self.configurations[near[np.argsort(time)[:CANDIDATES]]]
+        goals = np.clip(approach(self.model, earliest, target, ITERATIONS), limits.lower, limits.upper)
+        error = np.linalg.norm(self.model.positions(goals) - target, axis=1)
+        time = self.model.least_time(start, goals) + np.where(error < ON_TARGET, 0.0, MISS_PENALTY)
+        goals = goals[np.argsort(time)]
+        fractions = np.linspace(1.0, 0.1, 10)[:, None]
+        free = (goal for goal in goals if all(among.is_free(q) for q in start + fractions * (goal - start)))
+        return next(free, goals[0])

@@ -1,4 +1,4 @@
-"""Where an arm's end-effector can be: the one question that a task may ask the kinematics."""
+"""Which positions an arm's end-effector can reach."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,23 +11,21 @@ Array = NDArray[np.float64]
 
 
 class Workspace:
-    """The positions that an arm can take without touching itself, its base or the floor."""
+    """The positions that an arm reaches without touching itself or the floor."""
 
     def __init__(self, model: ArmModel) -> None:
         self.model = model
         self.ik = Ik(model)
-        rng = np.random.default_rng(0)
-        limits = model.limits
-        samples = rng.uniform(np.maximum(limits.lower, -np.pi), np.minimum(limits.upper, np.pi), (4096, model.dof))
+        samples = model.random_configurations(np.random.default_rng(0), 4096)
         self.centre = model.shoulder
         reach = np.linalg.norm(model.positions(samples) - self.centre, axis=-1).max()
         self.radius = 1.05 * float(reach)
-        """Radius (m) of a ball around `centre` beyond which nothing is reached."""
+        """Radius (m) of a ball around `centre` that contains the workspace."""
 
     def sample(self, rng: np.random.Generator, clearance: float, attempts: int = 1000) -> Array:
-        """Draw a position (3,), uniform over what is reachable and at least `clearance` (m) off floor and base.
+        """Draw a reachable position (3,) uniformly, at least `clearance` (m) from floor and base.
 
-        Raises `ConfigurationError` if nothing is found in `attempts` draws.
+        Raises `ConfigurationError` if none is found in `attempts` draws.
         """
         low, high = self.centre - self.radius, self.centre + self.radius
         low[2] = min(clearance, high[2])
@@ -36,14 +34,14 @@ class Workspace:
             if self.model.base_distance(position) >= clearance and self.reachable(position):
                 return np.asarray(position)
         raise ConfigurationError(
-            f"{self.model.description.name} reached none of {attempts} positions at {clearance} m off floor and base"
+            f"{self.model.description.name} reaches none of {attempts} positions at {clearance} m from floor and base"
         )
 
     def reachable(self, position: Array, tolerance: float = 0.0) -> bool:
-        """Whether the end-effector can come to `position` (3,), or within `tolerance` (m) of it.
+        """Whether the end-effector can reach `position` (3,), or a point within `tolerance` (m) of it.
 
-        True is certain. False is wrong for about 1 % of reachable positions, almost all of them within 2 cm of the
-        outermost, where the arm is stretched out and few of the orientations that are tried suit.
+        True is certain. False is wrong for about 1 % of reachable positions: almost all of them lie within 2 cm of the
+        workspace boundary, where the arm is stretched out and few of the orientations tried are feasible.
         """
         offset = position - self.centre
         if offset @ offset > (self.radius + tolerance) ** 2:
@@ -59,4 +57,4 @@ class Workspace:
 
 _CUBE = np.array([corner for corner in np.ndindex(3, 3, 3) if corner != (1, 1, 1)]) - 1.0
 _DIRECTIONS = _CUBE / np.linalg.norm(_CUBE, axis=1, keepdims=True)
-"""26 unit vectors, to a cube's corners, edges and faces: where a sphere's surface is probed."""
+"""26 unit vectors, towards a cube's corners, edges and faces: sample points on a sphere."""

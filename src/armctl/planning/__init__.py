@@ -1,4 +1,4 @@
-"""What a planner believes: maps, and paths on them. Nothing here knows of MuJoCo or Gymnasium."""
+"""Path planners for arms and for the bridge, independent of MuJoCo and Gymnasium."""
 
 from armctl.planning.arm_planner import ArmPlan, ArmPlanner, ArmPlannerOptions
 from armctl.planning.bridge_planner import PathPlannerOptions, PlanResult, plan_path

@@ -1,7 +1,7 @@
-"""How far it is to the goal line from all over a bridge, around the blocks: Dijkstra's algorithm on a lattice.
+"""Path lengths from all over a bridge to the goal line, around the blocks: Dijkstra's algorithm on a lattice.
 
-Every point of the lattice is joined to 16 others, so that ways are at most 2.8 % longer than they need be, and 1 % in
-the mean. Near a block, where the clearance is missing, it is as far as from the nearest point that has it, and more.
+Every lattice point is joined to 16 others, so paths are at most 2.8 % longer than the shortest, and 1 % on average. A
+point without clearance gets the length of the nearest point that has it, plus a penalty.
 """
 
 from dataclasses import dataclass
@@ -18,21 +18,21 @@ from armctl.scene import BridgeMap
 Array = NDArray[np.float64]
 
 STEPS = ((1, 0), (0, 1), (1, 1), (1, -1), (2, 1), (1, 2), (2, -1), (1, -2))
-"""From a point to its neighbours, in spacings; and back."""
-TOO_NEAR = 3.0
-"""m of way that each m counts which a point is off the nearest one with clearance."""
+"""Offsets from a point to its neighbours, in spacings; edges run both ways."""
+OFF_CLEARANCE = 3.0
+"""Path length (m) added per metre from a point to the nearest one with clearance."""
 
 
 @dataclass(frozen=True)
 class Lattice:
-    """Points all over decks of one size."""
+    """A lattice of points over decks of one size."""
 
     length: float
-    """Of the deck, m."""
+    """m: length of the deck"""
     half_width: float
-    """m"""
+    """m: half the width of the deck"""
     spacing: float = 0.1
-    """m, roughly."""
+    """m: approximate distance between points"""
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -40,21 +40,21 @@ class Lattice:
         return len(self._axes[0]), len(self._axes[1])
 
     def lengths(self, bridge: BridgeMap, goal_x: float, clearance: float) -> Array:
-        """Length (nx, ny), m, of the shortest way from each point to x = `goal_x`, past lanes along the bridge."""
+        """Length (nx, ny) m of the shortest path from each point to x = `goal_x`, beside the lanes along the bridge."""
         points = np.stack(np.meshgrid(*self._axes, indexing="ij"), axis=-1)
         blocked = bridge.with_lanes_blocked()
         free = (blocked.clearance(points.reshape(-1, 2)) >= clearance).reshape(points.shape[:2])
         there = points[..., 0] >= goal_x
-        first, second, ways = self._edges
+        first, second, edge_lengths = self._edges
         open_ = free.ravel()[first] & free.ravel()[second]
-        graph = csr_array((ways[open_], (first[open_], second[open_])), shape=(free.size, free.size))
+        graph = csr_array((edge_lengths[open_], (first[open_], second[open_])), shape=(free.size, free.size))
         lengths = dijkstra(graph, directed=False, indices=np.flatnonzero(there & free), min_only=True)
         lengths = np.where(there, 0.0, lengths.reshape(free.shape))
         off, nearest = distance_transform_edt(np.isinf(lengths), self._spacings, return_indices=True)
-        return np.asarray(lengths[tuple(nearest)] + TOO_NEAR * off)
+        return np.asarray(lengths[tuple(nearest)] + OFF_CLEARANCE * off)
 
     def interpolate(self, lengths: Array, points: Array) -> Array:
-        """Lengths (m,) at points (m, 2), each on a bridge of its own (m, nx, ny), bilinearly."""
+        """Lengths (m,) at points (m, 2), by bilinear interpolation, each point on a bridge of its own (m, nx, ny)."""
         last = np.array(lengths.shape[1:]) - 1
         places = np.clip((points - [0.0, -self.half_width]) / self._spacings, 0, last)
         i, j = corners = np.minimum(places.astype(int), last - 1).T
@@ -76,13 +76,13 @@ class Lattice:
 
     @cached_property
     def _edges(self) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
-        """Indices of the points that are joined, and the lengths between them."""
+        """Indices of the joined points, and the lengths of the edges."""
         index = np.arange(np.prod(self.shape)).reshape(self.shape)
-        first, second, ways = [], [], []
+        first, second, lengths = [], [], []
         for right, left in STEPS:
             begin, end = max(0, -left), index.shape[1] - max(0, left)
             one = index[: len(index) - right, begin:end].ravel()
             first.append(one)
             second.append(index[right:, begin + left : end + left].ravel())
-            ways.append(np.full(len(one), np.hypot(*(self._spacings * (right, left)))))
-        return np.concatenate(first), np.concatenate(second), np.concatenate(ways)
+            lengths.append(np.full(len(one), np.hypot(*(self._spacings * (right, left)))))
+        return np.concatenate(first), np.concatenate(second), np.concatenate(lengths)

@@ -24,6 +24,7 @@ from armctl.tasks.reach import (
 )
 from armctl.tasks.task import (
     FeatureSpec,
+    GoalDistance,
     LearnerView,
     MotionSample,
     Observations,
@@ -35,7 +36,7 @@ from armctl.tasks.task import (
 
 __all__ = [
     "OBSERVATION", "REWARD", "BridgeMovingOptions", "BridgeMovingTask", "BridgeOptions", "BridgeOutcome",
-    "BridgeState", "BridgeTask", "FeatureSpec", "LearnerView", "MotionSample", "MovingReachState", "Observations",
+    "BridgeState", "BridgeTask", "FeatureSpec", "GoalDistance", "LearnerView", "MotionSample", "MovingReachState", "Observations",
     "ObstaclesReachState", "Outcome", "Potential", "ReachMovingOptions", "ReachMovingTask", "ReachObstaclesOptions",
     "ReachObstaclesTask", "ReachOptions", "ReachOutcome", "ReachState", "ReachTask", "RewardTerms", "Task",
 ]  # fmt: skip

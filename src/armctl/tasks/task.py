@@ -5,7 +5,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Any, ClassVar, Protocol, Self
+from typing import Any, ClassVar, Self
 
 import gymnasium
 import numpy as np
@@ -84,14 +84,26 @@ class LearnerView:
     """The same in a frame in which symmetries of the task change nothing, if there is one."""
 
 
-class Potential(Protocol):
+class Potential(ABC):
     """A potential of n worlds, for reward shaping: a function of the state alone, the same one for a whole episode."""
 
-    def begin(self, ids: Ids) -> None:
-        """Worlds `ids` have begun a new episode."""
+    def __init__(self, task: Any) -> None:
+        self.task = task
 
+    def begin(self, ids: Ids) -> None:  # noqa: B027
+        """Worlds `ids` have begun a new episode: prepare for it, if there is anything to prepare."""
+
+    @abstractmethod
     def potentials(self, ids: Ids) -> Array:
         """Potentials of worlds `ids` as they are now, (len(ids),): the higher, the nearer to the goal."""
+
+
+class GoalDistance(Potential):
+    """Minus the distance to the goal, m: the naive potential, for comparison."""
+
+    def potentials(self, ids: Ids) -> Array:
+        """In m, (len(ids),)."""
+        return -np.asarray(self.task.goal_distances()[ids])
 
 
 @options
@@ -116,7 +128,7 @@ class Task(ABC):
     """Those that `armctl compare` lines up if none are named."""
     disturbances: ClassVar[Mapping[str, DisturbanceSpec]] = GENERIC
     """What may go wrong, by name."""
-    potentials: ClassVar[Mapping[str, Callable[[Any], Potential]]] = {}
+    potentials: ClassVar[Mapping[str, Callable[[Any], Potential]]] = {"distance": GoalDistance}
     """Potentials for reward shaping, by name: each is made from the task."""
     camera: ClassVar[str] = "overview"
     """The MJCF camera that pictures are taken with."""

@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from armctl.envs import batch_of_one
+from armctl.envs import batch_of_one, find_spec
 from armctl.errors import ConfigurationError, ResultsError
 from armctl.evaluation.rollouts import wrap_policy_errors
 from armctl.policies import make_policy
-from armctl.registration import add_cwd_to_path
 
 Film = Callable[[NDArray[np.uint8]], None]
 
@@ -63,7 +62,7 @@ def _play(
     while not finished:
         if film:
             film(world.render())
-        state = {part: value.copy() for part, value in world.unwrapped.task.parts().items()}
+        state = {part: value.copy() for part, value in world.unwrapped.task.observation_parts().items()}
         with wrap_policy_errors(name, episode):
             action = actor.act(batch_of_one(observation))[0]
             observation, reward, terminated, truncated, info = world.step(action)
@@ -83,11 +82,7 @@ def _make(
     options: dict[str, Any] = {**env_options, **({} if steps is None else {"max_episode_steps": steps})}
     if not isinstance(options.get("max_episode_steps", 1), int):
         raise ConfigurationError(f"max_episode_steps is a whole number, not {options['max_episode_steps']!r}")
-    add_cwd_to_path()
-    try:
-        return gymnasium.make(env, render_mode=render_mode, **options)
-    except (gymnasium.error.Error, ModuleNotFoundError) as error:
-        raise ConfigurationError(f"no environment {env!r}: {error}") from error
+    return gymnasium.make(find_spec(env), render_mode=render_mode, **options)
 
 
 def _print_step(

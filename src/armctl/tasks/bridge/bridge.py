@@ -21,7 +21,7 @@ from armctl.scene import BridgeMap, PedestrianTrajectories
 from armctl.simulation import ContactSensors, Simulation
 from armctl.tasks.bridge.layout import Layout, sample_layout
 from armctl.tasks.bridge.observation import full_state, make_camera, make_observation_space
-from armctl.tasks.bridge.potentials import CrossingCostToGo, DistanceToGoalLine
+from armctl.tasks.bridge.potentials import CrossingCostToGo
 from armctl.tasks.bridge.state import REWARD, BridgeState, Term
 from armctl.tasks.bridge.world import (
     CONTACT_CLASSES,
@@ -125,10 +125,7 @@ class BridgeTask(Task):
     outcomes = BridgeOutcome
     default_policies: ClassVar[tuple[str, ...]] = ("bridge_ompl", "bridge_ppo", "random")
     disturbances = ROVER
-    potentials: ClassVar[Mapping[str, Callable[[Any], Potential]]] = {
-        "distance": DistanceToGoalLine,
-        "ompl": CrossingCostToGo,
-    }
+    potentials: ClassVar[Mapping[str, Callable[[Any], Potential]]] = {**Task.potentials, "ompl": CrossingCostToGo}
     render_fps = round(1 / CONTROL_PERIOD)
     joints: JointSamples
 
@@ -274,8 +271,8 @@ class BridgeTask(Task):
         }
 
     def goal_distances(self) -> Array:
-        """(n,) m to the goal line."""
-        return self.state.distance
+        """(n,) m to the goal line; 0 beyond it."""
+        return np.maximum(self.state.distance, 0.0)
 
     def motion(self) -> MotionSample:
         """How the rovers move now; a contact is one with barrier, obstacle or, of the base, the floor."""

@@ -22,7 +22,7 @@ from armctl.robots import Arm, build_arm_world
 from armctl.robots.arm import PREFIX
 from armctl.robots.joints import JointSamples
 from armctl.simulation import Simulation
-from armctl.tasks.reach.potentials import DistanceToTarget, MinimumTime, MpcCost
+from armctl.tasks.reach.potentials import MinimumTime, MpcCost
 from armctl.tasks.reach.state import OBSERVATION, REWARD, ReachState, Term
 from armctl.tasks.task import (
     FeatureSpec,
@@ -97,7 +97,7 @@ class ReachTask(Task):
     default_policies: ClassVar[tuple[str, ...]] = ("reach_ik", "reach_ppo", "random")
     disturbances = ARM
     potentials: ClassVar[Mapping[str, Callable[[Any], Potential]]] = {
-        "distance": DistanceToTarget,
+        **Task.potentials,
         "ik": MinimumTime,
         "mpc": MpcCost,
     }

@@ -1,0 +1,173 @@
+"""The task of `docs/add_a_task.md`, which is nobody's but its author's, in every verb."""
+
+import csv
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import armctl
+from armctl.envs import TaskVectorEnv, make_worlds
+from armctl.errors import ConfigurationError
+from armctl.shaping import Shaped
+from armctl.tasks import Outcome, Task
+
+EXAMPLE = Path(__file__).parents[1] / "docs" / "examples" / "hover.py"
+ENV = "hover:mine/Hover-v0"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("hover")
+    shutil.copy(EXAMPLE, folder)
+    return folder
+
+
+@pytest.fixture
+def hover(monkeypatch):
+    monkeypatch.syspath_prepend(str(EXAMPLE.parent))
+    return __import__("hover")
+
+
+def run(folder, *arguments):
+    done = subprocess.run(
+        [sys.executable, "-m", "armctl", *arguments, "--env", ENV], capture_output=True, text=True, cwd=folder
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_the_example_is_short_and_outside_the_package():
+    assert len(EXAMPLE.read_text().splitlines()) < 150
+
+
+def test_compare_goes_on_and_reports(folder):
+    once = ["compare", "hover:Expert", "random", "--out", "results"]
+    assert "hover:Expert wins more episodes" in run(folder, *once, "--episodes", "6")
+    assert "12 episodes were finished by an earlier run" in run(folder, *once, "--episodes", "8", "--report")
+    rows = list(csv.DictReader((folder / "results" / "episodes.csv").open()))
+    assert len(rows) == 16
+    assert {row["env"] for row in rows} == {"mine/Hover-v0"}
+    assert {row["outcome"] for row in rows if row["policy"] == "hover:Expert"} == {"hovering"}
+    page = (folder / "results" / "report.html").read_text()
+    assert "video/mp4" in page
+    assert "hovering" in page
+    done = subprocess.run([sys.executable, "-m", "armctl", "report", "results"], cwd=folder, capture_output=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_default_line_up_is_the_tasks_own(folder):
+    text = run(folder, "compare", "--episodes", "2")
+    assert "hover:Expert" in text
+    assert "random" in text
+
+
+def test_sweep_disturbs_it_in_its_own_ways(folder):
+    disturbances = ["--disturbance", "payload=0.3", "--disturbance", "delay=2", "--disturbance", "pushes=1"]
+    text = run(folder, "sweep", "hover:Expert", "--episodes", "2", "--out", "swept", *disturbances)
+    assert "payload, kg" in text
+    assert (folder / "swept" / "payload-0.3" / "episodes.csv").exists()
+
+
+def test_run_shows_states_and_rewards(folder):
+    text = run(folder, "run", "hover:Expert", "--steps", "2", "--video", "hover.mp4")
+    assert "crash 0" in text
+    assert (folder / "hover.mp4").stat().st_size > 1000
+
+
+def test_collect_writes_a_dataset_and_bc_learns_from_it(folder):
+    run(folder, "collect", "hover:Expert", "--episodes", "3", "--out", "hover-v0")
+    metadata = json.loads((folder / "hover-v0" / "data" / "metadata.json").read_text())
+    assert metadata["env"] == ENV
+
+
+def test_train_learns_with_its_own_potential(folder):
+    options = {"worlds": 8, "batch_size": 64, "validation_episodes": 2, "evaluation_episodes": 4}
+    recipe = f'learner = "ppo"\nenv = "{ENV}"\nshaping = "time"\n[options]\n'
+    (folder / "mine.toml").write_text(recipe + "".join(f"{name} = {value}\n" for name, value in options.items()))
+    assert "held-out episodes" in run(folder, "train", "mine.toml", "--steps", "600")
+    agent = "runs/mine-0/agent.json"
+    assert json.loads((folder / agent).read_text())["shaping"] == "time"
+    assert "agent" in run(folder, "compare", agent, "random", "--episodes", "2")
+    run(folder, "train", "mine.toml", "--steps", "900", "--resume")
+    done = subprocess.run([sys.executable, "-m", "armctl", "reproduce", agent], cwd=folder, capture_output=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_viewer_plays_it(hover):
+    from armctl.viewer.stage import Stage
+
+    stage = Stage("hover:Expert", ENV)
+    assert 0.4 < stage.status.distance < 2.5
+    while stage.status.outcome is None:
+        stage.step()
+    assert stage.status.outcome == "hovering"
+
+
+def test_gymnasium_is_content_with_it(hover):
+    check_env(gymnasium.make("mine/Hover-v0").unwrapped, skip_render_check=True)
+
+
+def test_the_expert_hovers_and_its_potential_telescopes(hover):
+    worlds = make_worlds(ENV, 20)
+    shaped = Shaped(worlds, "time", gamma=1.0)
+    observations, _ = shaped.reset(seed=[3] * 20, options={"episode": np.arange(20)})
+    start, total, policy = -worlds.task.goal_distances(), np.zeros(20), hover.Expert(worlds)
+    finished = np.zeros(20, dtype=bool)
+    while not finished.all():
+        observations, _, terminated, truncated, infos = shaped.step(policy.act(observations))
+        total += infos["reward_terms"]["shaping"]
+        finished |= terminated | truncated
+        assert set(infos["outcome"][finished]) <= {"hovering", "timeout"}
+    np.testing.assert_allclose(total, -start, atol=1e-9)  # a terminal state has potential 0
+
+
+@pytest.mark.parametrize("method", ["reset", "command", "observe", "reward_terms", "outcome"])
+def test_a_task_that_lacks_a_method_fails_when_it_is_made(method, hover):
+    incomplete = type("Incomplete", (hover.HoverTask,), {method: getattr(Task, method)})
+    with pytest.raises(ConfigurationError, match=f"the task Incomplete lacks {method}"):
+        TaskVectorEnv(1, task=incomplete)
+
+
+def test_a_task_that_lacks_outcomes_fails_when_it_is_made():
+    members = ("reset", "command", "observe", "reward_terms", "outcome")
+    incomplete = type("Incomplete", (Task,), dict.fromkeys(members, lambda self: None))
+    with pytest.raises(ConfigurationError, match="the task Incomplete lacks outcomes"):
+        TaskVectorEnv(1, task=incomplete)
+
+
+def test_outcomes_are_numbered_from_timeout_on():
+    class Backwards(Outcome):
+        DONE = 0, True
+        TIMEOUT = 1
+
+    with pytest.raises(ConfigurationError, match="outcomes of Odd are TIMEOUT = 0"):
+        type("Odd", (Task,), {"outcomes": Backwards})
+
+
+def test_what_is_no_task_is_said_to_be_none():
+    armctl.register("mine/NoTask-v0", "json:JSONDecoder", max_episode_steps=5)
+    with pytest.raises(ConfigurationError, match="a task is a subclass of armctl.Task"):
+        make_worlds("mine/NoTask-v0", 1)
+    armctl.register("mine/Missing-v0", "json:Nothing", max_episode_steps=5)
+    with pytest.raises(ConfigurationError, match="cannot load the task 'json:Nothing'"):
+        make_worlds("mine/Missing-v0", 1)
+
+
+def test_installed_tasks_are_registered_and_broken_ones_left_out(tmp_path):
+    (tmp_path / "whole.py").write_text(EXAMPLE.read_text().replace("mine/Hover", "theirs/Hover"))
+    (tmp_path / "broken.py").write_text("import nothing_of_that_name\n")
+    home = tmp_path / "theirs-1.0.dist-info"
+    home.mkdir()
+    (home / "METADATA").write_text("Metadata-Version: 2.1\nName: theirs\nVersion: 1.0\n")
+    (home / "entry_points.txt").write_text("[armctl.tasks]\nbroken = broken\nwhole = whole\n")
+    code = "import armctl, gymnasium; print(gymnasium.make('theirs/Hover-v0').reset(seed=0)[0].shape)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
+    assert done.stdout == "(18,)\n", done.stderr
+    assert "the tasks of broken were left out: ModuleNotFoundError" in done.stderr
