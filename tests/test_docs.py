@@ -1,0 +1,228 @@
+"""The README and the pages in docs/: their examples run, and what they name exists.
+
+A fence says what its block is: `python` and `sh` are run, all of a page in one folder, in their order. `python mine.py` and
+`toml mine.toml` are files for the blocks after them; `python docs/examples/hover.py NAME` is an excerpt of a file; `text` is what
+something prints. `not run: REASON` says why a block is not run: its commands are checked as far as they can be.
+"""
+
+import importlib
+import os
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+import typer.main
+
+from armctl.cli import app
+from armctl.learners import learner_names, load_recipe, recipe_names
+from armctl.policies import policy_names
+from armctl.registration import environment_names
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+GROUPS = {f"armctl.{kind}" for kind in ("learners", "policies", "recipes", "tasks")}
+SECONDS = 600
+"""That a page's examples may take."""
+
+each_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+
+
+class Block(NamedTuple):
+    """A fenced block of a page."""
+
+    kind: str
+    note: str
+    text: str
+
+
+def blocks(page):
+    fences = re.findall(r"^```([^\n]*)\n(.*?)^```$", page.read_text(), re.MULTILINE | re.DOTALL)
+    return [Block(*(first.split(" ", 1) + [""])[:2], text) for first, text in fences]
+
+
+def to_run(page):
+    """The blocks that are run or written, in their order."""
+    return [block for block in blocks(page) if block.kind in ("python", "sh", "toml") and _is_used(block)]
+
+
+def _is_used(block):
+    return not block.note.startswith("not run: ") and " " not in block.note
+
+
+def commands(text):
+    """A shell block's commands, split into words, without comments."""
+    return [words for line in text.splitlines() if (words := shlex.split(line, comments=True))]
+
+
+@each_page
+def test_every_block_says_what_it_is(page):
+    for kind, note, text in blocks(page):
+        assert kind in ("python", "sh", "toml", "text"), f"a fence without a kind: {text}"
+        if kind == "text":
+            assert not note
+        elif "." in note and " " not in note:
+            assert kind in ("python", "toml"), note
+            assert Path(note).suffix == {"python": ".py", "toml": ".toml"}[kind], note
+        else:
+            assert not note or re.match(r"not run: \w+|\S+\.py \S+$", note), note
+        if kind == "toml":
+            tomllib.loads(text)
+        if kind == "python" and note.startswith("not run"):
+            compile(text, page.name, "exec")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", [page for page in PAGES if to_run(page)], ids=lambda page: page.stem)
+def test_examples_run(page, tmp_path):
+    (tmp_path / "docs").symlink_to(ROOT / "docs")
+    environment = os.environ | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}", "COLUMNS": "100"}
+    for kind, note, text in to_run(page):
+        if note:
+            (tmp_path / note).write_text(text)
+            continue
+        python = [sys.executable, "-W", "error::DeprecationWarning", "-c", text]
+        command = python if kind == "python" else ["bash", "-euxc", text]
+        done = subprocess.run(
+            command, capture_output=True, text=True, cwd=tmp_path, env=environment, timeout=SECONDS
+        )
+        assert done.returncode == 0, f"{text}\n{done.stdout[-3000:]}{done.stderr[-3000:]}"
+
+
+@each_page
+def test_every_command_is_one_that_there_is(page):
+    verbs = typer.main.get_command(app)
+    targets = re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    for block in blocks(page):
+        for words in commands(block.text) if block.kind == "sh" else ():
+            match words:
+                case ["armctl", verb, *arguments]:
+                    _check(verbs.commands[verb], arguments)
+                case ["make", *goals]:
+                    assert set(goals) <= set(targets), goals
+                case ["python", script, *_]:
+                    assert (ROOT / script).exists(), script
+                case [program, *_]:
+                    assert program in ("cp", "pip", "source", "ssh"), words
+
+
+def _check(verb, arguments):
+    """That a verb's arguments can be parsed, and that the names in them exist."""
+    given = verb.make_context(verb.name, list(arguments)).params
+    env = given.get("env")
+    assert env is None or ":" in env or env in environment_names(), env
+    named = [*(given.get("policies") or ()), *(given.get("agents") or ()), given.get("policy"), given.get("teacher")]
+    for policy in filter(None, named):
+        assert re.search(r"[:/.]", policy) or policy in policy_names(), policy
+    if "recipe" in given:
+        assert given["recipe"].endswith(".toml") or given["recipe"] in [*recipe_names(), *learner_names()]
+
+
+@each_page
+def test_excerpts_are_what_the_code_says(page, monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    renewed = importlib.import_module("excerpts").renewed(page.read_text())
+    assert page.read_text() == renewed, "python docs/excerpts.py makes the excerpts anew"
+
+
+@each_page
+def test_links_lead_somewhere(page):
+    for link in re.findall(r"\]\(([^)]+)\)", _prose(page)):
+        if link.startswith("https://"):
+            continue
+        file, _, heading = link.partition("#")
+        target = (page.parent / file).resolve() if file else page
+        assert target.exists(), link
+        assert not heading or heading in _headings(target), link
+
+
+def _headings(page):
+    """The anchors that GitHub makes of a page's headings."""
+    titles = re.findall(r"^#+ (.*)$", _prose(page), re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", title).strip().lower().replace(" ", "-") for title in titles}
+
+
+def _prose(page):
+    return re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+
+
+@each_page
+def test_names_and_paths_in_the_prose_exist(page):
+    """Modules and attributes of armctl, environments, and files of the repository, as they stand in backticks."""
+    for name in re.findall(r"`(armctl(?:\.\w+)+)[`(]", _prose(page)):
+        assert name in GROUPS or _importable(name), name
+    for env in re.findall(r"\barmctl/\w+-v\d+", page.read_text()):
+        assert env in environment_names(), env
+    folders = "baselines|benchmarks|docs|models|notebooks|rl|src|tests"
+    for path in re.findall(rf"(?<![\w/.])((?:{folders})/[\w/.*-]*)", _prose(page)):
+        found = list(ROOT.glob(path.rstrip("."))) if "*" in path else [ROOT / path.rstrip(".")]
+        assert found, path
+        assert all(one.exists() for one in found), path
+
+
+def _importable(name):
+    """Whether that is a module of armctl's, or what one has."""
+    module, attributes = name, []
+    while module:
+        try:
+            found = importlib.import_module(module)
+            break
+        except ModuleNotFoundError:
+            module, _, attribute = module.rpartition(".")
+            attributes.insert(0, attribute)
+    for attribute in attributes:
+        if not hasattr(found, attribute):
+            return False
+        found = getattr(found, attribute)
+    return True
+
+
+def test_changelog_says_where_renamed_modules_are_now():
+    for name in re.findall(r"^\|[^|]+\| `(armctl(?:\.\w+)+)`", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE):
+        assert _importable(name), name
+
+
+def test_the_layout_has_every_folder_and_file():
+    tree, floors = [block.text for block in blocks(ROOT / "docs" / "layout.md") if block.kind == "text"][:2]
+    there = {path.name for path in (ROOT / "src/armctl").iterdir() if not path.name.startswith(("_", "py.typed"))}
+    assert {name.rstrip("/") for name in re.findall(r"^  ([\w/.]+)", tree, re.MULTILINE)} == there
+    for name in re.findall(r"^([\w/]+)", tree, re.MULTILINE):
+        assert (ROOT / name).is_dir(), name
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
+    assert floors.split("\n")[:-1] == next(one["layers"] for one in contracts if one["type"] == "layers")
+
+
+def test_every_policy_is_said_what_it_sees():
+    table = (ROOT / "docs" / "policies.md").read_text().split("may see |")[1].split("\n\n")[0]
+    rows = re.findall(r"^\|([^|]+)\|[^|]+\|[^|]+\|$", table, re.MULTILINE)
+    assert sorted(name for row in rows for name in re.findall(r"`(\w+)`", row)) == policy_names()
+
+
+def test_every_disturbance_and_potential_is_in_the_pages():
+    from armctl.envs import task_of
+
+    tasks = [task_of(env) for env in environment_names() if env.startswith("armctl/")]
+    for page, declared in (("robustness", "disturbances"), ("training", "potentials")):
+        table = set(re.findall(r"^\| `(\w+)` \|", (ROOT / "docs" / f"{page}.md").read_text(), re.MULTILINE))
+        assert {name for task in tasks for name in getattr(task, declared)} <= table
+
+
+def test_every_option_of_an_environment_is_in_the_pages():
+    import dataclasses
+
+    from armctl.envs import task_of
+
+    page = (ROOT / "docs" / "environments.md").read_text()
+    for env in (env for env in environment_names() if env.startswith("armctl/")):
+        for option in dataclasses.fields(task_of(env).options_type):
+            assert f"`{option.name}`" in page, option.name
+
+
+def test_every_recipe_names_a_learner_that_the_pages_explain():
+    table = re.findall(r"^\| `(\w+)` \|", (ROOT / "docs" / "training.md").read_text(), re.MULTILINE)
+    assert {load_recipe(name).learner for name in recipe_names()} <= set(table)
+    assert set(learner_names()) <= set(table)
