@@ -158,7 +158,7 @@ def test_unusable_clearances_are_refused(clearance):
 
 def test_ompl_says_nothing():
     code = (
-        "import numpy as np; from armctl.planning import BridgeMap, plan_path; "
+        "import numpy as np; from armctl.planning import plan_path; from armctl.scene import BridgeMap; "
         "bridge = BridgeMap(20.0, 1.4, np.array([(10, 0, 0, 0.3, 0.3)])); print(plan_path(bridge, (1, 0), 19.0).found)"
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -40,7 +40,7 @@ FINEST = 2**-12
 
 
 class ArmShapes:
-    """An arm's collision pairs, and bounds on how far the joints move them: everything that does not depend on boxes."""
+    """An arm's collision pairs, and bounds on how far the joints move them; independent of boxes."""
 
     def __init__(self, model: ArmModel) -> None:
         self.model = model

@@ -163,11 +163,11 @@ class ArmModel:
         return bool(np.allclose((cos * x - sin * y, sin * x + cos * y, z), after, atol=1e-4))
 
     def least_time(self, start: Array, goal: Array) -> Array:
-        """Seconds until all joints can have moved from rest at `start` to `goal` (..., dof), where they need not stop."""
+        """Seconds in which all joints can move from rest at `start` to `goal` (..., dof), without stopping there."""
         return np.asarray(np.max(travel_time(goal - start, 0.0, self.limits), axis=-1))
 
     def cruise_time(self, start: Array, goal: Array) -> Array:
-        """Seconds from `start` to `goal` (..., dof) at the velocity limit of the slowest joint: additive along a path."""
+        """Seconds from `start` to `goal` (..., dof) at the slowest joint's velocity limit: additive along a path."""
         return np.asarray(np.max(np.abs(goal - start) / self.limits.velocity, axis=-1))
 
     def _jacobian(self, q: Array, frame: pinocchio.ReferenceFrame) -> Array:

@@ -106,7 +106,7 @@ class ReachTimes:
         return np.asarray(travel_time(goals - q, velocity, self.model.limits).max(axis=-1) + excess)
 
     def _moved_to(self, q: Array, positions: Array, centres: Array) -> tuple[Array, Array]:
-        """Configurations (..., dof), moved from q until the end-effector is at `positions` or near, and their excess, s."""
+        """Configurations (..., dof) moved from q towards end-effector `positions`, and their excess, s."""
         goals = approach(self.model, q, positions, self.effort.iterations)
         goals = np.clip(goals, self.model.limits.lower, self.model.limits.upper)
         return goals, self._excess(np.linalg.norm(self.model.positions(goals) - centres, axis=-1))

@@ -1,4 +1,4 @@
-"""Sampled configurations of an arm, looked up by the position of the end-effector: a global search before a local one."""
+"""Sampled configurations of an arm, looked up by end-effector position: a global search before a local one."""
 
 import itertools
 
@@ -43,7 +43,7 @@ class ReachabilityMap:
     def nearest(self, positions: Array, count: int) -> tuple[Array, NDArray[np.intp]]:
         """Distances (..., count) m and indices of the configurations whose end-effector is nearest to `positions`."""
         distances, indices = self._by_position.query(positions, count)
-        return distances, indices
+        return np.asarray(distances), np.asarray(indices)
 
     def towards(self, target: Array, start: Array, among: ArmModel) -> Array:
         """The configuration (dof,) with the end-effector at `target` (3,) that is reached earliest from `start` (dof,).

@@ -117,9 +117,7 @@ class ArmPlanner:
         except (TypeError, ValueError):
             origin = centre = radius = np.empty(0)
         if origin.shape != (self.model.dof,) or not self.model.within_limits(origin):
-            raise ConfigurationError(
-                f"start should be {self.model.dof} joint positions within the limits, not {start!r}"
-            )
+            raise ConfigurationError(f"start should be {self.model.dof} positions within the limits, not {start!r}")
         if centre.shape != (3,) or radius.shape != () or not np.isfinite(centre).all() or not 0 < radius < math.inf:
             raise ConfigurationError(
                 f"target and tolerance should be (x, y, z) and a radius above 0, not {target!r} and {tolerance!r}"

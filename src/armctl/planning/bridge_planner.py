@@ -49,8 +49,8 @@ class PathPlannerOptions:
     clearance: Annotated[float, Field(gt=0)] = 0.4
     """m: distance from the path to the nearest block or side."""
     searches: tuple[Annotated[int, Field(ge=0)], ...] = (0, 100, 400, 1600)
-    """Points all over the deck in each search. Two searches are made, since FMT* leaves edges untried and different ones
-    each time; the shorter path is taken. Further searches follow until there is a path."""
+    """Points all over the deck in each search. At least two searches are made, since each leaves other edges untried;
+    the shorter path is taken. Further searches follow until there is a path."""
 
 
 @dataclass(frozen=True, eq=False)
