@@ -1,7 +1,7 @@
 """Excerpts of code in the pages are copies: `python docs/excerpts.py` makes them anew after the code has changed.
 
-A fence names the file and what to show of it: `python docs/examples/hover.py HoverOptions..HoverOutcome`, where each end is
-a class, a function, a method (`HoverTask.reset`) or a variable.
+A fence names a file and what to show of it, such as `python docs/examples/hover.py HoverTask.reset`: a class, a
+function, a method, a variable, a call, or all from one to another (`HoverTask.options_type..HoverTask.render_fps`).
 """
 
 import ast

@@ -1,8 +1,8 @@
 """The README and the pages in docs/: their examples run, and what they name exists.
 
-A fence says what its block is: `python` and `sh` are run, all of a page in one folder, in their order. `python mine.py` and
-`toml mine.toml` are files for the blocks after them; `python docs/examples/hover.py NAME` is an excerpt of a file; `text` is what
-something prints. `not run: REASON` says why a block is not run: its commands are checked as far as they can be.
+A fence says what its block is. `python` and `sh` are run, all of a page in one folder, in their order. `python mine.py`
+and `toml mine.toml` are files for the blocks after them. `python docs/examples/hover.py NAME` is an excerpt of a file.
+`text` is what something prints. `not run: REASON` is not run: its commands are checked as far as they can be.
 """
 
 import importlib
@@ -42,7 +42,7 @@ class Block(NamedTuple):
 
 def blocks(page):
     fences = re.findall(r"^```([^\n]*)\n(.*?)^```$", page.read_text(), re.MULTILINE | re.DOTALL)
-    return [Block(*(first.split(" ", 1) + [""])[:2], text) for first, text in fences]
+    return [Block(*first.partition(" ")[::2], text) for first, text in fences]
 
 
 def to_run(page):
@@ -87,9 +87,7 @@ def test_examples_run(page, tmp_path):
             continue
         python = [sys.executable, "-W", "error::DeprecationWarning", "-c", text]
         command = python if kind == "python" else ["bash", "-euxc", text]
-        done = subprocess.run(
-            command, capture_output=True, text=True, cwd=tmp_path, env=environment, timeout=SECONDS
-        )
+        done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=environment, timeout=SECONDS)
         assert done.returncode == 0, f"{text}\n{done.stdout[-3000:]}{done.stderr[-3000:]}"
 
 

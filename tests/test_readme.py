@@ -13,7 +13,9 @@ def test_it_is_short():
 
 def test_it_leads_to_every_page_and_notebook():
     links = set(re.findall(r"\]\(([^)#]+)", README))
-    pages = {str(path.relative_to(ROOT)) for pattern in ("docs/*.md", "notebooks/*.ipynb") for path in ROOT.glob(pattern)}
+    pages = {
+        str(path.relative_to(ROOT)) for pattern in ("docs/*.md", "notebooks/*.ipynb") for path in ROOT.glob(pattern)
+    }
     assert pages <= links
 
 
