@@ -1,14 +1,14 @@
-"""The MPC expert: OMPL's path over the bridge's map, driven by nonlinear model predictive control.
+"""The MPC expert: OMPL's path over the bridge's map, followed by nonlinear model predictive control.
 
-It keeps away from what stands by half-planes, and from people by where they are predicted to be over the horizon: it
-slows down for them, or goes around them. The path passes beside lanes along the bridge.
-It sees the map and the true pose: privileged state.
+Half-planes keep it away from static obstacles. It predicts pedestrians over the horizon, and slows down for them or
+goes around them. The path passes beside the lanes along the bridge. It sees the map and the true pose, which are
+privileged state.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.baselines.bridge_controllers import BridgePolicy, path_from
+from armctl.baselines.bridge_controllers import BridgePolicy, distance_from_path, path_from
 from armctl.control.drive_mpc import DriveMpc, DriveMpcOptions
 from armctl.envs import TaskVectorEnv
 from armctl.robots.rover import MAX_VELOCITY, MAX_WHEEL_SPEED, RADIUS, TRACK, WHEEL_RADIUS, WHEEL_SEPARATION_MULTIPLIER
@@ -18,22 +18,22 @@ from armctl.tasks.bridge import CONTROL_PERIOD
 Array = NDArray[np.float64]
 
 MARGIN = 0.04
-"""m kept between the rover and whatever stands."""
+"""m: distance between the rover and static obstacles."""
 PEOPLE_MARGIN = 0.15
-"""m kept between the rover and whoever walks."""
+"""m: distance between the rover and pedestrians."""
 ACCELERATION = 4.0
-"""m/s^2. The rover can do 5.5, up and down. With no more than 4 it has the commanded speed (0.97 to 0.99 of it) within
-the period, and the yaw rate (0.9 to 1.1) sooner: 99 % of predictions for the next decision are within 2 cm."""
+"""m/s^2. The rover can accelerate and brake at 5.5. With at most 4, it reaches the commanded speed (0.97 to 0.99 of it)
+within the period, and the yaw rate (0.9 to 1.1) earlier: 99 % of predictions of the next pose are within 2 cm."""
 REPLAN_DISTANCE = 1.0
-"""m off the path, from where a new one is planned."""
+"""m: distance from the path at which a new one is planned."""
 
 
 def make(env: TaskVectorEnv) -> BridgePolicy:
-    """OMPL path on the true map, and nonlinear MPC along it, around people where they are predicted to be."""
-    return BridgePolicy("bridge_mpc", env, BridgeController)
+    """OMPL path on the true map, and nonlinear MPC along it, around the predicted pedestrians."""
+    return BridgePolicy("bridge_mpc", env, BridgeMpc)
 
 
-class BridgeController:
+class BridgeMpc:
     """Crosses one bridge."""
 
     def __init__(self, bridge: BridgeMap, goal_x: float) -> None:
@@ -54,25 +54,22 @@ class BridgeController:
 
     @property
     def failures(self) -> int:
-        """Decisions without a solution, in which the rover braked."""
+        """Control steps without a solution, in which the rover braked."""
         return self._failed_before + (self._mpc.failures if self._mpc else 0)
 
     def plans(self) -> dict[str, Array]:
-        """The path (m, 2) and where the rover is predicted to be, (steps + 1, 2), m."""
+        """The path (m, 2) and the predicted positions (steps + 1, 2) of the rover, m."""
         return self._plans
 
     def act(self, pose: Array, velocity: Array, time: float) -> tuple[float, float]:
-        """Linear and angular velocity for a pose (x, y, yaw), the present velocities (m/s, rad/s) and time (s)."""
-        if self._mpc is None or self._strayed(self._mpc, pose):
+        """Linear and angular velocity for a pose (x, y, yaw), current velocities (m/s, rad/s) and time (s)."""
+        if self._mpc is None or distance_from_path(self._mpc, pose) > REPLAN_DISTANCE:
             path = path_from(self._bridge, pose[:2], self._goal_x)
             if not len(path):
                 return 0.0, 0.0
             self._failed_before = self.failures
             self._mpc = DriveMpc(path, self._bridge.nearest, self._options)
             self._plans["path"] = path
-        decision = self._mpc.decide(pose, velocity, self._bridge.pedestrians.positions(time + self._clock))
-        self._plans["horizon"] = decision.poses[:, :2]
-        return decision.command
-
-    def _strayed(self, mpc: DriveMpc, pose: Array) -> bool:
-        return bool(np.linalg.norm(mpc.path.points_at(mpc.progress) - pose[:2]) > REPLAN_DISTANCE)
+        result = self._mpc.decide(pose, velocity, self._bridge.pedestrians.positions(time + self._clock))
+        self._plans["horizon"] = result.poses[:, :2]
+        return result.command

@@ -1,15 +1,15 @@
 """The OMPL expert: a path with clearance over the bridge's map, followed at speed by regulated pure pursuit.
 
-Where people walk, path and speed are decided one after the other (Kant and Zucker, Toward efficient trajectory
-planning: the path-velocity decomposition, IJRR 5(3), 1986). The path passes beside lanes along the bridge. Lanes across
-it are entered at the highest speed for which nobody's predicted course comes near, until a place where nobody walks.
-It sees the map and the true pose: privileged state.
+Path and speed are chosen one after the other (Kant and Zucker, Toward efficient trajectory planning: the path-velocity
+decomposition, IJRR 5(3), 1986). The path passes beside the lanes along the bridge. Lanes across it are entered at the
+highest speed at which no predicted pedestrian comes near until the rover is clear of all lanes. It sees the map and the
+true pose, which are privileged state.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.baselines.bridge_controllers import BridgePolicy, path_from
+from armctl.baselines.bridge_controllers import BridgePolicy, distance_from_path, path_from
 from armctl.control import RegulatedPurePursuit
 from armctl.envs import TaskVectorEnv
 from armctl.robots.rover import RADIUS
@@ -19,23 +19,23 @@ from armctl.tasks.bridge import CONTROL_PERIOD
 Array = NDArray[np.float64]
 
 MARGIN = 0.2
-"""m kept between the rover and whoever walks."""
+"""m: distance between the rover and pedestrians."""
 ACCELERATION = 4.0
-"""m/s^2 with which the rover is expected to change its speed."""
+"""m/s^2: assumed acceleration of the rover."""
 SPEEDS = (1.0, 0.8, 0.6, 0.4, 0.25, 0.0)
-"""Shares of the pursuit's speed that are tried, the highest first."""
+"""Fractions of the pursuit's speed to try, the highest first."""
 FORESIGHT = 5.0
-"""s that predictions reach."""
+"""s: prediction horizon."""
 REPLAN_DISTANCE = 0.4
-"""m off the path, from where a new one is planned."""
+"""m: distance from the path at which a new one is planned."""
 
 
 def make(env: TaskVectorEnv) -> BridgePolicy:
-    """OMPL path on the true map, and pure pursuit; waits for whoever crosses the path."""
-    return BridgePolicy("bridge_ompl", env, BridgeController)
+    """OMPL path on the true map, and pure pursuit; waits for pedestrians who cross the path."""
+    return BridgePolicy("bridge_ompl", env, BridgeOmpl)
 
 
-class BridgeController:
+class BridgeOmpl:
     """Crosses one bridge."""
 
     def __init__(self, bridge: BridgeMap, goal_x: float) -> None:
@@ -49,9 +49,9 @@ class BridgeController:
         return {} if self._path is None else {"path": self._path}
 
     def act(self, pose: Array, velocity: Array, time: float) -> tuple[float, float]:
-        """Linear and angular velocity for a pose (x, y, yaw), the present velocities (m/s, rad/s) and time (s)."""
+        """Linear and angular velocity for a pose (x, y, yaw), current velocities (m/s, rad/s) and time (s)."""
         speed = float(velocity[0])
-        if self._pursuit is None or self._strayed(self._pursuit, pose):
+        if self._pursuit is None or distance_from_path(self._pursuit, pose) > REPLAN_DISTANCE:
             path = path_from(self._bridge, pose[:2], self._goal_x)
             if not len(path):
                 return 0.0, 0.0
@@ -62,11 +62,8 @@ class BridgeController:
         share = self._highest_safe_share(self._pursuit, linear, speed, time)
         return share * linear, share * angular
 
-    def _strayed(self, pursuit: RegulatedPurePursuit, pose: Array) -> bool:
-        return bool(np.linalg.norm(pursuit.points_at(pursuit.progress) - pose[:2]) > REPLAN_DISTANCE)
-
     def _highest_safe_share(self, pursuit: RegulatedPurePursuit, linear: float, speed: float, time: float) -> float:
-        """Share of the speed at which the rover meets nobody before it comes to a place where nobody walks."""
+        """Highest fraction of the speed at which the rover meets nobody until it is clear of all lanes."""
         shares = np.array(SPEEDS)
         clock = np.arange(0.0, FORESIGHT, 0.05)
         wanted = shares[:, None] * linear
@@ -76,21 +73,21 @@ class BridgeController:
             speed * clock + np.sign(wanted - speed) * ACCELERATION * clock**2 / 2,
             speed * change + np.sign(wanted - speed) * ACCELERATION * change**2 / 2 + wanted * (clock - change),
         )
-        places = pursuit.points_at(pursuit.progress + travelled)
+        points = pursuit.path.points_at(pursuit.progress + travelled)
         people = self._crossing.positions(time + clock)
-        apart = np.linalg.norm(places[:, :, None] - people, axis=-1).min(axis=-1)
-        room = apart - RADIUS - self._crossing.radius
-        stops = pursuit.points_at(pursuit.progress + travelled + wanted**2 / (2 * ACCELERATION))
-        refuge = self._off_all_lanes(places) & self._off_all_lanes(stops) & (clock >= CONTROL_PERIOD)
+        distances = np.linalg.norm(points[:, :, None] - people, axis=-1).min(axis=-1)
+        room = distances - RADIUS - self._crossing.radius
+        stops = pursuit.path.points_at(pursuit.progress + travelled + wanted**2 / (2 * ACCELERATION))
+        refuge = self._off_all_lanes(points) & self._off_all_lanes(stops) & (clock >= CONTROL_PERIOD)
         until = np.where(refuge.any(axis=1), refuge.argmax(axis=1), len(clock) - 1)
         closest = np.array([row[: last + 1].min() for row, last in zip(room, until, strict=True)])
         safe = (closest >= MARGIN) & refuge.any(axis=1)
         return float(shares[safe.argmax()] if safe.any() else shares[closest.argmax()])
 
-    def _off_all_lanes(self, places: Array) -> NDArray[np.bool_]:
+    def _off_all_lanes(self, points: Array) -> NDArray[np.bool_]:
         pedestrians = self._crossing
-        way = pedestrians.end - pedestrians.start
-        offset = places[..., None, :] - pedestrians.start
-        share = np.clip((offset * way).sum(axis=-1) / (way * way).sum(axis=-1), 0.0, 1.0)
-        distance = np.linalg.norm(offset - share[..., None] * way, axis=-1).min(axis=-1)
+        lane = pedestrians.end - pedestrians.start
+        offset = points[..., None, :] - pedestrians.start
+        share = np.clip((offset * lane).sum(axis=-1) / (lane * lane).sum(axis=-1), 0.0, 1.0)
+        distance = np.linalg.norm(offset - share[..., None] * lane, axis=-1).min(axis=-1)
         return np.asarray(distance >= RADIUS + pedestrians.radius + MARGIN / 2)

@@ -1,4 +1,4 @@
-"""The random-action runner of old: uniform over the action space. What any policy should beat."""
+"""Uniform random actions: the lower bound for any policy."""
 
 from typing import Literal
 
@@ -9,7 +9,7 @@ from armctl.envs import TaskVectorEnv
 
 
 class RandomActions:
-    """Uniform random actions, a function of seed and episode alone."""
+    """Uniform random actions that depend only on seed and episode."""
 
     sees: Literal["observation", "state"] = "observation"
     training_steps = 0
@@ -21,10 +21,10 @@ class RandomActions:
         self._rngs = [np.random.default_rng(seed)] * env.num_envs
 
     def reset(self, ids: NDArray[np.int32]) -> None:
-        """Draw anew, by the episode that begins."""
+        """Seed the generators of worlds `ids` by their new episodes."""
         for i in ids:
             self._rngs[i] = np.random.default_rng((self._seed, self._env.seeds[i], self._env.episodes[i]))
 
     def act(self, observations: NDArray[np.float32]) -> NDArray[np.float64]:
-        """Actions (n, ...), whatever is observed."""
+        """Actions (n, ...), independent of observations."""
         return np.array([rng.uniform(self._space.low, self._space.high) for rng in self._rngs])

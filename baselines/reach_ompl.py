@@ -1,7 +1,7 @@
-"""The OMPL expert among obstacles: a planned path, timed to run smoothly within the joint limits, and followed.
+"""The OMPL expert among obstacles: plans a path, times it within the joint limits, and follows it.
 
-It plans once an episode, from the observation alone, which tells the boxes. Where it comes to the end and has not
-reached the target, it plans again.
+It plans once per episode, from the observation alone, which includes the boxes. If it ends without reaching the target,
+it plans again.
 """
 
 import itertools
@@ -10,10 +10,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.baselines.reach_task import checked_task
 from armctl.control.streaming import CommandStream, commanded
 from armctl.control.trajectory import Trajectory, smooth
 from armctl.envs import TaskVectorEnv
-from armctl.errors import ConfigurationError
 from armctl.kinematics import ArmModel, ArmShapes, EdgeChecker
 from armctl.planning import ArmPlanner
 from armctl.policies import PerWorld
@@ -25,25 +25,19 @@ from armctl.tasks.reach.obstacles import OBSTACLES_OBSERVATION
 Array = NDArray[np.float64]
 
 CLEARANCE = 0.005
-"""m that the motion commanded keeps: half of what the path does, for corners are cut; servos are off by a few mm."""
+"""m: clearance of the commanded motion. It is half the path's, since corners are cut; servos are off by a few mm."""
 TICKS_CHECKED = 2
-"""Of the drives, between places whose connections are checked."""
+"""Ticks of the drives between configurations whose edges are checked."""
 HEADROOM = 0.7
-"""Of the acceleration limits, for the trajectory: the drives need the rest to follow it."""
+"""Fraction of the acceleration limits for the trajectory: the drives need the rest to follow it."""
 
 
 def make(env: TaskVectorEnv) -> PerWorld:
-    """OMPL path around the obstacles, timed within velocity, acceleration and jerk limits, and followed."""
-    if not isinstance(env.task, ReachObstaclesTask):
-        raise ConfigurationError("reach_ompl reaches around obstacles: use it with armctl/ArmReachObstacles-v0")
-    options, arm = env.task.options, env.task.arm
-    if list(options.observation)[: len(OBSTACLES_OBSERVATION)] != list(OBSTACLES_OBSERVATION):
-        expected = ", ".join(OBSTACLES_OBSERVATION)
-        raise ConfigurationError(f"reach_ompl reads the observation {expected}; here it is another")
-    if options.control != "position":
-        raise ConfigurationError("reach_ompl commands joint positions: use control 'position'")
-    planner = ArmPlanner(ArmModel(arm.description))
-    return PerWorld([ReachOmpl(planner, options.tolerance, arm.period) for _ in range(env.num_envs)])
+    """OMPL path around the obstacles, timed within velocity, acceleration and jerk limits."""
+    env_id = "armctl/ArmReachObstacles-v0"
+    task = checked_task("reach_ompl", env, ReachObstaclesTask, env_id, OBSTACLES_OBSERVATION, ["position"])
+    planner = ArmPlanner(ArmModel(task.arm.description))
+    return PerWorld([ReachOmpl(planner, task.options.tolerance, task.arm.period) for _ in range(env.num_envs)])
 
 
 class ReachOmpl:
@@ -57,10 +51,10 @@ class ReachOmpl:
     def reset(self) -> None:
         """Forget the plan."""
         self._motion: Trajectory | None = None
-        self._decision = 0
+        self._step = 0
 
     def plans(self) -> dict[str, Array]:
-        """The end-effector's way, (m, 3) m, a point for each decision."""
+        """The end-effector's path, (m, 3) m, with a point for each control step."""
         if self._motion is None:
             return {}
         times = np.arange(0.0, self._motion.duration + self._period, self._period)
@@ -70,23 +64,23 @@ class ReachOmpl:
         """Joint positions (dof,) to move to, for an observation (6 + dof + boxes,)."""
         dof = self._model.dof
         _, q, target, boxes = np.split(observation.astype(float), (3, 3 + dof, 6 + dof))
-        if self._motion is None or self._decision * self._period > self._motion.duration + 0.2:
-            self._motion, self._decision = self._plan(q, target, read_boxes(boxes)), 0
+        if self._motion is None or self._step * self._period > self._motion.duration + 0.2:
+            self._motion, self._step = self._plan(q, target, read_boxes(boxes)), 0
             self._stream = CommandStream(self._model.limits, self._period, q)
-        self._decision += 1
-        return self._stream.goal_towards(self._motion.at(self._decision * self._period))
+        self._step += 1
+        return self._stream.goal_towards(self._motion.at(self._step * self._period))
 
     def _plan(self, q: Array, target: Array, boxes: Boxes) -> Trajectory:
-        """The timed motion; standing still if there is no way."""
+        """The timed motion; at rest if there is no path."""
         limits = self._model.limits
         start = np.clip(q, limits.lower, limits.upper)
         path = self._planner.plan(start, target, self._tolerance, boxes).path
         if len(path) < 2:
             return Trajectory(start[None])
-        motions = EdgeChecker(self._shapes, boxes, CLEARANCE, start)
+        edges = EdgeChecker(self._shapes, boxes, CLEARANCE, start)
 
         def is_free(motion: Trajectory) -> bool:
-            places = commanded(limits, motion, self._period)
-            return all(motions.is_edge_free(a, b) for a, b in itertools.pairwise(places[::TICKS_CHECKED]))
+            positions = commanded(limits, motion, self._period)
+            return all(edges.is_edge_free(a, b) for a, b in itertools.pairwise(positions[::TICKS_CHECKED]))
 
         return smooth(replace(limits, acceleration=HEADROOM * limits.acceleration), path, is_free)

@@ -13,10 +13,9 @@ FAST = {"observation": "state"}
 """It looks at the state anyhow, and cameras take time."""
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("env", [STATIC, MOVING])
-def test_it_crosses_nearly_always_and_decides_in_time(env):
-    results = evaluate("bridge_mpc", env, episodes=100, seed=0, worlds=1, env_options=FAST)
+def test_it_crosses_nearly_always_and_decides_in_time(env, sized):
+    results = evaluate("bridge_mpc", env, episodes=sized(6, 100), seed=0, worlds=1, env_options=FAST)
     assert results.success.mean() >= 0.97
     assert results.length[results.success].mean() < 105
     assert results.decision_ms_p99.median() < 100

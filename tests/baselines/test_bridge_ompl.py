@@ -13,10 +13,9 @@ FAST = {"observation": "state"}
 """It looks at the state anyhow, and cameras take time."""
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("env", "least"), [(STATIC, 0.99), (MOVING, 0.97)])
-def test_it_crosses_nearly_always(env, least):
-    results = evaluate("bridge_ompl", env, episodes=200, seed=0, worlds=40, env_options=FAST)
+def test_it_crosses_nearly_always(env, least, sized):
+    results = evaluate("bridge_ompl", env, episodes=sized(20, 200), seed=0, worlds=sized(20, 40), env_options=FAST)
     assert results.success.mean() >= least
     assert results.length[results.success].mean() < 150
 
@@ -37,12 +36,13 @@ def test_it_is_the_same_in_every_run_and_needs_no_camera():
     assert first.equals(second)
 
 
-def test_it_keeps_its_distance_from_all_that_walks_and_stands():
-    env = gymnasium.make_vec(MOVING, num_envs=10, autoreset_mode="disabled", **FAST)
+def test_it_keeps_its_distance_from_all_that_walks_and_stands(sized):
+    n = sized(4, 10)
+    env = gymnasium.make_vec(MOVING, num_envs=n, autoreset_mode="disabled", **FAST)
     policy = make_policy("bridge_ompl", env)
     observations, _ = env.reset(seed=7)
-    policy.reset(np.arange(10, dtype=np.int32))
-    task, running = env.unwrapped.task, np.ones(10, dtype=bool)
+    policy.reset(np.arange(n, dtype=np.int32))
+    task, running = env.unwrapped.task, np.ones(n, dtype=bool)
     for _ in range(400):
         observations, _, terminated, truncated, _ = env.step(policy.act(observations))
         running &= ~(terminated | truncated)
@@ -77,9 +77,10 @@ def crossing_time(bridge, radius, speed=1.0, limit=60.0, cell=0.1):
     return None
 
 
-def test_a_patient_driver_always_gets_through():
-    env = gymnasium.make_vec(MOVING, num_envs=40, **FAST)
+def test_a_patient_driver_always_gets_through(sized):
+    n = sized(10, 40)
+    env = gymnasium.make_vec(MOVING, num_envs=n, **FAST)
     env.reset(seed=11)
-    times = [crossing_time(env.unwrapped.task.map(world), radius=0.35) for world in range(40)]
+    times = [crossing_time(env.unwrapped.task.map(world), radius=0.35) for world in range(n)]
     assert all(time is not None for time in times)
     assert max(times) > min(times) + 1  # somebody had to wait

@@ -21,7 +21,7 @@ def drive(path, turning=1.0, pose=(0.0, 0.0, 0.0), limit=600):
             pose[:2] += speed * PERIOD / 10 * np.array((np.cos(pose[2]), np.sin(pose[2])))
         poses.append(pose.copy())
         speeds.append(speed)
-        if pursuit.progress >= pursuit.length:
+        if pursuit.progress >= pursuit.path.length:
             return np.array(poses), np.array(speeds), pursuit
     raise AssertionError("it did not arrive")
 
@@ -88,16 +88,16 @@ def test_progress_never_goes_back_nor_jumps_to_a_later_part_nearby():
 
 def test_points_along_the_path_and_beyond():
     pursuit = RegulatedPurePursuit([(0, 0), (3, 4), (3, 10)])
-    assert pursuit.length == pytest.approx(11)
+    assert pursuit.path.length == pytest.approx(11)
     np.testing.assert_allclose(
-        pursuit.points_at([0, 2.5, 5, 8, 11, 13]), [(0, 0), (1.5, 2), (3, 4), (3, 7), (3, 10), (3, 12)]
+        pursuit.path.points_at([0, 2.5, 5, 8, 11, 13]), [(0, 0), (1.5, 2), (3, 4), (3, 7), (3, 10), (3, 12)]
     )
-    assert pursuit.points_at(np.zeros((2, 3))).shape == (2, 3, 2)
+    assert pursuit.path.points_at(np.zeros((2, 3))).shape == (2, 3, 2)
 
 
 def test_repeated_points_are_no_obstacle():
     pursuit = RegulatedPurePursuit([(0, 0), (0, 0), (1, 0), (1, 0), (2, 0)])
-    assert pursuit.length == pytest.approx(2)
+    assert pursuit.path.length == pytest.approx(2)
     assert np.isfinite(pursuit.command((0, 0, 0), 0.0)).all()
 
 

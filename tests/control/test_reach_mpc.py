@@ -202,7 +202,7 @@ def test_it_brakes_and_counts_when_the_solver_fails(monkeypatch, status, x):
     for _ in range(5):
         plan = mpc.plan(plan.positions[1], plan.velocities[1], target, goal)
     info = SimpleNamespace(status_val=getattr(osqp.SolverStatus, status), iter=7)
-    for solver in (mpc._open, mpc._tight):
+    for solver in (mpc._unconstrained, mpc._constrained):
         failed = SimpleNamespace(info=info, x=np.full(len(solver.qp.gradient), x), y=np.zeros(len(solver.qp.lower)))
         monkeypatch.setattr(solver, "_osqp", SimpleNamespace(
             update=lambda **_: None, warm_start=lambda **_: None, solve=lambda failed=failed, **_: failed,

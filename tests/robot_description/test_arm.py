@@ -409,7 +409,7 @@ def test_what_is_no_urdf_is_refused(urdf, text, culprit):
 BAD_OPTIONS = {
     "unknown tip": ({"tip": "l33"}, "'l33'.*Did you mean 'l3'"),
     "tip is the root": ({"tip": "base"}, "'base'"),
-    "home too short": ({"home": [0, 0]}, r"home.*\(2,\).*3 joints"),
+    "home too short": ({"home": [0, 0]}, r"home.*\(3,\).*\(2,\)"),
     "home empty": ({"home": []}, "home"),
     "home a table": ({"home": [[0, 0, 0]]}, "home"),
     "home out of limits": ({"home": [0, 0, 2.1]}, "home.*2.1.*limits"),

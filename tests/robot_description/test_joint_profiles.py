@@ -9,6 +9,7 @@ from hypothesis.extra import numpy as hnp
 from armctl.robot_description import joint_profiles
 
 properties = settings(deadline=None, derandomize=True, max_examples=200)
+batches = settings(deadline=None, derandomize=True, max_examples=10)
 LIMITS = SimpleNamespace(
     lower=np.array([-6.0, -3.0, -1.0]),
     upper=np.array([6.0, 2.0, 1.5]),
@@ -16,6 +17,10 @@ LIMITS = SimpleNamespace(
     acceleration=np.array([15.0, 4.0, 40.0]),
 )
 parts = hnp.arrays(float, 3, elements=st.floats(0, 1, allow_subnormal=False))
+
+
+many = hnp.arrays(float, (20, 3), elements=st.floats(0, 1, allow_subnormal=False), fill=st.nothing())
+"""As many at once: a step takes as long for twenty as for one."""
 
 
 def between(part):
@@ -32,11 +37,11 @@ def run(goal, position, velocity, ticks):
     return np.array(positions), np.array(velocities)
 
 
-@properties
-@given(parts, parts)
+@batches
+@given(many, many)
 def test_arrive_and_stand_still_exactly_there(a, b):
     start, goal = between(a), between(b)
-    positions, velocities = run(goal, start, np.zeros(3), 1000)
+    positions, velocities = run(goal, start, np.zeros((20, 3)), 1000)
     np.testing.assert_allclose(positions[-1], goal, atol=1e-9)
     np.testing.assert_allclose(velocities[-1], 0, atol=1e-9)
     low, high = np.minimum(start, goal), np.maximum(start, goal)
@@ -76,11 +81,11 @@ def test_travel_time_is_when_the_extent_gets_there(a, b, share):
     assert (np.abs(speed) <= LIMITS.velocity + 1e-12).all()
 
 
-@properties
-@given(parts, parts)
+@batches
+@given(many, many)
 def test_no_drive_is_sooner_than_the_travel_time_but_by_half_a_tick(a, b):
     start, goal = between(a), between(b)
-    positions, _ = run(start + 10 * (goal - start), start, np.zeros(3), 1000)
+    positions, _ = run(start + 10 * (goal - start), start, np.zeros((20, 3)), 1000)
     times = joint_profiles.travel_time(goal - start, 0.0, LIMITS)
     there = np.abs(positions - start) >= np.abs(goal - start) - 1e-9
     arrived = np.where(there.any(axis=0), there.argmax(axis=0) * joint_profiles.TICK, np.inf)

@@ -82,9 +82,9 @@ def crossable_by_flooding(bridge, radius, cell):
 
 @pytest.mark.parametrize("walkers", [0, 2])
 def test_crossable_is_what_flooding_a_grid_finds(walkers):
-    rng, cell, radius = np.random.default_rng(2), 0.03, 0.4
+    rng, cell, radius = np.random.default_rng(2), 0.04, 0.4
     decided = []
-    for _ in range(150):
+    for _ in range(80):
         bridge = random_map(rng, blocks=int(rng.integers(0, 9)), walkers=walkers)
         if crossable_by_flooding(bridge, radius + cell, cell):
             decided.append(True)
@@ -92,7 +92,7 @@ def test_crossable_is_what_flooding_a_grid_finds(walkers):
         elif not crossable_by_flooding(bridge, radius - cell, cell):
             decided.append(False)
             assert not bridge.crossable(radius)
-    assert len(decided) > 110
+    assert len(decided) > 50
     assert 0.2 < np.mean(decided) < 0.9
 
 
@@ -167,8 +167,8 @@ def test_unusable_decks_are_refused(length, half_width):
         BridgeMap(length, half_width, np.zeros((0, 5)))
 
 
-def test_courses_of_different_numbers_are_refused():
-    with pytest.raises(ConfigurationError, match="courses"):
+def test_pedestrians_of_different_numbers_are_refused():
+    with pytest.raises(ConfigurationError, match="pedestrians"):
         PedestrianTrajectories(np.zeros((2, 2)), np.zeros((2, 2)), np.ones(3), np.zeros(2), 0.25)
     with pytest.raises(ConfigurationError, match="radius"):
         PedestrianTrajectories(np.zeros((2, 2)), np.ones((2, 2)), np.ones(2), np.zeros(2), -1)

@@ -1,4 +1,4 @@
-"""Controllers: path following, model predictive control, motions in time. Nothing here knows of MuJoCo or Gymnasium."""
+"""Path following, model predictive control and trajectory timing, independent of MuJoCo and Gymnasium."""
 
 from armctl.control.pursuit import PursuitOptions, RegulatedPurePursuit
 

@@ -1,10 +1,10 @@
-"""One linearisation of a `ReachProblem` as a sparse quadratic program, whose pattern never changes.
+"""One linearisation of a `ReachProblem` as a sparse quadratic program with a fixed sparsity pattern.
 
     minimise  x' P x / 2 + q' x   subject to  l <= A x <= u
 
-Unknown are, for the knots k = 1..N, the joints' positions q_k, their way in a period v_k T (so that all are angles of
-like size), and how much too near knot k comes to an obstacle. A solver orders the pattern once, and then only takes
-over numbers: the Hessian's blocks of each q_k, the gradient, the bounds, and the normals of obstacles.
+The unknowns of the knots k = 1..N are joint positions q_k, displacements per period v_k T (so that all are angles of
+similar size), and the slack of the obstacle constraints of knot k. A solver factors the pattern once. Then only numbers
+change: the Hessian's blocks of each q_k, the gradient, the bounds, and the normals of obstacles.
 """
 
 from typing import Any
@@ -20,18 +20,18 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 SLACK_CURVATURE = 10.0
-"""Weight of squared nearness beside its slack_penalty, for the solver's sake: it converges the faster."""
+"""Weight of the squared slack, beside the linear penalty: the solver converges faster with it."""
 ACCELERATION, VELOCITY, POSITION, CLEARANCE = 20.0, 3.0, 0.1, 3.0
-"""Scales of rows: a solver that splits operators wants the larger steps the stiffer what a row limits. An acceleration
-moves all knots after it, so that costs bend by it thousands of times as much as by the last knot's position."""
+"""Row scales: an operator-splitting solver needs larger steps for stiffer rows. An acceleration moves all later knots,
+so the cost's curvature in it is thousands of times that in the last knot's position."""
 _MARK = 1e9
-"""Above all numbers of the matrix: what stands where numbers will be written."""
+"""Placeholder above all numbers of the matrix, for entries that will be written."""
 
 
 class ReachQp:
-    """Writes programs: `write`, then read `hessian` (its upper triangle), `gradient`, `matrix`, `lower`, `upper`.
+    """Writes quadratic programs: `write`, then read `hessian` (upper triangle), `gradient`, `matrix`, `lower`, `upper`.
 
-    `rows` is how many obstacles each knot minds, at `slack_penalty` for each m that it comes too near.
+    Each knot has `rows` obstacle constraints, with `slack_penalty` per m of violation.
     """
 
     def __init__(self, problem: ReachProblem, limits: MotionLimits, rows: int, slack_penalty: float) -> None:
@@ -45,46 +45,47 @@ class ReachQp:
         self._bounds = self._constant_bounds()
         self.lower, self.upper = self._bounds
 
-    def write(self, situation: OcpParameters, braking: JointTrajectory, hessians: Array, gradients: Array) -> None:
-        """The program of a situation; tips cost q_k' H q_k / 2 + g q_k, with H (N, dof, dof) and g (N, dof).
+    def write(self, parameters: OcpParameters, braking: JointTrajectory, hessians: Array, gradients: Array) -> None:
+        """Write the program; positions cost q_k' H q_k / 2 + g q_k, with H (N, dof, dof) and g (N, dof).
 
-        `braking` is what the joints do in the worst case: if that breaks limits, so may the plan, but not by more.
+        `braking` is the worst case: where it violates limits, the plan may too, but not by more.
         """
         problem, limits, states, dof = self.problem, self.limits, self.states, self.dof
         data, block = self._blocks
         self.hessian.data[data] = hessians[block]
-        now = situation.velocity * problem.period
+        now = parameters.velocity * problem.period
         self.gradient[:states] = gradients.ravel()
         self.gradient[states : states + dof] = -2 * problem.acceleration / problem.period**4 * now
         self.lower, self.upper = lower, upper = self._bounds[0].copy(), self._bounds[1].copy()
-        lower[:dof] = upper[:dof] = situation.position + now / 2
+        lower[:dof] = upper[:dof] = parameters.position + now / 2
         for bound in (lower, upper):
             bound[states : states + dof] += ACCELERATION * now
-        if np.any(np.abs(situation.velocity) > limits.velocity):
-            ways = VELOCITY * problem.period * braking.velocities[1:].ravel()
+        if np.any(np.abs(parameters.velocity) > limits.velocity):
+            displacements = VELOCITY * problem.period * braking.velocities[1:].ravel()
             velocity = slice(2 * states, 3 * states)
-            lower[velocity], upper[velocity] = np.minimum(lower[velocity], ways), np.maximum(upper[velocity], ways)
+            lower[velocity] = np.minimum(lower[velocity], displacements)
+            upper[velocity] = np.maximum(upper[velocity], displacements)
         if np.any((braking.positions < limits.lower) | (braking.positions > limits.upper)):
             stops = POSITION * np.concatenate((braking.positions[1:].ravel(), braking.positions[-1]))
             position = slice(3 * states, 4 * states + dof)
             lower[position], upper[position] = np.minimum(lower[position], stops), np.maximum(upper[position], stops)
 
     def write_obstacles(self, normals: Array, least: Array) -> None:
-        """Each knot's positions shall have normals (N, rows, dof) @ q_k >= least (N, rows), m."""
+        """Write the constraints normals (N, rows, dof) @ q_k >= least (N, rows), m."""
         marked, order = self._normals
         self.matrix.data[marked] = CLEARANCE * normals.ravel()[order]
         begin = 4 * self.states + self.dof
         self.lower[begin : begin + least.size] = CLEARANCE * least.ravel()
 
     def first_duals(self) -> Array:
-        """Multipliers of all rows, for a solver to start from: of nothing that presses but the slack_penalty of slack."""
+        """Initial multipliers of all rows: zero, but for those of the slacks."""
         duals = np.zeros(self.matrix.shape[0])
         if self.rows:
             duals[-self.problem.horizon :] = -self.gradient[-1]
         return duals
 
     def shift(self, duals: Array) -> None:
-        """Bring multipliers a period on, in place: each knot takes over those of the knot after it."""
+        """Shift multipliers by a period, in place: each knot takes over those of the next."""
         knots, begin = self.problem.horizon, 4 * self.states + self.dof
         parts = [duals[: 4 * self.states].reshape(4, knots, -1)]
         if self.rows:
@@ -93,15 +94,15 @@ class ReachQp:
             part[:, :-1] = part[:, 1:]
 
     def _hessian_pattern(self) -> tuple[Any, tuple[Integers, tuple[Integers, Integers, Integers]]]:
-        """P, and where in its data which entry of which block goes."""
+        """P, and the indices that map the blocks' entries to its data."""
         problem, dof, knots = self.problem, self.dof, self.problem.horizon
         velocity, acceleration = 2 * problem.velocity / problem.period**2, 2 * problem.acceleration / problem.period**4
         changes = np.append(np.full(knots - 1, 2.0), 1.0)
-        ways: Any = sparse.diags_array(
+        rates: Any = sparse.diags_array(
             [velocity + acceleration * changes, np.full(knots - 1, -acceleration)], offsets=[0, 1]
         )
         blocks = sparse.kron(sparse.eye_array(knots), np.triu(np.full((dof, dof), _MARK)))
-        parts: list[Any] = [blocks, sparse.kron(ways, sparse.eye_array(dof))]
+        parts: list[Any] = [blocks, sparse.kron(rates, sparse.eye_array(dof))]
         if self.rows:
             parts.append(2 * SLACK_CURVATURE * sparse.eye_array(knots))
         hessian = _compressed(sparse.block_diag(parts))
@@ -112,7 +113,7 @@ class ReachQp:
         return hessian, (marked, (row // dof, row % dof, column % dof))
 
     def _matrix_pattern(self) -> tuple[Any, tuple[Integers, Integers]]:
-        """A, and where in its data which number of the normals goes."""
+        """A, and the indices that map the normals' entries to its data."""
         dof, knots, rows = self.dof, self.problem.horizon, self.rows
         eye = sparse.eye_array(self.states)
         before = sparse.eye_array(self.states, k=-dof)
@@ -145,10 +146,10 @@ class ReachQp:
     def _constant_bounds(self) -> tuple[Array, Array]:
         limits, knots, period = self.limits, self.problem.horizon, self.problem.period
         zero = np.zeros(self.dof)
-        change, way = ACCELERATION * limits.acceleration * period**2, VELOCITY * limits.velocity * period
+        change, step = ACCELERATION * limits.acceleration * period**2, VELOCITY * limits.velocity * period
 
         def bounds(position: Array, sign: float, nearness: float, slack: float) -> Array:
-            each = [np.tile(row, knots) for row in (zero, sign * change, sign * way, POSITION * position)]
+            each = [np.tile(row, knots) for row in (zero, sign * change, sign * step, POSITION * position)]
             free = [np.full(knots * self.rows, nearness), np.full(knots if self.rows else 0, slack)]
             return np.concatenate([*each, POSITION * position, *free])
 
@@ -156,7 +157,7 @@ class ReachQp:
 
 
 def _compressed(pattern: Any) -> Any:
-    """In the form that OSQP takes as it is: sorted columns without zeros, and small indices."""
+    """In the form that OSQP takes without copying: sorted columns without zeros, and 32-bit indices."""
     matrix = sparse.csc_matrix(pattern)
     matrix.eliminate_zeros()
     matrix.sort_indices()

@@ -1,9 +1,8 @@
-"""The `ReachProblem` solved to convergence, however long that takes: what `ReachMpc` is measured against.
+"""The `ReachProblem` solved to convergence: the reference for `ReachMpc`, without a time limit.
 
 CasADi writes the nonlinear program with its exact derivatives (Andersson et al., "CasADi: a software framework for
 nonlinear optimization and optimal control", Mathematical Programming Computation 11, 2019), with the forward kinematics
-from the same URDF, and IPOPT solves it (Waechter and Biegler, Mathematical Programming 106, 2006). It knows of no
-obstacles.
+from the same URDF. IPOPT solves it (Waechter and Biegler, Mathematical Programming 106, 2006). Obstacles are ignored.
 """
 
 import time
@@ -27,12 +26,12 @@ from armctl.kinematics import ArmModel
 Array = NDArray[np.float64]
 
 TOLERANCE = 1e-9
-"""Of IPOPT, relative to the problem's scale."""
+"""IPOPT's tolerance, relative to the problem's scale."""
 MAX_ITERATIONS = 500
 
 
 class ReachReference:
-    """Plans of one arm, as good as they can be near to where the search starts."""
+    """Locally optimal plans of one arm."""
 
     def __init__(self, model: ArmModel, problem: ReachProblem | None = None) -> None:
         self.model = model
@@ -43,19 +42,19 @@ class ReachReference:
         self, position: ArrayLike, velocity: ArrayLike, targets: ArrayLike, posture: ArrayLike | None = None,
         start: JointTrajectory | None = None,
     ) -> MpcResult:  # fmt: skip
-        """As `ReachMpc.plan`, from the motion `start` on; without one, from braking."""
+        """As `ReachMpc.plan`, with the motion `start` as initial guess; by default, braking."""
         began = time.perf_counter()
         problem, limits, dof = self.problem, self.model.limits, self.model.dof
-        situation = OcpParameters.checked(problem, dof, position, velocity, targets, posture)
-        worst = braking(problem, limits, situation)
+        parameters = OcpParameters.checked(problem, dof, position, velocity, targets, posture)
+        worst = braking(problem, limits, parameters)
         guess = start or worst
         self._solver = self._solver or self._built()
         stop = worst.positions[-1]
-        wanted = np.zeros(dof) if situation.posture is None else situation.posture
-        weight = 0.0 if situation.posture is None else problem.posture
+        wanted = np.zeros(dof) if parameters.posture is None else parameters.posture
+        weight = 0.0 if parameters.posture is None else problem.posture
         found = self._solver(
             x0=_stacked(guess.positions, guess.velocities),
-            p=np.concatenate((situation.position, situation.velocity, wanted, [weight], situation.targets.ravel())),
+            p=np.concatenate((parameters.position, parameters.velocity, wanted, [weight], parameters.targets.ravel())),
             lbx=_stacked(np.minimum(limits.lower, worst.positions), np.minimum(-limits.velocity, worst.velocities)),
             ubx=_stacked(np.maximum(limits.upper, worst.positions), np.maximum(limits.velocity, worst.velocities)),
             lbg=self._rows(-limits.acceleration, np.minimum(limits.lower, stop)),
@@ -63,21 +62,23 @@ class ReachReference:
         )
         statistics = self._solver.stats()
         velocities = np.array(found["x"].full()).reshape(2, problem.horizon, dof)[1]
-        motion = project_onto_limits(problem, limits, situation, np.concatenate((situation.velocity[None], velocities)))
+        motion = project_onto_limits(
+            problem, limits, parameters, np.concatenate((parameters.velocity[None], velocities))
+        )
         return MpcResult(
             motion.positions, motion.velocities, motion.accelerations,
-            reach_cost(self.model, problem, situation, motion), np.inf, bool(statistics["success"]),
+            reach_cost(self.model, problem, parameters, motion), np.inf, bool(statistics["success"]),
             int(statistics["iter_count"]), time.perf_counter() - began,
         )  # fmt: skip
 
     def _rows(self, change: Array, last: Array) -> Array:
-        """A bound of the constraints: dynamics, accelerations, and the stop after the last knot."""
+        """Bounds of the constraints: dynamics, accelerations, and the stop after the last knot."""
         return np.concatenate(
             (np.zeros(self.problem.horizon * self.model.dof), np.tile(change, self.problem.horizon), last)
         )
 
     def _built(self) -> Any:
-        import casadi  # takes a third of a second, which only those who ask for a reference shall spend
+        import casadi  # a third of a second, which only users of the reference should spend
 
         problem, dof, knots = self.problem, self.model.dof, self.problem.horizon
         q, v = casadi.SX.sym("q", dof, knots), casadi.SX.sym("v", dof, knots)
@@ -102,7 +103,7 @@ class ReachReference:
 
 
 def symbolic_position(model: ArmModel, q: Any) -> Any:
-    """Position (3,) m of the end-effector at CasADi's symbols q (dof,)."""
+    """Symbolic end-effector position (3,) m at CasADi's symbols q (dof,)."""
     import casadi
 
     rotation, position = casadi.SX.eye(3), casadi.SX.zeros(3)
@@ -115,5 +116,5 @@ def symbolic_position(model: ArmModel, q: Any) -> Any:
 
 
 def _stacked(positions: Array, velocities: Array) -> Array:
-    """The knots after the present, in the order of the program's unknowns."""
+    """The knots after the current state, in the order of the program's unknowns."""
     return np.concatenate((positions[1:].ravel(), velocities[1:].ravel()))

@@ -1,8 +1,7 @@
-"""A plan's next period, as the position command that makes an arm's drives do it.
+"""The position command that makes an arm's drives follow a plan for the next period.
 
-The drives (`armctl.robot_description.joint_profiles`) take a position to move to, and go there by their own law. The law is simulated here, so
-that a controller knows where its command is without being told, and searched for the position that leads where it wants
-to be.
+The drives (`armctl.robot_description.joint_profiles`) move to a commanded position by their own law. That law is
+simulated here, so a controller knows where its command is without feedback, and inverted by a search for the command.
 """
 
 import math
@@ -12,27 +11,27 @@ from numpy.typing import ArrayLike, NDArray
 
 from armctl.control.reach_problem import JointTrajectory
 from armctl.control.trajectory import Trajectory
-from armctl.robot_description.joint_profiles import TICK, MotionLimits, limited_in_the_open, towards
+from armctl.robot_description.joint_profiles import TICK, MotionLimits, limited_without_bounds, towards
 
 Array = NDArray[np.float64]
 
 SHARES = np.linspace(-1.2, 1.2, 49)[:, None]
-"""Of the speed that a joint can gain in a period: goals to choose from are where it would then come to a stop."""
+"""Candidate goals: where a joint stops after it has gained this fraction of its largest speed change per period."""
 
 
 def follow(limits: MotionLimits, position: Array, velocity: Array, goal: Array, period: float) -> tuple[Array, Array]:
-    """Position (..., dof) rad and velocity (..., dof) rad/s of a command after a `period` (s) on its way to `goal`."""
+    """Position (..., dof) rad and velocity (..., dof) rad/s of a command after a `period` (s) towards `goal`."""
     for _ in range(max(1, round(period / TICK))):
-        velocity = limited_in_the_open(towards(goal, position, limits), velocity, limits)
+        velocity = limited_without_bounds(towards(goal, position, limits), velocity, limits)
         position = position + velocity * TICK
     return position, velocity
 
 
 def command_for(limits: MotionLimits, position: Array, velocity: Array, displacement: Array, period: float) -> Array:
-    """The goal (dof,) rad for which drives move by `displacement` (dof,) rad within the next `period` (s).
+    """The goal (dof,) rad with which drives move by `displacement` (dof,) rad within the next `period` (s).
 
-    They are at `position` (dof,) with `velocity` (dof,). The further the goal, the further they get: where they cannot
-    get that far, or not brake before, it is the goal that leads nearest.
+    They start at `position` (dof,) with `velocity` (dof,). The displacement increases with the goal. If no goal gives
+    the one wanted, the nearest is taken.
     """
     ends = velocity + SHARES * (limits.acceleration * period)
     goals = position + (velocity + ends) / 2 * period + ends * np.abs(ends) / (2 * limits.acceleration)
@@ -47,42 +46,42 @@ def command_for(limits: MotionLimits, position: Array, velocity: Array, displace
 
 
 class CommandStream:
-    """One arm's command, as a plan is turned into goals for its drives, period by period.
+    """Turns one arm's plan into goals for its drives, period by period.
 
-    Plan the next period from `position` and `velocity`. The latter is the plan's own, not the drives' at that instant:
-    on the way to a goal they speed up and brake again within each period, and only their mean velocity is the plan's.
+    Plan the next period from `position` and `velocity`. The latter is the plan's, not the drives': within a period they
+    speed up and brake again, and only their mean velocity is the plan's.
     """
 
     def __init__(self, limits: MotionLimits, period: float, position: ArrayLike) -> None:
         self.limits, self.period = limits, period
         self.position: Array = np.array(position, dtype=float)
-        """(dof,) rad, where the command is."""
+        """(dof,) rad: the command's position."""
         self.velocity: Array = np.zeros_like(self.position)
-        """(dof,) rad/s, what the plan has it at."""
+        """(dof,) rad/s: the plan's velocity."""
         self._drives: Array = np.zeros_like(self.position)
 
     def goal(self, motion: JointTrajectory) -> Array:
-        """The goal (dof,) rad that makes drives do a plan's first period, after which the command is there."""
+        """The goal (dof,) rad that makes drives execute a plan's first period."""
         goal = self.goal_towards(motion.positions[1])
         self.velocity = motion.velocities[1]
         return goal
 
-    def goal_towards(self, place: Array) -> Array:
-        """The goal (dof,) rad that brings the command to `place` (dof,) rad within the next period, or near to it."""
-        goal = command_for(self.limits, self.position, self._drives, place - self.position, self.period)
+    def goal_towards(self, position: Array) -> Array:
+        """The goal (dof,) rad that brings the command to `position` (dof,) rad within the next period, or near it."""
+        goal = command_for(self.limits, self.position, self._drives, position - self.position, self.period)
         self.position, self._drives = follow(self.limits, self.position, self._drives, goal, self.period)
         self.velocity = self._drives
         return goal
 
 
 def commanded(limits: MotionLimits, motion: Trajectory, period: float) -> Array:
-    """Where drives go, (ticks, dof) rad, while they are given the goals that make them follow a `motion`."""
+    """Positions (ticks, dof) rad of drives that are commanded to follow a `motion`."""
     stream = CommandStream(limits, period, motion.positions[0])
-    places = [stream.position]
-    for decision in range(1, 2 + math.ceil(motion.duration / period)):
+    positions = [stream.position]
+    for step in range(1, 2 + math.ceil(motion.duration / period)):
         position, velocity = stream.position, stream._drives
-        goal = stream.goal_towards(motion.at(decision * period))
+        goal = stream.goal_towards(motion.at(step * period))
         for _ in range(round(period / TICK)):
             position, velocity = follow(limits, position, velocity, goal, TICK)
-            places.append(position)
-    return np.array(places)
+            positions.append(position)
+    return np.array(positions)

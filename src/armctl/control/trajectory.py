@@ -1,10 +1,10 @@
-"""Joint motions in time, within the limits of velocity, acceleration and jerk.
+"""Joint trajectories within limits of velocity, acceleration and jerk.
 
-From point to point, by Ruckig, the soonest there is (Berscheid and Kroeger, "Jerk-limited real-time trajectory
-generation with arbitrary target states", RSS 2021). Along a path of many points, by two moving averages over a motion
-that goes from corner to corner at full speed. The first bounds its acceleration, the second its jerk, and both round
-the corners off (Biagiotti and Melchiorri, "FIR filters for online trajectory planning with time- and frequency-domain
-specifications", Control Engineering Practice 20, 2012).
+From point to point, Ruckig finds the minimum-time trajectory (Berscheid and Kroeger, "Jerk-limited real-time trajectory
+generation with arbitrary target states", RSS 2021). Along a path of many points, two moving averages smooth a motion
+from corner to corner at full speed. The first bounds its acceleration, the second its jerk, and both round the corners
+(Biagiotti and Melchiorri, "FIR filters for online trajectory planning with time- and frequency-domain specifications",
+Control Engineering Practice 20, 2012).
 """
 
 import itertools
@@ -23,21 +23,21 @@ from armctl.robot_description import JointLimits
 Array = NDArray[np.float64]
 
 SAMPLE = 0.002
-"""s between two points of a trajectory."""
+"""s: time between two points of a trajectory"""
 PACES = (1.0, 0.7, 0.5, 0.3)
-"""Parts of the full speed that are tried, the highest first: the slower, the less corners are cut."""
+"""Fractions of the full speed to try, the highest first: slower motions cut corners less."""
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Where the joints are, from time 0 on, every `SAMPLE` seconds; the last point is for good."""
+    """Joint positions every `SAMPLE` seconds from time 0; the joints rest at the last."""
 
     positions: Array
     """(m, dof) rad."""
 
     @property
     def duration(self) -> float:
-        """Seconds until all joints stand still."""
+        """Seconds until all joints are at rest."""
         return SAMPLE * (len(self.positions) - 1)
 
     def at(self, times: ArrayLike) -> Array:
@@ -50,9 +50,9 @@ class Trajectory:
 
 
 def point_to_point(limits: JointLimits, start: ArrayLike, goal: ArrayLike, straight: bool = False) -> Trajectory:
-    """The soonest motion from rest at `start` to rest at `goal`, (dof,) each; with `straight`, on a straight line.
+    """The minimum-time motion from rest at `start` to rest at `goal`, (dof,) each; with `straight`, on a straight line.
 
-    Raises `ConfigurationError` for positions that are no configurations within the limits.
+    Raises `ConfigurationError` for configurations outside the limits.
     """
     ends = _checked(limits, np.array([start, goal], dtype=float))
     dof = ends.shape[1]
@@ -68,11 +68,11 @@ def point_to_point(limits: JointLimits, start: ArrayLike, goal: ArrayLike, strai
 
 
 def along(limits: JointLimits, path: ArrayLike, pace: float = 1.0, stops: bool = False) -> Trajectory:
-    """A smooth motion along a path (m, dof) rad of straight motions, from rest to rest.
+    """A smooth motion from rest to rest along the corners of a path (m, dof) rad.
 
-    It cuts corners, the less so the smaller its `pace`, a part of the full speed; or, with `stops`, not at all.
+    It cuts corners: less at a lower `pace`, which is a fraction of the full speed, and not at all with `stops`.
 
-    Raises `ConfigurationError` for a path that is none, or not within the limits.
+    Raises `ConfigurationError` for an invalid path, and for one outside the limits.
     """
     corners = _checked(limits, np.asarray(path, dtype=float))
     if stops:
@@ -94,9 +94,9 @@ def along(limits: JointLimits, path: ArrayLike, pace: float = 1.0, stops: bool =
 
 
 def smooth(limits: JointLimits, path: ArrayLike, is_free: Callable[[Trajectory], bool]) -> Trajectory:
-    """The quickest trajectory along a path (m, dof) that is free: at a slower pace, or with stops, if it must be.
+    """The fastest collision-free trajectory along a path (m, dof): at a slower pace or with stops if needed.
 
-    The path itself is taken to be free, and so is whoever follows it slowly.
+    The path itself is assumed to be free, and so is the motion with stops.
     """
     corners = np.asarray(path, dtype=float)
     if len(corners) == 2:
@@ -104,8 +104,8 @@ def smooth(limits: JointLimits, path: ArrayLike, is_free: Callable[[Trajectory],
     else:
         paced = (along(limits, corners, pace) for pace in PACES)
     last = along(limits, corners, PACES[-1], stops=True)
-    sooner = itertools.takewhile(lambda trajectory: trajectory.duration < last.duration, paced)
-    return next(filter(is_free, sooner), last)
+    faster = itertools.takewhile(lambda trajectory: trajectory.duration < last.duration, paced)
+    return next(filter(is_free, faster), last)
 
 
 def _paced(limits: JointLimits, pace: float) -> JointLimits:
@@ -117,7 +117,7 @@ def _paced(limits: JointLimits, pace: float) -> JointLimits:
 def _checked(limits: JointLimits, path: Array) -> Array:
     if path.ndim != 2 or len(path) < 2 or path.shape[1] != len(limits.lower):
         raise ConfigurationError(
-            f"a path is an array (m, {len(limits.lower)}) of at least two configurations, not of shape {path.shape}"
+            f"path should be an array (m, {len(limits.lower)}) with at least two rows, not of shape {path.shape}"
         )
     if not ((path >= limits.lower - 1e-9) & (path <= limits.upper + 1e-9)).all():
         raise ConfigurationError(f"the path leaves the joint limits {limits.lower} to {limits.upper}: {path}")

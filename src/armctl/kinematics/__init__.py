@@ -1,4 +1,4 @@
-"""What is known about an arm: forward kinematics, Jacobians, limits, collisions, and its inverse kinematics."""
+"""Kinematics of an arm: forward and inverse kinematics, Jacobians, limits, collisions, minimum-time reaching."""
 
 from armctl.kinematics.edge_checker import ArmShapes, EdgeChecker
 from armctl.kinematics.ik import Ik, IkOptions, IkResult

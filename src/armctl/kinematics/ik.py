@@ -99,7 +99,7 @@ class Ik:
         """
         target = np.asarray(target, dtype=float)
         if not _is_rigid(target):
-            raise ConfigurationError(f"a pose is a homogeneous (4, 4) matrix with a proper rotation, not {target}")
+            raise ConfigurationError(f"pose should be a homogeneous (4, 4) matrix with a proper rotation, not {target}")
         seed = self._checked(seed, count)
         problem = _PoseProblem(self.model, target)
         if self._analytic is None:
@@ -118,7 +118,7 @@ class Ik:
         """
         target = np.asarray(target, dtype=float)
         if target.shape != (3,) or not np.isfinite(target).all():
-            raise ConfigurationError(f"a position is three finite numbers, not {target}")
+            raise ConfigurationError(f"position should be three finite numbers, not {target}")
         seed = self._checked(seed, count)
         return self._search(_PositionProblem(self.model, target), seed, count)
 
@@ -152,7 +152,7 @@ class Ik:
             return self.model.home
         seed = np.asarray(seed, dtype=float)
         if seed.shape != (self.model.dof,) or not np.isfinite(seed).all():
-            raise ConfigurationError(f"a seed is {self.model.dof} finite joint positions, not {seed}")
+            raise ConfigurationError(f"seed should be {self.model.dof} finite joint positions, not {seed}")
         return np.clip(seed, self.model.limits.lower, self.model.limits.upper)
 
     def _search(self, problem: "_Problem", seed: Array, count: int) -> IkResult:

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 class ArmModel:
     """Forward kinematics, Jacobians, limits and collisions of one arm.
 
-    Joint positions q are (dof,) rad; positions are in the frame of the arm's base, m. Not for several threads at once.
+    Joint positions q are (dof,) rad; positions are in the frame of the arm's base, m. Not thread-safe.
     """
 
     def __init__(self, robot: str | Path | ArmDescription = "ur5") -> None:

@@ -1,4 +1,4 @@
-"""What is known of an arm before any software models it: one URDF, limits, capsules, pairs that may collide."""
+"""Descriptions of arms, independent of simulator and controllers: URDF, limits, capsules, collision pairs."""
 
 from armctl.robot_description.arm import BUILTIN_ARMS, ArmDescription, JointLimits, load_arm
 from armctl.robot_description.capsules import Capsule

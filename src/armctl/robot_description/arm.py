@@ -1,6 +1,6 @@
-"""Where arms are found, and what is known of an arm before any software models it.
+"""Arm descriptions: `load_arm` reads a URDF into an `ArmDescription`.
 
-`load_arm` reads one URDF into an `ArmDescription`. Pinocchio and MuJoCo both build on it, so that they cannot disagree.
+Pinocchio and MuJoCo both build their models from it, so they cannot disagree.
 """
 
 import functools
@@ -34,9 +34,9 @@ class BuiltinArm:
 
 
 MAX_ACCELERATION = 15.0
-"""rad/s^2, unless told otherwise, for a URDF says nothing: about what its effort allows a stretched-out UR5."""
+"""rad/s^2: default, as URDFs have no such limit; about what its effort allows a stretched-out UR5"""
 MAX_JERK = 300.0
-"""rad/s^3, likewise: reaches that acceleration within 50 ms."""
+"""rad/s^3: default; reaches that acceleration within 50 ms"""
 
 _UR_HOME = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
 
@@ -84,10 +84,10 @@ class JointLimits:
 
 @dataclass(frozen=True, eq=False)
 class ArmDescription:
-    """A serial arm: one URDF text for every library, and what no URDF says.
+    """A serial arm: one URDF text for all libraries, and what a URDF does not contain.
 
-    `urdf` has the joints from root to `tip` movable, all others fixed, and no geometry. `meshes` are for the eye only;
-    what collides are the `capsules`, one for each link that has a shape, in the pairs of `collision_pairs`.
+    In `urdf` the joints from root to `tip` are movable, all others are fixed, and there is no geometry. `meshes` are
+    visual only. Collisions are those of the `capsules`, one per link with a shape, in the pairs `collision_pairs`.
     """
 
     name: str
@@ -128,18 +128,20 @@ def load_arm(
 ) -> ArmDescription:
     """Read an arm by name (`ur3`, `ur5`, `ur10`, `z1`, `panda`, `xarm7`) or from the path of a URDF file.
 
-    `tip` names the link that is the end-effector; without it a file's only leaf link is taken. `home` (dof,) is where
-    episodes start, rad; without it zero, or the middle of the range where zero is out of range. `srdf` names the file
-    whose `<disable_collisions>` rule out pairs of links that cannot touch. Limits are rad/s^2 and rad/s^3, one for all
-    joints or one for each; without `max_acceleration` a named arm has its own, and others `MAX_ACCELERATION`; without
-    `max_jerk` all have `MAX_JERK`.
+    `tip` is the end-effector link; the default is a file's only leaf link. `home` (dof,) rad is where episodes start;
+    the default is zero, or the middle of the range where zero is out of range. `srdf` is a file whose
+    `<disable_collisions>` exclude pairs of links that cannot touch. `max_acceleration` (rad/s^2) and `max_jerk`
+    (rad/s^3) are one number for all joints or one for each; the defaults are a named arm's own, `MAX_ACCELERATION` and
+    `MAX_JERK`.
 
-    Raises `ConfigurationError` for an unknown name, and for a file that lacks what a reach arm needs: at least one
+    Raises `ConfigurationError` for an unknown name, and for a file without the parts of a reach arm: at least one
     revolute joint between root and tip, with position, velocity and effort limits, and mass behind each joint.
     """
     if isinstance(robot, ArmDescription):
         if any(option is not None for option in (tip, home, srdf, max_acceleration, max_jerk)):
-            raise ConfigurationError(f"the arm {robot.name!r} is loaded already: give the options where it is loaded")
+            raise ConfigurationError(
+                f"the arm {robot.name!r} is loaded already: pass the options to the load_arm call that loads it"
+            )
         return robot
     if isinstance(robot, str) and robot in BUILTIN_ARMS:
         builtin = BUILTIN_ARMS[robot]
@@ -147,7 +149,7 @@ def load_arm(
         home = builtin.home if home is None else home
         max_acceleration = builtin.max_acceleration if max_acceleration is None else max_acceleration
     elif not isinstance(robot, (str, Path)):
-        raise ConfigurationError(f"a robot is a name, a path or what load_arm returned, not {robot!r}")
+        raise ConfigurationError(f"robot should be a name, a path or an ArmDescription, not {robot!r}")
     else:
         path = Path(robot).resolve()
         if path.suffix.lower() not in (".urdf", ".xml"):
@@ -166,7 +168,7 @@ def _as_tuple(name: str, values: float | Sequence[float] | Array) -> tuple[float
     try:
         return tuple(float(value) for value in np.atleast_1d(values))
     except (TypeError, ValueError) as error:
-        raise ConfigurationError(f"{name} is a number for each joint, not {values}") from error
+        raise ConfigurationError(f"{name} should be a number for each joint, not {values}") from error
 
 
 @functools.lru_cache(maxsize=16)
@@ -207,7 +209,7 @@ def _read_arm(
 def _limit(name: str, limit: tuple[float, ...], dof: int) -> Array:
     numbers = np.array(limit)
     if len(limit) not in (1, dof) or not (np.isfinite(numbers) & (numbers > 0)).all():
-        raise ConfigurationError(f"{name} is one finite number above 0, or {dof} of them, not {limit}")
+        raise ConfigurationError(f"{name} should be one finite number above 0, or {dof} of them, not {limit}")
     return np.broadcast_to(numbers, dof)
 
 
@@ -217,14 +219,14 @@ def _home_position(home: tuple[float, ...] | None, limits: JointLimits) -> Array
         return np.where(zero_allowed, 0.0, (limits.lower + limits.upper) / 2)
     position = np.array(home, dtype=float)
     if position.shape != limits.lower.shape:
-        raise ConfigurationError(f"home has shape {position.shape}, and the arm {len(limits.lower)} joints")
+        raise ConfigurationError(f"home should have shape {limits.lower.shape}, not {position.shape}")
     if not np.all((position >= limits.lower) & (position <= limits.upper)):
         raise ConfigurationError(f"home {position} is outside the joint limits {limits.lower} to {limits.upper}")
     return position
 
 
 def _frozen(*arrays: Array) -> tuple[Array, ...]:
-    """Copies that nobody can write to: descriptions are shared."""
+    """Read-only copies, since descriptions are shared."""
     copies = tuple(np.array(array) for array in arrays)
     for copy in copies:
         copy.flags.writeable = False

@@ -1,6 +1,6 @@
-"""Capsules: the one collision shape of armctl's arms, for simulator and controllers alike.
+"""Capsules: the collision shape of armctl's arms, for simulator and controllers alike.
 
-A capsule (all points within `radius` of a segment) hugs an arm's link, and two of them collide in closed form.
+A capsule (all points within `radius` of a segment) fits an arm's link closely, and two capsules collide in closed form.
 """
 
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ class Capsule:
 def enclosing_capsule(link: str, vertices: Array) -> Capsule:
     """Small capsule that encloses all `vertices` (k, 3), m.
 
-    Tries the principal and the coordinate axes as directions, and keeps the capsule of the least volume.
+    Its direction is the principal or coordinate axis that gives the least volume.
     """
     centred = vertices - vertices.mean(axis=0)
     principal = np.linalg.svd(centred, full_matrices=False)[2]
@@ -59,7 +59,7 @@ def _capsule_along(link: str, vertices: Array, axis: Array) -> Capsule:
 def _enclosing_circle_centre(points: Array, iterations: int = 100) -> Array:
     """Centre of the smallest circle around `points` (k, 2).
 
-    Badoiu and Clarkson, "Smaller core-sets for balls" (2003): step towards the farthest point, by ever less.
+    Badoiu and Clarkson, "Smaller core-sets for balls" (2003): ever smaller steps towards the farthest point.
     """
     centre = (points.min(axis=0) + points.max(axis=0)) / 2
     for i in range(1, iterations):

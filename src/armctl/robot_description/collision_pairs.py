@@ -1,4 +1,4 @@
-"""An arm's capsules as Pinocchio's collision geometry, and which pairs of them are worth testing."""
+"""An arm's capsules as Pinocchio's collision geometry, and the pairs of them to check."""
 
 import itertools
 from collections.abc import Iterable
@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 Pair = tuple[str, str]
 
 FLOOR = "(floor)"
-"""Stands for the half-space below z = 0 among the names of links."""
+"""Name of the half-space below z = 0 among the links."""
 
 
 def capsule_geometry(model: pinocchio.Model, capsules: tuple[Capsule, ...]) -> pinocchio.GeometryModel:
@@ -34,12 +34,12 @@ def capsule_geometry(model: pinocchio.Model, capsules: tuple[Capsule, ...]) -> p
 
 
 def link_frame(model: pinocchio.Model, link: str) -> int:
-    """Pinocchio's frame of a link, which may share its name with a joint."""
+    """Pinocchio's frame id of a link, which may share its name with a joint."""
     return int(model.getFrameId(link, pinocchio.FrameType.BODY))
 
 
 def add_collision_pairs(geometry: pinocchio.GeometryModel, pairs: Iterable[Pair]) -> None:
-    """Make Pinocchio's collision checks look at these pairs."""
+    """Add pairs to Pinocchio's collision checks."""
     for pair in pairs:
         geometry.addCollisionPair(pinocchio.CollisionPair(*(geometry.getGeometryId(name) for name in pair)))
 
@@ -47,10 +47,10 @@ def add_collision_pairs(geometry: pinocchio.GeometryModel, pairs: Iterable[Pair]
 def pairs_worth_testing(
     urdf: str, capsules: tuple[Capsule, ...], home: Array, impossible: set[frozenset[str]]
 ) -> tuple[Pair, ...]:
-    """Pairs of links, or of a link and `FLOOR`, that can come to touch.
+    """Pairs of links, or of a link and `FLOOR`, that can touch.
 
-    Not those that are neighbours, that touch at `home` (capsules are wider than links), or whose joints carry a pair of
-    links that is `impossible`.
+    Excluded are neighbours, pairs in contact at `home` (capsules are wider than links), and pairs whose joints carry a
+    pair of links in `impossible`.
     """
     model = pinocchio.buildModelFromXML(urdf)
     geometry = capsule_geometry(model, capsules)
@@ -72,5 +72,5 @@ def pairs_worth_testing(
 def _may_touch(model: pinocchio.Model, first: int | None, second: int | None) -> bool:
     """Whether bodies on two joints (None: the floor) can move against each other without being neighbours."""
     if first is None or second is None:
-        return (first or second or 0) > 1  # what turns on the spot stays off the floor
+        return (first or second or 0) > 1  # the first link only turns on the spot
     return first != second and model.parents[max(first, second)] != min(first, second)

@@ -1,4 +1,4 @@
-"""Reading a URDF file for what a reach arm needs, and saying what is wrong with one that has it not."""
+"""Reads the URDF file of a reach arm, and explains what is wrong with an unsuitable one."""
 
 import itertools
 import math
@@ -31,11 +31,11 @@ class Shape:
 
 
 class Urdf:
-    """A URDF file whose joints from the root to the link `tip` make a reach arm.
+    """A URDF file whose joints from the root to the link `tip` form a reach arm.
 
-    Meshes named as `package://` are looked for in the folders around the file, and in `packages`.
+    Meshes named as `package://` are searched in the folders above the file, and in `packages`.
 
-    Raises `ConfigurationError`, which names the file and the culprit, if they do not.
+    Raises `ConfigurationError`, naming the file and the culprit, if the file is unsuitable.
     """
 
     def __init__(self, path: Path, tip: str | None, packages: Path) -> None:
@@ -57,7 +57,7 @@ class Urdf:
         return np.array([self._limits_of(joint) for joint in self._chain]).T
 
     def text(self) -> str:
-        """The same URDF without geometry, and with all joints but the chain's fixed."""
+        """The URDF without geometry, with all joints fixed except those of the chain."""
         bare = ElementTree.Element("robot", {"name": self.name})
         for name, link in self._links.items():
             copy = ElementTree.SubElement(bare, "link", {"name": name})
@@ -83,7 +83,7 @@ class Urdf:
         )
 
     def _error(self, what: str) -> ConfigurationError:
-        return ConfigurationError(f"{self.path.name} is no arm that armctl can use: {what}")
+        return ConfigurationError(f"{self.path.name} is not an arm that armctl can use: {what}")
 
     def _check_tree(self) -> None:
         for kind in ("link", "joint"):
@@ -93,10 +93,10 @@ class Urdf:
         for joint in self._joints:
             for end in (_end(joint, "parent"), _end(joint, "child")):
                 if end not in self._links:
-                    raise self._error(f"joint {joint.get('name')!r} is tied to a link {end!r} that is not there")
+                    raise self._error(f"joint {joint.get('name')!r} refers to a link {end!r} that does not exist")
         children = Counter(_end(joint, "child") for joint in self._joints)
         if len(children) != len(self._joints) or len(children) != max(len(self._links) - 1, 0):
-            raise self._error("its links and joints make no tree with one root")
+            raise self._error("its links and joints are not a tree with one root")
 
     def _only_leaf(self) -> str:
         parents = {_end(joint, "parent") for joint in self._joints}
@@ -122,8 +122,8 @@ class Urdf:
                 chain.insert(0, joint)
             elif joint.get("type") != "fixed":
                 raise self._error(
-                    f"joint {joint.get('name')!r} is {joint.get('type')}; a reach arm has revolute, continuous and "
-                    "fixed joints"
+                    f"joint {joint.get('name')!r} is {joint.get('type')}; joints should be revolute, "
+                    "continuous or fixed"
                 )
             link = _end(joint, "parent")
         if not chain:
@@ -153,7 +153,7 @@ class Urdf:
             name = joint.get("name")
             axis = joint.find("axis")
             if axis is not None and not np.any(self._numbers(axis, "xyz", f"axis of joint {name!r}", 3, "1 0 0")):
-                raise self._error(f"joint {name!r} turns about an axis of length 0")
+                raise self._error(f"joint {name!r} has an axis of length 0")
             moved = _end(joint, "child")
             if not _mass(self._links[moved]) > 0:
                 raise self._error(f"link {moved!r} behind joint {name!r} has no mass")
@@ -168,7 +168,7 @@ class Urdf:
             small, medium, large = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
             if small <= 0 or small + medium < large * (1 - 1e-6):
                 raise self._error(
-                    f"no body has the inertia of link {name!r}: its principal moments are "
+                    f"link {name!r} has an impossible inertia: its principal moments are "
                     f"{small:.3g}, {medium:.3g}, {large:.3g}"
                 )
 
@@ -191,7 +191,7 @@ class Urdf:
                 length = self._positive(self._numbers(shape, "length", what, 1), what)[0]
             vertices = np.array(list(_rings(shape.tag, radius, length / 2)))
         else:
-            raise self._error(f"it has a {what}; armctl knows mesh, box, cylinder and sphere")
+            raise self._error(f"it has a {what}; armctl supports mesh, box, cylinder and sphere")
         placement = pinocchio.SE3.Identity()
         if (origin := collision.find("origin")) is not None:
             rotation = pinocchio.rpy.rpyToMatrix(self._numbers(origin, "rpy", what, 3, "0 0 0"))
@@ -213,7 +213,7 @@ class Urdf:
         for folder in (*self.path.parents, self._packages):
             if (folder / relative).is_file():
                 return folder / relative
-        raise self._error(f"its mesh {filename!r} is not beside it, nor in a folder above it")
+        raise self._error(f"its mesh {filename!r} was not found beside it, nor in a folder above")
 
     def _numbers(self, element: Element, attribute: str, what: str, count: int, default: str | None = None) -> Array:
         words = element.get(attribute, default or "").split()
@@ -227,7 +227,7 @@ class Urdf:
         except ValueError:
             number = math.nan
         if not math.isfinite(number):
-            raise self._error(f"{what}: {word!r} is no finite number")
+            raise self._error(f"{what}: {word!r} is not a finite number")
         return number
 
     def _positive(self, numbers: Array, what: str) -> Array:
@@ -237,7 +237,7 @@ class Urdf:
 
 
 def read_xml(path: Path) -> Element:
-    """Root of a URDF or SRDF file; raises `ConfigurationError` if it is neither."""
+    """Root element of a URDF or SRDF file; raises `ConfigurationError` if it is neither."""
     try:
         root = ElementTree.parse(path).getroot()
     except (ElementTree.ParseError, OSError, ValueError) as error:
@@ -248,7 +248,7 @@ def read_xml(path: Path) -> Element:
 
 
 def impossible_pairs(srdf: Path) -> set[frozenset[str]]:
-    """Pairs of links that an SRDF says cannot touch."""
+    """Pairs of links that cannot touch, according to an SRDF."""
     pairs = read_xml(srdf).iter("disable_collisions")
     return {frozenset((pair.get("link1", ""), pair.get("link2", ""))) for pair in pairs}
 

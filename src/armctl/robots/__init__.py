@@ -1,4 +1,4 @@
-"""How robots are commanded and what they sense."""
+"""Simulated robots: their commands and their sensors."""
 
 from armctl.robots.arm import CONTROLS, Arm, build_arm_world
 from armctl.robots.rover import Rover

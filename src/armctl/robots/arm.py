@@ -1,4 +1,4 @@
-"""A simulated arm: from an action to its joint servos, and from the simulation's state to what its sensors read."""
+"""A simulated arm: from actions to joint servos, and from the simulation's state to sensor readings."""
 
 from collections.abc import Callable
 from typing import Any
@@ -21,10 +21,10 @@ Array = NDArray[np.float64]
 CONTROLS = ("position", "delta", "velocity", "torque")
 
 SERVO_BANDWIDTH = 60.0
-"""Natural frequency of the joint servos, rad/s: critically damped, they settle within a tenth of a second."""
+"""rad/s: natural frequency of the critically damped joint servos, which settle within a tenth of a second"""
 
 PREFIX = "arm/"
-"""Before every name of the arm's own in a world's model."""
+"""Prefix of the arm's names in a world's model."""
 
 _VISUAL_GROUP, _COLLISION_GROUP = 2, 3
 
@@ -32,16 +32,16 @@ _VISUAL_GROUP, _COLLISION_GROUP = 2, 3
 class Arm:
     """n simulated arms, commanded together; angles in rad, positions in m.
 
-    `control` says what an action (n, dof) means:
+    `control` defines the meaning of an action (n, dof):
 
-    - `position`: joint positions to move to, and stop there, within the position limits;
-    - `delta`: joint displacements until the next decision;
+    - `position`: joint positions to move to and stop at, within the position limits;
+    - `delta`: joint displacements until the next control step;
     - `velocity`: joint velocities, within the velocity limits;
     - `torque`: joint torques on top of gravity compensation, within the effort limits.
 
-    But for torques, `armctl.robot_description.joint_profiles` make of it a command within the limits of position, velocity and acceleration. The
-    joints' servos follow it within their effort limits. Call `drive` every `armctl.robot_description.joint_profiles.TICK` of simulated time, and
-    `joints.take` after it.
+    Except for torques, `armctl.robot_description.joint_profiles` turns it into a command within the limits of position,
+    velocity and acceleration, which the joint servos follow within their effort limits. Call `drive` every `TICK` of
+    that module in simulated time, and then `joints.take`.
     """
 
     def __init__(self, simulation: Simulation, description: ArmDescription, control: str, period: float) -> None:
@@ -56,23 +56,23 @@ class Arm:
         self._command = simulation.array("act")
         self._wanted = np.zeros_like(self.joint_positions)
         limits = description.limits
-        borne = ActuatorLimits(limits.velocity, limits.effort, (limits.lower, limits.upper))
-        self.joints = JointSamples(simulation, slice(description.dof), borne, round(period / TICK), period)
-        bound = {
+        actuators = ActuatorLimits(limits.velocity, limits.effort, (limits.lower, limits.upper))
+        self.joints = JointSamples(simulation, slice(description.dof), actuators, round(period / TICK), period)
+        bounds = {
             "position": (limits.lower, limits.upper),
             "delta": (-limits.velocity * period, limits.velocity * period),
             "velocity": (-limits.velocity, limits.velocity),
             "torque": (-limits.effort, limits.effort),
         }
-        self.action_low, self.action_high = bound[control]
+        self.action_low, self.action_high = bounds[control]
 
     @property
     def end_effector_positions(self) -> Array:
-        """Where the end-effectors are, (n, 3)."""
+        """Positions of the end-effectors, (n, 3) m."""
         return self._body_positions[:, self._tip]
 
     def command(self, actions: Array) -> None:
-        """Take over actions (n, dof), clipped into their bounds."""
+        """Set actions (n, dof), clipped to their bounds."""
         self._wanted = np.clip(actions, self.action_low, self.action_high)
         if self.control == "torque":
             self._ctrl[:] = self._wanted
@@ -80,7 +80,7 @@ class Arm:
             self._wanted /= self.period
 
     def drive(self) -> None:
-        """Choose the velocity that the command moves with until the next tick."""
+        """Set the command's velocity until the next tick."""
         if self.control == "torque":
             return
         limits, dof = self.description.limits, self.description.dof
@@ -110,7 +110,7 @@ def build_arm_world(
     _add_shapes(spec, description)
     for name, effort in zip(description.joints, description.limits.effort, strict=True):
         joint = spec.joint(PREFIX + name)
-        joint.actgravcomp = True  # the servo holds the weight, out of the joint's own effort
+        joint.actgravcomp = True  # gravity compensation counts towards the joint's effort
         joint.actfrclimited = True
         joint.actfrcrange = [-effort, effort]
     furnish(spec)
@@ -151,7 +151,7 @@ def _add_shapes(spec: mujoco.MjSpec, description: ArmDescription) -> None:
 
 
 def _link(spec: mujoco.MjSpec, link: str) -> Any:
-    """Body of a link; MuJoCo makes a URDF's root link `world` one with its own."""
+    """Body of a link; MuJoCo merges a URDF's root link `world` with its own."""
     return spec.body(PREFIX + link) or spec.worldbody
 
 
@@ -184,9 +184,9 @@ def _add_motors(spec: mujoco.MjSpec, description: ArmDescription) -> None:
 
 
 def _add_servos(spec: mujoco.MjSpec, description: ArmDescription, inertia: Array) -> None:
-    """Two actuators a joint, driven by the command's velocity: one integrates it to a position, one feeds it forward.
+    """Two actuators per joint, driven by the command's velocity: one integrates it to a position, one feeds it forward.
 
-    Together they are a critically damped servo, force = kp (command - q) + kv (command velocity - q velocity).
+    Together they form a critically damped servo: force = kp (command - q) + kv (command velocity - q velocity).
     """
     limits = description.limits
     for i, name in enumerate(description.joints):
@@ -201,7 +201,7 @@ def _add_servos(spec: mujoco.MjSpec, description: ArmDescription, inertia: Array
 
 
 def _joint_inertia(model: mujoco.MjModel) -> Array:
-    """Largest inertia that each joint sees over random configurations, (dof,) kg m^2."""
+    """Largest inertia at each joint over random configurations, (dof,) kg m^2."""
     data = mujoco.MjData(model)
     rng = np.random.default_rng(0)
     mass = np.zeros((model.nv, model.nv))

@@ -1,4 +1,4 @@
-"""What the joints of n robots have done and borne since the last decision, beside their limits."""
+"""Speeds and torques of the joints of n robots since the last control step, and their limits."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ActuatorLimits:
-    """Of k joints or wheels, (k,) each."""
+    """Limits of k joints or wheels, (k,) each."""
 
     speed: Array
     """rad/s."""
@@ -24,7 +24,7 @@ class ActuatorLimits:
 
 
 class JointSamples:
-    """Speeds and torques at `samples` moments, evenly spaced, between two decisions that are `period` (s) apart.
+    """Speeds and torques at `samples` evenly spaced instants per control period (s).
 
     `dofs` are the joints' columns among the model's degrees of freedom. Nothing is computed here: this is the hot path.
     """
@@ -35,16 +35,16 @@ class JointSamples:
         self._now = simulation.array("qvel"), simulation.array("qfrc_actuator")
         self._dofs, self.limits = dofs, limits
         self.interval = period / samples
-        """s between two samples."""
+        """s: time between two samples"""
         self._samples = np.zeros((2, samples, len(self._now[0]), len(limits.speed)))
         self._next = 0
 
     def take(self) -> None:
-        """Take note of speeds and torques now."""
+        """Record the current speeds and torques."""
         for samples, now in zip(self._samples, self._now, strict=True):
             samples[self._next] = now[:, self._dofs]
         self._next = (self._next + 1) % self._samples.shape[1]
 
     def since_last_step(self) -> Array:
-        """Speeds (rad/s) and torques that motors bring to the joints (N m), (2, samples, n, k)."""
+        """Joint speeds (rad/s) and motor torques at the joints (N m), (2, samples, n, k)."""
         return self._samples.copy()

@@ -1,4 +1,4 @@
-"""A simulated skid-steer rover: from a velocity command to its wheels, and from the simulation to what it senses."""
+"""A simulated skid-steer rover: from velocity commands to wheels, and from the simulation to sensor readings."""
 
 from typing import Any
 
@@ -13,25 +13,25 @@ from armctl.simulation.worlds import world_path
 Array = NDArray[np.float64]
 
 PREFIX = "rover/"
-"""Before every name of the rover's own in a world's model."""
+"""Prefix of the rover's names in a world's model."""
 WHEELS = ("front_left_wheel", "front_right_wheel", "rear_left_wheel", "rear_right_wheel")
 PARTS = ("base", *WHEELS)
 CAMERA = PREFIX + "front"
 GEOM_GROUP = 1
-"""Of all that its own camera must not see."""
+"""Group of the geoms that its own camera does not see."""
 
 WHEEL_RADIUS = 0.098
 """m."""
 TRACK = 0.37558
-"""m between left and right wheels."""
+"""m: distance between left and right wheels"""
 WHEEL_SEPARATION_MULTIPLIER = 1.6
-"""Wheels that skid turn the rover by so much less than rolling ones would (measured on the asphalt)."""
+"""Factor by which skidding wheels turn the rover less than rolling ones (measured on the asphalt)."""
 MAX_WHEEL_SPEED = 25.0
 """rad/s."""
 MAX_VELOCITY = np.array([2.0, 3.0])
-"""Of commands: linear, m/s, and angular, rad/s."""
+"""Limits of commands: linear (m/s) and angular (rad/s)."""
 RADIUS = 0.31
-"""m from its centre to its furthest corner: a disc that it can turn in."""
+"""m: from its centre to its farthest corner; it can turn in a disc of this radius"""
 
 
 class Rover:
@@ -53,21 +53,21 @@ class Rover:
         self._gyro_columns = slice(gyro, gyro + 3)
 
     def command(self, velocities: Array) -> None:
-        """Take over linear and angular velocities (n, 2), m/s and rad/s, clipped to `MAX_VELOCITY`.
+        """Set linear and angular velocities (n, 2), m/s and rad/s, clipped to `MAX_VELOCITY`.
 
-        Where a wheel would have to turn faster than it can, both velocities are reduced alike: the curve stays.
+        If a wheel would exceed its speed limit, both velocities are scaled down, which keeps the curvature.
         """
         self._ctrl[:, self._motors] = wheel_speeds(np.clip(velocities, -MAX_VELOCITY, MAX_VELOCITY))
 
     def wheel_samples(self, samples: int, period: float) -> JointSamples:
-        """Of the wheels, to be taken so many times a period, s."""
+        """Recorder of the wheels with `samples` per control period (s)."""
         torque = self._simulation.model.actuator_forcerange[self._motors, 1]
         limits = ActuatorLimits(np.full(len(WHEELS), MAX_WHEEL_SPEED), torque)
         return JointSamples(self._simulation, self._spin_columns, limits, samples, period)
 
     @property
     def positions(self) -> Array:
-        """Where the bases are, (n, 3), m."""
+        """Positions of the bases, (n, 3) m."""
         return self._positions[:, self._base]
 
     @property
@@ -79,31 +79,31 @@ class Rover:
 
     @property
     def velocities(self) -> Array:
-        """True linear velocity ahead (m/s) and yaw rate (rad/s), (n, 2)."""
+        """True forward velocity (m/s) and yaw rate (rad/s), (n, 2)."""
         yaw = self.poses[:, 2]
         vx, vy, _, _, _, spin = self._qvel[:, self._twist_columns].T
         return np.stack((vx * np.cos(yaw) + vy * np.sin(yaw), spin), axis=1)
 
     @property
     def odometry(self) -> Array:
-        """Linear (m/s) and angular velocity (rad/s) by the wheels' turning, (n, 2): wrong as far as they skid."""
+        """Linear (m/s) and angular velocity (rad/s) from the wheel speeds, (n, 2): wrong as far as they skid."""
         rim = WHEEL_RADIUS * self._qvel[:, self._spin_columns]
         left, right = (rim[:, 0] + rim[:, 2]) / 2, (rim[:, 1] + rim[:, 3]) / 2
         return np.stack(((left + right) / 2, (right - left) / (TRACK * WHEEL_SEPARATION_MULTIPLIER)), axis=1)
 
     @property
     def gyro(self) -> Array:
-        """Angular velocity in the rover's own axes, rad/s, (n, 3)."""
+        """Angular velocity in the rover's frame, (n, 3) rad/s."""
         return self._sensors[:, self._gyro_columns]
 
     @property
     def wheel_heights(self) -> Array:
-        """Height of the wheels' centres, m, (n, 4)."""
+        """Heights of the wheel centres, (n, 4) m."""
         return self._positions[:, self._wheel_bodies, 2]
 
 
 def wheel_speeds(velocities: Array) -> Array:
-    """Speeds (n, 4) of the wheels, rad/s, for linear and angular velocities (n, 2)."""
+    """Wheel speeds (n, 4) rad/s for linear and angular velocities (n, 2), m/s and rad/s."""
     linear, angular = velocities.T
     turning = angular * TRACK * WHEEL_SEPARATION_MULTIPLIER / 2
     sides = np.stack((linear - turning, linear + turning), axis=1) / WHEEL_RADIUS
@@ -112,6 +112,6 @@ def wheel_speeds(velocities: Array) -> Array:
 
 
 def add_rover(spec: Any, position: tuple[float, float]) -> None:
-    """Put the rover of `models/rover.xml` on the ground at x, y of a world."""
+    """Add the rover of `models/rover.xml` to a world, on the ground at x, y (m)."""
     rover = mujoco.MjSpec.from_file(str(world_path("rover")))
     spec.attach(rover, frame=spec.worldbody.add_frame(pos=[*position, 0.0]), prefix=PREFIX)

@@ -1,4 +1,4 @@
-"""Geometry that the simulation and the controllers share: boxes, pedestrians, the map of a bridge."""
+"""Geometry shared by simulation and controllers: boxes, pedestrians, the map of a bridge."""
 
 from armctl.scene.boxes import NO_BOXES, Boxes
 from armctl.scene.bridge_map import BridgeMap, EdgeTest

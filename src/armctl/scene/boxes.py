@@ -1,4 +1,4 @@
-"""Boxes: what stands in an arm's way, for simulator and controllers alike."""
+"""Boxes: obstacles of an arm, for simulator and controllers alike."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Boxes:
-    """k boxes, turned about the vertical only; lengths in m."""
+    """k boxes, rotated about the vertical only; lengths in m."""
 
     centres: Array
     """(k, 3)"""
@@ -24,10 +24,10 @@ class Boxes:
     def __post_init__(self) -> None:
         shapes = [np.shape(self.centres), np.shape(self.half_sizes), np.shape(self.yaws)]
         if shapes != [(len(self.yaws), 3), (len(self.yaws), 3), (len(self.yaws),)]:
-            raise ConfigurationError(f"k boxes have shapes (k, 3), (k, 3) and (k,), not {shapes}")
+            raise ConfigurationError(f"boxes should have arrays of shapes (k, 3), (k, 3) and (k,), not {shapes}")
         numbers = np.concatenate([np.ravel(self.centres), np.ravel(self.half_sizes), np.ravel(self.yaws)])
         if not (np.isfinite(numbers).all() and (self.half_sizes > 0).all()):
-            raise ConfigurationError("boxes are finite, and their half sizes above 0")
+            raise ConfigurationError("boxes should have finite numbers and half sizes above 0")
 
     def __len__(self) -> int:
         return len(self.yaws)

@@ -1,6 +1,6 @@
-"""The map of a bridge: where its sides and blocks are, and where pedestrians walk.
+"""The map of a bridge: its sides, its blocks and its pedestrians.
 
-x runs along the bridge from its start, y across it from its middle.
+x runs along the bridge from its start, y across it from its centre line.
 """
 
 import dataclasses
@@ -21,32 +21,36 @@ EdgeTest = Callable[[float, float, float, float], bool]
 
 @dataclass(frozen=True, eq=False)
 class BridgeMap:
-    """A bridge from above. Raises `ConfigurationError` for sizes that no bridge has."""
+    """A bridge from above. Raises `ConfigurationError` for invalid sizes."""
 
     length: float
-    """Of the deck, m."""
+    """m: length of the deck"""
     half_width: float
-    """Of the free deck between the barriers, m: |y| is less on it."""
+    """m: half the free width between the barriers; |y| is less on the deck"""
     blocks: Array
-    """(k, 5): x, y (m), yaw (rad), half length and half width (m) of what stands on the deck."""
+    """(k, 5): x, y (m), yaw (rad), half length and half width (m) of the obstacles on the deck"""
     pedestrians: PedestrianTrajectories = NO_PEDESTRIANS
 
     def __post_init__(self) -> None:
         if not (0 < self.length < math.inf and 0 < self.half_width < math.inf):
-            raise ConfigurationError(f"no deck is {self.length} m long and {self.half_width} m wide to a side")
+            raise ConfigurationError(
+                f"deck length and half width should be above 0 m, not {self.length} and {self.half_width}"
+            )
         shape = np.shape(self.blocks)
         if len(shape) != 2 or shape[1] != 5 or not np.isfinite(self.blocks).all() or (self.blocks[:, 3:] < 0).any():
-            raise ConfigurationError(f"blocks are rows of x, y, yaw, half length and half width, not {self.blocks}")
+            raise ConfigurationError(
+                f"blocks should be rows of x, y, yaw, half length and half width, not {self.blocks}"
+            )
 
     def clearance(self, points: ArrayLike) -> Array:
-        """Distance of points (m, 2) to the nearest block, side or end of the deck, (m,); not above 0 inside a block."""
+        """Distance (m,) of points (m, 2) to the nearest block, side or end of the deck; 0 or below inside a block."""
         points = np.asarray(points, dtype=float)
         x, y = self._in_frames(points)
         to_blocks = _to_boxes(x, y, *self._sizes).min(axis=1, initial=np.inf)
         return np.asarray(np.minimum(to_blocks, self._to_edges(points)))
 
     def nearest(self, points: ArrayLike) -> Array:
-        """The nearest point of each block, and of the two sides, to each of points (m, 2): (m, k + 2, 2)."""
+        """The point of each block and of the two sides nearest to each of points (m, 2): (m, k + 2, 2)."""
         points = np.asarray(points, dtype=float)
         (x, y), (half_x, half_y) = self._in_frames(points), self._sizes
         x, y, (cos, sin) = np.clip(x, -half_x, half_x), np.clip(y, -half_y, half_y), self._directions
@@ -55,19 +59,19 @@ class BridgeMap:
         return np.concatenate((on_blocks, on_sides), axis=1)
 
     def segment_clearance(self, starts: ArrayLike, ends: ArrayLike) -> Array:
-        """Exact distance of segments between points (m, 2) to the nearest block, side or end of the deck, (m,).
+        """Exact distance (m,) of segments between points (m, 2) to the nearest block, side or end of the deck.
 
-        Not above 0 where they meet it.
+        0 or below for segments that meet it.
         """
         starts, ends = np.asarray(starts, dtype=float), np.asarray(ends, dtype=float)
         (ax, ay), (bx, by), (half_x, half_y) = self._in_frames(starts), self._in_frames(ends), self._sizes
         x, y, wx, wy = (ax + bx) / 2, (ay + by) / 2, (bx - ax) / 2, (by - ay) / 2
-        # Boxes have three axes on which they may be apart from a segment: their own two, and across the segment.
+        # Separating axes of a box and a segment: the box's own two, and the segment's normal.
         meet = (np.abs(x) <= half_x + np.abs(wx)) & (np.abs(y) <= half_y + np.abs(wy))
-        aside = x * wy - y * wx
-        meet &= np.abs(aside) <= half_x * np.abs(wy) + half_y * np.abs(wx)
-        # Apart, they are nearest at an end of the segment, or at the box's foremost corner towards it.
-        corner_x, corner_y = np.copysign(half_x, aside * wy) - x, np.copysign(half_y, -aside * wx) - y
+        lateral = x * wy - y * wx
+        meet &= np.abs(lateral) <= half_x * np.abs(wy) + half_y * np.abs(wx)
+        # If separate, they are nearest at an end of the segment, or at the box's foremost corner towards it.
+        corner_x, corner_y = np.copysign(half_x, lateral * wy) - x, np.copysign(half_y, -lateral * wx) - y
         share = (corner_x * wx + corner_y * wy) / np.maximum(wx * wx + wy * wy, 1e-24)
         share = np.minimum(np.maximum(share, -1.0), 1.0)
         to_corner = np.hypot(corner_x - share * wx, corner_y - share * wy)
@@ -76,9 +80,9 @@ class BridgeMap:
         return np.asarray(np.minimum(to_blocks, np.minimum(self._to_edges(starts), self._to_edges(ends))))
 
     def edge_test(self, clearance: float) -> EdgeTest:
-        """Test for segments one at a time, from x, y to x, y: `segment_clearance` not less than `clearance`.
+        """A test for single segments, from x, y to x, y: whether `segment_clearance` is at least `clearance`.
 
-        In plain floats, and with a look at nearby blocks only, it takes a tenth of the time.
+        It takes a tenth of the time, since it uses plain floats and skips distant blocks.
         """
         corners, (x, y, _, *sizes) = self.corners, self.blocks.T
         low, high = corners.min(axis=1, initial=np.inf) - clearance, corners.max(axis=1, initial=-np.inf) + clearance
@@ -98,23 +102,23 @@ class BridgeMap:
         return is_free
 
     def with_lanes_blocked(self) -> "BridgeMap":
-        """The map with a block in place of each lane along the bridge, and without walkers.
+        """The map with a block in place of each lane along the bridge, and without pedestrians.
 
-        There is a way beside such a lane; a lane across the bridge can only be waited for.
+        A path can lead beside such a lane, whereas a lane across the bridge has to be crossed.
         """
         pedestrians = self.pedestrians
         if not len(pedestrians.speed):
             return self
         start, end = pedestrians.start[pedestrians.along], pedestrians.end[pedestrians.along]
-        (x, y), (way_x, way_y) = (start + end).T / 2, (end - start).T
-        half_length, half_width = np.hypot(way_x, way_y) / 2 + pedestrians.radius, np.full(len(x), pedestrians.radius)
-        lanes = np.column_stack((x, y, np.arctan2(way_y, way_x), half_length, half_width))
+        (x, y), (lane_x, lane_y) = (start + end).T / 2, (end - start).T
+        half_length, half_width = np.hypot(lane_x, lane_y) / 2 + pedestrians.radius, np.full(len(x), pedestrians.radius)
+        lanes = np.column_stack((x, y, np.arctan2(lane_y, lane_x), half_length, half_width))
         return dataclasses.replace(self, blocks=np.vstack((self.blocks, lanes)), pedestrians=NO_PEDESTRIANS)
 
     def crossable(self, radius: float) -> bool:
-        """Whether a disc can get from before all blocks to behind them, past lanes along the bridge: exactly.
+        """Whether a disc can pass all blocks, beside the lanes along the bridge: exact.
 
-        By duality: it cannot if and only if blocks with gaps too narrow for it make a wall from side to side.
+        By duality, it cannot if and only if blocks with gaps too narrow for it form a wall from side to side.
         """
         bridge = self.with_lanes_blocked()
         y = bridge.corners[..., 1]
@@ -128,7 +132,7 @@ class BridgeMap:
 
     @cached_property
     def corners(self) -> Array:
-        """Of the blocks, in turn, (k, 4, 2), m."""
+        """Corners of the blocks, in order, (k, 4, 2) m."""
         x, y, _, half_length, half_width = self.blocks.T[..., None]
         ahead, left = half_length * (1, -1, -1, 1), half_width * (1, 1, -1, -1)
         cos, sin = (one[:, None] for one in self._directions)
@@ -163,7 +167,7 @@ class BridgeMap:
 
 
 def _to_boxes(x: Array, y: Array, half_x: Array, half_y: Array) -> Array:
-    """Distances of points to boxes, in their frames; negative inside."""
+    """Distances of points to boxes, in the boxes' frames; negative inside."""
     x, y = np.abs(x) - half_x, np.abs(y) - half_y
     return np.asarray(np.hypot(np.maximum(x, 0.0), np.maximum(y, 0.0)) + np.minimum(np.maximum(x, y), 0.0))
 
@@ -175,10 +179,14 @@ def _segment_to_box(
     ax, ay, bx, by = ax - x, ay - y, bx - x, by - y
     ax, ay, bx, by = ax * cos + ay * sin, ay * cos - ax * sin, bx * cos + by * sin, by * cos - bx * sin
     x, y, wx, wy = (ax + bx) / 2, (ay + by) / 2, (bx - ax) / 2, (by - ay) / 2
-    aside = x * wy - y * wx
-    if abs(x) <= half_x + abs(wx) and abs(y) <= half_y + abs(wy) and abs(aside) <= half_x * abs(wy) + half_y * abs(wx):
+    lateral = x * wy - y * wx
+    if (
+        abs(x) <= half_x + abs(wx)
+        and abs(y) <= half_y + abs(wy)
+        and abs(lateral) <= half_x * abs(wy) + half_y * abs(wx)
+    ):
         return 0.0
-    corner_x, corner_y = math.copysign(half_x, aside * wy) - x, math.copysign(half_y, -aside * wx) - y
+    corner_x, corner_y = math.copysign(half_x, lateral * wy) - x, math.copysign(half_y, -lateral * wx) - y
     share = (corner_x * wx + corner_y * wy) / max(wx * wx + wy * wy, 1e-24)
     share = min(max(share, -1.0), 1.0)
     to_corner = math.hypot(corner_x - share * wx, corner_y - share * wy)

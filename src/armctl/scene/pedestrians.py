@@ -1,4 +1,4 @@
-"""Pedestrians who walk on a bridge: where they are at any time."""
+"""Trajectories of pedestrians on a bridge."""
 
 import math
 from dataclasses import dataclass
@@ -13,56 +13,58 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class PedestrianTrajectories:
-    """w pedestrians, each walking back and forth on a straight line, and turning at once at its ends.
+    """w pedestrians, each walking back and forth on a straight line without pausing at its ends.
 
-    Leading axes in front of w are several bridges at once.
+    Axes before w stand for several bridges.
     """
 
     start: Array
-    """(..., w, 2), m."""
+    """(..., w, 2) m"""
     end: Array
     """(..., w, 2), m."""
     speed: Array
     """(..., w), m/s."""
     phase: Array
-    """Distance along the line there and back at time 0, (..., w), m."""
+    """(..., w) m: distance walked since the start, there and back, at time 0"""
     radius: float
-    """Of a pedestrian, m."""
+    """m: radius of each pedestrian"""
 
     def __post_init__(self) -> None:
         shapes = [np.shape(getattr(self, name)) for name in ("speed", "phase", "start", "end")]
         if shapes != [shapes[0], shapes[0], (*shapes[0], 2), (*shapes[0], 2)] or not shapes[0]:
-            raise ConfigurationError(f"w pedestrians have arrays of shapes (w,), (w,), (w, 2) and (w, 2), not {shapes}")
+            raise ConfigurationError(
+                f"pedestrians should have arrays of shapes (w,), (w,), (w, 2) and (w, 2), not {shapes}"
+            )
         if not 0 <= self.radius < math.inf:
-            raise ConfigurationError(f"the radius of a pedestrian is a finite number of m from 0 on, not {self.radius}")
+            raise ConfigurationError(f"radius should be a finite number of at least 0 m, not {self.radius}")
 
     @property
     def along(self) -> NDArray[np.bool_]:
-        """Whether each walks along the bridge, or stands, rather than walks across it, (..., w)."""
+        """Whether each walks along the bridge or stands, rather than walks across it, (..., w)."""
         extent = np.abs(self.end - self.start)
         return np.asarray(extent[..., 0] >= extent[..., 1])
 
     def across(self) -> "PedestrianTrajectories":
-        """Those who walk across the bridge, (w,); for one bridge only."""
+        """Those who walk across the bridge; for one bridge only."""
         who = ~self.along
         return PedestrianTrajectories(self.start[who], self.end[who], self.speed[who], self.phase[who], self.radius)
 
     def positions(self, times: ArrayLike) -> Array:
-        """Where they are at times (...), s: (..., w, 2)."""
+        """Positions (..., w, 2) m at times (...) s."""
         walked, length = self._walked(times)
         share = np.abs(walked - length) / length  # 1 at the start, 0 at the end
         return np.asarray(self.end + (self.start - self.end) * share[..., None])
 
     def velocities(self, times: ArrayLike) -> Array:
-        """How they move at times (...), s: (..., w, 2), m/s."""
+        """Velocities (..., w, 2) m/s at times (...) s."""
         walked, length = self._walked(times)
         speed = np.where(walked < length, self.speed, -self.speed) / length
         return np.asarray(speed[..., None] * (self.end - self.start))
 
     def _walked(self, times: ArrayLike) -> tuple[Array, Array]:
-        """Distance since each was last at the start, (..., w), and the length of the lines, (w,), m."""
+        """Distance (..., w) m since each left the start, and the lengths (w,) m of the lines."""
         length = np.linalg.norm(self.end - self.start, axis=-1)
-        length = np.where(length > 0, length, 1.0)  # a line of length 0: the pedestrian stands, at any phase
+        length = np.where(length > 0, length, 1.0)  # on a line of length 0 the pedestrian stands
         return (self.phase + np.asarray(times, dtype=float)[..., None] * self.speed) % (2 * length), length
 
 

@@ -1,4 +1,4 @@
-"""What is true: n worlds of one MuJoCo model, stepped at once, and what is touched and seen in them."""
+"""The simulated truth: n worlds of one MuJoCo model, stepped together, with contact sensors and cameras."""
 
 from armctl.simulation.contacts import ContactSensors
 from armctl.simulation.ray_camera import RayCamera

@@ -1,4 +1,4 @@
-"""Which parts of a robot touch which classes of things, read from MuJoCo's contact sensors in all worlds at once."""
+"""Contacts between parts of a robot and classes of objects, from MuJoCo's contact sensors in all worlds at once."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 from armctl.simulation.simulation import Simulation
 
 Thing = tuple[mujoco.mjtObj, str]
-"""What touches or is touched: its kind, and its name."""
+"""A partner of a contact: its kind and its name."""
 
 _HISTORY_HEAD = 2
-"""Numbers before the sample times in a sensor's history buffer, which the samples follow."""
+"""Numbers before the sample times in a sensor's history buffer; the samples follow these."""
 
 
 def add_contact_sensors(spec: Any, parts: Mapping[str, Thing], classes: Mapping[str, Thing], memory: int) -> None:
-    """Give `spec` a sensor for each part and class, which remembers `memory` physics steps.
+    """Add to `spec` a sensor for each part and class, with a history of `memory` physics steps.
 
-    Either is a geom (`mjOBJ_GEOM`), a body (`mjOBJ_BODY`) or all from a body on (`mjOBJ_XBODY`).
+    Both are geoms (`mjOBJ_GEOM`), bodies (`mjOBJ_BODY`) or subtrees of bodies (`mjOBJ_XBODY`).
     """
     for part, (part_kind, part_name) in parts.items():
         for label, (kind, name) in classes.items():
@@ -36,7 +36,7 @@ def add_contact_sensors(spec: Any, parts: Mapping[str, Thing], classes: Mapping[
 
 
 class ContactSensors:
-    """Reads what `add_contact_sensors` has added."""
+    """Reads the sensors of `add_contact_sensors`."""
 
     def __init__(self, simulation: Simulation, parts: Iterable[str], classes: Iterable[str]) -> None:
         model = simulation.model
@@ -46,15 +46,15 @@ class ContactSensors:
         self._history = simulation.array("history")
         self._columns = np.array([[sensor.adr[0] for sensor in row] for row in sensors])
         first = np.array([[model.sensor_historyadr[sensor.id] for sensor in row] for row in sensors])
-        self._remembered = first[..., None] + _HISTORY_HEAD + memory + np.arange(memory)
+        self._samples = first[..., None] + _HISTORY_HEAD + memory + np.arange(memory)
 
     def now(self) -> NDArray[np.bool_]:
-        """What touches now, (n, parts, classes)."""
+        """Current contacts, (n, parts, classes)."""
         return self._now[:, self._columns] > 0
 
     def since_last_step(self) -> NDArray[np.bool_]:
-        """What touches now, or did in one of the physics steps that the sensors remember, (n, parts, classes)."""
-        return self.now() | (self._history[:, self._remembered] > 0).any(axis=-1)
+        """Contacts now or in one of the recorded physics steps, (n, parts, classes)."""
+        return self.now() | (self._history[:, self._samples] > 0).any(axis=-1)
 
 
 def _sensor_name(part: str, label: str) -> str:

@@ -1,4 +1,4 @@
-"""A camera that casts a ray for each pixel, in all worlds at once. It needs no graphics library."""
+"""A camera that casts one ray per pixel, in all worlds at once, without a graphics library."""
 
 from collections.abc import Sequence
 
@@ -10,7 +10,7 @@ from armctl.simulation.simulation import Array, Simulation, WorldIds
 
 
 class RayCamera:
-    """Looks through an MJCF camera, past the geoms of `hidden_groups`.
+    """Images of an MJCF camera, without the geoms of `hidden_groups`.
 
     `resolution` is (width, height) in pixels, `field_of_view` the horizontal angle, degrees.
     """
@@ -33,12 +33,12 @@ class RayCamera:
         self._rays = pixel_rays(resolution, field_of_view).reshape(-1, 3)
 
     def depth(self, furthest: float, ids: WorldIds | None = None) -> NDArray[np.float32]:
-        """Distance along the optical axis, m, (n, height, width); `furthest` where nothing is nearer."""
+        """Distance along the optical axis, (n, height, width) m, at most `furthest`."""
         hit, _ = self._cast(ids)
         return np.where(hit < 0, furthest, np.minimum(hit, furthest)).astype(np.float32)
 
     def classes(self, class_of_geom: NDArray[np.uint8], sky: int, ids: WorldIds | None = None) -> NDArray[np.uint8]:
-        """Class of what each pixel sees, (n, height, width), by geom id; `sky` where it sees nothing."""
+        """Class of each pixel's geom, (n, height, width); `sky` for rays that hit nothing."""
         _, geoms = self._cast(ids)
         return np.where(geoms < 0, np.uint8(sky), class_of_geom[geoms])
 
@@ -46,14 +46,14 @@ class RayCamera:
         worlds = slice(None) if ids is None else ids
         starts = self._positions[worlds, self._camera]
         rotations = self._rotations[worlds, self._camera].reshape(-1, 3, 3)
-        # Rays are one unit long along the optical axis, so that distances in ray lengths are depths.
+        # Rays have length 1 along the optical axis, so distances in ray lengths are depths.
         rays = self._rays @ rotations.transpose(0, 2, 1)
         depth, geoms = self._simulation.cast_rays(starts[:, None], rays, self._shown, ids)
         return depth.reshape(-1, *self._shape), geoms.reshape(-1, *self._shape)
 
 
 def pixel_rays(resolution: tuple[int, int], field_of_view: float) -> Array:
-    """Rays through the middles of the pixels (height, width, 3) in a camera's frame: x right, y up, -z ahead by 1."""
+    """Rays (height, width, 3) through pixel centres, in the camera's frame: x right, y up, z = -1."""
     width, height = resolution
     pixel = 2 * np.tan(np.radians(field_of_view) / 2) / width
     right = (np.arange(width) + 0.5 - width / 2) * pixel
@@ -62,6 +62,6 @@ def pixel_rays(resolution: tuple[int, int], field_of_view: float) -> Array:
 
 
 def vertical_field_of_view(resolution: tuple[int, int], field_of_view: float) -> float:
-    """The vertical angle that belongs to a horizontal one, degrees."""
+    """The vertical field of view for a horizontal one, degrees."""
     width, height = resolution
     return float(np.degrees(2 * np.arctan(np.tan(np.radians(field_of_view) / 2) * height / width)))

@@ -1,7 +1,7 @@
-"""What a viewer shows of one world: a copy of its model, its state, and what is elsewhere in each episode.
+"""What a viewer shows of one world: a copy of its model, its state, and decoration.
 
-A viewer loads a model once. Boxes, barriers and people, whose places are in the model and differ by episode, are hidden
-in the viewer's copy, and drawn as decoration where they are.
+A viewer loads a model once. Boxes, barriers and people have positions in the model that differ between episodes. They
+are hidden in the viewer's copy, and drawn as decoration.
 """
 
 import copy
@@ -18,14 +18,14 @@ Array = NDArray[np.float64]
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 MOST_GEOMS = 2000
 UNSEEN_GROUP = 5
-"""Of geoms; viewers do not show it unless asked to."""
+"""A geom group that viewers hide by default."""
 IN_WORLD = np.eye(3)
 MOST_POINTS = 64
-"""Of a line: those of a longer one are thinned out."""
+"""Limit on the points of a line; longer ones are thinned out."""
 
 
 class Scenery:
-    """What to show of one world of `simulation`, at first as the MJCF's `camera` sees it."""
+    """What to show of one world of `simulation`, at first from the MJCF's `camera`."""
 
     def __init__(self, simulation: Simulation, camera: str, world: int = 0) -> None:
         self._simulation, self._world = simulation, world
@@ -41,7 +41,7 @@ class Scenery:
         self._look_from(camera)
 
     def now(self) -> tuple[Array, list[mujoco.MjvGeom]]:
-        """The world's state, as `mj_setState` takes it for `STATE`, and what is to be drawn besides `model`."""
+        """The world's state, for `mj_setState` with `STATE`, and the geoms to draw besides `model`."""
         model, data = self._simulation.model, self._simulation.data(self._world)
         state = np.empty(mujoco.mj_stateSize(model, STATE))
         mujoco.mj_getState(model, data, state, STATE)
@@ -52,12 +52,12 @@ class Scenery:
         return state, [part for geom in missing for part in _without_mesh(model, data, geom)]
 
     def _is_missing(self, geom: mujoco.MjvGeom) -> bool:
-        """Whether a viewer that has `model` and the state would not show it."""
+        """Whether a viewer with `model` and the state would not show it."""
         decoration = geom.category == mujoco.mjtCatBit.mjCAT_DECOR
         return decoration or (geom.objtype == mujoco.mjtObj.mjOBJ_GEOM and geom.objid in self._placed)
 
     def _look_from(self, camera: str) -> None:
-        """Let the viewer's free camera start where the MJCF's is, turning about what is nearest to the robot."""
+        """Place the viewer's free camera at the MJCF's, orbiting the point of its axis nearest to the robot."""
         data = self._simulation.data(self._world)
         robot = self.model.body_weldid > 0
         ahead = -data.camera(camera).xmat.reshape(3, 3)[:, 2]
@@ -71,7 +71,7 @@ class Scenery:
 
 
 def _without_mesh(model: mujoco.MjModel, data: mujoco.MjData, geom: mujoco.MjvGeom) -> list[mujoco.MjvGeom]:
-    """A geom as it is; a mesh as boxes between the levels of its corners, for browsers cannot decorate with it."""
+    """The geom; a mesh as boxes between the levels of its corners, since browsers cannot draw meshes as decoration."""
     if geom.type != mujoco.mjtGeom.mjGEOM_MESH:
         return [geom]
     mesh, body = model.geom_dataid[geom.objid], model.geom_bodyid[geom.objid]
@@ -92,15 +92,15 @@ def _without_mesh(model: mujoco.MjModel, data: mujoco.MjData, geom: mujoco.MjvGe
 
 
 def polyline(points: ArrayLike, radius: float, rgba: ArrayLike, beads: bool = False) -> list[mujoco.MjvGeom]:
-    """Decoration along points (m, 3), m: a line of capsules, and where asked for, a bead at each point."""
-    places = np.asarray(points, dtype=float)
-    places = places[np.unique(np.linspace(0, len(places) - 1, min(len(places), MOST_POINTS)).round().astype(int))]
+    """Decoration along points (m, 3) m: a line of capsules, with `beads` at the points on demand."""
+    corners = np.asarray(points, dtype=float)
+    corners = corners[np.unique(np.linspace(0, len(corners) - 1, min(len(corners), MOST_POINTS)).round().astype(int))]
     lines = []
-    for start, end in itertools.pairwise(places):
+    for start, end in itertools.pairwise(corners):
         lines.append(_decoration(mujoco.mjtGeom.mjGEOM_CAPSULE, [radius] * 3, start, rgba))
         mujoco.mjv_connector(lines[-1], mujoco.mjtGeom.mjGEOM_CAPSULE, radius, start, end)
     sphere = mujoco.mjtGeom.mjGEOM_SPHERE
-    return lines + [_decoration(sphere, [2 * radius] * 3, place, rgba) for place in places if beads]
+    return lines + [_decoration(sphere, [2 * radius] * 3, corner, rgba) for corner in corners if beads]
 
 
 def _decoration(

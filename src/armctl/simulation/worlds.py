@@ -1,4 +1,4 @@
-"""Where armctl's own MJCF worlds and robots are found."""
+"""Paths of armctl's own MJCF worlds and robots."""
 
 from importlib import resources
 from pathlib import Path
