@@ -122,7 +122,6 @@ def test_a_shipped_card_is_of_the_present_recipe(path):
     from armctl.rl.dagger import DaggerOptions
     from armctl.rl.ppo import PpoOptions
     from armctl.rl.sac import SacOptions
-    from armctl.rl.training import read_options
 
     card = read_card(path)
     assert card.recipe is not None
@@ -133,7 +132,7 @@ def test_a_shipped_card_is_of_the_present_recipe(path):
     )  # fmt: skip
     assert card.training_seed in recipe.seeds
     kind = {"bc": BcOptions, "dagger": DaggerOptions, "ppo": PpoOptions, "sac": SacOptions}[card.learner]
-    assert card.learner_options == dataclasses.asdict(read_options(kind, recipe))
+    assert card.learner_options == dataclasses.asdict(recipe.read_options(kind))
 
 
 def test_a_card_of_before_there_were_recipes_is_read(agent):

@@ -1,3 +1,5 @@
+import contextlib
+import io
 import json
 import os
 import re
@@ -11,12 +13,35 @@ import imageio.v3 as imageio
 import pandas as pd
 import pytest
 
+from armctl.cli import main
+
 ARMCTL = str(Path(sys.executable).parent / "armctl")
 
 
+ENVIRONMENT = {"COLUMNS": "100", "NO_COLOR": "1"}
+
+
+def program(*arguments, cwd, check=True):
+    """Run armctl as a program, which has never seen another folder's modules."""
+    done = subprocess.run([ARMCTL, *arguments], capture_output=True, text=True, cwd=cwd, env=os.environ | ENVIRONMENT)
+    assert not check or done.returncode == 0, done.stderr
+    return done
+
+
 def armctl(*arguments, cwd, check=True):
-    environment = os.environ | {"COLUMNS": "100", "NO_COLOR": "1"}
-    done = subprocess.run([ARMCTL, *arguments], capture_output=True, text=True, cwd=cwd, env=environment)
+    """Run armctl in this process, where everything is imported already."""
+    with pytest.MonkeyPatch.context() as patch, io.StringIO() as out, io.StringIO() as err:
+        patch.chdir(cwd)
+        patch.setattr(sys, "argv", ["armctl", *arguments])
+        for name, value in ENVIRONMENT.items():
+            patch.setenv(name, value)
+        status = 0
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            try:
+                main()
+            except SystemExit as exit:
+                status = exit.code
+        done = subprocess.CompletedProcess(arguments, status, out.getvalue(), err.getvalue())
     assert not check or done.returncode == 0, done.stderr
     return done
 
@@ -89,7 +114,7 @@ def test_sweep_prints_and_writes_and_goes_on(tmp_path):
     command = ("sweep", "reach_ik", "--episodes", "2", "--disturbance", "delay=1", "--disturbance", "noise=0.05,0")
     first, again = (armctl(*command, "--out", "here", cwd=tmp_path).stdout for _ in range(2))
     assert first == again
-    assert "delay, decisions" in first
+    assert "delay, control steps" in first
     assert pd.read_csv(tmp_path / "here" / "sweep.csv").level.tolist() == [0, 1, 0, 0.05]
     assert {path.name for path in (tmp_path / "here").iterdir() if path.is_dir()} == {"none", "delay-1.0", "noise-0.05"}
 
@@ -130,7 +155,7 @@ def test_run_records_a_video_or_says_what_is_missing(tmp_path):
 
 def test_a_policy_in_the_current_folder_is_found(tmp_path):
     (tmp_path / "mine.py").write_text("def still(env):\n    import armctl; return armctl.make_policy('random', env)\n")
-    assert "mine:still" in armctl("compare", "mine:still", "--episodes", "2", cwd=tmp_path).stdout
+    assert "mine:still" in program("compare", "mine:still", "--episodes", "2", cwd=tmp_path).stdout
     done = subprocess.run([sys.executable, "-m", "armctl", "list"], capture_output=True, text=True, cwd=tmp_path)
     assert "reach_ik" in done.stdout
 
@@ -141,11 +166,11 @@ def test_a_task_in_the_current_folder_is_found(tmp_path):
         "armctl.register('mine/Loose-v0', 'armctl.tasks:ReachTask', max_episode_steps=60, tolerance=0.3)\n"
     )
     loose = ["--episodes", "2", "--env", "mine:mine/Loose-v0"]
-    assert "reach_ik: 2 reached" in armctl("compare", "reach_ik", *loose, cwd=tmp_path).stdout
-    assert "reward" in armctl("run", "random", *loose[2:], "--steps", "1", cwd=tmp_path).stdout
+    assert "reach_ik: 2 reached" in program("compare", "reach_ik", *loose, cwd=tmp_path).stdout
+    assert "reward" in program("run", "random", *loose[2:], "--steps", "1", cwd=tmp_path).stdout
     for env in ("nobodys:mine/Loose-v0", "mine:mine/Tight-v0", "mine:CartPole-v1"):
         for verb in ("compare", "run"):
-            done = armctl(verb, "random", "--env", env, cwd=tmp_path, check=False)
+            done = program(verb, "random", "--env", env, cwd=tmp_path, check=False)
             assert done.returncode == 2, done.stdout
             assert "Traceback" not in done.stderr
 

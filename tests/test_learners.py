@@ -23,14 +23,14 @@ def recipe_file(tmp_path):
 
 @pytest.mark.parametrize("name", recipe_names())
 def test_a_shipped_recipe_can_be_followed(name):
-    from armctl.rl.training import TrainingOptions, read_options
+    from armctl.rl.training import TrainingOptions
 
     recipe = load_recipe(name)
     assert recipe.env in environment_names()
     learner = load_learner(recipe.learner)
     module = [it for it in vars(importlib.import_module(learner.__module__)).values() if isinstance(it, type)]
     (kind,) = (it for it in module if issubclass(it, TrainingOptions) and it.__module__ == learner.__module__)
-    assert read_options(kind, recipe).steps == recipe.options["steps"]
+    assert recipe.read_options(kind).steps == recipe.options["steps"]
 
 
 def test_what_is_shipped():

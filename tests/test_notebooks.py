@@ -19,8 +19,6 @@ def test_there_are_notebooks():
 def test_notebook_runs(path, tmp_path):
     command = [sys.executable, ROOT / "notebooks/execute.py", path, "--out", tmp_path]
     done = subprocess.run(command, capture_output=True, text=True)
-    if done.returncode and "libegl1" in done.stderr:
-        pytest.skip("pictures need OpenGL")
     assert done.returncode == 0, done.stdout + done.stderr
     executed, kept = (json.loads((folder / path.name).read_text()) for folder in (tmp_path, path.parent))
     assert [cell["source"] for cell in executed["cells"]] == [cell["source"] for cell in kept["cells"]]

@@ -12,10 +12,12 @@ from armctl.robots.rover import WHEEL_RADIUS, WHEELS
 from armctl.simulation.worlds import world_path
 
 REACH, BRIDGE = "armctl/ArmReach-v0", "armctl/BridgeCross-v0"
+SMALL = {"resolution": (12, 8)}
 ENVS = (REACH, "armctl/ArmReachMoving-v0", "armctl/ArmReachObstacles-v0", BRIDGE)
 
 
 def worlds(env=REACH, n=1, disturbances=None, seed=0, **options):
+    options = (SMALL if env == BRIDGE else {}) | options
     given = {} if disturbances is None else {"disturbances": disturbances}
     made = gymnasium.make_vec(env, num_envs=n, threads=1, **given, **options)
     made.reset(seed=seed)
@@ -55,7 +57,7 @@ def test_at_neutral_levels_an_environment_is_bit_for_bit_what_it_was(env):
 def test_every_world_is_the_single_environment_of_its_seed(env, name):
     level = (ARM if env == REACH else ROVER)[name].levels[-1]
     together = worlds(env, 3, {name: level})
-    apart = [gymnasium.make(env, disturbances={name: level}) for _ in range(3)]
+    apart = [gymnasium.make(env, disturbances={name: level}, **(SMALL if env == BRIDGE else {})) for _ in range(3)]
     seen, _ = together.reset(seed=5, options={"episode": 2})
     alone = [one.reset(seed=5 + i, options={"episode": 2})[0] for i, one in enumerate(apart)]
     rng = np.random.default_rng(0)

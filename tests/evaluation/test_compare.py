@@ -14,6 +14,7 @@ from armctl.evaluation.verdict import verdict
 from armctl.report.terminal import tables
 
 TIMES = list(TIME_COLUMNS)
+BOX = {"target": "box", "max_episode_steps": 30}
 
 
 class Fragile:
@@ -85,7 +86,11 @@ def test_an_episode_of_the_table_can_be_played_again():
 
 @pytest.mark.parametrize("policy", ["reach_ik", "random"])
 def test_number_of_worlds_changes_no_episode(policy):
-    runs = [evaluate(policy, episodes=11, seed=1, worlds=worlds).drop(columns=TIMES) for worlds in (1, 4, 64)]
+    options = {"max_episode_steps": 40}
+    runs = [
+        evaluate(policy, episodes=11, seed=1, worlds=worlds, env_options=options).drop(columns=TIMES)
+        for worlds in (1, 4, 64)
+    ]
     assert runs[0].equals(runs[1])
     assert runs[0].equals(runs[2])
 
@@ -176,19 +181,19 @@ def test_bad_arguments_are_refused_before_anything_runs(tmp_path, arguments, say
 
 
 def test_infeasible_episodes_are_told_apart():
-    comparison = compare(["reach_ik"], episodes=30, env_options={"target": "box"})
+    comparison = compare(["reach_ik"], episodes=12, worlds=12, env_options=BOX)
     summary = comparison.policies[0]
-    assert 0 < summary.infeasible < 30
-    assert summary.episodes == 30 - summary.infeasible
+    assert 0 < summary.infeasible < 12
+    assert summary.episodes == 12 - summary.infeasible
     assert summary.success.value == 1
     assert f"{summary.infeasible} episodes have a target out of reach" in text_of(comparison)
 
 
 def test_all_figures_are_over_the_same_feasible_episodes():
-    comparison = compare(["reach_ik", "random"], episodes=25, env_options={"target": "box"})
+    comparison = compare(["reach_ik", "random"], episodes=12, worlds=12, env_options=BOX)
     ik, random = comparison.policies
     (pair,) = comparison.paired
-    assert ik.episodes == random.episodes == pair.episodes == 25 - ik.infeasible < 25
+    assert ik.episodes == random.episodes == pair.episodes == 12 - ik.infeasible < 12
     assert pair.only_a - pair.only_b == pytest.approx(pair.episodes * (ik.success.value - random.success.value))
 
 
@@ -208,7 +213,7 @@ def winning_every_second(env):
             for world, episode in enumerate(env.episodes):
                 if episode % 2:
                     actions[world] = observations[world, 3:9]
-            if env.episodes.max() > 24:
+            if env.episodes.max() > 14:
                 raise RuntimeError("out of ideas")
             return actions
 
@@ -216,7 +221,7 @@ def winning_every_second(env):
 
 
 def test_a_policy_cut_short_is_not_judged_by_its_short_episodes():
-    comparison = compare([winning_every_second, "random"], episodes=40, worlds=10)
+    comparison = compare([winning_every_second, "random"], episodes=20, worlds=5)
     summary = comparison.policies[0]
     assert summary.success.value <= 0.6
     assert summary.episodes < len(comparison.episodes.query("policy == 'winning_every_second'"))

@@ -127,11 +127,21 @@ def test_solver_failures_are_those_of_the_world_and_episode():
 
 
 @pytest.mark.parametrize(
-    ("policy", "env"), [("reach_ppo", "armctl/ArmReach-v0"), ("bridge_ompl", "armctl/BridgeCrossMoving-v0")]
+    ("policy", "env", "options"),
+    [
+        ("reach_ppo", "armctl/ArmReach-v0", {}),
+        (
+            "bridge_ompl",
+            "armctl/BridgeCrossMoving-v0",
+            {"deck_length": 12.0, "blocks": 2, "walkers": 2, "resolution": (4, 4)},
+        ),
+    ],
 )
-def test_number_of_worlds_changes_no_metric(policy, env):
+def test_number_of_worlds_changes_no_metric(policy, env, options):
     runs = [
-        evaluate(policy, env, episodes=5, worlds=worlds, least_lengths=False).drop(columns=list(TIME_COLUMNS))
+        evaluate(policy, env, episodes=5, worlds=worlds, env_options=options, least_lengths=False).drop(
+            columns=list(TIME_COLUMNS)
+        )
         for worlds in (1, 3)
     ]
     assert runs[0].equals(runs[1])

@@ -66,7 +66,7 @@ def check_solutions(model, result, seed, residual):
     assert residual(result.closest) == pytest.approx(result.closest_residual, abs=1e-9)
 
 
-@pytest.mark.parametrize(("robot", "count"), [("ur5", 2000), ("ur3", 300), ("ur10", 300)])
+@pytest.mark.parametrize(("robot", "count"), [("ur5", 600), ("ur3", 300), ("ur10", 300)])
 def test_closed_form_finds_the_configuration_that_made_the_pose(robot, count):
     model = ArmModel(robot)
     ik = Ik(model)
@@ -144,7 +144,7 @@ def test_arms_with_too_few_joints_for_a_pose_are_solved_by_position(tmp_path):
     urdf = tmp_path / "elbow.urdf"
     urdf.write_text(f'<robot name="elbow">{links}{joints}{hand}</robot>')
     model = ArmModel(urdf)
-    for q in np.random.default_rng(0).uniform(-1.5, 1.5, (50, 3)):
+    for q in np.random.default_rng(0).uniform(-1.5, 1.5, (20, 3)):
         result = Ik(model).position(model.position(q), count=4)
         check_solutions(model, result, model.home, lambda x, q=q: position_residual(model, x, model.position(q)))
         assert apart(result.solutions, q).min() <= DISTINCT
@@ -300,14 +300,14 @@ def test_arguments_are_left_as_they_were(ur5, solver):
 def test_free_configurations_are_free_and_there(make):
     model = make()
     ik = Ik(model)
-    there = [model.position(q) for q in configurations(model, 120) if model.is_free(q)]
+    there = [model.position(q) for q in configurations(model, 60) if model.is_free(q)]
     found = [list(ik.free_configurations(position)) for position in there]
     for position, ways in zip(there, found, strict=True):
         for q in ways:
             assert model.is_free(q)
             assert model.within_limits(q)
             assert position_residual(model, q, position) <= TOLERANCE
-    assert len(there) > 20
+    assert len(there) > 10
     assert np.mean([bool(ways) for ways in found]) >= 0.95
     for nowhere in (FAR, np.array([0.3, 0, -0.5])):  # the second lies below the floor
         assert not list(ik.free_configurations(nowhere))

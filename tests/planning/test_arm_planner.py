@@ -61,7 +61,7 @@ def cage(around, half_width, thickness=0.02):
 
 def test_paths_are_free_in_mujoco_and_end_in_the_sphere(case):
     found = searched = 0
-    for layout in case.layouts(40):
+    for layout in case.layouts(16):
         plan = case.plan(layout)
         if not plan.found:
             continue
@@ -77,12 +77,12 @@ def test_paths_are_free_in_mujoco_and_end_in_the_sphere(case):
         assert plan.clearance == pytest.approx(min(world.outer_distance(q) for q in plan.path), abs=1e-5)
         assert plan.time == pytest.approx(case.model.cruise_time(plan.path[:-1], plan.path[1:]).sum())
         assert plan.time <= plan.raw_time
-    assert found >= 34
-    assert searched >= 5
+    assert found >= 13
+    assert searched >= 2
 
 
 def test_nearly_all_layouts_are_solved_and_straight_motions_are_not_enough(ur5):
-    plans = [ur5.plan(layout) for layout in ur5.layouts(100, seed=1)]
+    plans = [ur5.plan(layout) for layout in ur5.layouts(50, seed=1)]
     assert np.mean([plan.found for plan in plans]) >= 0.98
     assert np.mean([plan.searched for plan in plans]) >= 0.3
     assert np.median([plan.checks for plan in plans]) <= 400
@@ -90,9 +90,9 @@ def test_nearly_all_layouts_are_solved_and_straight_motions_are_not_enough(ur5):
 
 
 def test_the_same_plan_gives_the_same_path_whatever_was_planned_before(ur5):
-    layouts = ur5.layouts(25, seed=2)
+    layouts = ur5.layouts(12, seed=2)
     forward = [ur5.plan(layout) for layout in layouts]
-    assert sum(plan.searched for plan in forward) >= 5
+    assert sum(plan.searched for plan in forward) >= 2
     rng, backward = np.random.default_rng(0), []
     for layout in reversed(layouts):
         plan_path(random_map(rng, blocks=4), (1.0, 0.0), 19.0)
@@ -128,7 +128,7 @@ def test_without_boxes_the_way_is_as_straight_as_soon(case):
 def test_boxes_cost_time_and_shortcuts_save_it(ur5):
     plain = ArmPlanner(ur5.model, ArmPlannerOptions(shortcuts=0))
     free, raw, short = [], [], []
-    for layout in ur5.layouts(40, seed=5):
+    for layout in ur5.layouts(24, seed=5):
         plan = ur5.plan(layout)
         if plan.searched and plan.found:
             short.append(plan.time)

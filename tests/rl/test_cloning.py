@@ -25,7 +25,8 @@ from armctl.rl.vector import StableBaselinesVectorEnv
 from armctl.rl.view import view_of
 from armctl.tasks import ReachTask
 
-JUDGED = {"validation_episodes": 20, "evaluation_episodes": 20}
+JUDGED = {"validation_episodes": 12, "evaluation_episodes": 20}
+SHORT = {"max_episode_steps": 25}
 WORLDS = {
     "ur5": ("armctl/ArmReach-v0", {}),
     "panda": ("armctl/ArmReach-v0", {"robot": "panda"}),
@@ -38,7 +39,8 @@ WORLDS = {
 
 
 def small(name, **options):
-    return load_recipe(name).changed(options=load_recipe(name).options | JUDGED | options)
+    recipe = load_recipe(name)
+    return recipe.changed(options=recipe.options | JUDGED | options, env_options=recipe.env_options | SHORT)
 
 
 def asked(env):
@@ -62,13 +64,13 @@ def asked(env):
 @pytest.fixture(scope="module")
 def cloned(tmp_path_factory):
     out = tmp_path_factory.mktemp("runs") / "bc"
-    recipe = small("reach_bc", demonstrations=40, steps=400, evaluation_every=200)
+    recipe = small("reach_bc", demonstrations=40, steps=300, evaluation_every=150)
     return recipe, out, clone(recipe, out=out, seed=0, progress=False)
 
 
 def test_a_clone_is_far_better_than_chance(cloned):
     _, out, card = cloned
-    assert (card.learner, card.teacher, card.training_steps) == ("bc", "reach_ik", 400)
+    assert (card.learner, card.teacher, card.training_steps) == ("bc", "reach_ik", 300)
     assert card.evaluation.success_rate > 0.4  # random actions: 0.015
     assert len(evaluate(str(out / "agent.json"), episodes=3)) == 3
 
@@ -77,13 +79,13 @@ def test_cloning_is_reproducible_and_goes_on_where_it_was(cloned, tmp_path):
     recipe, _, card = cloned
     again = clone(recipe, out=tmp_path / "again", seed=0, progress=False)
     assert again.evaluation == card.evaluation
-    longer = recipe.changed(options=recipe.options | {"steps": 500})
-    assert clone(longer, out=tmp_path / "again", seed=0, resume=True, progress=False).training_steps == 500
+    longer = recipe.changed(options=recipe.options | {"steps": 350})
+    assert clone(longer, out=tmp_path / "again", seed=0, resume=True, progress=False).training_steps == 350
 
 
 def test_a_dataset_teaches_as_the_teacher_does(cloned, tmp_path):
     recipe, _, card = cloned
-    collect("reach_ik", episodes=40, out=tmp_path / "data", seed=10**9, worlds=40)
+    collect("reach_ik", episodes=40, out=tmp_path / "data", seed=10**9, worlds=40, env_options=SHORT)
     taught = recipe.changed(options=recipe.options | {"dataset": str(tmp_path / "data")})
     assert clone(taught, out=tmp_path / "run", seed=0, progress=False).evaluation == card.evaluation
 
@@ -119,7 +121,9 @@ def test_a_teacher_of_ones_own(tmp_path, monkeypatch):
     )
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
-    recipe = small("reach_bc", demonstrations=3, steps=5).changed(teacher="my_own_teacher:mine")
+    recipe = small("reach_bc", demonstrations=3, steps=5, validation_episodes=2, evaluation_episodes=2).changed(
+        teacher="my_own_teacher:mine"
+    )
     assert clone(recipe, out=tmp_path / "run", seed=0, progress=False).teacher == "my_own_teacher:mine"
 
 
@@ -237,10 +241,19 @@ def test_dagger_asks_the_teacher_where_the_pupil_gets_to(tmp_path, monkeypatch):
 
     asked_in = []
     monkeypatch.setattr(cloning, "make_policy", lambda name, env: asked_in.append(asked(env)) or asked_in[-1])
-    recipe = small("reach_dagger", demonstrations=6, rounds=2, mixed_rounds=1, steps=20, teacher_memory=True)
+    recipe = small(
+        "reach_dagger",
+        demonstrations=6,
+        rounds=2,
+        mixed_rounds=1,
+        steps=20,
+        teacher_memory=True,
+        validation_episodes=2,
+        evaluation_episodes=2,
+    )
     dagger(recipe, out=tmp_path / "run", seed=0, progress=False)
     # the first round is the teacher's own, and short; in the second, a student of 10 gradient steps acts until time is up
-    assert 70 < len(asked_in[0].seen) < 140
+    assert 30 < len(asked_in[0].seen) < 60
     assert asked_in[0].resets == 6
 
 
@@ -261,7 +274,15 @@ def test_a_forgetful_teacher_begins_anew_in_each_state():
 def test_dagger_goes_on_after_its_last_whole_round(tmp_path, monkeypatch):
     from armctl.rl import dagger as module
 
-    recipe = small("reach_dagger", demonstrations=6, rounds=3, mixed_rounds=1, steps=30)
+    recipe = small(
+        "reach_dagger",
+        demonstrations=6,
+        rounds=3,
+        mixed_rounds=1,
+        steps=30,
+        validation_episodes=4,
+        evaluation_episodes=4,
+    )
     whole = dagger(recipe, out=tmp_path / "whole", seed=0, progress=False)
     evaluate_round, rounds = Training.evaluate, []
 

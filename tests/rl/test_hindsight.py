@@ -5,10 +5,11 @@ from stable_baselines3 import SAC
 
 from armctl import make_policy
 from armctl.envs import TaskVectorEnv
-from armctl.rl.hindsight import GOAL, STEP, GoalFeatures, GoalVectorEnv, HindsightBuffer, split
+from armctl.rl.hindsight import GoalFeatures, GoalVectorEnv, HindsightBuffer, split
 from armctl.rl.vector import StableBaselinesVectorEnv
 from armctl.rl.view import view_of
 from armctl.tasks import ReachTask
+from armctl.tasks.reach.state import GOAL_REWARD, STEP_REWARD
 
 TOLERANCE, SCALE = 0.05, 0.1
 
@@ -59,7 +60,7 @@ def test_the_last_observation_of_an_episode_has_goals_too():
         np.testing.assert_array_equal(last["desired_goal"], first["desired_goal"][world])
 
 
-@pytest.mark.parametrize(("off", "expected"), [(0.049, STEP + GOAL), (0.051, STEP)])
+@pytest.mark.parametrize(("off", "expected"), [(0.049, STEP_REWARD + GOAL_REWARD), (0.051, STEP_REWARD)])
 def test_a_relabelled_reward_is_that_of_being_within_the_tolerance(off, expected):
     achieved = np.random.default_rng(0).normal(size=(5, 3)).astype(np.float32)
     (rewards,) = goal_worlds(1).env_method("compute_reward", achieved, achieved + np.float32([[0, 0, off]]), [{}] * 5)
@@ -75,8 +76,8 @@ def test_the_tasks_reward_is_that_of_the_goals():
     while not terminated[0]:
         observations, rewards, terminated, *_ = worlds.step(expert.act(observations))
         earned.append(rewards[0])
-    assert set(earned[:-1]) == {STEP}
-    assert earned[-1] == STEP + GOAL
+    assert set(earned[:-1]) == {STEP_REWARD}
+    assert earned[-1] == STEP_REWARD + GOAL_REWARD
 
 
 def test_a_relabelled_success_ends_its_episode_and_nothing_is_bootstrapped(model):
@@ -88,7 +89,7 @@ def test_a_relabelled_success_ends_its_episode_and_nothing_is_bootstrapped(model
     virtual = slice(4000 - int(buffer.her_ratio * 4000), None)
     assert 0.05 < reached[virtual].float().mean() < 0.95
     torch.testing.assert_close(samples.dones[virtual], reached[virtual].float())
-    torch.testing.assert_close(samples.rewards[virtual], SCALE * (STEP + GOAL * reached[virtual].float()))
+    torch.testing.assert_close(samples.rewards[virtual], SCALE * (STEP_REWARD + GOAL_REWARD * reached[virtual].float()))
     for name in ("achieved_goal", "desired_goal", "observation"):
         assert samples.observations[name].shape == samples.next_observations[name].shape
     torch.testing.assert_close(samples.observations["desired_goal"], samples.next_observations["desired_goal"])

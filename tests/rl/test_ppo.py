@@ -35,7 +35,9 @@ SMALL = {
 
 
 def small(**options):
-    return load_recipe("reach_ppo").changed(shaping="distance", shaping_scale=50.0, options={**SMALL, **options})
+    return load_recipe("reach_ppo").changed(
+        shaping="distance", shaping_scale=50.0, options={**SMALL, **options}, env_options={"max_episode_steps": 40}
+    )
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +88,7 @@ def test_training_is_reproducible(trained, tmp_path):
 def test_a_killed_training_resumes_and_a_finished_one_may_go_on(trained, tmp_path):
     out = shutil.copytree(trained[0], tmp_path / "small")
     (out / "clock.json").unlink()
-    (out / "checkpoints" / "unfinished.zip").write_text("half a file")
+    (out / "checkpoints" / "unfinished-9999.zip").write_text("half a file")
     card = train(small(steps=6000), out=out, seed=3, resume=True, progress=False)
     assert card.training_steps == 6144
     assert pd.read_csv(out / "curve.csv").steps.tolist() == [0, 1024, 2048, 3072, 4096, 5120, 6144]
@@ -122,13 +124,13 @@ def test_an_interrupted_training_leaves_a_checkpoint_and_resumes(tmp_path):
     assert 60_000 <= card["training_steps"] < 70_000
 
 
-CAMERA = {"resolution": [8, 6]}
+CAMERA = {"resolution": [8, 6], "max_episode_steps": 40}
 
 
 @pytest.fixture(scope="module")
 def trained_on_bridge(tmp_path_factory):
     out = tmp_path_factory.mktemp("runs") / "bridge"
-    options = {"steps": 1024, "worlds": 16, "validation_episodes": 4, "evaluation_episodes": 4, "batch_size": 512}
+    options = {"steps": 512, "worlds": 16, "validation_episodes": 2, "evaluation_episodes": 2, "batch_size": 256}
     recipe = load_recipe("bridge_ppo").changed(env_options=CAMERA, options=options)
     return out, train(recipe, out=out, seed=0, progress=False)
 

@@ -18,21 +18,21 @@ from armctl.rl.view import view_of
 from armctl.tasks import ReachTask
 
 SMALL = {
-    "steps": 1600,
+    "steps": 800,
     "worlds": 8,
     "gradient_steps": 1,
     "batch_size": 64,
     "buffer_size": 4000,
-    "random_steps": 800,
+    "random_steps": 400,
     "turned": True,
-    "evaluation_every": 800,
+    "evaluation_every": 400,
     "validation_episodes": 4,
     "evaluation_episodes": 4,
 }
 
 
 def small(**options):
-    return load_recipe("reach_sac").changed(options={**SMALL, **options})
+    return load_recipe("reach_sac").changed(options={**SMALL, **options}, env_options={"max_episode_steps": 30})
 
 
 @pytest.fixture(scope="module")
@@ -43,8 +43,8 @@ def trained(tmp_path_factory):
 
 def test_training_leaves_a_runnable_agent(trained):
     out, card = trained
-    assert (card.recipe, card.learner, card.training_steps) == ("reach_sac", "sac", 1600)
-    assert pd.read_csv(out / "curve.csv").steps.tolist() == [0, 800, 1600]
+    assert (card.recipe, card.learner, card.training_steps) == ("reach_sac", "sac", 800)
+    assert pd.read_csv(out / "curve.csv").steps.tolist() == [0, 400, 800]
     assert len(evaluate(str(out / "agent.json"), episodes=3)) == 3
 
 
@@ -64,19 +64,19 @@ def test_exported_graph_is_the_squashed_mean_of_plain_observations(trained):
 def test_a_resumed_training_goes_on_with_its_replay_buffer(trained, tmp_path):
     out = shutil.copytree(trained[0], tmp_path / "small")
     before = load_from_pkl(out / "checkpoints" / REPLAY)
-    card = train(small(steps=2400), out=out, seed=1, resume=True, progress=False)
-    assert card.training_steps == 2400
+    card = train(small(steps=1200), out=out, seed=1, resume=True, progress=False)
+    assert card.training_steps == 1200
     after = load_from_pkl(out / "checkpoints" / REPLAY)
-    assert (before.pos, after.pos) == (200, 300)
-    np.testing.assert_array_equal(after.rewards[:200], before.rewards[:200])
-    assert pd.read_csv(out / "curve.csv").steps.tolist() == [0, 800, 1600, 2400]
+    assert (before.pos, after.pos) == (100, 150)
+    np.testing.assert_array_equal(after.rewards[:100], before.rewards[:100])
+    assert pd.read_csv(out / "curve.csv").steps.tolist() == [0, 400, 800, 1200]
 
 
 def test_without_its_replay_buffer_a_training_does_not_go_on(trained, tmp_path):
     out = shutil.copytree(trained[0], tmp_path / "small")
     (out / "checkpoints" / REPLAY).unlink()
     with pytest.raises(ConfigurationError, match=REPLAY):
-        train(small(steps=2400), out=out, seed=1, resume=True)
+        train(small(steps=1200), out=out, seed=1, resume=True)
 
 
 def test_training_is_reproducible(trained, tmp_path):
@@ -107,7 +107,9 @@ def test_hindsight_knows_the_plain_reward_only(tmp_path, changes):
 )
 def test_other_tasks_and_rewards_are_learnt_without_hindsight(tmp_path, monkeypatch, env, env_options, changes):
     monkeypatch.setattr(GoalVectorEnv, "__init__", None)
-    recipe = small(relabelled=0 if changes else 4).changed(env=env, env_options=env_options, **changes)
+    short = {**env_options, "max_episode_steps": 10}
+    recipe = small(steps=240, random_steps=120, evaluation_every=240, relabelled=0 if changes else 4)
+    recipe = recipe.changed(env=env, env_options=short, **changes)
     assert train(recipe, out=tmp_path / "run", seed=0, progress=False).env == env
 
 

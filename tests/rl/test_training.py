@@ -15,7 +15,7 @@ from armctl.learners import load_recipe
 from armctl.rl import training as module
 from armctl.rl.actor import Actor
 from armctl.rl.ppo import PpoOptions
-from armctl.rl.training import VALIDATION_SEED, Training, TrainingOptions, read_options
+from armctl.rl.training import VALIDATION_SEED, Training, TrainingOptions
 from armctl.tasks import ReachTask
 
 OPTIONS = TrainingOptions(worlds=2, validation_episodes=4, evaluation_episodes=3, evaluation_every=100)
@@ -64,14 +64,21 @@ def test_the_best_is_kept_and_exported(tmp_path, graded):
     np.testing.assert_allclose(moves, 0.5 * 0.75, atol=1e-6)
 
 
-def test_of_equal_success_the_higher_return_is_better(tmp_path, graded):
+@pytest.fixture
+def unexported(monkeypatch):
+    """An agent's graph, which takes seconds to export, is none; nobody asks what it does."""
+    monkeypatch.setattr(Actor, "export", lambda actor, path: path.write_bytes(b""))
+    monkeypatch.setattr(Training, "_final_evaluation", lambda training: None)
+
+
+def test_of_equal_success_the_higher_return_is_better(tmp_path, graded, unexported):
     with Training(recipe(), OPTIONS, tmp_path / "run", 0, False) as training:
         for steps, value in enumerate((0.0, -1.0, 0.0)):
             training.evaluate(constant_actor(training, value), steps)
         assert training.finish(constant_actor(training, 0.0), 3).best_after == 1
 
 
-def test_curve_and_best_survive_a_resumption(tmp_path, graded):
+def test_curve_and_best_survive_a_resumption(tmp_path, graded, unexported):
     out = tmp_path / "run"
     with Training(recipe(), OPTIONS, out, 0, False) as training:
         for steps, value in ((0, 0.25), (100, 0.75)):
@@ -215,12 +222,12 @@ def test_a_seed_out_of_range(tmp_path, seed):
 )
 def test_options_are_checked(options, says):
     with pytest.raises(ConfigurationError, match=says):
-        read_options(PpoOptions, recipe(options=options))
+        recipe(options=options).read_options(PpoOptions)
 
 
 def test_settings_tell_all_that_was_told(tmp_path):
     shown = recipe(options={"steps": 7, "gamma": 1}, env_options={"tolerance": 0.1})
-    options = read_options(PpoOptions, shown)
+    options = shown.read_options(PpoOptions)
     Training(shown, options, tmp_path / "run", 4, False)
     settings = json.loads((tmp_path / "run" / "settings.json").read_text())
     assert settings["seed"] == 4

@@ -67,7 +67,8 @@ def test_shaping_telescopes_over_truncated_random_episodes(env, oracle, expert):
 
 @pytest.mark.parametrize(("env", "oracle", "expert"), [pair for pair in PAIRS if "Moving" not in pair[0]])
 def test_shaping_telescopes_over_expert_episodes_that_terminate(env, oracle, expert):
-    assert assert_telescopes(env, oracle, expert, 150, 150).all()
+    steps = 40 if "Reach-" in env else 150 if "Bridge" in env else 90
+    assert assert_telescopes(env, oracle, expert, steps, steps).all()
 
 
 WRONG = {

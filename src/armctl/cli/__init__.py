@@ -13,7 +13,7 @@ __all__ = ["app", "catalogue", "evaluate", "learn", "main", "play"]
 def main() -> NoReturn:
     """Run the command line; armctl's own errors become one line and exit status 2."""
     try:
-        app()
+        app(prog_name="armctl")
     except ArmctlError as error:
         from rich.console import Console
         from rich.text import Text

@@ -65,7 +65,7 @@ def train(
     """
     from rich import print as show
 
-    from armctl.evaluation.compare import default_policies
+    from armctl.envs import task_of
     from armctl.learners import load_learner, load_recipe
 
     chosen = load_recipe(recipe, env)
@@ -93,5 +93,5 @@ def train(
         f"success {card.evaluation.success_rate:.1%} [{low:.1%}, {high:.1%}] "
         f"on {card.evaluation.episodes} held-out episodes"
     )
-    rival = default_policies(chosen.env)[0]
+    rival = task_of(chosen.env).default_policies[0]
     show(f"The agent is {folder / 'agent.json'}: armctl compare {rival} {folder / 'agent.json'} --env {chosen.env}")
