@@ -1,4 +1,4 @@
-"""The README's pictures: python docs/make_pictures.py."""
+"""The pictures of README and docs: python docs/make_pictures.py."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -18,7 +18,7 @@ FOLDER = Path(__file__).parent
 Array = NDArray[np.uint8]
 LookAt = Callable[[Any], tuple[float, float, float]]
 PIXEL = 8
-"""Pixels of the picture for one of the rover's camera."""
+"""Pixels of the picture for each pixel of the rover's camera."""
 CLASS_COLOURS = np.array(
     [(178, 208, 235), (80, 80, 84), (120, 110, 100), (205, 200, 190), (40, 80, 160), (245, 245, 245), (55, 105, 125)],
     dtype=np.uint8,
@@ -39,11 +39,11 @@ for env_id, name, seed, steps, picture in (
 
 bridge = "armctl/BridgeCrossMoving-v0"
 views = {camera: gymnasium.make(bridge, camera=camera) for camera in ("depth", "classes", "rgb")}
-driver = armctl.make_policy("bridge_ompl", views["depth"])
+policy = armctl.make_policy("bridge_ompl", views["depth"])
 seen = {camera: view.reset(seed=6)[0]["image"] for camera, view in views.items()}
-driver.reset(np.zeros(1, dtype=np.int32))
+policy.reset(np.zeros(1, dtype=np.int32))
 for _ in range(15):
-    action = driver.act(seen)[0]
+    action = policy.act(seen)[0]
     seen = {camera: view.step(action)[0]["image"] for camera, view in views.items()}
 simulation = views["depth"].unwrapped.task.simulation
 imageio.imwrite(FOLDER / "bridge.png", Camera(simulation.model, "overview", 960, 540).picture(simulation.data(0)))
@@ -55,12 +55,12 @@ framed = [
 ]
 imageio.imwrite(FOLDER / "bridge_cameras.png", np.concatenate(framed, axis=1)[:, :-12])
 
-# A moving picture of both worlds, in real time.
+# A film of both worlds, in real time.
 FRAMES_PER_SECOND, SECONDS = 10, 11
 
 
 def film(env_id: str, name: str, seed: int, distance: float, azimuth: float, look_at: LookAt) -> list[Array]:
-    """Pictures of an episode, and of how it stands in the end for as long as is left."""
+    """Pictures of an episode, the last one repeated until the film is over."""
     import mujoco  # after armctl, which chooses its graphics
 
     env = gymnasium.make(env_id)
@@ -71,18 +71,18 @@ def film(env_id: str, name: str, seed: int, distance: float, azimuth: float, loo
     camera = Camera(task.simulation.model, view, 480, 360)
     observation, _ = env.reset(seed=seed)
     policy.reset(np.zeros(1, dtype=np.int32))
-    frames, decisions, over = [], 0, False
+    frames, steps, over = [], 0, False
     for frame in range(FRAMES_PER_SECOND * SECONDS):
-        while not over and decisions * FRAMES_PER_SECOND < frame * env.metadata["render_fps"]:
+        while not over and steps * FRAMES_PER_SECOND < frame * env.metadata["render_fps"]:
             observation, _, terminated, truncated, _ = env.step(policy.act(batch_of_one(observation))[0])
-            decisions, over = decisions + 1, terminated or truncated
+            steps, over = steps + 1, terminated or truncated
         view.lookat[:] = look_at(task)
         frames.append(camera.picture(task.simulation.data(0)))
     return frames
 
 
 def ahead_of_rover(task: Any) -> tuple[float, float, float]:
-    """A place on the bridge that goes along with the rover."""
+    """A place on the bridge that moves with the rover."""
     return min(float(task.state.poses[0, 0]) + 1.5, 18.0), 0.0, 0.3
 
 
