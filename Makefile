@@ -1,23 +1,43 @@
 # make compare: set up, then let the IK expert, the PPO agent and random actions meet the same 200 episodes.
-# make test:    set up with everything, then run all tests.
+# make test:    set up with everything, then run the quick tests; make test-all: all of them.
+# make check:   lint, format, types. make lock: after a change of dependencies. make dist: sdist and wheel.
+# For some of the tests: make test ARGS="tests/kinematics -k jacobian"
 
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2
+UV := $(BIN)/uv --quiet
+EXPORT := $(UV) export --frozen --all-extras --no-emit-project --no-hashes --no-annotate
 
-.PHONY: compare test check benchmarks clean
+.PHONY: compare test test-all check lock check-lock dist benchmarks clean
 
 compare: $(VENV)/core
 	$(BIN)/armctl compare
 
 test: $(VENV)/full
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2
+	$(PYTEST) $(ARGS)
+
+test-all: $(VENV)/full
+	$(PYTEST) --all $(ARGS)
 
 check: $(VENV)/full
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+lock: $(VENV)/uv
+	$(UV) lock
+	$(EXPORT) > constraints.txt
+
+check-lock: $(VENV)/uv
+	@$(UV) lock --check || { echo "uv.lock is not what pyproject.toml asks for: make lock"; exit 1; }
+	@$(EXPORT) | diff constraints.txt - || { echo "constraints.txt is not what uv.lock says: make lock"; exit 1; }
+
+dist: $(VENV)/uv
+	rm -rf dist
+	$(UV) build --python $(BIN)/python
 
 benchmarks: $(VENV)/full
 	$(BIN)/python benchmarks/throughput.py
@@ -32,7 +52,7 @@ benchmarks: $(VENV)/full
 	$(BIN)/python benchmarks/workers.py
 
 clean:
-	rm -rf $(VENV) build src/*.egg-info
+	rm -rf $(VENV) build dist *.egg-info src/*.egg-info
 
 $(VENV)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -50,3 +70,7 @@ $(VENV)/full: pyproject.toml constraints.txt | $(VENV)/python
 	@echo "Installing armctl with all extras into $(VENV) ..."
 	@$(PIP) --editable '.[rl,dev]' || { echo "The installation failed: see above; it needs a package index and about 3 GB."; exit 1; }
 	@touch $@ $(VENV)/core
+
+$(VENV)/uv: Makefile | $(VENV)/python
+	@$(PIP) uv==0.13.9
+	@touch $@
