@@ -63,12 +63,12 @@ $(VENV)/python:
 
 $(VENV)/core: pyproject.toml constraints.txt | $(VENV)/python
 	@echo "Installing armctl into $(VENV) ..."
-	@$(PIP) --editable . || { echo "The installation failed: see above; it needs a package index and about 1.5 GB."; exit 1; }
+	@$(PIP) --editable . || { echo "The installation failed: see above; it needs a package index and about 2 GB."; exit 1; }
 	@touch $@
 
 $(VENV)/full: pyproject.toml constraints.txt | $(VENV)/python
 	@echo "Installing armctl with all extras into $(VENV) ..."
-	@$(PIP) --editable '.[rl,dev]' || { echo "The installation failed: see above; it needs a package index and about 3 GB."; exit 1; }
+	@$(PIP) --editable '.[rl,dev]' || { echo "The installation failed: see above; it needs a package index and up to 7 GB."; exit 1; }
 	@touch $@ $(VENV)/core
 
 $(VENV)/uv: Makefile | $(VENV)/python
