@@ -115,11 +115,11 @@ def test_a_touch_between_two_readings_is_remembered_and_then_forgotten(bridge):
         data[0, 2] = 0.3 if k % 10 else 0.093  # on the ground for one step of ten
         simulation.array("qvel")[:] = 0.0
         simulation.step(4)
-        touched.append(sensors.lately()[0, 1:].any())
+        touched.append(sensors.since_last_step()[0, 1:].any())
         assert not sensors.now().any() or data[0, 2] < 0.1
     assert all(touched[::10])
     assert not any(touched[1::10])
-    assert not sensors.lately()[0, 0, goal]
+    assert not sensors.since_last_step()[0, 0, goal]
 
 
 def test_a_reset_forgets_touches(bridge):
@@ -127,10 +127,10 @@ def test_a_reset_forgets_touches(bridge):
     sensors = ContactSensors(simulation, PARTS, CONTACT_CLASSES)
     simulation.reset()
     simulation.refresh()
-    fresh = sensors.lately().copy()
+    fresh = sensors.since_last_step().copy()
     simulation.array("qpos")[:, 2] = 0.093
     simulation.array("qpos")[:, 0] = 19.0
     simulation.step(4)
     simulation.reset(np.array([0], dtype=np.int32))
     simulation.refresh(np.array([0], dtype=np.int32))
-    np.testing.assert_array_equal(sensors.lately()[0], fresh[0])
+    np.testing.assert_array_equal(sensors.since_last_step()[0], fresh[0])
