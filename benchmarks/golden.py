@@ -17,6 +17,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from rich.progress import track
 
 import armctl
 from armctl.errors import ArmctlError
@@ -60,6 +61,19 @@ def cases() -> Iterator[tuple[str, dict[str, Any], str, int, int]]:
         (BRIDGE, "distance"), (BRIDGE, "ompl"),
     ):  # fmt: skip
         yield env, {"shaping": oracle}, "random", 2, 40
+
+
+def name_of(env: str, options: dict[str, Any], policy: str, *_: int) -> str:
+    """How a run is called."""
+    return f"{env} {json.dumps(options, sort_keys=True)} {policy}"
+
+
+def tried(*case: Any) -> dict[str, Any]:
+    """What happens in one run, or the error of a policy that does not fit the environment."""
+    try:
+        return played(*case)
+    except ArmctlError as error:
+        return {"error": type(error).__name__}
 
 
 def played(env: str, options: dict[str, Any], policy: str, worlds: int, steps: int) -> dict[str, Any]:
@@ -118,13 +132,8 @@ def _take_in(digest: Any, *values: Any) -> None:
 def record(path: Path) -> None:
     """Play all cases, and write what happened."""
     found: dict[str, Any] = {}
-    for env, options, policy, worlds, steps in cases():
-        name = f"{env} {json.dumps(options, sort_keys=True)} {policy}"
-        try:
-            found[name] = played(env, options, policy, worlds, steps)
-        except ArmctlError as error:
-            found[name] = {"error": type(error).__name__}
-        print(name, found[name].get("outcomes", "-"), flush=True)
+    for case in track(list(cases()), "golden run"):
+        found[name_of(*case)] = tried(*case)
     path.write_text(json.dumps(found, indent=1) + "\n")
 
 
