@@ -1,4 +1,4 @@
-"""What every learner trains: a torch module from observations to the environment's actions, exported as ONNX."""
+"""The actor that every learner trains: a torch module from observations to the environment's actions."""
 
 import logging
 import warnings
@@ -15,9 +15,9 @@ from armctl.tasks import Observations
 
 
 class Actor(torch.nn.Module):
-    """A network from observations to actions in [-1, 1], and the scale from there to the environment's actions.
+    """A network from observations to actions in [-1, 1], and their scaling to the environment's actions.
 
-    It is an `armctl.policies.Policy` as well, so that it can be judged while it learns.
+    It is also an `armctl.policies.Policy`, so that it can be evaluated while it learns.
     """
 
     sees: Literal["observation", "state"] = "observation"
@@ -29,12 +29,12 @@ class Actor(torch.nn.Module):
         self.inputs = inputs(observed)
 
     def forward(self, *arrays: torch.Tensor) -> torch.Tensor:
-        """Environment actions (n, ...) for the observed arrays (n, ...), in the order of `inputs`."""
+        """Environment actions (n, ...) for observation arrays (n, ...), in the order of `inputs`."""
         observation: Any = arrays[0] if list(self.inputs) == [INPUT] else dict(zip(self.inputs, arrays, strict=True))
         return self.scale(observation, self.network(observation))
 
     def reset(self, ids: NDArray[np.int32]) -> None:
-        """Nothing to forget: the actor has no memory."""
+        """Do nothing: the actor has no memory."""
 
     def act(self, observations: Observations) -> NDArray[np.float32]:
         """Actions (n, ...) for observations (n, ...)."""
@@ -43,10 +43,10 @@ class Actor(torch.nn.Module):
             return np.asarray(self(*map(torch.as_tensor, arrays)))
 
     def export(self, path: Path) -> None:
-        """Write the actor as an ONNX graph, with an input for each observed array."""
+        """Write the actor as an ONNX graph with one input per observation array."""
         example = {name: torch.as_tensor(space.sample()[None].repeat(2, 0)) for name, space in self.inputs.items()}
         batch = torch.export.Dim("worlds", min=1)
-        logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # it warns of a torchvision that nobody needs
+        logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # it warns that torchvision is missing
         with warnings.catch_warnings(action="ignore"):
             program = torch.onnx.export(
                 self.eval(),
@@ -60,13 +60,13 @@ class Actor(torch.nn.Module):
         assert program is not None
         graph = program.model_proto
         for node in (*graph.graph.node, *(node for function in graph.functions for node in function.node)):
-            node.ClearField("metadata_props")  # stack traces, with the paths of whoever trained it
+            node.ClearField("metadata_props")  # stack traces, with paths of the machine that trained it
             node.ClearField("doc_string")
         path.write_bytes(graph.SerializeToString())
 
 
 def tensors(observations: Any) -> Any:
-    """Observations, an array or several by name, as tensors."""
+    """Observations as tensors: one, or several by name."""
     if isinstance(observations, dict):
         return {name: torch.as_tensor(values) for name, values in observations.items()}
     return torch.as_tensor(observations)

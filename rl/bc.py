@@ -1,9 +1,8 @@
-"""Behaviour cloning (Pomerleau 1991): supervised learning of what a teacher does.
+"""Behaviour cloning (Pomerleau 1991): supervised learning of a teacher's actions.
 
-`armctl train reach_bc` comes here. The teacher plays its own episodes, or a Minari dataset has them.
+`armctl train reach_bc` runs this. The demonstrations are episodes that the teacher plays, or a Minari dataset.
 """
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,22 +10,23 @@ import torch
 
 from armctl.agents import AgentCard
 from armctl.learners import Recipe
+from armctl.options import options
 from armctl.rl.actor import Actor
 from armctl.rl.cloning import CloningOptions, check_teaching, demonstrations, examples_for, fit, new_actor
-from armctl.rl.training import Training, read_options
+from armctl.rl.training import Training
 
 
-@dataclass(frozen=True)
+@options
 class BcOptions(CloningOptions):
-    """Options of the learner."""
+    """Options of behaviour cloning."""
 
     dataset: str | None = None
-    """Minari dataset to learn from, instead of asking the teacher: a folder (see `armctl collect`), or an id."""
+    """Minari dataset to learn from, instead of the teacher: a folder (see `armctl collect`), or an id."""
 
 
 def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True) -> AgentCard:
-    """Train an agent into the folder `out`; see `armctl.rl.training.Training`, also for the errors raised."""
-    options = read_options(BcOptions, recipe)
+    """Train an agent into the folder `out`. See `armctl.rl.training.Training`, also for the errors raised."""
+    options = recipe.read_options(BcOptions)
     check_teaching(recipe)
     with Training(recipe, options, out, seed, resume) as training:
         examples = examples_for(training, options)

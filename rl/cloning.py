@@ -1,4 +1,4 @@
-"""What learners from demonstrations share: examples, networks, and the fit of one to the other."""
+"""Shared by learners from demonstrations: the examples, the network, and fitting the network to the examples."""
 
 import itertools
 from collections.abc import Iterator
@@ -14,21 +14,23 @@ from armctl.datasets.minari import read_demonstrations
 from armctl.envs import make_worlds
 from armctl.errors import ConfigurationError
 from armctl.learners import Recipe
+from armctl.options import options
 from armctl.policies import make_policy
 from armctl.rl.actor import Actor, tensors
 from armctl.rl.training import Count, Share, Training, TrainingOptions
 from armctl.rl.view import Features
 from armctl.tasks import ReachMovingTask, ReachTask
+from armctl.tasks.reach import observation_slices
 
-BACK = 10
-"""Decisions back to which hindsight looks."""
+LOOK_BACK = 10
+"""Control steps: hindsight takes its targets from at most so long before an example."""
 LAST_RATE = 0.02
 """Share of the learning rate that is left at the end of a fit."""
 
 
-@dataclass(frozen=True)
+@options
 class CloningOptions(TrainingOptions):
-    """What learners from demonstrations can be told besides."""
+    """Options that all learners from demonstrations share."""
 
     steps: Count = 12_000
     """Gradient steps."""
@@ -38,23 +40,22 @@ class CloningOptions(TrainingOptions):
     features: Features = "invariant"
     evaluation_every: Count = 3_000
     demonstrations: Count = 500
-    """Episodes of the teacher, over all."""
+    """Episodes of the teacher, in total."""
     batch_size: Count = 256
     hindsight: Share = 0.5
-    """Share of the examples that aim at another place of their episode, where an arm reaches for a target at rest."""
+    """Share of the examples whose target is moved to another point of their episode; for targets at rest only."""
 
 
 @dataclass
 class Examples:
-    """Episodes, side by side."""
+    """Observations and actions of many episodes, concatenated."""
 
     task: Any
-    """That they are of."""
     hindsight: float
     episodes: list[Demonstration] = field(default_factory=list)
 
     def add(self, episodes: list[Demonstration]) -> None:
-        """Take in more episodes."""
+        """Add episodes."""
         self.episodes += episodes
         lengths = np.array([len(episode) for episode in self.episodes])
         begins = np.concatenate(([0], np.cumsum(lengths + 1)[:-1]))
@@ -69,10 +70,10 @@ class Examples:
         )
 
     def draw(self, rng: np.random.Generator, size: int) -> tuple[Any, torch.Tensor]:
-        """Observations and actions (size, ...).
+        """A random batch of observations and actions (size, ...).
 
-        Some are seen with hindsight (Ding et al., Goal-conditioned imitation learning, NeurIPS 2019): had the target
-        been where the end-effector was at another time of the episode, the joint positions of then were right.
+        Some are relabelled in hindsight (Ding et al., Goal-conditioned imitation learning, NeurIPS 2019): the target
+        becomes the end-effector's position at another time of the episode, the action the joint positions at that time.
         """
         drawn = rng.integers(len(self._rows), size=size)
         rows, actions = self._rows[drawn], self._actions[drawn]
@@ -81,16 +82,16 @@ class Examples:
         observations = self._observations[rows]
         if self.hindsight:
             other = rng.random(size) < self.hindsight
-            first = np.maximum(self._begins[drawn], rows - BACK)
+            first = np.maximum(self._begins[drawn], rows - LOOK_BACK)
             then = self._observations[rng.integers(first, self._ends[drawn] + 1)]
-            dof = actions.shape[1]
-            observations[other, 3 + dof : 6 + dof] = then[other, :3]
-            actions[other] = then[other, 3 : 3 + dof]
+            parts = observation_slices(actions.shape[1])
+            observations[other, parts["target_position"]] = then[other, parts["end_effector_position"]]
+            actions[other] = then[other, parts["joint_positions"]]
         return torch.as_tensor(observations), torch.as_tensor(actions)
 
 
 def examples_for(training: Training, options: CloningOptions) -> Examples:
-    """Where examples of the training's task are to go; with hindsight, where the task allows it."""
+    """An empty set of examples; with hindsight if the task allows it."""
     task = training.held_out.task
     at_rest = isinstance(task, ReachTask) and not isinstance(task, ReachMovingTask)
     positions = at_rest and task.interface["control"] == "position"
@@ -98,15 +99,15 @@ def examples_for(training: Training, options: CloningOptions) -> Examples:
 
 
 def check_teaching(recipe: Recipe) -> None:
-    """Raises `ConfigurationError` for what has no part in learning from demonstrations alone."""
+    """Raise `ConfigurationError` for options that have no meaning without rewards."""
     if recipe.shaping or recipe.reward_weights:
         raise ConfigurationError(
-            f"{recipe.learner} learns from no rewards: it takes neither shaping nor reward_weights"
+            f"{recipe.learner} does not learn from rewards: it takes neither shaping nor reward_weights"
         )
 
 
 class Teacher:
-    """A policy that is asked in worlds of its own. Raises `ConfigurationError` for a recipe without one."""
+    """The policy to learn from, in worlds of its own. Raises `ConfigurationError` for a recipe without a teacher."""
 
     def __init__(self, recipe: Recipe, worlds: int) -> None:
         if recipe.teacher is None:
@@ -120,7 +121,7 @@ class Teacher:
             raise
 
     def show(self, episodes: int, seed: int, progress: bool, **instead: Any) -> list[Demonstration]:
-        """Episodes of a seed in the order of their numbers, of which the successful ones count; see `demonstrate`."""
+        """The teacher's episodes 0 to `episodes` - 1 of a seed, in this order; see `demonstrate` for `instead`."""
         shown = demonstrate(self.policy, self.worlds, episodes, seed, self.name, **instead)
         played = sorted(
             tqdm(shown, self.name, episodes, leave=False, disable=not progress), key=lambda pair: pair[0].episode
@@ -131,7 +132,7 @@ class Teacher:
 def demonstrations(
     training: Training, options: CloningOptions, dataset: str | None, progress: bool
 ) -> list[Demonstration]:
-    """The successes of a dataset, or of as many episodes of the teacher; raises `ConfigurationError` without any."""
+    """The successful episodes of a dataset, or of the teacher. Raises `ConfigurationError` if there are none."""
     if dataset is None:
         teacher = Teacher(training.recipe, min(options.worlds, options.demonstrations))
         try:
@@ -143,7 +144,7 @@ def demonstrations(
     won = [episode for episode in episodes if episode.success]
     if not won:
         raise ConfigurationError(
-            f"none of {len(episodes)} episodes of {source} was a success: there is nothing to learn"
+            f"none of {len(episodes)} episodes of {source} was a success: there is nothing to learn from"
         )
     return won
 
@@ -174,7 +175,7 @@ def fit(
 ) -> Iterator[int]:
     """Fit the actor's network by least squares, in the network's unit of actions.
 
-    Yields the number of each gradient step that was made, from `start` + 1 to `steps`; the learning rate falls.
+    Yields the number of each gradient step, from `start` + 1 to `steps`. The learning rate decays linearly.
     """
     optimizer = torch.optim.Adam(actor.network.parameters(), learning_rate)
     for step in tqdm(range(start, steps), "fit", leave=False, disable=not progress):

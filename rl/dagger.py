@@ -1,9 +1,9 @@
-"""DAgger (Ross, Gordon and Bagnell, AISTATS 2011): the teacher is asked in the states that the student gets into.
+"""DAgger (Ross, Gordon and Bagnell, AISTATS 2011): the teacher labels the states that the student visits.
 
-In the first round the teacher acts; then the student does, more and more, and all that the teacher has said is learnt.
+In the first round the teacher acts; then the student acts more and more often. The student learns from all labels so
+far.
 """
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,29 +14,32 @@ from numpy.typing import NDArray
 from armctl.agents import AgentCard
 from armctl.datasets.demonstrations import Demonstration
 from armctl.errors import ConfigurationError
+from armctl.files import write_atomically
 from armctl.learners import Recipe
+from armctl.options import options
 from armctl.policies import Policy
 from armctl.rl.actor import Actor, tensors
 from armctl.rl.cloning import CloningOptions, Examples, Teacher, check_teaching, examples_for, fit, new_actor
-from armctl.rl.training import Count, Training, read_options, write_whole
+from armctl.rl.training import Count, Training
 
 RECORD = "rounds.pt"
 
 
-@dataclass(frozen=True)
+@options
 class DaggerOptions(CloningOptions):
-    """Options of the learner."""
+    """Options of DAgger."""
 
     rounds: Count = 10
     mixed_rounds: Count = 3
-    """Rounds until the student acts alone; before that, each decision is the teacher's by a chance that falls from 1."""
+    """Rounds until the student acts alone. Until then, each action is the teacher's with a probability that decays
+    linearly from 1."""
     teacher_memory: bool = True
-    """Without it, the teacher is asked in each state as if an episode began there. A student has no memory: it cannot
-    learn what depends on more than what it sees."""
+    """If False, the teacher is reset before each action. A student has no memory: it cannot learn actions that depend
+    on more than the present observation."""
 
 
 class MemorylessTeacher:
-    """A policy that is asked in each state as if an episode began there."""
+    """A policy that is reset before each action."""
 
     training_steps = 0
 
@@ -51,38 +54,39 @@ class MemorylessTeacher:
 
 
 def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True) -> AgentCard:
-    """Train an agent into the folder `out`; see `armctl.rl.training.Training`, also for the errors raised."""
-    options = read_options(DaggerOptions, recipe)
+    """Train an agent into the folder `out`. See `armctl.rl.training.Training`, also for the errors raised."""
+    options = recipe.read_options(DaggerOptions)
     check_teaching(recipe)
     each = options.demonstrations // options.rounds
     if not each or options.steps < options.rounds:
         raise ConfigurationError(f"{options.rounds} rounds need an episode and a gradient step each")
+    steps = options.steps // options.rounds
     with Training(recipe, options, out, seed, resume) as training:
         teacher = Teacher(recipe, min(options.worlds, each))
         if not options.teacher_memory:
             teacher.policy = MemorylessTeacher(teacher.policy)
         try:
             actor, examples = new_actor(training, options), examples_for(training, options)
-            before = _load(training, actor, examples)
-            for i in range(before, options.rounds):
+            finished = _load(training, actor, examples)
+            for i in range(finished, options.rounds):
                 share = max(0.0, 1 - i / options.mixed_rounds)
                 rng = np.random.default_rng((seed, i))
                 mixture = _mixture(actor, share, rng)
                 examples.add(teacher.show(each, training.first_seed(i), progress, acting=mixture))
                 for _ in fit(
-                    actor, examples, options.steps // options.rounds, rng,
+                    actor, examples, steps, rng,
                     batch_size=options.batch_size, learning_rate=options.learning_rate, progress=progress,
                 ):  # fmt: skip
                     pass
-                _save(training, actor, examples, i + 1, options.steps // options.rounds)
-                training.evaluate(actor, (i + 1) * (options.steps // options.rounds))
+                _save(training, actor, examples, i + 1, steps)
+                training.evaluate(actor, (i + 1) * steps)
         finally:
             teacher.worlds.close()
-        return training.finish(actor, options.rounds * (options.steps // options.rounds))
+        return training.finish(actor, options.rounds * steps)
 
 
 def _mixture(actor: Actor, share: float, rng: np.random.Generator) -> Any:
-    """Acts as the teacher with probability `share`, and as the student else."""
+    """A function that acts as the teacher with probability `share`, and as the student otherwise."""
 
     def acting(observations: Any, labels: NDArray[Any]) -> NDArray[Any]:
         chosen = rng.random(len(labels)) < share
@@ -93,25 +97,25 @@ def _mixture(actor: Actor, share: float, rng: np.random.Generator) -> Any:
 
 def _save(training: Training, actor: Actor, examples: Examples, rounds: int, steps: int) -> None:
     training.checkpoint(rounds * steps, lambda path: torch.save(actor.state_dict(), path))
-    told = [
+    episodes = [
         {"observations": tensors(episode.observations), "actions": torch.as_tensor(episode.actions)}
         for episode in examples.episodes
     ]
-    write_whole(training.out / RECORD, lambda path: torch.save({"rounds": rounds, "episodes": told}, path))
+    write_atomically(training.out / RECORD, lambda path: torch.save({"rounds": rounds, "episodes": episodes}, path))
 
 
 def _load(training: Training, actor: Actor, examples: Examples) -> int:
-    """Take up the newest checkpoint, and tell how many rounds there have been."""
+    """Load the newest checkpoint, if any, and return the number of finished rounds."""
     newest, record = training.newest_checkpoint(), training.out / RECORD
     if newest is None or not record.exists():
         return 0
     actor.load_state_dict(torch.load(newest, weights_only=True))
-    told = torch.load(record, weights_only=True)
-    examples.add([_episode(episode) for episode in told["episodes"]])
-    return int(told["rounds"])
+    saved = torch.load(record, weights_only=True)
+    examples.add([_episode(episode) for episode in saved["episodes"]])
+    return int(saved["rounds"])
 
 
-def _episode(told: Any) -> Demonstration:
-    seen = told["observations"]
+def _episode(saved: Any) -> Demonstration:
+    seen = saved["observations"]
     observations = {name: part.numpy() for name, part in seen.items()} if isinstance(seen, dict) else seen.numpy()
-    return Demonstration(observations, told["actions"].numpy(), np.zeros(len(told["actions"])), False, False)
+    return Demonstration(observations, saved["actions"].numpy(), np.zeros(len(saved["actions"])), False, False)

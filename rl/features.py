@@ -1,6 +1,6 @@
-"""What networks are shown of an observation: features by name, which tasks choose from (`Task.learner_view`).
+"""Feature extractors by name, from which tasks choose (`Task.learner_view`).
 
-They are functions of the observation inside the exported graph: the agent sees what any policy sees.
+Features are computed from the observation inside the exported graph: an agent sees what any policy sees.
 """
 
 import gymnasium
@@ -11,27 +11,29 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, Combine
 
 from armctl.errors import unknown_name
 from armctl.registration import import_attribute
+from armctl.tasks.reach import observation_sizes
+from armctl.tasks.reach.obstacles import BOX_NUMBERS
 
 LENGTH_SCALE = 2.0
-"""1/m: brings the lengths of an arm's workspace to the order of one."""
-BOX_NUMBERS = 7
-"""In the observation of a box: see `armctl.tasks.reach.obstacles`."""
+"""1/m: scales the lengths of an arm's workspace to the order of one."""
 NEARBY = 0.05
-"""m from the target, below which its direction fades."""
+"""m: nearer to the target than this, the direction to it fades."""
 NEAR = 0.5
 """m: inverse depth is NEAR / (NEAR + depth)."""
 
 
 class ReachFeatures(BaseFeaturesExtractor):
-    """Observation (6 + dof + k,) as positions, the offset to the target, each joint's sine and cosine, and the rest."""
+    """Positions, the offset to the target, each joint's sine and cosine, and the rest of the observation."""
 
     def __init__(self, observation_space: spaces.Box, dof: int) -> None:
-        self.parts = (3, dof, 3, observation_space.shape[0] - 6 - dof)
-        super().__init__(observation_space, 13 + 2 * dof + self.parts[3])
+        parts = list(observation_sizes(dof).values())
+        rest = observation_space.shape[0] - sum(parts)
+        self.sizes = [*parts, rest]
+        super().__init__(observation_space, 13 + 2 * dof + rest)
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         """Features (n, 13 + 2 dof + k) of observations (n, 6 + dof + k)."""
-        end_effector, joints, target, rest = observations.split(self.parts, dim=1)
+        end_effector, joints, target, rest = observations.split(self.sizes, dim=1)
         offset = target - end_effector
         distance = offset.norm(dim=1, keepdim=True)
         direction = offset / (distance + NEARBY)
@@ -40,20 +42,20 @@ class ReachFeatures(BaseFeaturesExtractor):
 
 
 class BaseYawInvariantFeatures(BaseFeaturesExtractor):
-    """The same in the frame of an arm's first joint, whose axis is vertical: a rotation of the scene changes nothing.
+    """`ReachFeatures` in the frame of an arm's first joint, whose axis is vertical: rotating the scene changes nothing.
 
-    `parts` are the names and sizes of the observation's parts after the target position. The velocity of a target is
-    rotated as well, and so are boxes. The same small network sees each box, and the largest answers are kept (Qi et
-    al., PointNet, 2017), so that their order does not matter.
+    `parts` are the names and sizes of the observation's parts after the target position. The target's velocity and the
+    boxes are rotated as well. One small network encodes each box, and max pooling makes the result independent of their
+    order (Qi et al., PointNet, 2017).
     """
 
     def __init__(self, observation_space: spaces.Box, dof: int, parts: dict[str, int], box_features: int = 64) -> None:
-        self.sizes = dict(parts)
-        boxed = "boxes" in parts
-        rest = sum(size for name, size in parts.items() if name != "boxes") + (box_features if boxed else 0)
+        self.parts = dict(parts)
+        has_boxes = "boxes" in parts
+        rest = sum(size for name, size in parts.items() if name != "boxes") + (box_features if has_boxes else 0)
         super().__init__(observation_space, 13 + 2 * (dof - 1) + rest)
-        self.dof = dof
-        if boxed:
+        self.sizes = [*observation_sizes(dof).values(), *parts.values()]
+        if has_boxes:
             self.boxes = torch.nn.Sequential(
                 torch.nn.Linear(BOX_NUMBERS + 4, box_features),
                 torch.nn.ReLU(),
@@ -63,28 +65,28 @@ class BaseYawInvariantFeatures(BaseFeaturesExtractor):
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         """Features (n, k) of observations (n, 6 + dof + rest)."""
-        tip, joints, target, *rest = observations.split((3, self.dof, 3, *self.sizes.values()), dim=1)
-        turn = joints[:, :1]
-        tip, target = rotated(tip, -turn), rotated(target, -turn)
+        tip, joints, target, *rest = observations.split(self.sizes, dim=1)
+        yaw = joints[:, :1]
+        tip, target = rotated(tip, -yaw), rotated(target, -yaw)
         offset = target - tip
         distance = offset.norm(dim=1, keepdim=True)
         lengths = LENGTH_SCALE * torch.cat((tip, target, offset, distance), dim=1)
         seen = [lengths, offset / (distance + NEARBY), joints[:, 1:].sin(), joints[:, 1:].cos()]
-        for name, part in zip(self.sizes, rest, strict=True):
+        for name, part in zip(self.parts, rest, strict=True):
             if name == "boxes":
-                seen.append(self._see_boxes(part, turn, target))
+                seen.append(self._encode_boxes(part, yaw, target))
             else:
-                seen.append(rotated(part, -turn) if name == "target_velocity" else part)
+                seen.append(rotated(part, -yaw) if name == "target_velocity" else part)
         return torch.cat(seen, dim=1)
 
-    def _see_boxes(self, numbers: torch.Tensor, turn: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+    def _encode_boxes(self, numbers: torch.Tensor, base_yaw: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
         boxes = numbers.unflatten(1, (-1, BOX_NUMBERS))
-        turn = turn[:, None]
-        centre, half_sizes = rotated(boxes[..., :3], -turn), boxes[..., 3:6]
-        yaw = 2 * (boxes[..., 6:] - turn)  # a box rotated by pi is the same
+        base_yaw = base_yaw[:, None]
+        centre, half_sizes = rotated(boxes[..., :3], -base_yaw), boxes[..., 3:6]
+        yaw = 2 * (boxes[..., 6:] - base_yaw)  # a box rotated by pi is the same
         parts = (centre, centre - target[:, None], half_sizes, yaw.sin(), yaw.cos())
-        there = (half_sizes > 0).all(dim=-1, keepdim=True)
-        return (self.boxes(LENGTH_SCALE * torch.cat(parts, dim=-1)) * there).amax(dim=1)
+        present = (half_sizes > 0).all(dim=-1, keepdim=True)
+        return (self.boxes(LENGTH_SCALE * torch.cat(parts, dim=-1)) * present).amax(dim=1)
 
 
 def rotated(vectors: torch.Tensor, angles: torch.Tensor) -> torch.Tensor:
@@ -94,7 +96,7 @@ def rotated(vectors: torch.Tensor, angles: torch.Tensor) -> torch.Tensor:
 
 
 class InverseDepthFeatures(BaseFeaturesExtractor):
-    """Inverse depths of all pixels, and own motion."""
+    """A layer on the inverse depths of all pixels, and the rover's own motion."""
 
     def __init__(self, observation_space: spaces.Dict, size: int = 128) -> None:
         super().__init__(observation_space, size + 3)
@@ -118,7 +120,7 @@ FEATURES: dict[str, type[BaseFeaturesExtractor]] = {
 
 
 def features_by_name(name: str | None, observed: gymnasium.Space[object]) -> type[BaseFeaturesExtractor]:
-    """A feature extractor by name, or by its `module:Class`; without a name, that of the bare observation.
+    """A feature extractor by name or `module:Class`; without a name, one that passes the bare observation on.
 
     Raises `ConfigurationError`.
     """

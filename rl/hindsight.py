@@ -1,6 +1,6 @@
-"""The reach task as a goal-conditioned environment: an episode that missed its target has reached another one.
+"""Hindsight experience replay (Andrychowicz et al. 2017) for the reach task, by Stable-Baselines3's buffer.
 
-Hindsight experience replay, Andrychowicz et al. 2017, by Stable-Baselines3's buffer.
+An episode that missed its target has reached other positions: with one of them as the target, it is a success.
 """
 
 from typing import Any
@@ -15,18 +15,21 @@ from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 
 from armctl.rl.vector import StableBaselinesVectorEnv
 from armctl.rl.view import View
+from armctl.tasks.reach import observation_slices
+from armctl.tasks.reach.state import GOAL_REWARD, STEP_REWARD
 
-STEP, GOAL = -1.0, 100.0
-"""The reach task's reward for a step, and for one to the goal."""
+PARTS = {
+    "achieved_goal": "end_effector_position",
+    "observation": "joint_positions",
+    "desired_goal": "target_position",
+}
+"""Names of a goal-conditioned environment for the parts of the task's observation, in the task's order."""
 
 
 def split(observations: Any, dof: int) -> dict[str, Any]:
-    """Plain observations (..., 6 + dof), arrays or tensors, as those of a goal-conditioned environment."""
-    return {
-        "achieved_goal": observations[..., :3],
-        "observation": observations[..., 3 : 3 + dof],
-        "desired_goal": observations[..., 3 + dof :],
-    }
+    """The task's observations (..., 6 + dof), arrays or tensors, as those of a goal-conditioned environment."""
+    slices = observation_slices(dof)
+    return {name: observations[..., slices[part]] for name, part in PARTS.items()}
 
 
 class GoalVectorEnv(StableBaselinesVectorEnv):
@@ -36,7 +39,7 @@ class GoalVectorEnv(StableBaselinesVectorEnv):
         super().__init__(*args)
         self.tolerance = tolerance
         plain = self.env.single_observation_space
-        self.dof = plain.shape[0] - 6
+        self.dof = self.action_space.shape[0]
         low, high = split(plain.low, self.dof), split(plain.high, self.dof)
         self.observation_space = spaces.Dict({name: spaces.Box(low[name], high[name]) for name in low})
 
@@ -45,9 +48,9 @@ class GoalVectorEnv(StableBaselinesVectorEnv):
         return split(observations, self.dof)
 
     def compute_reward(self, achieved: NDArray[np.floating[Any]], desired: NDArray[np.floating[Any]]) -> Any:
-        """Scaled reward (n,) of a step that ends at positions (n, 3), were these the targets (n, 3)."""
+        """Scaled reward (n,) of a step that ends at positions `achieved` (n, 3), for targets `desired` (n, 3)."""
         reached = np.linalg.norm(achieved - desired, axis=1) <= self.tolerance
-        return self.reward_scale * (STEP + GOAL * reached)
+        return self.reward_scale * (STEP_REWARD + GOAL_REWARD * reached)
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
         """Call a method once, for all worlds."""
@@ -57,7 +60,7 @@ class GoalVectorEnv(StableBaselinesVectorEnv):
 
 
 class GoalFeatures(BaseFeaturesExtractor):
-    """A view's features of the plain observation, which is put together again."""
+    """A view's features of the task's observation, which is concatenated again from its parts."""
 
     def __init__(self, observation_space: spaces.Dict, view: View) -> None:
         size = spaces.flatdim(observation_space)
@@ -67,18 +70,20 @@ class GoalFeatures(BaseFeaturesExtractor):
 
     def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
         """Features (n, k) of observations by name."""
-        parts = [observations[name] for name in ("achieved_goal", "observation", "desired_goal")]
-        return self.plain(torch.cat(parts, dim=1))
+        return self.plain(torch.cat([observations[name] for name in PARTS], dim=1))
 
 
 class HindsightBuffer(HerReplayBuffer):
-    """Relabelled successes end their episode, as successes do in the task; Stable-Baselines3 would go on after them."""
+    """A replay buffer in which relabelled successes end their episode, as successes do in the task.
+
+    Stable-Baselines3's own would bootstrap beyond them.
+    """
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        self.infos = np.empty(0)  # a dict for each transition, which nobody reads
+        self.infos = np.empty(0)  # unused: a dict for each transition
 
     def _get_virtual_samples(self, *args: Any) -> DictReplayBufferSamples:
         samples = super()._get_virtual_samples(*args)
-        reached = samples.rewards > self.env.reward_scale * STEP
+        reached = samples.rewards > self.env.reward_scale * STEP_REWARD
         return samples._replace(dones=reached.float())

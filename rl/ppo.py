@@ -1,9 +1,8 @@
 """Proximal policy optimisation (Schulman et al. 2017), by Stable-Baselines3, on hundreds of batched worlds.
 
-`armctl train reach_ppo` comes here. The trained agent is an ONNX graph and a JSON card.
+`armctl train reach_ppo` runs this. The trained agent is an ONNX graph and a JSON card.
 """
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -14,43 +13,48 @@ from stable_baselines3 import PPO
 
 from armctl.agents import AgentCard
 from armctl.learners import Recipe
+from armctl.options import options
 from armctl.rl.actor import Actor
 from armctl.rl.learning import learn
-from armctl.rl.training import Count, Positive, Share, Training, TrainingOptions, read_options
+from armctl.rl.training import Count, Positive, Share, Training, TrainingOptions
 from armctl.rl.vector import StableBaselinesVectorEnv
 from armctl.rl.view import View
 
 ACTIVATIONS = {"elu": torch.nn.ELU, "relu": torch.nn.ReLU}
 
 
-@dataclass(frozen=True)
+@options
 class PpoOptions(TrainingOptions):
-    """Options of the learner. The learning rate falls linearly to a twentieth."""
+    """Options of PPO. The learning rate decays linearly to a twentieth."""
 
     rollout_length: Count = 32
-    """Decisions of each world between two updates."""
+    """Control steps of each world between two updates."""
     batch_size: Count = 2048
     epochs: Count = 5
     gae_lambda: Share = 0.95
     clip_range: Positive = 0.2
-    entropy: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    entropy: Annotated[float, Field(ge=0)] = 0.0
     """Weight of the action distribution's entropy in the loss."""
-    initial_log_std: Annotated[float, Field(allow_inf_nan=False)] = -0.5
+    initial_log_std: float = -0.5
     reward_scale: Positive = 0.02
     activation: Literal["elu", "relu"] = "elu"
     """After each layer of the network."""
 
 
 def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True) -> AgentCard:
-    """Train an agent into the folder `out`; see `armctl.rl.training.Training`, also for the errors raised."""
-    options = read_options(PpoOptions, recipe)
+    """Train an agent into the folder `out`. See `armctl.rl.training.Training`, also for the errors raised."""
+    options = recipe.read_options(PpoOptions)
     with Training(recipe, options, out, seed, resume) as training:
-        venv = StableBaselinesVectorEnv(
-            training.worlds, training.view.action_scale, options.reward_scale, recipe.reward_weights
-        )
-        newest = training.newest_checkpoint()
-        model = new_model(venv, training.view, options, seed) if newest is None else PPO.load(newest, venv, "cpu")
+        model = load_or_make(training, options)
         return learn(training, model, actor_of(model, training.view), progress)
+
+
+def load_or_make(training: Training, options: PpoOptions) -> PPO:
+    """The model of the newest checkpoint, or an untrained one."""
+    scale, weights = training.view.action_scale, training.recipe.reward_weights
+    venv = StableBaselinesVectorEnv(training.worlds, scale, options.reward_scale, weights)
+    newest = training.newest_checkpoint()
+    return new_model(venv, training.view, options, training.seed) if newest is None else PPO.load(newest, venv, "cpu")
 
 
 def new_model(venv: StableBaselinesVectorEnv, view: View, options: PpoOptions, seed: int) -> PPO:
@@ -62,7 +66,7 @@ def new_model(venv: StableBaselinesVectorEnv, view: View, options: PpoOptions, s
         n_steps=options.rollout_length,
         batch_size=options.batch_size,
         n_epochs=options.epochs,
-        learning_rate=_falling(options.learning_rate),
+        learning_rate=_decaying(options.learning_rate),
         gamma=options.gamma,
         gae_lambda=options.gae_lambda,
         clip_range=options.clip_range,
@@ -80,7 +84,7 @@ def new_model(venv: StableBaselinesVectorEnv, view: View, options: PpoOptions, s
 
 
 def actor_of(model: PPO, view: View) -> Actor:
-    """The actor that shares the model's network."""
+    """An actor that shares the model's network."""
     return Actor(MeanAction(model.policy), view.action_scale, model.observation_space)
 
 
@@ -97,7 +101,7 @@ class MeanAction(torch.nn.Module):
         return self.policy.action_net(self.policy.mlp_extractor.forward_actor(features))
 
 
-def _falling(initial: float) -> Any:
+def _decaying(initial: float) -> Any:
     def rate(progress_remaining: float) -> float:
         return initial * max(progress_remaining, 0.05)
 

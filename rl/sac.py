@@ -1,10 +1,9 @@
-"""Soft actor-critic (Haarnoja et al. 2018), by Stable-Baselines3, with hindsight where a task has goals.
+"""Soft actor-critic (Haarnoja et al. 2018), by Stable-Baselines3; with hindsight experience replay in the reach task.
 
-`armctl train reach_sac` comes here.
+`armctl train reach_sac` runs this.
 """
 
 import warnings
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,49 +17,50 @@ from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise, Vectori
 from armctl.agents import AgentCard
 from armctl.errors import ConfigurationError
 from armctl.learners import Recipe
+from armctl.options import options
 from armctl.rl.actor import Actor
 from armctl.rl.hindsight import GoalFeatures, GoalVectorEnv, HindsightBuffer, split
 from armctl.rl.learning import REPLAY, learn
-from armctl.rl.training import Count, Positive, Share, Training, TrainingOptions, read_options
+from armctl.rl.training import Count, Positive, Share, Training, TrainingOptions
 from armctl.rl.vector import StableBaselinesVectorEnv
 from armctl.tasks import ReachTask
 
-NOISE_LASTS = 10
-"""Decisions, after which noise of the past counts for a third."""
+NOISE_TIME_CONSTANT = 10
+"""Control steps in which the exploration noise decays to about a third."""
 
 
-@dataclass(frozen=True)
+@options
 class SacOptions(TrainingOptions):
-    """Options of the learner."""
+    """Options of SAC."""
 
     steps: Count = 200_000
     worlds: Count = 64
     gradient_steps: Count = 8
-    """After each step of all worlds."""
+    """Per control step of all worlds."""
     batch_size: Count = 256
     learning_rate: Positive = 1e-3
     tau: Share = 0.01
-    """Share of the critic that goes into its target network at each gradient step."""
+    """Soft-update coefficient of the critic's target network, per gradient step."""
     buffer_size: Count = 300_000
     """Transitions."""
     random_steps: Count = 3_000
-    """Decisions that are uniformly random, at first."""
-    noise: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.4
-    """Of exploration that lasts, in one decision: none in the first world, and so much in the last."""
+    """Environment steps with uniformly random actions, at first."""
+    noise: Annotated[float, Field(ge=0)] = 0.4
+    """Scale of the correlated exploration noise in the last world; it grows from 0 in the first world."""
     relabelled: Annotated[int, Field(ge=0)] = 4
     """Relabelled transitions for each real one, in `armctl/ArmReach-v0`."""
     entropy: Positive = 0.1
-    """Initial weight of the action distribution's entropy, which is tuned on the way."""
+    """Initial weight of the action distribution's entropy. It is tuned during training."""
     reward_scale: Positive = 0.1
     evaluation_every: Count = 20_000
 
 
 def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True) -> AgentCard:
-    """Train an agent into the folder `out`; see `armctl.rl.training.Training`, also for the errors raised."""
-    options = read_options(SacOptions, recipe)
+    """Train an agent into the folder `out`. See `armctl.rl.training.Training`, also for the errors raised."""
+    options = recipe.read_options(SacOptions)
     if options.relabelled and (recipe.shaping or recipe.reward_weights or "reward" in recipe.env_options):
         raise ConfigurationError(
-            "what is relabelled earns the task's plain reward: with shaping, reward_weights or another reward, "
+            "relabelled transitions earn the task's plain reward: with shaping, reward_weights or another reward, "
             "set the option relabelled to 0"
         )
     with Training(recipe, options, out, seed, resume) as training:
@@ -74,30 +74,33 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
 
 
 class SquashedMean(torch.nn.Module):
-    """The mean of a policy's action distribution, squashed into [-1, 1]; with `dof`, of a policy that has goals."""
+    """The mean of a policy's action distribution, squashed into [-1, 1].
+
+    A goal-conditioned policy needs the arm's `dof`, to split observations into goal and rest.
+    """
 
     def __init__(self, policy: torch.nn.Module, dof: int | None) -> None:
         super().__init__()
         self.actor, self.dof = policy.actor, dof
 
     def forward(self, observation: Any) -> torch.Tensor:
-        """Actions (n, ...) for plain observations."""
+        """Actions (n, ...) for observations as the task gives them."""
         shown = observation if self.dof is None else split(observation, self.dof)
         return torch.tanh(self.actor.get_action_dist_params(shown)[0])
 
 
 def _vector_env(training: Training, options: SacOptions) -> StableBaselinesVectorEnv:
     recipe, task = training.recipe, training.held_out.task
-    given = (training.worlds, training.view.action_scale, options.reward_scale, recipe.reward_weights)
+    arguments = (training.worlds, training.view.action_scale, options.reward_scale, recipe.reward_weights)
     if not (options.relabelled and type(task) is ReachTask):
-        return StableBaselinesVectorEnv(*given)
-    return GoalVectorEnv(task.options.tolerance, *given)
+        return StableBaselinesVectorEnv(*arguments)
+    return GoalVectorEnv(task.options.tolerance, *arguments)
 
 
 def _new_model(venv: StableBaselinesVectorEnv, training: Training, options: SacOptions) -> SAC:
     goals, view = isinstance(venv, GoalVectorEnv), training.view
     several = isinstance(venv.observation_space, gymnasium.spaces.Dict)
-    # Hindsight needs episodes that have ended.
+    # The hindsight buffer samples from finished episodes only.
     longest = (training.held_out.max_episode_steps or 0) * options.worlds if goals else 0
     return SAC(
         "MultiInputPolicy" if several else "MlpPolicy",
@@ -125,10 +128,10 @@ def _new_model(venv: StableBaselinesVectorEnv, training: Training, options: SacO
 
 
 def _noise(options: SacOptions, shape: tuple[int, ...]) -> VectorizedActionNoise:
-    """Noise of Ornstein and Uhlenbeck (1930), which takes an arm elsewhere; independent noise leaves it where it is."""
-    still = np.zeros(shape)
+    """Noise of Ornstein and Uhlenbeck (1930). It moves an arm around; noise without correlation averages out."""
+    mean = np.zeros(shape)
     noises = [
-        OrnsteinUhlenbeckActionNoise(still, np.full(shape, sigma), theta=1 / NOISE_LASTS, dt=1.0)
+        OrnsteinUhlenbeckActionNoise(mean, np.full(shape, sigma), theta=1 / NOISE_TIME_CONSTANT, dt=1.0)
         for sigma in np.linspace(0.0, options.noise, options.worlds)
     ]
     noise = VectorizedActionNoise(noises[0], options.worlds)
@@ -140,7 +143,7 @@ def _load(checkpoint: Path, venv: StableBaselinesVectorEnv) -> SAC:
     model = SAC.load(checkpoint, venv, "cpu")
     replay = checkpoint.with_name(REPLAY)
     if not replay.exists():
-        raise ConfigurationError(f"the training cannot go on without {replay}")
-    with warnings.catch_warnings(action="ignore"):  # episodes that were under way are cut short
+        raise ConfigurationError(f"the training cannot be resumed without {replay}")
+    with warnings.catch_warnings(action="ignore"):  # it warns that unfinished episodes are truncated
         model.load_replay_buffer(replay)
     return model

@@ -1,4 +1,4 @@
-"""What all learners share: the folder of a training, its clock, its curve on held-out episodes, and the best agent."""
+"""Shared by all learners: a training's folder, clock, learning curve on held-out episodes, and best agent."""
 
 import dataclasses
 import json
@@ -8,89 +8,76 @@ from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
-from typing import Annotated, Any, Self, TypeVar, get_type_hints
+from typing import Annotated, Any, Self
 
 import gymnasium
 import numpy as np
 import pandas as pd
 import torch
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import Field
 from stable_baselines3.common.logger import configure
 
 from armctl.agents import AgentCard, Evaluation, sha256, shapes
 from armctl.envs import make_worlds
 from armctl.errors import ConfigurationError, unknown_name
 from armctl.evaluation import evaluate
+from armctl.evaluation.curves import CURVE, read_curve
 from armctl.evaluation.provenance import versions
-from armctl.evaluation.reproduce import summarised
+from armctl.evaluation.reproduce import evaluation_of
 from armctl.evaluation.rollouts import rollouts
-from armctl.evaluation.statistics import Estimate, success_rate
+from armctl.evaluation.statistics import success_rate
+from armctl.files import write_atomically
 from armctl.learners import Recipe
+from armctl.options import options
 from armctl.rl.actor import Actor
 from armctl.rl.view import Features, view_of
 from armctl.shaping import Shaped
 
 TRAINING_SEEDS = 10**9
-"""Training seed k plays the seeds from (k + 1) * 10^9 on: whatever is evaluated on smaller seeds is held out."""
+"""Training seed k plays the seeds from (k + 1) * 10^9 on. Episodes of smaller seeds are held out."""
 VALIDATION_SEED = 10**8
-"""Of the held-out episodes that pick the best agent of a training."""
+"""Seed of the held-out episodes that select the best agent of a training."""
 EVALUATION_SEED = 0
-"""Of the held-out episodes on its card."""
+"""Seed of the held-out episodes on the agent's card."""
 VALIDATION_WORLDS = 50
 
 Count = Annotated[int, Field(ge=1)]
 Share = Annotated[float, Field(ge=0, le=1)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0)]
 
 
-@dataclasses.dataclass(frozen=True)
+@options
 class TrainingOptions:
-    """What every learner can be told."""
+    """Options that all learners share."""
 
     steps: Count = 3_000_000
-    """Decisions in simulation, over all worlds."""
+    """Environment steps, over all worlds."""
     worlds: Count = 256
     gamma: Share = 0.97
     """Discount factor."""
     learning_rate: Positive = 1e-3
     hidden_units: Count = 128
-    """In each layer."""
+    """Per layer."""
     layers: Count = 2
     relative: bool = True
     """Position commands of an arm are relative to the observed joint positions, not absolute."""
     features: Features = "plain"
-    """What the network is shown: the bare observation (`none`), the task's features (`plain`), or those that rotations
-    of the scene do not change (`invariant`), where the task has some."""
+    """Input of the network: the bare observation (`none`), the task's features (`plain`), or features that are
+    invariant under rotations of the scene (`invariant`), if the task has any."""
     evaluation_every: Count = 250_000
-    """Steps between two held-out evaluations, each with a checkpoint."""
+    """Steps between two evaluations on held-out episodes, each with a checkpoint."""
     validation_episodes: Count = 100
-    """Of each of them."""
+    """Episodes of each of these evaluations."""
     evaluation_episodes: Count = 1000
-    """Of the final evaluation, which goes on the card."""
-
-
-Options = TypeVar("Options", bound=TrainingOptions)
-
-
-def read_options(kind: type[Options], recipe: Recipe) -> Options:
-    """A learner's options, checked. Raises `ConfigurationError` for an unknown name, or a value of the wrong type."""
-    allowed = get_type_hints(kind, include_extras=True)
-    for name, value in recipe.options.items():
-        if name not in allowed:
-            raise unknown_name(f"option of {recipe.learner}", name, allowed)
-        try:
-            TypeAdapter(allowed[name]).validate_python(value, strict=True)
-        except ValidationError as error:
-            raise ConfigurationError(f"{name}: {error.errors()[0]['msg']}, not {value!r}") from error
-    return kind(**recipe.options)
+    """Episodes of the final evaluation, which goes on the card."""
 
 
 class Training:
-    """One training: a recipe, learnt with one seed, into one folder.
+    """One training: a recipe, trained with one seed, in one folder.
 
-    Use it as a context manager. The folder gets `settings.json`, `checkpoints/`, `tensorboard/`, `curve.csv`, the best
+    Use it as a context manager. It writes `settings.json`, `checkpoints/`, `tensorboard/`, `curve.csv` and the best
     actor so far, `best.pt`, and in the end `agent.onnx` and `agent.json`. Checkpoints are pickles: resume only
-    trainings of your own making.
+    trainings that you trust.
 
     Raises `ConfigurationError` for a recipe that cannot be followed, or a folder that another training has used.
     """
@@ -122,47 +109,43 @@ class Training:
 
     @property
     def seconds(self) -> float:
-        """Since training began, over all resumptions."""
+        """Training time so far, including that before each resumption."""
         return float(self._before + time.perf_counter() - self._start)
 
     def first_seed(self, steps: int = 0) -> int:
-        """Seed of the first world after so many steps: a resumed training plays on in episodes that are new to it."""
+        """Seed of the first world after so many steps: a resumed training plays episodes that are new to it."""
         return (self.seed + 1) * TRAINING_SEEDS + steps
 
     def curve(self) -> list[dict[Any, Any]]:
-        """Held-out evaluations so far: steps, minutes, success with its 95 % interval (low, high), mean return."""
-        file = self.out / "curve.csv"
-        return pd.read_csv(file).to_dict("records") if file.exists() else []
+        """Evaluations on held-out episodes so far, with `armctl.evaluation.curves.CURVE_COLUMNS`."""
+        file = self.out / CURVE
+        return read_curve(file).to_dict("records") if file.exists() else []
 
     def newest_checkpoint(self) -> Path | None:
-        """The checkpoint after most steps."""
+        """The checkpoint with the most steps."""
         found = (path for path in (self.out / "checkpoints").glob("*.zip") if path.stem.isdecimal())
         return max(found, key=lambda path: int(path.stem), default=None)
 
     def checkpoint(self, steps: int, save: Callable[[Path], Any]) -> None:
-        """Keep what `save` writes to a path, which is whole or not there, and the time."""
-        unfinished = self.out / "checkpoints" / "unfinished.zip"
-        save(unfinished)
-        unfinished.replace(self.out / "checkpoints" / f"{steps}.zip")
-        write_whole(self.out / "clock.json", lambda path: path.write_text(json.dumps({"seconds": self.seconds})))
+        """Write a checkpoint, by a function that writes it to a path, and the training time."""
+        write_atomically(self.out / "checkpoints" / f"{steps}.zip", save)
+        write_atomically(self.out / "clock.json", json.dumps({"seconds": self.seconds}))
 
     def due(self, steps: int) -> bool:
-        """Whether it is time for a checkpoint and an evaluation."""
+        """Whether a checkpoint and an evaluation are due."""
         return steps - self._evaluated >= self.options.evaluation_every
 
     def evaluate(self, actor: Actor, steps: int) -> None:
-        """Judge the actor on held-out episodes, add it to the curve, and keep it if it is the best so far."""
+        """Evaluate the actor on held-out episodes, add the result to the curve, and save the actor if it is best."""
         if steps == self._evaluated:
             return
         self._evaluated = steps
-        # least lengths, which nobody asks for here, take longer than the episodes
-        unknown = dict.fromkeys(range(self.options.validation_episodes), math.nan)
-        results = list(
-            rollouts(
-                actor, self.held_out, self.options.validation_episodes, VALIDATION_SEED, "agent", least_lengths=unknown
-            )
-        )
-        rate = _rate([result.success for result in results])
+        episodes = self.options.validation_episodes
+        # least lengths are not needed here, and computing them takes longer than the episodes
+        unknown = dict.fromkeys(range(episodes), math.nan)
+        results = list(rollouts(actor, self.held_out, episodes, VALIDATION_SEED, "agent", least_lengths=unknown))
+        rate = success_rate(np.array([result.success for result in results], dtype=bool))
+        assert rate is not None
         mean_return = float(np.mean([result.total_reward for result in results]))
         row = {
             "steps": steps,
@@ -174,15 +157,15 @@ class Training:
         }
         best = self._best()
         if best is None or (rate.value, mean_return) > (best["success"], best["return"]):
-            write_whole(self.out / "best.pt", lambda path: torch.save({**row, "actor": actor.state_dict()}, path))
+            write_atomically(self.out / "best.pt", lambda path: torch.save({**row, "actor": actor.state_dict()}, path))
         curve = pd.DataFrame([*self.curve(), row]).astype({"steps": int})
-        write_whole(self.out / "curve.csv", lambda path: curve.to_csv(path, index=False))
+        write_atomically(self.out / CURVE, curve.to_csv(index=False))
         for name in ("success", "return"):
             self.logger.record(f"held-out/{name}", row[name])
         self.logger.dump(steps)
 
     def finish(self, actor: Actor, steps: int) -> AgentCard:
-        """Judge the last actor too, then export the best, and write its card with its final evaluation."""
+        """Evaluate the last actor too, export the best one, and write its card with a final evaluation."""
         self.evaluate(actor, steps)
         best = self._best()
         assert best is not None
@@ -228,7 +211,7 @@ class Training:
         return Shaped(worlds, recipe.shaping, gamma=options.gamma, scale=recipe.shaping_scale)
 
     def _prepare(self, resume: bool) -> None:
-        """Make the folder, or check that the training in it is the one to go on with; more steps are welcome."""
+        """Make the folder, or check that it holds the training to resume; only `steps` may differ."""
         record = self.out / "settings.json"
         settings = _plain(self.recipe) | {"seed": self.seed, "options": dataclasses.asdict(self.options)}
         del settings["seeds"]
@@ -240,7 +223,7 @@ class Training:
                     f"{self.out} holds a training already: resume it (--resume), or choose another folder"
                 )
             (self.out / "checkpoints").mkdir(parents=True, exist_ok=True)
-            write_whole(record, lambda path: path.write_text(json.dumps(settings, indent=2)))
+            write_atomically(record, json.dumps(settings, indent=2))
         except OSError as error:
             raise ConfigurationError(f"the training cannot be written to {self.out}: {error.strerror}") from error
 
@@ -258,14 +241,14 @@ class Training:
             env_options=self.recipe.env_options,
             least_lengths=False,
         )
-        return summarised(episodes, EVALUATION_SEED)
+        return evaluation_of(episodes, EVALUATION_SEED)
 
     def _write(self, card: AgentCard) -> None:
-        (self.out / "agent.json").write_text(card.model_dump_json(indent=2) + "\n")
+        write_atomically(self.out / "agent.json", card.model_dump_json(indent=2) + "\n")
 
 
 def _plain(recipe: Recipe) -> dict[str, Any]:
-    """The recipe as JSON can have it."""
+    """The recipe as JSON values."""
     return recipe.model_dump(mode="json", fallback=str)
 
 
@@ -275,7 +258,7 @@ def _check_same(record: Path, settings: dict[str, Any]) -> None:
     try:
         before = _flat(json.loads(record.read_text()))
     except (ValueError, KeyError, TypeError) as error:
-        raise ConfigurationError(f"{record} is not what a training has written: it was changed, or damaged") from error
+        raise ConfigurationError(f"{record} was not written by a training: it was changed, or damaged") from error
     for key, value in _flat(settings).items():
         if before.get(key) != value and key != "steps":
             raise ConfigurationError(
@@ -285,16 +268,3 @@ def _check_same(record: Path, settings: dict[str, Any]) -> None:
 
 def _flat(settings: dict[str, Any]) -> dict[str, Any]:
     return {**settings, **settings["options"], "options": None}
-
-
-def _rate(successes: Any) -> Any:
-    rate = success_rate(np.asarray(successes, dtype=bool))
-    assert isinstance(rate, Estimate)
-    return rate
-
-
-def write_whole(file: Path, write: Callable[[Path], Any]) -> None:
-    """Let `write` write to a path; the file is whole, or what it was before."""
-    unfinished = file.with_name(f"unfinished-{file.name}")
-    write(unfinished)
-    unfinished.replace(file)

@@ -1,4 +1,4 @@
-"""armctl's batched environments as the vector environments of Stable-Baselines3."""
+"""Adapter from armctl's batched environments to the vector environments of Stable-Baselines3."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -18,11 +18,11 @@ Array = NDArray[np.float64]
 
 
 class StableBaselinesVectorEnv(VecEnv):
-    """A same-step autoreset vector environment, seen by Stable-Baselines3: actions in [-1, 1], and scaled rewards.
+    """A vector environment with same-step autoreset, for Stable-Baselines3: actions in [-1, 1], scaled rewards.
 
-    The reward is the sum of the ledger's terms, times their weights (1 where there is none). `infos` hold what a
-    learner needs of episodes that end: `terminal_observation`, `TimeLimit.truncated`, `episode` (return, with neither
-    weights nor shaping, and length) and `is_success`.
+    The reward is the weighted sum of the reward terms (weight 1 for terms without one). `infos` describe episodes that
+    have just ended: `terminal_observation`, `TimeLimit.truncated`, `is_success`, and `episode` (its length, and its
+    return without weights or shaping).
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class StableBaselinesVectorEnv(VecEnv):
         self._lengths = np.zeros(self.num_envs, dtype=np.int64)
 
     def reset(self) -> Any:
-        """Start new episodes in all worlds; the first time with the seed given to `seed`."""
+        """Start new episodes in all worlds, with the seed given to `seed` if it was called since the last reset."""
         observations, _ = self.env.reset(seed=self._seed)
         self._seed = None
         self._returns[:] = 0.0
@@ -54,7 +54,7 @@ class StableBaselinesVectorEnv(VecEnv):
         return self.shown(observations)
 
     def shown(self, observations: Any) -> Any:
-        """What the learner is shown of observations, of all worlds or of one."""
+        """Observations as the learner gets them, of all worlds or of one."""
         return observations
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
@@ -63,7 +63,7 @@ class StableBaselinesVectorEnv(VecEnv):
         return [None if seed is None else seed + i for i in range(self.num_envs)]
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
-        """Keep the actions (n, ...) for `step_wait`."""
+        """Store the actions (n, ...) for `step_wait`."""
         self._actions = actions
 
     def step_wait(self) -> VecEnvStepReturn:
@@ -105,5 +105,5 @@ class StableBaselinesVectorEnv(VecEnv):
         return [getattr(self.env, method_name)(*args, **kwargs)] * len(list(self._get_indices(indices)))
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        """Never: the worlds have no wrappers of their own."""
+        """Always False: the worlds have no wrappers of their own."""
         return [False] * len(list(self._get_indices(indices)))

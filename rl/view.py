@@ -1,4 +1,4 @@
-"""How networks see a task and act in it: what a task declares (`Task.learner_view`), made of torch."""
+"""What a network observes of a task and how it acts in it: `Task.learner_view` as torch modules."""
 
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -16,10 +16,10 @@ Features = Literal["none", "plain", "invariant"]
 
 @dataclass(frozen=True)
 class View:
-    """What a network is shown of a task, and how it acts."""
+    """Feature extractor and action scaling of a network."""
 
     action_scale: torch.nn.Module
-    """From observations and the network's actions in [-1, 1] to the environment's actions."""
+    """Maps observations and the network's actions in [-1, 1] to the environment's actions."""
     features: type[BaseFeaturesExtractor]
     features_options: dict[str, Any] = field(default_factory=dict)
 
@@ -27,9 +27,9 @@ class View:
 def view_of(worlds: TaskVectorEnv, *, features: Features = "plain", relative: bool = True) -> View:
     """The view of a task.
 
-    `features`: `none` for the bare observation, `plain` for the task's features, `invariant` for those that symmetries
-    of the task do not change, where it has some. `relative`: actions are relative to a part of the observation, where
-    the task allows it.
+    `features`: `none` for the bare observation, `plain` for the task's features, `invariant` for features that are
+    invariant under the task's symmetries, if it has any. `relative`: actions are relative to a part of the observation,
+    if the task allows it.
 
     Raises `ConfigurationError` for an observation that learners of this task cannot use.
     """
@@ -49,9 +49,9 @@ def view_of(worlds: TaskVectorEnv, *, features: Features = "plain", relative: bo
 
 
 class ActionScale(torch.nn.Module):
-    """From the network's actions in [-1, 1] to the environment's, between `low` and `high` (k,).
+    """Maps the network's actions in [-1, 1] to the environment's, between `low` and `high` (k,).
 
-    With `relative_to`, they are added to that part of the observation.
+    With `relative_to`, that part of the observation is added.
     """
 
     def __init__(self, low: NDArray[Any], high: NDArray[Any], relative_to: slice | None = None) -> None:
@@ -66,6 +66,6 @@ class ActionScale(torch.nn.Module):
         return scaled if self.relative_to is None else observations[:, self.relative_to] + scaled
 
     def inverse(self, observations: Any, actions: torch.Tensor) -> torch.Tensor:
-        """The network's actions (n, k), in [-1, 1], that come nearest to the environment's."""
+        """The network's actions (n, k), clamped to [-1, 1], for actions of the environment."""
         scaled = actions if self.relative_to is None else actions - observations[:, self.relative_to]
         return ((scaled - self.middle) / self.span).clamp(-1, 1)

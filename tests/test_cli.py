@@ -130,7 +130,7 @@ def test_ctrl_c_keeps_what_a_sweep_has_finished(tmp_path):
         process.send_signal(signal.SIGINT)
         output, errors = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert "goes on from there" in output
+    assert "resumes from there" in output
     assert "Traceback" not in errors
     assert len(pd.read_csv(csv)) >= 3
 
@@ -215,7 +215,7 @@ def test_train_follows_a_recipe_with_changes(tmp_path):
         (["train", "none.toml"], "cannot be read"),
         (["train", "reach_ppo", "--shaping", "distanse"], "Did you mean 'distance'"),
         (["train", "reach_ppo", "--option", "gama=0.9"], "Did you mean 'gamma'"),
-        (["train", "reach_ppo", "--option", "gamma"], "--option wants NAME=VALUE"),
+        (["train", "reach_ppo", "--option", "gamma"], "--option needs NAME=VALUE"),
         (["train", "reach_ppo", "--option", "gamma=high"], "gamma"),
         (["train", "reach_ppo", "--shaping-scale", "nan"], "shaping_scale"),
         (["train", "reach_ppo", "--out", "/dev/null/run"], "cannot be written"),

@@ -92,7 +92,7 @@ def test_single_environments_and_users_functions_work_too():
         ("reach_ki", "Did you mean 'reach_ik'"),
         ("no.such.module:thing", "no.such.module"),
         (f"{__name__}:no_such_function", "no_such_function"),
-        (no_policy, "no policy"),
+        (no_policy, "not a policy"),
     ],
 )
 def test_what_is_no_policy_is_named(policy, says):

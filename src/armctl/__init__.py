@@ -35,14 +35,14 @@ def __getattr__(name: str) -> Any:
 
 
 def _choose_graphics() -> None:
-    """Let MuJoCo, which picks its OpenGL once, when it is imported, render without a screen where there is none."""
+    """Choose EGL on a machine without a screen. MuJoCo reads the choice once, when it is imported."""
     screen = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     if sys.platform != "linux" or screen or "MUJOCO_GL" in os.environ:
         return
     try:
         ctypes.CDLL("libEGL.so.1")
     except OSError:
-        return  # with MUJOCO_GL=egl and no such library, MuJoCo itself could not be imported
+        return  # with MUJOCO_GL=egl and without this library, importing MuJoCo fails
     os.environ["MUJOCO_GL"] = "egl"
 
 

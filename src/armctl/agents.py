@@ -1,6 +1,6 @@
-"""Learned agents as files: an ONNX graph from observations to actions, and a JSON card that says where it comes from.
+"""Learned agents as files: an ONNX graph from observations to actions, and a JSON card that describes its training.
 
-Nothing is unpickled, and no code runs from either file: an agent from a stranger is safe to load.
+Nothing is unpickled, and neither file can run code: an agent from a stranger is safe to load.
 """
 
 import hashlib
@@ -21,7 +21,7 @@ INPUT, OUTPUT = "observation", "action"
 
 
 class Evaluation(BaseModel):
-    """How an agent did on held-out episodes of the plain task."""
+    """An agent's results on held-out episodes of the unmodified task."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -35,7 +35,7 @@ class Evaluation(BaseModel):
 
 
 class AgentCard(BaseModel):
-    """Where a learned agent comes from, and what it may be used for."""
+    """How an agent was trained, and what it can be used for."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -45,34 +45,34 @@ class AgentCard(BaseModel):
     recipe: str | None = None
     env: str
     env_options: dict[str, Any]
-    """Options of the environment that it acts in; the rest are defaults."""
+    """Options of the environment that differ from the defaults."""
     shaping: str | None = None
-    """Potential of the reward on the way that it was trained with."""
+    """Potential of the reward shaping in training; None: there was none."""
     shaping_scale: float | None = None
     reward_weights: dict[str, float] = {}
     """Weights of the task's reward terms in training; 1 where not named."""
     teacher: str | None = None
-    """The policy that it learned from."""
+    """The policy that it learned from, if any."""
     interface: dict[str, str]
-    """What must be the same wherever it acts, such as robot and control."""
+    """Properties that the task must share with the training, such as robot and control."""
     observation_shape: list[int] | dict[str, list[int]]
     """Of the observation, or of each of its arrays."""
     action_shape: list[int]
     training_steps: int
     best_after: int | None = None
-    """Steps after which it did best on episodes held out for that: this agent is of then."""
+    """Steps after which it performed best on validation episodes. The agent is the one after these steps."""
     training_minutes: float
     training_seed: int
     learner_options: dict[str, Any]
-    """What the learner was told."""
+    """All options of the learner."""
     versions: dict[str, str]
     sha256: str
-    """Of the ONNX file."""
+    """Checksum of the ONNX file."""
     evaluation: Evaluation | None = None
 
 
 class OnnxPolicy:
-    """A learned agent, run by onnxruntime. It sees the observation alone."""
+    """A learned agent, run by onnxruntime. It sees only the observation."""
 
     sees: Literal["observation", "state"] = "observation"
 
@@ -85,44 +85,46 @@ class OnnxPolicy:
         options.log_severity_level = 4
         try:
             self._session = onnxruntime.InferenceSession(graph.read_bytes(), options, ["CPUExecutionProvider"])
-        except Exception as error:  # onnxruntime has an exception for each way a file can be broken
+        except Exception as error:  # onnxruntime raises many kinds of exceptions for broken files
             raise AgentFileError(f"{graph} is not an ONNX graph that onnxruntime can run: {error}") from error
-        reads, gives = (
+        graph_inputs, graph_outputs = (
             [value.name for value in values] for values in (self._session.get_inputs(), self._session.get_outputs())
         )
-        shown = list(card.observation_shape) if isinstance(card.observation_shape, dict) else [INPUT]
-        if (sorted(reads), gives) != (sorted(shown), [OUTPUT]):
-            raise AgentFileError(f"{graph} maps {reads} to {gives}; by its card, it maps {shown} to ['{OUTPUT}']")
+        expected = list(card.observation_shape) if isinstance(card.observation_shape, dict) else [INPUT]
+        if (sorted(graph_inputs), graph_outputs) != (sorted(expected), [OUTPUT]):
+            raise AgentFileError(
+                f"{graph} maps {graph_inputs} to {graph_outputs}; by its card, it maps {expected} to ['{OUTPUT}']"
+            )
 
     def reset(self, ids: NDArray[np.int32]) -> None:
-        """Nothing to forget: the agent has no memory."""
+        """Do nothing: the agent has no memory."""
 
     def act(self, observations: Observations) -> NDArray[np.float32]:
-        """Actions (n, ...) for observations (n, ...), the same for a world whatever the number of worlds."""
-        shown = observations if isinstance(observations, dict) else {INPUT: observations}
-        worlds = len(next(iter(shown.values())))
-        if worlds % 2:  # onnxruntime rounds the last of an odd number of rows in another way than all others
-            shown = {name: np.concatenate((values, values[-1:])) for name, values in shown.items()}
-        return np.asarray(self._session.run([OUTPUT], shown)[0])[:worlds]
+        """Actions (n, ...) for observations (n, ...). A world's action does not depend on the number of worlds."""
+        arrays = observations if isinstance(observations, dict) else {INPUT: observations}
+        worlds = len(next(iter(arrays.values())))
+        if worlds % 2:  # onnxruntime rounds the last of an odd number of rows differently
+            arrays = {name: np.concatenate((values, values[-1:])) for name, values in arrays.items()}
+        return np.asarray(self._session.run([OUTPUT], arrays)[0])[:worlds]
 
 
 def load_agent(path: Path, worlds: TaskVectorEnv) -> OnnxPolicy:
-    """Load an agent by the path of its card or graph, which lie side by side, for the worlds of an environment.
+    """Load an agent by the path of its card or graph, which are in the same folder, for the worlds of an environment.
 
-    Raises `AgentFileError` if a file is missing or corrupt, or the agent was made for another environment.
+    Raises `AgentFileError` if a file is missing or corrupt, or if the agent was made for another environment.
     """
     card = read_card(path.with_suffix(".json"))
     graph = path.with_suffix(".onnx")
     if not graph.is_file():
         raise AgentFileError(f"the agent's graph {graph} is missing")
     if sha256(graph) != card.sha256:
-        raise AgentFileError(f"{graph} is not the file that its card was written for: it was changed, or damaged")
+        raise AgentFileError(f"{graph} does not have the checksum on its card: it was changed, or damaged")
     _check_made_for(card, worlds)
     return OnnxPolicy(graph, card)
 
 
 def read_card(path: Path) -> AgentCard:
-    """Read and check an agent's card; raises `AgentFileError`."""
+    """Read and check an agent's card. Raises `AgentFileError`."""
     try:
         return AgentCard.model_validate_json(path.read_bytes())
     except OSError as error:
@@ -134,7 +136,7 @@ def read_card(path: Path) -> AgentCard:
 
 
 def sha256(path: Path) -> str:
-    """Checksum of a file."""
+    """SHA-256 checksum of a file."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
@@ -147,17 +149,19 @@ def _check_made_for(card: AgentCard, worlds: TaskVectorEnv) -> None:
             f"here they are {here[0]} and {here[1]}"
         )
     for name, value in worlds.task.interface.items():
-        if (learnt := card.interface.get(name)) != value:
-            raise AgentFileError(f"agent {card.name} was trained for {name} {learnt!r}, and this is {name} {value!r}")
+        if (trained_for := card.interface.get(name)) != value:
+            raise AgentFileError(
+                f"agent {card.name} was trained for {name} {trained_for!r}, but here {name} is {value!r}"
+            )
 
 
 def inputs(space: gymnasium.Space[Any]) -> dict[str, gymnasium.Space[Any]]:
-    """What an agent's graph reads of an observation space, by input name."""
+    """The inputs of an agent's graph for an observation space, by name."""
     return dict(space.spaces) if isinstance(space, gymnasium.spaces.Dict) else {INPUT: space}
 
 
 def shapes(space: gymnasium.Space[Any]) -> Any:
-    """Shape of a space as a card has it: a list, or one for each of its arrays."""
+    """Shape of a space in the format of a card: a list, or one for each of its arrays."""
     if isinstance(space, gymnasium.spaces.Dict):
         return {name: shapes(part) for name, part in space.spaces.items()}
     return list(space.shape or ())

@@ -28,6 +28,12 @@ class ResultsError(ArmctlError):
     """A results folder that cannot be written, or that holds results already."""
 
 
+def missing_extra(purpose: str, error: ModuleNotFoundError) -> ConfigurationError:
+    """Error for a feature whose packages are not installed."""
+    how = "pip install 'armctl[rl]', or pip install -e '.[rl]' in a clone"
+    return ConfigurationError(f"{purpose} needs {error.name}: {how}")
+
+
 def unknown_name(kind: str, name: object, allowed: Iterable[str]) -> ConfigurationError:
     """Error for a misspelt name: what was asked for, what there is, and the nearest."""
     names = sorted(allowed)

@@ -1,4 +1,4 @@
-"""Recipes, which say what is learnt how, and how they and the learners that follow them are found.
+"""Recipes, which describe trainings, and learners, which follow them; and how both are found.
 
 A package offers learners under the entry-point group `armctl.learners`, and packages of recipes (`*.toml`) under
 `armctl.recipes`.
@@ -9,40 +9,42 @@ from importlib import resources
 from importlib.metadata import entry_points
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any, Protocol, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from armctl import DEFAULT_ENV
 from armctl.agents import AgentCard
-from armctl.errors import ConfigurationError, unknown_name
+from armctl.errors import ConfigurationError, missing_extra, unknown_name
+from armctl.options import make_options
 
 LEARNERS, RECIPES = "armctl.learners", "armctl.recipes"
 
 TrainingSeed = Annotated[int, Field(ge=0, lt=2**32)]
+Options = TypeVar("Options")
 
 
 class Recipe(BaseModel):
-    """What a learner is to learn, and how: all of a training but its seed."""
+    """Everything that defines a training, except its seed."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     name: str
-    """Of its file."""
+    """Name of its file, without `.toml`."""
     learner: str
     env: str
     env_options: dict[str, Any] = {}
-    """Of the environment that the agent acts in."""
+    """Options of the environment that the agent acts in."""
     shaping: str | None = None
-    """Potential of a potential-based reward on the way (see `armctl.shaping`)."""
+    """Potential for potential-based reward shaping (see `armctl.shaping`); None for no shaping."""
     shaping_scale: FiniteFloat = 1.0
-    """Reward per unit of the oracle's potential."""
+    """Reward per unit of the potential."""
     reward_weights: dict[str, FiniteFloat] = {}
     """Weights of the task's own reward terms in training; 1 where not named."""
     teacher: str | None = None
     """The policy to learn from: any that `armctl.make_policy` takes."""
     seeds: Annotated[list[TrainingSeed], Field(min_length=1)] = [0]
-    """Training seeds that the published results come from."""
+    """Training seeds of the published results."""
     options: dict[str, Any] = {}
     """Options of the learner, such as `steps`."""
 
@@ -50,9 +52,16 @@ class Recipe(BaseModel):
         """The recipe with other values. Raises `ConfigurationError`."""
         return _recipe({**self.model_dump(), **changes}, f"recipe {self.name}, as changed")
 
+    def read_options(self, options_type: type[Options]) -> Options:
+        """The learner's options, checked by a class made with `armctl.options.options`.
+
+        Raises `ConfigurationError` for an unknown name or an invalid value.
+        """
+        return make_options(options_type, self.options, f"option of {self.learner}")
+
 
 class Learner(Protocol):
-    """Trains an agent into the folder `out`, or goes on with the training that is there."""
+    """Trains an agent into the folder `out`, or resumes the training there."""
 
     def __call__(  # noqa: D102
         self, recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True
@@ -65,15 +74,14 @@ def learner_names() -> list[str]:
 
 
 def load_learner(name: str) -> Learner:
-    """The installed learner of that name; raises `ConfigurationError` without it, or without the extra `rl`."""
+    """The installed learner of that name. Raises `ConfigurationError`, also if the extra `rl` is not installed."""
     entries = entry_points(group=LEARNERS)
     if name not in entries.names:
         raise unknown_name("learner", name, entries.names)
     try:
         return entries[name].load()  # type: ignore[no-any-return]
     except ModuleNotFoundError as error:
-        how = "pip install 'armctl[rl]', or pip install -e '.[rl]' in a clone"
-        raise ConfigurationError(f"training needs {error.name}: {how}") from error
+        raise missing_extra("training", error) from error
 
 
 def recipe_names() -> list[str]:
@@ -82,9 +90,9 @@ def recipe_names() -> list[str]:
 
 
 def load_recipe(name: str | Path, env: str | None = None) -> Recipe:
-    """A recipe by its name, or its file's path, or by its learner and environment; `env` replaces the recipe's own.
+    """A recipe by its name, by its file's path, or by its learner and environment; `env` replaces the recipe's own.
 
-    A learner's name without `env` means `DEFAULT_ENV`; of several recipes for it, that with the shortest name is
+    A learner's name without `env` means `DEFAULT_ENV`. Of several recipes for it, the one with the shortest name is
     taken, which is the plain one. Raises `ConfigurationError`.
     """
     installed = _installed()

@@ -1,4 +1,4 @@
-"""Policies: whatever turns observations into actions, classical or learned, and how they are found.
+"""Policies, which map observations to actions, classical or learned; and how they are found.
 
 A package offers a policy under the entry-point group `armctl.policies`: a function from an environment to a `Policy`.
 """
@@ -25,16 +25,16 @@ GROUP = "armctl.policies"
 
 @runtime_checkable
 class Policy(Protocol):
-    """Decides for n worlds at once.
+    """Acts in n worlds at once.
 
-    One with a solver may count in `failures` (n,) how often that has found nothing in each world, and one that was
-    trained may tell its `training_minutes`: results then have them.
+    Two attributes are optional, and go into the results: `failures` (n,), the number of times that its solver has
+    failed in each world, and `training_minutes`.
     """
 
     sees: Literal["observation", "state"]
-    """What it is allowed to see: the environment's observation alone, or privileged state as well."""
+    """What it is allowed to see: only the environment's observation, or privileged state as well."""
     training_steps: int
-    """Decisions in simulation that it was trained on; 0 for a policy that was written."""
+    """Environment steps of its training; 0 for a policy that was not trained."""
 
     def reset(self, ids: NDArray[np.int32]) -> None:
         """Worlds `ids` start a new episode."""
@@ -45,14 +45,14 @@ class Policy(Protocol):
 
 @runtime_checkable
 class Plans(Protocol):
-    """A policy that can show what it means to do."""
+    """A policy that can show its plans."""
 
     def plans(self, world: int) -> Mapping[str, NDArray[np.float64]]:
-        """Lines by name, points (m, 3) each, m: the `path` it follows, the `horizon` it predicts, or none as yet."""
+        """Polylines by name, (m, 3) m each: the `path` it follows, the `horizon` it predicts; none before it plans."""
 
 
 class Controller(Protocol):
-    """Decides for one world."""
+    """Acts in one world."""
 
     def reset(self) -> None:
         """A new episode starts."""
@@ -65,7 +65,7 @@ PolicyFactory = Callable[[TaskVectorEnv], Policy]
 
 
 class PerWorld:
-    """A policy made of one controller for each world."""
+    """A policy that consists of one controller for each world."""
 
     training_steps = 0
 
@@ -77,11 +77,11 @@ class PerWorld:
 
     @property
     def failures(self) -> NDArray[np.int64]:
-        """(n,) how often each controller's solver has failed; 0 for those that count nothing."""
+        """(n,) number of solver failures of each controller; 0 for controllers that do not count them."""
         return np.array([getattr(controller, "failures", 0) for controller in self.controllers])
 
     def plans(self, world: int) -> Mapping[str, NDArray[np.float64]]:
-        """What the world's controller plans; nothing for those that do not tell."""
+        """The plans of the world's controller; none if it does not have the method `plans`."""
         return dict(getattr(self.controllers[world], "plans", dict)())
 
     def reset(self, ids: NDArray[np.int32]) -> None:
@@ -90,7 +90,7 @@ class PerWorld:
             self.controllers[i].reset()
 
     def act(self, observations: Observations) -> Actions:
-        """Each controller's action on its own observation."""
+        """Each controller's action for its own observation."""
         return np.array([controller.act(one_of(observations, i)) for i, controller in enumerate(self.controllers)])
 
 
@@ -100,12 +100,12 @@ def policy_names() -> list[str]:
 
 
 def describe_policy(name: str) -> str:
-    """First line of what an installed policy's maker says of it."""
+    """First line of the docstring of an installed policy's factory."""
     return (inspect.getdoc(entry_points(group=GROUP)[name].load()) or "").partition("\n")[0]
 
 
 def policy_name(policy: Any) -> str:
-    """How a policy is called in results."""
+    """A policy's name in results."""
     return str(policy) if isinstance(policy, (str, Path)) else getattr(policy, "__name__", type(policy).__name__)
 
 
@@ -121,7 +121,7 @@ def make_policy(policy: str | Path | PolicyFactory | Policy, env: gymnasium.Env[
     if isinstance(worlds, TaskEnv):
         worlds = worlds.worlds
     if not isinstance(worlds, TaskVectorEnv):
-        raise ConfigurationError(f"policies act in armctl's environments; {env} is none")
+        raise ConfigurationError(f"policies act in armctl's environments; {env} is not one of them")
     if isinstance(policy, Policy) and not isinstance(policy, type):
         return policy
     try:
@@ -132,7 +132,7 @@ def make_policy(policy: str | Path | PolicyFactory | Policy, env: gymnasium.Env[
         raise ConfigurationError(f"{policy_name(policy)} could not be made: {type(error).__name__}: {error}") from error
     if not isinstance(made, Policy):
         raise ConfigurationError(
-            f"{policy_name(policy)} made a {type(made).__name__}, which is no policy: "
+            f"{policy_name(policy)} made a {type(made).__name__}, which is not a policy: "
             "it needs sees, training_steps, reset and act"
         )
     return made

@@ -135,7 +135,7 @@ def test_a_failing_policy_keeps_what_was_finished(tmp_path):
         ({"policy": "reach_ki"}, "Did you mean 'reach_ik'"),
         ({"env": "armctl/Nothing-v0"}, "ArmReach"),
         ({"env_options": {"robto": "ur3"}}, "Did you mean 'robot'"),
-        ({"episodes": 0}, "count from 1"),
+        ({"episodes": 0}, "at least 1"),
         ({"seed": -1}, "whole number"),
     ],
 )
@@ -147,7 +147,7 @@ def test_mistakes_write_nothing(change, says, tmp_path):
 
 def test_a_dataset_is_not_overwritten_and_a_place_that_cannot_be_written_is_told(dataset):
     before = (dataset[0] / "data" / "metadata.json").read_bytes()
-    with pytest.raises(ResultsError, match="holds a dataset already"):
+    with pytest.raises(ResultsError, match="already holds a dataset"):
         collect("random", episodes=1, out=dataset[0])
     assert (dataset[0] / "data" / "metadata.json").read_bytes() == before
     with pytest.raises(ResultsError, match="cannot be written"):
@@ -164,7 +164,7 @@ def test_without_minari_it_says_what_to_install(tmp_path, monkeypatch):
     ("options", "says"),
     [
         ({"robot": "panda"}, r"observations \[12\] and actions \[6\]; here they are \[13\]"),
-        ({"control": "delta"}, "control 'position', and this is control 'delta'"),
+        ({"control": "delta"}, "control 'position', but here control is 'delta'"),
         ({"robot": "ur10"}, "robot 'ur5'"),
     ],
 )
@@ -225,14 +225,14 @@ def _too_short(episode):
     ("damage", "says"),
     [
         (_cut, "can be read"),
-        (_no_spaces, "does not tell"),
+        (_no_spaces, "does not declare"),
         (lambda data: (data / "metadata.json").write_text("{"), "can be read"),
         (lambda data: (data / "metadata.json").write_text("[]"), "spaces|can be read"),
         (lambda data: (data / "main_data.hdf5").unlink(), "can be read"),
         (lambda data: (data / "metadata.json").unlink(), "there is no Minari dataset"),
         (_edit(lambda episode: episode.pop("actions")), "can be read"),
         (_edit(_not_finite), "not finite"),
-        (_edit(_too_short), "episode 1 .* not whole"),
+        (_edit(_too_short), "episode 1 .* incomplete"),
     ],
 )
 def test_a_corrupt_dataset_gets_one_clear_error(dataset, damage, says, tmp_path):

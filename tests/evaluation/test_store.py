@@ -83,7 +83,7 @@ def test_a_last_line_cut_off_is_played_again(folder, finished, name):
         ("episodes.csv", lambda rows: ["policy,episode\n", *rows[1:]], "columns"),
         ("decisions.csv", lambda rows: [*rows[:3], rows[3].replace(" ", " soon "), *rows[4:]], "line 4"),
         ("decisions.csv", lambda rows: [*rows[:3], rows[3].replace("\n", " 0.1\n"), *rows[4:]], "episodes.csv"),
-        ("comparison.json", lambda rows: rows[:3], "does not tell of what"),
+        ("comparison.json", lambda rows: rows[:3], "without a readable comparison.json"),
     ],
 )
 def test_damage_is_told_and_nothing_is_touched(folder, name, spoil, says):

@@ -168,7 +168,7 @@ def test_code_that_a_folder_names_is_called_if_trusted_only(tmp_path, monkeypatc
     compare(["random"], episodes=1, out=tmp_path, env_options=OPTIONS)
     for file in ("comparison.json", "summary.json", "episodes.csv", "decisions.csv"):
         (tmp_path / file).write_text((tmp_path / file).read_text().replace(there, hostile))
-    assert f"There are no videos. {hostile} is code of its own" in text_of(write_report(tmp_path))
+    assert f"There are no videos. {hostile} is code, which" in text_of(write_report(tmp_path))
     assert not (tmp_path / "there.py.called").exists()
     write_report(tmp_path, trusted=True)
     assert (tmp_path / "there.py.called").exists()
@@ -185,7 +185,10 @@ def test_code_that_a_folder_names_is_called_if_trusted_only(tmp_path, monkeypatc
         (lambda folder: (folder / "comparison.json").write_bytes(b"\xff\xfe"), "cannot be read"),
         (lambda folder: (folder / "episodes.csv").unlink(), "cannot be read"),
         (lambda folder: (folder / "episodes.csv").write_text("policy\nrandom\n"), "line 1"),
-        (lambda folder: (folder / "decisions.csv").write_text("policy,episode,decision_ms\n"), "not of the episodes"),
+        (
+            lambda folder: (folder / "decisions.csv").write_text("policy,episode,decision_ms\n"),
+            "not belong to the episodes",
+        ),
         (lambda folder: (folder / "sweep.csv").write_text("level\n1\n"), "no column disturbance"),
         (lambda folder: (folder / "report.html").mkdir(), "cannot be written"),
     ],
@@ -218,7 +221,7 @@ def test_one_policy_and_a_single_episode(tmp_path):
     compare("reach_ik", episodes=1, out=tmp_path)
     text = text_of(write_report(tmp_path, video=False))
     assert "reach_ik succeeds in 100.0 % of 1 episodes (20.7 to 100.0 %)." in text
-    assert "Pair by pair" not in text
+    assert "Pairs of policies" not in text
 
 
 def test_a_few_episodes_have_no_verdict(tmp_path):

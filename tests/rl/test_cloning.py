@@ -252,7 +252,7 @@ def test_dagger_asks_the_teacher_where_the_pupil_gets_to(tmp_path, monkeypatch):
         evaluation_episodes=2,
     )
     dagger(recipe, out=tmp_path / "run", seed=0, progress=False)
-    # the first round is the teacher's own, and short; in the second, a student of 10 gradient steps acts until time is up
+    # the first round is the teacher's own, and short; in the second, a student of 10 gradient steps acts to the end
     assert 30 < len(asked_in[0].seen) < 60
     assert asked_in[0].resets == 6
 

@@ -49,29 +49,29 @@ def test_a_potential_is_one_function_of_the_state_for_an_episode(env, name, expe
 @pytest.mark.parametrize(("env", "name", "expert"), [pair for pair in PAIRS if "Moving" not in pair[0]])
 def test_an_expert_climbs_its_potential(env, name, expert):
     worlds = make(env)
-    oracle, actor = make_potential(name, worlds), make_policy(expert, worlds)
+    potential, actor = make_potential(name, worlds), make_policy(expert, worlds)
     observations, _ = worlds.reset(seed=2)
     ids = np.arange(4, dtype=np.int32)
     actor.reset(ids)
-    oracle.begin(ids)
-    begin = highest = oracle.potentials(ids)
+    potential.begin(ids)
+    begin = highest = potential.potentials(ids)
     won = np.zeros(4, dtype=bool)
     while not won.all():
         observations, _, terminated, truncated, infos = worlds.step(actor.act(observations))
         won |= terminated & infos["is_success"]
         assert not truncated.any()
-        highest = np.maximum(highest, oracle.potentials(ids))
+        highest = np.maximum(highest, potential.potentials(ids))
     assert (highest > 0.5 * begin).all()
 
 
 def test_ik_is_near_the_least_time():
     worlds = TaskVectorEnv(40, task=ReachTask)
-    oracle = make_potential("ik", worlds)
+    potential = make_potential("ik", worlds)
     worlds.reset(seed=1)
     ids = np.arange(40, dtype=np.int32)
-    oracle.begin(ids)
+    potential.begin(ids)
     least = np.array([worlds.task.least_time(i) for i in ids])
-    over = -oracle.potentials(ids) - least
+    over = -potential.potentials(ids) - least
     assert (over > -0.01).all()
     assert np.median(over) < 0.03
     assert np.quantile(over, 0.9) < 0.12
@@ -79,33 +79,33 @@ def test_ik_is_near_the_least_time():
 
 def test_ik_is_zero_in_the_sphere_only():
     worlds = TaskVectorEnv(8, task=ReachTask)
-    oracle, actor = make_potential("ik", worlds), make_policy("reach_ik", worlds)
+    potential, actor = make_potential("ik", worlds), make_policy("reach_ik", worlds)
     observations, _ = worlds.reset(seed=1)
     ids = np.arange(8, dtype=np.int32)
     actor.reset(ids)
-    oracle.begin(ids)
+    potential.begin(ids)
     for _ in range(40):
         observations, *_ = worlds.step(actor.act(observations))
         inside = worlds.task.state.distance <= 0.05
-        np.testing.assert_array_equal(oracle.potentials(ids) == 0, inside)
+        np.testing.assert_array_equal(potential.potentials(ids) == 0, inside)
 
 
-def test_ompl_knows_nothing_where_there_is_no_way():
+def test_ompl_is_zero_without_a_path():
     worlds = make("armctl/ArmReachObstacles-v0", 2)
     worlds.reset(seed=0)
-    worlds.task._ways[1] = np.zeros((0, 6))
-    oracle = make_potential("ompl", worlds)
+    worlds.task._paths[1] = np.zeros((0, 6))
+    potential = make_potential("ompl", worlds)
     ids = np.arange(2, dtype=np.int32)
-    oracle.begin(ids)
-    potentials = oracle.potentials(ids)
+    potential.begin(ids)
+    potentials = potential.potentials(ids)
     assert potentials[0] < 0
     assert potentials[1] == 0
 
 
-def test_the_way_of_ompl_leads_into_the_sphere():
+def test_the_path_of_ompl_ends_in_the_sphere():
     worlds = make("armctl/ArmReachObstacles-v0", 5)
     worlds.reset(seed=0)
-    touch = MinimumTimeReach(worlds.task._workspace.model, THOROUGH)
+    reach = MinimumTimeReach(worlds.task._workspace.model, THOROUGH)
     for i in range(5):
-        tip = touch.model.position(worlds.task.way(i)[-1])
+        tip = reach.model.position(worlds.task.path(i)[-1])
         assert np.linalg.norm(tip - worlds.task.state.target_position[i]) <= worlds.task.options.tolerance

@@ -41,9 +41,9 @@ def play(env, actor, steps):
     return [np.array(column) for column in zip(*rows, strict=True)]
 
 
-def assert_telescopes(env, oracle, policy, limit, steps):
+def assert_telescopes(env, potential, policy, limit, steps):
     plain, worlds = make(env, max_episode_steps=limit), make(env, max_episode_steps=limit)
-    shaped, witness = Shaped(worlds, oracle, gamma=GAMMA, scale=2.0), make_potential(oracle, plain)
+    shaped, witness = Shaped(worlds, potential, gamma=GAMMA, scale=2.0), make_potential(potential, plain)
     plain.reset(seed=3)
     everywhere = np.arange(plain.num_envs, dtype=np.int32)
     witness.begin(everywhere)
@@ -60,15 +60,15 @@ def assert_telescopes(env, oracle, policy, limit, steps):
     return terminated.any(axis=0)
 
 
-@pytest.mark.parametrize(("env", "oracle", "expert"), PAIRS)
-def test_shaping_telescopes_over_truncated_random_episodes(env, oracle, expert):
-    assert not assert_telescopes(env, oracle, "random", 6, 9).any()
+@pytest.mark.parametrize(("env", "potential", "expert"), PAIRS)
+def test_shaping_telescopes_over_truncated_random_episodes(env, potential, expert):
+    assert not assert_telescopes(env, potential, "random", 6, 9).any()
 
 
-@pytest.mark.parametrize(("env", "oracle", "expert"), [pair for pair in PAIRS if "Moving" not in pair[0]])
-def test_shaping_telescopes_over_expert_episodes_that_terminate(env, oracle, expert):
+@pytest.mark.parametrize(("env", "potential", "expert"), [pair for pair in PAIRS if "Moving" not in pair[0]])
+def test_shaping_telescopes_over_expert_episodes_that_terminate(env, potential, expert):
     steps = 40 if "Reach-" in env else 150 if "Bridge" in env else 90
-    assert assert_telescopes(env, oracle, expert, steps, steps).all()
+    assert assert_telescopes(env, potential, expert, steps, steps).all()
 
 
 WRONG = {
@@ -114,8 +114,8 @@ def test_a_potential_that_is_stale_after_a_reset_is_found_out(monkeypatch):
 @pytest.mark.parametrize("env", ["armctl/ArmReach-v0", "armctl/BridgeCross-v0"])
 @pytest.mark.parametrize("mode", ["same_step", "next_step"])
 def test_autoreset_hides_nothing_from_the_shaping(env, mode):
-    oracle, limit = "distance" if "Arm" in env else "ompl", 5
-    worlds = Shaped(make(env, mode=mode, max_episode_steps=limit), oracle, gamma=GAMMA)
+    potential, limit = "distance" if "Arm" in env else "ompl", 5
+    worlds = Shaped(make(env, mode=mode, max_episode_steps=limit), potential, gamma=GAMMA)
     worlds.reset(seed=8)
     rng = np.random.default_rng(0)
     actions = rng.uniform(-1, 1, (2 * limit + 1, *worlds.action_space.shape))
@@ -129,7 +129,7 @@ def test_autoreset_hides_nothing_from_the_shaping(env, mode):
         np.testing.assert_array_equal(terms[limit], 0.0)
     played = [(0, range(limit)), (1, range(limit + pause, 2 * limit + pause))]
     for episode, steps in played:
-        alone = Shaped(make(env, max_episode_steps=limit), oracle, gamma=GAMMA)
+        alone = Shaped(make(env, max_episode_steps=limit), potential, gamma=GAMMA)
         alone.reset(seed=8, options={"episode": episode})
         for step in steps:
             infos = alone.step(actions[step])[4]

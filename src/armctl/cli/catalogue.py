@@ -1,11 +1,11 @@
-"""The verb that shows what there is: `list`."""
+"""The verb that lists everything installed: `list`."""
 
 from armctl.cli.app import app
 
 
 @app.command("list")
 def list_() -> None:
-    """Show the environments, policies, arms, disturbances, learners and recipes."""
+    """List the environments, policies, arms, disturbances, learners and recipes."""
     from rich.console import Console
     from rich.table import Table
 
@@ -21,9 +21,9 @@ def list_() -> None:
     for i, name in enumerate(policy_names()):
         table.add_row("" if i else "[bold]policies[/]", f"[bold]{name}[/]  {describe_policy(name)}")
     for i, recipe in enumerate(map(load_recipe, recipe_names())):
-        helped = " ".join(f"{name} {value}" for name in ("shaping", "teacher") if (value := getattr(recipe, name)))
+        guidance = " ".join(f"{name} {value}" for name in ("shaping", "teacher") if (value := getattr(recipe, name)))
         table.add_row(
-            "" if i else "[bold]recipes[/]", f"[bold]{recipe.name}[/]  {recipe.learner} in {recipe.env} {helped}"
+            "" if i else "[bold]recipes[/]", f"[bold]{recipe.name}[/]  {recipe.learner} in {recipe.env} {guidance}"
         )
     by_specs: dict[int, list[str]] = {}
     for env in environment_names():

@@ -1,7 +1,7 @@
 """Verbs that compare: `compare`, `report`, `sweep`, `reproduce`."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -21,12 +21,15 @@ from armctl.cli.options import (
     progress_bar,
 )
 
+if TYPE_CHECKING:
+    from rich.console import Console
+
 
 @app.command()
 def compare(
     policies: Policies = None,
     env: Env = DEFAULT_ENV,
-    episodes: Annotated[int, typer.Option(min=1, help="Episodes that every policy meets.")] = 200,
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes that every policy plays.")] = 200,
     seed: Seed = 0,
     out: Annotated[
         Path | None,
@@ -36,13 +39,11 @@ def compare(
     worlds: Worlds = 1,
     workers: Workers = 1,
     env_options: EnvOptions = None,
-    report: Annotated[
-        bool, typer.Option("--report", help="Write report.html as well, with figures and videos.")
-    ] = False,
+    report: Annotated[bool, typer.Option("--report", help="Also write report.html, with figures and videos.")] = False,
 ) -> None:
-    """Let policies meet the same episodes, and print who is better, by how much.
+    """Let policies play the same episodes, and print which is better, and by how much.
 
-    Writes every episode as it ends, so that Ctrl-C loses nothing: the same command with the same `--out` goes on.
+    Every episode is written as it ends. After Ctrl-C, the same command with the same `--out` resumes the comparison.
     """
     from rich.console import Console
 
@@ -74,9 +75,7 @@ def compare(
     console = Console()
     console.print(tables(comparison))
     console.print(f"{folder / 'episodes.csv'} has every episode, {folder / 'summary.json'} the tables.", soft_wrap=True)
-    if comparison.interrupted:
-        console.print(f"The same command with --out {folder} goes on from there.", soft_wrap=True)
-        raise typer.Exit(130)
+    _exit_if_interrupted(comparison.interrupted, folder, console)
     if report:
         _write_report(folder, None, video=True, trusted=True)
     if comparison.failures:
@@ -89,10 +88,16 @@ def report(
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="HTML file to write.", show_default="DIR/report.html")
     ] = None,
-    video: Annotated[bool, typer.Option("--video/--no-video", help="Play episodes again, and film them.")] = True,
+    video: Annotated[bool, typer.Option("--video/--no-video", help="Play some episodes again for videos.")] = True,
 ) -> None:
     """Write the report of a comparison: one HTML file that works offline, on a phone and in print."""
     _write_report(folder, out, video=video, trusted=False)
+
+
+def _exit_if_interrupted(interrupted: bool, folder: Path, console: "Console") -> None:
+    if interrupted:
+        console.print(f"The same command with --out {folder} resumes from there.", soft_wrap=True)
+        raise typer.Exit(130)
 
 
 def _write_report(folder: Path, out: Path | None, *, video: bool, trusted: bool) -> None:
@@ -117,11 +122,11 @@ def sweep(
         typer.Option(
             "--disturbance",
             metavar="NAME[=LEVELS]",
-            help="What to disturb with, as often as needed: `--disturbance noise --disturbance payload=0,1,2,4`.",
+            help="Disturbance; can be repeated: `--disturbance noise --disturbance payload=0,1,2,4`.",
             show_default="all of the environment's",
         ),
     ] = None,
-    episodes: Annotated[int, typer.Option(min=1, help="Episodes that every policy meets at each level.")] = 100,
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes that every policy plays at each level.")] = 100,
     seed: Seed = 0,
     out: Annotated[
         Path | None,
@@ -132,13 +137,13 @@ def sweep(
     workers: Workers = 1,
     env_options: EnvOptions = None,
 ) -> None:
-    """Let policies meet the same episodes under ever stronger disturbances, and print how each holds out.
+    """Let policies play the same episodes under increasing disturbances, and print how robust each is.
 
     Disturbances: `noise` of sensors, `delay` of actions, `payload`, `friction`, `strength` of motors, `pushes`,
-    `mismatch` between the robot and what controllers believe of it, and `dropout` of camera pictures. Policies that see
-    the state are spared noise and dropout. `armctl list` shows the levels.
+    `mismatch` between the robot and the controllers' model of it, and `dropout` of camera images. Noise and dropout do
+    not affect policies that see the state. `armctl list` shows the levels.
 
-    Writes every episode as it ends, so that Ctrl-C loses nothing: the same command with the same `--out` goes on.
+    Every episode is written as it ends. After Ctrl-C, the same command with the same `--out` resumes the sweep.
     """
     from rich.console import Console
 
@@ -173,10 +178,8 @@ def sweep(
         )
     console = Console()
     console.print(sweep_tables(found))
-    console.print(f"{folder / 'sweep.csv'} has the curves, and a folder beside it each comparison.", soft_wrap=True)
-    if found.interrupted:
-        console.print(f"The same command with --out {folder} goes on from there.", soft_wrap=True)
-        raise typer.Exit(130)
+    console.print(f"{folder / 'sweep.csv'} has the curves; each comparison has a folder beside it.", soft_wrap=True)
+    _exit_if_interrupted(found.interrupted, folder, console)
     if found.failures:
         raise typer.Exit(1)
 
@@ -187,9 +190,9 @@ def reproduce(
     seed: Annotated[
         int | None, typer.Option(min=0, help="Seed of other episodes.", show_default="the card's: the same episodes")
     ] = None,
-    worlds: Annotated[int, typer.Option(min=1, help="Worlds played at once.")] = 64,
+    worlds: Annotated[int, typer.Option(min=1, help="Worlds stepped at once.")] = 64,
 ) -> None:
-    """Evaluate learned agents again, and compare with what their cards say.
+    """Evaluate learned agents again, and compare the results with their cards.
 
     An agent agrees if its success rate is within the 95 % interval on its card. If one does not, the exit status is 1.
     """

@@ -24,14 +24,12 @@ def train(
     seed: Annotated[
         int | None, typer.Option(min=0, help="Seed of the training.", show_default="the recipe's first")
     ] = None,
-    steps: Annotated[
-        int | None, typer.Option(min=1, help="Decisions in simulation.", show_default="the recipe's")
-    ] = None,
+    steps: Annotated[int | None, typer.Option(min=1, help="Environment steps.", show_default="the recipe's")] = None,
     shaping: Annotated[
         str | None,
         typer.Option(
             metavar="ORACLE",
-            help="Potential-based reward on the way: `distance`, `ik`, `mpc`, `ompl` or `none`.",
+            help="Potential-based reward shaping by an oracle: `distance`, `ik`, `mpc`, `ompl` or `none`.",
             show_default="the recipe's",
         ),
     ] = None,
@@ -50,18 +48,19 @@ def train(
         Path | None,
         typer.Option(help="Folder for the agent, logs and checkpoints.", show_default="runs/<recipe>-<seed>"),
     ] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on from the newest checkpoint in the folder.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Resume from the newest checkpoint in the folder.")] = False,
 ) -> None:
     """Train an agent by a recipe; needs the extra `rl`.
 
     The extra: `pip install 'armctl[rl]'`, or `pip install -e '.[rl]'` in a clone.
 
-    `armctl train reach_ppo` repeats how the shipped agent was made. All of a recipe can be changed:
+    `armctl train reach_ppo` repeats the training of the shipped agent. Everything in a recipe can be changed:
     `armctl train reach_ppo --seed 1 --shaping ik --set robot=ur10 --option worlds=64`, or
     `armctl train ppo --env armctl/BridgeCross-v0`.
 
-    While it learns, the agent is judged on held-out episodes (`curve.csv`), and the best is kept. Ctrl-C leaves a
-    checkpoint: the same command with `--resume` goes on. Watch it with `tensorboard --logdir FOLDER`.
+    During training, the agent is evaluated on held-out episodes (`curve.csv`), and the best version is kept. Ctrl-C
+    leaves a checkpoint, and the same command with `--resume` resumes from it. Watch the training with
+    `tensorboard --logdir FOLDER`.
     """
     from rich import print as show
 
@@ -84,7 +83,7 @@ def train(
     try:
         card = load_learner(chosen.learner)(chosen, out=folder, seed=seed, resume=resume)
     except KeyboardInterrupt:
-        show(f"Interrupted. The same command with [bold]--resume --out {folder}[/] goes on.")
+        show(f"Interrupted. The same command with [bold]--resume --out {folder}[/] resumes the training.")
         raise typer.Exit(130) from None
     assert card.evaluation is not None
     low, high = card.evaluation.success_interval

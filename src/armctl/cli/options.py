@@ -1,4 +1,4 @@
-"""Options that several verbs share, and what is made of their text."""
+"""Options that several verbs share, and parsers for their text."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,13 +15,14 @@ EnvOptions = Annotated[
     typer.Option(
         "--set",
         metavar="NAME=VALUE",
-        help="Option of the environment, as often as needed: `--set robot=ur10 --set tolerance=0.02`.",
+        help="Option of the environment; can be repeated: `--set robot=ur10 --set tolerance=0.02`.",
     ),
 ]
 Worlds = Annotated[
     int,
     typer.Option(
-        min=1, help="Worlds played at once. With 1, decision times are latencies; with more, shares of a batch."
+        min=1,
+        help="Worlds stepped at once. With 1, decision times are latencies; with more, a batch's time per world.",
     ),
 ]
 
@@ -29,8 +30,8 @@ Workers = Annotated[
     int,
     typer.Option(
         min=1,
-        help="Processes that play episodes side by side, each on one core. With more than 1, decisions are timed "
-        "while others compute beside them.",
+        help="Parallel processes that play episodes, each on one core. With more than 1, decision times are measured "
+        "while the other processes compute.",
     ),
 ]
 Policies = Annotated[
@@ -39,18 +40,18 @@ Policies = Annotated[
         help="Policies: names, agents' files, or `module:function`.", show_default="those of the environment"
     ),
 ]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace results that the folder holds.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the results in the folder.")]
 
 
 def new_folder() -> Path:
-    """A folder for results, named after the present time."""
+    """A folder for results, named after the current time."""
     from datetime import datetime
 
     return Path("results") / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
 
 
 def progress_bar() -> Any:
-    """A bar for each policy, on standard error."""
+    """A progress display on standard error."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -59,7 +60,7 @@ def progress_bar() -> Any:
 
 
 def levels_of(given: list[str]) -> dict[str, Any]:
-    """Levels by disturbance from NAME=LEVEL,LEVEL...; None from NAME alone."""
+    """Levels by disturbance, from NAME=LEVEL,LEVEL...; None from NAME without levels."""
     levels: dict[str, Any] = {}
     for one in given:
         name, equals, numbers = one.partition("=")
@@ -73,6 +74,6 @@ def options_of(pairs: list[str] | None, flag: str = "--set") -> dict[str, Any]:
     for pair in pairs or []:
         name, equals, value = pair.partition("=")
         if not equals:
-            raise ConfigurationError(f"{flag} wants NAME=VALUE, not {pair!r}")
+            raise ConfigurationError(f"{flag} needs NAME=VALUE, not {pair!r}")
         options[name] = option_value(value)
     return options

@@ -21,10 +21,10 @@ def run(
     env: Env = DEFAULT_ENV,
     episodes: Annotated[int, typer.Option(min=1, help="Episodes to play.")] = 1,
     steps: Annotated[
-        int | None, typer.Option(min=1, help="Most steps of an episode.", show_default="the environment's")
+        int | None, typer.Option(min=1, help="Largest number of steps per episode.", show_default="the environment's")
     ] = None,
     seed: Seed = 0,
-    video: Annotated[Path | None, typer.Option(metavar="FILE.mp4", help="Record what happens.")] = None,
+    video: Annotated[Path | None, typer.Option(metavar="FILE.mp4", help="Record a video.")] = None,
     watch: Annotated[bool, typer.Option("--watch", help="Show it in MuJoCo's window, in real time.")] = False,
     env_options: EnvOptions = None,
 ) -> None:
@@ -42,17 +42,17 @@ def view(
     seed: Seed = 0,
     episode: Annotated[int, typer.Option(min=0, help="Number of the first episode.")] = 0,
     port: Annotated[
-        int, typer.Option(min=0, max=65535, help="Of the page.", show_default="the first free one from 8080 on")
+        int, typer.Option(min=0, max=65535, help="Port of the page.", show_default="the first free one from 8080 on")
     ] = 0,
-    open_browser: Annotated[bool, typer.Option("--open/--no-open", help="Open a browser, where there is one.")] = True,
+    open_browser: Annotated[bool, typer.Option("--open/--no-open", help="Open a browser, if there is one.")] = True,
     native: Annotated[bool, typer.Option("--native", help="Show it in MuJoCo's own window; needs a screen.")] = False,
     env_options: EnvOptions = None,
 ) -> None:
-    """Show a policy live in the browser, in real time: its plan, contacts and rewards as well.
+    """Show a policy live in the browser, in real time, with its plans, contacts and rewards.
 
-    A panel on the page has the policies, seeds and episodes to choose from. Keys: Space pauses, Right arrow makes one
-    decision, R plays the episode again, N the next one; the mouse turns the view. Ctrl-C ends it. The page is for this
-    machine alone; from another: `ssh -L 8080:localhost:8080 HOST`.
+    A panel on the page selects policy, seed and episode. Keys: Space pauses, Right arrow makes one control step, R
+    restarts the episode, N starts the next one; drag with the mouse to rotate the view. Ctrl-C ends the program. The
+    page is served to this machine only; from another one, use `ssh -L 8080:localhost:8080 HOST`.
     """
     from armctl.viewer.browser import Player, show_in_browser
     from armctl.viewer.stage import Stage
@@ -76,12 +76,12 @@ def collect(
     seed: Annotated[
         int, typer.Option(min=0, help="Seed of the episodes; training seed k plays those from (k + 1) * 10^9.")
     ] = 10**9,
-    worlds: Annotated[int, typer.Option(min=1, help="Worlds played at once.")] = 50,
+    worlds: Annotated[int, typer.Option(min=1, help="Worlds stepped at once.")] = 50,
     env_options: EnvOptions = None,
 ) -> None:
     """Write a policy's episodes to a Minari dataset, from which `bc` can learn; needs the extra `rl`.
 
-    Ctrl-C keeps the episodes that were finished.
+    Ctrl-C keeps the finished episodes.
     """
     from rich.console import Console
     from rich.progress import track
@@ -100,7 +100,7 @@ def collect(
         progress=progress,
     )  # fmt: skip
     Console().print(
-        f"{collection.episodes} episodes of {policy}, {collection.steps} decisions, "
+        f"{collection.episodes} episodes of {policy}, {collection.steps} control steps, "
         f"{collection.successes} successes: {out}",
         soft_wrap=True,
     )

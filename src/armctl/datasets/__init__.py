@@ -1,1 +1,1 @@
-"""Episodes as datasets that others can read."""
+"""Episodes as datasets, in a standard format."""

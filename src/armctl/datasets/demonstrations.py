@@ -17,16 +17,16 @@ from armctl.tasks import Observations
 
 @dataclass(frozen=True)
 class Demonstration:
-    """One episode of T decisions."""
+    """One episode of T control steps."""
 
     observations: Observations
-    """(T + 1, ...), the last one of its end."""
+    """(T + 1, ...), including the final one."""
     actions: NDArray[np.floating[Any]]
-    """(T, ...) as the demonstrator gave them."""
+    """(T, ...), the demonstrator's actions, before clipping."""
     rewards: NDArray[np.float64]
     """(T,)"""
     terminated: bool
-    """Whether the task ended it; if not, it was cut off."""
+    """Whether it terminated; if not, it was truncated."""
     success: bool
 
     def __len__(self) -> int:
@@ -34,13 +34,13 @@ class Demonstration:
 
 
 class Recorder(gymnasium.vector.VectorWrapper[Any, Any, Any, Any, Any]):
-    """Keeps what happens in worlds that stand still after an episode; `finished` has whole episodes, by number."""
+    """Records the episodes of worlds without autoreset. `finished` holds finished episodes, by number."""
 
     def __init__(self, env: TaskVectorEnv) -> None:
         super().__init__(env)
         self.finished: dict[int, Demonstration] = {}
         self.labels: NDArray[np.floating[Any]] | None = None
-        """(n, ...) what is recorded as the next actions, instead of what is done."""
+        """(n, ...) recorded as the next actions, instead of those that are executed."""
         self._worlds, self.task = env, env.task
         self._seen: list[list[Any]] = [[] for _ in range(env.num_envs)]
         self._done: list[list[Any]] = [[] for _ in range(env.num_envs)]
@@ -56,16 +56,16 @@ class Recorder(gymnasium.vector.VectorWrapper[Any, Any, Any, Any, Any]):
         return observations, infos
 
     def step(self, actions: ArrayLike) -> tuple[Any, Any, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """Make one decision in every world, and record it."""
+        """Make one control step in every world, and record it."""
         labels = np.array(actions if self.labels is None else self.labels)
         observations, rewards, terminated, truncated, infos = self.env.step(actions)
         for i in np.flatnonzero(self._open):
             self._seen[i].append(_copy(one_of(observations, int(i))))
             self._done[i].append((labels[i], rewards[i]))
         for i in np.flatnonzero((terminated | truncated) & self._open):
-            told, earned = zip(*self._done[i], strict=True)
+            recorded, earned = zip(*self._done[i], strict=True)
             self.finished[int(self._worlds.episodes[i])] = Demonstration(
-                _stacked(self._seen[i]), np.array(told), np.array(earned), bool(terminated[i]),
+                _stacked(self._seen[i]), np.array(recorded), np.array(earned), bool(terminated[i]),
                 bool(infos["is_success"][i]),
             )  # fmt: skip
             self._open[i] = False
@@ -82,19 +82,19 @@ def demonstrate(
 ) -> Iterator[tuple[EpisodeResult, Demonstration]]:
     """Play episodes 0 to `episodes` - 1 of `seed`, and yield each as it ends.
 
-    With `acting`, a function of observations and the policy's actions, what it returns is done instead; what the policy
-    says is recorded all the same. `worlds` must stand still after an episode (see `make_worlds`), and be no more than
-    `episodes`. Raises `PolicyFailed` if the policy fails.
+    `acting`, a function of the observations and the policy's actions, returns actions to execute in place of the
+    policy's; the recorded actions are still the policy's. `worlds` must have no autoreset (see `make_worlds`), and
+    there must be no more of them than `episodes`. Raises `PolicyFailed` if the policy fails.
     """
     recorder: Any = Recorder(worlds)
-    actor: Any = policy if acting is None else _Instead(policy, acting, recorder)
-    unknown = dict.fromkeys(range(episodes), np.nan)  # least lengths, which nobody asks for here
+    actor: Any = policy if acting is None else _Overridden(policy, acting, recorder)
+    unknown = dict.fromkeys(range(episodes), np.nan)  # least lengths, which are not needed here
     for result in rollouts(actor, recorder, episodes, seed, name, unknown):
         yield result, recorder.finished.pop(result.episode)
 
 
-class _Instead:
-    """Asks a policy, and does what `acting` makes of its answers."""
+class _Overridden:
+    """Queries a policy, and executes what `acting` makes of its actions."""
 
     training_steps = 0
 

@@ -1,4 +1,4 @@
-"""What may go wrong: noise, delay, payload, friction, weak motors, lost pictures, pushes, a robot unlike its model."""
+"""Disturbances: noise, delay, payload, friction, weak motors, lost images, pushes, and errors of the robot's model."""
 
 import functools
 import zlib
@@ -35,7 +35,7 @@ GENERIC: dict[str, DisturbanceSpec] = {
         Noise, "sensor noise, standard deviation", "units of each number", (0, 0.01, 0.02, 0.05, 0.1), 1e3
     ),
     "delay": DisturbanceSpec(Delay, "late actions", "control steps", (0, 1, 2, 4, 8), 1e3, whole=True),
-    "dropout": Share(Dropout, "camera pictures that are lost", "share", (0, 0.1, 0.25, 0.5, 0.75), applies=_has_camera),
+    "dropout": Share(Dropout, "lost camera images", "share", (0, 0.1, 0.25, 0.5, 0.75), applies=_has_camera),
 }
 """For any task."""
 ARM: dict[str, DisturbanceSpec] = {
@@ -48,7 +48,7 @@ ARM: dict[str, DisturbanceSpec] = {
     "strength": Share(Strength, "torque of the motors", "left", (1, 0.8, 0.6, 0.4, 0.2)),
     "pushes": DisturbanceSpec(Pushes, "pushes at the end-effector, about one a second", "N s", (0, 5, 10, 20, 40), 1e4),
     "mismatch": Share(
-        LinkMismatch, "links' masses and lengths unlike the model's, at most by", "share", (0, 0.02, 0.05, 0.1, 0.2)
+        LinkMismatch, "largest error of the model's link masses and lengths", "share", (0, 0.02, 0.05, 0.1, 0.2)
     ),
 }
 """For an arm."""
@@ -66,7 +66,7 @@ ROVER: dict[str, DisturbanceSpec] = {
     ),
     "mismatch": Share(
         WheelMismatch,
-        "wheels' radii and the base's mass unlike the model's, at most by",
+        "largest error of the model's wheel radii and base mass",
         "share",
         (0, 0.02, 0.05, 0.1, 0.2),
     ),
@@ -76,27 +76,27 @@ ROVER: dict[str, DisturbanceSpec] = {
 
 
 def available(specs: Mapping[str, DisturbanceSpec], task: Disturbable) -> dict[str, DisturbanceSpec]:
-    """Those of a task's disturbances that apply to it with its present options, by name."""
+    """The disturbances in `specs` that apply to a task with its present options, by name."""
     return {name: spec for name, spec in specs.items() if spec.applies(task)}
 
 
 def disturb(
     task: Disturbable, specs: Mapping[str, DisturbanceSpec], levels: Mapping[str, Any]
 ) -> dict[str, Disturbance]:
-    """Disturb a task for good, each kind at its level. Levels that change nothing are left out.
+    """Apply disturbances to a task permanently, each at its level. Levels that change nothing are left out.
 
     Raises `ConfigurationError`.
     """
     if not isinstance(levels, Mapping):
         raise ConfigurationError(f"disturbances are levels by name, such as {{'payload': 2.0}}, not {levels!r}")
-    there = available(specs, task)
+    usable = available(specs, task)
     for name in levels:
-        if name not in there:
-            raise unknown_name("disturbance here", name, there)
-    checked = {name: spec.checked(name, levels[name]) for name, spec in there.items() if name in levels}
-    return {name: there[name].make(task, level) for name, level in checked.items() if level != there[name].neutral}
+        if name not in usable:
+            raise unknown_name("disturbance here", name, usable)
+    checked = {name: spec.checked(name, levels[name]) for name, spec in usable.items() if name in levels}
+    return {name: usable[name].make(task, level) for name, level in checked.items() if level != usable[name].neutral}
 
 
 def episode_rng(name: str, seed: int, episode: int) -> np.random.Generator:
-    """The generator that a disturbance draws from in an episode, independent of the task's and of all others."""
+    """The random generator of a disturbance in an episode, independent of the task's and of other disturbances'."""
     return np.random.default_rng(np.random.SeedSequence((seed, episode), spawn_key=(zlib.crc32(name.encode()),)))

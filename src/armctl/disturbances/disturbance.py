@@ -1,4 +1,4 @@
-"""What a disturbance is: something that happens between a policy and its robot, and that the policy is not told about."""
+"""Base class of disturbances: what may go wrong between a policy and its robot, without the policy's knowledge."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -34,17 +34,17 @@ class Disturbable(Protocol):
 
     @property
     def payload_body(self) -> str:
-        """The body that carries a payload and that pushes act on."""
+        """The body to which payloads are attached and pushes are applied."""
 
     def observe(self, ids: NDArray[np.int32] | None = None) -> Observations:
         """What policies see now."""
 
 
 class Disturbance:
-    """Of one level, in the n worlds of `task`; this one does nothing.
+    """A disturbance of one level in the n worlds of `task`; the base class does nothing.
 
-    All chance is drawn from `rngs`, one for each world and of its episode alone: what happens in an episode depends
-    neither on the policy nor on the other worlds.
+    All randomness comes from `rngs`, one generator per world and episode. So a disturbance depends neither on the
+    policy nor on the other worlds.
     """
 
     def __init__(self, task: Disturbable, level: float) -> None:
@@ -53,14 +53,14 @@ class Disturbance:
         self.rngs = [np.random.default_rng(0)] * task.simulation.n
 
     def begin(self, ids: NDArray[np.int32]) -> None:
-        """Worlds `ids`, which have their new `rngs`, are about to be reset."""
+        """Worlds `ids` are about to be reset; their `rngs` are new."""
 
     def command(self, actions: Array) -> Array:
-        """What reaches the robots of `actions` (n, ...). Called once a control step, before it is simulated."""
+        """The actions that reach the robots, given `actions` (n, ...). Called once per control step, before it."""
         return actions
 
     def observe(self, observations: Observations, ids: NDArray[np.int32] | slice) -> Observations:
-        """What policies see of the `observations` of worlds `ids`: the same, however often it is called."""
+        """The observations that policies see in worlds `ids`. Repeated calls return the same."""
         return observations
 
 
@@ -71,21 +71,21 @@ def everywhere(task: Disturbable) -> bool:
 
 @dataclass(frozen=True)
 class DisturbanceSpec:
-    """One kind of disturbance of one kind of task."""
+    """One kind of disturbance for one kind of task."""
 
     make: Callable[[Any, float], Disturbance]
-    """From the task and the level."""
+    """Makes the disturbance from the task and the level."""
     does: str
-    """What it does, in a line."""
+    """What it does, in one line."""
     unit: str
     levels: tuple[float, ...]
-    """To try, from the one that changes nothing."""
+    """Default levels of a sweep, beginning with the one that changes nothing."""
     highest: float
     """Levels are from 0 to this."""
     whole: bool = False
     """Whether levels are whole numbers."""
     applies: Callable[[Any], bool] = everywhere
-    """Whether a task, with its options, can be disturbed in this way."""
+    """Whether it applies to a task with its present options."""
 
     @property
     def neutral(self) -> float:
@@ -93,7 +93,7 @@ class DisturbanceSpec:
         return float(self.levels[0])
 
     def checked(self, name: str, level: object) -> float:
-        """A level as a number; raises `ConfigurationError` for what is none."""
+        """A level as a float. Raises `ConfigurationError` for an invalid level."""
         usable = isinstance(level, (int, float, np.number)) and not isinstance(level, bool)
         if not (usable and 0 <= level <= self.highest and (not self.whole or level == int(level))):  # type: ignore[operator, call-overload]
             number = "a whole number" if self.whole else "a number"

@@ -1,4 +1,4 @@
-"""Disturbances of the simulated robot itself: what controllers believe of it stays as it was."""
+"""Disturbances of the simulated robot itself. The models of the controllers do not change."""
 
 import mujoco
 import numpy as np
@@ -11,13 +11,13 @@ from armctl.robots.rover import PREFIX as ROVER
 from armctl.robots.rover import WHEELS
 
 PAYLOAD_RADIUS = 0.05
-"""m: a ball."""
+"""m; the payload is a ball."""
 STIFF = 0.999
-"""Impedance of dry friction: with MuJoCo's default of 0.9, light joints creep."""
+"""Constraint impedance of dry friction: with MuJoCo's default of 0.9, light joints creep."""
 
 
 class Payload(Disturbance):
-    """Fixes a ball of `level` kg to the task's `payload_body`, at `offset` (m). Nothing compensates for its weight."""
+    """Attaches a ball of `level` kg to the task's `payload_body`, at `offset` (m), without gravity compensation."""
 
     def __init__(self, task: Disturbable, level: float, offset: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
         super().__init__(task, level)
@@ -45,7 +45,7 @@ class Payload(Disturbance):
 
 
 class JointFriction(Disturbance):
-    """Gives each joint dry friction of a share `level` of its largest torque."""
+    """Dry friction in each joint: the share `level` of its torque limit."""
 
     def __init__(self, task: Disturbable, level: float) -> None:
         super().__init__(task, level)
@@ -55,7 +55,7 @@ class JointFriction(Disturbance):
 
 
 class Slipperiness(Disturbance):
-    """Leaves the tyres `level` of their friction."""
+    """Scales the friction of the tyres by `level`."""
 
     def __init__(self, task: Disturbable, level: float) -> None:
         super().__init__(task, level)
@@ -64,7 +64,7 @@ class Slipperiness(Disturbance):
 
 
 class Strength(Disturbance):
-    """Leaves motors `level` of their torque: of its limit, and of all that they would apply, gravity compensation too."""
+    """Scales the motors' torque and torque limits by `level`, including gravity compensation."""
 
     def __init__(self, task: Disturbable, level: float) -> None:
         super().__init__(task, level)
@@ -76,7 +76,7 @@ class Strength(Disturbance):
 
 
 class LinkMismatch(Disturbance):
-    """Makes each link's mass and length another in each episode: times 1 - `level` to 1 + `level`, each by itself.
+    """Scales each link's mass and length by random factors from 1 - `level` to 1 + `level`, new in each episode.
 
     The drives compensate for the weight of the nominal links.
     """
@@ -93,7 +93,7 @@ class LinkMismatch(Disturbance):
         ]
 
     def begin(self, ids: NDArray[np.int32]) -> None:
-        """Draw the arms of these worlds."""
+        """Sample the arms of worlds `ids`."""
         mass, inertia, held, place = self._nominal
         factors = np.array([self.rngs[i].uniform(-1.0, 1.0, (2, len(self._links))) for i in ids])
         heavier, longer = 1 + self.level * factors.transpose(1, 0, 2)
@@ -106,7 +106,7 @@ class LinkMismatch(Disturbance):
 
 
 class WheelMismatch(Disturbance):
-    """Makes each wheel's radius and the rover's mass others in each episode: times 1 - `level` to 1 + `level`."""
+    """Scales each wheel's radius and the rover's mass by random factors from 1 - `level` to 1 + `level`."""
 
     def __init__(self, task: Disturbable, level: float) -> None:
         super().__init__(task, level)
@@ -121,7 +121,7 @@ class WheelMismatch(Disturbance):
         self._radius, self._half_width = model.geom_size[self._wheels[0], :2]
 
     def begin(self, ids: NDArray[np.int32]) -> None:
-        """Draw the rovers of these worlds."""
+        """Sample the rovers of worlds `ids`."""
         mass, inertia = self._nominal
         factors = 1 + self.level * np.array([self.rngs[i].uniform(-1.0, 1.0, 1 + len(WHEELS)) for i in ids])
         rows, radii = ids[:, None], factors[:, 1:] * self._radius

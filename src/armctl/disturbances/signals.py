@@ -1,4 +1,4 @@
-"""Disturbances of what is sensed and commanded, and pushes from outside."""
+"""Disturbances of sensors and commands, and external pushes."""
 
 from typing import Any
 
@@ -12,10 +12,10 @@ PUSH_INTERVAL = 1.0
 
 
 class Noise(Disturbance):
-    """Adds white Gaussian noise of standard deviation `level` to every number observed, in its own unit.
+    """Adds white Gaussian noise of standard deviation `level` to every observed number, in the number's own unit.
 
-    Numbers that are exactly 0 stand for what is not there, and stay; so do pictures of whole numbers. What is beyond
-    the observation space is clipped.
+    Numbers that are exactly 0 stand for absent objects, and are left as they are; so are integer images. The result is
+    clipped to the observation space.
     """
 
     def __init__(self, task: Disturbable, level: float) -> None:
@@ -25,25 +25,24 @@ class Noise(Disturbance):
         self._noise = {name: np.zeros_like(values) for name, values in arrays.items() if values.dtype.kind == "f"}
 
     def begin(self, ids: NDArray[np.int32]) -> None:
-        """Draw what is added to the first observation."""
+        """Sample the noise of the first observation."""
         for noise in self._noise.values():
             for i in ids:
                 self.rngs[i].standard_normal(out=noise[i], dtype=np.float32)
 
     def command(self, actions: Array) -> Array:
-        """Draw what is added to the next observation."""
+        """Sample the noise of the next observation."""
         self.begin(self.worlds)
         return actions
 
     def observe(self, observations: Observations, ids: NDArray[np.int32] | slice) -> Observations:
-        """With noise."""
+        """Observations with noise."""
         space: Any = self.task.observation_space
         if isinstance(observations, dict):
-            noisy = {name: self._added(values, name, space[name], ids) for name, values in observations.items()}
-            return noisy
-        return self._added(observations, "", space, ids)
+            return {name: self._noisy(values, name, space[name], ids) for name, values in observations.items()}
+        return self._noisy(observations, "", space, ids)
 
-    def _added(self, values: NDArray[Any], name: str, space: Any, ids: NDArray[np.int32] | slice) -> NDArray[Any]:
+    def _noisy(self, values: NDArray[Any], name: str, space: Any, ids: NDArray[np.int32] | slice) -> NDArray[Any]:
         if name not in self._noise:
             return values
         noise = np.float32(self.level) * self._noise[name][ids]
@@ -51,31 +50,31 @@ class Noise(Disturbance):
 
 
 class Dropout(Disturbance):
-    """Loses a share `level` of the camera's pictures, each by itself; one that is lost is black: all 0."""
+    """Replaces camera images by black ones (all 0), each with probability `level`."""
 
     def __init__(self, task: Disturbable, level: float) -> None:
         super().__init__(task, level)
         self._lost = np.zeros(task.simulation.n, dtype=bool)
 
     def begin(self, ids: NDArray[np.int32]) -> None:
-        """Draw whether the first picture is lost."""
+        """Sample whether the first image is lost."""
         for i in ids:
             self._lost[i] = self.rngs[i].random() < self.level
 
     def command(self, actions: Array) -> Array:
-        """Draw whether the next picture is lost."""
+        """Sample whether the next image is lost."""
         self.begin(self.worlds)
         return actions
 
     def observe(self, observations: Observations, ids: NDArray[np.int32] | slice) -> Observations:
-        """With lost pictures black."""
+        """Observations with lost images black."""
         assert isinstance(observations, dict)
         lost = self._lost[ids][:, *[None] * (observations["image"].ndim - 1)]
         return observations | {"image": np.where(lost, np.zeros_like(observations["image"]), observations["image"])}
 
 
 class Delay(Disturbance):
-    """Lets actions reach the robot `level` control steps late; until the first one does, it gets the idle action."""
+    """Delays actions by `level` control steps. Until the first one arrives, the robot gets the idle action."""
 
     def __init__(self, task: Disturbable, level: float) -> None:
         super().__init__(task, level)
@@ -83,7 +82,7 @@ class Delay(Disturbance):
         self._waiting = np.zeros((task.simulation.n, int(level), *task.action_space.shape))
 
     def begin(self, ids: NDArray[np.int32]) -> None:
-        """Nothing is on its way."""
+        """Fill the delay line with idle actions."""
         self._waiting[ids] = self._idle
 
     def command(self, actions: Array) -> Array:
@@ -94,9 +93,9 @@ class Delay(Disturbance):
 
 
 class Pushes(Disturbance):
-    """Pushes the task's `payload_body` with an impulse of `level` N s, about once a `PUSH_INTERVAL`.
+    """Pushes the task's `payload_body` with an impulse of `level` N s, about once per `PUSH_INTERVAL`.
 
-    Each push lasts a control step. It has a random direction, a horizontal one if `horizontal`.
+    A push lasts one control step. Its direction is random, and horizontal if `horizontal`.
     """
 
     def __init__(self, task: Disturbable, level: float, horizontal: bool = False) -> None:
@@ -107,7 +106,7 @@ class Pushes(Disturbance):
         self._axes = 2 if horizontal else 3
 
     def command(self, actions: Array) -> Array:
-        """Push, or let be."""
+        """Sample this step's pushes, and apply them."""
         directions = np.array([rng.standard_normal(self._axes) for rng in self.rngs])
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         pushed = np.array([[rng.random()] for rng in self.rngs]) < self._period / PUSH_INTERVAL

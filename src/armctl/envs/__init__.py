@@ -1,4 +1,4 @@
-"""Tasks as Gymnasium environments: `gym.make_vec` steps n worlds at once, `gym.make` is the view of one."""
+"""Tasks as Gymnasium environments: `gym.make_vec` steps n worlds at once, `gym.make` is its n = 1 view."""
 
 from armctl.envs.make import find_spec, make_worlds, task_of
 from armctl.envs.observations import batch_of_one, one_of

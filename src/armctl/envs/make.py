@@ -1,4 +1,4 @@
-"""Environments by their ids, for whatever plays episodes in them."""
+"""Makes environments by their ids."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -12,7 +12,7 @@ from armctl.registration import add_cwd_to_path, environment_names, load_task
 from armctl.tasks import Task
 
 RESERVED = {"num_envs", "autoreset_mode", "render_mode", "threads", "task"}
-"""Arguments that are not options to set."""
+"""Arguments that callers cannot set as options."""
 
 
 def make_worlds(
@@ -22,12 +22,13 @@ def make_worlds(
     threads: int = 0,
     autoreset_mode: AutoresetMode | str = AutoresetMode.DISABLED,
 ) -> TaskVectorEnv:
-    """`worlds` worlds of an environment, stepped on `threads` (0: all cores), that stand still after an episode.
+    """A vector environment of `worlds` worlds, stepped on `threads` threads (0: all cores).
 
-    `module:Name-v0` is an environment that the module registers. Raises `ConfigurationError`.
+    By default there is no autoreset: worlds stand still after an episode. `module:Name-v0` is an environment that the
+    module registers. Raises `ConfigurationError`.
     """
     if reserved := RESERVED & set(options or {}):
-        raise ConfigurationError(f"{reserved.pop()} is no option to set here: evaluation has its own")
+        raise ConfigurationError(f"{reserved.pop()} cannot be set as an option: armctl sets it itself")
     spec = find_spec(env)
     made = gymnasium.make_vec(spec, num_envs=worlds, autoreset_mode=autoreset_mode, threads=threads, **(options or {}))
     assert isinstance(made, TaskVectorEnv)
@@ -40,7 +41,7 @@ def task_of(env: str) -> type[Task]:
 
 
 def find_spec(env: str) -> Any:
-    """Gymnasium's specification of an environment that was made of a task, whose module is imported if it names one.
+    """Gymnasium's specification of a task's environment. The module in `module:Name-v0` is imported first.
 
     Raises `ConfigurationError`.
     """

@@ -1,4 +1,4 @@
-"""Observations and actions of n worlds, and of one of them."""
+"""Helpers for observations and actions of n worlds, and of one of them."""
 
 from typing import Any
 
@@ -12,14 +12,14 @@ Array = NDArray[np.float64]
 
 
 def one_of(observations: Observations, world: int) -> Any:
-    """What one world observes."""
+    """The observation of one world."""
     if isinstance(observations, dict):
         return {name: values[world] for name, values in observations.items()}
     return observations[world]
 
 
 def with_replaced(observations: Observations, ids: NDArray[np.int32], new: Observations) -> Observations:
-    """Observations with those of worlds `ids` replaced by new ones."""
+    """Observations in which those of worlds `ids` are replaced by new ones."""
     if isinstance(observations, dict):
         assert isinstance(new, dict)
         return {name: _replaced_rows(values, ids, new[name]) for name, values in observations.items()}
@@ -41,7 +41,7 @@ def batch_of_one(observation: Any) -> Observations:
 
 
 def action_numbers(actions: ArrayLike) -> Array:
-    """Actions as an array; raises `InvalidAction`."""
+    """Actions as an array of floats. Raises `InvalidAction`."""
     try:
         return np.array(actions, dtype=float)
     except (TypeError, ValueError) as error:

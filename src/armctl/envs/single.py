@@ -15,7 +15,7 @@ from armctl.tasks import Observations, Task
 class TaskEnv(gymnasium.Env[Any, Any]):
     """One world: the n = 1 view of a `TaskVectorEnv`, with the same options.
 
-    `max_episode_steps` is given to `gym.make`, whose `TimeLimit` wrapper truncates.
+    Give `max_episode_steps` to `gym.make`, whose `TimeLimit` wrapper truncates episodes.
     """
 
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES)}
@@ -43,7 +43,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         return one_of(observations, 0), _first(infos)
 
     def step(self, action: ArrayLike) -> tuple[Observations, float, bool, bool, Infos]:
-        """Make one control step. Raises `InvalidAction`, and steps nothing, if the action is unusable."""
+        """Make one control step. If the action is invalid, raises `InvalidAction` and steps nothing."""
         if self.worlds._finished[0]:
             raise gymnasium.error.ResetNeeded("the episode has ended, or none has begun: call reset() before step()")
         given = action_numbers(action)
@@ -55,15 +55,15 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         return one_of(observations, 0), float(rewards[0]), bool(terminated[0]), bool(truncated[0]), _first(infos)
 
     def render(self) -> Any:
-        """Picture (height, width, 3), or None in the mode `human`."""
+        """Image (height, width, 3), or None in the mode `human`."""
         frames = self.worlds.render()
         return None if frames is None else frames[0]
 
     def close(self) -> None:
-        """Close the window and give graphics memory back."""
+        """Close the window and free graphics memory."""
         self.worlds.close()
 
 
 def _first(infos: Infos) -> Infos:
-    """The first world's share of a vector environment's infos."""
+    """The first world's part of a vector environment's infos."""
     return {key: _first(value) if isinstance(value, dict) else value[0].item() for key, value in infos.items()}

@@ -1,7 +1,7 @@
-"""A task as Gymnasium's vector environment: n worlds, stepped at once.
+"""A task as a Gymnasium vector environment: n worlds, stepped at once.
 
-An episode is fixed by (environment id and options, seed, episode number) alone. World i of a vector environment that
-was reset with `seed` plays the episodes of a single environment that was reset with `seed + i`, bit for bit.
+Environment id, options, seed and episode number determine an episode. World i of a vector environment that was reset
+with `seed` plays the episodes of a single environment that was reset with `seed + i`, bit for bit.
 """
 
 from collections.abc import Mapping
@@ -31,13 +31,13 @@ TIMEOUT = 0
 
 
 class Observer(Protocol):
-    """Is notified of everything that happens in the worlds, also of final states that an autoreset replaces."""
+    """Callbacks of a vector environment. They see final states too, before an autoreset replaces them."""
 
     def began(self, ids: NDArray[np.int32]) -> None:
         """Worlds `ids` have begun a new episode."""
 
     def stepped(self, awake: NDArray[np.bool_]) -> None:
-        """The worlds that are `awake` (n,) have made a control step; none has been reset yet."""
+        """The worlds in the mask `awake` (n,) have made a control step; none has been reset yet."""
 
 
 class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
@@ -47,15 +47,15 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         num_envs: number of worlds.
         task: subclass of `armctl.tasks.Task`, or its `module:Class`.
         max_episode_steps: control steps until an episode is truncated; None: never.
-        render_mode: `rgb_array` (pictures of all worlds), `human` (a window on the first), or None.
-        autoreset_mode: what follows an episode's end: a new one on the next step (`next_step`), on the same step
-            (`same_step`, with `infos["final_obs"]` and `infos["final_info"]`), or none (`disabled`: the world stands
-            still until a `reset` whose `options["reset_mask"]` picks it).
+        render_mode: `rgb_array` (images of all worlds), `human` (a window on the first), or None.
+        autoreset_mode: after an episode, a new one starts on the next step (`next_step`), on the same step
+            (`same_step`, with `infos["final_obs"]` and `infos["final_info"]`), or not at all (`disabled`: the world
+            stands still until a `reset` whose `options["reset_mask"]` includes it).
         threads: threads to step the worlds on; 0 for all cores.
         disturbances: levels by name, such as `{"noise": 0.01, "payload": 2.0}`; see `armctl.disturbances`.
         **options: the task's options; those of `armctl/ArmReach-v0` are `armctl.tasks.ReachOptions`.
 
-    `reset(options={"episode": k})` starts at episode number k of the seed (an int, or one for each world) instead of 0.
+    `reset(options={"episode": k})` starts at episode k of the seed instead of 0; k is an int, or one int per world.
 
     """
 
@@ -93,6 +93,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         task_type: type[Task] = load_task(task)
         _check_complete(task_type)
         self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode, "render_fps": task_type.render_fps}
+        _check_option_names(task_type, options)
         make_task: Any = task_type
         self.task = make_task(self.num_envs, make_options(task_type.options_type, options), threads)
         self._outcome_labels = np.array([outcome.label for outcome in task_type.outcomes])
@@ -113,9 +114,9 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | list[int] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, Infos]:
-        """Start new episodes: in all worlds, or in those of `options["reset_mask"]` (n,) bool.
+        """Start new episodes in all worlds, or in those of the boolean mask `options["reset_mask"]` (n,).
 
-        `seed` starts world i at episode 0 of seed + i (or of seed[i]); without it, worlds go on to their next episode.
+        With `seed`, world i starts episode 0 of seed + i (or of seed[i]). Without it, each world starts its next one.
         """
         options = options or {}
         mask = np.asarray(options.get("reset_mask", np.ones(self.num_envs, dtype=bool)))
@@ -137,7 +138,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         return self._observe(), self.task.info()
 
     def step(self, actions: ArrayLike) -> tuple[Observations, Array, NDArray[np.bool_], NDArray[np.bool_], Infos]:
-        """Make one control step in every world. Raises `InvalidAction`, and steps nothing, if an action is unusable."""
+        """Make one control step in every world. If an action is invalid, raises `InvalidAction` and steps nothing."""
         commands = self._checked(actions)
         idle = self._finished
         restart = np.flatnonzero(idle) if idle.any() else None
@@ -190,7 +191,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         return observations, rewards, terminated, truncated, infos
 
     def render(self) -> Any:
-        """Pictures (height, width, 3) of all worlds as a tuple; None in the mode `human`, which shows the first."""
+        """Images (height, width, 3) of all worlds, as a tuple. The mode `human` shows the first, and returns None."""
         simulation = self.task.simulation
         if self.render_mode is None:
             raise ConfigurationError("nothing to render: make the environment with render_mode='rgb_array' or 'human'")
@@ -203,19 +204,19 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         return tuple(self._viewer.picture(simulation.data(i)) for i in range(self.num_envs))
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Close the window and give graphics memory back."""
+        """Close the window and free graphics memory."""
         if self._viewer is not None:
             self._viewer.close()
             self._viewer = None
 
     @property
     def seeds(self) -> NDArray[np.int64]:
-        """Seed of each world's present episode, (n,)."""
+        """Seed of each world's current episode, (n,)."""
         return self._seeds.copy()
 
     @property
     def episodes(self) -> NDArray[np.int64]:
-        """Number of each world's present episode under its seed, (n,)."""
+        """Number of each world's current episode under its seed, (n,)."""
         return self._episodes.copy()
 
     def _begin(self, ids: NDArray[np.integer[Any]]) -> None:
@@ -269,6 +270,13 @@ def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
     if mode.upper() not in AutoresetMode.__members__:
         raise unknown_name("autoreset_mode", mode, [name.lower() for name in AutoresetMode.__members__])
     return AutoresetMode[mode.upper()]
+
+
+def _check_option_names(task_type: type[Task], options: Mapping[str, Any]) -> None:
+    names = [*task_type.options_type.__dataclass_fields__, "disturbances", "max_episode_steps"]
+    for name in options:
+        if name not in names:
+            raise unknown_name("option", name, names)
 
 
 def _check_complete(task_type: type[Task]) -> None:

@@ -1,4 +1,4 @@
-"""Policies times episodes, to tables and a verdict."""
+"""Evaluation: policies play episodes, and the results become tables and a verdict."""
 
 from armctl.evaluation.compare import compare
 from armctl.evaluation.comparison import Comparison

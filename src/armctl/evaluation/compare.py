@@ -1,4 +1,4 @@
-"""Several policies on the very same episodes."""
+"""Compares several policies on the same episodes."""
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing
@@ -16,7 +16,7 @@ from armctl.evaluation.parallel import WorkerConfig, WorkersFailed, check_sendab
 from armctl.evaluation.provenance import versions
 from armctl.evaluation.record import COLUMNS, EpisodeResult
 from armctl.evaluation.store import EpisodeLog
-from armctl.evaluation.summary import summarised
+from armctl.evaluation.summary import summarise
 from armctl.policies import Policy, PolicyFactory, make_policy, policy_name
 
 
@@ -34,37 +34,40 @@ def compare(
     least_lengths: dict[int, float] | None = None,
     progress: Callable[[EpisodeResult], None] | None = None,
 ) -> Comparison:
-    """Let policies meet the same episodes 0 to `episodes` - 1 of `seed`.
+    """Let policies play the same episodes 0 to `episodes` - 1 of `seed`.
 
-    With `out`, every finished episode goes to `out/episodes.csv` at once, and the rest to `out/summary.json`. An
-    interrupt (Ctrl-C), a failing policy or a full disk loses nothing that was finished, and the same comparison goes on
-    from there. But for decision times, `episodes.csv` is the same with any number of worlds and workers. With one world
-    (the default) decision times are latencies; with more they are shares of a batch.
+    With `out`, every episode is written to `out/episodes.csv` as soon as it ends, and the summary to
+    `out/summary.json`. After an interrupt (Ctrl-C), a failing policy or a full disk, finished episodes are kept, and
+    the same call resumes the comparison. Except for decision times, `episodes.csv` does not depend on the number of
+    worlds and workers. With one world (the default), decision times are latencies; with more, each is a batch's time
+    divided by the number of worlds.
 
-    With `workers`, policies and episodes are played in so many processes, each with `worlds` worlds on one core. What
-    policies decide is then timed while the others compute beside them.
+    With `workers`, that many processes play, each with `worlds` worlds on one core. Decision times are then measured
+    while the other processes compute.
 
-    Policies are names, agents' files, `module:function`, or functions (see `make_policy`), and without any, those that
-    `armctl.DEFAULT_POLICIES` has for `env`. `least_lengths` are shared as in `rollouts`. `progress` is told of every
-    finished episode, first of an earlier run's.
+    Policies are names, agents' files, `module:function`, or functions (see `make_policy`); by default, those that the
+    task of `env` declares. `least_lengths` are shared as in `rollouts`. `progress` is called with every finished
+    episode, first with those of an earlier run.
 
     Raises `ConfigurationError`, `AgentFileError`, and `ResultsError` if `out` cannot be written, is damaged, or holds
-    the results of another comparison and these are not to be overwritten.
+    the results of another comparison (unless `overwrite`).
     """
     if policies is None:
         policies = default_policies(env)
     by_name = {policy_name(policy): policy for policy in ([policies] if isinstance(policies, str) else policies)}
     if not by_name or (not isinstance(policies, str) and len(by_name) != len(policies)):
-        raise ConfigurationError(f"a comparison needs policies, each once, not {policies}")
+        raise ConfigurationError(f"a comparison needs at least one policy, and each only once, not {policies}")
     if episodes < 1 or worlds < 1 or workers < 1:
-        raise ConfigurationError(f"episodes, worlds and workers count from 1, not {episodes}, {worlds} and {workers}")
+        raise ConfigurationError(
+            f"episodes, worlds and workers must be at least 1, not {episodes}, {worlds} and {workers}"
+        )
     comparison = Comparison(env, seed, dict(env_options or {}), pd.DataFrame(columns=list(COLUMNS)))
     worlds = min(worlds, episodes)
     results: list[EpisodeResult] = []
     with ExitStack() as stack:
         made_env = make_worlds(env, worlds if workers == 1 else 1, env_options)
         stack.callback(made_env.close)
-        made_env.reset(seed=seed)  # an unusable seed is to be found before anything is written
+        made_env.reset(seed=seed)  # raises for an invalid seed, before anything is written
         made = {name: make_policy(policy, made_env) for name, policy in by_name.items()}
         if workers > 1:
             check_sendable(by_name)
@@ -83,8 +86,8 @@ def compare(
         if workers == 1:
             stream = play_here(made, made_env, seed, waiting, least)
         else:
-            setting = WorkerConfig(env, worlds, comparison.env_options, seed)
-            stream = play_in_workers(by_name, setting, waiting, least, workers)
+            config = WorkerConfig(env, worlds, comparison.env_options, seed)
+            stream = play_in_workers(by_name, config, waiting, least, workers)
         try:
             with closing(stream):
                 for played in stream:
@@ -112,7 +115,7 @@ def compare(
                 comparison.failures["results"] = str(error)
     if results:
         comparison.episodes = pd.DataFrame([result.row() for result in results])
-        comparison.policies, comparison.paired = summarised(results, made, episodes)
+        comparison.policies, comparison.paired = summarise(results, made, episodes)
     if out is not None:
         try:
             write_summary(Path(out), comparison)
@@ -122,12 +125,12 @@ def compare(
 
 
 def default_policies(env: str) -> tuple[str, ...]:
-    """The default line-up of an environment: what its task declares."""
+    """The default line-up of an environment, which its task declares."""
     return task_of(env).default_policies
 
 
 def _identity(comparison: Comparison, policies: Mapping[str, Policy]) -> dict[str, Any]:
-    """What decides a comparison's episodes, as JSON has it: with another, they are others."""
+    """Everything that determines a comparison's episodes, as JSON values."""
     agents = {name: policy.card.sha256 for name, policy in policies.items() if isinstance(policy, OnnxPolicy)}
     return {
         "env": comparison.env,

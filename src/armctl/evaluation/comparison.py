@@ -1,4 +1,4 @@
-"""What a comparison has found, and its `summary.json`."""
+"""The result of a comparison, and its `summary.json`."""
 
 import dataclasses
 import json
@@ -12,30 +12,31 @@ import pandas as pd
 from armctl.errors import ResultsError
 from armctl.evaluation.provenance import machine, versions
 from armctl.evaluation.statistics import PairedDifference
-from armctl.evaluation.store import SUMMARY, write_whole
+from armctl.evaluation.store import SUMMARY
 from armctl.evaluation.summary import PolicySummary
+from armctl.files import write_atomically
 
 
 @dataclass
 class Comparison:
-    """What a comparison found; with an interrupt or a failure, as far as it came."""
+    """The result of a comparison. After an interrupt or a failure, it covers the finished episodes."""
 
     env: str
     seed: int
     env_options: Mapping[str, Any]
     episodes: pd.DataFrame
-    """A row for each policy and episode: the columns of `episodes.csv`."""
+    """One row per policy and episode, with the columns of `episodes.csv`."""
     policies: list[PolicySummary] = field(default_factory=list)
     paired: list[PairedDifference] = field(default_factory=list)
     failures: dict[str, str] = field(default_factory=dict)
-    """What went wrong: by policy, under `results` for what could not be written, or under `workers`."""
+    """Error messages: by policy, under `results` if results could not be written, or under `workers`."""
     interrupted: bool = False
     resumed: int = 0
-    """Episodes that an earlier run had finished."""
+    """Number of episodes that an earlier run had finished."""
 
 
 def write_summary(folder: Path, comparison: Comparison) -> None:
-    """Write `summary.json`: what was compared, with what, and what came out. Raises `ResultsError`."""
+    """Write `summary.json`: settings, results, versions and machine. Raises `ResultsError`."""
     summary = {
         "env": comparison.env,
         "env_options": {name: str(value) for name, value in comparison.env_options.items()},
@@ -49,6 +50,6 @@ def write_summary(folder: Path, comparison: Comparison) -> None:
         "machine": machine(),
     }
     try:
-        write_whole(folder / SUMMARY, json.dumps(summary, indent=2) + "\n")
+        write_atomically(folder / SUMMARY, json.dumps(summary, indent=2) + "\n")
     except OSError as error:
         raise ResultsError(f"{folder / SUMMARY} could not be written: {error.strerror}") from error

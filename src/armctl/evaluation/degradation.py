@@ -1,4 +1,4 @@
-"""What the points of a sweep say: from which level of a disturbance on a policy does worse, and fails."""
+"""From which level of a disturbance a policy gets worse, and from which it fails."""
 
 from dataclasses import dataclass
 
@@ -6,24 +6,24 @@ import pandas as pd
 from scipy import stats
 
 FALSE_DISCOVERY_RATE = 0.05
-"""Of the drops of success that are called significant in a sweep (Benjamini and Hochberg 1995)."""
+"""Of the significant drops in success of a sweep (Benjamini and Hochberg 1995)."""
 
 
 @dataclass(frozen=True)
 class Degradation:
-    """How one policy takes one disturbance."""
+    """The effect of one disturbance on one policy."""
 
     disturbance: str
     policy: str
     sees: str
     drops: float | None
-    """The first level with a significant drop of success (see `FALSE_DISCOVERY_RATE`); None: there is none."""
+    """The first level with a significant drop in success (see `FALSE_DISCOVERY_RATE`); None if there is none."""
     below_half: float | None
-    """The first level with less than half of all episodes won; None: there is none."""
+    """The first level with a success rate below one half; None if there is none."""
 
 
 def degradations(points: pd.DataFrame) -> list[Degradation]:
-    """What the rows of `sweep.csv` say of each disturbance and policy."""
+    """The effect of each disturbance on each policy, from the rows of `sweep.csv`."""
     points = points.assign(neutral=~points.duplicated(["disturbance", "policy"]))
     levels = points[~points.neutral]
     significant = pd.Series(False, index=points.index)

@@ -1,4 +1,4 @@
-"""How an episode was moved through, beside how it ended: way, smoothness, effort, clearance, decision times."""
+"""Metrics of an episode's motion: path length, smoothness, effort, clearance, decision times."""
 
 import math
 from collections.abc import Sequence
@@ -14,28 +14,28 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Metrics:
-    """Of one episode; each is a column of `episodes.csv`."""
+    """Metrics of one episode; each is a column of `episodes.csv`."""
 
     path_length: float
-    """m, of the end-effector or the rover, straight from decision to decision."""
+    """m, path length of the end-effector or the rover, by straight lines between control steps."""
     smoothness: float
-    """Log dimensionless jerk (see `smoothness`): the nearer to 0, the smoother; NaN for too short an episode."""
+    """Log dimensionless jerk (see `smoothness`): smoother motions are nearer to 0; NaN for too short an episode."""
     range_use: float
-    """Largest part of the way from the middle of its range to its limit that a joint was at; NaN for a rover."""
+    """Largest distance of a joint from the middle of its range, relative to half the range; NaN for a rover."""
     speed_use: float
-    """Largest share of its speed limit that a joint or wheel had; above 1 where it overshot."""
+    """Largest ratio of a joint's or wheel's speed to its limit; above 1 if it overshot."""
     torque_use: float
-    """Largest share of its torque limit that a joint or wheel had."""
+    """Largest ratio of a joint's or wheel's torque to its limit."""
     energy: float
     """J, time integral of |torque * speed| over all joints or wheels."""
     clearance: float
-    """m, least distance at a decision to what must not be touched; NaN where that is not known."""
+    """m, least distance to anything that must not be touched, over all control steps; NaN if unknown."""
     contacts: int
-    """Decisions that found something touched that must not be."""
+    """Control steps with a forbidden contact."""
     solver_failures: int
-    """Decisions for which the controller's solver found nothing, as far as it counts them."""
+    """Control steps in which the controller's solver failed, if it counts them."""
     missed_deadlines: int
-    """Decisions that took longer than the time between two."""
+    """Control steps whose decision time exceeded the control period."""
     decision_ms_p50: float
     decision_ms_p99: float
     decision_ms_max: float
@@ -46,7 +46,7 @@ def metrics(
 ) -> Metrics:
     """Metrics of the episode that has just ended in a world.
 
-    `start` (3,) m is where the robot was when it began, `motions` and `decision_ms` (decisions,) what followed.
+    `start` (3,) m is the robot's initial position, `motions` and `decision_ms` (steps,) are those of its control steps.
     """
     period = task.control_period
     positions = np.array([start, *(motion.position[world] for motion in motions)])
@@ -84,22 +84,23 @@ def _joint_use(
 
 
 def range_use(positions: Array, lowest: Array, highest: Array) -> float:
-    """How far joints at positions (m, k) ever are from the middle of their range: 1 at a limit."""
+    """Largest distance of joint positions (m, k) from the middle of their range: 0 in the middle, 1 at a limit."""
     return float(np.abs(2 * (positions - lowest) / (highest - lowest) - 1).max())
 
 
 def path_length(positions: Array) -> float:
-    """Length, m, of the line through positions (m, 3)."""
+    """Length of the polyline through positions (m, 3), m."""
     return float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
 
 
 def smoothness(positions: Array, period: float) -> float:
-    """Log dimensionless jerk of a motion through positions (m, 3), a period (s) apart; NaN without four, or at rest.
+    """Log dimensionless jerk of a motion through positions (m, 3), one `period` (s) apart.
 
-    -ln(duration^3 / peak speed^2 * integral of jerk^2): independent of size and duration, and -ln 204.8 = -5.3 for the
-    smoothest motion from rest to rest (Balasubramanian, Melendez-Calderon, Roby-Brami and Burdet, "On the analysis of
-    movement smoothness", J. NeuroEngineering and Rehabilitation 12:112, 2015). Derivatives are finite differences, so
-    that figures compare between policies with the same period only.
+    -ln(duration^3 / peak speed^2 * integral of jerk^2) does not depend on size and duration, and is -ln 204.8 = -5.3
+    for the smoothest motion from rest to rest (Balasubramanian, Melendez-Calderon, Roby-Brami and Burdet, "On the
+    analysis of movement smoothness", J. NeuroEngineering and Rehabilitation 12:112, 2015). Derivatives are finite
+    differences: compare values only between policies with the same period. NaN for less than four positions, and
+    without motion.
     """
     if len(positions) < 4:
         return math.nan

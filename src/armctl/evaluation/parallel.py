@@ -1,7 +1,7 @@
-"""Policies times blocks of episodes: one after the other in this process, or side by side in several through joblib.
+"""Plays blocks of episodes: one after the other in this process, or in parallel in several, through joblib.
 
-Processes on this machine (loky) are joblib's default; `joblib.parallel_config` around a comparison puts a cluster's
-backend in their place.
+By default, joblib starts processes on this machine (loky). Wrap a comparison in `joblib.parallel_config` to use a
+cluster's backend instead.
 """
 
 import contextlib
@@ -25,7 +25,7 @@ from armctl.evaluation.rollouts import PolicyFailed, rollouts
 from armctl.policies import Policy, PolicyFactory, make_policy
 
 ROUNDS = 4
-"""Of all worlds in a block: what the longest episode of the last round makes others wait for is a small part of it."""
+"""Episodes per world in a block. With so many, little time is lost waiting for the last episodes of a block."""
 
 
 class WorkersFailed(ArmctlError):
@@ -34,25 +34,25 @@ class WorkersFailed(ArmctlError):
 
 @dataclass(frozen=True)
 class WorkerConfig:
-    """Where all policies play; each worker makes it once."""
+    """The environment in which all policies play; each worker makes it once."""
 
     env: str = field(compare=False)
     worlds: int = field(compare=False)
     env_options: Mapping[str, Any] = field(compare=False)
     seed: int = field(compare=False)
     home: int = field(default_factory=os.getpid, compare=False)
-    """The process that waits for the workers."""
+    """Id of the process that waits for the workers."""
     key: str = field(default_factory=lambda: uuid.uuid4().hex)
 
 
 @dataclass(frozen=True)
 class RolloutBatch:
-    """What has come of some of a policy's episodes."""
+    """Results of some of a policy's episodes."""
 
     policy: str
     results: list[EpisodeResult]
     failure: str | None = None
-    """Why there are no more."""
+    """Error message, if the policy failed after these."""
 
 
 def play_here(
@@ -62,7 +62,7 @@ def play_here(
     waiting: Mapping[str, Sequence[int]],
     least_lengths: dict[int, float],
 ) -> Generator[RolloutBatch, None, None]:
-    """Play each policy's `waiting` episodes, and yield each as it ends; `least_lengths` as in `rollouts`."""
+    """Play each policy's `waiting` episodes, and yield each as it ends. `least_lengths` is as in `rollouts`."""
     for name, policy in policies.items():
         if not waiting[name]:
             continue
@@ -75,12 +75,12 @@ def play_here(
 
 def play_in_workers(
     policies: Mapping[str, str | PolicyFactory],
-    setting: WorkerConfig,
+    config: WorkerConfig,
     waiting: Mapping[str, Sequence[int]],
     least_lengths: dict[int, float],
     workers: int,
 ) -> Generator[RolloutBatch, None, None]:
-    """The same in so many processes, by blocks of episodes; blocks in hand when the iterator is closed are lost.
+    """The same in `workers` processes, by blocks of episodes. Closing the iterator discards unfinished blocks.
 
     Raises `WorkersFailed`.
     """
@@ -88,10 +88,10 @@ def play_in_workers(
 
     def blocks() -> Iterator[Any]:
         for name, policy in policies.items():
-            for block in _blocks(waiting[name], setting.worlds, workers):
+            for block in _blocks(waiting[name], config.worlds, workers):
                 if name not in failed:
                     known = {episode: least_lengths[episode] for episode in block if episode in least_lengths}
-                    yield joblib.delayed(_play)(setting, name, policy, block, known)
+                    yield joblib.delayed(_play)(config, name, policy, block, known)
 
     parallel = joblib.Parallel(n_jobs=workers, return_as="generator_unordered")
     try:
@@ -112,34 +112,34 @@ def check_sendable(policies: Mapping[str, Any]) -> None:
     for name, policy in policies.items():
         try:
             cloudpickle.dumps(policy)
-        except Exception as error:  # whatever an object's own pickling may raise
+        except Exception as error:  # pickling an object may raise anything
             raise ConfigurationError(
-                f"{name} cannot be sent to worker processes ({error}): give a function that makes it, its "
-                "module:function, or no workers"
+                f"{name} cannot be sent to worker processes ({error}): use a function that makes it, its "
+                "module:function, or a single worker"
             ) from error
 
 
 def _blocks(episodes: Sequence[int], worlds: int, workers: int) -> Iterator[Sequence[int]]:
-    """Blocks small enough for all workers to have one; of one episode, where one world plays (joblib groups those)."""
+    """Blocks small enough that every worker gets one; of one episode if one world plays (joblib groups those)."""
     size = 1 if worlds == 1 else max(1, min(ROUNDS * worlds, -(-len(episodes) // workers)))
     return (episodes[i : i + size] for i in range(0, len(episodes), size))
 
 
 def _play(
-    setting: WorkerConfig,
+    config: WorkerConfig,
     name: str,
     policy: str | PolicyFactory,
     episodes: Sequence[int],
     least_lengths: dict[int, float],
 ) -> RolloutBatch:
-    """A worker's work."""
-    if os.getpid() != setting.home:
+    """Play a block of episodes in a worker."""
+    if os.getpid() != config.home:
         with contextlib.suppress(ValueError):  # threads of a cluster's worker get no signals
-            signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C is for the process that waits
-    worlds, made = _worlds(setting), _made(setting, name, policy)
+            signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the process that waits
+    worlds, made = _worlds(config), _made(config, name, policy)
     results: list[EpisodeResult] = []
     try:
-        results.extend(rollouts(made, worlds, episodes, setting.seed, name, least_lengths))
+        results.extend(rollouts(made, worlds, episodes, config.seed, name, least_lengths))
     except PolicyFailed as failure:
         return RolloutBatch(name, results, str(failure))
     return RolloutBatch(name, results)
@@ -149,13 +149,13 @@ _policies: dict[tuple[WorkerConfig, str], Policy] = {}
 
 
 @functools.lru_cache(maxsize=1)
-def _worlds(setting: WorkerConfig) -> TaskVectorEnv:
+def _worlds(config: WorkerConfig) -> TaskVectorEnv:
     _policies.clear()
-    return make_worlds(setting.env, setting.worlds, setting.env_options, threads=1)
+    return make_worlds(config.env, config.worlds, config.env_options, threads=1)
 
 
-def _made(setting: WorkerConfig, name: str, policy: str | PolicyFactory) -> Policy:
-    worlds = _worlds(setting)
-    if (setting, name) not in _policies:
-        _policies[setting, name] = make_policy(policy, worlds)
-    return _policies[setting, name]
+def _made(config: WorkerConfig, name: str, policy: str | PolicyFactory) -> Policy:
+    worlds = _worlds(config)
+    if (config, name) not in _policies:
+        _policies[config, name] = make_policy(policy, worlds)
+    return _policies[config, name]

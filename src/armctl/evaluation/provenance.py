@@ -1,4 +1,4 @@
-"""What decides a result besides what was asked for: the versions of packages, and the machine."""
+"""Provenance of results: versions of packages, and the machine."""
 
 import os
 import platform
@@ -7,7 +7,7 @@ from typing import Any
 
 
 def versions() -> dict[str, str]:
-    """Versions of what decides a result."""
+    """Versions of Python and of the packages on which results depend."""
     packages = (
         "armctl",
         "mujoco",
@@ -24,5 +24,5 @@ def versions() -> dict[str, str]:
 
 
 def machine() -> dict[str, Any]:
-    """The machine, as far as decision times depend on it."""
+    """Properties of the machine on which decision times depend."""
     return {"processor": platform.processor() or platform.machine(), "cores": os.cpu_count()}

@@ -1,4 +1,4 @@
-"""The record of an episode: what is kept of it, and its row in `episodes.csv`."""
+"""The record of an episode, and its row in `episodes.csv`."""
 
 import json
 import math
@@ -18,12 +18,12 @@ COLUMNS = (
     "least_length", "optimality_gap", "tracking_error", *(field.name for field in fields(Metrics)),
 )  # fmt: skip
 TIME_COLUMNS = ("missed_deadlines", "decision_ms_p50", "decision_ms_p99", "decision_ms_max")
-"""Those that depend on the machine: all others are the same wherever, and however often, an episode is played."""
+"""The columns that depend on the machine. All others are the same whenever and wherever an episode is played."""
 
 
 @dataclass(frozen=True)
 class EpisodeResult:
-    """How one episode went. `env.reset(seed=seed, options={"episode": episode})` plays it again."""
+    """The record of one episode. `env.reset(seed=seed, options={"episode": episode})` starts it again."""
 
     policy: str
     env: str
@@ -37,16 +37,16 @@ class EpisodeResult:
     """The sum of each reward term; the return is the sum of these."""
     length: int
     least_length: float
-    """Control steps that every policy needs at least; NaN where that is not known (see `Task.least_time`)."""
+    """Lower bound on the number of control steps until success; NaN if unknown (see `Task.least_time`)."""
     tracking_error: float
-    """m, mean distance to a moving target since it was first met; NaN where there is none."""
+    """m, mean distance to a moving target since it was first reached; NaN in other tasks."""
     metrics: Metrics
     decision_ms: NDArray[np.float64]
     """(length,) decision times: wall time of each call of the policy, to 0.1 us."""
 
     @property
     def optimality_gap(self) -> float:
-        """Fraction by which the episode took longer than the fastest possible one; NaN unless it was a success."""
+        """Relative excess of the episode's length over the least possible; NaN unless it was a success."""
         return self.length / self.least_length - 1 if self.success else math.nan
 
     def row(self) -> dict[str, Any]:
@@ -61,7 +61,7 @@ class EpisodeResult:
 
     @classmethod
     def from_row(cls, row: Mapping[str, str], decision_ms: NDArray[np.float64]) -> "EpisodeResult":
-        """The episode of a row of `episodes.csv`, as text; raises `KeyError` or `ValueError` for what is none."""
+        """Read a row of `episodes.csv`, as text. Raises `KeyError` or `ValueError` for an invalid row."""
         named = {**row, "total_reward": row["return"]}
         return cls(
             **_read(_PLAIN_COLUMNS, named), metrics=Metrics(**_read(_METRICS_COLUMNS, named)), decision_ms=decision_ms
@@ -69,7 +69,7 @@ class EpisodeResult:
 
 
 def _columns(kind: type[Any], left_out: tuple[str, ...] = (), **types: Any) -> TypeAdapter[dict[str, Any]]:
-    """Reads a dataclass's fields from text."""
+    """A parser of a dataclass's fields from text."""
     hints = {name: types.get(name, hint) for name, hint in get_type_hints(kind).items() if name not in left_out}
     return TypeAdapter(TypedDict("_Row", hints))  # type: ignore[operator]
 

@@ -1,4 +1,4 @@
-"""Whether a learned agent does as its card says."""
+"""Checks whether a learned agent performs as its card says."""
 
 from dataclasses import dataclass
 from importlib.metadata import entry_points
@@ -16,26 +16,26 @@ from armctl.policies import GROUP
 
 @dataclass(frozen=True)
 class Reproduction:
-    """What a card says, and what came out."""
+    """An agent's evaluation on its card, and a new one."""
 
     card: AgentCard
     claimed: Evaluation
-    """On the card."""
+    """The evaluation on the card."""
     found: Evaluation
-    """Now, on the same episodes, or on as many of another seed."""
+    """The new one, on the same episodes, or on as many of another seed."""
 
     @property
     def agrees(self) -> bool:
-        """Whether the success rate is within the card's 95 % interval; on other episodes, 1 in 20 or so is not."""
+        """Whether the success rate is within the card's 95 % interval; with another seed, about 1 in 20 is not."""
         low, high = self.claimed.success_interval
         return low <= self.found.success_rate <= high
 
 
 def reproduce(agent: str | Path, *, seed: int | None = None, worlds: int = 64) -> Reproduction:
-    """Evaluate an agent again: on the episodes that its card names, or on those of another seed.
+    """Evaluate an agent again, on the episodes named by its card or on those of another seed.
 
-    `agent` is the path of its card or graph, or the name of an installed one. Raises `AgentFileError` for files that
-    cannot be used or whose card has no evaluation, and `ConfigurationError` for an unknown name.
+    `agent` is the path of its card or graph, or the name of an installed one. Raises `AgentFileError` for unusable
+    files and cards without an evaluation, and `ConfigurationError` for an unknown name.
     """
     path = card_path(agent)
     card = read_card(path)
@@ -51,11 +51,11 @@ def reproduce(agent: str | Path, *, seed: int | None = None, worlds: int = 64) -
         env_options=card.env_options,
         least_lengths=False,
     )
-    return Reproduction(card, claimed, summarised(episodes, seed))
+    return Reproduction(card, claimed, evaluation_of(episodes, seed))
 
 
 def card_path(agent: str | Path) -> Path:
-    """The path of an agent's card, from that of its card or graph, or from the name of an installed agent."""
+    """The path of an agent's card, given the path of its card or graph, or the name of an installed agent."""
     path = Path(agent)
     if path.suffix in (".json", ".onnx"):
         return path.with_suffix(".json")
@@ -67,8 +67,8 @@ def card_path(agent: str | Path) -> Path:
     return cards[str(agent)]
 
 
-def summarised(episodes: pd.DataFrame, seed: int) -> Evaluation:
-    """What a card says of episodes (rows of `armctl.evaluate`) of one seed."""
+def evaluation_of(episodes: pd.DataFrame, seed: int) -> Evaluation:
+    """The figures on a card, from episodes (rows of `armctl.evaluate`) of one seed."""
     rate = success_rate(episodes.success.to_numpy(bool))
     assert rate is not None
     assert rate.low is not None

@@ -1,4 +1,4 @@
-"""What a comparison has left in its folder, read back without playing anything."""
+"""Reads a comparison's folder back, without playing anything."""
 
 import json
 from collections.abc import Mapping
@@ -22,14 +22,14 @@ Kind = TypeVar("Kind")
 
 @dataclass(frozen=True)
 class _Identity:
-    """What the report takes from `comparison.json`."""
+    """The part of `comparison.json` that the report uses."""
 
     policies: list[str]
 
 
 @dataclass(frozen=True)
 class _Summary:
-    """`summary.json`, as `armctl.report.terminal.write_summary` writes it."""
+    """`summary.json`, as `armctl.evaluation.comparison.write_summary` writes it."""
 
     env: str
     env_options: dict[str, str]
@@ -49,29 +49,29 @@ class Results:
 
     comparison: Comparison
     names: list[str]
-    """Of the policies that were asked for, in order."""
+    """Names of all compared policies, in order."""
     episodes: Mapping[str, list[EpisodeResult]]
-    """By policy, those that its figures are over; policies without any are left out."""
+    """The episodes that count, by policy; policies without any are left out."""
     versions: Mapping[str, str]
     machine: Mapping[str, Any]
 
 
 def read_results(folder: Path) -> Results:
-    """Read the folder of a comparison that has ended, interrupted or not.
+    """Read the folder of a finished or interrupted comparison.
 
     Raises `ResultsError` if a file is missing or damaged.
     """
     identity = _read(folder / COMPARISON, _Identity)
     if not (folder / SUMMARY).exists():
         raise ResultsError(
-            f"{folder} has no {SUMMARY}: its comparison has not ended; the same command with --out {folder} ends it"
+            f"{folder} has no {SUMMARY}: its comparison is unfinished; the same command with --out {folder} resumes it"
         )
     summary = _read(folder / SUMMARY, _Summary)
     results = read_episodes(folder, {"env": summary.env, "seed": summary.seed, "policies": identity.policies})
     results.sort(key=lambda result: (identity.policies.index(result.policy), result.episode))
     counted, _ = counted_results(results)
     if {name for name, played in counted.items() if played} != {policy.policy for policy in summary.policies}:
-        raise ResultsError(f"{folder / SUMMARY} is not of the episodes beside it; the same comparison again mends it")
+        raise ResultsError(f"{folder / SUMMARY} does not belong to the episodes beside it: run the comparison again")
     comparison = Comparison(
         summary.env,
         summary.seed,

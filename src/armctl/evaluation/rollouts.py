@@ -1,4 +1,4 @@
-"""Episodes of one policy, one result each."""
+"""Plays episodes with one policy, and records a result for each."""
 
 import math
 import time
@@ -21,7 +21,7 @@ from armctl.tasks import MotionSample
 
 
 class PolicyFailed(ArmctlError):
-    """A policy raised an error, or gave an action that the environment refused."""
+    """A policy raised an error, or returned an invalid action."""
 
 
 def rollouts(
@@ -32,11 +32,11 @@ def rollouts(
     name: str = "policy",
     least_lengths: dict[int, float] | None = None,
 ) -> Iterator[EpisodeResult]:
-    """Play so many `episodes` of `seed`, or those of these numbers, in the worlds of `env`; yield each as it ends.
+    """Play episodes of `seed` in the worlds of `env`, and yield the result of each as it ends.
 
-    `least_lengths`, by episode, are taken from there and put there, so that policies can share them.
+    `episodes` is how many to play, or their numbers. `least_lengths`, by episode, is read and extended, so that
+    policies can share it. A decision time is the duration of the policy's call divided by the number of worlds.
 
-    A decision time is that of the policy's call divided by the number of worlds it decided for.
     Raises `PolicyFailed` if the policy fails.
     """
     n = env.num_envs
@@ -74,7 +74,7 @@ def rollouts(
 
 
 class _EpisodeRecorder:
-    """What has happened so far in the present episode of each of n worlds."""
+    """Records the current episode of each of n worlds."""
 
     def __init__(
         self, policy: Policy, env: TaskVectorEnv, seed: int, name: str, least_lengths: dict[int, float]
@@ -92,7 +92,7 @@ class _EpisodeRecorder:
         self._motions: list[MotionSample] = []
 
     def begin(self, began: NDArray[np.bool_], numbers: NDArray[np.int64], infos: Mapping[str, Any]) -> None:
-        """Worlds that `began` (n,) have started episodes of these numbers."""
+        """The worlds in the mask `began` (n,) have started the episodes `numbers` (n,)."""
         self._numbers[began] = numbers[began]
         self._first_step[began] = len(self._motions)
         self._starts[began] = self._task.motion().position[began]
@@ -135,19 +135,19 @@ class _EpisodeRecorder:
         )
 
     def forget_before_all(self, playing: NDArray[np.bool_]) -> None:
-        """Drop the steps that lie before all present episodes."""
+        """Drop the steps that precede all current episodes."""
         over = min(self._first_step[playing], default=0)
         del self._decision_ms[:over], self._motions[:over]
         self._first_step -= over
 
     def _failures(self) -> NDArray[np.int64]:
-        """(n,) how often a controller's solver has failed in each world; 0 for policies that count nothing."""
+        """(n,) number of solver failures in each world; 0 for policies that do not count them."""
         return np.broadcast_to(getattr(self._policy, "failures", 0), len(self._numbers)).copy()
 
 
 @contextmanager
 def wrap_policy_errors(name: str, episode: int) -> Iterator[None]:
-    """Turn whatever goes wrong inside into `PolicyFailed`."""
+    """Turn any error inside into `PolicyFailed`."""
     try:
         yield
     except InvalidAction as error:
@@ -166,14 +166,14 @@ def evaluate(
     env_options: Mapping[str, Any] | None = None,
     least_lengths: bool = True,
 ) -> pd.DataFrame:
-    """Play `episodes` episodes with one policy; a row for each, with the columns of `episodes.csv`.
+    """Play episodes 0 to `episodes` - 1 of `seed` with one policy; one row per episode, with `episodes.csv`'s columns.
 
-    Without `least_lengths`, whose search takes longer than many a policy, these and `optimality_gap` are NaN.
+    Without `least_lengths`, which often take longer to compute than the episodes, these and `optimality_gap` are NaN.
 
     Raises `ConfigurationError`, `AgentFileError` or `PolicyFailed`.
     """
     if episodes < 1 or worlds < 1:
-        raise ConfigurationError(f"episodes and worlds count from 1, not {episodes} and {worlds}")
+        raise ConfigurationError(f"episodes and worlds must be at least 1, not {episodes} and {worlds}")
     with closing(make_worlds(env, min(worlds, episodes), env_options)) as made_env:
         made = make_policy(policy, made_env)
         known = None if least_lengths else dict.fromkeys(range(episodes), math.nan)

@@ -1,4 +1,4 @@
-"""What can be said of finitely many episodes, and of few trainings: intervals, differences, and who beats whom."""
+"""Statistics of finitely many episodes, and of few trainings: intervals, differences, probability of superiority."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,9 +11,9 @@ from scipy import stats
 Array = NDArray[np.float64]
 
 FEWEST = 10
-"""Values below which nothing is said of a mean's precision: returns and lengths are too skewed."""
+"""Least number of values for a confidence interval of a mean: returns and lengths are skewed."""
 RESAMPLES = 2000
-"""Of a bootstrap: with so many, a bound of a 95 % interval is itself good to a tenth of the interval's width."""
+"""Of a bootstrap. With so many, the error of a 95 % interval's bound is about a tenth of the interval's width."""
 
 
 @dataclass(frozen=True)
@@ -22,12 +22,12 @@ class Estimate:
 
     value: float
     low: float | None
-    """None, like `high`, where nothing is known of it."""
+    """None, like `high`, if the interval is unknown."""
     high: float | None
 
 
 def success_rate(successes: NDArray[np.bool_]) -> Estimate | None:
-    """Share of successes with Wilson's score interval (1927); None without episodes."""
+    """Success rate with Wilson's score interval (1927); None without episodes."""
     if not len(successes):
         return None
     result = stats.binomtest(int(successes.sum()), len(successes))
@@ -36,7 +36,7 @@ def success_rate(successes: NDArray[np.bool_]) -> Estimate | None:
 
 
 def mean(values: Array) -> Estimate | None:
-    """Mean with Student's t interval (1908), unknown for less than `FEWEST` values; None without values."""
+    """Mean with Student's t interval (1908), unknown for fewer than `FEWEST` values; None without values."""
     if not len(values):
         return None
     value = float(np.mean(values))
@@ -47,7 +47,7 @@ def mean(values: Array) -> Estimate | None:
 
 
 def median(values: Array) -> Estimate | None:
-    """Median with the interval of its order statistics (Conover 1999, section 3.2), as for `mean`."""
+    """Median with the interval of its order statistics (Conover 1999, section 3.2); otherwise as `mean`."""
     if not len(values):
         return None
     value = float(np.median(values))
@@ -58,10 +58,10 @@ def median(values: Array) -> Estimate | None:
 
 
 def interquartile_mean(scores: Sequence[Array]) -> Estimate | None:
-    """Mean of the middle half of all scores (Agarwal et al. 2021), unknown precision for less than `FEWEST`.
+    """Mean of the middle half of all scores (Agarwal et al. 2021); no interval for fewer than `FEWEST` scores.
 
-    `scores` are those of each training seed, (k,) each: the strata that the percentile bootstrap resamples apart. It
-    tells what other episodes would have brought, not what other trainings would: see `mean_over_trainings`.
+    `scores` are those of each training seed, (k,) each. The percentile bootstrap resamples each seed separately. The
+    interval covers the variation between episodes, not that between trainings: see `mean_over_trainings`.
     """
     strata = [np.asarray(one, dtype=float) for one in scores if len(one)]
     if not strata:
@@ -75,15 +75,15 @@ def interquartile_mean(scores: Sequence[Array]) -> Estimate | None:
 
 @dataclass(frozen=True)
 class Superiority:
-    """How likely one policy's score is above another's; a tie counts half."""
+    """Probability that one policy's score is above another's; a tie counts half."""
 
     probability: Estimate
     p: float
-    """Two-sided p-value for neither being above the other more often."""
+    """Two-sided p-value for a probability of one half."""
 
 
 def superiority(a: Array, b: Array) -> Superiority:
-    """Whether scores a (k,) are above b (m,) of *other* episodes: Mann and Whitney (1947), bootstrapped interval."""
+    """Superiority of scores a (k,) over b (m,) of *other* episodes: Mann and Whitney (1947), bootstrap interval."""
 
     def statistic(a: Array, b: Array, axis: int = -1) -> Any:
         wins: Any = stats.mannwhitneyu(a, b, axis=axis, method="asymptotic").statistic
@@ -95,7 +95,7 @@ def superiority(a: Array, b: Array) -> Superiority:
 
 
 def paired_superiority(a: Array, b: Array) -> Superiority:
-    """Whether scores a (k,) are above b (k,) of the *same* episodes, bootstrapped over these.
+    """Superiority of scores a (k,) over scores b (k,) of the *same* episodes, which the bootstrap resamples.
 
     The p-value is that of the sign test, which leaves out ties (Conover 1999, section 3.4).
     """
@@ -106,7 +106,7 @@ def paired_superiority(a: Array, b: Array) -> Superiority:
 
 
 def _bootstrapped(value: float, samples: Sequence[Array], statistic: Any) -> Estimate:
-    """Percentile interval over samples that are resampled apart; unknown for few values, and for values all alike."""
+    """Percentile interval of samples that are resampled separately; unknown for few or identical values."""
     if sum(map(len, samples)) < FEWEST or min(map(len, samples)) < 2:
         return Estimate(value, None, None)
     rows = max(1, 2_000_000 // sum(map(len, samples)))
@@ -120,16 +120,16 @@ def _bootstrapped(value: float, samples: Sequence[Array], statistic: Any) -> Est
 def performance_profile(scores: Array, thresholds: Array) -> list[Estimate]:
     """Share of episodes with a score above each threshold, with Wilson's interval at each (Agarwal et al. 2021).
 
-    The profiles of Dolan and More (2002) are those of minus `performance_ratios`, at minus the ratios allowed.
+    The profiles of Dolan and More (2002) are those of negated `performance_ratios`, at negated ratios.
     """
     shares = [success_rate(scores > threshold) for threshold in thresholds]
     return [share for share in shares if share is not None]
 
 
 def performance_ratios(costs: Mapping[str, Array]) -> dict[str, Array]:
-    """Each policy's cost, (k,) and above 0, over the least of all policies in that episode (Dolan and More 2002).
+    """Each policy's cost, (k,) and above 0, divided by the least of all policies' costs in that episode.
 
-    The cost of a failure is infinite, and so is its ratio.
+    After Dolan and More (2002). The cost of a failure is infinite, and so is its ratio.
     """
     least = np.min(list(costs.values()), axis=0)
     return {
@@ -143,19 +143,19 @@ class TrainingMean:
     """A mean over several trainings of one recipe, each with several episodes."""
 
     mean: Estimate
-    """Of the trainings' means; without an interval for a single training, which says nothing of others."""
+    """Mean of the trainings' means; no interval for a single training."""
     trainings: int
     between: float | None
-    """Standard deviation between trainings, without what their episodes' scatter brings; None for a single one."""
+    """Standard deviation between trainings, without the part due to their episodes; None for a single one."""
     within: float | None
-    """Standard deviation between episodes of one training; None where there is one each."""
+    """Standard deviation between episodes of one training; None with one episode each."""
 
 
 def mean_over_trainings(scores: Sequence[Array]) -> TrainingMean:
-    """Mean over trainings with the episodes of each, (k,) and not empty, nested in it.
+    """Mean over trainings, each with scores of its episodes, (k,) and not empty.
 
-    Trainings are what varies and what one wants to know of: the interval is Student's over their means, however many
-    episodes each has, and the parts of the variance are those of one-way random effects (Montgomery 2012, section 3.9).
+    The question is how other trainings would turn out. So the interval is Student's over the trainings' means, however
+    many episodes each has. The variance components are those of one-way random effects (Montgomery 2012, section 3.9).
     """
     means = np.array([np.mean(one) for one in scores])
     episodes = [one for one in scores if len(one) > 1]
@@ -193,7 +193,7 @@ class PairedDifference:
 
 
 def mcnemar(only_a: int, only_b: int) -> float:
-    """Exact two-sided p-value for equal success, of the episodes that only a and only b has won (McNemar 1947)."""
+    """Exact two-sided p-value for equal success, from how many episodes only a and only b won (McNemar 1947)."""
     return float(stats.binomtest(only_a, only_a + only_b).pvalue) if only_a + only_b else 1.0
 
 
@@ -204,7 +204,7 @@ def paired_difference(
     returns: tuple[Array, Array],
     lengths: tuple[Array, Array],
 ) -> PairedDifference:
-    """Compare two policies, whose i-th entries (k,) belong to the same episode; k is at least 1."""
+    """Compare two policies. The i-th entries (k,) of both belong to the same episode; k is at least 1."""
     success_a, success_b = success
     both = success_a & success_b
     only_a, only_b = int((success_a & ~success_b).sum()), int((success_b & ~success_a).sum())

@@ -1,4 +1,4 @@
-"""A comparison's folder: every episode as it ends, so that nothing finished is lost, and the same command goes on."""
+"""A comparison's folder. Every episode is written as it ends, so that an interrupted comparison can be resumed."""
 
 import contextlib
 import csv
@@ -14,38 +14,39 @@ from numpy.typing import NDArray
 
 from armctl.errors import ResultsError
 from armctl.evaluation.record import COLUMNS, EpisodeResult
+from armctl.files import write_atomically
 from armctl.registration import bare_id
 
 COMPARISON, EPISODES, DECISIONS, SUMMARY = "comparison.json", "episodes.csv", "decisions.csv", "summary.json"
 DECISION_COLUMNS = ("policy", "episode", "decision_ms")
-"""The last is the times of all decisions of the episode, ms, with spaces between."""
+"""The last column holds the episode's decision times, ms, separated by spaces."""
 
 
 class EpisodeLog:
-    """`comparison.json`, which says what is compared, and an episode's row in `decisions.csv` and `episodes.csv`.
+    """Writes `comparison.json`, which identifies the comparison, and episodes to `decisions.csv` and `episodes.csv`.
 
-    `kept` are the episodes that an earlier run of the same comparison has finished. A last line that was cut off, or an
-    episode without decision times, is not among them.
+    `kept` are the episodes that an earlier run of the same comparison has finished, except for an incomplete last line
+    and for episodes without decision times.
 
-    Raises `ResultsError` if the folder cannot be written, is damaged, or has another comparison's results and they are
-    not to be overwritten.
+    Raises `ResultsError` if the folder cannot be written, is damaged, or holds another comparison's results (unless
+    `overwrite`).
     """
 
     def __init__(self, folder: Path, comparison: Mapping[str, Any], episodes: int, overwrite: bool = False) -> None:
         self._folder = folder
-        going_on = (folder / EPISODES).exists() and not overwrite
-        self.kept = self._read(comparison, episodes) if going_on else []
+        resuming = (folder / EPISODES).exists() and not overwrite
+        self.kept = self._read(comparison, episodes) if resuming else []
         self._files: list[IO[str]] = []
         try:
             folder.mkdir(parents=True, exist_ok=True)
             (folder / SUMMARY).unlink(missing_ok=True)
-            if going_on:
+            if resuming:
                 self.rewrite(self.kept)
             else:
-                write_whole(folder / COMPARISON, json.dumps(comparison, indent=2) + "\n")
+                write_atomically(folder / COMPARISON, json.dumps(comparison, indent=2) + "\n")
             for name, columns in ((DECISIONS, DECISION_COLUMNS), (EPISODES, COLUMNS)):
-                self._files.append((folder / name).open("a" if going_on else "w", newline=""))
-                if not going_on:
+                self._files.append((folder / name).open("a" if resuming else "w", newline=""))
+                if not resuming:
                     self._files[-1].write(_lines([columns]))
         except OSError as error:
             self._close()
@@ -60,29 +61,29 @@ class EpisodeLog:
         self._close()
 
     def write(self, result: EpisodeResult) -> None:
-        """Add an episode, and hand it to the operating system."""
+        """Append an episode, and flush it to the operating system."""
         try:
             for file, row in zip(self._files, (_decisions(result), result.row().values()), strict=True):
                 file.write(_lines([row]))
                 file.flush()
         except OSError as error:
             raise ResultsError(
-                f"{self._folder / EPISODES} could not be written any further ({error.strerror}); the episodes before "
-                "are in it"
+                f"{self._folder / EPISODES} could not be written any further ({error.strerror}); it holds the episodes "
+                "before"
             ) from error
 
     def rewrite(self, results: Iterable[EpisodeResult]) -> None:
-        """Have these rows in this order, and no others; raises `ResultsError`, and then leaves those that there are."""
+        """Replace all rows by these, in this order. Raises `ResultsError`, and then leaves the old rows."""
         results = list(results)
         try:
-            write_whole(self._folder / DECISIONS, _lines([DECISION_COLUMNS, *map(_decisions, results)]))
-            write_whole(self._folder / EPISODES, _lines([COLUMNS, *(result.row().values() for result in results)]))
+            write_atomically(self._folder / DECISIONS, _lines([DECISION_COLUMNS, *map(_decisions, results)]))
+            write_atomically(self._folder / EPISODES, _lines([COLUMNS, *(result.row().values() for result in results)]))
         except OSError as error:
             raise ResultsError(f"results cannot be written to {self._folder}: {error.strerror}") from error
 
     def _close(self) -> None:
         for file in self._files:
-            with contextlib.suppress(OSError):  # a full disk was reported where it was met
+            with contextlib.suppress(OSError):  # a full disk was reported by `write`
                 file.close()
 
     def _read(self, comparison: Mapping[str, Any], episodes: int) -> list[EpisodeResult]:
@@ -90,7 +91,7 @@ class EpisodeLog:
         kept = read_episodes(self._folder, comparison)
         if (last := max((result.episode for result in kept), default=0)) >= episodes:
             raise ResultsError(
-                f"{self._folder} holds episode {last} already, beyond the {episodes} asked for: ask for more, choose "
+                f"{self._folder} already holds episode {last}, beyond the {episodes} asked for: ask for more, choose "
                 "another folder, or overwrite them (--overwrite)"
             )
         return kept
@@ -98,19 +99,19 @@ class EpisodeLog:
     def _check_same(self, comparison: Mapping[str, Any]) -> None:
         otherwise = "choose another folder, or overwrite them (--overwrite)"
         try:
-            there = json.loads((self._folder / COMPARISON).read_text())
-            differing = [name for name in comparison if there[name] != comparison[name]]
+            stored = json.loads((self._folder / COMPARISON).read_text())
+            differing = [name for name in comparison if stored[name] != comparison[name]]
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise ResultsError(
-                f"{self._folder} holds results, and its {COMPARISON} does not tell of what: {otherwise}"
+                f"{self._folder} holds results without a readable {COMPARISON} that identifies them: {otherwise}"
             ) from error
         if differing:
-            what = "; ".join(f"{name}: {there[name]} there, {comparison[name]} here" for name in differing)
+            what = "; ".join(f"{name}: {stored[name]} there, {comparison[name]} here" for name in differing)
             raise ResultsError(f"{self._folder} holds results of another comparison ({what}): {otherwise}")
 
 
 def read_episodes(folder: Path, comparison: Mapping[str, Any]) -> list[EpisodeResult]:
-    """The finished episodes in a comparison's folder, as they lie; raises `ResultsError` for files that are damaged."""
+    """The finished episodes in a comparison's folder, in file order. Raises `ResultsError` for damaged files."""
     path = folder / DECISIONS
     times: dict[tuple[str, str], NDArray[np.float64]] = {}
     for line, row in _rows(path, DECISION_COLUMNS):
@@ -128,7 +129,7 @@ def read_episodes(folder: Path, comparison: Mapping[str, Any]) -> list[EpisodeRe
             if pair in kept:
                 raise ValueError(f"episode {result.episode} of {result.policy} for the second time")
             if result.episode < 0:
-                raise ValueError(f"no episode has the number {result.episode}")
+                raise ValueError(f"{result.episode} is not the number of an episode")
         kept[pair] = result
     return list(kept.values())
 
@@ -139,12 +140,12 @@ def _damage(path: Path, line: int) -> Iterator[None]:
         yield
     except (ValueError, KeyError, TypeError) as error:
         raise ResultsError(
-            f"{path} is damaged in line {line} ({error}): mend it, remove the line, or overwrite all (--overwrite)"
+            f"{path} is damaged in line {line} ({error}): repair or remove the line, or overwrite all (--overwrite)"
         ) from error
 
 
 def _rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[int, dict[str, str]]]:
-    """The lines of a table, by number; a last one that was cut off is left out."""
+    """The lines of a table, by number, without an incomplete last one."""
     try:
         whole, newline, _ = path.read_text().rpartition("\n")
     except (OSError, ValueError) as error:
@@ -152,7 +153,7 @@ def _rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[int, dict[str,
     lines = csv.reader(io.StringIO(whole + newline))
     for line, values in enumerate(lines, start=1):
         if len(values) != len(columns) or (line == 1 and tuple(values) != columns):
-            raise ResultsError(f"{path} is damaged in line {line}: it has not the columns {', '.join(columns)}")
+            raise ResultsError(f"{path} is damaged in line {line}: it does not have the columns {', '.join(columns)}")
         if line > 1:
             yield line, dict(zip(columns, values, strict=True))
 
@@ -165,10 +166,3 @@ def _lines(rows: Iterable[Iterable[Any]]) -> str:
     text = io.StringIO(newline="")
     csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue()
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Write a file, of which there is at any moment the old or the new one."""
-    new = path.with_name(path.name + ".new")
-    new.write_text(text, newline="")
-    new.replace(path)

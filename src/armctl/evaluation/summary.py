@@ -1,4 +1,4 @@
-"""What all episodes of a comparison say of each policy, and of each pair."""
+"""Summarises a comparison's episodes, for each policy and each pair of policies."""
 
 import itertools
 from collections import Counter
@@ -24,7 +24,7 @@ from armctl.policies import Policy
 METRICS = (
     "path_length", "smoothness", "range_use", "speed_use", "torque_use", "energy", "clearance", "contacts",
 )  # fmt: skip
-"""Of `armctl.evaluation.metrics.Metrics`, those that a policy's mean is given of."""
+"""The fields of `armctl.evaluation.metrics.Metrics` whose means are in the summary."""
 
 
 @dataclass(frozen=True)
@@ -36,38 +36,38 @@ class PolicySummary:
     training_steps: int
     training_minutes: float
     planned: int
-    """Episodes that were to be played."""
+    """Number of episodes asked for."""
     episodes: int
-    """Episodes that the figures are over: played, without a gap from the first on, and feasible."""
+    """Number of episodes that count: feasible ones, up to the first that was not finished."""
     infeasible: int
-    """Episodes with a target out of reach, that no policy won: left out of all figures."""
+    """Number of infeasible episodes, which no policy won: they are left out of all figures."""
     outcomes: dict[str, int]
     """How the episodes ended, most frequent first."""
     success: Estimate | None
     episode_return: Estimate | None
     return_iqm: Estimate | None
-    """Interquartile mean of the return (Agarwal et al. 2021): few odd episodes hardly move it."""
+    """Interquartile mean of the return (Agarwal et al. 2021), which is robust to outliers."""
     steps_to_goal: Estimate | None
-    """Over successful episodes."""
+    """Mean over successful episodes."""
     optimality_gap: Estimate | None
-    """Median part by which successful episodes took longer than the fastest possible ones, where those are known."""
+    """Median relative excess of successful episodes' lengths over the least possible, where that is known."""
     tracking_error: Estimate | None
-    """m, mean distance to a moving target once it was met."""
+    """m, mean distance to a moving target after it was first reached."""
     metrics: dict[str, Estimate | None]
     """Means of `METRICS` over successful episodes."""
     decision_ms_p50: float
     decision_ms_p99: float
     decision_ms_max: float
     missed_deadlines: float
-    """Share of decisions that took longer than the time between two."""
+    """Share of control steps whose decision time exceeded the control period."""
     solver_failures: int
-    """Decisions for which a controller's solver found nothing, as far as it counts them."""
+    """Number of control steps in which the controller's solver failed, if it counts them."""
 
 
-def summarised(
+def summarise(
     results: Sequence[EpisodeResult], policies: Mapping[str, Policy], planned: int
 ) -> tuple[list[PolicySummary], list[PairedDifference]]:
-    """Of results that are sorted by policy and episode; policies without any are left out."""
+    """Summaries of policies and of pairs. `results` are sorted by policy and episode."""
     counted, infeasible = counted_results(results)
     found = [
         _summary(name, policy, planned, infeasible, counted[name])
@@ -78,10 +78,10 @@ def summarised(
 
 
 def counted_results(results: Sequence[EpisodeResult]) -> tuple[dict[str, list[EpisodeResult]], int]:
-    """The results that figures are over, by policy and episode, and the number of infeasible episodes left out.
+    """The results that count, by policy and episode, and the number of infeasible episodes, which do not.
 
-    Of a policy that was cut short, those from the first episode to the first gap: with many worlds, short episodes end
-    first, and to count them alone would favour it.
+    Of a policy that was cut short, only the episodes before the first unfinished one count: with many worlds, short
+    episodes end first, so that all finished ones would be a biased sample.
     """
     won = {result.episode for result in results if result.success}
     infeasible = {result.episode for result in results if not result.feasible} - won
@@ -141,6 +141,6 @@ def _paired(counted: dict[str, list[EpisodeResult]]) -> list[PairedDifference]:
 def _both(
     a: list[EpisodeResult], b: list[EpisodeResult], value: Callable[[EpisodeResult], float]
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """A value of the episodes that both played: the first ones, since neither has gaps."""
+    """A value of the episodes that both played, which are the first ones, since neither has gaps."""
     pairs = list(zip(a, b, strict=False))
     return np.array([value(first) for first, _ in pairs]), np.array([value(second) for _, second in pairs])

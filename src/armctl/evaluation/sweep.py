@@ -1,4 +1,4 @@
-"""How policies hold out: the same comparison without a disturbance, and with each at each of its levels."""
+"""Robustness of policies: one comparison without disturbances, and one for each level of each disturbance."""
 
 import functools
 import json
@@ -19,14 +19,15 @@ from armctl.evaluation.comparison import Comparison
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.statistics import Estimate, mcnemar
 from armctl.evaluation.summary import PolicySummary
+from armctl.files import write_atomically
 from armctl.policies import PolicyFactory, policy_name
 
 COLUMNS = (
     "disturbance", "level", "policy", "episodes", "success", "low", "high", "return", "return_low", "return_high",
     "steps_to_goal", "steps_low", "steps_high", "p", "unit", "sees",
 )  # fmt: skip
-"""Of `sweep.csv`: a row for each disturbance, level and policy, with 95 % intervals. `p` is McNemar's, for being as
-successful as in the same episodes undisturbed."""
+"""Of `sweep.csv`: one row per disturbance, level and policy, with 95 % intervals. `p` is McNemar's p-value for equal
+success in the same episodes without the disturbance."""
 SWEEP, POINTS = "sweep.json", "sweep.csv"
 UNDISTURBED = "none"
 Asked = Mapping[str, Sequence[float] | None] | Sequence[str] | None
@@ -34,18 +35,18 @@ Asked = Mapping[str, Sequence[float] | None] | Sequence[str] | None
 
 @dataclass
 class Sweep:
-    """What a sweep found; with an interrupt or a failure, as far as it came."""
+    """The result of a sweep. After an interrupt or a failure, it covers the finished comparisons."""
 
     env: str
     seed: int
     levels: Mapping[str, Sequence[float]]
-    """Of each disturbance, first the one that changes nothing."""
+    """The levels of each disturbance, beginning with the one that changes nothing."""
     comparisons: dict[str, Comparison] = field(default_factory=dict)
-    """By name: `none`, `payload-2.0` and so on, as folders are called."""
+    """By the names of their folders: `none`, `payload-2.0` and so on."""
     points: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(COLUMNS)))
     """The rows of `sweep.csv`."""
     failures: dict[str, str] = field(default_factory=dict)
-    """What went wrong: by comparison and policy, or under `results` for what could not be written."""
+    """Error messages: by comparison and policy, or under `results` if results could not be written."""
     interrupted: bool = False
 
 
@@ -65,25 +66,25 @@ def sweep(
 ) -> Sweep:
     """Compare policies on the same episodes, undisturbed and at each level of each disturbance.
 
-    `disturbances` are names, or levels by name; without levels, a disturbance has its own, and without any, these are
-    all that the environment has. All else is as in `compare`; `out` has a comparison's folder for each level,
-    `out/none` for that without, and `out/sweep.csv`. An interrupted sweep goes on with the same call, and one that asks
-    for more adds to it. `progress` is also told of which comparison an episode is.
+    `disturbances` are names, or levels by name; None as levels means the disturbance's default levels. By default, all
+    disturbances of the environment are swept. The other arguments are those of `compare`. `out` gets `sweep.csv` and a
+    comparison's folder for each level, `out/none` for that without disturbance. The same call resumes an interrupted
+    sweep, and a call with more levels extends it. `progress` is called with the comparison's name and the episode.
 
     Raises `ConfigurationError`, `AgentFileError`, and `ResultsError` as `compare` does.
     """
     options = dict(env_options or {})
-    there = _specs(env, options)
-    levels = _levels(there, disturbances)
+    specs = _specs(env, options)
+    levels = _levels(specs, disturbances)
     policies = default_policies(env) if policies is None else [policies] if isinstance(policies, str) else policies
     found = Sweep(env, seed, levels)
     folder = None if out is None else Path(out)
-    lasting = dict(options.pop("disturbances", {}))
+    constant = dict(options.pop("disturbances", {}))
     least: dict[int, float] = {}
     settings: dict[str, dict[str, float]] = {UNDISTURBED: {}}
     settings |= {folder_name(name, level): {name: level} for name in levels for level in levels[name][1:]}
     for name, added in settings.items():
-        disturbing = {"disturbances": lasting | added} if lasting | added else {}
+        disturbing = {"disturbances": constant | added} if constant | added else {}
         try:
             comparison = compare(
                 policies, env, episodes=episodes, seed=seed, out=folder and folder / name, overwrite=overwrite,
@@ -105,7 +106,7 @@ def sweep(
         found.interrupted = comparison.interrupted
         if found.interrupted or "results" in comparison.failures:
             break
-    found.points = _points(found, there)
+    found.points = _points(found, specs)
     if folder is not None:
         asked = {
             "env": env, "env_options": {name: str(value) for name, value in (env_options or {}).items()}, "seed": seed,
@@ -113,8 +114,8 @@ def sweep(
             "interrupted": found.interrupted, "failures": found.failures,
         }  # fmt: skip
         try:
-            (folder / SWEEP).write_text(json.dumps(asked, indent=2) + "\n")
-            found.points.to_csv(folder / POINTS, index=False)
+            write_atomically(folder / SWEEP, json.dumps(asked, indent=2) + "\n")
+            write_atomically(folder / POINTS, found.points.to_csv(index=False))
         except OSError as error:
             found.failures["results"] = f"{folder / POINTS} could not be written: {error.strerror}"
     return found
@@ -123,7 +124,7 @@ def sweep(
 def sweep_levels(
     env: str, disturbances: Asked = None, env_options: Mapping[str, Any] | None = None
 ) -> dict[str, list[float]]:
-    """The levels of a sweep's disturbances: each once, from the one that changes nothing away.
+    """The levels of a sweep's disturbances without repeats, ordered by their distance from the one without effect.
 
     Raises `ConfigurationError`.
     """
@@ -131,26 +132,26 @@ def sweep_levels(
 
 
 def folder_name(disturbance: str, level: float) -> str:
-    """How the comparison at a level is called."""
+    """The folder of the comparison at a level."""
     return f"{disturbance}-{level}"
 
 
 def _specs(env: str, options: Mapping[str, Any]) -> dict[str, DisturbanceSpec]:
     made = make_worlds(env, 1, options)
     made.close()
-    lasting = options.get("disturbances", {})
+    constant = options.get("disturbances", {})
     specs = available(made.task.disturbances, made.task)
-    return {name: spec for name, spec in specs.items() if name not in lasting}
+    return {name: spec for name, spec in specs.items() if name not in constant}
 
 
-def _levels(there: Mapping[str, DisturbanceSpec], disturbances: Asked) -> dict[str, list[float]]:
-    given = list(there) if disturbances is None else [disturbances] if isinstance(disturbances, str) else disturbances
+def _levels(specs: Mapping[str, DisturbanceSpec], disturbances: Asked) -> dict[str, list[float]]:
+    given = list(specs) if disturbances is None else [disturbances] if isinstance(disturbances, str) else disturbances
     asked: Mapping[str, Any] = given if isinstance(given, Mapping) else dict.fromkeys(given)
     levels = {}
     for name, wanted in asked.items():
-        if name not in there:
-            raise unknown_name("disturbance to sweep here", name, there)
-        spec = there[name]
+        if name not in specs:
+            raise unknown_name("disturbance to sweep here", name, specs)
+        spec = specs[name]
         wanted = spec.levels if wanted is None else wanted
         if isinstance(wanted, str) or not isinstance(wanted, Sequence):
             raise ConfigurationError(f"the levels of {name} are numbers, such as {list(spec.levels)}, not {wanted!r}")
@@ -165,7 +166,7 @@ def _away(neutral: float, level: float) -> tuple[float, float]:
     return abs(level - neutral), level
 
 
-def _points(found: Sweep, there: Mapping[str, DisturbanceSpec]) -> pd.DataFrame:
+def _points(found: Sweep, specs: Mapping[str, DisturbanceSpec]) -> pd.DataFrame:
     rows = []
     for name, levels in found.levels.items():
         for i, level in enumerate(levels):
@@ -174,14 +175,14 @@ def _points(found: Sweep, there: Mapping[str, DisturbanceSpec]) -> pd.DataFrame:
                 values = (
                     name, level, policy.policy, policy.episodes, *_numbers(policy.success),
                     *_numbers(policy.episode_return), *_numbers(policy.steps_to_goal),
-                    _against_undisturbed(found, comparison, policy) if i else 1.0, there[name].unit, policy.sees,
+                    _against_undisturbed(found, comparison, policy) if i else 1.0, specs[name].unit, policy.sees,
                 )  # fmt: skip
                 rows.append(dict(zip(COLUMNS, values, strict=True)))
     return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
 def _numbers(estimate: Estimate | None) -> tuple[float, float, float]:
-    """Value and bounds; NaN for what is not known."""
+    """Value and bounds; NaN where unknown."""
     if estimate is None:
         return math.nan, math.nan, math.nan
     low, high = (math.nan if bound is None else bound for bound in (estimate.low, estimate.high))

@@ -1,11 +1,11 @@
-"""The verdict: what a comparison says of its two best policies, in a sentence."""
+"""The verdict of a comparison: a sentence about its two best policies."""
 
 from armctl.evaluation.comparison import Comparison
 from armctl.evaluation.statistics import FEWEST, Estimate
 
 
 def verdict(comparison: Comparison) -> str:
-    """The two best policies in a sentence: which wins more often, and which earns more, or that neither is shown to."""
+    """Which of the two best policies wins more often, and which earns more, if the differences are significant."""
     fewest = min(pair.episodes for pair in comparison.paired)
     if fewest < FEWEST:
         return f"No verdict from {fewest} episodes: it takes {FEWEST}."

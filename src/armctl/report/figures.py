@@ -1,7 +1,7 @@
-"""The report's figures, by Plotly: from numbers to `plotly.graph_objects.Figure`, no I/O.
+"""The report's figures, by Plotly: from numbers to `plotly.graph_objects.Figure`, without I/O.
 
-A policy has one look throughout: colours by Okabe and Ito (2008), which colour-blind readers can tell apart, and beyond
-those other dashes as well.
+A policy looks the same in all figures. The colours, by Okabe and Ito (2008), are safe for colour-blind readers; further
+policies have the same colours with other dashes.
 """
 
 import math
@@ -77,7 +77,7 @@ def profile(episodes: Mapping[str, Sequence[EpisodeResult]], look: Looks) -> go.
 
 
 def paired(pair: PairedDifference, episodes: Mapping[str, Sequence[EpisodeResult]], look: Looks) -> go.Figure:
-    """Return of one policy against that of another, episode by episode; size tells how many are alike."""
+    """Scatter plot of two policies' returns, episode by episode. A dot's size shows how many episodes coincide."""
     a, b = look[pair.a], look[pair.b]
     points = pd.DataFrame(
         [
@@ -90,23 +90,23 @@ def paired(pair: PairedDifference, episodes: Mapping[str, Sequence[EpisodeResult
     if len(points) > MOST_DOTS and highest > lowest:
         cell = (highest - lowest) / CELLS
         points[["a", "b"]] = (points[["a", "b"]] / cell).round() * cell
-    alike = points.groupby(["a", "b"]).episode.agg(["size", "first"]).reset_index()
-    colours = np.select([alike.a > alike.b, alike.a < alike.b], [a.colour, b.colour], PALE)
+    dots = points.groupby(["a", "b"]).episode.agg(["size", "first"]).reset_index()
+    colours = np.select([dots.a > dots.b, dots.a < dots.b], [a.colour, b.colour], PALE)
     edge = 0.06 * (highest - lowest or 1.0)
     span = [lowest - edge, highest + edge]
     figure = go.Figure()
     figure.add_scatter(x=span, y=span, mode="lines", line={"color": PALE, "width": 1, "dash": "dot"}, hoverinfo="skip")
     figure.add_scatter(
-        x=alike.b.tolist(),
-        y=alike.a.tolist(),
+        x=dots.b.tolist(),
+        y=dots.a.tolist(),
         mode="markers",
         marker={
             "color": colours.tolist(),
-            "size": np.clip(5 + 2.5 * np.sqrt(alike["size"]), 0, 26).tolist(),
+            "size": np.clip(5 + 2.5 * np.sqrt(dots["size"]), 0, 26).tolist(),
             "opacity": 0.6,
             "line": {"width": 0},
         },
-        customdata=alike[["size", "first"]].to_numpy().tolist(),
+        customdata=dots[["size", "first"]].to_numpy().tolist(),
         hovertemplate=f"{escaped(a.label)} %{{y:.4~r}}, {escaped(b.label)} %{{x:.4~r}}<br>"
         "%{customdata[0]} episodes, the first: %{customdata[1]}<extra></extra>",
     )
@@ -115,7 +115,7 @@ def paired(pair: PairedDifference, episodes: Mapping[str, Sequence[EpisodeResult
 
 
 def learning(curves: Mapping[str, pd.DataFrame], policies: Sequence[PolicySummary], look: Looks) -> go.Figure:
-    """Success on held-out episodes while agents learnt, beside that of policies which did not (dotted)."""
+    """Success on held-out episodes during training; dotted: the success of policies without a learning curve."""
     figure = go.Figure()
     longest = max(float(curve.steps.max()) for curve in curves.values())
     for policy in policies:
@@ -131,11 +131,11 @@ def learning(curves: Mapping[str, pd.DataFrame], policies: Sequence[PolicySummar
             level = Look(look[name].label, look[name].colour, "dot")
             add_line(figure, [0, longest], [policy.success.value] * 2, level, "linear", "%{y:.1%}, without learning")
     x = {"rangemode": "tozero", "tickformat": "~s"}
-    return framed(figure, "decisions in training", "success", x=x, y=SHARE_AXIS)
+    return framed(figure, "environment steps of training", "success", x=x, y=SHARE_AXIS)
 
 
 def robustness(sweep: pd.DataFrame, look: Looks) -> go.Figure:
-    """Success against the levels of one disturbance, as steps of equal width, with 95 % intervals."""
+    """Success against the levels of one disturbance, evenly spaced, with 95 % intervals."""
     figure = go.Figure()
     for name, rows in sweep.groupby("policy", sort=False):
         levels = [f"{level:g}" for level in rows.level]
@@ -145,8 +145,8 @@ def robustness(sweep: pd.DataFrame, look: Looks) -> go.Figure:
     return framed(figure, unit, "success", x={"type": "category"}, y=SHARE_AXIS, height=300)
 
 
-def ledger(terms: Mapping[str, Mapping[str, float]], look: Looks, term_look: Looks) -> go.Figure:
-    """What each reward term brings a policy in a mean episode; the diamond is their sum, the mean return."""
+def reward_terms(terms: Mapping[str, Mapping[str, float]], look: Looks, term_look: Looks) -> go.Figure:
+    """Mean of each reward term per episode, for each policy. The diamond is their sum, the mean return."""
     labels = [escaped(look[name].label) for name in terms]
     figure = go.Figure()
     for term, style in term_look.items():
@@ -169,12 +169,14 @@ def ledger(terms: Mapping[str, Mapping[str, float]], look: Looks, term_look: Loo
     for name, total in totals.items():
         add_label(figure, look[name].label, f"<b>{signed(f'{total:,.1f}')}</b>")
     figure.update_layout(barmode="relative")
-    x = {"title": {"text": "reward in a mean episode"}, "zeroline": True, "zerolinecolor": INK, "zerolinewidth": 1}
+    x = {"title": {"text": "mean reward per episode"}, "zeroline": True, "zerolinecolor": INK, "zerolinewidth": 1}
     return with_rows(figure, len(terms), x, right=64)
 
 
-def decisions(episodes: Mapping[str, Sequence[EpisodeResult]], look: Looks, deadline_ms: float | None) -> go.Figure:
-    """Wall times of all decisions: median, middle half, 99 % and the longest, on a logarithmic axis."""
+def decision_times(
+    episodes: Mapping[str, Sequence[EpisodeResult]], look: Looks, deadline_ms: float | None
+) -> go.Figure:
+    """Decision times: median, middle half, 1st to 99th percentile and maximum, on a logarithmic axis."""
     figure = go.Figure()
     for name, played in episodes.items():
         times = np.maximum(np.concatenate([result.decision_ms for result in played]), 1e-4)
@@ -193,7 +195,7 @@ def decisions(episodes: Mapping[str, Sequence[EpisodeResult]], look: Looks, dead
                 "symbol": ["line-ns", "line-ns", "circle"], "size": [20, 14, 7], "color": style.colour,
                 "line": {"width": [3, 2, 0], "color": [INK, style.colour, style.colour]},
             },
-            customdata=["median", "99 %", "the longest"],
+            customdata=["median", "99th percentile", "maximum"],
             hovertemplate=f"{label}, %{{customdata}}: %{{x:.3~r}} ms<extra></extra>",
         )  # fmt: skip
         add_label(figure, look[name].label, f"<b>{number(p50, 2)}</b>", f"{number(p99, 2)}, {number(most, 2)}")
@@ -207,14 +209,14 @@ def decisions(episodes: Mapping[str, Sequence[EpisodeResult]], look: Looks, dead
             text=f"deadline {deadline_ms:g} ms", font={"color": red, "size": 12},
         )  # fmt: skip
     x = {
-        "type": "log", "title": {"text": "ms a decision"}, "dtick": 1, "tickformat": "~g",
+        "type": "log", "title": {"text": "decision time, ms"}, "dtick": 1, "tickformat": "~g",
         "range": [math.log10(min(shown)) - 0.1, math.log10(max(shown)) + 0.1],
     }  # fmt: skip
     return with_rows(figure, len(episodes), x, right=90, top=26)
 
 
 def term_means(episodes: Mapping[str, Sequence[EpisodeResult]]) -> dict[str, dict[str, float]]:
-    """What each reward term has brought each policy, mean over its episodes."""
+    """Mean of each reward term over each policy's episodes."""
     means = {}
     for name, played in episodes.items():
         terms = list(dict.fromkeys(term for result in played for term in result.reward_terms))

@@ -1,7 +1,6 @@
-"""Gathers what a results folder tells, and writes it as one HTML file, from which no request leaves."""
+"""Writes the report of a results folder: one HTML file that makes no network requests."""
 
 import base64
-import contextlib
 import itertools
 import shlex
 from collections.abc import Callable, Sequence
@@ -19,34 +18,35 @@ from plotly.offline import get_plotlyjs
 
 from armctl.envs import make_worlds
 from armctl.errors import ArmctlError, ResultsError
+from armctl.evaluation.curves import read_sweep, training_curves
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.results import Results, read_results
 from armctl.evaluation.statistics import Estimate
 from armctl.evaluation.store import COMPARISON
+from armctl.evaluation.sweep import POINTS, UNDISTURBED
 from armctl.evaluation.verdict import verdict
+from armctl.files import write_atomically
 from armctl.report import figures, style
-from armctl.report.curves import read_sweep, training_curves
 from armctl.report.videos import film, most_different, names_code, worst
 
-REPORT, SWEEP, UNDISTURBED = "report.html", "sweep.csv", "none"
+REPORT = "report.html"
 NOTHING = "\u2013"
 MOST_PAIRS = 6
-"""Of more policies than have so many pairs, the best is shown against each other one."""
+"""If there are more pairs of policies than this, only those with the best policy are shown."""
 
 
 @dataclass(frozen=True)
 class Plot:
-    """A figure, and what is written with it."""
+    """A figure with its texts."""
 
     figure: go.Figure
-    says: str
-    """For those who do not see it."""
+    alt_text: str
     title: str = ""
     note: str = ""
 
     @property
     def json(self) -> Markup:
-        """As Plotly's JavaScript takes it; cannot end the element that it is written in."""
+        """The figure as JSON for Plotly's JavaScript, escaped so that it can stand in a script element."""
         text = str(self.figure.to_json())
         return Markup(text.replace("<", r"\u003c").replace(">", r"\u003e").replace("&", r"\u0026"))
 
@@ -61,14 +61,14 @@ def write_report(
 ) -> Path:
     """Write the report of a comparison's or a sweep's folder to `out` (`folder/report.html`), and return its path.
 
-    Episodes are played again for `video`; where that cannot be, the report says why. Policies that are code of
-    their own (`module:function`) are called only if the folder is `trusted`. `progress` is told what is being done.
+    With `video`, some episodes are played again; if that is impossible, the report says why. Policies given as code
+    (`module:function`) are called only if the folder is `trusted`. `progress` is called with what is being done.
 
     Raises `ResultsError` for a folder without results, or with damaged ones, and if the report cannot be written.
     """
     folder = Path(folder)
     out = folder / REPORT if out is None else Path(out)
-    sweep = read_sweep(folder / SWEEP) if (folder / SWEEP).exists() else None
+    sweep = read_sweep(folder / POINTS) if (folder / POINTS).exists() else None
     home = folder if sweep is None or (folder / COMPARISON).exists() else folder / UNDISTURBED
     if not folder.is_dir() or (sweep is None and not (home / COMPARISON).exists()):
         raise ResultsError(f"{folder} holds no results: armctl compare --out {folder} writes some")
@@ -92,7 +92,7 @@ def write_report(
         page |= _comparison(results, look, trusted)
         if sweep is not None:
             page["command"] = f"{_command('sweep', results, page['extent'], results.names)}{_disturbances(sweep)}"
-        page |= _videos(results, trusted, progress) if video else {"silent": "They were left out (--no-video)."}
+        page |= _videos(results, trusted, progress) if video else {"no_videos": "They were left out (--no-video)."}
     progress("writing")
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("armctl.report", "."),
@@ -109,27 +109,23 @@ def write_report(
         "base64": _base64,
     }
     text = environment.get_template("page.html.j2").render(page, plotly=Markup(get_plotlyjs()))
-    unfinished = Path(f"{out}.new")
     try:
-        unfinished.write_text(text, encoding="utf-8", newline="\n")
-        unfinished.replace(out)
+        write_atomically(out, text)
     except OSError as error:
-        with contextlib.suppress(OSError):
-            unfinished.unlink()
         raise ResultsError(f"the report {out} cannot be written: {error.strerror}") from error
     return out
 
 
 def _comparison(results: Results, look: style.Looks, trusted: bool) -> dict[str, Any]:
-    """All that is told of a comparison, but for videos."""
+    """Everything on the page about a comparison, except for videos."""
     comparison, episodes = results.comparison, results.episodes
     policies = comparison.policies
     planned = policies[0].planned if policies else 0
     extent = f"--episodes {planned}" if planned else ""
-    told = _verdict(results)
+    sentence = _verdict(results)
     for name in sorted(look, key=len, reverse=True):
-        told = told.replace(name, look[name].label)
-    headline, _, rest = told.partition("; ")
+        sentence = sentence.replace(name, look[name].label)
+    headline, _, rest = sentence.partition("; ")
     page: dict[str, Any] = {
         "headline": headline,
         "lead": rest,
@@ -155,8 +151,8 @@ def _comparison(results: Results, look: style.Looks, trusted: bool) -> dict[str,
         ),
         "profile": Plot(figures.profile(episodes, look), "Share of episodes above each return, by policy"),
         "paired": _paired(results, look),
-        "ledger": Plot(
-            figures.ledger(terms, look, term_look),
+        "reward_terms": Plot(
+            figures.reward_terms(terms, look, term_look),
             "; ".join(
                 f"{name}: " + ", ".join(f"{term} {value:.4g}" for term, value in earned.items())
                 for name, earned in terms.items()
@@ -165,10 +161,11 @@ def _comparison(results: Results, look: style.Looks, trusted: bool) -> dict[str,
         if term_look
         else None,
         "term_look": term_look,
-        "decisions": Plot(
-            figures.decisions(episodes, look, None if period is None else 1e3 * period),
+        "decision_times": Plot(
+            figures.decision_times(episodes, look, None if period is None else 1e3 * period),
             "; ".join(
-                f"{policy.policy}: median {policy.decision_ms_p50:.3g} ms, 99 % within {policy.decision_ms_p99:.3g} ms"
+                f"{policy.policy}: median {policy.decision_ms_p50:.3g} ms, "
+                f"99th percentile {policy.decision_ms_p99:.3g} ms"
                 for policy in policies
             ),
         ),
@@ -202,7 +199,7 @@ def _paired(results: Results, look: style.Looks) -> list[Plot]:
                 f"Returns of {pair.a} against those of {pair.b}",
                 f"{a} against {b}",
                 f"Success {100 * (pair.only_a - pair.only_b) / pair.episodes:+.1f} % "
-                f"({pair.only_a} won by the first alone, {pair.only_b} by the second; p = {pair.mcnemar_p:.2g}). "
+                f"({pair.only_a} won only by the first, {pair.only_b} only by the second; p = {pair.mcnemar_p:.2g}). "
                 + style.signed(f"Return {difference.value:+.1f} ({_spread(difference, sign='+')})."),
             )
         )
@@ -210,9 +207,9 @@ def _paired(results: Results, look: style.Looks) -> list[Plot]:
 
 
 def _videos(results: Results, trusted: bool, progress: Callable[[str], None]) -> dict[str, Any]:
-    """The clips, and why there are none if there are none."""
+    """The clips, or why there are none."""
     if not results.episodes:
-        return {"silent": "There is no episode to show."}
+        return {"no_videos": "There is no episode to show."}
     progress("filming the same episode under each policy")
     together = film(results, apart, trusted) if (apart := most_different(results.episodes)) else []
     lowest = []
@@ -220,9 +217,9 @@ def _videos(results: Results, trusted: bool, progress: Callable[[str], None]) ->
         progress(f"filming the worst episode of {result.policy}")
         lowest += film(results, [result], trusted)
     problems = {clip.problem for clip in (*together, *lowest)}
-    silent = problems.pop() if len(problems) == 1 and not any(clip.video for clip in (*together, *lowest)) else ""
+    no_videos = problems.pop() if len(problems) == 1 and not any(clip.video for clip in (*together, *lowest)) else ""
     return {
-        "silent": silent,
+        "no_videos": no_videos,
         "together": together,
         "lowest": lowest,
         "view": lambda result: _view(results, result),
@@ -248,7 +245,7 @@ def _disturbances(sweep: pd.DataFrame) -> str:
 
 
 def _period(results: Results, trusted: bool) -> float | None:
-    """Seconds between two decisions; None if the environment cannot be made here."""
+    """The control period, s; None if the environment cannot be made here."""
     if names_code(results.comparison.env) and not trusted:
         return None
     try:

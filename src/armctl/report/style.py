@@ -1,4 +1,4 @@
-"""How figures look: colours by policy, axes, labels, bands."""
+"""The style of figures: colours by policy, axes, labels, bands."""
 
 import html
 from collections.abc import Mapping, Sequence
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5A5A5A")
 TERM_COLOURS = ("#B9B4A7", "#44AA99", "#882255", "#DDCC77", "#332288", "#88CCEE", "#999933", "#AA4499")
-"""Of reward terms, by Tol (2021): no policy's."""
+"""Of reward terms, by Tol (2021); different from those of policies."""
 DASHES = ("solid", "dash", "dot", "dashdot")
 INK, PALE, GRID = "#1f2933", "#6b7680", "#e4e8ec"
 FONT = "'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
@@ -20,14 +20,14 @@ LONGEST_LABEL = 20
 THRESHOLDS = 120
 """Most points of a performance profile."""
 MOST_DOTS, CELLS = 1000, 80
-"""Of a scatter plot: of more episodes, those in one of so many cells by so many are one dot."""
+"""Of a scatter plot. With more than `MOST_DOTS` episodes, all in one cell of a `CELLS` x `CELLS` grid are one dot."""
 ROW = 44
-"""Pixels: height of a policy's row."""
+"""Height of a policy's row, pixels."""
 
 
 @dataclass(frozen=True)
 class Look:
-    """How a policy, or a reward term, is called and drawn."""
+    """Label, colour and dash of a policy or a reward term."""
 
     label: str
     colour: str
@@ -38,7 +38,7 @@ Looks = Mapping[str, Look]
 
 
 def looks(names: Sequence[str]) -> dict[str, Look]:
-    """A look for each policy. Agents' files go by their names, or that of their training's folder, if these differ."""
+    """A look for each policy. The label of an agent's file is shortened if the labels stay distinct."""
     short = {name: shortened(name) for name in names}
     labels = short if len(set(short.values())) == len(names) else {name: name for name in names}
     return {
@@ -48,12 +48,12 @@ def looks(names: Sequence[str]) -> dict[str, Look]:
 
 
 def number(value: float, digits: int = 3) -> str:
-    """So many digits, but all of those before the point."""
+    """A number with so many significant digits, but all digits before the decimal point."""
     return signed(f"{value:,.0f}" if abs(value) >= 10**digits - 0.5 else f"{value:.{digits}g}")
 
 
 def signed(number: str) -> str:
-    """With a minus sign in place of a hyphen."""
+    """A number's text with a minus sign in place of a hyphen."""
     return number.replace("-", "\u2212")
 
 
@@ -76,6 +76,7 @@ def framed(
     y: Mapping[str, Any] | None = None,
     height: int = 360,
 ) -> go.Figure:
+    """Give a figure its style and axes."""
     dress(figure, height, {"l": 8, "r": 12, "t": 10, "b": 8})
     figure.update_xaxes(title_text=x_title, showline=True, **(x or {}))
     figure.update_yaxes(title_text=y_title, **(y or {}))
@@ -83,7 +84,7 @@ def framed(
 
 
 def with_rows(figure: go.Figure, rows: int, x: Mapping[str, Any], right: int, top: int = 6) -> go.Figure:
-    """One row for each policy, the first on top."""
+    """Give a figure its style, and one row for each policy, the first on top."""
     dress(figure, ROW * rows + 64 + top, {"l": 8, "r": right, "t": top, "b": 8})
     figure.update_xaxes(tickangle=0, **x)
     figure.update_yaxes(autorange="reversed", showgrid=False, ticks="outside", tickcolor="white", type="category")
@@ -91,6 +92,7 @@ def with_rows(figure: go.Figure, rows: int, x: Mapping[str, Any], right: int, to
 
 
 def dress(figure: go.Figure, height: int, margin: Mapping[str, int]) -> None:
+    """Give a figure the common style."""
     figure.update_layout(
         template="none",
         height=height,
@@ -108,7 +110,7 @@ def dress(figure: go.Figure, height: int, margin: Mapping[str, int]) -> None:
 
 
 def add_label(figure: go.Figure, label: str, text: str, small: str = "") -> None:
-    """Beside a policy's row."""
+    """Add text to the right of a policy's row."""
     if small:
         text += f'<br><span style="font-size: 11.5px; color: {PALE}">{small}</span>'
     figure.add_annotation(
@@ -126,6 +128,7 @@ def add_line(
     customdata: Sequence[float] | None = None,
     markers: bool = False,
 ) -> None:
+    """Add a policy's line. `hover` is the text at a point, in Plotly's template language."""
     figure.add_scatter(
         x=listed(x),
         y=listed(y),
@@ -139,7 +142,7 @@ def add_line(
 
 
 def add_band(figure: go.Figure, x: Any, low: Any, high: Any, style: Look, shape: str = "linear") -> None:
-    """Between `low` and `high`; left out where either is unknown."""
+    """Add a band between `low` and `high`; it has gaps where either is unknown."""
     x, low, high = listed(x), listed(low), listed(high)
     edge = {"width": 0, "shape": shape}
     figure.add_scatter(x=x, y=low, mode="lines", line=edge, hoverinfo="skip")
@@ -149,17 +152,19 @@ def add_band(figure: go.Figure, x: Any, low: Any, high: Any, style: Look, shape:
 
 
 def faint(colour: str) -> str:
+    """A transparent version of a colour #rrggbb."""
     red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
     return f"rgba({red},{green},{blue},0.16)"
 
 
 def listed(values: Any) -> list[Any]:
-    """Plain numbers: arrays would be written in base64, which nobody can read in the file."""
+    """Values as a list: Plotly writes arrays in base64, which is unreadable in the file."""
     array: NDArray[Any] = np.asarray(values)
     return list(array.tolist())
 
 
 def shortened(name: str) -> str:
+    """A short label: an agent's file is called by its name, or by its folder's if it is called `agent`."""
     path = Path(name)
     if path.suffix in (".json", ".onnx"):
         name = path.parent.name if path.stem == "agent" and path.parent.name else path.stem
@@ -167,5 +172,5 @@ def shortened(name: str) -> str:
 
 
 def escaped(text: str) -> str:
-    """As Plotly shows it, which understands some HTML."""
+    """Text escaped for Plotly, which interprets some HTML."""
     return html.escape(text, quote=False)

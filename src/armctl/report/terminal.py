@@ -1,4 +1,4 @@
-"""Comparisons and sweeps as tables on the terminal."""
+"""Comparisons and sweeps as tables for the terminal."""
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Group
@@ -14,11 +14,11 @@ from armctl.evaluation.verdict import verdict
 
 
 def tables(comparison: Comparison) -> Group:
-    """The comparison for a terminal."""
+    """The tables of a comparison, and its verdict."""
     parts: list[Table | Text] = [_policy_table(comparison)] if comparison.policies else []
     for policy in comparison.policies:
         ends = ", ".join(f"{count} {outcome}" for outcome, count in policy.outcomes.items())
-        parts.append(Text("; ".join([f"{policy.policy}: {ends}", *_asides(policy)])))
+        parts.append(Text("; ".join([f"{policy.policy}: {ends}", *_details(policy)])))
     if comparison.paired:
         parts += [Text(), _paired_table(comparison.paired), Text(), Text(verdict(comparison), style="bold")]
     if comparison.policies and (infeasible := comparison.policies[0].infeasible):
@@ -36,7 +36,7 @@ def tables(comparison: Comparison) -> Group:
 
 
 def sweep_tables(sweep: Sweep) -> Group:
-    """The sweep for a terminal: success at each level, and at which one each policy fails."""
+    """The tables of a sweep: success at each level, and from which level each policy gets worse."""
     parts: list[Table | Text] = []
     found = degradations(sweep.points)
     for name, rows in sweep.points.groupby("disturbance", sort=False):
@@ -47,17 +47,17 @@ def sweep_tables(sweep: Sweep) -> Group:
         for policy, its in rows.groupby("policy", sort=False):
             success = its.set_index("level").success
             table.add_row(str(policy), *(f"{100 * success[x]:.1f}" if x in success else "-" for x in levels))
-        parts += [table, Text(_told([one for one in found if one.disturbance == name])), Text()]
+        parts += [table, Text(_degradation_text([one for one in found if one.disturbance == name])), Text()]
     rate = f"false discovery rate {100 * FALSE_DISCOVERY_RATE:g} %"
-    parts.append(Text(f"Worse: than undisturbed, on the same episodes (McNemar's exact test, {rate})."))
+    parts.append(Text(f"Worse: than without disturbance, on the same episodes (McNemar's exact test, {rate})."))
     parts += [Text(f"{what}: {why}", style="red") for what, why in sweep.failures.items()]
     if sweep.interrupted:
         parts.append(Text("Interrupted.", style="yellow"))
     return Group(*parts)
 
 
-def _told(found: list[Degradation]) -> str:
-    """What one disturbance does to policies, in a sentence for each that it is shown to harm."""
+def _degradation_text(found: list[Degradation]) -> str:
+    """The effect of one disturbance: a sentence for each policy that gets significantly worse."""
     sentences, unharmed = [], []
     for one in found:
         name = f"{one.policy} (sees the state)" if one.sees == "state" else one.policy
@@ -68,23 +68,23 @@ def _told(found: list[Degradation]) -> str:
         else:
             unharmed.append(name)
     if unharmed:
-        sentences.append(f"Not shown to get worse: {', '.join(unharmed)}.")
+        sentences.append(f"Not significantly worse: {', '.join(unharmed)}.")
     return " ".join(sentences)
 
 
-def _asides(policy: PolicySummary) -> list[str]:
-    asides = []
+def _details(policy: PolicySummary) -> list[str]:
+    details = []
     if gap := policy.optimality_gap:
         spread = "" if gap.low is None or gap.high is None else f" [{100 * gap.low:.0f}, {100 * gap.high:.0f}]"
-        asides.append(f"{100 * gap.value:.0f}{spread} % over the least time (median)")
+        details.append(f"{100 * gap.value:.0f}{spread} % over the least time (median)")
     if error := policy.tracking_error:
         spread = "" if error.low is None or error.high is None else f" [{1e3 * error.low:.1f}, {1e3 * error.high:.1f}]"
-        asides.append(f"{1e3 * error.value:.1f}{spread} mm off the target")
+        details.append(f"tracking error {1e3 * error.value:.1f}{spread} mm")
     if policy.solver_failures:
-        asides.append(f"its solver failed {policy.solver_failures} times")
+        details.append(f"its solver failed {policy.solver_failures} times")
     if policy.missed_deadlines:
-        asides.append(f"{100 * policy.missed_deadlines:.2g} % of its decisions came too late")
-    return asides
+        details.append(f"{100 * policy.missed_deadlines:.2g} % of its deadlines missed")
+    return details
 
 
 def _policy_table(comparison: Comparison) -> Table:

@@ -1,4 +1,4 @@
-"""Episodes of a comparison, played again and filmed."""
+"""Videos of a comparison's episodes, which are played again."""
 
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -19,17 +19,17 @@ from armctl.viewer.stage import Stage
 Frame = NDArray[np.uint8]
 
 SIZE = 400, 304
-"""Pixels: multiples of 16, as H.264 wants them."""
+"""Pixels: multiples of 16, which H.264 needs."""
 BRIEF = 50
-"""Decisions; if most episodes are shorter, they are shown at half speed."""
+"""Control steps. If most episodes are shorter, they are shown at half speed."""
 MOST_FRAMES = 100
-"""Of a video, or twice as many at half speed: of longer episodes it shows each second decision, or each third."""
+"""Of a video, or twice as many at half speed. Of longer episodes, only every second or third control step is shown."""
 OFFSAMPLES, SHADOW = 0, 1024
-"""MuJoCo's rendering quality: software draws such a picture in half the time of one of the models' own quality."""
+"""MuJoCo's rendering quality. With it, software rendering takes half the time of the models' own quality."""
 QUALITY = 27
 """H.264's constant rate factor: higher is smaller and worse."""
-CURTAIN = 1.0
-"""s for which the end stands still."""
+STILL_TIME = 1.0
+"""s for which the last frame is shown."""
 
 
 @dataclass(frozen=True)
@@ -40,17 +40,18 @@ class Clip:
     video: bytes = b""
     """MP4."""
     still: bytes = b""
-    """The end, as JPEG."""
+    """The last frame, as JPEG."""
     speed: float = 1.0
-    """Times real time."""
+    """Relative to real time."""
     problem: str = ""
-    """Why there is no video, or what is odd about it."""
+    """Why there is no video, or how it differs from the results."""
 
 
 def most_different(episodes: Mapping[str, Sequence[EpisodeResult]]) -> list[EpisodeResult]:
-    """The episode, of those that all policies have played, in which their returns differ most; none of one policy.
+    """The results of all policies in the episode in which their returns differ most; none for a single policy.
 
-    The gaps between neighbours are added up as logarithms: one policy that always fails does not decide it alone.
+    The criterion is the sum of the logarithms of the gaps between neighbouring returns, so that one policy that always
+    fails does not dominate it.
     """
     played = list(zip(*episodes.values(), strict=False))
     if len(episodes) < 2 or not played:
@@ -61,59 +62,59 @@ def most_different(episodes: Mapping[str, Sequence[EpisodeResult]]) -> list[Epis
 
 
 def worst(episodes: Mapping[str, Sequence[EpisodeResult]]) -> list[EpisodeResult]:
-    """The episode of the lowest return under each policy; of several, the first."""
+    """The episode with the lowest return of each policy; of several, the first."""
     return [min(played, key=lambda result: result.total_reward) for played in episodes.values()]
 
 
 def film(results: Results, wanted: Sequence[EpisodeResult], trusted: bool) -> list[Clip]:
-    """Videos of equal length and speed, that can be played side by side; see `names_code` for `trusted`."""
+    """Videos of equal length and speed, which can be played side by side; see `names_code` for `trusted`."""
     lengths = [result.length for result in wanted]
     slowness = 2 if np.median(lengths) < BRIEF else 1
     stride = -(-max(lengths) // (slowness * MOST_FRAMES))
-    takes: list[_Take | str] = []
+    recordings: list[_Recording | str] = []
     for result in wanted:
         try:
-            takes.append(_play(results, result, stride, trusted))
+            recordings.append(_play(results, result, stride, trusted))
         except ArmctlError as error:
-            takes.append(str(error))
-    longest = max((len(take.frames) for take in takes if isinstance(take, _Take)), default=0)
+            recordings.append(str(error))
+    longest = max((len(one.frames) for one in recordings if isinstance(one, _Recording)), default=0)
     clips = []
-    for result, take in zip(wanted, takes, strict=True):
-        if isinstance(take, str):
-            clips.append(Clip(result, problem=take))
+    for result, recording in zip(wanted, recordings, strict=True):
+        if isinstance(recording, str):
+            clips.append(Clip(result, problem=recording))
             continue
-        fps = 1 / (slowness * take.period)
-        frames = take.frames + [take.frames[-1]] * (longest - len(take.frames) + round(CURTAIN * fps))
+        fps = 1 / (slowness * recording.period)
+        frames = recording.frames + [recording.frames[-1]] * (longest - len(recording.frames) + round(STILL_TIME * fps))
         still = imageio.imwrite("<bytes>", frames[-1], extension=".jpg", quality=80)
-        clips.append(Clip(result, _mp4(frames, fps), still, stride / slowness, take.problem))
+        clips.append(Clip(result, _mp4(frames, fps), still, stride / slowness, recording.problem))
     return clips
 
 
 def names_code(name: str) -> bool:
-    """Whether a policy or an environment of this name is made by importing a module that it names.
+    """Whether making a policy or an environment of this name imports a module that the name contains.
 
-    A name in somebody's folder is no reason to: it takes one that is trusted.
+    Names in somebody's results folder are not imported, unless the folder is trusted.
     """
     return ":" in name and Path(name).suffix not in (".onnx", ".json")
 
 
 @dataclass(frozen=True)
-class _Take:
-    """An episode's pictures."""
+class _Recording:
+    """An episode's images."""
 
     frames: list[Frame]
     period: float
-    """s between two decisions."""
+    """The control period, s."""
     problem: str
 
 
-def _play(results: Results, result: EpisodeResult, stride: int, trusted: bool) -> _Take:
-    """Play an episode again, with a picture of each `stride`-th decision and of the end."""
+def _play(results: Results, result: EpisodeResult, stride: int, trusted: bool) -> _Recording:
+    """Play an episode again, with an image at every `stride`-th control step and at the end."""
     name, comparison = result.policy, results.comparison
     for code in filter(names_code, (name, comparison.env)):
         if not trusted:
             raise ConfigurationError(
-                f"{code} is code of its own, which armctl report does not call: armctl compare --report films it"
+                f"{code} is code, which armctl report does not run: armctl compare --report makes its videos"
             )
     with closing(Stage(name, comparison.env, comparison.seed, result.episode, comparison.env_options)) as stage:
         quality = stage.task.simulation.model.vis.quality
@@ -129,7 +130,7 @@ def _play(results: Results, result: EpisodeResult, stride: int, trusted: bool) -
             camera.close()
         now = stage.status.outcome, stage.status.steps
         problem = "" if now == (result.outcome, result.length) else f"Played again: {now[0]} after {now[1]} steps."
-        return _Take(frames, stage.period, problem)
+        return _Recording(frames, stage.period, problem)
 
 
 def _mp4(frames: Sequence[Frame], fps: float) -> bytes:

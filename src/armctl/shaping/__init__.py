@@ -1,4 +1,4 @@
-"""Potential-based reward shaping: what an expert knows of a state, as a reward that leaves the best policy as it is."""
+"""Potential-based reward shaping: experts' knowledge as a reward term that leaves the optimal policy unchanged."""
 
 from armctl.shaping.potentials import PotentialFactory, make_potential, potential_names
 from armctl.shaping.wrappers import Shaped, ShapedEnv

@@ -4,8 +4,8 @@ After Ng, Harada and Russell, "Policy invariance under reward transformations", 
 
     shaping(s, s') = gamma * potential(s') - potential(s)
 
-where s' has potential 0 if the episode terminated there, and its own if it was truncated, for then it might have gone
-on. Over an episode of T steps, discounted, this adds up to gamma^T * potential(end) - potential(start).
+where the potential of s' is taken as 0 if the episode terminated there, but not if it was truncated. Over an episode of
+T steps, the discounted sum is gamma^T * potential(end) - potential(start).
 """
 
 from typing import Any
@@ -25,36 +25,36 @@ TERM = "shaping"
 
 
 def difference(gamma: float, before: Array, after: Array, terminated: NDArray[np.bool_]) -> Array:
-    """The shaping (n,) of steps between states of potentials `before` and `after` (n,)."""
+    """The shaping term (n,) of steps between states with potentials `before` and `after` (n,)."""
     return np.asarray(gamma * np.where(terminated, 0.0, after) - before)
 
 
 class Shaped(gymnasium.vector.VectorWrapper[Any, Any, Any, Any, Any]):
-    """Batched environments whose rewards have the term `shaping` besides, also in `infos["reward_terms"]`.
+    """Adds potential-based shaping to a vector environment's rewards, as the term `shaping` in `infos["reward_terms"]`.
 
     Args:
         env: vector environment of armctl, in any autoreset mode, before its first reset.
-        oracle: name of a potential (see `potential_names`), or a function from the vector environment to an `Potential`.
+        potential: name of a potential (see `potential_names`), or a function from the vector environment to one.
         gamma: discount factor of the learner.
-        scale: reward for each unit of the potential.
+        scale: reward per unit of the potential.
 
-    Raises `ConfigurationError` for an oracle that has no say in this environment, and values out of range.
+    Raises `ConfigurationError` for a potential that this environment does not have, and for values out of range.
 
     """
 
     def __init__(
         self,
         env: gymnasium.vector.VectorEnv[Any, Any, Any],
-        oracle: str | PotentialFactory,
+        potential: str | PotentialFactory,
         *,
         gamma: float,
         scale: float = 1.0,
     ) -> None:
         super().__init__(env)
-        self._difference = _Difference(env.unwrapped, oracle, gamma, scale)
+        self._difference = _Difference(env.unwrapped, potential, gamma, scale)
 
     def step(self, actions: ArrayLike) -> tuple[Any, Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """Make one decision in every world."""
+        """Make one control step in every world."""
         observations, rewards, terminated, truncated, infos = self.env.step(actions)
         shaping = self._difference.of(terminated)
         infos["reward_terms"][TERM] = shaping
@@ -65,14 +65,14 @@ class ShapedEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
     """The same for one environment: `ShapedEnv(gymnasium.make("armctl/ArmReach-v0"), "ik", gamma=0.99)`."""
 
     def __init__(
-        self, env: gymnasium.Env[Any, Any], oracle: str | PotentialFactory, *, gamma: float, scale: float = 1.0
+        self, env: gymnasium.Env[Any, Any], potential: str | PotentialFactory, *, gamma: float, scale: float = 1.0
     ) -> None:
         super().__init__(env)
         inner = env.unwrapped
-        self._difference = _Difference(inner.worlds if isinstance(inner, TaskEnv) else inner, oracle, gamma, scale)
+        self._difference = _Difference(inner.worlds if isinstance(inner, TaskEnv) else inner, potential, gamma, scale)
 
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Make one decision."""
+        """Make one control step."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         shaping = float(self._difference.of(np.array([terminated]))[0])
         info["reward_terms"][TERM] = shaping
@@ -80,31 +80,31 @@ class ShapedEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
 
 
 class _Difference:
-    """What the last step has changed in the potential, seen before any autoreset."""
+    """Change of the potential in the last control step, observed before any autoreset."""
 
-    def __init__(self, worlds: Any, oracle: str | PotentialFactory, gamma: float, scale: float) -> None:
+    def __init__(self, worlds: Any, potential: str | PotentialFactory, gamma: float, scale: float) -> None:
         if not isinstance(worlds, TaskVectorEnv):
-            raise ConfigurationError(f"armctl's own environments can be shaped; {worlds} is none")
+            raise ConfigurationError(f"only armctl's own environments can be shaped; {worlds} is not one of them")
         if worlds.observers:
             raise ConfigurationError("this environment is shaped already")
         if not (isinstance(gamma, (int, float)) and 0 <= gamma <= 1):
             raise ConfigurationError(f"gamma is the learner's discount factor, from 0 to 1, not {gamma!r}")
         if not (isinstance(scale, (int, float)) and np.isfinite(scale)):
             raise ConfigurationError(f"scale is a finite number, not {scale!r}")
-        self._oracle, self._gamma, self._scale = make_potential(oracle, worlds), gamma, scale
+        self._potential, self._gamma, self._scale = make_potential(potential, worlds), gamma, scale
         self._now, self._before, self._after = np.full((3, worlds.num_envs), np.nan)
         self._awake = np.zeros(worlds.num_envs, dtype=bool)
         worlds.observers.append(self)
 
     def began(self, ids: NDArray[np.int32]) -> None:
-        self._oracle.begin(ids)
-        self._now[ids] = self._scale * self._oracle.potentials(ids)
+        self._potential.begin(ids)
+        self._now[ids] = self._scale * self._potential.potentials(ids)
 
     def stepped(self, awake: NDArray[np.bool_]) -> None:
         everywhere = np.arange(len(awake), dtype=np.int32)
-        self._awake, self._before, self._after = awake, self._now, self._scale * self._oracle.potentials(everywhere)
+        self._awake, self._before, self._after = awake, self._now, self._scale * self._potential.potentials(everywhere)
         self._now = self._after.copy()
 
     def of(self, terminated: NDArray[np.bool_]) -> Array:
-        """The reward term (n,) of the step that has ended so; 0 in worlds that stood still."""
+        """The reward term (n,) of the last control step; 0 in worlds that were not stepped."""
         return np.where(self._awake, difference(self._gamma, self._before, self._after, terminated), 0.0)

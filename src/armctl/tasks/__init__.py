@@ -1,4 +1,4 @@
-"""What is to be done: where episodes start, what is observed, what is rewarded, and how it ends."""
+"""Tasks: their reset distribution, observation, reward terms and outcomes."""
 
 from armctl.tasks.bridge import (
     BridgeMovingOptions,
@@ -36,7 +36,8 @@ from armctl.tasks.task import (
 
 __all__ = [
     "OBSERVATION", "REWARD", "BridgeMovingOptions", "BridgeMovingTask", "BridgeOptions", "BridgeOutcome",
-    "BridgeState", "BridgeTask", "FeatureSpec", "GoalDistance", "LearnerView", "MotionSample", "MovingReachState", "Observations",
-    "ObstaclesReachState", "Outcome", "Potential", "ReachMovingOptions", "ReachMovingTask", "ReachObstaclesOptions",
-    "ReachObstaclesTask", "ReachOptions", "ReachOutcome", "ReachState", "ReachTask", "RewardTerms", "Task",
+    "BridgeState", "BridgeTask", "FeatureSpec", "GoalDistance", "LearnerView", "MotionSample", "MovingReachState",
+    "Observations", "ObstaclesReachState", "Outcome", "Potential", "ReachMovingOptions", "ReachMovingTask",
+    "ReachObstaclesOptions", "ReachObstaclesTask", "ReachOptions", "ReachOutcome", "ReachState", "ReachTask",
+    "RewardTerms", "Task",
 ]  # fmt: skip

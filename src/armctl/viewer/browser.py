@@ -1,7 +1,7 @@
-"""A policy at work, live, in the browser, by MuJoCo Studio.
+"""The live viewer in the browser, by MuJoCo Studio.
 
-The main thread plays the episodes in real time (`Player`), Studio's thread shows them (`Panel`). Between two decisions
-the world is drawn on its way from one to the other, along the plan that led there.
+The main thread plays episodes in real time (`Player`), and Studio's thread shows them (`Panel`). Between two control
+steps, the drawn state is interpolated, together with the plan that led from one to the other.
 """
 
 import socket
@@ -25,19 +25,19 @@ Array = NDArray[np.float64]
 
 LOOPBACK = "127.0.0.1"
 FIRST_PORT = 8080
-CURTAIN = 1.5
-"""s between the end of an episode and the next."""
+PAUSE = 1.5
+"""s between the end of an episode and the start of the next."""
 TICK = 0.01
 """s between two states that are sent to the viewer."""
 LINE_WIDTH = 1.5e-3
-"""Of the distance at which the camera starts: radius of lines."""
+"""Radius of lines, relative to the camera's initial distance."""
 COLOURS = {"path": (0.15, 0.4, 0.95, 0.9), "horizon": (1.0, 0.5, 0.05, 1.0)}
-"""Of plans, by name."""
+"""RGBA colours of plans, by name."""
 OTHER_COLOUR = (0.6, 0.2, 0.8, 0.9)
 BUTTON_WIDTH = 64.0
 """Pixels."""
 PANEL = (12.0, 12.0, 360.0, 0.0)
-"""Where the panel is at first, and its size: pixels; 0 for as much as it takes."""
+"""Initial position and size of the panel, pixels; 0 fits the content."""
 
 
 @dataclass(frozen=True)
@@ -51,18 +51,18 @@ class Play(messages.Event):
 
 @dataclass(frozen=True)
 class Frame(messages.Snapshot):
-    """From the player to the panel: what is to be shown."""
+    """From the player to the panel: what to show."""
 
     status: Status
     paused: bool
     geoms: list[mujoco.MjvGeom]
     plans: tuple[str, ...]
     notice: str
-    """Why a wish could not be granted."""
+    """Why a request failed."""
 
 
 class Player(plugin.SimPlugin):
-    """Plays episodes in real time, one after the other, as the panel wishes."""
+    """Plays episodes in real time, one after the other, and handles the panel's requests."""
 
     def __init__(self, stage: Stage) -> None:
         self.stage = stage
@@ -72,10 +72,10 @@ class Player(plugin.SimPlugin):
         self._begin()
 
     @messages.handler
-    def on_play(self, wish: Play) -> bool:
-        """Another policy, seed or episode."""
+    def on_play(self, request: Play) -> bool:
+        """Start another policy, seed or episode."""
         try:
-            self.stage.play(wish.policy, wish.seed, wish.episode)
+            self.stage.play(request.policy, request.seed, request.episode)
         except ArmctlError as error:
             self._notice = str(error)
             self._send()
@@ -85,36 +85,36 @@ class Player(plugin.SimPlugin):
         return True
 
     @messages.handler
-    def on_pause(self, wish: messages.RequestPauseEvent) -> bool:
-        """Pause, or go on."""
-        self._paused = wish.pause_state != sim.PauseState.UNPAUSED
+    def on_pause(self, request: messages.RequestPauseEvent) -> bool:
+        """Pause, or continue."""
+        self._paused = request.pause_state != sim.PauseState.UNPAUSED
         self._due = time.perf_counter()
         self._send()
         return True
 
     @messages.handler
     def on_single_step(self, _: messages.SingleStepEvent) -> bool:
-        """One decision, and pause."""
+        """Make one control step, and pause."""
         self._paused = True
-        self._decide(time.perf_counter())
+        self._control_step(time.perf_counter())
         return True
 
     @messages.handler
     def on_load(self, _: messages.LoadModelEvent) -> bool:
-        """No other model is let in, though one be dropped onto the page."""
+        """Ignore models that are dropped onto the page."""
         return True
 
     @messages.handler
     def on_step(self, event: messages.StepEvent) -> bool:
-        """Decide if it is time to, and show where the world is by now."""
+        """Make a control step if one is due, and show the interpolated state."""
         now = time.perf_counter()
         status = self.stage.status
         if not self._paused and now >= self._due:
             if status.outcome is None:
-                self._decide(now)
+                self._control_step(now)
             else:
                 self.on_play(Play(status.policy, status.seed, status.episode + 1))
-        share = np.clip((now - self._decided) / self.stage.period, 0.0, 1.0)
+        share = np.clip((now - self._stepped) / self.stage.period, 0.0, 1.0)
         mujoco.mj_setState(event.model, event.data, self._before + share * (self._after - self._before), STATE)
         time.sleep(TICK)
         return True
@@ -122,17 +122,17 @@ class Player(plugin.SimPlugin):
     def _begin(self) -> None:
         self._after, geoms = self.scenery.now()
         self._before = self._after
-        self._decided = self._due = time.perf_counter()
+        self._stepped = self._due = time.perf_counter()
         self._show(geoms)
 
-    def _decide(self, now: float) -> None:
+    def _control_step(self, now: float) -> None:
         self.stage.step()
         self._before = self._after
         self._after, geoms = self.scenery.now()
         late = now - self._due > self.stage.period
-        self._decided, self._due = now, (now if late else self._due) + self.stage.period
+        self._stepped, self._due = now, (now if late else self._due) + self.stage.period
         if self.stage.status.outcome is not None:
-            self._due += CURTAIN
+            self._due += PAUSE
         self._show(geoms)
 
     def _show(self, geoms: list[mujoco.MjvGeom]) -> None:
@@ -150,7 +150,7 @@ class Player(plugin.SimPlugin):
 
 
 class Panel(plugin.ViewerPlugin):
-    """Tells how the episode stands, takes wishes, and draws plans into the scene."""
+    """Shows the episode's status, sends requests to the player, and draws plans into the scene."""
 
     def __init__(self, stage: Stage) -> None:
         self._stage = stage
@@ -160,22 +160,22 @@ class Panel(plugin.ViewerPlugin):
 
     @messages.handler
     def on_theme(self, event: plugin.ThemeEvent) -> None:
-        """The browser likes it light or dark."""
+        """Follow the browser's light or dark theme."""
         self._theme = event.theme
 
     @messages.handler
     def on_model(self, event: messages.PostModelEvent) -> None:
-        """Look at the world."""
+        """Point the camera at the world."""
         mujoco.mjv_defaultFreeCamera(event.model, self.viewer.camera)
 
     @messages.handler
     def on_frame(self, frame: Frame) -> None:
-        """Something new to show."""
+        """Store what to show."""
         self._frame = frame
 
     @messages.handler
     def on_update(self, _: messages.UpdateEvent) -> None:
-        """Decorate the scene."""
+        """Draw targets and plans into the scene."""
         self.viewer.extra_geoms[:] = self._frame.geoms
 
     @messages.handler
@@ -204,25 +204,25 @@ class Panel(plugin.ViewerPlugin):
         _, seed = imgui.InputInt("seed", status.seed, 1, 100, enter)
         _, episode = imgui.InputInt("episode", status.episode, 1, 100, enter)
         if (policy, seed, episode) != (status.policy, status.seed, status.episode):
-            self._wish(Play(policy, max(seed, 0), max(episode, 0)))
+            self._request(Play(policy, max(seed, 0), max(episode, 0)))
 
     def _build_buttons_gui(self) -> None:
         status, paused = self._frame.status, self._frame.paused
-        if self._button("Go on" if paused else "Pause", imgui.Key.Space, "Space"):
-            self._wish(messages.RequestPauseEvent(sim.PauseState(not paused)))
-        if self._button("Step", imgui.Key.RightArrow, "Right arrow: one decision"):
-            self._wish(messages.SingleStepEvent())
-        if self._button("Again", imgui.Key.R, "R: this episode from its start"):
-            self._wish(Play(status.policy, status.seed, status.episode))
-        if self._button("Next", imgui.Key.N, "N: the next episode"):
-            self._wish(Play(status.policy, status.seed, status.episode + 1))
+        if self._button("Play" if paused else "Pause", imgui.Key.Space, "Space"):
+            self._request(messages.RequestPauseEvent(sim.PauseState(not paused)))
+        if self._button("Step", imgui.Key.RightArrow, "Right arrow: one control step"):
+            self._request(messages.SingleStepEvent())
+        if self._button("Restart", imgui.Key.R, "R: restart this episode"):
+            self._request(Play(status.policy, status.seed, status.episode))
+        if self._button("Next", imgui.Key.N, "N: start the next episode"):
+            self._request(Play(status.policy, status.seed, status.episode + 1))
         imgui.NewLine()
 
     def _build_status_gui(self) -> None:
         rows = rows_of(self._frame.status, self._stage)
         for name, text in rows.items():
             imgui.TextDisabled(name)
-            imgui.SameLine(90)
+            imgui.SameLine(100)
             imgui.TextWrapped(text)
         for name in self._frame.plans:
             imgui.TextColored(imgui.Vec4(*COLOURS.get(name, OTHER_COLOUR)), f"- {name}")
@@ -236,12 +236,12 @@ class Panel(plugin.ViewerPlugin):
         imgui.SameLine()
         return bool(pressed or (not imgui.IsAnyItemActive() and imgui.IsKeyPressed(key, False)))
 
-    def _wish(self, wish: messages.Event) -> None:
-        self.viewer.send_to_sim(wish)
+    def _request(self, request: messages.Event) -> None:
+        self.viewer.send_to_sim(request)
 
 
 def rows_of(status: Status, stage: Stage) -> dict[str, str]:
-    """What there is to tell of an episode on a stage, by name."""
+    """The status of an episode as text, by name."""
     earned = ", ".join(f"{name} {value:g}" for name, value in status.rewards.items())
     of = "" if stage.longest is None else f" of {stage.longest}"
     ended = "" if status.outcome is None else f": {status.outcome}"
@@ -250,7 +250,7 @@ def rows_of(status: Status, stage: Stage) -> dict[str, str]:
         "return": f"{status.total_reward:.4g}" + (f"  ({earned})" if earned else ""),
         "distance": f"{status.distance:.3f} m",
         "contacts": _contact_text(status.contacts),
-        "decision": f"{status.decision_ms:.2f} ms",
+        "decision time": f"{status.decision_ms:.2f} ms",
     }
 
 
@@ -259,27 +259,27 @@ def _contact_text(contacts: Mapping[str, tuple[str, ...]]) -> str:
 
 
 class LoopbackViewer(web_viewer.WebViewer):
-    """Studio's web viewer, for this machine alone: its own listens on all interfaces, and asks nobody who they are."""
+    """Studio's web viewer, for this machine only. Studio's own listens on all interfaces, without authentication."""
 
     _host = property(lambda self: LOOPBACK, lambda self, host: None)
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        if self._http_sock.getsockname()[0] != LOOPBACK:  # another version of Studio may not ask `_host`
+        if self._http_sock.getsockname()[0] != LOOPBACK:  # another version of Studio may not read `_host`
             self.close()
             raise ConfigurationError(
-                f"MuJoCo {mujoco.__version__} would show this to the network: take another version"
+                f"MuJoCo {mujoco.__version__} would serve this page to the network: install another version"
             )
 
     def get_drop_file(self) -> str:
-        """Nothing: what is dropped onto the page is not written to disk."""
+        """Return nothing, so that files dropped onto the page are not written to disk."""
         return ""
 
 
 def show_in_browser(player: Player, port: int = 0, open_browser: bool = True) -> None:
-    """Play until the viewer ends; `port` 0 is the first free one from `FIRST_PORT` on.
+    """Play until the viewer ends. `port` 0 means the first free one from `FIRST_PORT` on.
 
-    Raises `ConfigurationError` for a port that cannot be had.
+    Raises `ConfigurationError` for a port that is not available.
     """
     _check_port(port)
     panel = Panel(player.stage)
@@ -301,6 +301,6 @@ def _check_port(port: int) -> None:
             probe.bind((LOOPBACK, port))
         except OSError as error:
             raise ConfigurationError(
-                f"port {port} cannot be had ({error.strerror}): name another one, or none for the first free one from "
-                f"{FIRST_PORT} on"
+                f"port {port} is not available ({error.strerror}): choose another one, or none for the first free one "
+                f"from {FIRST_PORT} on"
             ) from error

@@ -1,4 +1,4 @@
-"""One policy in one world, decision by decision, and what there is to tell of it: what a viewer plays from."""
+"""Plays one policy in one world, control step by control step, and keeps the episode's status, for viewers."""
 
 import time
 from collections.abc import Mapping
@@ -17,22 +17,22 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Status:
-    """How an episode stands."""
+    """The status of an episode."""
 
     policy: str
     seed: int
     episode: int
     steps: int = 0
     decision_ms: float = 0.0
-    """Wall time of the last decision."""
+    """Decision time of the last control step: wall time of the policy's call."""
     distance: float = 0.0
     """m to the target or the goal line."""
     rewards: Mapping[str, float] = field(default_factory=dict)
-    """Earned so far, by term; the return is their sum."""
+    """Sum of each reward term so far; the return is the sum of these."""
     contacts: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """What has been touched since the last decision, and by which parts, where they are told apart."""
+    """Objects touched since the last control step, and by which parts of the robot, if these are distinguished."""
     outcome: str | None = None
-    """Once the episode has ended."""
+    """None until the episode has ended."""
 
     @property
     def total_reward(self) -> float:
@@ -41,9 +41,9 @@ class Status:
 
 
 class Stage:
-    """Plays one episode at a time in one world; another policy, seed or episode may come on at any time.
+    """Plays one episode at a time in one world. Another policy, seed or episode can be started at any time.
 
-    Raises `ConfigurationError` or `AgentFileError` for what cannot be made.
+    Raises `ConfigurationError` or `AgentFileError` for a policy or an environment that cannot be made.
     """
 
     def __init__(
@@ -53,14 +53,14 @@ class Stage:
         self._env = make_worlds(env, 1, env_options)
         self.task = self._env.task
         self.longest = self._env.max_episode_steps
-        """Decisions until an episode is truncated; None for never."""
+        """Control steps until an episode is truncated; None: never."""
         self.period = self.task.control_period
         """Seconds between control steps."""
         self.status = Status("", seed, episode)
         self.play(policy, seed, episode)
 
     def play(self, policy: str, seed: int, episode: int) -> None:
-        """Begin an episode. Raises `ConfigurationError` or `AgentFileError`, and goes on as before."""
+        """Start an episode. If it raises `ConfigurationError` or `AgentFileError`, the current episode continues."""
         if policy != self.status.policy:
             self._actor: Policy = make_policy(policy, self._env)
         self._observations, infos = self._env.reset(seed=[seed], options={"episode": [episode]})
@@ -69,7 +69,7 @@ class Stage:
         self.status = Status(policy, seed, episode, distance=self._distance(), contacts=_touched(infos))
 
     def step(self) -> None:
-        """Make one decision, unless the episode has ended. Raises `PolicyFailed`."""
+        """Make one control step, unless the episode has ended. Raises `PolicyFailed`."""
         status = self.status
         if status.outcome is not None:
             return
@@ -90,11 +90,11 @@ class Stage:
         )
 
     def plans(self) -> Mapping[str, Array]:
-        """Lines by name, (m, 3) m each, that the policy means to follow; none of policies that do not tell."""
+        """The policy's plans: polylines by name, (m, 3) m each; none for policies that do not show any."""
         return self._actor.plans(0) if isinstance(self._actor, Plans) else {}
 
     def close(self) -> None:
-        """Give memory back."""
+        """Close the environment."""
         self._env.close()
 
     def _distance(self) -> float:
@@ -102,11 +102,11 @@ class Stage:
 
 
 def _touched(infos: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
-    """What is touched in the first world, from `info["contacts"]`: by thing, or by part and thing."""
+    """Objects touched in the first world, and by which parts, from `info["contacts"]`."""
     touched: dict[str, tuple[str, ...]] = {}
     for name, value in infos.get("contacts", {}).items():
         if isinstance(value, Mapping):
-            for thing in (thing for thing, touches in value.items() if touches[0]):
+            for thing in (thing for thing, contact in value.items() if contact[0]):
                 touched[thing] = (*touched.get(thing, ()), name)
         elif value[0]:
             touched[name] = ()

@@ -1,4 +1,4 @@
-"""The runner of old: N episodes of M steps, with states, actions and rewards for all to see, and on video."""
+"""Plays N episodes of M steps, prints states, actions and rewards, and records a video."""
 
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -30,12 +30,12 @@ def run_episodes(
     watch: bool,
     env_options: Mapping[str, Any],
 ) -> bool:
-    """Play episodes with one policy, and print each step; False if interrupted.
+    """Play episodes with one policy, and print each step. Returns False if interrupted.
 
-    Raises `ConfigurationError`, `AgentFileError`, `PolicyFailed`, or `ResultsError` for a video that cannot be written.
+    Raises `ConfigurationError`, `AgentFileError`, `PolicyFailed`, and `ResultsError` if the video cannot be written.
     """
     if watch and video:
-        raise ConfigurationError("--watch and --video exclude each other: the window shows, the video records")
+        raise ConfigurationError("--watch and --video exclude each other: choose one")
     console = Console()
     world: Any = _make(env, steps, "human" if watch else "rgb_array" if video else None, env_options)
     actor = make_policy(policy, world)
@@ -81,7 +81,7 @@ def _make(
 ) -> gymnasium.Env[Any, Any]:
     options: dict[str, Any] = {**env_options, **({} if steps is None else {"max_episode_steps": steps})}
     if not isinstance(options.get("max_episode_steps", 1), int):
-        raise ConfigurationError(f"max_episode_steps is a whole number, not {options['max_episode_steps']!r}")
+        raise ConfigurationError(f"max_episode_steps must be a whole number, not {options['max_episode_steps']!r}")
     return gymnasium.make(find_spec(env), render_mode=render_mode, **options)
 
 
@@ -97,7 +97,7 @@ def _print_step(
 
 @contextmanager
 def _film(video: Path | None, fps: int, console: Console) -> Iterator[Film | None]:
-    """Takes frames to a video file as they come; None without one."""
+    """A function that appends frames to a video file; None without a file."""
     if video is None:
         yield None
         return

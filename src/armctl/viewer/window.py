@@ -1,4 +1,4 @@
-"""A policy at work in MuJoCo's own window, with keys instead of a panel: Studio's window asks for Python 3.12."""
+"""The live viewer in MuJoCo's own window, with keys instead of a panel (Studio's window needs Python 3.12)."""
 
 import os
 import queue
@@ -11,19 +11,19 @@ from armctl.errors import ConfigurationError
 from armctl.viewer.browser import Frame, Play, Player, rows_of
 
 SPACE, RIGHT, AGAIN, NEXT = 32, 262, ord("R"), ord("N")
-"""Keys, as GLFW numbers them."""
+"""GLFW's key codes."""
 COPIED = ("type", "dataid", "objtype", "objid", "category", "matid", "emission", "specular", "shininess", "reflectance")
 
 
 def check_screen() -> None:
-    """Raise `ConfigurationError` where there is no screen."""
+    """Raise `ConfigurationError` on a machine without a screen."""
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise ConfigurationError("--native opens a window, and there is no display here: without it, a browser will do")
+        raise ConfigurationError("--native needs a display, and there is none: without it, the viewer uses a browser")
 
 
 def show_in_window(player: Player) -> None:
     """Play until the window is closed."""
-    import mujoco.viewer as viewer  # opens GLFW, which only a window needs
+    import mujoco.viewer as viewer  # loads GLFW, which only a window needs
 
     pressed: queue.SimpleQueue[int] = queue.SimpleQueue()
     model = player.scenery.model
@@ -34,7 +34,7 @@ def show_in_window(player: Player) -> None:
         mujoco.mjv_defaultFreeCamera(model, window.cam)
         while window.is_running():
             while not pressed.empty():
-                _grant(player, pressed.get())
+                _handle_key(player, pressed.get())
             with window.lock():
                 player.on_step(messages.StepEvent(model, data))
                 mujoco.mj_forward(model, data)
@@ -45,7 +45,7 @@ def show_in_window(player: Player) -> None:
             window.sync()
 
 
-def _grant(player: Player, key: int) -> None:
+def _handle_key(player: Player, key: int) -> None:
     status = player.frame.status
     if key == SPACE:
         player.on_pause(messages.RequestPauseEvent(sim.PauseState(not player.frame.paused)))
@@ -57,9 +57,9 @@ def _grant(player: Player, key: int) -> None:
 
 def _decorate(scene: mujoco.MjvScene, frame: Frame) -> None:
     geoms = frame.geoms[: scene.maxgeom]
-    for ours, drawn in zip(geoms, scene.geoms, strict=False):
+    for source, target in zip(geoms, scene.geoms, strict=False):
         for name in COPIED:
-            setattr(drawn, name, getattr(ours, name))
+            setattr(target, name, getattr(source, name))
         for name in ("size", "pos", "mat", "rgba"):
-            getattr(drawn, name)[:] = getattr(ours, name)
+            getattr(target, name)[:] = getattr(source, name)
     scene.ngeom = len(geoms)

@@ -51,10 +51,10 @@ def test_layouts_differ_and_have_all_kinds_of_obstacles(workspace):
     drawn = layouts(workspace, 60, seed=3)
     assert len({len(layout.boxes) for layout in drawn}) >= 5
     sizes = np.vstack([layout.boxes.half_sizes for layout in drawn]) / workspace.radius
-    posts = np.isclose(sizes[:, 0], obstacle_layout.POST_THICKNESS) & np.isclose(
-        sizes[:, 1], obstacle_layout.POST_THICKNESS
+    posts = np.isclose(sizes[:, 0], obstacle_layout.POST_HALF_WIDTH) & np.isclose(
+        sizes[:, 1], obstacle_layout.POST_HALF_WIDTH
     )
-    boards = np.isclose(sizes, obstacle_layout.BOARD).any(axis=1)
+    boards = np.isclose(sizes, obstacle_layout.BOARD_HALF_THICKNESS).any(axis=1)
     assert posts.sum() > 20
     assert boards.sum() > 10
     assert (~posts & ~boards).sum() > 60

@@ -1,4 +1,4 @@
-"""Rovers that cross a bridge without touching anything."""
+"""Bridge crossing: a rover drives to the far end of a bridge without touching anything."""
 
 from armctl.tasks.bridge.bridge import (
     CONTROL_PERIOD,

@@ -1,6 +1,6 @@
 """Bridge crossing: a skid-steer rover drives to the goal line at the far end without touching anything.
 
-The reward is easy to change: see `REWARD`, and `BridgeOptions`.
+To change the reward, see `REWARD` and `BridgeOptions`.
 """
 
 from collections.abc import Callable, Mapping
@@ -51,11 +51,11 @@ Array = NDArray[np.float64]
 CONTROL_PERIOD = 0.1
 """s between two control steps."""
 WALKER_PERIOD = 0.02
-"""s between two moves of the walkers, who make 24 mm at most in it."""
+"""s between two moves of the walkers, who walk at most 24 mm in it."""
 MOVES = round(CONTROL_PERIOD / WALKER_PERIOD)
-"""Of the walkers, between two control steps; wheel speeds and torques are sampled as often."""
+"""Moves of the walkers per control step. Wheel speeds and torques are sampled as often."""
 LEARNER_VELOCITY = np.array([[-0.3, -2.0], [1.6, 2.0]], dtype=np.float32)
-"""Lowest and highest linear (m/s) and angular velocity (rad/s) that a learner's network commands."""
+"""Lowest and highest linear (m/s) and angular velocity (rad/s) of a learner's actions."""
 
 Blocks = Annotated[int, Field(ge=0, le=50)]
 Walkers = Annotated[int, Field(ge=0, le=20)]
@@ -78,27 +78,27 @@ class BridgeOptions:
     deck_length: Annotated[float, Field(ge=8, le=200)] = 20.0
     """m."""
     deck_width: Annotated[float, Field(ge=3, le=20)] = 4.0
-    """m, of which the barriers take 1.22."""
+    """m; the barriers take 1.22 m of it."""
     blocks: Blocks = 7
-    """Barrier blocks on the deck, placed anew in each episode."""
+    """Barrier blocks on the deck, at new places in each episode."""
     walkers: Walkers = 0
-    """People-sized obstacles that walk across and along the bridge."""
+    """Person-sized obstacles that walk across and along the bridge."""
     missing_barriers: Annotated[int, Field(ge=0, le=100)] = 1
-    """Jersey barriers that are missing, different ones in each episode: the edge is open there."""
+    """Jersey barriers that are missing, different ones in each episode: there, the deck has an open edge."""
     observation: Literal["camera", "state"] = "camera"
     """`camera`: a dict of `image` and own `motion`. `state`: pose, velocity and surroundings."""
     camera: Literal["depth", "classes", "rgb"] = "depth"
     """`depth` (m, along the optical axis), `classes` (an index into `PIXEL_CLASSES`) or `rgb` (needs OpenGL)."""
     resolution: Annotated[tuple[Side, Side], Strict(False)] = (48, 32)
-    """Of the camera: width and height, pixels."""
+    """Width and height of the camera image, pixels."""
     field_of_view: Annotated[float, Field(ge=20, le=150)] = 110.0
-    """Of the camera, horizontally, degrees."""
+    """Horizontal field of view of the camera, degrees."""
     camera_range: Annotated[float, Field(ge=0.5, le=1000)] = 10.0
     """Largest depth that the camera measures, m."""
     timestep: Annotated[float, Field(ge=1e-5, le=0.02)] = 0.005
-    """Of the physics, s; see `benchmarks/physics_step.py`."""
+    """Physics time step, s; see `benchmarks/physics_step.py`."""
     progress: Annotated[float, Field(ge=-1e6, le=1e6)] = 0.0
-    """Reward for each metre nearer to the goal line, as one more reward term."""
+    """Reward per metre of progress towards the goal line, as an additional reward term."""
     reward: Mapping[str, Term] = field(default_factory=lambda: REWARD)
     """Named reward terms."""
 
@@ -106,13 +106,13 @@ class BridgeOptions:
         chunks = WALKER_PERIOD / self.timestep
         if abs(chunks - round(chunks)) > 1e-6:
             raise ConfigurationError(
-                f"timestep divides {WALKER_PERIOD} s without remainder, which {self.timestep} does not"
+                f"timestep must divide {WALKER_PERIOD} s without remainder, which {self.timestep} does not"
             )
 
 
 @options
 class BridgeMovingOptions(BridgeOptions):
-    """Options of `armctl/BridgeCrossMoving-v0`: the same, with fewer blocks, and people."""
+    """Options of `armctl/BridgeCrossMoving-v0`: the same, with fewer blocks, and walkers."""
 
     blocks: Blocks = 3
     walkers: Walkers = 3
@@ -173,7 +173,7 @@ class BridgeTask(Task):
 
     @property
     def interface(self) -> dict[str, str]:
-        """Robot, and what is observed."""
+        """Robot and observation."""
         if self.options.observation == "state":
             return {
                 "robot": "rover",
@@ -194,17 +194,17 @@ class BridgeTask(Task):
 
     @property
     def learner_view(self) -> LearnerView:
-        """Inverse depths, and the velocities that a car would be driven with."""
+        """Features: inverse depths. Actions: the velocities in `LEARNER_VELOCITY`, mostly forwards."""
         depth = self.options.observation == "camera" and self.options.camera == "depth"
         low, high = LEARNER_VELOCITY
         return LearnerView(low, high, features=FeatureSpec("inverse_depth") if depth else None)
 
     def map(self, world: int) -> BridgeMap:
-        """What is on the bridge of a world: privileged knowledge."""
+        """The map of a world's bridge, which is privileged knowledge."""
         return self._layouts[world].map
 
     def reset(self, ids: Ids, rngs: list[np.random.Generator]) -> None:
-        """The rover stands at the start, and everything else is somewhere new."""
+        """Place the rover at the start, and everything else at random."""
         self.simulation.reset(ids)
         for i, rng in zip(ids, rngs, strict=True):
             self._layouts[i] = self._sample_episode(rng)
@@ -217,7 +217,7 @@ class BridgeTask(Task):
         self._update_state(self._contacts.since_last_step())
 
     def command(self, actions: Array) -> None:
-        """Linear and angular velocities (n, 2), m/s and rad/s."""
+        """Command linear and angular velocities (n, 2), m/s and rad/s."""
         self._action = actions
         self._distance = self.state.distance
         self.rover.command(actions)
@@ -236,7 +236,7 @@ class BridgeTask(Task):
         return {"pose": self.state.poses, "velocity": self.state.velocities, "motion": self._motion()}
 
     def observe(self, ids: Ids | None = None) -> Observations:
-        """Observations: `image` (n, height, width) and `motion` (n, 3), or the state (n, k)."""
+        """Images `image` (n, height, width) and odometry `motion` (n, 3), or states (n, k)."""
         worlds = slice(None) if ids is None else ids
         if self.options.observation == "state":
             return full_state(self.state, self._blocks(), self._pedestrians)[worlds]
@@ -248,7 +248,7 @@ class BridgeTask(Task):
         return {name: np.array(term(self.state), dtype=float) for name, term in self._terms.items()}
 
     def outcome(self) -> NDArray[np.int8]:
-        """`CROSSED`, `COLLIDED`, `FELL`, or `TIMEOUT` as long as it is none of them."""
+        """`CROSSED`, `COLLIDED` or `FELL`; `TIMEOUT` while the episode goes on."""
         state = self.state
         return np.select(
             (state.fell, state.collided, state.crossed),
@@ -257,9 +257,9 @@ class BridgeTask(Task):
         )
 
     def info(self) -> dict[str, Any]:
-        """`contacts`: whether each part has touched each class of things since the last control step.
+        """`contacts`: whether each part of the rover has touched each class of objects since the last control step.
 
-        `feasible`: whether the bridge can be crossed. It always can: `sample_layout` accepts no other.
+        `feasible`: whether the bridge can be crossed. It always can: `sample_layout` rejects other layouts.
         """
         touched = self.state.contacts
         return {
@@ -275,12 +275,12 @@ class BridgeTask(Task):
         return np.maximum(self.state.distance, 0.0)
 
     def motion(self) -> MotionSample:
-        """How the rovers move now; a contact is one with barrier, obstacle or, of the base, the floor."""
+        """The rovers' motion. Forbidden contacts: with barriers and obstacles, and of the base with the floor."""
         samples = self.joints.since_last_step()
         return MotionSample(self.rover.positions.copy(), self.state.poses, self.state.collided, samples)
 
     def least_clearance(self, world: int, configurations: Array) -> float:
-        """Least distance, m, of the disc that the rover can turn in from sides, blocks and people; negative if they overlap."""
+        """Least distance between the rover's turning disc and sides, blocks and people, m; negative in penetration."""
         bridge, points = self.map(world), configurations[:, :2]
         people = bridge.pedestrians
         standing = np.linalg.norm(bridge.nearest(points) - points[:, None], axis=-1)
@@ -331,7 +331,7 @@ class BridgeTask(Task):
         )
 
     def _blocks(self) -> Array:
-        """Blocks of all worlds, (n, blocks, 5): see `BridgeMap.blocks`."""
+        """Blocks of all worlds, (n, blocks, 5), as in `BridgeMap.blocks`."""
         return np.array([layout.map.blocks for layout in self._layouts])
 
     def _motion(self) -> Array:
@@ -340,7 +340,7 @@ class BridgeTask(Task):
 
 
 class BridgeMovingTask(BridgeTask):
-    """The same, with people who walk across and along the bridge."""
+    """The same, with pedestrians who walk across and along the bridge."""
 
     options_type: ClassVar[type[Any]] = BridgeMovingOptions
     default_policies = ("bridge_ompl", "bridge_mpc", "bridge_moving_ppo", "random")

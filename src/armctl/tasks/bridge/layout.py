@@ -1,7 +1,7 @@
-"""Where blocks stand, people walk and barriers are missing on the bridge: drawn anew for each episode.
+"""Samples a bridge's layout for each episode: where blocks stand, pedestrians walk, and barriers are missing.
 
-The bridge is cut into stretches, one for each block or walker, in random order. A layout is taken only if the map says
-that a rover with `CLEARANCE` can get through, and if there is room to wait on both sides of lanes across the bridge.
+The bridge is divided into sections, one for each block or walker, in random order. A layout is accepted only if a rover
+with `CLEARANCE` can pass, and if it has room to wait on both sides of each lane across the bridge.
 """
 
 from dataclasses import dataclass
@@ -24,61 +24,61 @@ from armctl.tasks.bridge.world import (
 Array = NDArray[np.float64]
 
 CLEARANCE = RADIUS + 0.14
-"""m from the rover's centre to whatever it must not touch, on a way that always exists."""
+"""m from the rover's centre to anything it must not touch, along a path that exists in every layout."""
 RUN_UP, RUN_OUT = 1.5, 1.0
 """m without blocks and walkers after the start, and before the goal line."""
 MAX_BLOCK_YAW = 0.6
 """rad."""
 WALKER_SPEEDS = (0.3, 1.2)
 """m/s."""
-ALONG_STRETCH = 1.6
-"""Length of a stretch for somebody who walks along the bridge, in stretches of a block."""
+ALONG_SECTION = 1.6
+"""Length of the section of a pedestrian who walks along the bridge, relative to that of a block."""
 ATTEMPTS = 1000
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """What is new in an episode."""
+    """The random part of an episode."""
 
     map: BridgeMap
     missing: NDArray[np.intp]
-    """Indices of the jersey barriers that are not there."""
+    """Indices of the missing jersey barriers."""
 
 
 def sample_layout(
     rng: np.random.Generator, length: float, width: float, blocks: int, walkers: int, missing_barriers: int
 ) -> Layout:
-    """Draw a layout that can be crossed; raises `ConfigurationError` where there seems to be none."""
+    """Sample a layout that can be crossed. Raises `ConfigurationError` if none is found."""
     for _ in range(ATTEMPTS):
         drawn = _sample_map(rng, length, width / 2 - 2 * JERSEY_PROFILE[0][0], blocks, walkers)
         if _room_to_wait(drawn) and drawn.crossable(CLEARANCE):
-            # The first and last barriers stay: between them, the bridge is where people look for it.
+            # The first and last barriers are never missing: they mark the ends of the bridge.
             inner = np.arange(2, len(segment_names(length)) - 2)
             return Layout(drawn, rng.permutation(inner)[:missing_barriers])
     raise ConfigurationError(
-        f"{ATTEMPTS} layouts of {blocks} blocks and {walkers} walkers on {length} m by {width} m, "
-        "and none that can be crossed: take fewer, or a larger deck"
+        f"none of {ATTEMPTS} layouts of {blocks} blocks and {walkers} walkers on {length} m by {width} m "
+        "can be crossed: take fewer, or a larger deck"
     )
 
 
 def _sample_map(rng: np.random.Generator, length: float, half_width: float, blocks: int, walkers: int) -> BridgeMap:
     along = rng.random(walkers) < 0.5
-    weights = np.concatenate((np.ones(blocks), np.where(along, ALONG_STRETCH, 1.0)))
+    weights = np.concatenate((np.ones(blocks), np.where(along, ALONG_SECTION, 1.0)))
     order = rng.permutation(blocks + walkers)
     first, last = START_X + RUN_UP, length - GOAL_MARGIN - RUN_OUT
-    stretches = np.zeros(blocks + walkers)
-    stretches[order] = weights[order] * (last - first) / max(weights.sum(), 1.0)
+    sections = np.zeros(blocks + walkers)
+    sections[order] = weights[order] * (last - first) / max(weights.sum(), 1.0)
     ends = np.zeros(blocks + walkers)
-    ends[order] = first + np.cumsum(stretches[order])
-    middles = ends - stretches / 2
+    ends[order] = first + np.cumsum(sections[order])
+    middles = ends - sections / 2
 
-    jitter = rng.uniform(-0.15, 0.15, blocks) * stretches[:blocks]
+    jitter = rng.uniform(-0.15, 0.15, blocks) * sections[:blocks]
     y = rng.uniform(0.3 - half_width, half_width - 0.3, blocks)
     yaw = rng.uniform(-MAX_BLOCK_YAW, MAX_BLOCK_YAW, blocks)
     sizes = np.array([BLOCK_SIZES[i % len(BLOCK_SIZES)] for i in range(blocks)]).reshape(blocks, 2)
     placed = np.column_stack((middles[:blocks] + jitter, y, yaw, sizes))
 
-    x, reach = middles[blocks:], stretches[blocks:] / 2 - WALKER_RADIUS - 0.1
+    x, reach = middles[blocks:], sections[blocks:] / 2 - WALKER_RADIUS - 0.1
     side = half_width - WALKER_RADIUS - 0.05
     lane = rng.uniform(-side, side, walkers)
     start = np.where(along[:, None], np.column_stack((x - reach, lane)), np.column_stack((x, np.full(walkers, -side))))
@@ -89,7 +89,7 @@ def _sample_map(rng: np.random.Generator, length: float, half_width: float, bloc
 
 
 def _room_to_wait(drawn: BridgeMap) -> bool:
-    """Whether the rover fits between each lane across the bridge and whatever stands or walks before and behind it."""
+    """Whether the rover fits between each lane across the bridge and the obstacles before and behind it."""
     pedestrians, blocks = drawn.pedestrians, drawn.blocks
     across = pedestrians.start[:, 0] == pedestrians.end[:, 0]
     x, _, yaw, half_length, half_width = blocks.T

@@ -1,4 +1,4 @@
-"""What the rover's camera sees in n worlds, and the spaces of what is observed."""
+"""Camera images and full states of n bridge worlds, and their observation spaces."""
 
 from collections.abc import Callable
 from typing import Any
@@ -19,16 +19,16 @@ from armctl.tasks.task import Ids, Observations
 Array = NDArray[np.float64]
 
 PIXEL_CLASSES = ("sky", *CONTACT_CLASSES)
-"""What the camera `classes` tells apart: a pixel is an index into these."""
+"""Pixels of the camera `classes` are indices into these."""
 
 See = Callable[[Ids | None], NDArray[Any]]
-"""Pictures (n, height, width, ...) of worlds, or of all."""
+"""Images (n, height, width, ...) of some worlds, or of all."""
 
 
 def make_camera(
     simulation: Simulation, kind: str, resolution: tuple[int, int], field_of_view: float, camera_range: float
 ) -> See:
-    """The camera of `BridgeOptions`; raises `ConfigurationError` for `rgb` without OpenGL."""
+    """The camera of `BridgeOptions`. Raises `ConfigurationError` for `rgb` without OpenGL."""
     if kind == "rgb":
         try:
             pictures = Camera(simulation.model, CAMERA, *resolution)
@@ -53,7 +53,7 @@ def full_state(state: BridgeState, blocks: Array, pedestrians: PedestrianTraject
 
 
 def make_observation_space(seen: Observations, kind: str, camera_range: float) -> gymnasium.spaces.Space[Any]:
-    """Of one world, from what is seen in all of them."""
+    """The observation space of one world, from the observations of all worlds."""
     if isinstance(seen, np.ndarray):
         return gymnasium.spaces.Box(-np.inf, np.inf, seen.shape[1:], dtype=np.float32)
     shape = seen["image"].shape[1:]

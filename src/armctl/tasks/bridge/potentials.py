@@ -1,4 +1,4 @@
-"""Potentials of bridge tasks: what planners know about a state, for reward shaping."""
+"""Potentials of bridge tasks for reward shaping, from planners."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ from armctl.tasks.task import Ids, Potential
 Array = NDArray[np.float64]
 
 CLEARANCE = 0.36
-"""m around the blocks: somewhat less than the planner keeps, for gaps that are just wide enough for it."""
+"""m around the blocks: somewhat less than the planner keeps, so that gaps just wide enough for it stay open."""
 
 
 class CrossingCostToGo(Potential):
@@ -24,10 +24,10 @@ class CrossingCostToGo(Potential):
         self._lengths = np.zeros((len(task.state.poses), *self._lattice.shape))
 
     def begin(self, ids: Ids) -> None:
-        """Compute the lengths from all points of the bridges."""
+        """Compute the path lengths from all points of the bridges of worlds `ids`."""
         for i in ids:
             self._lengths[i] = self._lattice.lengths(self.task.map(int(i)), self.task.goal_x, CLEARANCE)
 
     def potentials(self, ids: Ids) -> Array:
-        """In m, (len(ids),)."""
+        """(len(ids),) m."""
         return -self._lattice.interpolate(self._lengths[ids], self.task.state.poses[ids, :2])

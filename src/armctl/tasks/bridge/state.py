@@ -1,4 +1,4 @@
-"""What is known of n bridge worlds at a control step: reward and potentials are functions of it."""
+"""The state of n bridge worlds at a control step. Reward and potentials are functions of it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class BridgeState:
-    """All that reward terms may use; every array has a leading axis n, the number of worlds."""
+    """Everything that reward terms may use. Every array has a leading axis n, the number of worlds."""
 
     time: Array
     """Since the episode began, s, (n,)."""

@@ -1,4 +1,4 @@
-"""The bridge as a MuJoCo model: deck, barriers, blocks, walkers and the rover, in the sizes that options ask for."""
+"""Builds the bridge's MuJoCo model: deck, barriers, blocks, walkers and the rover, in the sizes of the options."""
 
 from typing import Any
 
@@ -13,7 +13,7 @@ from armctl.simulation.worlds import world_path
 START_X, GOAL_MARGIN = 1.0, 1.0
 """m from the deck's ends to the rover's start, and to the goal line."""
 SEGMENT_LENGTH = 4.0
-"""m of one jersey barrier, at most."""
+"""m, largest length of one jersey barrier."""
 JERSEY_PROFILE = ((0.305, 0.0), (0.305, 0.075), (0.12, 0.33), (0.075, 0.81))
 """Half width and height, m, of the New Jersey barrier's corners (FHWA)."""
 BLOCK_SIZES = ((0.2, 0.7), (0.25, 0.5), (0.3, 0.3), (0.2, 0.8))
@@ -22,9 +22,9 @@ BLOCK_HEIGHT = 0.8
 WALKER_RADIUS, WALKER_HEIGHT = 0.25, 1.7
 SLAB_DEPTH, GROUND = 0.4, -4.0
 LOOKS = 2
-"""Geom group of what is only for the eye, and none of it an obstacle."""
+"""Geom group of purely visual geoms."""
 HIDDEN = -50.0
-"""Height, m, of barriers that an episode does without: under the water."""
+"""Height, m, at which missing barriers are hidden: below the water."""
 
 CONTACT_CLASSES = {
     "floor": (mujoco.mjtObj.mjOBJ_GEOM, "asphalt"),
@@ -34,11 +34,11 @@ CONTACT_CLASSES = {
     "goal": (mujoco.mjtObj.mjOBJ_GEOM, "goal_line"),
     "ground": (mujoco.mjtObj.mjOBJ_GEOM, "ground"),
 }
-"""What the rover can touch: `floor` is the asphalt from above, `deck` the concrete beneath it, from the side."""
+"""What the rover can touch: `floor` is the top of the asphalt, `deck` the side of the concrete below it."""
 
 
 def segment_names(length: float) -> list[str]:
-    """Bodies of the jersey barriers, from start to goal, left and right in turn."""
+    """Bodies of the jersey barriers, from start to goal, alternating left and right."""
     return [f"{side}_barrier_{i}" for i in range(int(np.ceil(length / SEGMENT_LENGTH))) for side in ("left", "right")]
 
 
@@ -127,7 +127,7 @@ def _add_jersey_barriers(spec: Any, length: float, width: float) -> None:
 
 
 def _add_walker(body: Any) -> None:
-    """A person as a cylinder, with a head for the eye."""
+    """A person as a cylinder with a visual head."""
     shoulders = WALKER_HEIGHT - 0.25
     kind = mujoco.mjtGeom.mjGEOM_CYLINDER
     body.add_geom(type=kind, size=[WALKER_RADIUS, shoulders / 2, 0], pos=[0, 0, shoulders / 2], material="coat")
@@ -138,7 +138,7 @@ def _add_walker(body: Any) -> None:
 
 
 def _add_start(spec: Any) -> None:
-    """Keyframe `start`: where the rover's tyres have settled under its weight."""
+    """Add the keyframe `start`, in which the rover's tyres have settled under its weight."""
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_step(model, data, nstep=round(2.0 / model.opt.timestep))

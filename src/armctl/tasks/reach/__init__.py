@@ -1,12 +1,12 @@
-"""Arms that reach: for a target at rest, for one that moves, and around obstacles."""
+"""Arms that reach: for a target at rest, for a moving target, and around obstacles."""
 
 from armctl.tasks.reach.moving import MovingReachState, ReachMovingOptions, ReachMovingTask
 from armctl.tasks.reach.obstacles import ObstaclesReachState, ReachObstaclesOptions, ReachObstaclesTask, read_boxes
 from armctl.tasks.reach.reach import ReachOptions, ReachOutcome, ReachTask
-from armctl.tasks.reach.state import OBSERVATION, REWARD, ReachState
+from armctl.tasks.reach.state import OBSERVATION, REWARD, ReachState, observation_sizes, observation_slices
 
 __all__ = [
     "OBSERVATION", "REWARD", "MovingReachState", "ObstaclesReachState", "ReachMovingOptions", "ReachMovingTask",
     "ReachObstaclesOptions", "ReachObstaclesTask", "ReachOptions", "ReachOutcome", "ReachState", "ReachTask",
-    "read_boxes",
+    "observation_sizes", "observation_slices", "read_boxes",
 ]  # fmt: skip

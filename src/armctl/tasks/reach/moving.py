@@ -1,6 +1,6 @@
-"""Reach a target that moves: come within the tolerance soon, and stay there.
+"""Reach a moving target: come within the tolerance quickly, and stay there.
 
-The target moves along a smooth curve, a sum of slow sines in each axis, all of it within reach.
+The target moves along a smooth curve within reach of the arm: a sum of slow sines in each axis.
 """
 
 from collections.abc import Callable, Mapping
@@ -16,7 +16,7 @@ from armctl.options import options
 from armctl.robot_description.joint_profiles import TICK
 from armctl.tasks.reach.potentials import MinimumTimeToMovingTarget
 from armctl.tasks.reach.reach import ReachOptions, ReachOutcome, ReachTask, Terms, Worlds
-from armctl.tasks.reach.state import OBSERVATION, ReachState, Term
+from armctl.tasks.reach.state import GOAL_REWARD, OBSERVATION, STEP_REWARD, ReachState, Term
 from armctl.tasks.task import Ids, Potential
 
 Array = NDArray[np.float64]
@@ -24,11 +24,11 @@ Array = NDArray[np.float64]
 WAVES = 2
 """Sines in each axis."""
 RATES = (1.0, 3.5)
-"""rad/s, the slowest and the fastest sine."""
+"""rad/s, range of the sines' angular frequencies."""
 PROBES = np.linspace(0.0, 15.0, 76)
-"""s into the episode at which the curve is checked to be within reach."""
+"""s: times in the episode at which the curve is checked to be within reach."""
 ATTEMPTS = 1000
-"""Positions of a curve that are tried."""
+"""Positions of a curve that are tried, at most."""
 
 MOVING_OBSERVATION: Mapping[str, Term] = {
     **OBSERVATION,
@@ -37,15 +37,15 @@ MOVING_OBSERVATION: Mapping[str, Term] = {
 """The parts of an observation, in order."""
 
 MOVING_REWARD: Mapping[str, Term] = {
-    "away": lambda state: np.where(state.within, 0.0, -1.0),
-    "goal": lambda state: 100.0 * state.held,
+    "away": lambda state: np.where(state.within, 0.0, STEP_REWARD),
+    "goal": lambda state: GOAL_REWARD * state.held,
 }
 """The terms of the reward, whose sum is the reward."""
 
 
 @dataclass(frozen=True)
 class MovingReachState(ReachState):
-    """The state, and how the target is followed."""
+    """The state, and how well the target is tracked."""
 
     within: NDArray[np.bool_]
     """(n,) whether the end-effector is within the tolerance now."""
@@ -55,12 +55,12 @@ class MovingReachState(ReachState):
 
 @options
 class ReachMovingOptions(ReachOptions):
-    """Options of `armctl/ArmReachMoving-v0`; raises `ConfigurationError` for values it cannot take."""
+    """Options of `armctl/ArmReachMoving-v0`. Raises `ConfigurationError` for invalid values."""
 
     hold_time: Annotated[float, Field(gt=0)] = 4.0
-    """s within the tolerance without a break after which the episode is a success."""
+    """s: the episode is a success after so long within the tolerance, without interruption."""
     amplitude: Annotated[float, Field(ge=0)] = 0.12
-    """m, of the largest sine in an axis."""
+    """m, largest amplitude of a sine."""
     target: Literal["reachable"] = "reachable"
     """A moving target is always sampled within reach."""
     reward: Terms = field(default_factory=lambda: MOVING_REWARD)
@@ -68,7 +68,7 @@ class ReachMovingOptions(ReachOptions):
 
 
 class ReachMovingTask(ReachTask):
-    """n arms, each with a target that moves."""
+    """n arms, each with a moving target."""
 
     options: ReachMovingOptions
     options_type: ClassVar[type[Any]] = ReachMovingOptions
@@ -93,17 +93,17 @@ class ReachMovingTask(ReachTask):
         self._steps += (self._steps > 0) | (self._distances() <= self.options.tolerance)
 
     def outcome(self) -> NDArray[np.int8]:
-        """`HELD`, or `TIMEOUT` as long as it is not."""
+        """`HELD`; `TIMEOUT` while the episode goes on."""
         return self.state.held * np.int8(ReachOutcome.HELD)
 
     def info(self) -> dict[str, NDArray[Any]]:
-        """Also `tracking_error`: mean distance (m) at all control steps since the first within the tolerance."""
+        """Also `tracking_error`: mean distance (m) over all control steps since the target was first reached."""
         tracked = np.maximum(self._steps - 1, 0)
         error = np.divide(self._errors, tracked, out=np.full(len(tracked), np.nan), where=tracked > 0)
         return super().info() | {"tracking_error": error}
 
     def least_time(self, world: int) -> float:
-        """The hold time; the earliest time at which the target can be met is not known."""
+        """The hold time. The earliest time at which the moving target can be reached is unknown."""
         return self.options.hold_time
 
     def _sample_episode(self, world: int, rng: np.random.Generator) -> None:
@@ -120,8 +120,8 @@ class ReachMovingTask(ReachTask):
             if self._within_reach(world, centre):
                 return centre
         raise ConfigurationError(
-            f"no curve of amplitude {self.options.amplitude} m is within reach of {self.arm.description.name}: "
-            f"{ATTEMPTS} were tried"
+            f"none of {ATTEMPTS} curves of amplitude {self.options.amplitude} m is within reach of "
+            f"{self.arm.description.name}"
         )
 
     def _within_reach(self, world: int, centre: Array) -> bool:

@@ -1,8 +1,8 @@
-"""What stands between an arm and its target: boxes, posts and sometimes a shelf, drawn anew for each episode.
+"""Samples obstacles between an arm and its target for each episode: boxes, posts and sometimes a shelf.
 
-Boxes and posts are strewn around the way that the end-effector would take from home to the target; a shelf has the
-target between its boards. What would come too near to the arm at home, or to the target, is left out. Lengths grow with
-the arm: those below are for one that reaches 1 m.
+Boxes and posts are placed at random around the path of the end-effector from home to the target; a shelf has the target
+between its boards. Obstacles too close to the arm at home or to the target are left out. All lengths scale with the
+arm: those below are for an arm with a reach of 1 m.
 """
 
 import math
@@ -22,27 +22,26 @@ Box = tuple[Array, Array, float]
 MOST_BOXES, MOST_POSTS, SHELF_PARTS = 5, 3, 3
 MOST_OBSTACLES = MOST_BOXES + MOST_POSTS + SHELF_PARTS
 SHELVES = 0.3
-"""Part of the layouts that have a shelf."""
+"""Probability that a layout has a shelf."""
 HOME_MARGIN = 0.05
-"""m from the arm at home."""
+"""m, least distance of obstacles from the arm at home."""
 TARGET_MARGIN = 0.03
-"""m from the sphere around the target."""
+"""m, least distance of obstacles from the sphere around the target."""
 GOAL_MARGIN = 0.02
-"""m that boxes are widened by for the arm at the target, which is to have room there."""
-STREWN = 0.08
-"""m, standard deviation of boxes around the end-effector's way."""
-POST_THICKNESS = 0.03
-"""m, half of it."""
-BOARD = 0.01
-"""m, half of its thickness."""
-
-
+"""m by which boxes are enlarged when it is checked that the arm has room at the target."""
+SPREAD = 0.08
+"""m, standard deviation of boxes around the end-effector's path."""
+POST_HALF_WIDTH = 0.03
+"""m"""
+BOARD_HALF_THICKNESS = 0.01
+"""m"""
 ATTEMPTS = 100
+"""Layouts that are tried, at most."""
 
 
 @dataclass(frozen=True, eq=False)
 class ReachLayout:
-    """What is new in an episode."""
+    """The random part of an episode."""
 
     target: Array
     """(3,) m"""
@@ -51,9 +50,9 @@ class ReachLayout:
 
 
 def sample_layout(rng: np.random.Generator, workspace: Workspace, tolerance: float) -> ReachLayout:
-    """Draw a target that the arm can be at, and what stands in its way from home; there may be no way.
+    """Sample a target that the arm can reach, and obstacles between home and target. There may be no free path.
 
-    No box comes within `HOME_MARGIN` of the arm at home, or within `tolerance` and `TARGET_MARGIN` of the target.
+    No box comes within `HOME_MARGIN` of the arm at home, or within `tolerance` + `TARGET_MARGIN` of the target.
 
     Raises `ConfigurationError` if nothing is found in `ATTEMPTS`.
     """
@@ -63,9 +62,7 @@ def sample_layout(rng: np.random.Generator, workspace: Workspace, tolerance: flo
         among = workspace.model.among(Boxes(layout.boxes.centres, wider, layout.boxes.yaws))
         if any(among.is_free(q) for q in workspace.ik.free_configurations(layout.target)):
             return layout
-    raise ConfigurationError(
-        f"{ATTEMPTS} layouts, and none with room for {workspace.model.description.name} at its target"
-    )
+    raise ConfigurationError(f"none of {ATTEMPTS} layouts leaves {workspace.model.description.name} room at its target")
 
 
 def _sample(rng: np.random.Generator, workspace: Workspace, tolerance: float) -> ReachLayout:
@@ -73,10 +70,10 @@ def _sample(rng: np.random.Generator, workspace: Workspace, tolerance: float) ->
     target = workspace.sample(rng, clearance=tolerance)
     start, goal = (_cylindrical(point - workspace.centre) for point in (model.position(model.home), target))
     around = (goal[1] - start[1] + math.pi) % (2 * math.pi) - math.pi
-    way = np.array((goal[0] - start[0], around, goal[2] - start[2]))
+    path = np.array((goal[0] - start[0], around, goal[2] - start[2]))
 
-    drawn = [_box(rng, workspace, start, way) for _ in range(rng.integers(3, MOST_BOXES + 1))]
-    drawn += [_post(rng, workspace, start, way) for _ in range(rng.integers(1, MOST_POSTS + 1))]
+    drawn = [_box(rng, workspace, start, path) for _ in range(rng.integers(3, MOST_BOXES + 1))]
+    drawn += [_post(rng, workspace, start, path) for _ in range(rng.integers(1, MOST_POSTS + 1))]
     if rng.random() < SHELVES:
         drawn += _shelf(rng, workspace, target)
     boxes = Boxes(*(np.array(part, dtype=float) for part in zip(*drawn, strict=True)))
@@ -85,34 +82,34 @@ def _sample(rng: np.random.Generator, workspace: Workspace, tolerance: float) ->
     return ReachLayout(target, Boxes(boxes.centres[apart], boxes.half_sizes[apart], boxes.yaws[apart]))
 
 
-def _box(rng: np.random.Generator, workspace: Workspace, start: Array, way: Array) -> Box:
-    """A box somewhere along the end-effector's way, and on the floor or above it."""
+def _box(rng: np.random.Generator, workspace: Workspace, start: Array, path: Array) -> Box:
+    """A box near the end-effector's path, on the floor or above it; `path` (3,) is a cylindrical displacement."""
     scale = workspace.radius
     half_size = scale * rng.uniform(0.03, 0.12, 3)
-    centre = workspace.centre + _cartesian(start + rng.uniform(0.2, 0.9) * way)
-    centre = centre + scale * STREWN * rng.normal(size=3)
+    centre = workspace.centre + _cartesian(start + rng.uniform(0.2, 0.9) * path)
+    centre = centre + scale * SPREAD * rng.normal(size=3)
     centre[2] = max(centre[2], half_size[2])
     return centre, half_size, rng.uniform(-math.pi, math.pi)
 
 
-def _post(rng: np.random.Generator, workspace: Workspace, start: Array, way: Array) -> Box:
+def _post(rng: np.random.Generator, workspace: Workspace, start: Array, path: Array) -> Box:
     """A post on the floor, in a direction that the arm turns through."""
     scale = workspace.radius
-    radius, angle = scale * rng.uniform(0.35, 0.75), start[1] + rng.uniform(0.2, 0.9) * way[1]
+    radius, angle = scale * rng.uniform(0.35, 0.75), start[1] + rng.uniform(0.2, 0.9) * path[1]
     half_height = scale * rng.uniform(0.15, 0.45)
     centre = workspace.centre + _cartesian(np.array((radius, angle, 0.0)))
     centre[2] = half_height
-    thickness = scale * POST_THICKNESS
-    return centre, np.array((thickness, thickness, half_height)), rng.uniform(-math.pi, math.pi)
+    half_width = scale * POST_HALF_WIDTH
+    return centre, np.array((half_width, half_width, half_height)), rng.uniform(-math.pi, math.pi)
 
 
 def _shelf(rng: np.random.Generator, workspace: Workspace, target: Array) -> list[Box]:
-    """A board below the target, one above it and one behind it; the shelf opens roughly towards the arm."""
+    """Boards below, above and behind the target: the shelf opens roughly towards the arm."""
     scale = workspace.radius
     yaw = math.atan2(*(target - workspace.centre)[1::-1]) + rng.normal(0, 0.3)
     depth, width, below, above = scale * rng.uniform((0.1, 0.15, 0.1, 0.1), (0.15, 0.25, 0.2, 0.25))
     outward, up = np.array((math.cos(yaw), math.sin(yaw), 0.0)), np.array((0.0, 0.0, 1.0))
-    board, half_height = scale * BOARD, (below + above) / 2
+    board, half_height = scale * BOARD_HALF_THICKNESS, (below + above) / 2
     middle = target + up * (above - below) / 2
     return [
         (target - up * below, np.array((depth, width, board)), yaw),
@@ -122,7 +119,7 @@ def _shelf(rng: np.random.Generator, workspace: Workspace, target: Array) -> lis
 
 
 def _cylindrical(point: Array) -> Array:
-    """Distance from the vertical axis, angle around it, height."""
+    """Cylindrical coordinates of a point: distance from the vertical axis, angle around it, height."""
     return np.array((math.hypot(point[0], point[1]), math.atan2(point[1], point[0]), point[2]))
 
 

@@ -1,6 +1,6 @@
 """Reach around obstacles: boxes, posts and shelves between home and target, different ones in each episode.
 
-Touching any of them, the floor, or the arm itself ends the episode. Every layout used has a path that a planner found.
+A contact of the arm with an obstacle, the floor or itself ends the episode. A planner has found a path in every layout.
 """
 
 import functools
@@ -23,26 +23,26 @@ from armctl.simulation.contacts import ContactSensors, add_contact_sensors
 from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES, sample_layout
 from armctl.tasks.reach.potentials import PathCostToGo
 from armctl.tasks.reach.reach import CONTROL_PERIOD, ReachOptions, ReachOutcome, ReachTask, Terms
-from armctl.tasks.reach.state import OBSERVATION, ReachState, Term
+from armctl.tasks.reach.state import GOAL_REWARD, OBSERVATION, REWARD, ReachState, Term
 from armctl.tasks.task import Potential
 
 Array = NDArray[np.float64]
 
-NUMBERS = 7
-"""In the observation of a box: centre and half sizes, m, and yaw, rad."""
+BOX_NUMBERS = 7
+"""Numbers that describe a box in an observation: centre (3) and half sizes (3), m, and yaw, rad."""
 ATTEMPTS = 50
-"""Layouts that are sampled until one is solvable."""
+"""Layouts that are tried until one is solvable, at most."""
 TOUCHED = ("floor", "obstacle", "itself")
 """What the arm can touch."""
 HIDDEN = (0.0, 0.0, -9.0)
-"""m, where boxes are that an episode does not use."""
+"""m, position of unused boxes."""
 
 OBSTACLES_OBSERVATION: Mapping[str, Term] = {**OBSERVATION, "boxes": lambda state: state.boxes}
 """The parts of an observation, in order."""
 
 OBSTACLES_REWARD: Mapping[str, Term] = {
-    "step": lambda state: np.full(len(state.reached), -1.0),
-    "goal": lambda state: 100.0 * (state.reached & ~state.collided),
+    **REWARD,
+    "goal": lambda state: GOAL_REWARD * (state.reached & ~state.collided),
     "collision": lambda state: np.where(state.collided, -100.0, 0.0),
 }
 """The terms of the reward, whose sum is the reward."""
@@ -53,21 +53,22 @@ class ObstaclesReachState(ReachState):
     """The state, and obstacles and contacts."""
 
     boxes: Array
-    """(n, `MOST_OBSTACLES` * `NUMBERS`), box by box; zeros for those that are absent."""
+    """(n, `MOST_OBSTACLES` * `BOX_NUMBERS`), box by box; zeros for absent boxes."""
     contacts: NDArray[np.bool_]
     """(n, `TOUCHED`) what the arm has touched since the last control step."""
     collided: NDArray[np.bool_]
-    """(n,) whether that is anything."""
+    """(n,) whether the arm has touched anything."""
 
 
 @options
 class ReachObstaclesOptions(ReachOptions):
-    """Options of `armctl/ArmReachObstacles-v0`; raises `ConfigurationError` for values it cannot take."""
+    """Options of `armctl/ArmReachObstacles-v0`. Raises `ConfigurationError` for invalid values."""
 
     solvable: bool = True
-    """Sample layouts until the planner finds a path. If False, the first is taken, and `info["feasible"]` tells."""
+    """Sample layouts until the planner finds a path. If False, the first is taken, and `info["feasible"]` says whether
+    it has one."""
     target: Literal["reachable"] = "reachable"
-    """A target among obstacles is sampled with them, within reach."""
+    """The target is sampled within reach, together with the obstacles."""
     reward: Terms = field(default_factory=lambda: OBSTACLES_REWARD)
     observation: Terms = field(default_factory=lambda: OBSTACLES_OBSERVATION)
 
@@ -81,7 +82,7 @@ class ReachObstaclesTask(ReachTask):
     potentials: ClassVar[Mapping[str, Callable[[Any], Potential]]] = {**ReachTask.potentials, "ompl": PathCostToGo}
 
     def __init__(self, n: int, options: ReachObstaclesOptions, threads: int = 0) -> None:
-        self._boxes = np.zeros((n, MOST_OBSTACLES, NUMBERS))
+        self._boxes = np.zeros((n, MOST_OBSTACLES, BOX_NUMBERS))
         self._planner: ArmPlanner | None = None
         self._paths = [np.zeros((0, 0))] * n
         super().__init__(n, options, threads)
@@ -91,21 +92,21 @@ class ReachObstaclesTask(ReachTask):
         return read_boxes(self._boxes[world])
 
     def path(self, world: int) -> Array:
-        """Waypoints (m, dof) of the path that the planner has found in a world; (0, dof) if it found none."""
+        """Waypoints (m, dof) of the planner's path in a world; none, (0, dof), if it found no path."""
         return self._paths[world]
 
     def least_clearance(self, world: int, configurations: Array) -> float:
-        """Least distance, m, of the arm's links from boxes, floor and each other, as `Clearance` takes them."""
+        """Least distance of the arm's links from boxes, floor and each other, m; see `Clearance`."""
         frames = self._workspace.model.joint_frames(configurations)
         return min(float(distances.min()) for distances, _ in self._clearance.parts(frames, self.boxes(world)))
 
     def outcome(self) -> NDArray[np.int8]:
-        """`COLLIDED`, `REACHED`, or `TIMEOUT` as long as it is neither."""
+        """`COLLIDED` or `REACHED`; `TIMEOUT` while the episode goes on."""
         reached = self.state.reached * np.int8(ReachOutcome.REACHED)
         return np.where(self.state.collided, np.int8(ReachOutcome.COLLIDED), reached)
 
     def info(self) -> dict[str, Any]:
-        """Also `contacts`: whether the arm has touched floor, obstacle, or itself since the last control step."""
+        """Also `contacts`: whether the arm has touched the floor, an obstacle or itself since the last control step."""
         touched = {name: self.state.contacts[:, i].copy() for i, name in enumerate(TOUCHED)}
         return super().info() | {"contacts": touched}
 
@@ -124,7 +125,7 @@ class ReachObstaclesTask(ReachTask):
         model, simulation = self.simulation.model, self.simulation
         self._bodies = np.array([model.body(_name(i)).id for i in range(MOST_OBSTACLES)])
         self._geoms = np.array([model.geom(_name(i)).id for i in range(MOST_OBSTACLES)])
-        self._positions, self._turns, self._sizes, self._bounds, self._radii = (
+        self._positions, self._quaternions, self._sizes, self._bounds, self._radii = (
             simulation.per_world(name) for name in ("body_pos", "body_quat", "geom_size", "geom_aabb", "geom_rbound")
         )
         self._touches = ContactSensors(simulation, ("arm",), TOUCHED)
@@ -155,8 +156,9 @@ class ReachObstaclesTask(ReachTask):
         bodies, geoms = self._bodies[:count], self._geoms[:count]
         self._positions[world, self._bodies] = HIDDEN
         self._positions[world, bodies] = boxes.centres
-        self._turns[world, bodies] = 0.0
-        self._turns[world, bodies, 0], self._turns[world, bodies, 3] = np.cos(boxes.yaws / 2), np.sin(boxes.yaws / 2)
+        self._quaternions[world, bodies] = 0.0
+        self._quaternions[world, bodies, 0] = np.cos(boxes.yaws / 2)
+        self._quaternions[world, bodies, 3] = np.sin(boxes.yaws / 2)
         self._sizes[world, geoms] = self._bounds[world, geoms, 3:] = boxes.half_sizes
         self._radii[world, geoms] = np.linalg.norm(boxes.half_sizes, axis=1)
 
@@ -170,14 +172,14 @@ class ReachObstaclesTask(ReachTask):
 
 
 def read_boxes(numbers: NDArray[np.floating[Any]]) -> Boxes:
-    """Boxes from their observation: any array with `NUMBERS` for each, zeros for those that are absent."""
-    rows = np.asarray(numbers, dtype=float).reshape(-1, NUMBERS)
+    """Parse boxes from an observation: any array with `BOX_NUMBERS` numbers per box, zeros for absent boxes."""
+    rows = np.asarray(numbers, dtype=float).reshape(-1, BOX_NUMBERS)
     rows = rows[(rows[:, 3:6] > 0).all(axis=1)]
     return Boxes(rows[:, :3], rows[:, 3:6], rows[:, 6])
 
 
 def _as_observed(numbers: Array) -> Array:
-    """Rounded as in an observation: a policy that plans on it gets exactly the problem that was found solvable."""
+    """Round numbers as in an observation, so that a policy plans on exactly the problem that was found solvable."""
     return numbers.astype(np.float32).astype(float)
 
 

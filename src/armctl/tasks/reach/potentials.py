@@ -1,4 +1,4 @@
-"""Potentials of reach tasks: what experts know about a state, for reward shaping."""
+"""Potentials of reach tasks for reward shaping, from experts."""
 
 from typing import Any
 
@@ -12,17 +12,18 @@ from armctl.tasks.task import Ids, Potential
 Array = NDArray[np.float64]
 
 QUICK = ReachTimesOptions(nearby=64, goals=8, iterations=1)
-"""For targets that move, and are looked up at every control step."""
+"""For moving targets, which are looked up at every control step."""
 WAYPOINTS = 64
 """On the path around obstacles."""
 DETOUR = 4.0
-"""Times as long as a second on the path counts a second beside it."""
+"""Weight of the time to get to the path, relative to the time along it."""
 
 
 class MinimumTime(Potential):
-    """Minus the least time until the end-effector can be in the target's sphere, over all IK solutions, s.
+    """Minus the least time in which the end-effector can reach the target's sphere, over all IK solutions, s.
 
-    It is that of `ReachTimes`: for a UR5, 0.01 s above `MinimumTimeReach` in the median, 0.05 s in nine cases of ten.
+    It is computed by `ReachTimes`. For a UR5 it exceeds that of `MinimumTimeReach` by 0.01 s in the median, and by
+    0.05 s at the 90th percentile.
     """
 
     effort = ReachTimesOptions()
@@ -33,11 +34,11 @@ class MinimumTime(Potential):
         self._spheres = self._times.spheres(task.state.target_position)
 
     def begin(self, ids: Ids) -> None:
-        """Look up configurations in the targets' spheres."""
+        """Look up configurations with the end-effector in the targets' spheres."""
         self._spheres.put(ids, self._times.spheres(self.task.state.target_position[ids]))
 
     def potentials(self, ids: Ids) -> Array:
-        """In s, (len(ids),)."""
+        """(len(ids),) s."""
         state = self.task.state
         moved = ids[(self._spheres.centres[ids] != state.target_position[ids]).any(axis=1)]
         if len(moved):
@@ -46,13 +47,13 @@ class MinimumTime(Potential):
 
 
 class MinimumTimeToMovingTarget(MinimumTime):
-    """The same, with less effort, for a target that is looked up at every control step."""
+    """The same with less effort, since a moving target is looked up at every control step."""
 
     effort = QUICK
 
 
 class MpcCost(Potential):
-    """Minus the cost of the MPC's plan for the next 0.8 s, m^2, planned from scratch: slow, for a few worlds."""
+    """Minus the cost of the MPC's plan for the next 0.8 s, m^2. It is planned from scratch: slow, for a few worlds."""
 
     def __init__(self, task: Any) -> None:
         super().__init__(task)
@@ -68,7 +69,7 @@ class MpcCost(Potential):
             self._chosen[i] = self._map.towards(target, at, self._mpc.model)
 
     def potentials(self, ids: Ids) -> Array:
-        """In m^2, (len(ids),)."""
+        """(len(ids),) m^2."""
         return np.array([-self._cost(i) for i in ids])
 
     def _cost(self, world: int) -> float:
@@ -84,10 +85,10 @@ class MpcCost(Potential):
 
 
 class PathCostToGo(Potential):
-    """Minus the time along the path that the planner found around the obstacles, s, at the joints' velocity limits.
+    """Minus the time to go along the planner's path around the obstacles, s, at the joints' velocity limits.
 
-    Off the path, it is the time from the best waypoint, and `DETOUR` times the time to get there: with less, shortcuts
-    through obstacles would look short. 0 where no path was found.
+    Off the path, it is the time from the best waypoint plus `DETOUR` times the time to that waypoint. With a smaller
+    weight, shortcuts through obstacles would look short. 0 if no path was found.
     """
 
     def __init__(self, task: Any) -> None:
@@ -98,21 +99,21 @@ class PathCostToGo(Potential):
         self._known = np.zeros((n, 1))
 
     def begin(self, ids: Ids) -> None:
-        """Spread waypoints evenly over the paths."""
+        """Distribute waypoints evenly over the paths."""
         for i in ids:
             path = self.task.path(int(i))
             self._known[i] = len(path) > 0
             if len(path):
-                self._points[i], self._to_go[i] = self._spread(path)
+                self._points[i], self._to_go[i] = self._waypoints(path)
 
     def potentials(self, ids: Ids) -> Array:
-        """In s, (len(ids),)."""
+        """(len(ids),) s."""
         q = self.task.state.joint_positions[ids]
-        beside = self._model.cruise_time(q[:, None], self._points[ids])
-        to_go = self._known[ids] * (DETOUR * beside + self._to_go[ids])
+        to_path = self._model.cruise_time(q[:, None], self._points[ids])
+        to_go = self._known[ids] * (DETOUR * to_path + self._to_go[ids])
         return -np.asarray(to_go.min(axis=1))
 
-    def _spread(self, path: Array) -> tuple[Array, Array]:
+    def _waypoints(self, path: Array) -> tuple[Array, Array]:
         """Points (`WAYPOINTS`, dof) on a path (m, dof), and the remaining time from each, s."""
         times = np.concatenate(([0.0], np.cumsum(self._model.cruise_time(path[:-1], path[1:]))))
         at = np.linspace(0.0, times[-1], WAYPOINTS)

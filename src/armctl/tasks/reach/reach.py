@@ -1,4 +1,4 @@
-"""Reach: bring the arm's end-effector to a target that is at a new place each episode."""
+"""Reach: bring the arm's end-effector to a target, which is at a new place in each episode."""
 
 import functools
 from collections.abc import Callable, Mapping
@@ -23,7 +23,7 @@ from armctl.robots.arm import PREFIX
 from armctl.robots.joints import JointSamples
 from armctl.simulation import Simulation
 from armctl.tasks.reach.potentials import MinimumTime, MpcCost
-from armctl.tasks.reach.state import OBSERVATION, REWARD, ReachState, Term
+from armctl.tasks.reach.state import OBSERVATION, REWARD, ReachState, Term, observation_slices
 from armctl.tasks.task import (
     FeatureSpec,
     Ids,
@@ -41,8 +41,8 @@ Array = NDArray[np.float64]
 CONTROL_PERIOD = 0.04
 """Seconds between control steps: 25 Hz."""
 LARGEST_RELATIVE_MOVE = 0.5
-"""rad from the present joint positions that a learner's action can command: a UR5 joint at its highest speed makes
-0.126 in one control step, and needs 0.33 to brake."""
+"""rad: a learner's action moves joints by at most this from their present positions. At its speed limit, a UR5 joint
+travels 0.126 rad in a control step, and 0.33 rad until it stops."""
 
 Worlds = NDArray[np.int32] | slice
 
@@ -69,18 +69,19 @@ class ReachOutcome(Outcome):
 
 @options
 class ReachOptions:
-    """Options of `armctl/ArmReach-v0`; raises `ConfigurationError` for values it cannot take."""
+    """Options of `armctl/ArmReach-v0`. Raises `ConfigurationError` for invalid values."""
 
     robot: str | Path | ArmDescription = "ur5"
-    """`ur3`, `ur5`, `ur10`, the path of a URDF file, or what `armctl.load_arm` returned."""
+    """`ur3`, `ur5`, `ur10`, the path of a URDF file, or the result of `armctl.load_arm`."""
     tip: str | None = None
-    """The link that is the end-effector, where a URDF file has several that could be."""
+    """The end-effector's link, for a URDF file in which several links could be it."""
     control: Literal["position", "delta", "velocity", "torque"] = "position"
-    """What an action is: `position`, `delta`, `velocity` or `torque` (see `armctl.robots.Arm`)."""
+    """Control mode: the meaning of an action (see `armctl.robots.Arm`)."""
     tolerance: Annotated[float, Field(gt=0)] = 0.05
     """Radius of the target sphere, m: within it, the target is reached."""
     target: Literal["reachable", "box"] = "reachable"
-    """`reachable`: uniform over where the arm can be. `box`: uniform in `target_box`; `info["feasible"]` then tells."""
+    """`reachable`: uniform over the arm's workspace. `box`: uniform in `target_box`, possibly out of reach (see
+    `info["feasible"]`)."""
     target_box: Annotated[Box, AfterValidator(_ordered)] = ((-1.0, -1.0, 0.05), (1.0, 1.0, 1.0))
     """Lowest and highest corner of the box, m."""
     reward: Terms = field(default_factory=lambda: REWARD)
@@ -140,7 +141,7 @@ class ReachTask(Task):
 
     @property
     def idle_action(self) -> Array:
-        """Stay at home: joint positions, or zeros."""
+        """Stay at home: the home joint positions, or zeros."""
         return self.arm.description.home if self.arm.control == "position" else super().idle_action
 
     @property
@@ -150,7 +151,7 @@ class ReachTask(Task):
 
     @property
     def learner_view(self) -> LearnerView:
-        """Offsets, sines and cosines, and moves relative to the present joint positions.
+        """Features: offsets, sines and cosines. Actions: relative to the present joint positions.
 
         Raises `ConfigurationError` for an observation that does not begin with the parts of `OBSERVATION`.
         """
@@ -164,14 +165,14 @@ class ReachTask(Task):
         return LearnerView(
             np.maximum(low, -np.pi) if absolute else low,
             np.minimum(high, np.pi) if absolute else high,
-            relative_to=slice(3, 3 + dof) if absolute else None,
+            relative_to=observation_slices(dof)["joint_positions"] if absolute else None,
             largest_move=LARGEST_RELATIVE_MOVE,
             features=FeatureSpec("reach", {"dof": dof}),
             invariant_features=invariant if self._workspace.model.base_yaw_is_vertical else None,
         )
 
     def reset(self, ids: Ids, rngs: list[np.random.Generator]) -> None:
-        """Arms go home, and targets to new places."""
+        """Move arms to home, and targets to random positions."""
         self.simulation.reset(ids)
         for i, rng in zip(ids, rngs, strict=True):
             self._sample_episode(int(i), rng)
@@ -181,7 +182,7 @@ class ReachTask(Task):
         self._distance[ids] = self.state.distance[ids]
 
     def command(self, actions: Array) -> None:
-        """Actions (n, dof), in the unit of `ReachOptions.control`."""
+        """Command actions (n, dof), in the unit of `ReachOptions.control`."""
         self._action = actions
         self._distance = self.state.distance
         self.arm.command(actions)
@@ -211,7 +212,7 @@ class ReachTask(Task):
         return {name: np.array(term(self.state), dtype=float) for name, term in self.options.reward.items()}
 
     def outcome(self) -> NDArray[np.int8]:
-        """`REACHED`, or `TIMEOUT` as long as it is not."""
+        """`REACHED`; `TIMEOUT` while the episode goes on."""
         return self.state.reached * np.int8(ReachOutcome.REACHED)
 
     def info(self) -> dict[str, NDArray[Any]]:
@@ -219,18 +220,18 @@ class ReachTask(Task):
         return {"feasible": self._feasible.copy()}
 
     def least_time(self, world: int) -> float:
-        """Seconds in which the joint limits allow the target to be reached, if nothing stands in the way."""
+        """Least time to the target within the joint limits, without regard to obstacles, s."""
         q, velocity, target = (
             array[world] for array in (self.arm.joint_positions, self.arm.joint_velocities, self._targets)
         )
         return self._minimum_time.least_time(q, target, self.options.tolerance, velocity)
 
     def goal_distances(self) -> Array:
-        """(n,) m from the end-effectors to their targets."""
+        """(n,) distance from the end-effectors to their targets, m."""
         return self.state.distance
 
     def motion(self) -> MotionSample:
-        """How the arms move now; a contact is one of the arm with the floor or itself, now."""
+        """The arms' motion. A contact is a present one of the arm with the floor or itself."""
         arm = self.arm
         return MotionSample(
             arm.end_effector_positions.copy(),
@@ -252,15 +253,15 @@ class ReachTask(Task):
         return build_arm_world(description, self.options.control)
 
     def _bind_arrays(self) -> None:
-        """Bind arrays of what else is in the simulation."""
+        """Bind further arrays of the simulation."""
         self._contacts = self.simulation.array("ncon")
 
     def _contact(self) -> NDArray[np.bool_]:
-        """(n,) whether the arm touches something that it must not touch."""
+        """(n,) whether the arm has a forbidden contact."""
         return np.asarray(self._contacts > 0)
 
     def _sample_episode(self, world: int, rng: np.random.Generator) -> None:
-        """Sample what is new in a world's episode."""
+        """Sample the random part of a world's new episode."""
         if self.options.target == "box":
             self._targets[world] = rng.uniform(*self.options.target_box)
             self._feasible[world] = self._workspace.reachable(self._targets[world], self.options.tolerance)
@@ -268,7 +269,7 @@ class ReachTask(Task):
             self._targets[world] = self._workspace.sample(rng, clearance=self.options.tolerance)
 
     def _on_tick(self, worlds: Worlds) -> None:
-        """Called after each tick of the drives, in these worlds."""
+        """Called after each tick of the drives in these worlds."""
         self._nearest = np.minimum(self._nearest, self._distances())
 
     def _update_state(self, action: Array) -> None:

@@ -1,5 +1,6 @@
-"""What is known of n reach worlds at a control step: observation, reward and potentials are functions of it."""
+"""The state of n reach worlds at a control step. Observation, reward and potentials are functions of it."""
 
+import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -12,7 +13,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ReachState:
-    """All that reward and observation terms may use, for n worlds; rad, rad/s, m."""
+    """Everything that reward terms and observation parts may use, for n worlds; in rad, rad/s and m."""
 
     end_effector_position: Array
     """(n, 3)"""
@@ -25,13 +26,13 @@ class ReachState:
     distance: Array
     """(n,) from the end-effector to the target's centre."""
     previous_distance: Array
-    """(n,) the same, one control step earlier."""
+    """(n,) the distance one control step earlier."""
     reached: NDArray[np.bool_]
     """(n,) whether the end-effector has been within the tolerance of the target since the last control step."""
     target_velocity: Array
     """(n, 3) m/s."""
     action: Array
-    """(n, dof) the last action, as the policy gave it."""
+    """(n, dof) the policy's last action, before clipping."""
 
 
 Term = Callable[[Any], NDArray[np.floating[Any]]]
@@ -44,8 +45,23 @@ OBSERVATION: Mapping[str, Term] = {
 }
 """The parts of an observation, in order."""
 
+STEP_REWARD, GOAL_REWARD = -1.0, 100.0
+"""For each control step, and for success."""
+
 REWARD: Mapping[str, Term] = {
-    "step": lambda state: np.full(len(state.reached), -1.0),
-    "goal": lambda state: 100.0 * state.reached,
+    "step": lambda state: np.full(len(state.reached), STEP_REWARD),
+    "goal": lambda state: GOAL_REWARD * state.reached,
 }
 """The terms of the reward, whose sum is the reward."""
+
+
+def observation_sizes(dof: int) -> dict[str, int]:
+    """How many numbers each part of `OBSERVATION` has, in order, for an arm of `dof` joints."""
+    return {"end_effector_position": 3, "joint_positions": dof, "target_position": 3}
+
+
+def observation_slices(dof: int) -> dict[str, slice]:
+    """Where each part of `OBSERVATION` is within an observation."""
+    sizes = observation_sizes(dof)
+    ends = itertools.accumulate(sizes.values())
+    return {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
