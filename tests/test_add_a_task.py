@@ -153,7 +153,7 @@ def test_outcomes_are_numbered_from_timeout_on():
 
 def test_what_is_no_task_is_said_to_be_none():
     armctl.register("mine/NoTask-v0", "json:JSONDecoder", max_episode_steps=5)
-    with pytest.raises(ConfigurationError, match="a task is a subclass of armctl.Task"):
+    with pytest.raises(ConfigurationError, match=r"a task is a subclass of armctl\.Task"):
         make_worlds("mine/NoTask-v0", 1)
     armctl.register("mine/Missing-v0", "json:Nothing", max_episode_steps=5)
     with pytest.raises(ConfigurationError, match="cannot load the task 'json:Nothing'"):

@@ -39,11 +39,16 @@ def _choose_graphics() -> None:
     screen = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     if sys.platform != "linux" or screen or "MUJOCO_GL" in os.environ:
         return
+    if _is_installed("libEGL.so.1") and (_is_installed("libOpenGL.so.0") or _is_installed("libGL.so.1")):
+        os.environ["MUJOCO_GL"] = "egl"  # without these libraries, MuJoCo could then not be imported
+
+
+def _is_installed(library: str) -> bool:
     try:
-        ctypes.CDLL("libEGL.so.1")
+        ctypes.CDLL(library)
     except OSError:
-        return  # with MUJOCO_GL=egl and without this library, importing MuJoCo fails
-    os.environ["MUJOCO_GL"] = "egl"
+        return False
+    return True
 
 
 _choose_graphics()
