@@ -1,6 +1,6 @@
 """The table of all trained agents, from their cards: `python -m armctl.rl.zoo` writes `rl/README.md`.
 
-Cards of agents that are shipped lie beside them in `rl/agents/`, those of other training seeds in `rl/cards/`.
+Shipped agents have their cards in `rl/agents/`. Cards of other training seeds are in `rl/cards/`.
 """
 
 from itertools import groupby
@@ -12,10 +12,9 @@ HOME = Path(__file__).parent
 HEAD = """<!-- Made by `python -m armctl.rl.zoo` from the agents' cards: change those, or rl/zoo.py. -->
 # The zoo: agents that come with armctl
 
-`armctl compare reach_ik NAME` lets one meet an expert, `armctl train NAME` makes it anew by its recipe in
-`rl/recipes/`, and `armctl reproduce NAME` plays the episodes again that its card speaks of: held-out ones, of the plain
-task. Minutes are wall time on one core of a machine that was busy with other work, two or three times what a quiet one
-takes.
+`armctl compare reach_ik NAME` compares an agent with an expert. `armctl train NAME` trains it again by its recipe in
+`rl/recipes/`. `armctl reproduce NAME` repeats the evaluation on its card, which uses held-out episodes of the
+unmodified task. Minutes are wall time on one core of a busy machine, two or three times those of an idle one.
 
 """
 COLUMNS = (
@@ -25,7 +24,7 @@ COLUMNS = (
 
 
 def table() -> str:
-    """All agents as a Markdown table: a row for each training seed, the shipped one first."""
+    """All agents as a Markdown table: one row per training seed, the shipped one first."""
     shipped = {path.stem: read_card(path) for path in sorted((HOME / "agents").glob("*.json"))}
     others = [(path.stem.rpartition("-")[0], read_card(path)) for path in sorted((HOME / "cards").glob("*.json"))]
     by_name = {name: [card for _, card in cards] for name, cards in groupby(others, key=lambda pair: pair[0])}

@@ -14,40 +14,40 @@ def reach_ppo(env: TaskVectorEnv) -> OnnxPolicy:
 
 
 def bridge_ppo(env: TaskVectorEnv) -> OnnxPolicy:
-    """PPO on `armctl/BridgeCross-v0`, from the depth camera and its own motion."""
+    """PPO on `armctl/BridgeCross-v0`; it sees the depth camera and its own motion."""
     return load_agent(FOLDER / "bridge_ppo.json", env)
 
 
 def reach_bc(env: TaskVectorEnv) -> OnnxPolicy:
-    """500 episodes of `reach_ik`, cloned."""
+    """Behaviour cloning on `armctl/ArmReach-v0`, from 500 episodes of `reach_ik`."""
     return load_agent(FOLDER / "reach_bc.json", env)
 
 
 def reach_dagger(env: TaskVectorEnv) -> OnnxPolicy:
-    """Cloned from `reach_ik` by DAgger, with as many episodes."""
+    """DAgger on `armctl/ArmReach-v0`, with 500 episodes labelled by `reach_ik`."""
     return load_agent(FOLDER / "reach_dagger.json", env)
 
 
 def bridge_dagger(env: TaskVectorEnv) -> OnnxPolicy:
-    """DAgger: what `bridge_ompl` does with map and true pose, learnt for the depth camera and its own motion."""
+    """DAgger on `armctl/BridgeCross-v0`, from `bridge_ompl`; it sees the depth camera and its own motion."""
     return load_agent(FOLDER / "bridge_dagger.json", env)
 
 
 def reach_sac(env: TaskVectorEnv) -> OnnxPolicy:
-    """SAC with hindsight on `armctl/ArmReach-v0`, from its plain reward."""
+    """SAC with hindsight on `armctl/ArmReach-v0`, without reward shaping."""
     return load_agent(FOLDER / "reach_sac.json", env)
 
 
 def moving_ppo(env: TaskVectorEnv) -> OnnxPolicy:
-    """PPO on `armctl/ArmReachMoving-v0`, rewarded on the way by the least time to the target."""
+    """PPO on `armctl/ArmReachMoving-v0`, with reward shaping by the least time to the target."""
     return load_agent(FOLDER / "moving_ppo.json", env)
 
 
 def obstacles_dagger(env: TaskVectorEnv) -> OnnxPolicy:
-    """DAgger: the ways of `reach_ompl` around boxes, learnt from what it sees as well."""
+    """DAgger on `armctl/ArmReachObstacles-v0`, from `reach_ompl`; it sees the boxes."""
     return load_agent(FOLDER / "obstacles_dagger.json", env)
 
 
 def bridge_moving_ppo(env: TaskVectorEnv) -> OnnxPolicy:
-    """PPO on `armctl/BridgeCrossMoving-v0`, from the depth camera and its own motion."""
+    """PPO on `armctl/BridgeCrossMoving-v0`; it sees the depth camera and its own motion."""
     return load_agent(FOLDER / "bridge_moving_ppo.json", env)

@@ -145,7 +145,7 @@ def _check_made_for(card: AgentCard, worlds: TaskVectorEnv) -> None:
     here = (shapes(worlds.single_observation_space), shapes(worlds.single_action_space))
     if trained != here:
         raise AgentFileError(
-            f"agent {card.name} maps observations {trained[0]} to actions {trained[1]}; "
+            f"agent {card.name}, trained in {card.env}, maps observations {trained[0]} to actions {trained[1]}; "
             f"here they are {here[0]} and {here[1]}"
         )
     for name, value in worlds.task.interface.items():

@@ -102,9 +102,9 @@ def test_failures_are_not_cloned(tmp_path):
     [
         ({"teacher": "reach_ki"}, "Did you mean 'reach_ik'"),
         ({"teacher": None}, "--teacher"),
-        ({"teacher": "bridge_ompl"}, "crosses bridges"),
+        ({"teacher": "bridge_ompl"}, "cannot play this task"),
         ({"teacher": "nowhere:policy"}, "nowhere"),
-        ({"shaping": "distance"}, "no rewards"),
+        ({"shaping": "distance"}, "not learn from rewards"),
         ({"options": {"hindsite": 0.5}}, "Did you mean 'hindsight'"),
         ({"options": {"hindsight": 1.5}}, "hindsight"),
     ],

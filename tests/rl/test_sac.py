@@ -24,7 +24,7 @@ SMALL = {
     "batch_size": 64,
     "buffer_size": 4000,
     "random_steps": 400,
-    "turned": True,
+    "features": "invariant",
     "evaluation_every": 400,
     "validation_episodes": 4,
     "evaluation_episodes": 4,

@@ -50,7 +50,7 @@ def find_spec(env: str) -> Any:
         if module:
             add_cwd_to_path()
             __import__(module)
-    except Exception as error:  # whatever somebody else's module may raise
+    except Exception as error:  # a third-party module may raise anything
         raise ConfigurationError(f"no environment {env!r}: {type(error).__name__}: {error}") from error
     if name not in gymnasium.registry:
         raise unknown_name("environment", name, environment_names())

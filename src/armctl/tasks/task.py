@@ -60,7 +60,7 @@ class MotionSample:
 
 @dataclass(frozen=True)
 class FeatureSpec:
-    """A feature extractor for networks: its name in `armctl.rl.features`, and its options."""
+    """A feature extractor for networks: a name from `rl/features.py` or `module:Class`, and its options."""
 
     name: str
     options: Mapping[str, Any] = field(default_factory=dict)
