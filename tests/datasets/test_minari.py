@@ -224,13 +224,13 @@ def _too_short(episode):
 @pytest.mark.parametrize(
     ("damage", "says"),
     [
-        (_cut, "can be read"),
+        (_cut, "not a readable Minari dataset"),
         (_no_spaces, "does not declare"),
-        (lambda data: (data / "metadata.json").write_text("{"), "can be read"),
-        (lambda data: (data / "metadata.json").write_text("[]"), "spaces|can be read"),
-        (lambda data: (data / "main_data.hdf5").unlink(), "can be read"),
+        (lambda data: (data / "metadata.json").write_text("{"), "not a readable Minari dataset"),
+        (lambda data: (data / "metadata.json").write_text("[]"), "spaces|not a readable"),
+        (lambda data: (data / "main_data.hdf5").unlink(), "not a readable Minari dataset"),
         (lambda data: (data / "metadata.json").unlink(), "there is no Minari dataset"),
-        (_edit(lambda episode: episode.pop("actions")), "can be read"),
+        (_edit(lambda episode: episode.pop("actions")), "not a readable Minari dataset"),
         (_edit(_not_finite), "not finite"),
         (_edit(_too_short), "episode 1 .* incomplete"),
     ],

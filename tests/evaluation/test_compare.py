@@ -155,8 +155,8 @@ def test_a_full_disk_is_reported_and_the_tables_are_there(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        ({"policies": []}, "needs policies"),
-        ({"policies": ["random", "random"]}, "each once"),
+        ({"policies": []}, "at least one policy"),
+        ({"policies": ["random", "random"]}, "each only once"),
         ({"policies": ["rndom"]}, "Did you mean 'random'"),
         ({"env": "armctl/ArmReech-v0"}, "ArmReach-v0"),
         ({"env": "CartPole-v1"}, "not one of armctl's environments"),
