@@ -49,10 +49,10 @@ def test_the_example_is_short_and_outside_the_package():
 
 def test_compare_goes_on_and_reports(folder):
     once = ["compare", "hover:Expert", "random", "--out", "results"]
-    assert "hover:Expert wins more episodes" in run(folder, *once, "--episodes", "6")
-    assert "12 episodes were finished by an earlier run" in run(folder, *once, "--episodes", "8", "--report")
+    assert "hover:Expert wins more episodes" in run(folder, *once, "--episodes", "10")
+    assert "20 episodes were finished by an earlier run" in run(folder, *once, "--episodes", "11", "--report")
     rows = list(csv.DictReader((folder / "results" / "episodes.csv").open()))
-    assert len(rows) == 16
+    assert len(rows) == 22
     assert {row["env"] for row in rows} == {"mine/Hover-v0"}
     assert {row["outcome"] for row in rows if row["policy"] == "hover:Expert"} == {"hovering"}
     page = (folder / "results" / "report.html").read_text()
@@ -147,7 +147,7 @@ def test_outcomes_are_numbered_from_timeout_on():
         DONE = 0, True
         TIMEOUT = 1
 
-    with pytest.raises(ConfigurationError, match="outcomes of Odd are TIMEOUT = 0"):
+    with pytest.raises(ConfigurationError, match="outcomes of Odd must be TIMEOUT = 0"):
         type("Odd", (Task,), {"outcomes": Backwards})
 
 

@@ -219,7 +219,7 @@ def test_train_follows_a_recipe_with_changes(tmp_path):
         (["train", "reach_ppo", "--option", "gamma=high"], "gamma"),
         (["train", "reach_ppo", "--shaping-scale", "nan"], "shaping_scale"),
         (["train", "reach_ppo", "--out", "/dev/null/run"], "cannot be written"),
-        (["train", "ppo", "--env", "armctl/Nothing-v0"], "armctl/ArmReach-v0"),
+        (["train", "ppo", "--env", "armctl/ArmReach-v1"], "Did you mean 'armctl/ArmReach-v0'"),
         (["train", "ppo", "--resume", "--out", "nowhere"], "no training to resume"),
         (["run", "random", "--video", "/dev/null/film.mp4"], "cannot be written|libegl1"),
         (["run", "random", "--video", "film.xyz"], "cannot be written|libegl1"),

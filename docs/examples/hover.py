@@ -103,8 +103,8 @@ class HoverTask(Task):
         outcome = self.outcome()
         return {
             "step": np.full(self.n, -1.0),
-            "goal": 100.0 * (outcome == HoverOutcome.HOVERING),
-            "crash": -100.0 * (outcome == HoverOutcome.CRASHED),
+            "goal": np.where(outcome == HoverOutcome.HOVERING, 100.0, 0.0),
+            "crash": np.where(outcome == HoverOutcome.CRASHED, -100.0, 0.0),
         }
 
     def outcome(self):

@@ -92,8 +92,8 @@ def recipe_names() -> list[str]:
 def load_recipe(name: str | Path, env: str | None = None) -> Recipe:
     """A recipe by its name, by its file's path, or by its learner and environment; `env` replaces the recipe's own.
 
-    A learner's name without `env` means `DEFAULT_ENV`. Of several recipes for it, the one with the shortest name is
-    taken, which is the plain one. Raises `ConfigurationError`.
+    A learner's name without `env` means `DEFAULT_ENV`. Of several recipes for an environment, the one with the shortest
+    name is taken, which is the plain one; without any, the learner's defaults are. Raises `ConfigurationError`.
     """
     installed = _installed()
     if Path(name).suffix == ".toml":
@@ -117,11 +117,9 @@ def _installed() -> dict[str, Traversable]:
 
 
 def _recipe_of(learner: str, env: str) -> Recipe:
-    recipes = [recipe for recipe in map(load_recipe, recipe_names()) if recipe.learner == learner]
-    suited = [recipe for recipe in recipes if recipe.env == env]
-    if not suited:
-        raise unknown_name(f"environment with a recipe of {learner}", env, {recipe.env for recipe in recipes})
-    return min(suited, key=lambda recipe: len(recipe.name))
+    suited = [one for one in map(load_recipe, recipe_names()) if (one.learner, one.env) == (learner, env)]
+    plain = Recipe(name=learner, learner=learner, env=env)
+    return min(suited, key=lambda recipe: len(recipe.name), default=plain)
 
 
 def _read(file: Traversable, name: str) -> Recipe:
