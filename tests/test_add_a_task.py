@@ -18,6 +18,9 @@ from armctl.errors import ConfigurationError
 from armctl.shaping import Shaped
 from armctl.tasks import Outcome, Task
 
+from .command_line import armctl as in_process
+from .command_line import program
+
 EXAMPLE = Path(__file__).parents[1] / "docs" / "examples" / "hover.py"
 ENV = "hover:mine/Hover-v0"
 
@@ -35,22 +38,19 @@ def hover(monkeypatch):
     return __import__("hover")
 
 
-def run(folder, *arguments):
-    done = subprocess.run(
-        [sys.executable, "-m", "armctl", *arguments, "--env", ENV], capture_output=True, text=True, cwd=folder
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
+@pytest.fixture
+def run(folder, hover):
+    return lambda *arguments: in_process(*arguments, "--env", ENV, cwd=folder).stdout
 
 
 def test_the_example_is_short_and_outside_the_package():
     assert len(EXAMPLE.read_text().splitlines()) < 150
 
 
-def test_compare_goes_on_and_reports(folder):
+def test_compare_goes_on_and_reports(folder, run):
     once = ["compare", "hover:Expert", "random", "--out", "results"]
-    assert "hover:Expert wins more episodes" in run(folder, *once, "--episodes", "10")
-    assert "20 episodes were finished by an earlier run" in run(folder, *once, "--episodes", "11", "--report")
+    assert "hover:Expert wins more episodes" in run(*once, "--episodes", "10")
+    assert "20 episodes were finished by an earlier run" in run(*once, "--episodes", "11", "--report")
     rows = list(csv.DictReader((folder / "results" / "episodes.csv").open()))
     assert len(rows) == 22
     assert {row["env"] for row in rows} == {"mine/Hover-v0"}
@@ -58,46 +58,44 @@ def test_compare_goes_on_and_reports(folder):
     page = (folder / "results" / "report.html").read_text()
     assert "video/mp4" in page
     assert "hovering" in page
-    done = subprocess.run([sys.executable, "-m", "armctl", "report", "results"], cwd=folder, capture_output=True)
-    assert done.returncode == 0, done.stderr
+    in_process("report", "results", cwd=folder)
 
 
-def test_the_default_line_up_is_the_tasks_own(folder):
-    text = run(folder, "compare", "--episodes", "2")
+def test_the_default_line_up_is_the_tasks_own_also_in_a_program(folder):
+    text = program("compare", "--episodes", "2", "--env", ENV, cwd=folder).stdout
     assert "hover:Expert" in text
     assert "random" in text
 
 
-def test_sweep_disturbs_it_in_its_own_ways(folder):
+def test_sweep_disturbs_it_in_its_own_ways(folder, run):
     disturbances = ["--disturbance", "payload=0.3", "--disturbance", "delay=2", "--disturbance", "pushes=1"]
-    text = run(folder, "sweep", "hover:Expert", "--episodes", "2", "--out", "swept", *disturbances)
+    text = run("sweep", "hover:Expert", "--episodes", "2", "--out", "swept", *disturbances)
     assert "payload, kg" in text
     assert (folder / "swept" / "payload-0.3" / "episodes.csv").exists()
 
 
-def test_run_shows_states_and_rewards(folder):
-    text = run(folder, "run", "hover:Expert", "--steps", "2", "--video", "hover.mp4")
+def test_run_shows_states_and_rewards(folder, run):
+    text = run("run", "hover:Expert", "--steps", "2", "--video", "hover.mp4")
     assert "crash 0" in text
     assert (folder / "hover.mp4").stat().st_size > 1000
 
 
-def test_collect_writes_a_dataset_and_bc_learns_from_it(folder):
-    run(folder, "collect", "hover:Expert", "--episodes", "3", "--out", "hover-v0")
+def test_collect_writes_a_dataset_and_bc_learns_from_it(folder, run):
+    run("collect", "hover:Expert", "--episodes", "3", "--out", "hover-v0")
     metadata = json.loads((folder / "hover-v0" / "data" / "metadata.json").read_text())
     assert metadata["env"] == ENV
 
 
-def test_train_learns_with_its_own_potential(folder):
+def test_train_learns_with_its_own_potential(folder, run):
     options = {"worlds": 8, "batch_size": 64, "validation_episodes": 2, "evaluation_episodes": 4}
     recipe = f'learner = "ppo"\nenv = "{ENV}"\nshaping = "time"\n[options]\n'
     (folder / "mine.toml").write_text(recipe + "".join(f"{name} = {value}\n" for name, value in options.items()))
-    assert "held-out episodes" in run(folder, "train", "mine.toml", "--steps", "600")
+    assert "held-out episodes" in run("train", "mine.toml", "--steps", "600")
     agent = "runs/mine-0/agent.json"
     assert json.loads((folder / agent).read_text())["shaping"] == "time"
-    assert "agent" in run(folder, "compare", agent, "random", "--episodes", "2")
-    run(folder, "train", "mine.toml", "--steps", "900", "--resume")
-    done = subprocess.run([sys.executable, "-m", "armctl", "reproduce", agent], cwd=folder, capture_output=True)
-    assert done.returncode == 0, done.stderr
+    assert "agent" in run("compare", agent, "random", "--episodes", "2")
+    run("train", "mine.toml", "--steps", "900", "--resume")
+    in_process("reproduce", agent, cwd=folder)
 
 
 def test_a_viewer_plays_it(hover):
@@ -158,6 +156,9 @@ def test_what_is_no_task_is_said_to_be_none():
     armctl.register("mine/Missing-v0", "json:Nothing", max_episode_steps=5)
     with pytest.raises(ConfigurationError, match="cannot load the task 'json:Nothing'"):
         make_worlds("mine/Missing-v0", 1)
+    assert "mine/Missing-v0 cannot be loaded" in " ".join(in_process("list", cwd=".").stdout.split())
+    for name in ("mine/NoTask-v0", "mine/Missing-v0"):
+        del gymnasium.registry[name]
 
 
 def test_installed_tasks_are_registered_and_broken_ones_left_out(tmp_path):

@@ -1,49 +1,15 @@
-import contextlib
-import io
 import json
-import os
 import re
 import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import imageio.v3 as imageio
 import pandas as pd
 import pytest
 
-from armctl.cli import main
-
-ARMCTL = str(Path(sys.executable).parent / "armctl")
-
-
-ENVIRONMENT = {"COLUMNS": "100", "NO_COLOR": "1"}
-
-
-def program(*arguments, cwd, check=True):
-    """Run armctl as a program, which has never seen another folder's modules."""
-    done = subprocess.run([ARMCTL, *arguments], capture_output=True, text=True, cwd=cwd, env=os.environ | ENVIRONMENT)
-    assert not check or done.returncode == 0, done.stderr
-    return done
-
-
-def armctl(*arguments, cwd, check=True):
-    """Run armctl in this process, where everything is imported already."""
-    with pytest.MonkeyPatch.context() as patch, io.StringIO() as out, io.StringIO() as err:
-        patch.chdir(cwd)
-        patch.setattr(sys, "argv", ["armctl", *arguments])
-        for name, value in ENVIRONMENT.items():
-            patch.setenv(name, value)
-        status = 0
-        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-            try:
-                main()
-            except SystemExit as exit:
-                status = exit.code
-        done = subprocess.CompletedProcess(arguments, status, out.getvalue(), err.getvalue())
-    assert not check or done.returncode == 0, done.stderr
-    return done
+from .command_line import ARMCTL, armctl, program
 
 
 @pytest.mark.parametrize("verb", ["list", "compare", "sweep", "run", "view", "collect", "train"])
@@ -119,6 +85,7 @@ def test_sweep_prints_and_writes_and_goes_on(tmp_path):
     assert {path.name for path in (tmp_path / "here").iterdir() if path.is_dir()} == {"none", "delay-1.0", "noise-0.05"}
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_what_a_sweep_has_finished(tmp_path):
     command = [ARMCTL, "sweep", "random", "--episodes", "100000", "--disturbance", "delay", "--out", "here"]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
@@ -167,12 +134,10 @@ def test_a_task_in_the_current_folder_is_found(tmp_path):
     )
     loose = ["--episodes", "2", "--env", "mine:mine/Loose-v0"]
     assert "reach_ik: 2 reached" in program("compare", "reach_ik", *loose, cwd=tmp_path).stdout
-    assert "reward" in program("run", "random", *loose[2:], "--steps", "1", cwd=tmp_path).stdout
     for env in ("nobodys:mine/Loose-v0", "mine:mine/Tight-v0", "mine:CartPole-v1"):
-        for verb in ("compare", "run"):
-            done = program(verb, "random", "--env", env, cwd=tmp_path, check=False)
-            assert done.returncode == 2, done.stdout
-            assert "Traceback" not in done.stderr
+        done = armctl("compare", "random", "--env", env, cwd=tmp_path, check=False)
+        assert done.returncode == 2, done.stdout
+    del sys.modules["mine"]
 
 
 def test_train_follows_a_recipe_with_changes(tmp_path):

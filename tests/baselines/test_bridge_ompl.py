@@ -15,7 +15,7 @@ FAST = {"observation": "state"}
 
 @pytest.mark.parametrize(("env", "least"), [(STATIC, 0.99), (MOVING, 0.97)])
 def test_it_crosses_nearly_always(env, least, sized):
-    results = evaluate("bridge_ompl", env, episodes=sized(20, 200), seed=0, worlds=sized(20, 40), env_options=FAST)
+    results = evaluate("bridge_ompl", env, episodes=sized(10, 200), seed=0, worlds=sized(10, 40), env_options=FAST)
     assert results.success.mean() >= least
     assert results.length[results.success].mean() < 150
 
@@ -23,21 +23,22 @@ def test_it_crosses_nearly_always(env, least, sized):
 @pytest.mark.parametrize("env", [STATIC, MOVING])
 def test_it_crosses_other_bridges(env):
     options = {**FAST, "deck_length": 26.0, "deck_width": 4.6, "blocks": 5, "walkers": 2}
-    results = evaluate("bridge_ompl", env, episodes=12, seed=5, worlds=12, env_options=options)
+    results = evaluate("bridge_ompl", env, episodes=6, seed=5, worlds=6, env_options=options)
     assert results.success.all()
 
 
 def test_it_is_the_same_in_every_run_and_needs_no_camera():
+    short = {"deck_length": 12.0, "blocks": 2, "walkers": 2}
     runs = [
-        evaluate("bridge_ompl", MOVING, episodes=6, seed=2, worlds=worlds, env_options=options)
-        for worlds, options in ((6, FAST), (1, {"resolution": (6, 4)}))
+        evaluate("bridge_ompl", MOVING, episodes=4, seed=2, worlds=worlds, env_options=short | options)
+        for worlds, options in ((4, FAST), (1, {"resolution": (6, 4)}))
     ]
     first, second = (run.drop(columns=list(TIME_COLUMNS)) for run in runs)
     assert first.equals(second)
 
 
 def test_it_keeps_its_distance_from_all_that_walks_and_stands(sized):
-    n = sized(4, 10)
+    n = sized(3, 10)
     env = gymnasium.make_vec(MOVING, num_envs=n, autoreset_mode="disabled", **FAST)
     policy = make_policy("bridge_ompl", env)
     observations, _ = env.reset(seed=7)
@@ -78,7 +79,7 @@ def crossing_time(bridge, radius, speed=1.0, limit=60.0, cell=0.1):
 
 
 def test_a_patient_driver_always_gets_through(sized):
-    n = sized(10, 40)
+    n = sized(6, 40)
     env = gymnasium.make_vec(MOVING, num_envs=n, **FAST)
     env.reset(seed=11)
     times = [crossing_time(env.unwrapped.task.map(world), radius=0.35) for world in range(n)]

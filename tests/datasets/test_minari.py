@@ -245,6 +245,7 @@ def test_a_corrupt_dataset_gets_one_clear_error(dataset, damage, says, tmp_path)
         read_demonstrations(tmp_path, worlds())
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_finished_episodes(tmp_path):
     command = [ARMCTL, "collect", "random", "--episodes", "100000", "--out", "here-v0", "--set", "max_episode_steps=12"]
     with subprocess.Popen(

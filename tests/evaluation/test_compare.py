@@ -220,6 +220,7 @@ def winning_every_second(env):
     return EverySecond()
 
 
+@pytest.mark.slow
 def test_a_policy_cut_short_is_not_judged_by_its_short_episodes():
     comparison = compare([winning_every_second, "random"], episodes=20, worlds=5)
     summary = comparison.policies[0]

@@ -69,6 +69,7 @@ def test_a_worker_that_dies_is_told(mine, tmp_path):
     assert (tmp_path / "out" / "summary.json").is_file()
 
 
+@pytest.mark.slow
 def test_functions_can_be_sent_and_what_cannot_is_told_before_anything_runs(tmp_path):
     lock = threading.Lock()
 
@@ -99,6 +100,7 @@ def test_blocks_hold_every_episode_once_and_keep_all_workers_busy(episodes, worl
     assert len(blocks) >= min(workers, episodes)
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_what_workers_have_finished_and_the_same_command_goes_on(tmp_path):
     program = str(Path(sys.executable).parent / "armctl")
     common = [program, "compare", "random", "--out", "here", "--workers", "2", "--set", "max_episode_steps=20"]

@@ -100,6 +100,7 @@ def test_another_seed_is_refused_and_nothing_lost(finished):
     assert same(timeless(folder), before)
 
 
+@pytest.mark.slow
 def test_worlds_and_workers_change_nothing(tmp_path):
     run(out=tmp_path / "one")
     run(out=tmp_path / "other", worlds=2, workers=2)

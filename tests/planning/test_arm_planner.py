@@ -103,6 +103,7 @@ def test_the_same_plan_gives_the_same_path_whatever_was_planned_before(ur5):
         assert (a.checks, a.searched, a.raw_time) == (b.checks, b.searched, b.raw_time)
 
 
+@pytest.mark.slow
 def test_another_process_finds_the_same_path(ur5):
     layout = next(layout for layout in ur5.layouts(20, seed=3) if ur5.plan(layout).searched)
     boxes = (layout.boxes.centres.tolist(), layout.boxes.half_sizes.tolist(), layout.boxes.yaws.tolist())

@@ -4,10 +4,8 @@ import json
 import os
 import re
 import shutil
-import subprocess
 import sys
 from html import unescape
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -21,7 +19,8 @@ from armctl.evaluation.results import read_results
 from armctl.options import option_value
 from armctl.report import page, style, videos, write_report
 
-ARMCTL = str(Path(sys.executable).parent / "armctl")
+from ..command_line import armctl
+
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 POLICIES = ["reach_ik", "reach_ppo", "random"]
 OPTIONS = {"max_episode_steps": 15}
@@ -309,15 +308,13 @@ def test_a_sweep_with_and_without_its_undisturbed_comparison(folder, tmp_path):
 
 
 def test_the_commands_write_it_and_say_where(tmp_path):
-    def armctl(*arguments):
-        return subprocess.run([ARMCTL, *arguments], capture_output=True, text=True, cwd=tmp_path)
-
-    done = armctl("compare", "reach_ik", "--episodes", "1", "--out", "here", "--report")
-    assert done.returncode == 0, done.stderr
+    done = armctl("compare", "reach_ik", "--episodes", "1", "--out", "here", "--report", cwd=tmp_path)
     assert "here/report.html is the report" in done.stdout
     assert (tmp_path / "here" / "report.html").stat().st_size > 1e6
-    assert "mine.html is the report" in armctl("report", "here", "--out", "mine.html", "--no-video").stdout
-    missing = armctl("report", "elsewhere")
+    assert (
+        "mine.html is the report" in armctl("report", "here", "--out", "mine.html", "--no-video", cwd=tmp_path).stdout
+    )
+    missing = armctl("report", "elsewhere", cwd=tmp_path, check=False)
     assert (missing.returncode, "elsewhere holds no results" in missing.stderr) == (2, True)
 
 
@@ -385,6 +382,7 @@ def test_a_replay_that_goes_otherwise_is_told(finished):
     assert clip.video
 
 
+@pytest.mark.slow
 def test_policies_that_are_gone_are_told_and_the_others_shown(folder):
     needs_opengl()
     for file in ("comparison.json", "summary.json", "episodes.csv", "decisions.csv"):

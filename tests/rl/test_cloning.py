@@ -75,6 +75,7 @@ def test_a_clone_is_far_better_than_chance(cloned):
     assert len(evaluate(str(out / "agent.json"), episodes=3)) == 3
 
 
+@pytest.mark.slow
 def test_cloning_is_reproducible_and_goes_on_where_it_was(cloned, tmp_path):
     recipe, _, card = cloned
     again = clone(recipe, out=tmp_path / "again", seed=0, progress=False)
@@ -83,6 +84,7 @@ def test_cloning_is_reproducible_and_goes_on_where_it_was(cloned, tmp_path):
     assert clone(longer, out=tmp_path / "again", seed=0, resume=True, progress=False).training_steps == 350
 
 
+@pytest.mark.slow
 def test_a_dataset_teaches_as_the_teacher_does(cloned, tmp_path):
     recipe, _, card = cloned
     collect("reach_ik", episodes=40, out=tmp_path / "data", seed=10**9, worlds=40, env_options=SHORT)
@@ -271,6 +273,7 @@ def test_a_forgetful_teacher_begins_anew_in_each_state():
     np.testing.assert_array_equal(teacher.act(far), answers)
 
 
+@pytest.mark.slow
 def test_dagger_goes_on_after_its_last_whole_round(tmp_path, monkeypatch):
     from armctl.rl import dagger as module
 
@@ -332,6 +335,7 @@ def test_while_the_critic_warms_up_the_clone_stays_as_it_is(tmp_path):
     assert all(parameter.requires_grad for parameter in model.policy.parameters())
 
 
+@pytest.mark.slow
 def test_ppo_begins_with_the_clone(tmp_path):
     recipe = small(
         "reach_cloned_ppo", demonstrations=40, cloning_steps=400, critic_steps=512, steps=1536, worlds=32,

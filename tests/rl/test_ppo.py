@@ -74,6 +74,7 @@ def test_exported_graph_tells_nothing_of_the_machine(trained):
         assert str(Path.home()).encode() not in graph.read_bytes()
 
 
+@pytest.mark.slow
 def test_training_is_reproducible(trained, tmp_path):
     out, card = trained
     again = train(small(), out=tmp_path / "small", seed=3, progress=False)
@@ -85,6 +86,7 @@ def test_training_is_reproducible(trained, tmp_path):
     assert again.best_after == card.best_after
 
 
+@pytest.mark.slow
 def test_a_killed_training_resumes_and_a_finished_one_may_go_on(trained, tmp_path):
     out = shutil.copytree(trained[0], tmp_path / "small")
     (out / "clock.json").unlink()

@@ -79,6 +79,7 @@ def test_without_its_replay_buffer_a_training_does_not_go_on(trained, tmp_path):
         train(small(steps=1200), out=out, seed=1, resume=True)
 
 
+@pytest.mark.slow
 def test_training_is_reproducible(trained, tmp_path):
     train(small(), out=tmp_path / "small", seed=1, progress=False)
     worlds = TaskVectorEnv(20, task=ReachTask)
@@ -96,6 +97,7 @@ def test_hindsight_knows_the_plain_reward_only(tmp_path, changes):
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("env", "env_options", "changes"),
     [

@@ -71,6 +71,7 @@ def test_pause_step_again_and_next():
     assert status.steps > 2
 
 
+@pytest.mark.slow
 def test_the_next_episode_follows_and_another_policy_may_come_on():
     viewer = Viewer("reach_ik")
     assert viewer.play(4.0).episode == 1

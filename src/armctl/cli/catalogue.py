@@ -1,6 +1,10 @@
 """The verb that lists everything installed: `list`."""
 
+from collections.abc import Mapping
+from typing import Any
+
 from armctl.cli.app import app
+from armctl.errors import ConfigurationError
 
 
 @app.command("list")
@@ -25,12 +29,17 @@ def list_() -> None:
         table.add_row(
             "" if i else "[bold]recipes[/]", f"[bold]{recipe.name}[/]  {recipe.learner} in {recipe.env} {guidance}"
         )
-    by_specs: dict[int, list[str]] = {}
+    by_specs: dict[int, tuple[Mapping[str, Any], list[str]]] = {}
     for env in environment_names():
-        by_specs.setdefault(id(task_of(env).disturbances), []).append(env)
-    for envs in by_specs.values():
+        try:
+            specs = task_of(env).disturbances
+        except (ConfigurationError, AttributeError) as error:
+            table.add_row("", f"{env} cannot be loaded: {error}")
+            continue
+        by_specs.setdefault(id(specs), (specs, []))[1].append(env)
+    for specs, envs in by_specs.values():
         table.add_row("[bold]disturbances[/]", f"in {', '.join(envs)}:")
-        for name, spec in task_of(envs[0]).disturbances.items():
+        for name, spec in specs.items():
             levels = ", ".join(f"{level:g}" for level in spec.levels)
             table.add_row("", f"[bold]{name}[/]  {spec.does} ({spec.unit}): {levels}")
     table.add_row("", "A policy may also be path/to/agent.json or module:function, and an arm path/to/your.urdf.")
