@@ -4,6 +4,8 @@ import signal
 
 import pytest
 
+import armctl  # noqa: F401 - before any test imports MuJoCo, which chooses its OpenGL then
+
 # A shell that runs the tests in the background ignores interrupts, and whatever the tests interrupt would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 

@@ -6,7 +6,6 @@ A package offers learners under the entry-point group `armctl.learners`, and pac
 
 import tomllib
 from importlib import resources
-from importlib.metadata import entry_points
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Annotated, Any, Protocol, TypeVar
@@ -17,6 +16,7 @@ from armctl import DEFAULT_ENV
 from armctl.agents import AgentCard
 from armctl.errors import ConfigurationError, missing_extra, unknown_name
 from armctl.options import make_options
+from armctl.registration import installed
 
 LEARNERS, RECIPES = "armctl.learners", "armctl.recipes"
 
@@ -70,12 +70,12 @@ class Learner(Protocol):
 
 def learner_names() -> list[str]:
     """Names of all installed learners."""
-    return sorted(entry_points(group=LEARNERS).names)
+    return sorted(installed(LEARNERS).names)
 
 
 def load_learner(name: str) -> Learner:
     """The installed learner of that name. Raises `ConfigurationError`, also if the extra `rl` is not installed."""
-    entries = entry_points(group=LEARNERS)
+    entries = installed(LEARNERS)
     if name not in entries.names:
         raise unknown_name("learner", name, entries.names)
     try:
@@ -110,7 +110,7 @@ def load_recipe(name: str | Path, env: str | None = None) -> Recipe:
 def _installed() -> dict[str, Traversable]:
     return {
         file.name.removesuffix(".toml"): file
-        for package in entry_points(group=RECIPES)
+        for package in installed(RECIPES)
         for file in resources.files(package.value).iterdir()
         if file.name.endswith(".toml")
     }

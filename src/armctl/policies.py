@@ -5,7 +5,6 @@ A package offers a policy under the entry-point group `armctl.policies`: a funct
 
 import inspect
 from collections.abc import Callable, Mapping, Sequence
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Literal, Protocol, runtime_checkable
 
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 from armctl.agents import load_agent
 from armctl.envs import TaskEnv, TaskVectorEnv, one_of
 from armctl.errors import ArmctlError, ConfigurationError, unknown_name
-from armctl.registration import import_attribute
+from armctl.registration import import_attribute, installed
 from armctl.tasks import Observations
 
 Actions = NDArray[np.floating[Any]]
@@ -96,12 +95,12 @@ class PerWorld:
 
 def policy_names() -> list[str]:
     """Names of all installed policies."""
-    return sorted(entry_points(group=GROUP).names)
+    return sorted(installed(GROUP).names)
 
 
 def describe_policy(name: str) -> str:
     """First line of the docstring of an installed policy's factory."""
-    return (inspect.getdoc(entry_points(group=GROUP)[name].load()) or "").partition("\n")[0]
+    return (inspect.getdoc(installed(GROUP)[name].load()) or "").partition("\n")[0]
 
 
 def policy_name(policy: Any) -> str:
@@ -145,7 +144,7 @@ def _factory(policy: Any) -> PolicyFactory:
     if Path(name).suffix in (".onnx", ".json"):
         return lambda worlds: load_agent(Path(name), worlds)
     if name in policy_names():
-        return entry_points(group=GROUP)[name].load()  # type: ignore[no-any-return]
+        return installed(GROUP)[name].load()  # type: ignore[no-any-return]
     if ":" not in name:
         raise unknown_name("policy", name, [*policy_names(), "path/to/agent.json", "module:function"])
     return import_attribute(name, "policy")  # type: ignore[no-any-return]

@@ -3,11 +3,12 @@
 A package offers its tasks under the entry-point group `armctl.tasks`: a module that registers them when it is imported.
 """
 
+import functools
 import importlib
 import os
 import sys
 import warnings
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoints, entry_points
 from typing import Any
 
 import gymnasium
@@ -49,11 +50,17 @@ def environment_names() -> list[str]:
 
 def register_installed() -> None:
     """Register the tasks of all installed packages. One that fails is left out, with a warning."""
-    for entry in entry_points(group=GROUP):
+    for entry in installed(GROUP):
         try:
             entry.load()
         except Exception as error:  # whatever somebody else's module may raise
             warnings.warn(f"the tasks of {entry.value} were left out: {type(error).__name__}: {error}", stacklevel=2)
+
+
+@functools.cache
+def installed(group: str) -> EntryPoints:
+    """What all installed packages offer under an entry-point group."""
+    return entry_points(group=group)
 
 
 def load_task(task: "str | type[Any]") -> type[Any]:

@@ -6,10 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from armctl.cli.app import app
-from armctl.cli.options import (
-    EnvOptions,
-    options_of,
-)
+from armctl.cli.options import EnvOptions, options_of
 
 
 @app.command()
@@ -28,8 +25,8 @@ def train(
     shaping: Annotated[
         str | None,
         typer.Option(
-            metavar="ORACLE",
-            help="Potential-based reward shaping by an oracle: `distance`, `ik`, `mpc`, `ompl` or `none`.",
+            metavar="POTENTIAL",
+            help="Potential of the environment's task for reward shaping, such as `distance` or `ik`; or `none`.",
             show_default="the recipe's",
         ),
     ] = None,

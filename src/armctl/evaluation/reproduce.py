@@ -1,7 +1,6 @@
 """Checks whether a learned agent performs as its card says."""
 
 from dataclasses import dataclass
-from importlib.metadata import entry_points
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -12,6 +11,7 @@ from armctl.errors import AgentFileError, unknown_name
 from armctl.evaluation.rollouts import evaluate
 from armctl.evaluation.statistics import success_rate
 from armctl.policies import GROUP
+from armctl.registration import installed
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def card_path(agent: str | Path) -> Path:
     path = Path(agent)
     if path.suffix in (".json", ".onnx"):
         return path.with_suffix(".json")
-    homes = {entry.name: find_spec(entry.module) for entry in entry_points(group=GROUP)}
+    homes = {entry.name: find_spec(entry.module) for entry in installed(GROUP)}
     beside = {name: Path(home.origin).with_name(f"{name}.json") for name, home in homes.items() if home and home.origin}
     cards = {name: card for name, card in beside.items() if card.exists()}
     if str(agent) not in cards:

@@ -1,5 +1,7 @@
 """A simulated arm: from actions to joint servos, and from the simulation's state to sensor readings."""
 
+import copy
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -91,16 +93,24 @@ class Arm:
 
 
 def build_arm_world(
-    description: ArmDescription, control: str, furnish: Callable[[Any], None] = lambda spec: None
+    description: ArmDescription, control: str, furnish: Callable[[Any, ArmDescription], None] | None = None
 ) -> mujoco.MjModel:
     """Model of the MJCF world `models/arm_reach.xml` with the arm at its origin, its servos, and the keyframe `home`.
 
-    `furnish` adds to its `MjSpec` what else a task needs.
+    `furnish`, a function of a module, adds to the `MjSpec` what else a task needs. Each world is compiled once; the
+    model returned is a copy.
 
     Raises `ConfigurationError` if `control` is not one of `CONTROLS`.
     """
     if control not in CONTROLS:
         raise unknown_name("control", control, CONTROLS)
+    return copy.copy(_compiled(description, control, furnish))
+
+
+@functools.lru_cache(maxsize=8)
+def _compiled(
+    description: ArmDescription, control: str, furnish: Callable[[Any, ArmDescription], None] | None
+) -> mujoco.MjModel:
     spec = mujoco.MjSpec.from_file(str(world_path("arm_reach")))
     spec.compiler.fusestatic = False
     arm = mujoco.MjSpec.from_string(_with_compiler_options(description.urdf))
@@ -113,7 +123,8 @@ def build_arm_world(
         joint.actgravcomp = True  # gravity compensation counts towards the joint's effort
         joint.actfrclimited = True
         joint.actfrcrange = [-effort, effort]
-    furnish(spec)
+    if furnish is not None:
+        furnish(spec, description)
     if control == "torque":
         _add_motors(spec, description)
         spec.add_key(name="home", qpos=description.home)

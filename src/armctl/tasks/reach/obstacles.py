@@ -115,11 +115,7 @@ class ReachObstaclesTask(ReachTask):
         return Clearance(self._workspace.model)
 
     def _build(self, description: ArmDescription) -> mujoco.MjModel:
-        def furnish(spec: Any) -> None:
-            _add_boxes(spec, description)
-            _add_sensors(spec, round(CONTROL_PERIOD / spec.option.timestep))
-
-        return build_arm_world(description, self.options.control, furnish)
+        return build_arm_world(description, self.options.control, _furnish)
 
     def _bind_arrays(self) -> None:
         model, simulation = self.simulation.model, self.simulation
@@ -185,6 +181,11 @@ def _as_observed(numbers: Array) -> Array:
 
 def _name(box: int) -> str:
     return f"box_{box}"
+
+
+def _furnish(spec: Any, description: ArmDescription) -> None:
+    _add_boxes(spec, description)
+    _add_sensors(spec, round(CONTROL_PERIOD / spec.option.timestep))
 
 
 def _add_boxes(spec: Any, description: ArmDescription) -> None:
