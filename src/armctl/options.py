@@ -4,7 +4,7 @@ import ast
 import dataclasses
 import functools
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar, dataclass_transform
 
 import pydantic
@@ -36,12 +36,18 @@ def options(cls: type[Options]) -> type[Options]:
     return made  # type: ignore[no-any-return]
 
 
-def make_options(options_type: type[Options], values: Mapping[str, Any], kind: str = "option") -> Options:
-    """Options from values by name; raises `ConfigurationError`, also for a name that there is not."""
+def make_options(
+    options_type: type[Options], values: Mapping[str, Any], kind: str = "option", others: Sequence[str] = ()
+) -> Options:
+    """Options from values by name.
+
+    Raises `ConfigurationError`, also for an unknown name. Its message names the valid ones, and `others`, which are
+    options in another place.
+    """
     names = [field.name for field in dataclasses.fields(options_type)]  # type: ignore[arg-type]
     for name in values:
         if name not in names:
-            raise unknown_name(kind, name, names)
+            raise unknown_name(kind, name, [*names, *others])
     return options_type(**values)
 
 

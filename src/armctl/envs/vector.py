@@ -93,9 +93,9 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         task_type: type[Task] = load_task(task)
         _check_complete(task_type)
         self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode, "render_fps": task_type.render_fps}
-        _check_option_names(task_type, options)
         make_task: Any = task_type
-        self.task = make_task(self.num_envs, make_options(task_type.options_type, options), threads)
+        task_options = make_options(task_type.options_type, options, others=("disturbances", "max_episode_steps"))
+        self.task = make_task(self.num_envs, task_options, threads)
         self._outcome_labels = np.array([outcome.label for outcome in task_type.outcomes])
         self._successes = np.array([outcome.success for outcome in task_type.outcomes])
         self.disturbances = disturb(self.task, task_type.disturbances, disturbances)
@@ -270,13 +270,6 @@ def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
     if mode.upper() not in AutoresetMode.__members__:
         raise unknown_name("autoreset_mode", mode, [name.lower() for name in AutoresetMode.__members__])
     return AutoresetMode[mode.upper()]
-
-
-def _check_option_names(task_type: type[Task], options: Mapping[str, Any]) -> None:
-    names = [*task_type.options_type.__dataclass_fields__, "disturbances", "max_episode_steps"]
-    for name in options:
-        if name not in names:
-            raise unknown_name("option", name, names)
 
 
 def _check_complete(task_type: type[Task]) -> None:
