@@ -19,7 +19,6 @@ QUICK = [
     f"{golden['MOVING']} {{}} reach_mpc",
     f"{golden['OBSTACLES']} {{}} reach_ompl",
     f"{golden['BRIDGE']} {{}} bridge_ompl",
-    f"{golden['BRIDGE_MOVING']} {{}} random",
     f'{golden["REACH"]} {{"disturbances": {{"mismatch": 0.05}}}} reach_ik',
 ]
 

@@ -82,10 +82,10 @@ def test_reach_mpc_follows_a_moving_target_twice_as_closely_as_reach_ik(sized):
 
 
 @pytest.mark.parametrize("robot", ["ur5", "z1", "xarm7"])
-def test_reach_ompl_gets_around_obstacles_without_a_touch(robot):
-    env = "armctl/ArmReachObstacles-v0"
+def test_reach_ompl_gets_around_obstacles_without_a_touch(robot, sized):
+    env, n = "armctl/ArmReachObstacles-v0", sized(6, 25)
     results = evaluate(
-        "reach_ompl", env, episodes=12, seed=6, worlds=12, env_options={"robot": robot}, least_lengths=False
+        "reach_ompl", env, episodes=n, seed=6, worlds=n, env_options={"robot": robot}, least_lengths=False
     )
     assert (results.outcome == "reached").mean() >= 0.9
     assert results.feasible.all()

@@ -84,6 +84,7 @@ def test_an_episode_of_the_table_can_be_played_again():
     assert (total, length) == (row["return"], row.length)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("policy", ["reach_ik", "random"])
 def test_number_of_worlds_changes_no_episode(policy):
     options = {"max_episode_steps": 40}

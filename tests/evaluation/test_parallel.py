@@ -57,12 +57,14 @@ def test_workers_and_worlds_change_no_episode(tmp_path):
     assert len(told) == 10
 
 
+@pytest.mark.slow
 def test_a_policy_that_fails_in_a_worker_spoils_no_other(mine):
     comparison = compare(["mine_for_workers:failing", "random"], episodes=4, workers=2)
     assert "out of ideas" in comparison.failures["mine_for_workers:failing"]
     assert comparison.episodes.groupby("policy").size().to_dict() == {"mine_for_workers:failing": 2, "random": 4}
 
 
+@pytest.mark.slow
 def test_a_worker_that_dies_is_told(mine, tmp_path):
     comparison = compare(["mine_for_workers:dying"], episodes=2, workers=2, out=tmp_path / "out")
     assert "a worker process died" in comparison.failures["workers"]

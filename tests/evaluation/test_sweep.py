@@ -126,6 +126,7 @@ class Interrupting:
         return self.policy.act(observations)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("decisions", [5, 80])
 def test_an_interrupted_sweep_keeps_its_episodes_and_goes_on(decisions, tmp_path):
     Interrupting.decisions = decisions

@@ -238,6 +238,7 @@ def test_arms_whose_first_axis_is_vertical_are_seen_in_its_frame(robot):
     )
 
 
+@pytest.mark.slow
 def test_dagger_asks_the_teacher_where_the_pupil_gets_to(tmp_path, monkeypatch):
     from armctl.rl import cloning
 

@@ -61,6 +61,7 @@ def test_exported_graph_is_the_squashed_mean_of_plain_observations(trained):
     np.testing.assert_allclose(load_agent(out / "agent.json", worlds).act(observations), expected, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_resumed_training_goes_on_with_its_replay_buffer(trained, tmp_path):
     out = shutil.copytree(trained[0], tmp_path / "small")
     before = load_from_pkl(out / "checkpoints" / REPLAY)

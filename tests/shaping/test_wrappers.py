@@ -17,7 +17,7 @@ PAIRS = [
     ("armctl/ArmReach-v0", "ik", "reach_ik"),
     ("armctl/ArmReach-v0", "mpc", "reach_ik"),
     ("armctl/ArmReachMoving-v0", "ik", "reach_ik"),
-    ("armctl/ArmReachObstacles-v0", "ik", "reach_ompl"),
+    pytest.param("armctl/ArmReachObstacles-v0", "ik", "reach_ompl", marks=pytest.mark.slow),
     ("armctl/ArmReachObstacles-v0", "ompl", "reach_ompl"),
     ("armctl/BridgeCross-v0", "distance", "bridge_ompl"),
     ("armctl/BridgeCross-v0", "ompl", "bridge_ompl"),
