@@ -109,6 +109,7 @@ def test_run_prints_states_actions_and_rewards(tmp_path):
         assert word in text
 
 
+@pytest.mark.slow
 def test_run_records_a_video_or_says_what_is_missing(tmp_path):
     done = armctl("run", "reach_ik", "--steps", "5", "--video", "films/reach.mp4", cwd=tmp_path, check=False)
     if done.returncode:

@@ -264,6 +264,7 @@ def test_tables_fit_a_narrow_terminal():
         assert word in text
 
 
+@pytest.mark.slow
 def test_verdict_names_the_better():
     assert verdict(compare(["random", "reach_ik"], episodes=12)).startswith("reach_ik wins more episodes than random")
 

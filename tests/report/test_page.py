@@ -355,6 +355,7 @@ def needs_opengl():
         pytest.skip(f"no OpenGL: another test checks what is said then ({error})")
 
 
+@pytest.mark.slow
 def test_videos_show_the_episodes_of_the_table(finished, tmp_path):
     needs_opengl()
     import imageio.v3 as imageio

@@ -137,6 +137,7 @@ def trained_on_bridge(tmp_path_factory):
     return out, train(recipe, out=out, seed=0, progress=False)
 
 
+@pytest.mark.slow
 def test_a_camera_agent_is_trained_exported_and_loaded(trained_on_bridge):
     out, card = trained_on_bridge
     assert card.observation_shape == {"image": [6, 8], "motion": [3]}

@@ -126,6 +126,7 @@ def own_addresses():
     return {"127.0.0.2", *named} - {LOOPBACK}
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere 127.0.0.2 needs to be set up")
 def test_the_page_answers_on_loopback_alone_and_a_taken_port_is_told(tmp_path):
     with viewing(tmp_path, "random") as port:
