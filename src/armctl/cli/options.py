@@ -6,7 +6,6 @@ from typing import Annotated, Any
 import typer
 
 from armctl.errors import ConfigurationError
-from armctl.options import option_value
 
 Env = Annotated[str, typer.Option("--env", help="Environment id; `armctl list` shows them.")]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of the episodes: the same seed, the same episodes.")]
@@ -61,6 +60,8 @@ def progress_bar() -> Any:
 
 def levels_of(given: list[str]) -> dict[str, Any]:
     """Levels by disturbance, from NAME=LEVEL,LEVEL...; None from NAME without levels."""
+    from armctl.options import option_value
+
     levels: dict[str, Any] = {}
     for one in given:
         name, equals, numbers = one.partition("=")
@@ -70,6 +71,8 @@ def levels_of(given: list[str]) -> dict[str, Any]:
 
 def options_of(pairs: list[str] | None, flag: str = "--set") -> dict[str, Any]:
     """Options from NAME=VALUE pairs: numbers, tuples, True, False and None, or else strings."""
+    from armctl.options import option_value
+
     options = {}
     for pair in pairs or []:
         name, equals, value = pair.partition("=")
