@@ -21,7 +21,7 @@ WORLD = """
     <geom name="floor" type="plane" size="5 5 0.1" rgba="0.7 0.75 0.8 1"/>
     <body name="target" mocap="true"> <geom size="0.1" rgba="0 0.8 0 0.5" contype="0" conaffinity="0"/> </body>
     <body name="quadrotor" pos="0 0 1">
-      <freejoint/> <geom type="box" size="0.12 0.12 0.03" mass="1" rgba="0.2 0.2 0.25 1"/>
+      <freejoint/> <geom type="box" size="0.12 0.12 0.03" mass="1" rgba="0.95 0.5 0.1 1"/>
       <site name="front_left" pos="0.1 0.1 0"/> <site name="front_right" pos="0.1 -0.1 0"/>
       <site name="rear_left" pos="-0.1 0.1 0"/> <site name="rear_right" pos="-0.1 -0.1 0"/>
     </body>
