@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 TOLERANCE = 1e-6  # m and rad
 PATIENCE = 8  # steps in a row that may fail to take a tenth off the error before a start is given up, as in `Ik`
 PEER_DAMPING = 0.02  # times the squared error: of 0 to 1, where pink and mink need the fewest starts
-PACKAGES = ("armctl", "eaik", "pin", "pin-pink", "mink", "daqp", "mujoco", "numpy")
+PACKAGES = ("armctl-suite", "eaik", "pin", "pin-pink", "mink", "daqp", "mujoco", "numpy")
 HEADINGS = (
     *("poses", "solved\n%", "median\nms", "mean\nms", "p99\nms", "max\nms", "solutions\nper pose"),
     *("largest\nresidual", "unreachable\nmedian ms", "one step\nmedian µs"),

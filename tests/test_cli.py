@@ -40,7 +40,7 @@ def test_training_without_the_extra_says_what_to_install(tmp_path):
     command = [sys.executable, "-c", code, "train", "ppo"]
     done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
     assert done.returncode == 2
-    assert "armctl[rl]" in done.stderr
+    assert "armctl-suite[rl]" in done.stderr
 
 
 def test_list_shows_what_there_is(tmp_path):

@@ -3,13 +3,19 @@
 Importing it registers the environments with Gymnasium. The library's functions load on first use.
 """
 
+import contextlib
 import ctypes
 import importlib
+import importlib.metadata
 import os
 import sys
+import warnings
 from typing import Any
 
 __version__ = "0.1.0"
+
+DISTRIBUTION = "armctl-suite"
+"""The name on the package index. `armctl` there is another project, with the same import name and command."""
 
 DEFAULT_ENV = "armctl/ArmReach-v0"
 
@@ -51,5 +57,16 @@ def _is_installed(library: str) -> bool:
     return True
 
 
+def _warn_of_namesake() -> None:
+    with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+        namesake = importlib.metadata.version("armctl")
+        warnings.warn(
+            f"the distribution armctl {namesake}, another project with the same import name, is installed beside "
+            f"{DISTRIBUTION}: pip uninstall armctl, then install {DISTRIBUTION} again",
+            stacklevel=2,
+        )
+
+
 _choose_graphics()
+_warn_of_namesake()
 importlib.import_module("armctl.registration").register_installed()

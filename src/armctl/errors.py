@@ -3,6 +3,8 @@
 from collections.abc import Iterable
 from difflib import get_close_matches
 
+from armctl import DISTRIBUTION
+
 
 class ArmctlError(Exception):
     """Base of every error that armctl raises on purpose."""
@@ -30,7 +32,7 @@ class ResultsError(ArmctlError):
 
 def missing_extra(purpose: str, error: ModuleNotFoundError) -> ConfigurationError:
     """Error for a feature whose packages are not installed."""
-    how = "pip install 'armctl[rl]', or pip install -e '.[rl]' in a clone"
+    how = f"pip install '{DISTRIBUTION}[rl]', or pip install -e '.[rl]' in a clone"
     return ConfigurationError(f"{purpose} needs {error.name}: {how}")
 
 

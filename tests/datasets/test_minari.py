@@ -42,7 +42,7 @@ def test_a_dataset_tells_where_it_comes_from(dataset):
     assert metadata["seed"] == 5
     assert metadata["outcomes"] == {"reached": 7}
     assert metadata["successes"] == collection.successes == 7
-    assert {"armctl", "mujoco", "minari"} <= set(metadata["versions"])
+    assert {"armctl-suite", "mujoco", "minari"} <= set(metadata["versions"])
     for number, facts in enumerate(opened.storage.get_episode_metadata(range(7))):
         assert (facts["seed"], facts["options"]["episode"], facts["outcome"]) == (5, number, "reached")
         assert facts["success"]

@@ -49,7 +49,7 @@ def train(
 ) -> None:
     """Train an agent by a recipe; needs the extra `rl`.
 
-    The extra: `pip install 'armctl[rl]'`, or `pip install -e '.[rl]'` in a clone.
+    The extra: `pip install 'armctl-suite[rl]'`, or `pip install -e '.[rl]'` in a clone.
 
     `armctl train reach_ppo` repeats the training of the shipped agent. Everything in a recipe can be changed:
     `armctl train reach_ppo --seed 1 --shaping ik --set robot=ur10 --option worlds=64`, or

@@ -5,11 +5,13 @@ import platform
 from importlib.metadata import version
 from typing import Any
 
+from armctl import DISTRIBUTION
+
 
 def versions() -> dict[str, str]:
     """Versions of Python and of the packages on which results depend."""
     packages = (
-        "armctl",
+        DISTRIBUTION,
         "mujoco",
         "pin",
         "eaik",
