@@ -50,12 +50,13 @@ def new_folder() -> Path:
 
 
 def progress_bar() -> Any:
-    """A progress display on standard error."""
+    """A progress display on standard error; nothing where that is not a terminal."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.description:>12}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    return Progress(*columns, console=Console(stderr=True), transient=True)
+    console = Console(stderr=True)
+    return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
 
 
 def levels_of(given: list[str]) -> dict[str, Any]:

@@ -18,6 +18,8 @@ from armctl.evaluation.rollouts import wrap_policy_errors
 from armctl.policies import make_policy
 
 Film = Callable[[NDArray[np.uint8]], None]
+VIDEO_FORMATS = (".mp4", ".mkv", ".mov", ".avi")
+"""Containers that hold H.264, which every player knows."""
 
 
 def run_episodes(
@@ -36,6 +38,8 @@ def run_episodes(
     """
     if watch and video:
         raise ConfigurationError("--watch and --video exclude each other: choose one")
+    if video:
+        _check_video(video)
     console = Console()
     world: Any = _make(env, steps, "human" if watch else "rgb_array" if video else None, env_options)
     actor = make_policy(policy, world)
@@ -43,7 +47,7 @@ def run_episodes(
         with _film(video, world.metadata["render_fps"], console) as film:
             for episode in range(episodes):
                 console.rule(f"{policy}, episode {episode} of seed {seed}", align="left")
-                _play(console, policy, actor, world, seed, episode, film, watch)
+                _play(console, policy, actor, world, seed, episode, film, watch, steps)
     except KeyboardInterrupt:
         console.print("Interrupted.")
         return False
@@ -53,13 +57,22 @@ def run_episodes(
 
 
 def _play(
-    console: Console, name: str, actor: Any, world: Any, seed: int, episode: int, film: Film | None, watch: bool
+    console: Console,
+    name: str,
+    actor: Any,
+    world: Any,
+    seed: int,
+    episode: int,
+    film: Film | None,
+    watch: bool,
+    asked: int | None,
 ) -> None:
+    """Play and print one episode, of at most the number of steps that the user `asked` for."""
     observation, info = world.reset(seed=seed, options={"episode": episode})
-    total, step, finished = 0.0, 0, False
+    total, step, terminated, truncated = 0.0, 0, False, False
     with wrap_policy_errors(name, episode):
         actor.reset(np.zeros(1, dtype=np.int32))
-    while not finished:
+    while not (terminated or truncated):
         if film:
             film(world.render())
         state = {part: value.copy() for part, value in world.unwrapped.task.observation_parts().items()}
@@ -69,11 +82,17 @@ def _play(
         if watch:
             time.sleep(1 / world.metadata["render_fps"])
         _print_step(console, step, state | {"action": action[None]}, info["reward_terms"], float(reward))
-        total, step, finished = total + float(reward), step + 1, terminated or truncated
+        total, step = total + float(reward), step + 1
     if film:
         for _ in range(world.metadata["render_fps"] // 2):
             film(world.render())
-    console.print(f"[bold]{info['outcome']} after {step} steps, return {total:g}[/]\n")
+    stopped = truncated and not terminated and step == asked  # the environment itself would have gone on
+    ending = f"stopped after {_steps(step)}, as asked" if stopped else f"{info['outcome']} after {_steps(step)}"
+    console.print(f"[bold]{ending}, return {total:g}[/]\n")
+
+
+def _steps(count: int) -> str:
+    return "1 step" if count == 1 else f"{count} steps"
 
 
 def _make(
@@ -101,23 +120,38 @@ def _film(video: Path | None, fps: int, console: Console) -> Iterator[Film | Non
     if video is None:
         yield None
         return
-    try:
-        video.parent.mkdir(parents=True, exist_ok=True)
-        writer = imageio.get_writer(video, fps=fps)
-    except (OSError, ValueError) as error:
-        raise ResultsError(f"the video {video} cannot be written: {error}") from error
-    frames = 0
+    # ffmpeg's own messages are pages long: what goes wrong is said in one line, here and in `_check_video`
+    writer = imageio.get_writer(video, fps=fps, ffmpeg_log_level="quiet")
+    frames, broken = 0, False
 
     def film(frame: NDArray[np.uint8]) -> None:
-        nonlocal frames
+        nonlocal frames, broken
         frames += 1
         try:
             writer.append_data(frame)
         except OSError as error:
-            raise ResultsError(f"the video {video} cannot be written: {error}") from error
+            broken = True
+            raise ResultsError(f"the video {video} cannot be written: ffmpeg gave up after {frames} frames") from error
 
     try:
         yield film
     finally:
         writer.close()
-        console.print(f"{video}: {frames} frames")
+        if not broken:
+            console.print(f"{video}: {frames} frames", soft_wrap=True)
+
+
+def _check_video(video: Path) -> None:
+    """Raise `ConfigurationError` or `ResultsError` for a video that cannot be written, before anything is played."""
+    if video.suffix.lower() not in VIDEO_FORMATS:
+        raise ConfigurationError(f"a video's name ends in one of {', '.join(VIDEO_FORMATS)}; {str(video)!r} does not")
+    missing = not video.exists()
+    try:
+        video.parent.mkdir(parents=True, exist_ok=True)
+        video.open("ab").close()
+        if missing:
+            video.unlink()
+    except FileExistsError as error:
+        raise ResultsError(f"the video {video} cannot be written: {video.parent} is not a folder") from error
+    except OSError as error:
+        raise ResultsError(f"the video {video} cannot be written: {error.strerror}") from error
