@@ -266,7 +266,9 @@ def test_tables_fit_a_narrow_terminal():
 
 @pytest.mark.slow
 def test_verdict_names_the_better():
-    assert verdict(compare(["random", "reach_ik"], episodes=12)).startswith("reach_ik wins more episodes than random")
+    comparison = compare(["random", "reach_ik"], episodes=12)
+    sentence = verdict(comparison.policies, comparison.paired)
+    assert sentence.startswith("reach_ik wins more episodes than random")
 
 
 def text_of(comparison):

@@ -1,17 +1,19 @@
 """The verdict of a comparison: a sentence about its two best policies."""
 
-from armctl.evaluation.comparison import Comparison
-from armctl.evaluation.statistics import FEWEST, Estimate
+from collections.abc import Sequence
+
+from armctl.evaluation.statistics import FEWEST, Estimate, PairedDifference
+from armctl.evaluation.summary import PolicySummary
 
 
-def verdict(comparison: Comparison) -> str:
+def verdict(policies: Sequence[PolicySummary], paired: Sequence[PairedDifference]) -> str:
     """Which of the two best policies wins more often, and which earns more, if the differences are significant."""
-    fewest = min(pair.episodes for pair in comparison.paired)
+    fewest = min(pair.episodes for pair in paired)
     if fewest < FEWEST:
         return f"No verdict from {fewest} episodes: it takes {FEWEST}."
-    ranked = sorted(comparison.policies, key=lambda policy: _rank(policy.success, policy.episode_return), reverse=True)
+    ranked = sorted(policies, key=lambda policy: _rank(policy.success, policy.episode_return), reverse=True)
     best, second = (policy.policy for policy in ranked[:2])
-    pair = next(pair for pair in comparison.paired if {pair.a, pair.b} == {best, second})
+    pair = next(pair for pair in paired if {pair.a, pair.b} == {best, second})
     won = {pair.a: pair.only_a, pair.b: pair.only_b}
     if pair.mcnemar_p < 0.05:
         first = f"{best} wins more episodes than {second} ({won[best]} against {won[second]} that the other lost)"

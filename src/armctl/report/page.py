@@ -177,7 +177,7 @@ def _comparison(results: Results, look: style.Looks, trusted: bool) -> dict[str,
 def _verdict(results: Results) -> str:
     policies = results.comparison.policies
     if results.comparison.paired:
-        return verdict(results.comparison)
+        return verdict(policies, results.comparison.paired)
     if not policies:
         return "No episode was finished."
     only, success = policies[0], policies[0].success

@@ -20,7 +20,12 @@ def tables(comparison: Comparison) -> Group:
         ends = ", ".join(f"{count} {outcome}" for outcome, count in policy.outcomes.items())
         parts.append(Text("; ".join([f"{policy.policy}: {ends}", *_details(policy)])))
     if comparison.paired:
-        parts += [Text(), _paired_table(comparison.paired), Text(), Text(verdict(comparison), style="bold")]
+        parts += [
+            Text(),
+            _paired_table(comparison.paired),
+            Text(),
+            Text(verdict(comparison.policies, comparison.paired), style="bold"),
+        ]
     if comparison.policies and (infeasible := comparison.policies[0].infeasible):
         parts.append(Text(f"{infeasible} episodes have a target out of reach; they are left out of all figures."))
     parts += [Text(message, style="red") for message in comparison.failures.values()]
