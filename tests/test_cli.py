@@ -165,6 +165,13 @@ def test_train_follows_a_recipe_with_changes(tmp_path):
     assert "was started with env_options {'tolerance': 0.1}, not {}" in again.stderr
 
 
+FORK = "<robot name='fork'><link name='base'/><link name='left'/><link name='right'/>" + "".join(
+    f"<joint name='{side}' type='revolute'><parent link='base'/><child link='{side}'/></joint>"
+    for side in ("left", "right")
+) + "</robot>"  # fmt: skip
+"""An arm with two tips."""
+
+
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
@@ -177,6 +184,10 @@ def test_train_follows_a_recipe_with_changes(tmp_path):
         (["compare", "random", "--set", "robot"], "NAME=VALUE"),
         (["compare", "none.json"], "cannot be read"),
         (["run", "random", "--env", "armctl/Reach-v0"], "ArmReach"),
+        (["run", "random", "--set", "robot=two.urdf"], r"2 leaf links \(left, right\).*`--set tip=LINK`"),
+        (["run", "random", "--set", "robot=two.urdf", "--set", "tip=lift"], "Did you mean 'left'.*base, left, right"),
+        (["reproduce", "reach_ik"], "reach_ik is not a learned agent: .* Agents are .*reach_ppo"),
+        (["reproduce", "reach_pp"], "Did you mean 'reach_ppo'"),
         (["run", "random", "--set", "control=torqe"], "Did you mean 'torque'"),
         (["collect", "reach_ki", "--out", "data"], "Did you mean 'reach_ik'"),
         (["collect", "random", "--out", "/proc/data", "--episodes", "1"], "cannot be written"),
@@ -205,6 +216,7 @@ def test_train_follows_a_recipe_with_changes(tmp_path):
 )
 def test_mistakes_get_one_clear_line(arguments, says, tmp_path):
     (tmp_path / "full.mp4").symlink_to("/dev/full")
+    (tmp_path / "two.urdf").write_text(FORK)
     done = armctl(*arguments, cwd=tmp_path, check=False)
     assert done.returncode == 2
     assert re.search(says, done.stderr)

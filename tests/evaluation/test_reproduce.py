@@ -49,6 +49,8 @@ def test_a_card_that_boasts_is_found_out(agent):
 def test_what_cannot_be_reproduced_is_refused(agent, tmp_path):
     with pytest.raises(ConfigurationError, match=r"no agent 'reach_pop'.*Did you mean 'reach_ppo'"):
         reproduce("reach_pop")
+    with pytest.raises(ConfigurationError, match=r"reach_ik is not a learned agent: .*reach_bc.*reach_sac"):
+        reproduce("reach_ik")
     with pytest.raises(AgentFileError, match="cannot be read"):
         reproduce(tmp_path / "nothing.json")
     edit(agent, nothing=True)

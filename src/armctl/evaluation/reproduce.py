@@ -7,7 +7,7 @@ from pathlib import Path
 import pandas as pd
 
 from armctl.agents import AgentCard, Evaluation, read_card
-from armctl.errors import AgentFileError, unknown_name
+from armctl.errors import AgentFileError, ConfigurationError, unknown_name
 from armctl.evaluation.rollouts import evaluate
 from armctl.evaluation.statistics import success_rate
 from armctl.policies import GROUP
@@ -35,7 +35,7 @@ def reproduce(agent: str | Path, *, seed: int | None = None, worlds: int = 64) -
     """Evaluate an agent again, on the episodes named by its card or on those of another seed.
 
     `agent` is the path of its card or graph, or the name of an installed one. Raises `AgentFileError` for unusable
-    files and cards without an evaluation, and `ConfigurationError` for an unknown name.
+    files and cards without an evaluation, and `ConfigurationError` for an unknown name or one without a card.
     """
     path = card_path(agent)
     card = read_card(path)
@@ -62,6 +62,11 @@ def card_path(agent: str | Path) -> Path:
     homes = {entry.name: find_spec(entry.module) for entry in installed(GROUP)}
     beside = {name: Path(home.origin).with_name(f"{name}.json") for name, home in homes.items() if home and home.origin}
     cards = {name: card for name, card in beside.items() if card.exists()}
+    if str(agent) in installed(GROUP).names - cards.keys():
+        raise ConfigurationError(
+            f"{agent} is not a learned agent: it has no card, and so nothing to reproduce. Agents are "
+            f"{', '.join(sorted(cards))}, or path/to/agent.json; armctl compare plays any policy"
+        )
     if str(agent) not in cards:
         raise unknown_name("agent", agent, [*cards, "path/to/agent.json"])
     return cards[str(agent)]

@@ -103,14 +103,14 @@ class Urdf:
         leaves = [name for name in self._links if name not in parents]
         if len(leaves) != 1:
             raise self._error(
-                f"it has {len(leaves)} leaf links ({', '.join(leaves)}); say which is the end-effector: "
-                f"load_arm({self.path.name!r}, tip=...)"
+                f"it has {len(leaves)} leaf links ({', '.join(leaves)}); say which is the end-effector, its tip: "
+                "`--set tip=LINK` on the command line, tip=LINK as an option of the environment or of load_arm"
             )
         return leaves[0]
 
     def _movable_chain(self) -> list[Element]:
         if self.tip not in self._links:
-            raise unknown_name(f"link in {self.path.name}", self.tip, self._links)
+            raise unknown_name(f"link of {self.path.name} called", self.tip, self._links)
         joint_above = {_end(joint, "child"): joint for joint in self._joints}
         chain: list[Element] = []
         link = self.tip
