@@ -1,6 +1,7 @@
 # make compare: set up, then let the IK expert, the PPO agent and random actions meet the same 200 episodes.
 # make test:    set up with everything, then run the quick tests; make test-all: all of them.
 # make check:   lint, format, types. make lock: after a change of dependencies. make dist: sdist and wheel.
+# make docs:    the documentation as a site, in site/; make docs-serve: the same in the browser, while you write.
 # For some of the tests: make test ARGS="tests/kinematics -k jacobian"
 
 PYTHON ?= python3
@@ -8,10 +9,11 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2 --dist worksteal
+MKDOCS := NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs
 UV := $(BIN)/uv --quiet
 EXPORT := $(UV) export --frozen --all-extras --no-emit-project --no-hashes --no-annotate
 
-.PHONY: compare test test-all check lock check-lock dist benchmarks clean
+.PHONY: compare test test-all check docs docs-serve lock check-lock dist benchmarks clean
 
 compare: $(VENV)/core
 	$(BIN)/armctl compare
@@ -26,6 +28,12 @@ check: $(VENV)/full
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+docs: $(VENV)/full
+	$(MKDOCS) build --strict
+
+docs-serve: $(VENV)/full
+	$(MKDOCS) serve
 
 lock: $(VENV)/uv
 	$(UV) lock
@@ -52,7 +60,7 @@ benchmarks: $(VENV)/full
 	$(BIN)/python benchmarks/workers.py
 
 clean:
-	rm -rf $(VENV) build dist *.egg-info src/*.egg-info
+	rm -rf $(VENV) build dist site *.egg-info src/*.egg-info
 
 $(VENV)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \

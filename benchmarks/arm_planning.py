@@ -17,7 +17,7 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 from ompl import base, geometric, util
-from rich.box import SIMPLE
+from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -142,8 +142,8 @@ def main(count: int = typer.Option(500, "--layouts"), robot: str = "ur5") -> Non
         "BIT*, 0.2 s": by_ompl(model, "BITstar", 0.2),
     }
     table = Table(
-        "", "solved", "valid", "total", "mean, ms", "50 %", "95 %", "99 %", "most", "raw, s", "shortened, s",
-        title=f"{count} layouts, {robot}, drawn in {drawing:.1f} ms each", title_justify="left", box=SIMPLE,
+        "", "solved", "valid", "total", "mean ms", "50 %", "95 %", "99 %", "most", "raw s", "shortened s",
+        title=f"{count} layouts, {robot}, drawn in {drawing:.1f} ms each", title_justify="left", box=MARKDOWN,
     )  # fmt: skip
     for name, plan in contenders.items():
         times, raws, shorts, valid = [], [], [], 0

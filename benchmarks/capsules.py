@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 import typer
 from numpy.typing import NDArray
-from rich.box import SIMPLE
+from rich.box import MARKDOWN
 from rich.console import Console
 from rich.table import Table
 
@@ -108,7 +108,7 @@ def main(robot: str = "ur5", configurations: int = 10_000) -> None:
     """Measure, and print a table."""
     table = Table(
         "", "meshes touch", "capsules touch", "missed by capsules", "free, but not by capsules",
-        title=f"{configurations} configurations of {robot}", title_justify="left", box=SIMPLE,
+        title=f"{configurations} configurations of {robot}", title_justify="left", box=MARKDOWN,
     )  # fmt: skip
     for what, counts in zip(
         ("itself and the floor", f"{BOXES} boxes too"), measure(robot, configurations), strict=True

@@ -14,7 +14,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import typer
-from rich.box import SIMPLE
+from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -91,8 +91,8 @@ def _train(study: Study, variant: str, seed: int, folder: Path) -> None:
 
 def _table(curves: pd.DataFrame, env: str, seeds: int) -> Table:
     table = Table(
-        "reward", f"steps to {ENOUGH:.0%}", "minutes", "success in the end", "range of seeds",
-        title=f"{env}, {seeds} seeds", title_justify="left", box=SIMPLE,
+        "potential", f"control steps to {ENOUGH:.0%}: median and range of seeds", "minutes", "in the end",
+        "range of seeds", title=f"{env}, {seeds} seeds", title_justify="left", box=MARKDOWN,
     )  # fmt: skip
     for variant, runs in curves.groupby("variant", sort=False):
         first = [run[run.success >= ENOUGH].head(1) for _, run in runs.groupby("seed")]

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import typer
 from numpy.typing import NDArray
-from rich.box import SIMPLE
+from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -194,13 +194,13 @@ def main(states: int = 200, repeats: int = 5) -> None:
     """Measure, and print tables."""
     model, console, bar = ArmModel("ur5"), Console(width=120), Console(stderr=True)
     open_space, everything = ReachMpcOptions(pairs=0), ReachMpcOptions()
-    table = Table("", "ms", "99 %", "over the best", "99 %", "at most", "failures",
+    table = Table("a control step", "ms", "99 %", "over the best: median", "99 %", "most", "failures",
                   title=f"{states} decisions, horizon {everything.problem.horizon}",
-                  title_justify="left", box=SIMPLE)  # fmt: skip
+                  title_justify="left", box=MARKDOWN)  # fmt: skip
     for name, arm, options in (
         ("open space", model, open_space),
-        ("minding floor and itself", model, everything),
-        ("minding three boxes too", model.among(BOXES), everything),
+        ("with floor and self-collision constraints", model, everything),
+        ("with three boxes too", model.among(BOXES), everything),
     ):
         runs = [drive(arm, options, states) for _ in track(range(repeats), name, console=bar, transient=True)]
         excess = ["", "", ""]
@@ -218,8 +218,8 @@ def main(states: int = 200, repeats: int = 5) -> None:
     console.print(table)
 
     programs = drive(model, open_space, states, record=True).programs
-    table = Table("", "ms", "99 %", "off by, rad/s", "99 %", title=f"Their {len(programs)} quadratic programs",
-                  title_justify="left", box=SIMPLE)  # fmt: skip
+    table = Table("a quadratic program", "ms", "99 %", "off by, rad/s", "99 %",
+                  title=f"Their {len(programs)} quadratic programs", title_justify="left", box=MARKDOWN)  # fmt: skip
     exact: list[Array] = []
     for name, make in (("daqp", daqp_solver), ("OSQP", osqp_solver), ("ProxQP, sparse", proxqp_solver)):
         try:

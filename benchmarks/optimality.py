@@ -8,6 +8,7 @@ No policy should be sooner by more than the one decision that servos and samplin
 import numpy as np
 import pandas as pd
 import typer
+from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
@@ -21,10 +22,13 @@ def main(episodes: int = 10_000, seed: int = 0, policies: str = "reach_ik,reach_
     with Progress(transient=True) as bar:
         task = bar.add_task("episodes", total=episodes * len(names))
         comparison = compare(names, episodes=episodes, seed=seed, worlds=100, progress=lambda result: bar.advance(task))
-    table = Table("policy", "success", "median gap", "95 % interval", "90th percentile", "sooner by 1", "by more")
+    table = Table(
+        "policy", "reached", "over the least time: median", "95 % interval", "90th percentile",
+        "earlier by 1 control step", "by more", box=MARKDOWN, title_justify="left",
+    )  # fmt: skip
     table.title = f"armctl/ArmReach-v0, {episodes:,} episodes, decisions over the least possible"
     for name, played in comparison.episodes.groupby("policy", sort=False):
-        table.add_row(str(name), *row(played, next(one for one in comparison.policies if one.policy == name)))
+        table.add_row(f"`{name}`", *row(played, next(one for one in comparison.policies if one.policy == name)))
     Console().print(table)
 
 

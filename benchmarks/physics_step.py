@@ -12,7 +12,7 @@ import time
 import gymnasium
 import numpy as np
 import typer
-from rich.box import SIMPLE
+from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -64,8 +64,8 @@ def main(runs: int = 64, seconds: float = 5.0) -> None:
         poses[step] = drive(step, commands)
     title = f"{runs} drives of {seconds:g} s, final pose against a step of {FINE * 1e3:g} ms"
     table = Table(
-        "step ms", "position mm, median", "95 %", "heading deg, median", "95 %", "times real time",
-        title=title, title_justify="left", box=SIMPLE,
+        "step, ms", "position, mm: median", "95 %", "heading, degrees: median", "95 %", "times real time",
+        title=title, title_justify="left", box=MARKDOWN,
     )  # fmt: skip
     for step in (FINE / 2, *STEPS):
         reached, speed = poses[step]

@@ -15,7 +15,7 @@ import shapely
 import typer
 from numpy.typing import NDArray
 from ompl import base, geometric, util
-from rich.box import SIMPLE
+from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -163,15 +163,15 @@ def main(count: int = typer.Option(200, "--layouts"), reference: int = 20, secon
     for found in paths.values():
         best[: len(found)] = np.minimum(best[: len(found)], [length(path) for path in found])
     table = Table(
-        "", "found", "ms", "99 %", "over the shortest", "at most", "clearance, m",
+        "", "found", "median ms", "99 %", "over the shortest: median", "most", "smallest clearance, m",
         title=f"{count} layouts, {reference} for {patient}; clearance {CLEARANCE} m",
-        title_justify="left", box=SIMPLE,
+        title_justify="left", box=MARKDOWN,
     )  # fmt: skip
     for name in contenders:
         ratio = np.array([length(path) for path in paths[name]]) / best[: len(paths[name])]
         nearest = min(clearance(bridge, path) for bridge, path in zip(maps, paths[name], strict=False) if len(path))
         table.add_row(
-            name, f"{np.mean([len(path) > 0 for path in paths[name]]):.1%}", f"{np.median(times[name]):.1f}",
+            name, f"{np.mean([len(path) > 0 for path in paths[name]]):.1%}", f"{np.median(times[name]):,.1f}",
             f"{np.quantile(times[name], 0.99):.1f}", f"{np.median(ratio) - 1:.2%}", f"{ratio.max() - 1:.2%}",
             f"{nearest:.4f}",
         )  # fmt: skip

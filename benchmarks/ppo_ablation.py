@@ -9,6 +9,7 @@ import tempfile
 from pathlib import Path
 
 import typer
+from rich.box import MARKDOWN
 from rich.console import Console
 from rich.table import Table
 
@@ -25,7 +26,7 @@ VARIANTS = {
 
 def main(steps: int = 1_000_000, seed: int = 0) -> None:
     """Train each variant, and print a table."""
-    table = Table("variant", "success", "95 % interval", "steps to goal", "minutes")
+    table = Table("variant", "success", "95 % interval", "steps to goal", "minutes", box=MARKDOWN)
     table.title = f"PPO on armctl/ArmReach-v0, {steps:,} steps, training seed {seed}"
     recipe = load_recipe("reach_ppo")
     train = load_learner(recipe.learner)

@@ -16,7 +16,7 @@ import gymnasium
 import mujoco
 import numpy as np
 import typer
-from rich.box import SIMPLE
+from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -119,16 +119,16 @@ def subprocesses(env: str, worlds: int) -> Contender:
 def main(env: str = armctl.DEFAULT_ENV, worlds: int = 256, seconds: float = 3.0) -> None:
     """Measure, and print a table."""
     cores = len(os.sched_getaffinity(0))
-    subprocess_name = f"SubprocVecEnv, {cores} processes"
-    all_cores, one_core = f"raw mj_step, {cores} threads", "raw mj_step, 1 thread"
+    subprocess_name = f"Stable-Baselines3's `SubprocVecEnv`, {cores} processes"
+    all_cores, one_core = f"raw `mj_step`, {cores} threads", "raw `mj_step`, 1 thread"
     oracles = potential_names(gymnasium.make_vec(env, num_envs=1).unwrapped)
     contenders = {
         all_cores: (raw(env, cores), all_cores),
-        f"gym.make_vec, {worlds} worlds": (batched(env, worlds), all_cores),
-        **{f"shaped by {oracle}": (batched(env, worlds, oracle), all_cores) for oracle in oracles},
+        f"`gym.make_vec`, {worlds} worlds": (batched(env, worlds), all_cores),
+        **{f"the same, shaped by `{oracle}`": (batched(env, worlds, oracle), all_cores) for oracle in oracles},
         subprocess_name: (subprocesses(env, cores), all_cores),
         one_core: (raw(env, 1), one_core),
-        "gym.make": (single(env), one_core),
+        "`gym.make`": (single(env), one_core),
     }
     rates: dict[str, list[float]] = {name: [] for name in contenders}
     for _ in track(range(ROUNDS), console=Console(stderr=True), transient=True):
@@ -138,12 +138,19 @@ def main(env: str = armctl.DEFAULT_ENV, worlds: int = 256, seconds: float = 3.0)
     timestep, substeps = task.simulation.model.opt.timestep, task.substeps
     title = f"{env}, {cores} cores, armctl {armctl.__version__}, mujoco {mujoco.__version__}"
     table = Table(
-        "", "physics steps/s", "decisions/s", "real time", "of raw", title=title, title_justify="left", box=SIMPLE
+        "",
+        "physics steps/s",
+        "control steps/s",
+        "times real time",
+        "of raw",
+        title=title,
+        title_justify="left",
+        box=MARKDOWN,
     )
     for name, (_, reference) in contenders.items():
         rate = float(np.median(rates[name]))
         share = float(np.median(np.array(rates[name]) / np.array(rates[reference])))
-        table.add_row(name, f"{rate:,.0f}", f"{rate / substeps:,.0f}", f"{rate * timestep:,.0f} x", f"{share:.0%}")
+        table.add_row(name, f"{rate:,.0f}", f"{rate / substeps:,.0f}", f"{rate * timestep:,.0f}", f"{share:.0%}")
     Console().print(table)
 
 

@@ -12,7 +12,7 @@ import time
 import numpy as np
 import pandas as pd
 import typer
-from rich.box import SIMPLE
+from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -43,7 +43,7 @@ def main(env: str = armctl.DEFAULT_ENV, episodes: int = 400, workers: int = 2, r
         if not found[1].equals(found[workers]):
             raise SystemExit(f"{workers} workers found other episodes than one")
     title = f"{env}, {episodes} episodes, {len(os.sched_getaffinity(0))} cores, armctl {armctl.__version__}"
-    table = Table("workers", "seconds", "gain", "of linear", title=title, title_justify="left", box=SIMPLE)
+    table = Table("workers", "seconds", "gain", "of linear", title=title, title_justify="left", box=MARKDOWN)
     for count in counts:
         gain = float(np.median(np.array(seconds[1]) / np.array(seconds[count])))
         table.add_row(str(count), f"{np.median(seconds[count]):.1f}", f"{gain:.2f}", f"{gain / count:.0%}")

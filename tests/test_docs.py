@@ -1,4 +1,4 @@
-"""The README and the pages in docs/: their examples run, and what they name exists.
+"""The README and the pages in docs/: their examples run, what they name exists, and the site has all of them.
 
 A fence says what its block is. `python` and `sh` are run, all of a page in one folder, in their order. `python mine.py`
 and `toml mine.toml` are files for the blocks after them. `python docs/examples/hover.py NAME` is an excerpt of a file.
@@ -8,6 +8,7 @@ and `toml mine.toml` are files for the blocks after them. `python docs/examples/
 import importlib
 import os
 import re
+import runpy
 import shlex
 import subprocess
 import sys
@@ -15,8 +16,10 @@ import tomllib
 from pathlib import Path
 from typing import NamedTuple
 
+import gymnasium
 import pytest
 import typer.main
+import yaml
 
 from armctl.cli import app
 from armctl.learners import learner_names, load_recipe, recipe_names
@@ -24,12 +27,17 @@ from armctl.policies import policy_names
 from armctl.registration import environment_names
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 GROUPS = {f"armctl.{kind}" for kind in ("learners", "policies", "recipes", "tasks")}
 SECONDS = 600
 """That a page's examples may take."""
 
-each_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+
+def name_of(page):
+    return str(page.relative_to(ROOT).with_suffix(""))
+
+
+each_page = pytest.mark.parametrize("page", PAGES, ids=name_of)
 
 
 class Block(NamedTuple):
@@ -77,7 +85,7 @@ def test_every_block_says_what_it_is(page):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", [page for page in PAGES if to_run(page)], ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", [page for page in PAGES if to_run(page)], ids=name_of)
 def test_examples_run(page, tmp_path):
     (tmp_path / "docs").symlink_to(ROOT / "docs")
     environment = os.environ | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}", "COLUMNS": "100"}
@@ -105,14 +113,14 @@ def test_every_command_is_one_that_there_is(page):
                 case ["python", script, *_]:
                     assert (ROOT / script).exists(), script
                 case [program, *_]:
-                    assert program in ("cp", "pip", "source", "ssh"), words
+                    assert program in ("cp", "pip", ".venv/bin/pip", "source", "ssh"), words
 
 
 def _check(verb, arguments):
     """That a verb's arguments can be parsed, and that the names in them exist."""
     given = verb.make_context(verb.name, list(arguments)).params
     env = given.get("env")
-    assert env is None or ":" in env or env in environment_names(), env
+    assert env is None or ":" in env or env in gymnasium.registry, env
     named = [*(given.get("policies") or ()), *(given.get("agents") or ()), given.get("policy"), given.get("teacher")]
     for policy in filter(None, named):
         assert re.search(r"[:/.]", policy) or policy in policy_names(), policy
@@ -121,9 +129,8 @@ def _check(verb, arguments):
 
 
 @each_page
-def test_excerpts_are_what_the_code_says(page, monkeypatch):
-    monkeypatch.syspath_prepend(str(ROOT / "docs"))
-    renewed = importlib.import_module("excerpts").renewed(page.read_text())
+def test_excerpts_are_what_the_code_says(page):
+    renewed = imported("excerpts").renewed(page.read_text())
     assert page.read_text() == renewed, "python docs/excerpts.py makes the excerpts anew"
 
 
@@ -208,7 +215,7 @@ def test_every_disturbance_and_potential_is_in_the_pages():
     from armctl.envs import task_of
 
     tasks = [task_of(env) for env in environment_names() if env.startswith("armctl/")]
-    for page, declared in (("robustness", "disturbances"), ("training", "potentials")):
+    for page, declared in (("robustness", "disturbances"), ("shaping", "potentials")):
         table = set(re.findall(r"^\| `(\w+)` \|", (ROOT / "docs" / f"{page}.md").read_text(), re.MULTILINE))
         assert {name for task in tasks for name in getattr(task, declared)} <= table
 
@@ -228,3 +235,89 @@ def test_every_recipe_names_a_learner_that_the_pages_explain():
     table = re.findall(r"^\| `(\w+)` \|", (ROOT / "docs" / "training.md").read_text(), re.MULTILINE)
     assert {load_recipe(name).learner for name in recipe_names()} <= set(table)
     assert set(learner_names()) <= set(table)
+
+
+def test_every_page_is_in_the_site():
+    """As are its parts, in the order in which they are read."""
+    hooks = imported("hooks")
+    entries = navigation()["nav"]
+    parts = [name for part in entries for name in part]
+    assert parts == ["Start", "Guide", "Your own", "Benchmarks", "Notebooks", "API", "Changelog"]
+    shown = re.findall(r"'([\w/]+\.md)'", str(entries))
+    assert len(shown) == len(set(shown))
+    docs = {str(page.relative_to(ROOT / "docs")) for page in (ROOT / "docs").rglob("*.md")}
+    assert set(shown) == docs | set(hooks.GUESTS) | set(hooks.NOTEBOOKS)
+
+
+def test_the_site_needs_no_network():
+    settings = navigation()
+    assert settings["theme"]["font"] is False
+    assert "repo_url" not in settings  # the theme would ask GitHub for stars
+
+
+@pytest.mark.slow
+def test_the_site_is_built_without_a_warning(tmp_path):
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", tmp_path]
+    environment = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env=environment, timeout=SECONDS)
+    assert done.returncode == 0, done.stderr
+    assert "WARNING" not in done.stderr
+    pages = {path: path.read_text() for path in tmp_path.rglob("*.html")}
+    for path, html in pages.items():
+        assert not re.search(r"<(?:script|link|img)[^>]+(?:src|href)=\"?https?:", html), path
+        assert "not run:" not in re.sub(r"<p>.*?</p>", "", html), path
+    task, resolved = (pages[tmp_path / name / "index.html"] for name in ("add_a_task", "policies"))
+    assert '<span class="filename">docs/examples/hover.py</span>' in task
+    assert "https://github.com/armctl/armctl/blob/main/docs/examples/hover.py" in task
+    assert 'href="../zoo/"' in resolved
+
+
+def test_notes_of_fences_become_titles():
+    shown = imported("hooks").NOTE.sub(imported("hooks").titled, "```python a.py\n```sh not run: why\n```text\n```\n")
+    assert shown == '```python title="a.py"\n```sh\n```text\n```\n'
+
+
+def test_tables_are_what_a_benchmark_prints(monkeypatch, tmp_path):
+    benchmark = """
+from rich.box import MARKDOWN
+from rich.console import Console
+from rich.table import Table
+table = Table("", "share", box=MARKDOWN, title="no part of it")
+table.add_row("armctl, a long name " * 5, "7%")
+Console().print("Python", table, sep="\\n")
+"""
+    (tmp_path / "benchmarks").mkdir()
+    (tmp_path / "benchmarks" / "one.py").write_text(benchmark)
+    tables = runpy.run_path(str(ROOT / "benchmarks/tables.py"))
+    renewed = tables["renewed"]
+    monkeypatch.setitem(renewed.__globals__, "ROOT", tmp_path)
+    page = "Before\n<!-- python benchmarks/one.py -->\nold\n<!-- end -->\nAfter\n"
+    assert renewed(page, ["another"]) == page
+    once = renewed(page, ["one"])
+    assert "| | share |\n|---|---|\n| armctl, a long name armctl" in once
+    assert "| 7 % |\n\n`python benchmarks/one.py`, 20" in once
+    assert "old" not in once
+    assert "no part of it" not in once
+    assert renewed(once) == once
+
+
+def test_every_table_of_benchmarks_has_its_command():
+    block = runpy.run_path(str(ROOT / "benchmarks/tables.py"))["BLOCK"]
+    for page in PAGES:
+        for command in block.findall(page.read_text()):
+            assert (ROOT / command.split()[0]).exists(), command
+    assert not re.search(r"^\|", block.sub("", (ROOT / "docs/performance.md").read_text()), re.MULTILINE)
+
+
+def navigation():
+    """What mkdocs.yml says."""
+    return yaml.safe_load((ROOT / "mkdocs.yml").read_text())
+
+
+def imported(name):
+    """A module in docs/."""
+    sys.path.insert(0, str(ROOT / "docs"))
+    try:
+        return importlib.import_module(name)
+    finally:
+        sys.path.pop(0)

@@ -8,7 +8,7 @@ README = (ROOT / "README.md").read_text()
 
 
 def test_it_is_short():
-    assert len(README.splitlines()) <= 250
+    assert len(README.splitlines()) <= 180
 
 
 def test_it_leads_to_every_page_and_notebook():
