@@ -1,0 +1,143 @@
+"""The tables of a comparison and of a sweep, from their figures."""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import pandas as pd
+
+from armctl.evaluation.degradation import FALSE_DISCOVERY_RATE, Degradation, degradations
+from armctl.evaluation.statistics import Estimate, PairedDifference
+from armctl.evaluation.summary import PolicySummary
+from armctl.evaluation.tables import AGAINST, UNKNOWN, Cell, Column, Remark, Table, p_value, percent, plain
+
+
+def policy_table(env: str, seed: int, policies: Sequence[PolicySummary]) -> Table:
+    """A row for each policy. An environment that knows no success has no columns of it."""
+    by_success = any(policy.success for policy in policies)
+    columns = [Column("policy"), Column("success"), Column("return"), Column("steps")]
+    columns += [Column("decision ms", optional=True), Column("sees", optional=True)]
+    rows = [
+        [
+            Cell(policy.policy, f"{policy.training_steps:,}" if policy.training_steps else "untrained"),
+            percent(policy.success),
+            plain(policy.episode_return),
+            plain(policy.steps_to_goal),
+            Cell(f"{policy.decision_ms_p50:.3f}", f"{policy.decision_ms_p99:.3f}"),
+            Cell(policy.sees),
+        ]
+        for policy in policies
+    ]
+    caption = "With training steps, 95 % intervals, and the 99th percentile of decision times."
+    if by_success:
+        caption += " Steps: to the goal, where it was reached."
+    else:
+        columns, rows = _without(("success", "steps"), columns, rows)
+    records = [dataclasses.asdict(policy) for policy in policies]
+    title = f"{env}: {policies[0].planned} episodes of seed {seed}"
+    return Table("policies", title, columns, rows, records, caption)
+
+
+def details(policy: PolicySummary) -> Remark:
+    """How a policy's episodes ended, and what else there is to know of them."""
+    ends = ", ".join(f"{count} {outcome}" for outcome, count in policy.outcomes.items())
+    said = [f"{policy.policy}: {ends}"]
+    if gap := policy.optimality_gap:
+        said.append(f"{100 * gap.value:.0f}{_bracketed(gap, 100, 0)} % over the least time (median)")
+    if error := policy.tracking_error:
+        said.append(f"tracking error {1e3 * error.value:.1f}{_bracketed(error, 1e3, 1)} mm")
+    if policy.solver_failures:
+        said.append(f"its solver failed {policy.solver_failures} times")
+    if policy.missed_deadlines:
+        said.append(f"{100 * policy.missed_deadlines:.2g} % of its deadlines missed")
+    return Remark("; ".join(said))
+
+
+def paired_table(pairs: Sequence[PairedDifference]) -> Table:
+    """A row for each pair of policies. If success is unknown, the probability of a higher return takes its place."""
+    by_success = any(pair.mcnemar_p is not None for pair in pairs)
+    name, gain = Column("a - b"), Column("return")
+    columns = [name, Column("success"), Column("only a / only b", optional=True), Column("p"), gain, Column("steps")]
+    rows = []
+    for pair in pairs:
+        counts = Cell(f"{100 * (pair.only_a - pair.only_b) / pair.episodes:+.1f} %"), f"{pair.only_a} / {pair.only_b}"
+        names, difference = Cell(pair.a, AGAINST + pair.b), plain(pair.return_difference, "+")
+        if by_success:
+            steps = plain(pair.steps_difference, "+")
+            rows.append([names, counts[0], Cell(counts[1]), Cell(p_value(pair.mcnemar_p)), difference, steps])
+        else:
+            rows.append([names, difference, percent(pair.superiority.probability), Cell(p_value(pair.superiority.p))])
+    if by_success:
+        caption = "p: McNemar's exact test for equal success. Steps: over the episodes that both won."
+    else:
+        columns = [name, gain, Column("a is better"), Column("p")]
+        caption = "a is better: share of episodes in which a has the higher return; a tie counts half. p: sign test."
+    records = [dataclasses.asdict(pair) for pair in pairs]
+    return Table("paired", "Paired differences, on the same episodes", columns, rows, records, caption)
+
+
+def sweep_parts(points: pd.DataFrame) -> list[Table | Remark]:
+    """A table for each disturbance, of all policies at all levels, and from which level each policy gets worse."""
+    parts: list[Table | Remark] = []
+    by_success = bool(points.success.notna().any())
+    found = degradations(points)
+    for name, rows in points.groupby("disturbance", sort=False):
+        levels = list(dict.fromkeys(rows.level))
+        if len(levels) == 1:  # the undisturbed one: cut short
+            continue
+        what, column = ("success, %", "success") if by_success else ("return", "return")
+        table_rows = []
+        for policy, its in rows.groupby("policy", sort=False):
+            values = its.set_index("level")[column]
+            cells = [_at_level(float(values[x]), by_success) if x in values else Cell(UNKNOWN) for x in levels]
+            table_rows.append([Cell(str(policy)), *cells])
+        parts.append(
+            Table(
+                "points",
+                f"{name}, {rows.unit.iloc[0]}",
+                [Column(what), *(Column(f"{level:g}") for level in levels)],
+                table_rows,
+                rows.to_dict("records"),
+            )
+        )
+        parts.append(Remark(_degradation_text([one for one in found if one.disturbance == name])))
+    test, rate = "McNemar's exact test" if by_success else "sign test", f"{100 * FALSE_DISCOVERY_RATE:g} %"
+    parts.append(
+        Remark(f"Worse: than without disturbance, on the same episodes ({test}, false discovery rate {rate}).")
+    )
+    return parts
+
+
+def _at_level(value: float, by_success: bool) -> Cell:
+    if math.isnan(value):
+        return Cell(UNKNOWN)
+    return Cell(f"{100 * value:.1f}" if by_success else plain(Estimate(value, None, None)).text)
+
+
+def _degradation_text(found: Sequence[Degradation]) -> str:
+    """The effect of one disturbance: a sentence for each policy that gets significantly worse."""
+    sentences, unharmed = [], []
+    for one in found:
+        name = f"{one.policy} (sees the state)" if one.sees == "state" else one.policy
+        steps = [] if one.drops is None else [f"worse from {one.drops:g} on"]
+        steps += [] if one.below_half is None else [f"below half from {one.below_half:g} on"]
+        if steps:
+            sentences.append(f"{name}: {', '.join(steps)}.")
+        else:
+            unharmed.append(name)
+    if unharmed:
+        sentences.append(f"Not significantly worse: {', '.join(unharmed)}.")
+    return " ".join(sentences)
+
+
+def _bracketed(estimate: Estimate, scale: float, digits: int) -> str:
+    if estimate.low is None or estimate.high is None:
+        return ""
+    return f" [{scale * estimate.low:.{digits}f}, {scale * estimate.high:.{digits}f}]"
+
+
+def _without(
+    headings: Sequence[str], columns: Sequence[Column], rows: Sequence[Sequence[Cell]]
+) -> tuple[list[Column], list[list[Cell]]]:
+    kept = [i for i, column in enumerate(columns) if column.heading not in headings]
+    return [columns[i] for i in kept], [[row[i] for i in kept] for row in rows]

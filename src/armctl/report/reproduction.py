@@ -1,0 +1,50 @@
+"""The table of `armctl reproduce`: what agents' cards claim, and what was found."""
+
+from collections.abc import Sequence
+
+from armctl.agents import Evaluation
+from armctl.evaluation.reproduce import Reproduction
+from armctl.evaluation.tables import UNKNOWN, Cell, Column, Document, Remark, Table
+
+COLUMNS = (
+    Column("agent"), Column("on the card"), Column("now"), Column("agrees"), Column("episodes", optional=True),
+    Column("steps, card", optional=True), Column("steps, now", optional=True),
+)  # fmt: skip
+
+
+def reproduction_document(again: Sequence[Reproduction]) -> Document:
+    """A row for each agent that was evaluated again."""
+    caption = "An agent agrees if its success rate is within the 95 % interval on its card. Steps: to the goal."
+    rows = [_row(one) for one in again]
+    title = "Success of agents, on their cards and now"
+    table = Table("agents", title, COLUMNS, rows, [_record(one) for one in again], caption)
+    lost = [Remark(f"{one.card.name} does not agree with its card.", "problem") for one in again if not one.agrees]
+    return Document([table, *lost])
+
+
+def _row(again: Reproduction) -> list[Cell]:
+    low, high = again.claimed.success_interval
+    return [
+        Cell(again.card.name),
+        Cell(f"{100 * again.claimed.success_rate:.1f} %", f"{100 * low:.1f} to {100 * high:.1f}"),
+        Cell(f"{100 * again.found.success_rate:.1f} %"),
+        Cell("yes" if again.agrees else "no"),
+        Cell(f"{again.found.episodes}", f"of seed {again.found.seed}"),
+        _steps(again.claimed),
+        _steps(again.found),
+    ]
+
+
+def _steps(evaluation: Evaluation) -> Cell:
+    steps = evaluation.mean_steps_to_goal
+    return Cell(UNKNOWN if steps is None else f"{steps:.1f}")
+
+
+def _record(again: Reproduction) -> dict[str, object]:
+    return {
+        "agent": again.card.name,
+        "env": again.card.env,
+        "agrees": again.agrees,
+        "card": again.claimed.model_dump(),
+        "now": again.found.model_dump(),
+    }
