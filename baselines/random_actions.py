@@ -1,11 +1,13 @@
 """Uniform random actions: the lower bound for any policy."""
 
-from typing import Literal
+import copy
+from typing import Any, Literal
 
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import NDArray
 
-from armctl.envs import TaskVectorEnv
+from armctl.envs import EpisodeVectorEnv
 
 
 class RandomActions:
@@ -14,17 +16,45 @@ class RandomActions:
     sees: Literal["observation", "state"] = "observation"
     training_steps = 0
 
-    def __init__(self, env: TaskVectorEnv, seed: int = 0) -> None:
+    def __init__(self, env: EpisodeVectorEnv, seed: int = 0) -> None:
         self._env = env
-        self._space = env.single_action_space
         self._seed = seed
-        self._rngs = [np.random.default_rng(seed)] * env.num_envs
+        space = env.single_action_space
+        bounded = isinstance(space, spaces.Box) and space.is_bounded()
+        self._samplers = [_Uniform(space) if bounded else _Sampler(space) for _ in range(env.num_envs)]
 
     def reset(self, ids: NDArray[np.int32]) -> None:
         """Seed the generators of worlds `ids` by their new episodes."""
         for i in ids:
-            self._rngs[i] = np.random.default_rng((self._seed, self._env.seeds[i], self._env.episodes[i]))
+            self._samplers[i].seed((self._seed, int(self._env.seeds[i]), int(self._env.episodes[i])))
 
-    def act(self, observations: NDArray[np.float32]) -> NDArray[np.float64]:
+    def act(self, observations: Any) -> NDArray[Any]:
         """Actions (n, ...), independent of observations."""
-        return np.array([rng.uniform(self._space.low, self._space.high) for rng in self._rngs])
+        return np.array([sampler.sample() for sampler in self._samplers])
+
+
+class _Uniform:
+    """Samples a bounded box."""
+
+    def __init__(self, space: Any) -> None:
+        self._space = space
+        self.seed((0,))
+
+    def seed(self, entropy: tuple[int, ...]) -> None:
+        self._rng = np.random.default_rng(entropy)
+
+    def sample(self) -> NDArray[np.float64]:
+        return np.asarray(self._rng.uniform(self._space.low, self._space.high))
+
+
+class _Sampler:
+    """Samples any other space, by the space's own method."""
+
+    def __init__(self, space: Any) -> None:
+        self._space = copy.deepcopy(space)
+
+    def seed(self, entropy: tuple[int, ...]) -> None:
+        self._space.seed(int(np.random.SeedSequence(entropy).generate_state(1)[0]))
+
+    def sample(self) -> Any:
+        return self._space.sample()

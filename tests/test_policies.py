@@ -101,7 +101,7 @@ def test_what_is_no_policy_is_named(policy, says):
 
 
 def test_policies_need_an_armctl_environment():
-    with pytest.raises(ConfigurationError, match="armctl's environments"):
+    with pytest.raises(ConfigurationError, match="worlds that armctl has made"):
         make_policy("random", gymnasium.make("CartPole-v1"))
 
 

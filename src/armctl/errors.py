@@ -1,7 +1,10 @@
 """The errors that armctl raises, and the wording they share."""
 
+import sysconfig
+import traceback
 from collections.abc import Iterable
 from difflib import get_close_matches
+from pathlib import Path
 
 from armctl import DISTRIBUTION
 
@@ -18,6 +21,10 @@ class InvalidAction(ArmctlError, ValueError):
     """An action of the wrong shape, or with numbers that are not finite. The world was not stepped."""
 
 
+class EnvironmentFailed(ArmctlError):
+    """An environment raised an error, or returned what an environment must not, such as a reward that is not finite."""
+
+
 class UnreachableTarget(ArmctlError):
     """No configuration of the arm brings its end-effector to the target."""
 
@@ -30,6 +37,27 @@ class ResultsError(ArmctlError):
     """A results folder that cannot be written, or that holds results already."""
 
 
+def place_of(error: BaseException) -> str:
+    """Where an error arose, such as ` (mine.py:27)`: in the user's own code if that took part, never in armctl's."""
+    if isinstance(error, SyntaxError):
+        return ""  # its message says where
+    library = sysconfig.get_path("stdlib")
+    frames = [
+        (frame.f_code.co_filename, line)
+        for frame, line in traceback.walk_tb(error.__traceback__)
+        if not f"{frame.f_globals.get('__name__')}.".startswith(("armctl.", "importlib."))
+    ]
+    own = [one for one in frames if "site-packages" not in one[0] and not one[0].startswith(library)]
+    for file, line in reversed(own or frames):
+        return f" ({Path(file).name}:{line})"
+    return ""
+
+
+def format_cause(error: BaseException) -> str:
+    """The traceback of what an error was made of, or its own."""
+    return "".join(traceback.format_exception(error.__cause__ or error))
+
+
 def missing_extra(purpose: str, error: ModuleNotFoundError) -> ConfigurationError:
     """Error for a feature whose packages are not installed."""
     how = f"pip install '{DISTRIBUTION}[rl]', or pip install -e '.[rl]' in a clone"
@@ -39,6 +67,12 @@ def missing_extra(purpose: str, error: ModuleNotFoundError) -> ConfigurationErro
 def unknown_name(kind: str, name: object, allowed: Iterable[str]) -> ConfigurationError:
     """Error for a misspelt name: what was asked for, what there is, and the nearest."""
     names = sorted(allowed)
-    nearest = get_close_matches(str(name), names, n=1)
-    hint = f" Did you mean {nearest[0]!r}?" if nearest else ""
-    return ConfigurationError(f"there is no {kind} {name!r}.{hint} There are: {', '.join(names) or 'none'}")
+    return ConfigurationError(
+        f"there is no {kind} {name!r}.{nearest(name, names)} There are: {', '.join(names) or 'none'}"
+    )
+
+
+def nearest(name: object, names: Iterable[str]) -> str:
+    """A question whether the nearest of some names was meant; nothing if none is near."""
+    found = get_close_matches(str(name), list(names), n=1)
+    return f" Did you mean {found[0]!r}?" if found else ""

@@ -5,15 +5,19 @@ A package offers its tasks under the entry-point group `armctl.tasks`: a module 
 
 import functools
 import importlib
+import importlib.util
 import os
 import sys
 import warnings
+import zlib
 from importlib.metadata import EntryPoints, entry_points
+from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import gymnasium
 
-from armctl.errors import ConfigurationError
+from armctl.errors import ConfigurationError, place_of, unknown_name
 
 GROUP = "armctl.tasks"
 ENV, VECTOR_ENV = "armctl.envs:TaskEnv", "armctl.envs:TaskVectorEnv"
@@ -69,13 +73,49 @@ def load_task(task: "str | type[Any]") -> type[Any]:
 
 
 def import_attribute(name: str, kind: str) -> Any:
-    """What `module:attribute` names; raises `ConfigurationError`."""
-    module, _, attribute = name.partition(":")
+    """What `module:attribute` or `path/to/module.py:attribute` names; raises `ConfigurationError`."""
+    module, _, attribute = name.rpartition(":")
+    loaded = import_named(module, f"the {kind} {name!r}")
+    if not hasattr(loaded, attribute):
+        public = [name for name in vars(loaded) if not name.startswith("_")]
+        raise unknown_name(f"{kind} in {module}:", attribute, public)
+    return getattr(loaded, attribute)
+
+
+def import_named(module: str, purpose: str) -> ModuleType:
+    """Import a module by its name or its file's path, from the working directory too.
+
+    Raises `ConfigurationError`, whatever the module raises.
+    """
     add_cwd_to_path()
     try:
-        return getattr(importlib.import_module(module), attribute)
-    except (ImportError, AttributeError) as error:
-        raise ConfigurationError(f"cannot load the {kind} {name!r}: {error}") from error
+        return _import_file(Path(module)) if module.endswith(".py") else importlib.import_module(module)
+    except Exception as error:
+        raise ConfigurationError(f"cannot load {purpose}: {type(error).__name__}: {error}{place_of(error)}") from error
+
+
+def _import_file(path: Path) -> ModuleType:
+    """Import a file, once: under its own name, or a longer one if another module has that."""
+    path = path.resolve()
+    if not path.is_file():
+        raise FileNotFoundError(f"there is no file {path}")
+    if str(path.parent) not in sys.path:
+        sys.path.append(str(path.parent))
+    found = importlib.util.find_spec(path.stem) if path.stem.isidentifier() else None
+    if found is not None and found.origin == str(path):
+        return importlib.import_module(path.stem)
+    name = f"{path.stem}_{zlib.crc32(bytes(path)):08x}"
+    if name not in sys.modules:
+        spec = importlib.util.spec_from_file_location(name, path)
+        assert spec is not None
+        assert spec.loader is not None
+        sys.modules[name] = importlib.util.module_from_spec(spec)
+        try:
+            spec.loader.exec_module(sys.modules[name])
+        except BaseException:
+            del sys.modules[name]
+            raise
+    return sys.modules[name]
 
 
 def add_cwd_to_path() -> None:

@@ -156,7 +156,7 @@ def test_a_dataset_is_not_overwritten_and_a_place_that_cannot_be_written_is_told
 
 def test_without_minari_it_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "h5py", None)
-    with pytest.raises(ConfigurationError, match=r"armctl\[rl\]"):
+    with pytest.raises(ConfigurationError, match=r"armctl-suite\[rl\]"):
         collect("random", episodes=1, out=tmp_path / "d")
 
 

@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armctl.envs import TaskVectorEnv, one_of
+from armctl.envs import EpisodeVectorEnv, one_of
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.rollouts import rollouts
 from armctl.policies import Policy
@@ -36,7 +36,7 @@ class Demonstration:
 class Recorder(gymnasium.vector.VectorWrapper[Any, Any, Any, Any, Any]):
     """Records the episodes of worlds without autoreset. `finished` holds finished episodes, by number."""
 
-    def __init__(self, env: TaskVectorEnv) -> None:
+    def __init__(self, env: EpisodeVectorEnv) -> None:
         super().__init__(env)
         self.finished: dict[int, Demonstration] = {}
         self.labels: NDArray[np.floating[Any]] | None = None
@@ -74,7 +74,7 @@ class Recorder(gymnasium.vector.VectorWrapper[Any, Any, Any, Any, Any]):
 
 def demonstrate(
     policy: Policy,
-    worlds: TaskVectorEnv,
+    worlds: EpisodeVectorEnv,
     episodes: int,
     seed: int,
     name: str = "policy",

@@ -21,7 +21,7 @@ import numpy as np
 from armctl import DEFAULT_ENV
 from armctl.agents import shapes
 from armctl.datasets.demonstrations import Demonstration, demonstrate
-from armctl.envs import TaskVectorEnv, find_spec, make_worlds
+from armctl.envs import EpisodeVectorEnv, find_spec, make_worlds
 from armctl.errors import ConfigurationError, ResultsError, missing_extra
 from armctl.evaluation.provenance import versions
 from armctl.evaluation.record import EpisodeResult
@@ -90,7 +90,7 @@ class _Writer:
     """
 
     def __init__(
-        self, storage_type: Any, collection: Collection, worlds: TaskVectorEnv, env: str,
+        self, storage_type: Any, collection: Collection, worlds: EpisodeVectorEnv, env: str,
         env_options: Mapping[str, Any], name: str, policy: Policy, seed: int,
     ) -> None:  # fmt: skip
         self._collection = collection
@@ -183,7 +183,7 @@ class _Writer:
             del self._waiting[number]
 
 
-def read_demonstrations(dataset: str | Path, worlds: TaskVectorEnv) -> list[Demonstration]:
+def read_demonstrations(dataset: str | Path, worlds: EpisodeVectorEnv) -> list[Demonstration]:
     """All episodes of a Minari dataset, given by its folder, or by its id in Minari's own folder.
 
     Episodes without an entry `success` in their metadata count as successes. Raises `ConfigurationError` for a dataset
@@ -228,7 +228,7 @@ def _find(dataset: str | Path) -> Path:
     raise ConfigurationError(f"there is no Minari dataset {dataset}: `armctl collect` writes one")
 
 
-def _check_fits(name: str, metadata: Mapping[str, Any], storage: Any, worlds: TaskVectorEnv) -> None:
+def _check_fits(name: str, metadata: Mapping[str, Any], storage: Any, worlds: EpisodeVectorEnv) -> None:
     recorded = (shapes(storage.observation_space), shapes(storage.action_space))
     here = (shapes(worlds.single_observation_space), shapes(worlds.single_action_space))
     if recorded != here:
@@ -242,7 +242,7 @@ def _check_fits(name: str, metadata: Mapping[str, Any], storage: Any, worlds: Ta
             raise ConfigurationError(f"the dataset {name} has {key} {interface[key]!r}, but here {key} is {value!r}")
 
 
-def _check_whole(name: str, episode: Demonstration, worlds: TaskVectorEnv) -> None:
+def _check_whole(name: str, episode: Demonstration, worlds: EpisodeVectorEnv) -> None:
     parts = episode.observations if isinstance(episode.observations, dict) else {"observation": episode.observations}
     spaces = worlds.single_observation_space
     expected = dict(spaces.spaces) if isinstance(spaces, gymnasium.spaces.Dict) else {"observation": spaces}

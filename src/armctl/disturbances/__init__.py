@@ -30,11 +30,28 @@ def _has_camera(task: Disturbable) -> bool:
     return isinstance(space, gymnasium.spaces.Dict) and "image" in space.spaces
 
 
+def _observes_numbers(task: Disturbable) -> bool:
+    space = task.observation_space
+    parts = space.spaces.values() if isinstance(space, gymnasium.spaces.Dict) else (space,)
+    return all(isinstance(part, gymnasium.spaces.Box) for part in parts)
+
+
+def _acts_by_numbers(task: Disturbable) -> bool:
+    return isinstance(task.action_space, gymnasium.spaces.Box)
+
+
 GENERIC: dict[str, DisturbanceSpec] = {
     "noise": DisturbanceSpec(
-        Noise, "sensor noise, standard deviation", "units of each number", (0, 0.01, 0.02, 0.05, 0.1), 1e3
+        Noise,
+        "sensor noise, standard deviation",
+        "units of each number",
+        (0, 0.01, 0.02, 0.05, 0.1),
+        1e3,
+        applies=_observes_numbers,
     ),
-    "delay": DisturbanceSpec(Delay, "late actions", "control steps", (0, 1, 2, 4, 8), 1e3, whole=True),
+    "delay": DisturbanceSpec(
+        Delay, "late actions", "control steps", (0, 1, 2, 4, 8), 1e3, whole=True, applies=_acts_by_numbers
+    ),
     "dropout": Share(Dropout, "lost camera images", "share", (0, 0.1, 0.25, 0.5, 0.75), applies=_has_camera),
 }
 """For any task."""

@@ -19,6 +19,7 @@ Observations = NDArray[np.float32] | dict[str, NDArray[Any]]
 class Disturbable(Protocol):
     """What disturbances need of a task."""
 
+    n: int
     simulation: Simulation
     joints: JointSamples | None
     observation_space: gymnasium.spaces.Space[Any]
@@ -49,8 +50,8 @@ class Disturbance:
 
     def __init__(self, task: Disturbable, level: float) -> None:
         self.task, self.level = task, level
-        self.worlds = np.arange(task.simulation.n, dtype=np.int32)
-        self.rngs = [np.random.default_rng(0)] * task.simulation.n
+        self.worlds = np.arange(task.n, dtype=np.int32)
+        self.rngs = [np.random.default_rng(0)] * task.n
 
     def begin(self, ids: NDArray[np.int32]) -> None:
         """Worlds `ids` are about to be reset; their `rngs` are new."""

@@ -22,7 +22,8 @@ class Noise(Disturbance):
         super().__init__(task, level)
         seen = task.observe()
         arrays = seen if isinstance(seen, dict) else {"": seen}
-        self._noise = {name: np.zeros_like(values) for name, values in arrays.items() if values.dtype.kind == "f"}
+        numbers = {name: values for name, values in arrays.items() if values.dtype.kind == "f"}
+        self._noise = {name: np.zeros(values.shape, dtype=np.float32) for name, values in numbers.items()}
 
     def begin(self, ids: NDArray[np.int32]) -> None:
         """Sample the noise of the first observation."""
@@ -54,7 +55,7 @@ class Dropout(Disturbance):
 
     def __init__(self, task: Disturbable, level: float) -> None:
         super().__init__(task, level)
-        self._lost = np.zeros(task.simulation.n, dtype=bool)
+        self._lost = np.zeros(task.n, dtype=bool)
 
     def begin(self, ids: NDArray[np.int32]) -> None:
         """Sample whether the first image is lost."""
@@ -79,7 +80,7 @@ class Delay(Disturbance):
     def __init__(self, task: Disturbable, level: float) -> None:
         super().__init__(task, level)
         self._idle = np.array(task.idle_action)
-        self._waiting = np.zeros((task.simulation.n, int(level), *task.action_space.shape))
+        self._waiting = np.zeros((task.n, int(level), *task.action_space.shape))
 
     def begin(self, ids: NDArray[np.int32]) -> None:
         """Fill the delay line with idle actions."""

@@ -1,8 +1,16 @@
-"""Tasks as Gymnasium environments: `gym.make_vec` steps n worlds at once, `gym.make` is its n = 1 view."""
+"""Environments: tasks as Gymnasium environments, and those of others.
 
-from armctl.envs.make import find_spec, make_worlds, task_of
+`gym.make_vec` steps n worlds of a task at once, and `gym.make` is its n = 1 view.
+"""
+
+from armctl.envs.episodes import EpisodeVectorEnv
+from armctl.envs.make import find_spec, full_id, make_worlds, task_of
 from armctl.envs.observations import batch_of_one, one_of
 from armctl.envs.single import TaskEnv
+from armctl.envs.third_party import ThirdPartyVectorEnv, episode_seed
 from armctl.envs.vector import Observer, TaskVectorEnv
 
-__all__ = ["Observer", "TaskEnv", "TaskVectorEnv", "batch_of_one", "find_spec", "make_worlds", "one_of", "task_of"]
+__all__ = [
+    "EpisodeVectorEnv", "Observer", "TaskEnv", "TaskVectorEnv", "ThirdPartyVectorEnv", "batch_of_one", "episode_seed",
+    "find_spec", "full_id", "make_worlds", "one_of", "task_of",
+]  # fmt: skip

@@ -1,18 +1,23 @@
 """Makes environments by their ids."""
 
+import inspect
 from collections.abc import Mapping
 from typing import Any
 
 import gymnasium
+from gymnasium.envs.registration import EnvSpec, load_env_creator
 from gymnasium.vector import AutoresetMode
 
+from armctl.envs.episodes import EpisodeVectorEnv
+from armctl.envs.third_party import ThirdPartyTask, ThirdPartyVectorEnv
 from armctl.envs.vector import TaskVectorEnv
-from armctl.errors import ConfigurationError, unknown_name
-from armctl.registration import add_cwd_to_path, environment_names, load_task
-from armctl.tasks import Task
+from armctl.errors import ConfigurationError, nearest, place_of, unknown_name
+from armctl.registration import VECTOR_ENV, environment_names, import_named, load_task
 
 RESERVED = {"num_envs", "autoreset_mode", "render_mode", "threads", "task"}
 """Arguments that callers cannot set as options."""
+SCORING = {"success_return", "disturbances"}
+"""Options for environments of others, which these do not get to see."""
 
 
 def make_worlds(
@@ -21,40 +26,95 @@ def make_worlds(
     options: Mapping[str, Any] | None = None,
     threads: int = 0,
     autoreset_mode: AutoresetMode | str = AutoresetMode.DISABLED,
-) -> TaskVectorEnv:
-    """A vector environment of `worlds` worlds, stepped on `threads` threads (0: all cores).
+    render_mode: str | None = None,
+) -> EpisodeVectorEnv:
+    """A vector environment of `worlds` worlds; see `find_spec` for the forms of `env`.
 
-    By default there is no autoreset: worlds stand still after an episode. `module:Name-v0` is an environment that the
-    module registers. Raises `ConfigurationError`.
+    By default there is no autoreset: worlds stand still after an episode. Environments made of tasks step their worlds
+    on `threads` threads (0: all cores), those of others one by one. Raises `ConfigurationError`.
     """
-    if reserved := RESERVED & set(options or {}):
+    options = dict(options or {})
+    if reserved := RESERVED & set(options):
         raise ConfigurationError(f"{reserved.pop()} cannot be set as an option: armctl sets it itself")
     spec = find_spec(env)
-    made = gymnasium.make_vec(spec, num_envs=worlds, autoreset_mode=autoreset_mode, threads=threads, **(options or {}))
-    assert isinstance(made, TaskVectorEnv)
-    return made
+    if is_task(spec):
+        made = gymnasium.make_vec(
+            spec, num_envs=worlds, autoreset_mode=autoreset_mode, threads=threads, render_mode=render_mode,
+            **options,
+        )  # fmt: skip
+        assert isinstance(made, TaskVectorEnv)
+        return made
+    if autoreset_mode is not AutoresetMode.DISABLED:
+        raise ConfigurationError(
+            f"{env} is not made of a task, and armctl trains in such environments only: train in it with a library "
+            "such as Stable-Baselines3, and make an agent of its model with `armctl export`"
+        )
+    scoring = {name: options.pop(name) for name in SCORING & set(options)}
+    return ThirdPartyVectorEnv(lambda: _make_third_party(spec, options, render_mode), worlds, **scoring)
 
 
-def task_of(env: str) -> type[Task]:
-    """The task class of an environment; raises `ConfigurationError`."""
-    return load_task(find_spec(env).kwargs["task"])
+def task_of(env: str) -> type[Any]:
+    """The task class of an environment, or what stands for it; raises `ConfigurationError`."""
+    spec = find_spec(env)
+    return load_task(spec.kwargs["task"]) if is_task(spec) else ThirdPartyTask
 
 
-def find_spec(env: str) -> Any:
-    """Gymnasium's specification of a task's environment. The module in `module:Name-v0` is imported first.
+def full_id(env: str) -> str:
+    """An environment's id with its namespace, after the module or file in `env`, if any."""
+    module, colon, _ = env.rpartition(":")
+    return f"{module}{colon}{find_spec(env).id}"
+
+
+def is_task(spec: EnvSpec) -> bool:
+    """Whether an environment is made of a task."""
+    return spec.vector_entry_point == VECTOR_ENV
+
+
+def find_spec(env: str) -> EnvSpec:
+    """Gymnasium's specification of an environment.
+
+    `env` is an id (`armctl/ArmReach-v0`, `Pendulum-v1`), an id whose namespace is left out (`ArmReach-v0`), or
+    either after the module that registers it, or its file (`mine:mine/Hover-v0`, `mine.py:Hover-v0`). What follows the
+    module may also be a class or function that makes the environment (`mine.py:Maze`).
 
     Raises `ConfigurationError`.
     """
     module, _, name = env.rpartition(":")
+    loaded = import_named(module, f"the environment {env!r}") if module else None
+    if name in gymnasium.registry:
+        return gymnasium.spec(name)
+    if callable(maker := getattr(loaded, name, None)):
+        return EnvSpec(id=name, entry_point=maker)
+    full = [known for known in gymnasium.registry if known.partition("/")[2] == name]
+    if len(full) == 1:
+        return gymnasium.spec(full[0])
+    hint = nearest(name, [*gymnasium.registry, *(known.rpartition("/")[2] for known in environment_names())])
+    raise ConfigurationError(
+        f"there is no environment {name!r}.{hint} There are: {', '.join(environment_names())}, and those that "
+        "Gymnasium knows, such as Pendulum-v1"
+    )
+
+
+def _make_third_party(spec: EnvSpec, options: Mapping[str, Any], render_mode: str | None) -> gymnasium.Env[Any, Any]:
+    rendering: dict[str, Any] = {} if render_mode is None else {"render_mode": render_mode}
     try:
-        if module:
-            add_cwd_to_path()
-            __import__(module)
-    except Exception as error:  # a third-party module may raise anything
-        raise ConfigurationError(f"no environment {env!r}: {type(error).__name__}: {error}") from error
-    if name not in gymnasium.registry:
-        raise unknown_name("environment", name, environment_names())
-    spec = gymnasium.spec(name)
-    if name not in environment_names():
-        raise ConfigurationError(f"{env} is not one of armctl's environments: {', '.join(environment_names())}")
-    return spec
+        _check_options(spec, options)
+        made: gymnasium.Env[Any, Any] = gymnasium.make(spec, disable_env_checker=True, **rendering, **options)
+    except ConfigurationError:
+        raise
+    except Exception as error:
+        described = f"{type(error).__name__}: {error}{place_of(error)}"
+        raise ConfigurationError(f"{spec.id} could not be made: {described}") from error
+    return made
+
+
+def _check_options(spec: EnvSpec, options: Mapping[str, Any]) -> None:
+    """Raise `ConfigurationError` for an option that the environment's constructor does not take."""
+    maker = load_env_creator(spec.entry_point) if isinstance(spec.entry_point, str) else spec.entry_point
+    parameters = inspect.signature(maker).parameters if maker else {}
+    if any(one.kind is inspect.Parameter.VAR_KEYWORD for one in parameters.values()):
+        return
+    allowed = {*parameters, "max_episode_steps", *SCORING} - RESERVED - {"self"}
+    for name in options:
+        if name not in allowed:
+            raise unknown_name(f"option of {spec.id}", name, allowed)

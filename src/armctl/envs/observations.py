@@ -1,5 +1,6 @@
 """Helpers for observations and actions of n worlds, and of one of them."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,18 @@ def one_of(observations: Observations, world: int) -> Any:
     if isinstance(observations, dict):
         return {name: values[world] for name, values in observations.items()}
     return observations[world]
+
+
+def stacked(observations: Sequence[Any]) -> Observations:
+    """The observations of n worlds as a batch. What has no common shape becomes an array of objects, (n,)."""
+    first = observations[0]
+    if isinstance(first, dict):
+        return {name: stacked([seen[name] for seen in observations]) for name in first}  # type: ignore[misc]
+    if isinstance(first, (np.ndarray, np.generic, int, float)):
+        return np.stack(observations)
+    batch = np.empty(len(observations), dtype=object)
+    batch[:] = observations
+    return batch
 
 
 def with_replaced(observations: Observations, ids: NDArray[np.int32], new: Observations) -> Observations:

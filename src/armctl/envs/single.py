@@ -1,13 +1,15 @@
 """One world as an ordinary Gymnasium environment."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import gymnasium
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike
 
+from armctl.envs.episodes import EpisodeVectorEnv, Infos
 from armctl.envs.observations import action_numbers, one_of
-from armctl.envs.vector import RENDER_MODES, Infos, TaskVectorEnv
+from armctl.envs.vector import RENDER_MODES, TaskVectorEnv
 from armctl.errors import InvalidAction
 from armctl.tasks import Observations, Task
 
@@ -62,6 +64,21 @@ class TaskEnv(gymnasium.Env[Any, Any]):
     def close(self) -> None:
         """Close the window and free graphics memory."""
         self.worlds.close()
+
+
+@dataclass(frozen=True)
+class OneWorld:
+    """What a controller of one world is told about an environment that was made of a task."""
+
+    observation_space: gymnasium.spaces.Space[Any]
+    action_space: gymnasium.spaces.Space[Any]
+    task: Any
+    spec: Any
+
+    @classmethod
+    def of(cls, worlds: EpisodeVectorEnv) -> "OneWorld":
+        """What there is to say about any of these worlds."""
+        return cls(worlds.single_observation_space, worlds.single_action_space, worlds.task, worlds.spec)
 
 
 def _first(infos: Infos) -> Infos:

@@ -15,15 +15,13 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from armctl.disturbances import disturb, episode_rng
+from armctl.envs.episodes import Array, EpisodeVectorEnv, Infos
 from armctl.envs.observations import action_numbers, with_replaced
-from armctl.errors import ConfigurationError, InvalidAction, unknown_name
+from armctl.errors import ConfigurationError, EnvironmentFailed, InvalidAction, unknown_name
 from armctl.options import make_options
 from armctl.registration import load_task
 from armctl.simulation.rendering import Camera, Window
-from armctl.tasks import Observations, Task
-
-Array = NDArray[np.float64]
-Infos = dict[str, Any]
+from armctl.tasks import Observations, RewardTerms, Task
 
 RENDER_MODES = ("rgb_array", "human")
 TIMEOUT = 0
@@ -40,7 +38,7 @@ class Observer(Protocol):
         """The worlds in the mask `awake` (n,) have made a control step; none has been reset yet."""
 
 
-class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
+class TaskVectorEnv(EpisodeVectorEnv):
     """n worlds of one task.
 
     Args:
@@ -55,16 +53,12 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         disturbances: levels by name, such as `{"noise": 0.01, "payload": 2.0}`; see `armctl.disturbances`.
         **options: the task's options; those of `armctl/ArmReach-v0` are `armctl.tasks.ReachOptions`.
 
-    `reset(options={"episode": k})` starts at episode k of the seed instead of 0; k is an int, or one int per world.
-
     """
 
     metadata: dict[str, Any] = {
         "render_modes": list(RENDER_MODES),
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
-    task: Any
-    """The `Task`, with its robot and simulation."""
     single_observation_space: gymnasium.spaces.Space[Any]
     single_action_space: gymnasium.spaces.Box
 
@@ -80,7 +74,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         disturbances: Mapping[str, float] = MappingProxyType({}),
         **options: Any,
     ) -> None:
-        self.num_envs = _at_least_one("num_envs", num_envs)
+        super().__init__(_at_least_one("num_envs", num_envs))
         self.max_episode_steps = (
             None if max_episode_steps is None else _at_least_one("max_episode_steps", max_episode_steps)
         )
@@ -103,39 +97,8 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self.single_action_space = self.task.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._seeds = np.zeros(num_envs, dtype=np.int64)
-        self._episodes = np.full(num_envs, -1)
-        self._steps = np.zeros(num_envs, dtype=np.int64)
-        self._finished = np.ones(num_envs, dtype=bool)
-        self._seeded = False
         self._viewer: Camera | Window | None = None
         self.observers: list[Observer] = []
-
-    def reset(
-        self, *, seed: int | list[int] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observations, Infos]:
-        """Start new episodes in all worlds, or in those of the boolean mask `options["reset_mask"]` (n,).
-
-        With `seed`, world i starts episode 0 of seed + i (or of seed[i]). Without it, each world starts its next one.
-        """
-        options = options or {}
-        mask = np.asarray(options.get("reset_mask", np.ones(self.num_envs, dtype=bool)))
-        if mask.shape != (self.num_envs,) or mask.dtype != bool:
-            raise ConfigurationError(f"reset_mask is a bool array ({self.num_envs},), not {mask.dtype} {mask.shape}")
-        if seed is None and not self._seeded:
-            seed = int(np.random.SeedSequence().generate_state(1)[0])
-        seeds = None if seed is None else self._whole_numbers("seed", seed)
-        numbers = self._whole_numbers("episode", options["episode"]) if "episode" in options else None
-        if seeds is not None:
-            seeds = seeds if isinstance(seed, list) else seeds + np.arange(self.num_envs)
-            super().reset(seed=int(seeds[0]))
-            self._seeds[mask] = seeds[mask]
-            self._episodes[mask] = -1
-            self._seeded = True
-        if numbers is not None:
-            self._episodes[mask] = numbers[mask] - 1
-        self._begin(np.flatnonzero(mask))
-        return self._observe(), self.task.info()
 
     def step(self, actions: ArrayLike) -> tuple[Observations, Array, NDArray[np.bool_], NDArray[np.bool_], Infos]:
         """Make one control step in every world. If an action is invalid, raises `InvalidAction` and steps nothing."""
@@ -161,6 +124,8 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             for earned in terms.values():
                 earned[restart] = 0.0
         rewards = sum(terms.values(), start=np.zeros(self.num_envs))
+        if not np.isfinite(rewards).all():
+            self._blame_term(terms)
         finished = terminated | truncated
         infos: Infos = {
             "is_success": self._successes[outcome],
@@ -172,7 +137,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             observer.stepped(~idle)
         self._finished = finished
         if self.autoreset_mode is AutoresetMode.NEXT_STEP and restart is not None:
-            self._begin(restart)
+            self._begin_next(restart)
             infos |= self.task.info()
         elif self.autoreset_mode is AutoresetMode.DISABLED and restart is not None:
             self._finished = finished | idle
@@ -185,7 +150,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
                 "_final_info": finished,
             }
             ended = np.flatnonzero(finished).astype(np.int32)
-            self._begin(ended)
+            self._begin_next(ended)
             infos |= self.task.info()
             observations = with_replaced(observations, ended, self._observe(ended))
         return observations, rewards, terminated, truncated, infos
@@ -209,20 +174,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             self._viewer.close()
             self._viewer = None
 
-    @property
-    def seeds(self) -> NDArray[np.int64]:
-        """Seed of each world's current episode, (n,)."""
-        return self._seeds.copy()
-
-    @property
-    def episodes(self) -> NDArray[np.int64]:
-        """Number of each world's current episode under its seed, (n,)."""
-        return self._episodes.copy()
-
     def _begin(self, ids: NDArray[np.integer[Any]]) -> None:
-        self._episodes[ids] += 1
-        self._steps[ids] = 0
-        self._finished[ids] = False
         rngs = [np.random.default_rng((seed, k)) for seed, k in zip(self._seeds[ids], self._episodes[ids], strict=True)]
         worlds = ids.astype(np.int32)
         for name, disturbance in self.disturbances.items():
@@ -239,16 +191,17 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             observations = disturbance.observe(observations, slice(None) if ids is None else ids)
         return observations
 
-    def _whole_numbers(self, name: str, given: Any) -> NDArray[np.int64]:
-        numbers = np.asarray(given)
-        usable = numbers.shape in ((), (self.num_envs,)) and numbers.dtype.kind in "iu"
-        if not usable or (numbers < 0).any() or (numbers >= 2**62).any():
-            raise ConfigurationError(f"{name} is a whole number from 0 on, or {self.num_envs} of them, not {given!r}")
-        return np.broadcast_to(numbers, self.num_envs).astype(np.int64)
+    def _blame_term(self, terms: RewardTerms) -> None:
+        for name, earned in terms.items():
+            if not np.isfinite(earned).all():
+                i = int(np.flatnonzero(~np.isfinite(earned))[0])
+                raise EnvironmentFailed(
+                    f"the reward term {name!r} is {earned[i]} in step {self._steps[i]} of episode {self._episodes[i]}"
+                )
+        raise EnvironmentFailed(f"the sum of the reward terms {', '.join(terms)} is not finite")
 
     def _checked(self, actions: ArrayLike) -> Array:
-        if not self._seeded:
-            raise gymnasium.error.ResetNeeded("call reset() before the first step()")
+        self._check_seeded()
         checked = action_numbers(actions)
         if checked.shape != self.action_space.shape:
             raise InvalidAction(f"actions have shape {checked.shape}; expected {self.action_space.shape}")

@@ -9,15 +9,20 @@ import pandas as pd
 
 from armctl import DEFAULT_ENV
 from armctl.agents import OnnxPolicy
-from armctl.envs import make_worlds, task_of
+from armctl.envs import ThirdPartyVectorEnv, full_id, make_worlds, task_of
 from armctl.errors import ConfigurationError, ResultsError
 from armctl.evaluation.comparison import Comparison, write_summary
 from armctl.evaluation.parallel import WorkerConfig, WorkersFailed, check_sendable, play_here, play_in_workers
 from armctl.evaluation.provenance import versions
 from armctl.evaluation.record import COLUMNS, EpisodeResult
+from armctl.evaluation.seeding import seed_notes
 from armctl.evaluation.store import EpisodeLog
 from armctl.evaluation.summary import summarise
 from armctl.policies import Policy, PolicyFactory, make_policy, policy_name
+from armctl.registration import bare_id
+
+UNTOLD = "{env} is not made of a task of armctl's: least times, feasibility, contacts and clearances are unknown."
+UNSCORED = "{env} does not say what a success is: the verdict goes by return (success_return says which is one)."
 
 
 def compare(
@@ -52,6 +57,7 @@ def compare(
     Raises `ConfigurationError`, `AgentFileError`, and `ResultsError` if `out` cannot be written, is damaged, or holds
     the results of another comparison (unless `overwrite`).
     """
+    env = full_id(env)
     if policies is None:
         policies = default_policies(env)
     by_name = {policy_name(policy): policy for policy in ([policies] if isinstance(policies, str) else policies)}
@@ -71,6 +77,9 @@ def compare(
         made = {name: make_policy(policy, made_env) for name, policy in by_name.items()}
         if workers > 1:
             check_sendable(by_name)
+        comparison.notes += seed_notes(env, env_options)
+        if isinstance(made_env, ThirdPartyVectorEnv):
+            comparison.notes.append(UNTOLD.format(env=bare_id(env)))
         log: EpisodeLog | None = None
         if out is not None:
             log = stack.enter_context(EpisodeLog(Path(out), _identity(comparison, made), episodes, overwrite))
@@ -93,6 +102,7 @@ def compare(
                 for played in stream:
                     if played.failure:
                         comparison.failures[played.policy] = played.failure
+                        comparison.tracebacks[played.policy] = played.traceback
                     for result in played.results:
                         results.append(result)
                         if log is not None:
@@ -116,6 +126,8 @@ def compare(
     if results:
         comparison.episodes = pd.DataFrame([result.row() for result in results])
         comparison.policies, comparison.paired = summarise(results, made, episodes)
+        if comparison.policies and comparison.policies[0].success is None:
+            comparison.notes.append(UNSCORED.format(env=bare_id(env)))
     if out is not None:
         try:
             write_summary(Path(out), comparison)
@@ -126,7 +138,8 @@ def compare(
 
 def default_policies(env: str) -> tuple[str, ...]:
     """The default line-up of an environment, which its task declares."""
-    return task_of(env).default_policies
+    policies: tuple[str, ...] = task_of(env).default_policies
+    return policies
 
 
 def _identity(comparison: Comparison, policies: Mapping[str, Policy]) -> dict[str, Any]:

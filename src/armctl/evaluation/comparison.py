@@ -10,15 +10,19 @@ from typing import Any
 import pandas as pd
 
 from armctl.errors import ResultsError
+from armctl.evaluation.notebook import Displayed
 from armctl.evaluation.provenance import machine, versions
 from armctl.evaluation.statistics import PairedDifference
 from armctl.evaluation.store import SUMMARY
 from armctl.evaluation.summary import PolicySummary
+from armctl.evaluation.summary_tables import details, paired_table, policy_table
+from armctl.evaluation.tables import Document, Remark, Table
+from armctl.evaluation.verdict import verdict
 from armctl.files import write_atomically
 
 
-@dataclass
-class Comparison:
+@dataclass(repr=False)
+class Comparison(Displayed):
     """The result of a comparison. After an interrupt or a failure, it covers the finished episodes."""
 
     env: str
@@ -30,9 +34,41 @@ class Comparison:
     paired: list[PairedDifference] = field(default_factory=list)
     failures: dict[str, str] = field(default_factory=dict)
     """Error messages: by policy, under `results` if results could not be written, or under `workers`."""
+    tracebacks: dict[str, str] = field(default_factory=dict)
+    """Tracebacks of the failures, where there are any."""
+    notes: list[str] = field(default_factory=list)
+    """Remarks about the environment: what it does not tell, and whether it obeys its seed."""
     interrupted: bool = False
     resumed: int = 0
     """Number of episodes that an earlier run had finished."""
+
+    def document(self) -> Document:
+        """The tables, the verdict, and what else there is to say."""
+        parts: list[Table | Remark] = []
+        if self.policies:
+            parts.append(policy_table(self.env, self.seed, self.policies))
+        parts += [details(policy) for policy in self.policies]
+        if self.paired:
+            parts += [paired_table(self.paired), Remark(verdict(self.policies, self.paired), "verdict")]
+        if self.policies and (infeasible := self.policies[0].infeasible):
+            parts.append(Remark(f"{infeasible} episodes have a target out of reach; they are left out of all figures."))
+        parts += [Remark(note, "note") for note in self.notes]
+        parts += [Remark(message, "problem") for message in self.failures.values()]
+        if self.resumed:
+            parts.append(Remark(f"{self.resumed} episodes were finished by an earlier run."))
+        if self.interrupted:
+            parts.append(Remark("Interrupted.", "note"))
+        for policy in self.policies:
+            if policy.episodes < policy.planned - policy.infeasible:
+                counts = f"the first {policy.episodes} of {policy.planned} episodes"
+                parts.append(Remark(f"{policy.policy} was cut short: its figures are over {counts}.", "note"))
+        settings = {name: str(value) for name, value in self.env_options.items()}
+        return Document(parts, {"env": self.env, "env_options": settings, "seed": self.seed})
+
+    def __repr__(self) -> str:
+        names = ", ".join(policy.policy for policy in self.policies) or "no policy"
+        said = f": {verdict(self.policies, self.paired)}" if self.paired else ""
+        return f"<Comparison of {names} in {self.env}, seed {self.seed}{said}>"
 
 
 def write_summary(folder: Path, comparison: Comparison) -> None:
@@ -44,6 +80,7 @@ def write_summary(folder: Path, comparison: Comparison) -> None:
         "interrupted": comparison.interrupted,
         "resumed": comparison.resumed,
         "failures": comparison.failures,
+        "notes": comparison.notes,
         "policies": [dataclasses.asdict(policy) for policy in comparison.policies],
         "paired": [dataclasses.asdict(difference) for difference in comparison.paired],
         "versions": versions(),

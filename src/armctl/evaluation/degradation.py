@@ -17,7 +17,7 @@ class Degradation:
     policy: str
     sees: str
     drops: float | None
-    """The first level with a significant drop in success (see `FALSE_DISCOVERY_RATE`); None if there is none."""
+    """The first level with a significant drop in success, or in return if success is unknown; None if there is none."""
     below_half: float | None
     """The first level with a success rate below one half; None if there is none."""
 
@@ -29,7 +29,8 @@ def degradations(points: pd.DataFrame) -> list[Degradation]:
     significant = pd.Series(False, index=points.index)
     if len(levels):
         significant[levels.index] = stats.false_discovery_control(levels.p) < FALSE_DISCOVERY_RATE
-    fell = points.success < points.groupby(["disturbance", "policy"]).success.transform("first")
+    score = "success" if points.success.notna().any() else "return"
+    fell = points[score] < points.groupby(["disturbance", "policy"])[score].transform("first")
     points = points.assign(drops=significant & fell)
     return [
         Degradation(

@@ -3,11 +3,12 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.tasks import MotionSample, Task
+from armctl.tasks import MotionSample
 
 Array = NDArray[np.float64]
 
@@ -30,37 +31,38 @@ class Metrics:
     """J, time integral of |torque * speed| over all joints or wheels."""
     clearance: float
     """m, least distance to anything that must not be touched, over all control steps; NaN if unknown."""
-    contacts: int
-    """Control steps with a forbidden contact."""
+    contacts: int | None
+    """Control steps with a forbidden contact; None if the environment does not say."""
     solver_failures: int
     """Control steps in which the controller's solver failed, if it counts them."""
-    missed_deadlines: int
-    """Control steps whose decision time exceeded the control period."""
+    missed_deadlines: int | None
+    """Control steps whose decision time exceeded the control period; None if that is unknown."""
     decision_ms_p50: float
     decision_ms_p99: float
     decision_ms_max: float
 
 
 def metrics(
-    task: Task, world: int, start: Array, motions: Sequence[MotionSample], decision_ms: Array, solver_failures: int
+    task: Any, world: int, start: Array, motions: Sequence[MotionSample], decision_ms: Array, solver_failures: int
 ) -> Metrics:
     """Metrics of the episode that has just ended in a world.
 
     `start` (3,) m is the robot's initial position, `motions` and `decision_ms` (steps,) are those of its control steps.
     """
     period = task.control_period
+    contacts = [None if motion.contact is None else bool(motion.contact[world]) for motion in motions]
     positions = np.array([start, *(motion.position[world] for motion in motions)])
     configurations = np.array([motion.configuration[world] for motion in motions])
     use = _joint_use(task, world, motions, configurations)
     p50, p99, most = np.quantile(decision_ms, (0.5, 0.99, 1.0))
     return Metrics(
         path_length(positions),
-        smoothness(positions, period),
+        math.nan if period is None else smoothness(positions, period),
         *use,
         task.least_clearance(world, configurations),
-        sum(bool(motion.contact[world]) for motion in motions),
+        None if None in contacts else sum(map(bool, contacts)),
         solver_failures,
-        int((decision_ms > 1e3 * period).sum()),
+        None if period is None else int((decision_ms > 1e3 * period).sum()),
         round(float(p50), 4),
         round(float(p99), 4),
         round(float(most), 4),
@@ -68,7 +70,7 @@ def metrics(
 
 
 def _joint_use(
-    task: Task, world: int, motions: Sequence[MotionSample], configurations: Array
+    task: Any, world: int, motions: Sequence[MotionSample], configurations: Array
 ) -> tuple[float, float, float, float]:
     """Use of range, speed and torque, and energy; NaN for a task that does not sample its joints."""
     if task.joints is None:

@@ -18,8 +18,8 @@ from typing import Any
 import cloudpickle
 import joblib
 
-from armctl.envs import TaskVectorEnv, make_worlds
-from armctl.errors import ArmctlError, ConfigurationError
+from armctl.envs import EpisodeVectorEnv, make_worlds
+from armctl.errors import ArmctlError, ConfigurationError, EnvironmentFailed, format_cause
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.rollouts import PolicyFailed, rollouts
 from armctl.policies import Policy, PolicyFactory, make_policy
@@ -52,12 +52,13 @@ class RolloutBatch:
     policy: str
     results: list[EpisodeResult]
     failure: str | None = None
-    """Error message, if the policy failed after these."""
+    """Error message, if the policy or the environment failed after these."""
+    traceback: str = ""
 
 
 def play_here(
     policies: Mapping[str, Policy],
-    env: TaskVectorEnv,
+    env: EpisodeVectorEnv,
     seed: int,
     waiting: Mapping[str, Sequence[int]],
     least_lengths: dict[int, float],
@@ -69,8 +70,8 @@ def play_here(
         try:
             for result in rollouts(policy, env, waiting[name], seed, name, least_lengths):
                 yield RolloutBatch(name, [result])
-        except PolicyFailed as failure:
-            yield RolloutBatch(name, [], str(failure))
+        except (PolicyFailed, EnvironmentFailed) as failure:
+            yield RolloutBatch(name, [], str(failure), format_cause(failure))
 
 
 def play_in_workers(
@@ -140,8 +141,8 @@ def _play(
     results: list[EpisodeResult] = []
     try:
         results.extend(rollouts(made, worlds, episodes, config.seed, name, least_lengths))
-    except PolicyFailed as failure:
-        return RolloutBatch(name, results, str(failure))
+    except (PolicyFailed, EnvironmentFailed) as failure:
+        return RolloutBatch(name, results, str(failure), format_cause(failure))
     return RolloutBatch(name, results)
 
 
@@ -149,7 +150,7 @@ _policies: dict[tuple[WorkerConfig, str], Policy] = {}
 
 
 @functools.lru_cache(maxsize=1)
-def _worlds(config: WorkerConfig) -> TaskVectorEnv:
+def _worlds(config: WorkerConfig) -> EpisodeVectorEnv:
     _policies.clear()
     return make_worlds(config.env, config.worlds, config.env_options, threads=1)
 

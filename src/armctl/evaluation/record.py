@@ -4,11 +4,12 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
-from typing import Any, get_type_hints
+from types import NoneType
+from typing import Annotated, Any, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Json, TypeAdapter, ValidationError
+from pydantic import BeforeValidator, Json, TypeAdapter, ValidationError
 from typing_extensions import TypedDict
 
 from armctl.evaluation.metrics import Metrics
@@ -30,7 +31,8 @@ class EpisodeResult:
     episode: int
     seed: int
     outcome: str
-    success: bool
+    success: bool | None
+    """None if the environment does not say."""
     feasible: bool
     total_reward: float
     reward_terms: dict[str, float]
@@ -68,9 +70,13 @@ class EpisodeResult:
         )
 
 
+_EMPTY_IS_NONE = BeforeValidator(lambda text: text or None)
+
+
 def _columns(kind: type[Any], left_out: tuple[str, ...] = (), **types: Any) -> TypeAdapter[dict[str, Any]]:
     """A parser of a dataclass's fields from text."""
     hints = {name: types.get(name, hint) for name, hint in get_type_hints(kind).items() if name not in left_out}
+    hints |= {name: Annotated[hint, _EMPTY_IS_NONE] for name, hint in hints.items() if NoneType in get_args(hint)}
     return TypeAdapter(TypedDict("_Row", hints))  # type: ignore[operator]
 
 

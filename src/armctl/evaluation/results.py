@@ -37,6 +37,7 @@ class _Summary:
     interrupted: bool
     resumed: int
     failures: dict[str, str]
+    notes: list[str]
     policies: list[PolicySummary]
     paired: list[PairedDifference]
     versions: dict[str, str]
@@ -80,8 +81,9 @@ def read_results(folder: Path) -> Results:
         summary.policies,
         summary.paired,
         summary.failures,
-        summary.interrupted,
-        summary.resumed,
+        notes=summary.notes,
+        interrupted=summary.interrupted,
+        resumed=summary.resumed,
     )
     return Results(
         comparison,

@@ -12,8 +12,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from armctl import DEFAULT_ENV
-from armctl.envs import TaskVectorEnv, make_worlds
-from armctl.errors import ArmctlError, ConfigurationError, InvalidAction
+from armctl.envs import EpisodeVectorEnv, make_worlds
+from armctl.errors import ArmctlError, ConfigurationError, EnvironmentFailed, InvalidAction, place_of
 from armctl.evaluation.metrics import metrics
 from armctl.evaluation.record import COLUMNS, EpisodeResult
 from armctl.policies import Policy, PolicyFactory, make_policy, policy_name
@@ -26,7 +26,7 @@ class PolicyFailed(ArmctlError):
 
 def rollouts(
     policy: Policy,
-    env: TaskVectorEnv,
+    env: EpisodeVectorEnv,
     episodes: int | Sequence[int],
     seed: int,
     name: str = "policy",
@@ -37,7 +37,7 @@ def rollouts(
     `episodes` is how many to play, or their numbers. `least_lengths`, by episode, is read and extended, so that
     policies can share it. A decision time is the duration of the policy's call divided by the number of worlds.
 
-    Raises `PolicyFailed` if the policy fails.
+    Raises `PolicyFailed` if the policy fails, and `EnvironmentFailed` if the environment does.
     """
     n = env.num_envs
     episodes = range(episodes) if isinstance(episodes, int) else episodes
@@ -45,8 +45,9 @@ def rollouts(
     numbers = np.array([*episodes[:n], *[0] * (n - len(episodes))])
     waiting = iter(episodes[n:])
     recorder = _EpisodeRecorder(policy, env, seed, name, {} if least_lengths is None else least_lengths)
-    observations, infos = env.reset(seed=[seed] * n, options={"episode": numbers})
-    recorder.begin(playing, numbers, infos)
+    with wrap_environment_errors(name, numbers[0]):
+        observations, infos = env.reset(seed=[seed] * n, options={"episode": numbers})
+        recorder.begin(playing, numbers, infos)
     with wrap_policy_errors(name, numbers[0]):
         policy.reset(np.arange(n, dtype=np.int32))
     while playing.any():
@@ -54,8 +55,9 @@ def rollouts(
             start = time.perf_counter()
             actions = policy.act(observations)
             decision_ms = 1e3 * (time.perf_counter() - start) / n
+        with wrap_environment_errors(name, numbers[playing][0]):
             observations, rewards, terminated, truncated, infos = env.step(actions)
-        recorder.step(decision_ms, rewards, infos)
+            recorder.step(decision_ms, rewards, infos)
         ended = np.flatnonzero((terminated | truncated) & playing)
         if not len(ended):
             continue
@@ -66,8 +68,9 @@ def rollouts(
         again[ended] = numbers[ended] >= 0
         playing[ended] = again[ended]
         if again.any():
-            observations, infos = env.reset(options={"reset_mask": again, "episode": np.maximum(numbers, 0)})
-            recorder.begin(again, numbers, infos)
+            with wrap_environment_errors(name, numbers[again][0]):
+                observations, infos = env.reset(options={"reset_mask": again, "episode": np.maximum(numbers, 0)})
+                recorder.begin(again, numbers, infos)
             with wrap_policy_errors(name, numbers[again][0]):
                 policy.reset(np.flatnonzero(again).astype(np.int32))
         recorder.forget_before_all(playing)
@@ -77,7 +80,7 @@ class _EpisodeRecorder:
     """Records the current episode of each of n worlds."""
 
     def __init__(
-        self, policy: Policy, env: TaskVectorEnv, seed: int, name: str, least_lengths: dict[int, float]
+        self, policy: Policy, env: EpisodeVectorEnv, seed: int, name: str, least_lengths: dict[int, float]
     ) -> None:
         n = env.num_envs
         self._policy, self._task, self._seed, self._name, self._least = policy, env.task, seed, name, least_lengths
@@ -123,7 +126,7 @@ class _EpisodeRecorder:
             int(self._numbers[i]),
             self._seed,
             str(infos["outcome"][i]),
-            bool(infos["is_success"][i]),
+            None if (success := infos["is_success"][i]) is None else bool(success),
             bool(self._feasible[i]),
             float(self._returns[i]),
             {name: float(sums[i]) for name, sums in self._earned.items()},
@@ -147,13 +150,28 @@ class _EpisodeRecorder:
 
 @contextmanager
 def wrap_policy_errors(name: str, episode: int) -> Iterator[None]:
-    """Turn any error inside into `PolicyFailed`."""
+    """Turn any error inside into `PolicyFailed`, with its place."""
     try:
         yield
     except InvalidAction as error:
         raise PolicyFailed(f"{name} failed in episode {episode}: {error}") from error
     except Exception as error:
-        raise PolicyFailed(f"{name} failed in episode {episode}: {type(error).__name__}: {error}") from error
+        described = f"{type(error).__name__}: {error}{place_of(error)}"
+        raise PolicyFailed(f"{name} failed in episode {episode}: {described}") from error
+
+
+@contextmanager
+def wrap_environment_errors(name: str, episode: int) -> Iterator[None]:
+    """Turn an invalid action into `PolicyFailed`, and any other error inside into `EnvironmentFailed`."""
+    try:
+        yield
+    except InvalidAction as error:
+        raise PolicyFailed(f"{name} failed in episode {episode}: {error}") from error
+    except EnvironmentFailed:
+        raise
+    except Exception as error:
+        described = f"{type(error).__name__}: {error}{place_of(error)}"
+        raise EnvironmentFailed(f"the environment failed in episode {episode} of {name}: {described}") from error
 
 
 def evaluate(
@@ -170,7 +188,7 @@ def evaluate(
 
     Without `least_lengths`, which often take longer to compute than the episodes, these and `optimality_gap` are NaN.
 
-    Raises `ConfigurationError`, `AgentFileError` or `PolicyFailed`.
+    Raises `ConfigurationError`, `AgentFileError`, `PolicyFailed` or `EnvironmentFailed`.
     """
     if episodes < 1 or worlds < 1:
         raise ConfigurationError(f"episodes and worlds must be at least 1, not {episodes} and {worlds}")

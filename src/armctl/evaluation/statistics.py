@@ -182,8 +182,8 @@ class PairedDifference:
     only_a: int
     only_b: int
     neither: int
-    mcnemar_p: float
-    """Exact two-sided p-value for equal success (McNemar 1947)."""
+    mcnemar_p: float | None
+    """Exact two-sided p-value for equal success (McNemar 1947); None, with counts of 0, if success is unknown."""
     return_difference: Estimate
     """Mean of return a - return b."""
     superiority: Superiority
@@ -200,12 +200,16 @@ def mcnemar(only_a: int, only_b: int) -> float:
 def paired_difference(
     a: str,
     b: str,
-    success: tuple[NDArray[np.bool_], NDArray[np.bool_]],
+    success: tuple[NDArray[np.bool_], NDArray[np.bool_]] | None,
     returns: tuple[Array, Array],
     lengths: tuple[Array, Array],
 ) -> PairedDifference:
-    """Compare two policies. The i-th entries (k,) of both belong to the same episode; k is at least 1."""
-    success_a, success_b = success
+    """Compare two policies. The i-th entries (k,) of both belong to the same episode; k is at least 1.
+
+    `success` is None if it is unknown.
+    """
+    k = len(returns[0])
+    success_a, success_b = success or (np.zeros(k, dtype=bool), np.zeros(k, dtype=bool))
     both = success_a & success_b
     only_a, only_b = int((success_a & ~success_b).sum()), int((success_b & ~success_a).sum())
     return_difference = mean(returns[0] - returns[1])
@@ -217,8 +221,8 @@ def paired_difference(
         int(both.sum()),
         only_a,
         only_b,
-        int((~success_a & ~success_b).sum()),
-        mcnemar(only_a, only_b),
+        0 if success is None else int((~success_a & ~success_b).sum()),
+        None if success is None else mcnemar(only_a, only_b),
         return_difference,
         paired_superiority(*returns),
         mean((lengths[0] - lengths[1])[both]),

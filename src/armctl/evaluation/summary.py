@@ -44,9 +44,12 @@ class PolicySummary:
     outcomes: dict[str, int]
     """How the episodes ended, most frequent first."""
     success: Estimate | None
+    """None if the environment does not say what a success is."""
     episode_return: Estimate | None
     return_iqm: Estimate | None
     """Interquartile mean of the return (Agarwal et al. 2021), which is robust to outliers."""
+    length: Estimate | None
+    """Mean number of control steps, over all episodes."""
     steps_to_goal: Estimate | None
     """Mean over successful episodes."""
     optimality_gap: Estimate | None
@@ -54,12 +57,12 @@ class PolicySummary:
     tracking_error: Estimate | None
     """m, mean distance to a moving target after it was first reached."""
     metrics: dict[str, Estimate | None]
-    """Means of `METRICS` over successful episodes."""
+    """Means of `METRICS` over successful episodes, or over all if success is unknown."""
     decision_ms_p50: float
     decision_ms_p99: float
     decision_ms_max: float
-    missed_deadlines: float
-    """Share of control steps whose decision time exceeded the control period."""
+    missed_deadlines: float | None
+    """Share of control steps whose decision time exceeded the control period; None if that is unknown."""
     solver_failures: int
     """Number of control steps in which the controller's solver failed, if it counts them."""
 
@@ -69,12 +72,13 @@ def summarise(
 ) -> tuple[list[PolicySummary], list[PairedDifference]]:
     """Summaries of policies and of pairs. `results` are sorted by policy and episode."""
     counted, infeasible = counted_results(results)
+    scored = any(result.success is not None for result in results)
     found = [
-        _summary(name, policy, planned, infeasible, counted[name])
+        _summary(name, policy, planned, infeasible, counted[name], scored)
         for name, policy in policies.items()
         if counted.get(name)
     ]
-    return found, _paired(counted)
+    return found, _paired(counted, scored)
 
 
 def counted_results(results: Sequence[EpisodeResult]) -> tuple[dict[str, list[EpisodeResult]], int]:
@@ -92,44 +96,53 @@ def counted_results(results: Sequence[EpisodeResult]) -> tuple[dict[str, list[Ep
     return counted, len(infeasible)
 
 
-def _summary(name: str, policy: Policy, planned: int, infeasible: int, results: list[EpisodeResult]) -> PolicySummary:
+def _summary(
+    name: str, policy: Policy, planned: int, infeasible: int, results: list[EpisodeResult], scored: bool
+) -> PolicySummary:
     decisions = np.concatenate([result.decision_ms for result in results])
     won = [result for result in results if result.success]
+    missed = [result.metrics.missed_deadlines for result in results]
     returns = np.array([result.total_reward for result in results])
     return PolicySummary(
         name,
         policy.sees,
         policy.training_steps,
-        getattr(policy, "training_minutes", 0.0),
+        getattr(policy, "training_minutes", None) or 0.0,
         planned,
         len(results),
         infeasible,
         dict(Counter(result.outcome for result in results).most_common()),
-        success_rate(np.array([result.success for result in results])),
+        success_rate(np.array([bool(result.success) for result in results])) if scored else None,
         mean(returns),
         interquartile_mean([returns]),
+        mean(np.array([float(result.length) for result in results])),
         mean(np.array([float(result.length) for result in won])),
         median(_known(result.optimality_gap for result in results)),
         mean(_known(result.tracking_error for result in results)),
-        {name: mean(_known(float(getattr(result.metrics, name)) for result in won)) for name in METRICS},
+        {name: _mean_metric(name, won if scored else results) for name in METRICS},
         float(np.quantile(decisions, 0.5)),
         float(np.quantile(decisions, 0.99)),
         float(decisions.max()),
-        sum(result.metrics.missed_deadlines for result in results) / len(decisions),
+        None if None in missed else sum(one for one in missed if one) / len(decisions),
         sum(result.metrics.solver_failures for result in results),
     )
+
+
+def _mean_metric(name: str, results: Sequence[EpisodeResult]) -> Estimate | None:
+    values = [getattr(result.metrics, name) for result in results]
+    return mean(_known(float(value) for value in values if value is not None))
 
 
 def _known(values: Iterable[float]) -> NDArray[np.float64]:
     return np.array([value for value in values if not np.isnan(value)])
 
 
-def _paired(counted: dict[str, list[EpisodeResult]]) -> list[PairedDifference]:
+def _paired(counted: dict[str, list[EpisodeResult]], scored: bool) -> list[PairedDifference]:
     return [
         paired_difference(
             a,
             b,
-            _both(counted[a], counted[b], lambda result: result.success),
+            _both(counted[a], counted[b], lambda result: bool(result.success)) if scored else None,
             _both(counted[a], counted[b], lambda result: result.total_reward),
             _both(counted[a], counted[b], lambda result: float(result.length)),
         )

@@ -1,6 +1,7 @@
 """Robustness of policies: one comparison without disturbances, and one for each level of each disturbance."""
 
 import functools
+import itertools
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -12,13 +13,16 @@ import pandas as pd
 
 from armctl import DEFAULT_ENV
 from armctl.disturbances import DisturbanceSpec, available
-from armctl.envs import make_worlds
+from armctl.envs import full_id, make_worlds
 from armctl.errors import ConfigurationError, ResultsError, unknown_name
 from armctl.evaluation.compare import compare, default_policies
 from armctl.evaluation.comparison import Comparison
+from armctl.evaluation.notebook import Displayed
 from armctl.evaluation.record import EpisodeResult
-from armctl.evaluation.statistics import Estimate, mcnemar
+from armctl.evaluation.statistics import Estimate, mcnemar, paired_superiority
 from armctl.evaluation.summary import PolicySummary
+from armctl.evaluation.summary_tables import sweep_parts
+from armctl.evaluation.tables import Document, Remark
 from armctl.files import write_atomically
 from armctl.policies import PolicyFactory, policy_name
 
@@ -27,14 +31,14 @@ COLUMNS = (
     "steps_to_goal", "steps_low", "steps_high", "p", "unit", "sees",
 )  # fmt: skip
 """Of `sweep.csv`: one row per disturbance, level and policy, with 95 % intervals. `p` is McNemar's p-value for equal
-success in the same episodes without the disturbance."""
+success in the same episodes without the disturbance, or the sign test's for equal return if success is unknown."""
 SWEEP, POINTS = "sweep.json", "sweep.csv"
 UNDISTURBED = "none"
 Asked = Mapping[str, Sequence[float] | None] | Sequence[str] | None
 
 
-@dataclass
-class Sweep:
+@dataclass(repr=False)
+class Sweep(Displayed):
     """The result of a sweep. After an interrupt or a failure, it covers the finished comparisons."""
 
     env: str
@@ -48,6 +52,21 @@ class Sweep:
     failures: dict[str, str] = field(default_factory=dict)
     """Error messages: by comparison and policy, or under `results` if results could not be written."""
     interrupted: bool = False
+
+    def document(self) -> Document:
+        """A table for each disturbance, and from which level each policy gets worse."""
+        parts = sweep_parts(self.points)
+        notes = itertools.chain.from_iterable(comparison.notes for comparison in self.comparisons.values())
+        parts += [Remark(note, "note") for note in dict.fromkeys(notes)]
+        parts += [Remark(f"{what}: {why}", "problem") for what, why in self.failures.items()]
+        if self.interrupted:
+            parts.append(Remark("Interrupted.", "note"))
+        return Document(parts, {"env": self.env, "seed": self.seed})
+
+    def __repr__(self) -> str:
+        names = ", ".join(dict.fromkeys(self.points.policy)) or "no policy"
+        swept = ", ".join(f"{name} at {len(levels)} levels" for name, levels in self.levels.items())
+        return f"<Sweep of {names} in {self.env}, seed {self.seed}: {swept}>"
 
 
 def sweep(
@@ -73,7 +92,7 @@ def sweep(
 
     Raises `ConfigurationError`, `AgentFileError`, and `ResultsError` as `compare` does.
     """
-    options = dict(env_options or {})
+    env, options = full_id(env), dict(env_options or {})
     specs = _specs(env, options)
     levels = _levels(specs, disturbances)
     policies = default_policies(env) if policies is None else [policies] if isinstance(policies, str) else policies
@@ -191,10 +210,13 @@ def _numbers(estimate: Estimate | None) -> tuple[float, float, float]:
 
 def _against_undisturbed(found: Sweep, comparison: Comparison | None, policy: PolicySummary) -> float:
     before, after = (
-        one.episodes[one.episodes.policy == policy.policy].set_index("episode").success
+        one.episodes[one.episodes.policy == policy.policy].set_index("episode")
         for one in (found.comparisons[UNDISTURBED], comparison)
         if one is not None
     )
     both = before.index.intersection(after.index)
-    won, lost = (before[both] & ~after[both]).sum(), (~before[both] & after[both]).sum()
-    return mcnemar(int(won), int(lost))
+    before, after = before.loc[both], after.loc[both]
+    if policy.success is None:
+        return paired_superiority(before["return"].to_numpy(), after["return"].to_numpy()).p
+    won, won_after = before.success.astype(bool), after.success.astype(bool)
+    return mcnemar(int((won & ~won_after).sum()), int((~won & won_after).sum()))

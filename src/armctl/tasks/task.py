@@ -52,8 +52,8 @@ class MotionSample:
     """(n, 3) m: end-effectors, or mobile bases."""
     configuration: Array
     """(n, k): joint positions, rad, or the pose x, y (m) and yaw (rad)."""
-    contact: NDArray[np.bool_]
-    """(n,) whether the robot had a forbidden contact."""
+    contact: NDArray[np.bool_] | None
+    """(n,) whether the robot had a forbidden contact; None if unknown."""
     joints: Array | None = None
     """(2, samples, n, joints) speeds (rad/s) and torques (N m) of joints or wheels since the last control step."""
 

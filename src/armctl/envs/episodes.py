@@ -1,0 +1,102 @@
+"""What all vector environments of armctl share: episodes by number, and worlds that are reset one by one."""
+
+from abc import abstractmethod
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from numpy.typing import ArrayLike, NDArray
+
+from armctl.errors import ConfigurationError
+from armctl.tasks import Observations
+
+Array = NDArray[np.float64]
+Infos = dict[str, Any]
+
+
+class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
+    """n worlds in which seed and episode number determine an episode.
+
+    `reset(options={"episode": k})` starts at episode k of the seed instead of 0; k is an int, or one int per world.
+    `infos` of a step hold `outcome` (n,) as text, `is_success` (n,) with None where that is unknown, and
+    `reward_terms`, (n,) each.
+    """
+
+    task: Any
+    """A `Task`, or what stands for one in the environments of others (`ThirdPartyTask`)."""
+    max_episode_steps: int | None
+    autoreset_mode: AutoresetMode
+
+    def __init__(self, num_envs: int) -> None:
+        self.num_envs = num_envs
+        self._seeds = np.zeros(num_envs, dtype=np.int64)
+        self._episodes = np.full(num_envs, -1)
+        self._steps = np.zeros(num_envs, dtype=np.int64)
+        self._finished = np.ones(num_envs, dtype=bool)
+        self._seeded = False
+
+    def reset(
+        self, *, seed: int | list[int] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observations, Infos]:
+        """Start new episodes in all worlds, or in those of the boolean mask `options["reset_mask"]` (n,).
+
+        With `seed`, world i starts episode 0 of seed + i (or of seed[i]). Without it, each world starts its next one.
+        """
+        options = options or {}
+        mask = np.asarray(options.get("reset_mask", np.ones(self.num_envs, dtype=bool)))
+        if mask.shape != (self.num_envs,) or mask.dtype != bool:
+            raise ConfigurationError(f"reset_mask is a bool array ({self.num_envs},), not {mask.dtype} {mask.shape}")
+        if seed is None and not self._seeded:
+            seed = int(np.random.SeedSequence().generate_state(1)[0])
+        seeds = None if seed is None else self._whole_numbers("seed", seed)
+        numbers = self._whole_numbers("episode", options["episode"]) if "episode" in options else None
+        if seeds is not None:
+            seeds = seeds if isinstance(seed, list) else seeds + np.arange(self.num_envs)
+            super().reset(seed=int(seeds[0]))
+            self._seeds[mask] = seeds[mask]
+            self._episodes[mask] = -1
+            self._seeded = True
+        if numbers is not None:
+            self._episodes[mask] = numbers[mask] - 1
+        self._begin_next(np.flatnonzero(mask))
+        return self._observe(), self.task.info()
+
+    @abstractmethod
+    def step(self, actions: ArrayLike) -> tuple[Observations, Array, NDArray[np.bool_], NDArray[np.bool_], Infos]:
+        """Make one control step in every world. If an action is invalid, raises `InvalidAction` and steps nothing."""
+
+    @property
+    def seeds(self) -> NDArray[np.int64]:
+        """Seed of each world's current episode, (n,)."""
+        return self._seeds.copy()
+
+    @property
+    def episodes(self) -> NDArray[np.int64]:
+        """Number of each world's current episode under its seed, (n,)."""
+        return self._episodes.copy()
+
+    @abstractmethod
+    def _begin(self, ids: NDArray[np.integer[Any]]) -> None:
+        """Start the new episodes of worlds `ids`, which `_episodes` numbers."""
+
+    @abstractmethod
+    def _observe(self) -> Observations:
+        """Observations of all worlds."""
+
+    def _begin_next(self, ids: NDArray[np.integer[Any]]) -> None:
+        self._episodes[ids] += 1
+        self._steps[ids] = 0
+        self._finished[ids] = False
+        self._begin(ids)
+
+    def _check_seeded(self) -> None:
+        if not self._seeded:
+            raise gymnasium.error.ResetNeeded("call reset() before the first step()")
+
+    def _whole_numbers(self, name: str, given: Any) -> NDArray[np.int64]:
+        numbers = np.asarray(given)
+        usable = numbers.shape in ((), (self.num_envs,)) and numbers.dtype.kind in "iu"
+        if not usable or (numbers < 0).any() or (numbers >= 2**62).any():
+            raise ConfigurationError(f"{name} is a whole number from 0 on, or {self.num_envs} of them, not {given!r}")
+        return np.broadcast_to(numbers, self.num_envs).astype(np.int64)

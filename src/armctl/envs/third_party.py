@@ -1,0 +1,247 @@
+"""Environments of others: n ordinary Gymnasium environments, played by armctl's rules for episodes.
+
+Episode k of seed s starts with `reset(seed=episode_seed(s, k))`. Success is `info["is_success"]` or `info["success"]`
+of an episode's last step, or a return of at least `success_return`; without either, it is unknown.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from types import MappingProxyType
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
+from numpy.typing import ArrayLike, NDArray
+
+from armctl.disturbances import GENERIC, DisturbanceSpec, disturb, episode_rng
+from armctl.envs.episodes import Array, EpisodeVectorEnv, Infos
+from armctl.envs.observations import stacked
+from armctl.errors import EnvironmentFailed, InvalidAction, place_of
+from armctl.tasks import MotionSample, Observations
+
+SUCCESS_KEYS = ("is_success", "success")
+ENDLESS = 100_000
+"""Steps after which an episode without a limit is taken for endless."""
+
+
+def episode_seed(seed: int, episode: int) -> int:
+    """The seed that starts an episode in an environment of others."""
+    return int(np.random.SeedSequence((seed, episode)).generate_state(1)[0])
+
+
+class ThirdPartyTask:
+    """What stands for a task in an environment of others: what it does not tell is NaN or None."""
+
+    disturbances: ClassVar[Mapping[str, DisturbanceSpec]] = GENERIC
+    default_policies: ClassVar[tuple[str, ...]] = ("random",)
+    interface: ClassVar[dict[str, str]] = {}
+    joints = None
+
+    def __init__(self, env: gymnasium.Env[Any, Any], n: int) -> None:
+        self.n = n
+        self.observation_space, self.action_space = env.observation_space, env.action_space
+        period = getattr(env.unwrapped, "dt", None)
+        self.control_period = float(period) if isinstance(period, (int, float)) and period > 0 else None
+        """Seconds between two control steps; None if the environment has no attribute `dt`."""
+        self.observations: list[Any] = [_zero(env.observation_space)] * n
+
+    @property
+    def idle_action(self) -> Array:
+        """The action 0, or what is nearest to it."""
+        assert isinstance(self.action_space, spaces.Box)
+        return np.clip(np.zeros(self.action_space.shape), self.action_space.low, self.action_space.high)
+
+    def observe(self) -> Observations:
+        """Observations of all worlds, without disturbances."""
+        return stacked(self.observations)
+
+    def observation_parts(self) -> dict[str, NDArray[Any]]:
+        """The present observations' parts by name, (n, ...) each; for display."""
+        observed = self.observe()
+        return observed if isinstance(observed, dict) else {"observation": observed}
+
+    def info(self) -> dict[str, Any]:
+        """Nothing."""
+        return {}
+
+    def motion(self) -> MotionSample:
+        """An unknown motion."""
+        return MotionSample(np.full((self.n, 3), np.nan), np.full((self.n, 1), np.nan), None)
+
+    def goal_distances(self) -> Array:
+        """(n,) NaN."""
+        return np.full(self.n, np.nan)
+
+    def least_clearance(self, world: int, configurations: Array) -> float:
+        """NaN."""
+        return math.nan
+
+    def least_time(self, world: int) -> float:
+        """NaN."""
+        return math.nan
+
+
+class ThirdPartyVectorEnv(EpisodeVectorEnv):
+    """n environments of others, stepped one after the other. After an episode, a world stands still until its reset.
+
+    `make` makes one environment. `success_return` is the return from which on an episode is a success.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "autoreset_mode": AutoresetMode.DISABLED}
+    autoreset_mode = AutoresetMode.DISABLED
+
+    def __init__(
+        self,
+        make: Callable[[], gymnasium.Env[Any, Any]],
+        num_envs: int,
+        *,
+        success_return: float | None = None,
+        disturbances: Mapping[str, float] = MappingProxyType({}),
+    ) -> None:
+        super().__init__(num_envs)
+        self.worlds = [make() for _ in range(num_envs)]
+        first = self.worlds[0]
+        self.spec, self.render_mode = first.spec, first.render_mode
+        self.max_episode_steps = first.spec.max_episode_steps if first.spec else None
+        self.task = ThirdPartyTask(first, num_envs)
+        self.single_observation_space, self.single_action_space = first.observation_space, first.action_space
+        self.disturbances = disturb(self.task, self.task.disturbances, disturbances)
+        self._success_return = success_return
+        self._returns = np.zeros(num_envs)
+
+    def step(self, actions: ArrayLike) -> tuple[Observations, Array, NDArray[np.bool_], NDArray[np.bool_], Infos]:
+        """Make one step in every world. If an action is invalid, raises `InvalidAction` and steps nothing.
+
+        Raises `EnvironmentFailed` if an environment fails.
+        """
+        self._check_seeded()
+        commands: Any = self._checked(actions)
+        for disturbance in self.disturbances.values():
+            commands = disturbance.command(commands)
+        n = self.num_envs
+        rewards, outcome = np.zeros(n), np.full(n, "", dtype=object)
+        terminated, truncated = np.zeros((2, n), dtype=bool)
+        success: NDArray[np.object_] = np.full(n, None)
+        terms: dict[str, Array] = {}
+        for i in np.flatnonzero(~self._finished):
+            action = commands[i]
+            if isinstance(self.single_action_space, spaces.Box):
+                action = action.astype(self.single_action_space.dtype)
+            with self._wrap_errors(int(i)):
+                seen, reward, terminated[i], truncated[i], info = self.worlds[i].step(action)
+                rewards[i] = reward
+            self._steps[i] += 1
+            self._check_step(int(i), rewards[i], bool(terminated[i] or truncated[i]))
+            self._returns[i] += rewards[i]
+            self.task.observations[i] = seen
+            for name, earned in _reward_terms(info).items():
+                terms.setdefault(name, np.zeros(n))[i] = earned
+            if terminated[i] or truncated[i]:
+                success[i] = self._success(int(i), info)
+                outcome[i] = "success" if success[i] else "terminated" if terminated[i] else "truncated"
+        self._finished |= terminated | truncated
+        infos: Infos = {"is_success": success, "outcome": outcome, "reward_terms": terms}
+        return self._observe(), rewards, terminated, truncated, infos
+
+    def render(self) -> tuple[NDArray[np.uint8], ...]:
+        """Images (height, width, 3) of all worlds. Raises `EnvironmentFailed`."""
+        frames = []
+        for i, world in enumerate(self.worlds):
+            with self._wrap_errors(i):
+                frames.append(np.asarray(world.render()))
+        return tuple(frames)
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Close all environments."""
+        for world in self.worlds:
+            world.close()
+
+    def _begin(self, ids: NDArray[np.integer[Any]]) -> None:
+        worlds = ids.astype(np.int32)
+        for name, disturbance in self.disturbances.items():
+            for i in worlds:
+                disturbance.rngs[i] = episode_rng(name, int(self._seeds[i]), int(self._episodes[i]))
+            disturbance.begin(worlds)
+        self._returns[ids] = 0.0
+        for i in ids:
+            seed = episode_seed(int(self._seeds[i]), int(self._episodes[i]))
+            with self._wrap_errors(int(i)):
+                self.task.observations[i], _ = self.worlds[i].reset(seed=seed)
+
+    def _observe(self) -> Observations:
+        observations: Observations = self.task.observe()
+        for disturbance in self.disturbances.values():
+            observations = disturbance.observe(observations, slice(None))
+        return observations
+
+    def _checked(self, actions: Any) -> Any:
+        """Actions that are in the action space; boxes only by shape, since many environments clip."""
+        space, n = self.single_action_space, self.num_envs
+        if isinstance(space, spaces.Box):
+            try:
+                checked = np.array(actions, dtype=float)
+            except (TypeError, ValueError) as error:
+                raise InvalidAction(f"an action is an array of numbers, not {actions!r}") from error
+            if checked.shape != (n, *space.shape):
+                raise InvalidAction(f"actions have shape {checked.shape}; expected {(n, *space.shape)}")
+            if not np.isfinite(checked).all():
+                raise InvalidAction(
+                    f"the action {checked[~np.isfinite(checked).reshape(n, -1).all(1)][0]} is not finite"
+                )
+            return checked
+        if isinstance(space, spaces.Discrete):
+            actions = [_whole(action) for action in np.ravel(actions)]
+        if len(actions) != n or not all(space.contains(action) for action in actions):
+            raise InvalidAction(f"actions {list(actions)!r} are not {n} of {space}")
+        return actions
+
+    def _check_step(self, i: int, reward: float, ended: bool) -> None:
+        if not np.isfinite(reward):
+            raise EnvironmentFailed(
+                f"{self._name} returned the reward {reward} in step {self._steps[i]} of episode {self._episodes[i]}"
+            )
+        if not ended and self.max_episode_steps is None and self._steps[i] >= ENDLESS:
+            raise EnvironmentFailed(
+                f"episode {self._episodes[i]} of {self._name} has not ended after {ENDLESS:,} steps: limit them, "
+                "with max_episode_steps"
+            )
+
+    def _success(self, i: int, info: Mapping[str, Any]) -> bool | None:
+        if self._success_return is not None:
+            return bool(self._returns[i] >= self._success_return)
+        told = next((info[key] for key in SUCCESS_KEYS if info.get(key) is not None), None)
+        return None if told is None else bool(np.asarray(told).any())
+
+    @property
+    def _name(self) -> str:
+        return self.spec.id if self.spec else type(self.worlds[0].unwrapped).__name__
+
+    @contextmanager
+    def _wrap_errors(self, i: int) -> Iterator[None]:
+        try:
+            yield
+        except Exception as error:
+            where = f"{self._name} failed in episode {self._episodes[i]}"
+            raise EnvironmentFailed(f"{where}: {type(error).__name__}: {error}{place_of(error)}") from error
+
+
+def _reward_terms(info: Mapping[str, Any]) -> dict[str, float]:
+    """What a step earned by term, if the environment says so as armctl's own do."""
+    terms = info.get("reward_terms", {})
+    return {str(name): float(earned) for name, earned in terms.items()} if isinstance(terms, Mapping) else {}
+
+
+def _whole(action: Any) -> Any:
+    """A discrete action as an int, even if it came as a float array."""
+    number = np.asarray(action).item()
+    return int(number) if isinstance(number, float) and number.is_integer() else number
+
+
+def _zero(space: spaces.Space[Any]) -> Any:
+    """An observation of the right shape, for before the first reset."""
+    if isinstance(space, spaces.Dict):
+        return {name: _zero(part) for name, part in space.spaces.items()}
+    return np.zeros(space.shape or (), dtype=space.dtype or float)

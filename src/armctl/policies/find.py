@@ -1,0 +1,89 @@
+"""How policies are found, by name, file or as Python objects.
+
+A package offers a policy under the entry-point group `armctl.policies`: a function from an environment to a `Policy`.
+"""
+
+import inspect
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+
+from armctl.agents import load_agent
+from armctl.envs import EpisodeVectorEnv, TaskEnv
+from armctl.errors import ArmctlError, ConfigurationError, place_of, unknown_name
+from armctl.policies.plain import adapted
+from armctl.policies.policy import Policy
+from armctl.registration import import_attribute, installed
+
+GROUP = "armctl.policies"
+
+
+def policy_names() -> list[str]:
+    """Names of all installed policies."""
+    return sorted(installed(GROUP).names)
+
+
+def describe_policy(name: str) -> str:
+    """First line of the docstring of an installed policy's factory."""
+    return (inspect.getdoc(installed(GROUP)[name].load()) or "").partition("\n")[0]
+
+
+def policy_name(policy: Any) -> str:
+    """A policy's name in results."""
+    return str(policy) if isinstance(policy, (str, Path)) else getattr(policy, "__name__", type(policy).__name__)
+
+
+def make_policy(policy: Any, env: gymnasium.Env[Any, Any] | EpisodeVectorEnv) -> Policy:
+    """Make a policy for the worlds of `env`.
+
+    `policy` is one of these:
+
+    - the name of an installed policy;
+    - the path of a learned agent's `.json` card or `.onnx` graph;
+    - a function of one world's observation that returns an action;
+    - a class with `act(observation)`, and `reset()` if it has memory. Each world gets an instance, made without
+      arguments, or with `env` if the constructor has a parameter of that name;
+    - a function with a parameter `env` that makes a policy for the worlds of a vector environment;
+    - a model with the `predict` of Stable-Baselines3's, or an object with `act`;
+    - `module:name` or `path/to/file.py:name` of any of these functions, classes and objects;
+    - a `Policy`, which acts in all worlds at once.
+
+    Raises `ConfigurationError` for an unknown name, and `AgentFileError` for a file that cannot be run here.
+    """
+    worlds: Any = env.unwrapped
+    if isinstance(worlds, TaskEnv):
+        worlds = worlds.worlds
+    if not isinstance(worlds, EpisodeVectorEnv):
+        raise ConfigurationError(
+            f"policies act in worlds that armctl has made (armctl.envs.make_worlds), and {env} is not among them"
+        )
+    try:
+        made = _made(policy, worlds)
+    except ArmctlError:
+        raise
+    except Exception as error:
+        described = f"{type(error).__name__}: {error}{place_of(error)}"
+        raise ConfigurationError(f"{policy_name(policy)} could not be made: {described}") from error
+    return made
+
+
+def _made(policy: Any, worlds: EpisodeVectorEnv) -> Policy:
+    if not isinstance(policy, (str, Path)):
+        return adapted(policy, worlds, policy_name(policy))
+    name = str(policy)
+    match Path(name).suffix:
+        case ".onnx" | ".json":
+            return load_agent(Path(name), worlds)
+        case ".zip":
+            raise ConfigurationError(
+                f"{name} may be a model of Stable-Baselines3's, which holds pickles: "
+                f"`armctl export {name} --env ID --out agent.onnx --trust` makes an agent of it"
+            )
+    if name in policy_names():
+        return adapted(installed(GROUP)[name].load(), worlds, name)
+    if ":" not in name:
+        raise unknown_name(
+            "policy", name, [*policy_names(), "path/to/agent.json", "module:function", "file.py:function"]
+        )
+    return adapted(import_attribute(name, "policy"), worlds, name)

@@ -1,0 +1,177 @@
+"""Plain Python as policies: functions, classes and models of one world's observation, without a batch axis."""
+
+import copy
+import inspect
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from armctl.envs import EpisodeVectorEnv, ThirdPartyVectorEnv, one_of
+from armctl.envs.single import OneWorld
+from armctl.errors import ConfigurationError, InvalidAction
+from armctl.policies.policy import Actions, Policy
+from armctl.tasks import Observations
+
+ENV_PARAMETERS = {"env", "envs", "environment", "worlds"}
+"""Names of parameters that are given an environment."""
+
+
+def adapted(given: Any, worlds: EpisodeVectorEnv, name: str) -> Policy:
+    """A policy from any of the objects that `make_policy` takes. Raises `ConfigurationError`."""
+    if isinstance(given, type):
+        if _acts_in_batches(given):
+            return given(worlds)  # type: ignore[no-any-return]
+        if not callable(getattr(given, "act", None)):
+            raise ConfigurationError(f"{name} is a class without act(observation){defined_at(given)}")
+        return PlainPolicy([_instance(given, worlds, i) for i in range(worlds.num_envs)], worlds, given, name)
+    if isinstance(given, Policy):
+        return given
+    if callable(getattr(given, "predict", None)):
+        return ModelPolicy(given, worlds, name)
+    if callable(getattr(given, "act", None)):
+        return PlainPolicy([given, *(copy.deepcopy(given) for _ in range(worlds.num_envs - 1))], worlds, given, name)
+    if not callable(given):
+        raise ConfigurationError(f"{name} is a {type(given).__name__}, which is not a policy: it cannot be called")
+    if _makes_policies(given):
+        return _from_factory(given, worlds, name)
+    return PlainPolicy([_Function(given)] * worlds.num_envs, worlds, given, name)
+
+
+class PlainPolicy:
+    """A policy that consists of one plain controller for each world; it checks their actions.
+
+    A controller has `act(observation)`. `reset()`, `plans()`, `failures`, `sees` and `training_steps` are optional.
+    """
+
+    def __init__(self, controllers: list[Any], worlds: EpisodeVectorEnv, source: Any, name: str) -> None:
+        self.controllers = controllers
+        self.sees: Literal["observation", "state"] = getattr(controllers[0], "sees", "observation")
+        self.training_steps = int(getattr(controllers[0], "training_steps", 0))
+        self._space, self._source, self._name = worlds.single_action_space, source, name
+
+    @property
+    def failures(self) -> NDArray[np.int64]:
+        """(n,) number of solver failures of each controller; 0 for controllers that do not count them."""
+        return np.array([getattr(controller, "failures", 0) for controller in self.controllers])
+
+    def plans(self, world: int) -> dict[str, NDArray[np.float64]]:
+        """The plans of the world's controller; none if it does not have the method `plans`."""
+        return dict(getattr(self.controllers[world], "plans", dict)())
+
+    def reset(self, ids: NDArray[np.int32]) -> None:
+        """Worlds `ids` start a new episode."""
+        for i in ids:
+            getattr(self.controllers[i], "reset", lambda: None)()
+
+    def act(self, observations: Observations) -> Actions:
+        """Each controller's action for its own observation. Raises `InvalidAction`."""
+        actions = [controller.act(one_of(observations, i)) for i, controller in enumerate(self.controllers)]
+        if isinstance(self._space, spaces.Box):
+            return np.array([self._numbers(action) for action in actions])
+        batch = np.empty(len(actions), dtype=object)
+        batch[:] = actions
+        return batch
+
+    def _numbers(self, action: Any) -> NDArray[np.float64]:
+        try:
+            numbers = np.array(action, dtype=float)
+        except (TypeError, ValueError):
+            numbers = np.array(np.nan)
+            described = f"returned {action!r}"
+        else:
+            described = f"returned an action of shape {numbers.shape}"
+        if action is None or numbers.shape != self._space.shape:
+            described = "returned None" if action is None else described
+            raise InvalidAction(
+                f"it {described}; expected are numbers of shape {self._space.shape}{defined_at(self._source)}"
+            )
+        return numbers
+
+
+class ModelPolicy:
+    """A model with the `predict` of Stable-Baselines3's, recurrent ones included."""
+
+    sees: Literal["observation", "state"] = "observation"
+
+    def __init__(self, model: Any, worlds: EpisodeVectorEnv, name: str) -> None:
+        for kind in ("observation_space", "action_space"):
+            expected, space = getattr(model, kind, None), getattr(worlds, f"single_{kind}")
+            if expected is not None and type(expected) is not type(space):
+                raise ConfigurationError(f"{name} has the {kind} {expected}; here it is {space}")
+        self.training_steps = int(getattr(model, "num_timesteps", 0))
+        self._model = model
+        self._normalizer = getattr(model, "get_vec_normalize_env", lambda: None)()
+        self._state: Any = None
+        self._starts = np.ones(worlds.num_envs, dtype=bool)
+
+    def reset(self, ids: NDArray[np.int32]) -> None:
+        """Worlds `ids` start a new episode: a recurrent model forgets the last one."""
+        self._starts[ids] = True
+
+    def act(self, observations: Observations) -> Actions:
+        """The model's deterministic actions."""
+        if self._normalizer is not None:
+            observations = self._normalizer.normalize_obs(observations)
+        actions, self._state = self._model.predict(
+            observations, state=self._state, episode_start=self._starts, deterministic=True
+        )
+        self._starts[:] = False
+        return np.asarray(actions)
+
+
+class _Function:
+    """A function of the observation as a controller without memory."""
+
+    def __init__(self, function: Callable[[Any], Any]) -> None:
+        self.act = function
+        self.sees = getattr(function, "sees", "observation")
+
+
+def _from_factory(factory: Callable[..., Any], worlds: EpisodeVectorEnv, name: str) -> Policy:
+    """What a factory makes: a policy for all worlds, or one controller, and then another for each further world."""
+    arguments = [worlds] if inspect.signature(factory).parameters else []
+    made = factory(*arguments)
+    if isinstance(made, Policy):
+        return made
+    if not callable(getattr(made, "act", None)):
+        raise ConfigurationError(
+            f"{name} made a {type(made).__name__}, which is not a policy: it needs act(observation)"
+            f"{defined_at(factory)}"
+        )
+    others = [factory(*arguments) for _ in range(worlds.num_envs - 1)]
+    return PlainPolicy([made, *others], worlds, factory, name)
+
+
+def _acts_in_batches(given: Any) -> bool:
+    return all(hasattr(given, name) for name in ("sees", "training_steps", "reset", "act"))
+
+
+def _makes_policies(function: Callable[..., Any]) -> bool:
+    """Whether a function is given an environment, or nothing, rather than an observation."""
+    try:
+        parameters = list(inspect.signature(function).parameters.values())
+    except (TypeError, ValueError):  # built-in functions have none
+        return False
+    return not parameters or parameters[0].name in ENV_PARAMETERS
+
+
+def _instance(cls: type[Any], worlds: EpisodeVectorEnv, i: int) -> Any:
+    """An instance of a controller's class for world i."""
+    parameters = inspect.signature(cls).parameters.values()
+    wants_env = next((one.name for one in parameters if one.name in ENV_PARAMETERS), None)
+    if wants_env is None:
+        return cls()
+    return cls(**{wants_env: worlds.worlds[i] if isinstance(worlds, ThirdPartyVectorEnv) else OneWorld.of(worlds)})
+
+
+def defined_at(given: Any) -> str:
+    """Where a function, a class or an object's class is defined, such as ` (mine.py:12)`; empty if that is unknown."""
+    source = given if inspect.isclass(given) or inspect.isroutine(given) else type(given)
+    try:
+        return f" ({Path(inspect.getsourcefile(source) or '').name}:{inspect.getsourcelines(source)[1]})"
+    except (OSError, TypeError):
+        return ""

@@ -1,0 +1,84 @@
+"""What a policy is: it acts in n worlds at once, or consists of one controller for each."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Literal, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.envs import one_of
+from armctl.tasks import Observations
+
+Actions = NDArray[np.floating[Any]]
+
+
+@runtime_checkable
+class Policy(Protocol):
+    """Acts in n worlds at once.
+
+    Two attributes are optional, and go into the results: `failures` (n,), the number of times that its solver has
+    failed in each world, and `training_minutes`.
+    """
+
+    sees: Literal["observation", "state"]
+    """What it is allowed to see: only the environment's observation, or privileged state as well."""
+    training_steps: int
+    """Environment steps of its training; 0 for a policy that was not trained."""
+
+    def reset(self, ids: NDArray[np.int32]) -> None:
+        """Worlds `ids` start a new episode."""
+
+    def act(self, observations: Observations) -> Actions:
+        """Actions (n, ...) for the observations (n, ...) of all worlds."""
+
+
+@runtime_checkable
+class Plans(Protocol):
+    """A policy that can show its plans."""
+
+    def plans(self, world: int) -> Mapping[str, NDArray[np.float64]]:
+        """Polylines by name, (m, 3) m each: the `path` it follows, the `horizon` it predicts; none before it plans."""
+
+
+class Controller(Protocol):
+    """Acts in one world."""
+
+    def reset(self) -> None:
+        """A new episode starts."""
+
+    def act(self, observation: Any) -> Actions:
+        """The action for one world's observation."""
+
+
+PolicyFactory = Callable[[Any], Policy]
+"""Makes a policy for the worlds of an environment."""
+
+
+class PerWorld:
+    """A policy that consists of one controller for each world."""
+
+    training_steps = 0
+
+    def __init__(
+        self, controllers: Sequence[Controller], sees: Literal["observation", "state"] = "observation"
+    ) -> None:
+        self.controllers = controllers
+        self.sees = sees
+
+    @property
+    def failures(self) -> NDArray[np.int64]:
+        """(n,) number of solver failures of each controller; 0 for controllers that do not count them."""
+        return np.array([getattr(controller, "failures", 0) for controller in self.controllers])
+
+    def plans(self, world: int) -> Mapping[str, NDArray[np.float64]]:
+        """The plans of the world's controller; none if it does not have the method `plans`."""
+        return dict(getattr(self.controllers[world], "plans", dict)())
+
+    def reset(self, ids: NDArray[np.int32]) -> None:
+        """Worlds `ids` start a new episode."""
+        for i in ids:
+            self.controllers[i].reset()
+
+    def act(self, observations: Observations) -> Actions:
+        """Each controller's action for its own observation."""
+        return np.array([controller.act(one_of(observations, i)) for i, controller in enumerate(self.controllers)])
