@@ -15,9 +15,11 @@ ARMCTL = str(Path(sys.executable).parent / "armctl")
 ENVIRONMENT = {"COLUMNS": "100", "NO_COLOR": "1"}
 
 
-def program(*arguments, cwd, check=True):
+def program(*arguments, cwd, check=True, **variables):
     """Run armctl as a program, which has never seen another folder's modules."""
-    done = subprocess.run([ARMCTL, *arguments], capture_output=True, text=True, cwd=cwd, env=os.environ | ENVIRONMENT)
+    done = subprocess.run(
+        [ARMCTL, *arguments], capture_output=True, text=True, cwd=cwd, env=os.environ | ENVIRONMENT | variables
+    )
     assert not check or done.returncode == 0, done.stderr
     return done
 

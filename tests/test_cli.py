@@ -1,3 +1,4 @@
+import io
 import json
 import re
 import signal
@@ -58,6 +59,35 @@ def test_compare_prints_and_writes(tmp_path):
     again = armctl("compare", "--episodes", "3", "--out", "here", cwd=tmp_path, check=False)
     assert again.returncode == 2
     assert "--overwrite" in again.stderr
+
+
+def test_other_formats_are_all_that_standard_output_holds(tmp_path):
+    command = ("compare", "reach_ik", "random", "--episodes", "2", "--out", "here", "--format")
+    first, *others = (armctl(*command, name, cwd=tmp_path) for name in ("json", "csv", "markdown", "latex"))
+    policies = json.loads(first.stdout)["policies"]
+    assert [policy["success"]["value"] for policy in policies] == [1, 0]
+    table = pd.read_csv(io.StringIO(others[0].stdout))
+    assert table.success.tolist()[:2] == [1, 0]
+    assert others[1].stdout.startswith("**armctl/ArmReach-v0")
+    assert others[2].stdout.startswith("% in the preamble")
+    for done in (first, *others):
+        assert "has every episode" not in done.stdout
+        assert "has every episode" in done.stderr
+    wrong = armctl(*command, "jsno", cwd=tmp_path, check=False)
+    assert (wrong.returncode, "'json'" in wrong.stderr) == (2, True)
+
+
+def test_a_pipe_has_no_width_unless_it_is_told_one(tmp_path):
+    name = "a_module_with_a_very_long_name_indeed:and_a_function_with_a_very_long_name_of_its_own"
+    (tmp_path / f"{name.partition(':')[0]}.py").write_text(
+        f"def {name.partition(':')[2]}(env):\n    import armctl; return armctl.make_policy('random', env)\n"
+    )
+    command = ("compare", name, "reach_ik", "--episodes", "2", "--out", "here")
+    wide, narrow = (program(*command, cwd=tmp_path, COLUMNS=columns).stdout for columns in ("", "50"))
+    assert re.search(rf"^{name} +0.0 % .*observation$", wide, re.MULTILINE)
+    tables = narrow.partition("has every episode")[0].splitlines()[:-1]
+    assert max(map(len, tables)) <= 50
+    assert "…" not in wide
 
 
 def test_ctrl_c_keeps_finished_episodes(tmp_path):

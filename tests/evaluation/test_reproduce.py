@@ -43,7 +43,7 @@ def test_a_card_that_boasts_is_found_out(agent):
     assert not reproduce(agent).agrees
     result = CliRunner().invoke(app, ["reproduce", str(agent)])
     assert result.exit_code == 1
-    assert "50.0%" in result.stdout
+    assert "50.0 %" in result.stdout
 
 
 def test_what_cannot_be_reproduced_is_refused(agent, tmp_path):

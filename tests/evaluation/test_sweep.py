@@ -13,7 +13,7 @@ from armctl.evaluation.degradation import degradations
 from armctl.evaluation.record import TIME_COLUMNS
 from armctl.evaluation.statistics import mcnemar
 from armctl.evaluation.sweep import COLUMNS, sweep, sweep_levels
-from armctl.report.terminal import sweep_tables
+from armctl.report.terminal import tables
 
 POLICIES = ["reach_ik", "random"]
 LEVELS = {"noise": [0.05], "delay": [2, 0, 2]}
@@ -26,7 +26,7 @@ def run(**arguments):
 
 def printed(found):
     console = Console(file=io.StringIO(), width=100)
-    console.print(sweep_tables(found))
+    console.print(tables(found))
     return console.file.getvalue()
 
 

@@ -10,14 +10,17 @@ from armctl.cli.app import app
 from armctl.cli.options import (
     Env,
     EnvOptions,
+    Format,
     Overwrite,
     Policies,
     Seed,
+    TableFormat,
     Workers,
     Worlds,
     levels_of,
     new_folder,
     options_of,
+    print_document,
     progress_bar,
 )
 
@@ -40,17 +43,15 @@ def compare(
     workers: Workers = 1,
     env_options: EnvOptions = None,
     report: Annotated[bool, typer.Option("--report", help="Also write report.html, with figures and videos.")] = False,
+    table_format: Format = TableFormat.TABLE,
 ) -> None:
     """Let policies play the same episodes, and print which is better, and by how much.
 
     Every episode is written as it ends. After Ctrl-C, the same command with the same `--out` resumes the comparison.
     """
-    from rich.console import Console
-
     from armctl.evaluation import EpisodeResult
     from armctl.evaluation import compare as run_comparison
     from armctl.evaluation.compare import default_policies
-    from armctl.report.terminal import tables
 
     names = policies or default_policies(env)
     folder = out or new_folder()
@@ -72,12 +73,11 @@ def compare(
             env_options=options_of(env_options),
             progress=progress,
         )
-    console = Console()
-    console.print(tables(comparison))
+    console = print_document(comparison.document(), table_format)
     console.print(f"{folder / 'episodes.csv'} has every episode, {folder / 'summary.json'} the tables.", soft_wrap=True)
     _exit_if_interrupted(comparison.interrupted, folder, console)
     if report:
-        _write_report(folder, None, video=True, trusted=True)
+        _write_report(folder, None, console, video=True, trusted=True)
     if comparison.failures:
         raise typer.Exit(1)
 
@@ -91,7 +91,9 @@ def report(
     video: Annotated[bool, typer.Option("--video/--no-video", help="Play some episodes again for videos.")] = True,
 ) -> None:
     """Write the report of a comparison: one HTML file that works offline, on a phone and in print."""
-    _write_report(folder, out, video=video, trusted=False)
+    from rich.console import Console
+
+    _write_report(folder, out, Console(), video=video, trusted=False)
 
 
 def _exit_if_interrupted(interrupted: bool, folder: Path, console: "Console") -> None:
@@ -100,12 +102,11 @@ def _exit_if_interrupted(interrupted: bool, folder: Path, console: "Console") ->
         raise typer.Exit(130)
 
 
-def _write_report(folder: Path, out: Path | None, *, video: bool, trusted: bool) -> None:
+def _write_report(folder: Path, out: Path | None, console: "Console", *, video: bool, trusted: bool) -> None:
     from rich.console import Console
 
     from armctl.report import write_report
 
-    console = Console()
     with Console(stderr=True).status("report") as status:
         path = write_report(
             folder, out, video=video, trusted=trusted, progress=lambda doing: status.update(f"report: {doing}")
@@ -136,6 +137,7 @@ def sweep(
     worlds: Worlds = 1,
     workers: Workers = 1,
     env_options: EnvOptions = None,
+    table_format: Format = TableFormat.TABLE,
 ) -> None:
     """Let policies play the same episodes under increasing disturbances, and print how robust each is.
 
@@ -145,13 +147,10 @@ def sweep(
 
     Every episode is written as it ends. After Ctrl-C, the same command with the same `--out` resumes the sweep.
     """
-    from rich.console import Console
-
     from armctl.evaluation import EpisodeResult
     from armctl.evaluation import sweep as run_sweep
     from armctl.evaluation.compare import default_policies
     from armctl.evaluation.sweep import sweep_levels
-    from armctl.report.terminal import sweep_tables
 
     names, options = policies or default_policies(env), options_of(env_options)
     asked = levels_of(disturbances) if disturbances else None
@@ -176,8 +175,7 @@ def sweep(
             env_options=options,
             progress=progress,
         )
-    console = Console()
-    console.print(sweep_tables(found))
+    console = print_document(found.document(), table_format)
     console.print(f"{folder / 'sweep.csv'} has the curves; each comparison has a folder beside it.", soft_wrap=True)
     _exit_if_interrupted(found.interrupted, folder, console)
     if found.failures:
@@ -191,33 +189,24 @@ def reproduce(
         int | None, typer.Option(min=0, help="Seed of other episodes.", show_default="the card's: the same episodes")
     ] = None,
     worlds: Annotated[int, typer.Option(min=1, help="Worlds stepped at once.")] = 64,
+    table_format: Format = TableFormat.TABLE,
 ) -> None:
     """Evaluate learned agents again, and compare the results with their cards.
 
     An agent agrees if its success rate is within the 95 % interval on its card. If one does not, the exit status is 1.
     """
     from rich.console import Console
-    from rich.table import Table
 
+    from armctl.evaluation.reproduce import card_path
     from armctl.evaluation.reproduce import reproduce as run_again
+    from armctl.report.reproduction import reproduction_document
 
-    table = Table("agent", "episodes", "on the card", "95 %", "now", "steps, card", "steps, now", "agrees")
-    agreed, console = True, Console()
     for agent in agents:
-        with console.status(f"{agent}: playing its episodes again"):
-            again = run_again(agent, seed=seed, worlds=worlds)
-        claimed, found, agreed = again.claimed, again.found, agreed and again.agrees
-        low, high = claimed.success_interval
-        steps = (f"{one.mean_steps_to_goal:.1f}" if one.mean_steps_to_goal else "-" for one in (claimed, found))
-        table.add_row(
-            again.card.name,
-            f"{found.episodes} of seed {found.seed}",
-            f"{claimed.success_rate:.1%}",
-            f"{low:.1%} to {high:.1%}",
-            f"{found.success_rate:.1%}",
-            *steps,
-            "yes" if again.agrees else "[red]no[/]",
-        )
-    console.print(table)
-    if not agreed:
+        card_path(agent)  # a misspelt name is told before the first agent plays
+    again = []
+    for agent in agents:
+        with Console(stderr=True).status(f"{agent}: playing its episodes again"):
+            again.append(run_again(agent, seed=seed, worlds=worlds))
+    print_document(reproduction_document(again), table_format)
+    if not all(one.agrees for one in again):
         raise typer.Exit(1)

@@ -1,11 +1,17 @@
 """Options that several verbs share, and parsers for their text."""
 
+from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from armctl.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from armctl.evaluation.tables import Document
 
 Env = Annotated[str, typer.Option("--env", help="Environment id; `armctl list` shows them.")]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of the episodes: the same seed, the same episodes.")]
@@ -39,6 +45,24 @@ Policies = Annotated[
         help="Policies: names, agents' files, or `module:function`.", show_default="those of the environment"
     ),
 ]
+
+
+class TableFormat(StrEnum):
+    """How results are printed."""
+
+    TABLE = "table"
+    MARKDOWN = "markdown"
+    LATEX = "latex"
+    JSON = "json"
+    CSV = "csv"
+
+
+Format = Annotated[
+    TableFormat,
+    typer.Option(
+        "--format", help="How results are printed. But for `table`, all else that is said goes to standard error."
+    ),
+]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the results in the folder.")]
 
 
@@ -47,6 +71,21 @@ def new_folder() -> Path:
     from datetime import datetime
 
     return Path("results") / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+
+
+def print_document(document: "Document", table_format: TableFormat) -> "Console":
+    """Print results on standard output, and return where to say anything else: not in the midst of JSON."""
+    from rich.console import Console
+
+    from armctl.report.formats import FORMATS
+    from armctl.report.terminal import DocumentView, output_console
+
+    if table_format is TableFormat.TABLE:
+        console = output_console()
+        console.print(DocumentView(document))
+        return console
+    print(FORMATS[table_format](document), end="")
+    return Console(stderr=True)
 
 
 def progress_bar() -> Any:

@@ -97,7 +97,7 @@ def sweep_parts(points: pd.DataFrame) -> list[Table | Remark]:
                 f"{name}, {rows.unit.iloc[0]}",
                 [Column(what), *(Column(f"{level:g}") for level in levels)],
                 table_rows,
-                rows.to_dict("records"),
+                [dict(zip(rows.columns, row, strict=True)) for row in rows.itertuples(index=False)],
             )
         )
         parts.append(Remark(_degradation_text([one for one in found if one.disturbance == name])))
