@@ -28,9 +28,10 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
     """Train an agent into the folder `out`. See `armctl.rl.training.Training`, also for the errors raised."""
     options = recipe.read_options(BcOptions)
     check_teaching(recipe)
-    with Training(recipe, options, out, seed, resume) as training:
-        examples = examples_for(training, options)
-        examples.add(demonstrations(training, options, options.dataset, progress))
+    training = Training(recipe, options, out, seed, resume)
+    examples = examples_for(training, options)
+    examples.add(demonstrations(training, options, options.dataset, progress))
+    with training:
         actor, step = new_actor(training, options), 0
         if (newest := training.newest_checkpoint()) is not None:
             actor.load_state_dict(torch.load(newest, weights_only=True))

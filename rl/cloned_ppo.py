@@ -13,10 +13,10 @@ from stable_baselines3 import PPO
 from armctl.agents import AgentCard
 from armctl.learners import Recipe
 from armctl.options import options
-from armctl.rl.cloning import CloningOptions, demonstrations, examples_for, fit
+from armctl.rl.cloning import CloningOptions, Examples, demonstrations, examples_for, fit
 from armctl.rl.learning import learn
 from armctl.rl.ppo import PpoOptions, actor_of, load_or_make
-from armctl.rl.training import Count, Positive, Training
+from armctl.rl.training import Count, Positive, Training, bar_fits
 from armctl.rl.vector import StableBaselinesVectorEnv
 
 
@@ -44,18 +44,20 @@ class ClonedPpoOptions(PpoOptions, CloningOptions):
 def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True) -> AgentCard:
     """Train an agent into the folder `out`. See `armctl.rl.training.Training`, also for the errors raised."""
     options = recipe.read_options(ClonedPpoOptions)
-    with Training(recipe, options, out, seed, resume) as training:
-        model = load_or_make(training, options)
-        if training.newest_checkpoint() is None:
-            clone(training, model, options, progress)
+    training = Training(recipe, options, out, seed, resume)
+    model, examples = load_or_make(training, options), examples_for(training, options)
+    if new := training.newest_checkpoint() is None:
+        examples.add(demonstrations(training, options, options.dataset, progress))
+    with training:
+        if new:
+            clone(training, model, examples, options, progress)
             warm_up(training, model, min(options.critic_steps, options.steps), progress)
         return learn(training, model, actor_of(model, training.view), progress)
 
 
-def clone(training: Training, model: PPO, options: ClonedPpoOptions, progress: bool) -> None:
+def clone(training: Training, model: PPO, examples: Examples, options: ClonedPpoOptions, progress: bool) -> None:
     """Fit the model's actor to the demonstrations, and evaluate it."""
-    examples, actor = examples_for(training, options), actor_of(model, training.view)
-    examples.add(demonstrations(training, options, options.dataset, progress))
+    actor = actor_of(model, training.view)
     for _ in fit(
         actor, examples, options.cloning_steps, np.random.default_rng(training.seed),
         batch_size=options.cloning_batch_size, learning_rate=options.cloning_rate, progress=progress,
@@ -74,6 +76,6 @@ def warm_up(training: Training, model: PPO, steps: int, progress: bool) -> None:
     model.set_logger(training.logger)
     assert isinstance(model.env, StableBaselinesVectorEnv)
     model.env.seed(training.first_seed())
-    model.learn(steps, progress_bar=progress)
+    model.learn(steps, progress_bar=bar_fits(progress))
     for parameter in cloned:
         parameter.requires_grad_(True)

@@ -17,7 +17,7 @@ from armctl.learners import Recipe
 from armctl.options import options
 from armctl.policies import make_policy
 from armctl.rl.actor import Actor, tensors
-from armctl.rl.training import Count, Share, Training, TrainingOptions
+from armctl.rl.training import Count, Share, Training, TrainingOptions, bar_fits
 from armctl.rl.view import Features
 from armctl.tasks import ReachMovingTask, ReachTask
 from armctl.tasks.reach import observation_slices
@@ -123,9 +123,8 @@ class Teacher:
     def show(self, episodes: int, seed: int, progress: bool, **instead: Any) -> list[Demonstration]:
         """The teacher's episodes 0 to `episodes` - 1 of a seed, in this order; see `demonstrate` for `instead`."""
         shown = demonstrate(self.policy, self.worlds, episodes, seed, self.name, **instead)
-        played = sorted(
-            tqdm(shown, self.name, episodes, leave=False, disable=not progress), key=lambda pair: pair[0].episode
-        )
+        bar = tqdm(shown, self.name, episodes, leave=False, disable=not bar_fits(progress))
+        played = sorted(bar, key=lambda pair: pair[0].episode)
         return [episode for _, episode in played]
 
 
@@ -178,7 +177,7 @@ def fit(
     Yields the number of each gradient step, from `start` + 1 to `steps`. The learning rate decays linearly.
     """
     optimizer = torch.optim.Adam(actor.network.parameters(), learning_rate)
-    for step in tqdm(range(start, steps), "fit", leave=False, disable=not progress):
+    for step in tqdm(range(start, steps), "fit", leave=False, disable=not bar_fits(progress)):
         for group in optimizer.param_groups:
             group["lr"] = learning_rate * max(1 - step / steps, LAST_RATE)
         observations, actions = examples.draw(rng, batch_size)

@@ -61,10 +61,11 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
     if not each or options.steps < options.rounds:
         raise ConfigurationError(f"{options.rounds} rounds need an episode and a gradient step each")
     steps = options.steps // options.rounds
-    with Training(recipe, options, out, seed, resume) as training:
-        teacher = Teacher(recipe, min(options.worlds, each))
-        if not options.teacher_memory:
-            teacher.policy = MemorylessTeacher(teacher.policy)
+    training = Training(recipe, options, out, seed, resume)
+    teacher = Teacher(recipe, min(options.worlds, each))
+    if not options.teacher_memory:
+        teacher.policy = MemorylessTeacher(teacher.policy)
+    with training:
         try:
             actor, examples = new_actor(training, options), examples_for(training, options)
             finished = _load(training, actor, examples)

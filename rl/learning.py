@@ -10,7 +10,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from armctl.agents import AgentCard
 from armctl.files import write_atomically
 from armctl.rl.actor import Actor
-from armctl.rl.training import Training
+from armctl.rl.training import Training, bar_fits
 from armctl.rl.vector import StableBaselinesVectorEnv
 
 REPLAY = "replay_buffer.pkl"
@@ -28,7 +28,7 @@ def learn(training: Training, model: BaseAlgorithm, actor: Actor, progress: bool
     try:
         remaining = training.options.steps - model.num_timesteps
         if remaining > 0:
-            model.learn(remaining, callback=callback, reset_num_timesteps=False, progress_bar=progress)
+            model.learn(remaining, callback=callback, reset_num_timesteps=False, progress_bar=bar_fits(progress))
     finally:
         training.checkpoint(model.num_timesteps, lambda path: save(model, path))
     return training.finish(actor, model.num_timesteps)

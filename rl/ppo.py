@@ -44,8 +44,9 @@ class PpoOptions(TrainingOptions):
 def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True) -> AgentCard:
     """Train an agent into the folder `out`. See `armctl.rl.training.Training`, also for the errors raised."""
     options = recipe.read_options(PpoOptions)
-    with Training(recipe, options, out, seed, resume) as training:
-        model = load_or_make(training, options)
+    training = Training(recipe, options, out, seed, resume)
+    model = load_or_make(training, options)
+    with training:
         return learn(training, model, actor_of(model, training.view), progress)
 
 

@@ -63,10 +63,11 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
             "relabelled transitions earn the task's plain reward: with shaping, reward_weights or another reward, "
             "set the option relabelled to 0"
         )
-    with Training(recipe, options, out, seed, resume) as training:
-        venv = _vector_env(training, options)
-        newest = training.newest_checkpoint()
-        model = _new_model(venv, training, options) if newest is None else _load(newest, venv)
+    training = Training(recipe, options, out, seed, resume)
+    venv = _vector_env(training, options)
+    newest = training.newest_checkpoint()
+    model = _new_model(venv, training, options) if newest is None else _load(newest, venv)
+    with training:
         dof = venv.dof if isinstance(venv, GoalVectorEnv) else None
         observed = training.held_out.single_observation_space
         actor = Actor(SquashedMean(model.policy, dof), training.view.action_scale, observed)

@@ -2,9 +2,13 @@
 
 import dataclasses
 import json
+import logging
 import math
+import os
+import sys
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
@@ -30,8 +34,11 @@ from armctl.files import write_atomically
 from armctl.learners import Recipe
 from armctl.options import options
 from armctl.rl.actor import Actor
+from armctl.rl.threads import bounded_threads
 from armctl.rl.view import Features, view_of
 from armctl.shaping import Shaped
+
+LOG = logging.getLogger(__name__)
 
 TRAINING_SEEDS = 10**9
 """Training seed k plays the seeds from (k + 1) * 10^9 on. Episodes of smaller seeds are held out."""
@@ -40,6 +47,7 @@ VALIDATION_SEED = 10**8
 EVALUATION_SEED = 0
 """Seed of the held-out episodes on the agent's card."""
 VALIDATION_WORLDS = 50
+SETTINGS = "settings.json"
 
 Count = Annotated[int, Field(ge=1)]
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -75,9 +83,10 @@ class TrainingOptions:
 class Training:
     """One training: a recipe, trained with one seed, in one folder.
 
-    Use it as a context manager. It writes `settings.json`, `checkpoints/`, `tensorboard/`, `curve.csv` and the best
-    actor so far, `best.pt`, and in the end `agent.onnx` and `agent.json`. Checkpoints are pickles: resume only
-    trainings that you trust.
+    Making one checks the recipe and the folder, and writes nothing. It is a context manager, whose beginning makes the
+    folder: whatever else may be refused, such as a teacher, is checked before that. It writes `settings.json`,
+    `checkpoints/`, `tensorboard/`, `curve.csv` and the best actor so far, `best.pt`, and in the end `agent.onnx` and
+    `agent.json`. Checkpoints are pickles: resume only trainings that you trust.
 
     Raises `ConfigurationError` for a recipe that cannot be followed, or a folder that another training has used.
     """
@@ -89,8 +98,7 @@ class Training:
         self.held_out = make_worlds(recipe.env, min(VALIDATION_WORLDS, options.validation_episodes), recipe.env_options)
         self.worlds = self._make_worlds()
         self.view = view_of(self.held_out, features=options.features, relative=options.relative)
-        self._prepare(resume)
-        self.logger = configure(str(out / "tensorboard"), ["tensorboard"])
+        self._check_folder(resume)
         clock = out / "clock.json"
         self._before = json.loads(clock.read_text())["seconds"] if clock.exists() else 0.0
         self._start = time.perf_counter()
@@ -98,14 +106,24 @@ class Training:
         self._evaluated = curve[-1]["steps"] if curve else -math.inf
 
     def __enter__(self) -> Self:
+        with ExitStack() as opened:
+            opened.callback(self.worlds.close)
+            opened.callback(self.held_out.close)
+            opened.enter_context(bounded_threads())
+            try:
+                (self.out / "checkpoints").mkdir(parents=True, exist_ok=True)
+                write_atomically(self.out / SETTINGS, json.dumps(self._settings(), indent=2))
+            except OSError as error:
+                raise ConfigurationError(f"the training cannot be written to {self.out}: {error.strerror}") from error
+            self.logger = configure(str(self.out / "tensorboard"), ["tensorboard"])
+            opened.callback(self.logger.close)
+            self._opened = opened.pop_all()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.worlds.close()
-        self.held_out.close()
-        self.logger.close()
+        self._opened.close()
 
     @property
     def seconds(self) -> float:
@@ -160,6 +178,7 @@ class Training:
             write_atomically(self.out / "best.pt", lambda path: torch.save({**row, "actor": actor.state_dict()}, path))
         curve = pd.DataFrame([*self.curve(), row]).astype({"steps": int})
         write_atomically(self.out / CURVE, curve.to_csv(index=False))
+        LOG.info("%s steps: success %.1f%% of %s held-out episodes", f"{steps:,}", 100 * rate.value, episodes)
         for name in ("success", "return"):
             self.logger.record(f"held-out/{name}", row[name])
         self.logger.dump(steps)
@@ -210,22 +229,25 @@ class Training:
             return worlds
         return Shaped(worlds, recipe.shaping, gamma=options.gamma, scale=recipe.shaping_scale)
 
-    def _prepare(self, resume: bool) -> None:
-        """Make the folder, or check that it holds the training to resume; only `steps` may differ."""
-        record = self.out / "settings.json"
+    def _settings(self) -> dict[str, Any]:
         settings = _plain(self.recipe) | {"seed": self.seed, "options": dataclasses.asdict(self.options)}
         del settings["seeds"]
-        try:
-            if resume:
-                _check_same(record, settings)
-            elif record.exists():
-                raise ConfigurationError(
-                    f"{self.out} holds a training already: resume it (--resume), or choose another folder"
-                )
-            (self.out / "checkpoints").mkdir(parents=True, exist_ok=True)
-            write_atomically(record, json.dumps(settings, indent=2))
-        except OSError as error:
-            raise ConfigurationError(f"the training cannot be written to {self.out}: {error.strerror}") from error
+        return settings
+
+    def _check_folder(self, resume: bool) -> None:
+        """Check that the folder is unused, or holds the training to resume; only `steps` may differ."""
+        record = self.out / SETTINGS
+        there = next(path for path in (self.out, *self.out.absolute().parents) if path.exists())
+        if not (there.is_dir() and os.access(there, os.W_OK)):
+            raise ConfigurationError(
+                f"the training cannot be written to {self.out}: {there} is not a folder that can be written to"
+            )
+        if resume:
+            _check_same(record, self._settings())
+        elif record.exists():
+            raise ConfigurationError(
+                f"{self.out} holds a training already: resume it (--resume), or choose another folder"
+            )
 
     def _best(self) -> dict[str, Any] | None:
         file = self.out / "best.pt"
@@ -245,6 +267,11 @@ class Training:
 
     def _write(self, card: AgentCard) -> None:
         write_atomically(self.out / "agent.json", card.model_dump_json(indent=2) + "\n")
+
+
+def bar_fits(progress: bool) -> bool:
+    """Whether to show a progress bar that was asked for: in a terminal only, since it would flood a log file."""
+    return progress and sys.stdout.isatty() and sys.stderr.isatty()
 
 
 def _plain(recipe: Recipe) -> dict[str, Any]:

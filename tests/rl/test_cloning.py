@@ -96,6 +96,14 @@ def test_failures_are_not_cloned(tmp_path):
     collect("random", episodes=3, out=tmp_path / "data", env_options={"max_episode_steps": 2})
     with pytest.raises(ConfigurationError, match="none of 3 episodes"):
         clone(small("reach_bc", dataset=str(tmp_path / "data")), out=tmp_path / "run", seed=0, progress=False)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(("name", "train"), [("reach_bc", clone), ("reach_cloned_ppo", train_cloned_ppo)])
+def test_a_missing_dataset_leaves_no_folder(name, train, tmp_path):
+    with pytest.raises(ConfigurationError, match="no Minari dataset"):
+        train(small(name, dataset=str(tmp_path / "nowhere")), out=tmp_path / "run", seed=0, progress=False)
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize("train", [clone, dagger])
@@ -115,6 +123,7 @@ def test_mistakes_get_one_clear_error(train, changes, says, tmp_path):
     recipe = load_recipe("reach_bc" if train is clone else "reach_dagger")
     with pytest.raises(ConfigurationError, match=says):
         train(recipe.changed(**changes), out=tmp_path / "run", seed=0, progress=False)
+    assert not (tmp_path / "run").exists()
 
 
 def test_a_teacher_of_ones_own(tmp_path, monkeypatch):

@@ -1,8 +1,10 @@
 import csv
 import dataclasses
 import json
+import sys
 from types import SimpleNamespace
 
+import joblib
 import numpy as np
 import pytest
 import torch
@@ -15,7 +17,8 @@ from armctl.learners import load_recipe
 from armctl.rl import training as module
 from armctl.rl.actor import Actor
 from armctl.rl.ppo import PpoOptions
-from armctl.rl.training import VALIDATION_SEED, Training, TrainingOptions
+from armctl.rl.threads import MOST_THREADS
+from armctl.rl.training import VALIDATION_SEED, Training, TrainingOptions, bar_fits
 from armctl.tasks import ReachTask
 
 OPTIONS = TrainingOptions(worlds=2, validation_episodes=4, evaluation_episodes=3, evaluation_every=100)
@@ -23,6 +26,11 @@ OPTIONS = TrainingOptions(worlds=2, validation_episodes=4, evaluation_episodes=3
 
 def recipe(**changes):
     return load_recipe("reach_ppo").changed(**{"shaping": None, **changes})
+
+
+def start(recipe, options, out):
+    with Training(recipe, options, out, 0, False):
+        pass
 
 
 class Constant(torch.nn.Module):
@@ -147,7 +155,7 @@ def test_training_plays_other_episodes_than_any_evaluation(tmp_path):
 )
 def test_a_training_resumes_with_its_own_recipe_only(tmp_path, changes, says):
     out = tmp_path / "run"
-    Training(recipe(), OPTIONS, out, 0, False)
+    start(recipe(), OPTIONS, out)
     with pytest.raises(ConfigurationError, match=says):
         Training(recipe(**changes), OPTIONS, out, 0, True)
     with pytest.raises(ConfigurationError, match="seed 0, not 1"):
@@ -158,7 +166,7 @@ def test_a_training_resumes_with_its_own_recipe_only(tmp_path, changes, says):
 
 
 def test_a_used_folder_is_not_overwritten(tmp_path):
-    Training(recipe(), OPTIONS, tmp_path / "run", 0, False)
+    start(recipe(), OPTIONS, tmp_path / "run")
     with pytest.raises(ConfigurationError, match="--resume"):
         Training(recipe(), OPTIONS, tmp_path / "run", 0, False)
     with pytest.raises(ConfigurationError, match="no training to resume"):
@@ -166,7 +174,7 @@ def test_a_used_folder_is_not_overwritten(tmp_path):
 
 
 def test_spoilt_settings_are_named(tmp_path):
-    Training(recipe(), OPTIONS, tmp_path / "run", 0, False)
+    start(recipe(), OPTIONS, tmp_path / "run")
     for text in ("", "[]", '{"seed": 0}'):
         (tmp_path / "run" / "settings.json").write_text(text)
         with pytest.raises(ConfigurationError, match=r"settings\.json"):
@@ -186,7 +194,7 @@ def test_a_folder_that_cannot_be_written(tmp_path):
         ({"env_options": {"control": "nope"}}, "control"),
         ({"env_options": {"robto": "ur3"}}, "Did you mean 'robot'"),
         ({"env_options": {"num_envs": 3}}, "num_envs"),
-        ({"env": "CartPole-v1"}, "not one of armctl's"),
+        ({"env": "CartPole-v1"}, "not made of a task"),
         ({"env": "armctl/Nothing-v0"}, "no environment"),
         ({"reward_weights": {"gaol": 1.0}}, "Did you mean 'goal'"),
         ({"shaping": "distanc"}, "Did you mean 'distance'"),
@@ -228,8 +236,40 @@ def test_options_are_checked(options, says):
 def test_settings_tell_all_that_was_told(tmp_path):
     shown = recipe(options={"steps": 7, "gamma": 1}, env_options={"tolerance": 0.1})
     options = shown.read_options(PpoOptions)
-    Training(shown, options, tmp_path / "run", 4, False)
+    with Training(shown, options, tmp_path / "run", 4, False):
+        pass
     settings = json.loads((tmp_path / "run" / "settings.json").read_text())
     assert settings["seed"] == 4
     assert settings["env_options"] == {"tolerance": 0.1}
     assert settings["options"] == dataclasses.asdict(options)
+
+
+def test_making_a_training_makes_no_folder(tmp_path):
+    training = Training(recipe(), OPTIONS, tmp_path / "run", 0, False)
+    assert not (tmp_path / "run").exists()
+    with training:
+        assert (tmp_path / "run" / "settings.json").exists()
+
+
+def test_torch_is_bounded_while_it_trains(tmp_path, monkeypatch):
+    before = torch.get_num_threads()
+    torch.set_num_threads(64)
+    try:
+        for cores, threads in ((3, 3), (64, MOST_THREADS)):
+            monkeypatch.setattr(joblib, "cpu_count", lambda cores=cores: cores)
+            with Training(recipe(), OPTIONS, tmp_path / f"{cores}", 0, False):
+                assert torch.get_num_threads() == threads
+            assert torch.get_num_threads() == 64
+        torch.set_num_threads(1)
+        with Training(recipe(), OPTIONS, tmp_path / "one", 0, False):
+            assert torch.get_num_threads() == 1
+    finally:
+        torch.set_num_threads(before)
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_a_bar_is_for_a_terminal(terminal, monkeypatch):
+    for stream in (sys.stdout, sys.stderr):
+        monkeypatch.setattr(stream, "isatty", lambda: terminal)
+    assert bar_fits(True) is terminal
+    assert not bar_fits(False)
