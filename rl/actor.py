@@ -1,7 +1,6 @@
 """The actor that every learner trains: a torch module from observations to the environment's actions."""
 
-import logging
-import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from armctl.agents import INPUT, OUTPUT, inputs
+from armctl.rl.graph import write_graph
 from armctl.tasks import Observations
 
 
@@ -44,25 +44,12 @@ class Actor(torch.nn.Module):
 
     def export(self, path: Path) -> None:
         """Write the actor as an ONNX graph with one input per observation array."""
-        example = {name: torch.as_tensor(space.sample()[None].repeat(2, 0)) for name, space in self.inputs.items()}
-        batch = torch.export.Dim("worlds", min=1)
-        logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # it warns that torchvision is missing
-        with warnings.catch_warnings(action="ignore"):
-            program = torch.onnx.export(
-                self.eval(),
-                tuple(example.values()),
-                input_names=list(example),
-                output_names=[OUTPUT],
-                dynamic_shapes=(tuple({0: batch} for _ in example),),
-                dynamo=True,
-                verbose=False,
-            )
-        assert program is not None
-        graph = program.model_proto
-        for node in (*graph.graph.node, *(node for function in graph.functions for node in function.node)):
-            node.ClearField("metadata_props")  # stack traces, with paths of the machine that trained it
-            node.ClearField("doc_string")
-        path.write_bytes(graph.SerializeToString())
+        write_graph(self, examples(self.inputs), [OUTPUT], path)
+
+
+def examples(inputs: Mapping[str, gymnasium.Space[Any]]) -> dict[str, torch.Tensor]:
+    """Random observations of two worlds, by the names of a graph's inputs."""
+    return {name: torch.as_tensor(np.asarray(space.sample())[None].repeat(2, 0)) for name, space in inputs.items()}
 
 
 def tensors(observations: Any) -> Any:

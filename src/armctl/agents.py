@@ -13,11 +13,19 @@ import onnxruntime
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from armctl.envs import TaskVectorEnv
+from armctl.envs import EpisodeVectorEnv
 from armctl.errors import AgentFileError
 from armctl.tasks import Observations
 
-INPUT, OUTPUT = "observation", "action"
+INPUT, OUTPUT, NEXT = "observation", "action", "next_"
+"""Names in a graph: of its input if the observation is one array, of its first output, and before a new memory's."""
+
+
+DTYPES = {
+    "tensor(float)": np.float32, "tensor(double)": np.float64, "tensor(bool)": np.bool_, "tensor(uint8)": np.uint8,
+    "tensor(int8)": np.int8, "tensor(int16)": np.int16, "tensor(int32)": np.int32, "tensor(int64)": np.int64,
+}  # fmt: skip
+"""NumPy's types for onnxruntime's."""
 
 
 class Evaluation(BaseModel):
@@ -32,6 +40,24 @@ class Evaluation(BaseModel):
     """95 % Wilson interval."""
     mean_return: float
     mean_steps_to_goal: float | None
+
+
+class Conversion(BaseModel):
+    """How another library's model became this agent, and how alike both act."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    saved_with: str
+    """Library and version that wrote the model's file."""
+    source_sha256: str
+    """Checksum of the model's file."""
+    normalisation: str | None = None
+    """Name of the file of the observations' statistics; None: the observations are not normalised."""
+    normalisation_sha256: str | None = None
+    observations: int
+    """Number of observations on which both were compared."""
+    largest_difference: float
+    """Between their actions: as a share of the action's range, or, if actions are discrete, the share that differs."""
 
 
 class AgentCard(BaseModel):
@@ -58,28 +84,33 @@ class AgentCard(BaseModel):
     observation_shape: list[int] | dict[str, list[int]]
     """Of the observation, or of each of its arrays."""
     action_shape: list[int]
+    memory: dict[str, list[int]] = {}
+    """What the agent remembers from step to step: arrays of zeros at first, of these shapes for each world."""
     training_steps: int
     best_after: int | None = None
     """Steps after which it performed best on validation episodes. The agent is the one after these steps."""
-    training_minutes: float
-    training_seed: int
+    training_minutes: float | None
+    training_seed: int | None
     learner_options: dict[str, Any]
     """All options of the learner."""
     versions: dict[str, str]
     sha256: str
     """Checksum of the ONNX file."""
+    conversion: Conversion | None = None
+    """None: armctl trained it."""
     evaluation: Evaluation | None = None
 
 
 class OnnxPolicy:
-    """A learned agent, run by onnxruntime. It sees only the observation."""
+    """A learned agent, run by onnxruntime. It sees only the observation, and what it remembers of earlier ones."""
 
     sees: Literal["observation", "state"] = "observation"
 
     def __init__(self, graph: Path, card: AgentCard) -> None:
         self.card = card
         self.training_steps = card.training_steps
-        self.training_minutes = card.training_minutes
+        if card.training_minutes is not None:
+            self.training_minutes = card.training_minutes
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = 1
         options.log_severity_level = 4
@@ -90,25 +121,41 @@ class OnnxPolicy:
         graph_inputs, graph_outputs = (
             [value.name for value in values] for values in (self._session.get_inputs(), self._session.get_outputs())
         )
-        expected = list(card.observation_shape) if isinstance(card.observation_shape, dict) else [INPUT]
-        if (sorted(graph_inputs), graph_outputs) != (sorted(expected), [OUTPUT]):
+        observed = list(card.observation_shape) if isinstance(card.observation_shape, dict) else [INPUT]
+        expected, self._outputs = [*observed, *card.memory], [OUTPUT, *(NEXT + name for name in card.memory)]
+        if (sorted(graph_inputs), graph_outputs) != (sorted(expected), self._outputs):
             raise AgentFileError(
-                f"{graph} maps {graph_inputs} to {graph_outputs}; by its card, it maps {expected} to ['{OUTPUT}']"
+                f"{graph} maps {graph_inputs} to {graph_outputs}; by its card, it maps {expected} to {self._outputs}"
             )
+        self._dtypes = {value.name: DTYPES.get(value.type) for value in self._session.get_inputs()}
+        self._memory: dict[str, NDArray[np.float32]] = {}
 
     def reset(self, ids: NDArray[np.int32]) -> None:
-        """Do nothing: the agent has no memory."""
+        """Forget what it remembers of worlds `ids`, if it has a memory."""
+        for remembered in self._memory.values():
+            remembered[ids] = 0.0
 
-    def act(self, observations: Observations) -> NDArray[np.float32]:
+    def act(self, observations: Observations) -> NDArray[Any]:
         """Actions (n, ...) for observations (n, ...). A world's action does not depend on the number of worlds."""
         arrays = observations if isinstance(observations, dict) else {INPUT: observations}
         worlds = len(next(iter(arrays.values())))
+        # an environment may observe in another precision than its space says
+        arrays = {name: np.asarray(values, dtype=self._dtypes[name]) for name, values in arrays.items()}
+        arrays |= self._remembered(worlds)
         if worlds % 2:  # onnxruntime rounds the last of an odd number of rows differently
             arrays = {name: np.concatenate((values, values[-1:])) for name, values in arrays.items()}
-        return np.asarray(self._session.run([OUTPUT], arrays)[0])[:worlds]
+        actions, *memory = (np.asarray(values)[:worlds] for values in self._session.run(self._outputs, arrays))
+        self._memory = dict(zip(self.card.memory, memory, strict=True))
+        return actions
+
+    def _remembered(self, worlds: int) -> dict[str, NDArray[np.float32]]:
+        """The memory (n, ...) of each world; zeros on the first step, or if the number of worlds has changed."""
+        if any(len(remembered) == worlds for remembered in self._memory.values()):
+            return self._memory
+        return {name: np.zeros((worlds, *shape), dtype=np.float32) for name, shape in self.card.memory.items()}
 
 
-def load_agent(path: Path, worlds: TaskVectorEnv) -> OnnxPolicy:
+def load_agent(path: Path, worlds: EpisodeVectorEnv) -> OnnxPolicy:
     """Load an agent by the path of its card or graph, which are in the same folder, for the worlds of an environment.
 
     Raises `AgentFileError` if a file is missing or corrupt, or if the agent was made for another environment.
@@ -140,7 +187,7 @@ def sha256(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def _check_made_for(card: AgentCard, worlds: TaskVectorEnv) -> None:
+def _check_made_for(card: AgentCard, worlds: EpisodeVectorEnv) -> None:
     trained = (card.observation_shape, card.action_shape)
     here = (shapes(worlds.single_observation_space), shapes(worlds.single_action_space))
     if trained != here:

@@ -1,10 +1,11 @@
-"""Recipes, which describe trainings, and learners, which follow them; and how both are found.
+"""Recipes, which describe trainings; learners, which follow them; exporters of models; and how all are found.
 
-A package offers learners under the entry-point group `armctl.learners`, and packages of recipes (`*.toml`) under
-`armctl.recipes`.
+A package offers learners under the entry-point group `armctl.learners`, packages of recipes (`*.toml`) under
+`armctl.recipes`, and exporters, by the suffix of the files that they read, under `armctl.exporters`.
 """
 
 import tomllib
+from collections.abc import Mapping
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -18,7 +19,7 @@ from armctl.errors import ConfigurationError, missing_extra, unknown_name
 from armctl.options import make_options
 from armctl.registration import installed
 
-LEARNERS, RECIPES = "armctl.learners", "armctl.recipes"
+LEARNERS, RECIPES, EXPORTERS = "armctl.learners", "armctl.recipes", "armctl.exporters"
 
 TrainingSeed = Annotated[int, Field(ge=0, lt=2**32)]
 Options = TypeVar("Options")
@@ -68,6 +69,27 @@ class Learner(Protocol):
     ) -> AgentCard: ...
 
 
+class Exporter(Protocol):
+    """Turns another library's model into an agent: the graph `out` (`.onnx`), and its card beside it.
+
+    `normalisation` is the file of the observations' statistics; without it, the exporter looks beside the model.
+    Nothing that could run code is loaded without `trust`, and no agent is replaced without `overwrite`.
+    """
+
+    def __call__(  # noqa: D102
+        self,
+        model: Path,
+        *,
+        env: str,
+        out: Path,
+        env_options: Mapping[str, Any] | None = None,
+        normalisation: Path | None = None,
+        algorithm: str | None = None,
+        trust: bool = False,
+        overwrite: bool = False,
+    ) -> AgentCard: ...
+
+
 def learner_names() -> list[str]:
     """Names of all installed learners."""
     return sorted(installed(LEARNERS).names)
@@ -82,6 +104,18 @@ def load_learner(name: str) -> Learner:
         return entries[name].load()  # type: ignore[no-any-return]
     except ModuleNotFoundError as error:
         raise missing_extra("training", error) from error
+
+
+def load_exporter(model: Path) -> Exporter:
+    """The installed exporter of files like this model's, by its suffix. Raises `ConfigurationError`."""
+    entries, suffix = installed(EXPORTERS), model.suffix.removeprefix(".")
+    if suffix not in entries.names:
+        allowed = ", ".join(f".{name}" for name in sorted(entries.names))
+        raise ConfigurationError(f"{model} cannot be exported: models are files {allowed or 'of no kind'}")
+    try:
+        return entries[suffix].load()  # type: ignore[no-any-return]
+    except ModuleNotFoundError as error:
+        raise missing_extra("exporting", error) from error
 
 
 def recipe_names() -> list[str]:

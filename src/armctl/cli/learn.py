@@ -1,5 +1,10 @@
-"""The verb that trains: `train`."""
+"""Verbs that make agents: `train`, and `export` for models of Stable-Baselines3."""
 
+import logging
+import shlex
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -59,8 +64,6 @@ def train(
     leaves a checkpoint, and the same command with `--resume` resumes from it. Watch the training with
     `tensorboard --logdir FOLDER`.
     """
-    from rich import print as show
-
     from armctl.envs import task_of
     from armctl.learners import load_learner, load_recipe
 
@@ -78,16 +81,120 @@ def train(
     seed = chosen.seeds[0] if seed is None else seed
     folder = out or Path("runs") / f"{chosen.name}-{seed}"
     try:
-        card = load_learner(chosen.learner)(chosen, out=folder, seed=seed, resume=resume)
+        with _evaluations_logged():
+            card = load_learner(chosen.learner)(chosen, out=folder, seed=seed, resume=resume)
     except KeyboardInterrupt:
-        show(f"Interrupted. The same command with [bold]--resume --out {folder}[/] resumes the training.")
+        begun = f"with --resume {_words('--out', folder)} resumes the training" if folder.exists() else "starts again"
+        typer.echo(f"Interrupted. The same command {begun}.")
         raise typer.Exit(130) from None
     assert card.evaluation is not None
     low, high = card.evaluation.success_interval
-    show(
+    typer.echo(
         f"{card.training_steps:,} steps in {card.training_minutes} minutes, best after {card.best_after:,}: "
         f"success {card.evaluation.success_rate:.1%} [{low:.1%}, {high:.1%}] "
         f"on {card.evaluation.episodes} held-out episodes"
     )
-    rival = task_of(chosen.env).default_policies[0]
-    show(f"The agent is {folder / 'agent.json'}: armctl compare {rival} {folder / 'agent.json'} --env {chosen.env}")
+    rival, agent = task_of(chosen.env).default_policies[0], folder / "agent.json"
+    environment = ("--env", chosen.env, *_settings(chosen.env_options))
+    typer.echo(f"The agent is {agent}: {_words('armctl', 'compare', rival, agent, *environment)}")
+
+
+@app.command()
+def export(
+    model: Annotated[Path, typer.Argument(help="Model that Stable-Baselines3 or sb3-contrib saved: a file .zip.")],
+    env: Annotated[str, typer.Option("--env", help="Environment that the model was trained in.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.onnx", help="Agent to write; its card is beside it.", show_default="the model's name"
+        ),
+    ] = None,
+    env_options: EnvOptions = None,
+    normalisation: Annotated[
+        Path | None,
+        typer.Option(
+            "--vecnormalize",
+            metavar="FILE",
+            help="Statistics of the observations, saved by VecNormalize; or `none`.",
+            show_default="vecnormalize.pkl or vec_normalize.pkl beside the model, if there is one",
+        ),
+    ] = None,
+    algorithm: Annotated[
+        str | None, typer.Option(help="Such as `ppo`, `sac` or `recurrent_ppo`.", show_default="as the model tells")
+    ] = None,
+    trust: Annotated[
+        bool, typer.Option("--trust", help="Load the model, although its pickles can run any code.")
+    ] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an agent of that name.")] = False,
+) -> None:
+    """Make an agent of a model of Stable-Baselines3 (A2C, DDPG, DQN, PPO, RecurrentPPO, SAC, TD3, TQC).
+
+    `armctl export model.zip --env Pendulum-v1 --out agent.onnx --trust` writes `agent.onnx`, a graph that acts as
+    `model.predict(observation, deterministic=True)` does, and `agent.json`, its card. The graph holds the statistics
+    of `VecNormalize`: it takes the observations of the environment as they are. `--set` gives the environment the
+    options that the training had.
+
+    Before anything is written, both act on 1,000 observations of the environment, and must agree.
+
+    A model's file is a set of pickles, and whoever made it can make them run any code when they are loaded. So it is
+    only loaded with `--trust`. The agent that comes out cannot run code, and is safe to share. Needs the extra `rl`.
+    """
+    from armctl.learners import load_exporter
+
+    target = out or model.with_suffix(".onnx")
+    card = load_exporter(model)(
+        model,
+        env=env,
+        out=target,
+        env_options=options_of(env_options),
+        normalisation=normalisation,
+        algorithm=algorithm,
+        trust=trust,
+        overwrite=overwrite,
+    )
+    conversion = card.conversion
+    assert conversion is not None
+    statistics = conversion.normalisation
+    typer.echo(
+        f"{model} is a model of {card.learner.removeprefix('sb3-')} after {card.training_steps:,} steps; its "
+        + (f"observations are normalised by {statistics}" if statistics else "observations are not normalised")
+    )
+    typer.echo(
+        f"Agent and model act alike on {conversion.observations:,} observations of {env}: "
+        f"largest difference {conversion.largest_difference:.1g}"
+    )
+    run = _words("armctl", "run", target, "--env", env, *_settings(card.env_options))
+    typer.echo(f"The agent is {target}, with its card beside it: {run}")
+
+
+@contextmanager
+def _evaluations_logged() -> Iterator[None]:
+    """Print a line after each evaluation where there is no terminal for a progress bar."""
+    if sys.stdout.isatty() and sys.stderr.isatty():
+        yield
+        return
+    log, lines = logging.getLogger("armctl"), logging.StreamHandler(sys.stdout)
+    before = log.level
+    log.addHandler(lines)
+    log.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        log.setLevel(before)
+        log.removeHandler(lines)
+
+
+def _words(*words: object) -> str:
+    """A command's words as a shell takes them."""
+    return shlex.join(str(word) for word in words)
+
+
+def _settings(env_options: Mapping[str, Any]) -> list[str]:
+    """The environment's options as arguments, which `options_of` reads again."""
+    from armctl.options import option_value
+
+    arguments = []
+    for name, value in env_options.items():
+        text = value if isinstance(value, str) and option_value(value) == value else repr(value)
+        arguments += ["--set", f"{name}={text}"]
+    return arguments

@@ -1,0 +1,169 @@
+"""Reads models of Stable-Baselines3 and sb3-contrib, and the statistics of `VecNormalize`.
+
+A model is a zip file: JSON, some of whose values are pickles, and weights. What does not need the pickles is read
+without them, since a pickle can run any code; `load` and `load_normalisation` do run it.
+"""
+
+import inspect
+import json
+import pickle
+import re
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sb3_contrib import TQC, RecurrentPPO
+from stable_baselines3 import A2C, DDPG, DQN, PPO, SAC, TD3
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.vec_env import VecNormalize
+
+from armctl.errors import AgentFileError, unknown_name
+from armctl.registration import add_cwd_to_path
+
+ALGORITHMS: dict[str, type[BaseAlgorithm]] = {
+    "a2c": A2C,
+    "ddpg": DDPG,
+    "dqn": DQN,
+    "ppo": PPO,
+    "recurrent_ppo": RecurrentPPO,
+    "sac": SAC,
+    "td3": TD3,
+    "tqc": TQC,
+}
+MARKS = {
+    "top_quantiles_to_drop_per_net": "tqc",
+    "target_entropy": "sac",
+    "target_policy_noise": "td3",
+    "exploration_rate": "dqn",
+    "clip_range": "ppo",
+    "gae_lambda": "a2c",
+}
+"""Values that only one algorithm has, or only those above it."""
+RECURRENT = "recurrent"
+"""Part of the name of the module of sb3-contrib's recurrent policies."""
+VERSION = "_stable_baselines3_version"
+"""Name of the file in the zip file that holds the version that wrote it."""
+NOT_OPTIONS = {"self", "policy", "env", "seed", "device", "verbose", "tensorboard_log", "_init_setup_model"}
+"""Arguments of an algorithm that its training does not depend on, or that a card has elsewhere."""
+FOR_TRAINING_ONLY = {
+    "learning_rate": 0.0,
+    "lr_schedule": lambda remaining: 0.0,
+    "clip_range": 0.2,
+    "clip_range_vf": None,
+    "exploration_schedule": lambda remaining: 0.0,
+    "action_noise": None,
+    "replay_buffer_class": None,
+    "replay_buffer_kwargs": {},
+    "rollout_buffer_class": None,
+    "rollout_buffer_kwargs": {},
+    "optimize_memory_usage": False,
+    "ep_info_buffer": None,
+    "ep_success_buffer": None,
+    "_last_obs": None,
+    "_last_episode_starts": None,
+    "_last_original_obs": None,
+    "buffer_size": 1,
+    "n_steps": 1,
+    "n_envs": 1,
+}
+"""Replaced when a model is loaded: no gigabytes for a buffer, and fewer pickles that another version cannot read."""
+
+
+@dataclass(frozen=True)
+class ModelFile:
+    """What a model's file says without its pickles."""
+
+    path: Path
+    values: Mapping[str, Any]
+    """The JSON values; pickled ones are dicts with the key `:serialized:`."""
+    saved_with: str
+    """Library and version that wrote it."""
+
+    def algorithm(self) -> str:
+        """The algorithm's name in `ALGORITHMS`, by the values that it saves. Raises `AgentFileError`."""
+        policy = self.values["policy_class"]
+        if isinstance(policy, dict) and RECURRENT in str(policy.get("__module__")):
+            return "recurrent_ppo"
+        found = next((name for mark, name in MARKS.items() if mark in self.values), None)
+        if found is None:
+            raise AgentFileError(
+                f"{self.path} does not tell its algorithm: name it, --algorithm {'|'.join(sorted(ALGORITHMS))}"
+            )
+        # DDPG is TD3 without noise on the target's actions.
+        return "ddpg" if found == "td3" and self.values.get("target_noise_clip") == 0 else found
+
+    def options(self, algorithm: str) -> dict[str, Any]:
+        """The algorithm's options, as JSON values; of pickled ones, the text that is beside the pickle, if there is."""
+        names = inspect.signature(ALGORITHMS[algorithm].__init__).parameters
+        options = {name: self.values[name] for name in names if name in self.values and name not in NOT_OPTIONS}
+        return {name: readable for name, value in options.items() if (readable := _readable(value)) != {}}
+
+
+def read(path: Path) -> ModelFile:
+    """Read a model's file, but none of its pickles. Raises `AgentFileError`."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = archive.namelist()
+            values = json.loads(archive.read("data")) if "data" in names else None
+            version = archive.read(VERSION).decode().strip() if VERSION in names else "of unknown version"
+    except OSError as error:
+        raise AgentFileError(f"the model {path} cannot be read: {error.strerror}") from error
+    except Exception as error:  # what a corrupt zip or JSON may raise
+        raise AgentFileError(f"{path} is not a zip file of Stable-Baselines3, or is damaged: {error}") from error
+    if not isinstance(values, dict) or "policy_class" not in values or "policy.pth" not in names:
+        raise AgentFileError(f"{path} is not a model of Stable-Baselines3: save one with model.save({path.name!r})")
+    return ModelFile(path, values, f"stable-baselines3 {version}")
+
+
+def load(file: ModelFile, algorithm: str) -> BaseAlgorithm:
+    """The model, for acting only. Runs what is pickled in its file. Raises `AgentFileError`."""
+    if algorithm not in ALGORITHMS:
+        raise unknown_name("algorithm", algorithm, ALGORITHMS)
+    add_cwd_to_path()  # a network of one's own is imported from there
+    try:
+        return ALGORITHMS[algorithm].load(file.path, device="cpu", custom_objects=FOR_TRAINING_ONLY)
+    except Exception as error:  # what a model of another algorithm or version, or somebody else's code, may raise
+        raise AgentFileError(f"{file.path} cannot be loaded as a model of {algorithm}: {in_a_line(error)}") from error
+
+
+def normalisation_beside(model: Path) -> Path | None:
+    """The file of `VecNormalize`'s statistics that belongs to a model's, where trainings write it; None: there is none.
+
+    Beside it, as `vecnormalize.pkl` or `vec_normalize.pkl`; as Stable-Baselines3's `CheckpointCallback` names it; or in
+    the folder of the model's name, as RL Zoo does.
+    """
+    checkpoint = re.sub(r"_(\d+)_steps$", r"_vecnormalize_\1_steps", model.stem)
+    candidates = [model.with_name(f"{checkpoint}.pkl")] if checkpoint != model.stem else []
+    for name in ("vecnormalize.pkl", "vec_normalize.pkl"):
+        candidates += [model.with_name(name), model.with_suffix("") / name]
+    return next((path for path in candidates if path.is_file()), None)
+
+
+def load_normalisation(path: Path) -> VecNormalize:
+    """Statistics of the observations. Runs what is pickled in their file. Raises `AgentFileError`."""
+    try:
+        loaded = pickle.loads(path.read_bytes())
+    except OSError as error:
+        raise AgentFileError(f"the statistics {path} cannot be read: {error.strerror}") from error
+    except Exception as error:  # a pickle may raise anything
+        raise AgentFileError(f"the statistics {path} cannot be loaded: {in_a_line(error)}") from error
+    if not isinstance(loaded, VecNormalize):
+        raise AgentFileError(
+            f"{path} holds a {type(loaded).__name__}, not a VecNormalize: write it with its save(path)"
+        )
+    return loaded
+
+
+def _readable(value: Any) -> Any:
+    if not (isinstance(value, dict) and ":serialized:" in value):
+        return value
+    if value[":type:"] in ("<class 'type'>", "<class 'abc.ABCMeta'>"):
+        return {}
+    return {name: part for name, part in value.items() if name not in (":type:", ":serialized:")}
+
+
+def in_a_line(error: Exception) -> str:
+    """An error as one line."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"
