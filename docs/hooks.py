@@ -2,14 +2,11 @@
 
 import os
 import re
-import sys
 from pathlib import Path, PurePosixPath
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
-
-sys.path.insert(0, str(Path(__file__).parent))
 from notebook_page import as_markdown
 
 ROOT = Path(__file__).parents[1]
