@@ -23,6 +23,8 @@ from armctl.errors import EnvironmentFailed, InvalidAction, place_of
 from armctl.tasks import MotionSample, Observations
 
 SUCCESS_KEYS = ("is_success", "success")
+RENDER_FPS = 25
+"""Of environments that do not say."""
 ENDLESS = 100_000
 """Steps after which an episode without a limit is taken for endless."""
 
@@ -104,6 +106,7 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
         super().__init__(num_envs)
         self.worlds = [make() for _ in range(num_envs)]
         first = self.worlds[0]
+        self.metadata = self.metadata | {"render_fps": first.metadata.get("render_fps") or RENDER_FPS}
         self.spec, self.render_mode = first.spec, first.render_mode
         self.max_episode_steps = first.spec.max_episode_steps if first.spec else None
         self.task = ThirdPartyTask(first, num_envs)

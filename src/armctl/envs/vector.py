@@ -97,6 +97,7 @@ class TaskVectorEnv(EpisodeVectorEnv):
         self.single_action_space = self.task.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
+        self._paid_before: dict[str, NDArray[np.bool_]] = {}
         self._viewer: Camera | Window | None = None
         self.observers: list[Observer] = []
 
@@ -111,7 +112,7 @@ class TaskVectorEnv(EpisodeVectorEnv):
         self.task.command(commands)
         self.task.advance(awake)
         self._steps += 1
-        terms = self.task.reward_terms()
+        terms = self._paid(self.task.reward_terms())
         outcome = np.array(self.task.outcome(), dtype=np.int8)
         if restart is not None:
             outcome[restart] = TIMEOUT
@@ -177,6 +178,8 @@ class TaskVectorEnv(EpisodeVectorEnv):
     def _begin(self, ids: NDArray[np.integer[Any]]) -> None:
         rngs = [np.random.default_rng((seed, k)) for seed, k in zip(self._seeds[ids], self._episodes[ids], strict=True)]
         worlds = ids.astype(np.int32)
+        for paid in self._paid_before.values():
+            paid[ids] = False
         for name, disturbance in self.disturbances.items():
             for i in worlds:
                 disturbance.rngs[i] = episode_rng(name, int(self._seeds[i]), int(self._episodes[i]))
@@ -190,6 +193,14 @@ class TaskVectorEnv(EpisodeVectorEnv):
         for disturbance in self.disturbances.values():
             observations = disturbance.observe(observations, slice(None) if ids is None else ids)
         return observations
+
+    def _paid(self, terms: RewardTerms) -> RewardTerms:
+        """The terms without what they have paid before, if they are paid once an episode."""
+        for name in self.task.paid_once & terms.keys():
+            before = self._paid_before.setdefault(name, np.zeros(self.num_envs, dtype=bool))
+            terms[name] = np.where(before, 0.0, terms[name])
+            before |= terms[name] != 0
+        return terms
 
     def _blame_term(self, terms: RewardTerms) -> None:
         for name, earned in terms.items():

@@ -1,15 +1,17 @@
 """Videos of a comparison's episodes, which are played again."""
 
 import tempfile
-from collections.abc import Mapping, Sequence
-from contextlib import closing
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import imageio.v3 as imageio
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image, ImageOps
 
+from armctl.envs import ThirdPartyVectorEnv
 from armctl.errors import ArmctlError, ConfigurationError
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.results import Results
@@ -116,21 +118,40 @@ def _play(results: Results, result: EpisodeResult, stride: int, trusted: bool) -
             raise ConfigurationError(
                 f"{code} is code, which armctl report does not run: armctl compare --report makes its videos"
             )
-    with closing(Stage(name, comparison.env, comparison.seed, result.episode, comparison.env_options)) as stage:
-        quality = stage.task.simulation.model.vis.quality
-        quality.offsamples, quality.shadowsize = OFFSAMPLES, SHADOW
-        camera = Camera(stage.task.simulation.model, stage.task.camera, *SIZE)
-        try:
-            frames = [camera.picture(stage.task.simulation.data(0)).copy()]
-            while stage.status.outcome is None:
-                stage.step()
-                if stage.status.steps % stride == 0 or stage.status.outcome is not None:
-                    frames.append(camera.picture(stage.task.simulation.data(0)).copy())
-        finally:
-            camera.close()
+    with (
+        closing(
+            Stage(
+                name, comparison.env, comparison.seed, result.episode, comparison.env_options, render_mode="rgb_array"
+            )
+        ) as stage,
+        _pictures(stage) as picture,
+    ):
+        frames = [picture()]
+        while stage.status.outcome is None:
+            stage.step()
+            if stage.status.steps % stride == 0 or stage.status.outcome is not None:
+                frames.append(picture())
         now = stage.status.outcome, stage.status.steps
         problem = "" if now == (result.outcome, result.length) else f"Played again: {now[0]} after {now[1]} steps."
         return _Recording(frames, stage.period, problem)
+
+
+@contextmanager
+def _pictures(stage: Stage) -> Iterator[Callable[[], Frame]]:
+    """A function that takes a picture of the stage, of the size `SIZE`."""
+    if isinstance(stage.worlds, ThirdPartyVectorEnv):
+        yield lambda: _fitted(stage.worlds.render()[0])
+        return
+    quality = stage.task.simulation.model.vis.quality
+    quality.offsamples, quality.shadowsize = OFFSAMPLES, SHADOW
+    with closing(Camera(stage.task.simulation.model, stage.task.camera, *SIZE)) as camera:
+        yield lambda: camera.picture(stage.task.simulation.data(0)).copy()
+
+
+def _fitted(frame: Frame) -> Frame:
+    """A frame of any size in one of the size `SIZE`, on the colour of its corner."""
+    image = ImageOps.pad(Image.fromarray(frame).convert("RGB"), SIZE, color=tuple(map(int, frame[0, 0])))
+    return np.asarray(image)
 
 
 def _mp4(frames: Sequence[Frame], fps: float) -> bytes:

@@ -28,6 +28,7 @@ from armctl.tasks.task import (
     LearnerView,
     MotionSample,
     Observations,
+    Once,
     Outcome,
     Potential,
     RewardTerms,
@@ -37,7 +38,7 @@ from armctl.tasks.task import (
 __all__ = [
     "OBSERVATION", "REWARD", "BridgeMovingOptions", "BridgeMovingTask", "BridgeOptions", "BridgeOutcome",
     "BridgeState", "BridgeTask", "FeatureSpec", "GoalDistance", "LearnerView", "MotionSample", "MovingReachState",
-    "Observations", "ObstaclesReachState", "Outcome", "Potential", "ReachMovingOptions", "ReachMovingTask",
+    "Observations", "ObstaclesReachState", "Once", "Outcome", "Potential", "ReachMovingOptions", "ReachMovingTask",
     "ReachObstaclesOptions", "ReachObstaclesTask", "ReachOptions", "ReachOutcome", "ReachState", "ReachTask",
     "RewardTerms", "Task",
 ]  # fmt: skip

@@ -106,6 +106,18 @@ class GoalDistance(Potential):
         return -np.asarray(self.task.goal_distances()[ids])
 
 
+@dataclass(frozen=True)
+class Once:
+    """A reward term that is paid once an episode: the first time that it is not 0."""
+
+    term: Callable[[Any], NDArray[np.floating[Any]]]
+    """A function of the state of n worlds."""
+
+    def __call__(self, state: Any) -> NDArray[np.floating[Any]]:
+        """What it would pay in the present state, (n,)."""
+        return self.term(state)
+
+
 @options
 class NoOptions:
     """For tasks without options."""
@@ -139,6 +151,8 @@ class Task(ABC):
     """Of one world."""
     action_space: gymnasium.spaces.Box
     """Of one world."""
+    paid_once: frozenset[str] = frozenset()
+    """Names of the reward terms that are paid once an episode."""
     joints: JointSamples | None = None
     """Speeds and torques, and their limits, for metrics; None if the task does not sample them."""
 
@@ -235,6 +249,11 @@ class Task(ABC):
     def least_time(self, world: int) -> float:
         """Lower bound on the time to success from the present state, s; NaN if unknown."""
         return math.nan
+
+
+def once_terms(terms: Mapping[str, Any]) -> frozenset[str]:
+    """The names of those of some reward terms that are `Once`."""
+    return frozenset(name for name, term in terms.items() if isinstance(term, Once))
 
 
 def check_reward_terms(terms: RewardTerms, n: int) -> None:

@@ -16,6 +16,7 @@ from mujoco.studio import launch_thread, messages, plugin, sim, ux, viewer_proto
 from mujoco.studio.dear_imgui import dear_imgui as imgui
 from numpy.typing import NDArray
 
+from armctl.envs import ThirdPartyVectorEnv
 from armctl.errors import ArmctlError, ConfigurationError
 from armctl.policies import policy_names
 from armctl.simulation.scenery import STATE, Scenery, polyline
@@ -65,6 +66,11 @@ class Player(plugin.SimPlugin):
     """Plays episodes in real time, one after the other, and handles the panel's requests."""
 
     def __init__(self, stage: Stage) -> None:
+        if isinstance(stage.worlds, ThirdPartyVectorEnv):
+            raise ConfigurationError(
+                f"view shows environments that are made of tasks; {stage.env_id} has a window of its own (armctl run "
+                "POLICY --env ID --watch), and videos (--video FILE.mp4)"
+            )
         self.stage = stage
         self._paused, self._notice = False, ""
         self.scenery = Scenery(stage.task.simulation, stage.task.camera)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.envs import make_worlds
-from armctl.evaluation.rollouts import wrap_policy_errors
+from armctl.evaluation.rollouts import wrap_environment_errors, wrap_policy_errors
 from armctl.policies import Plans, Policy, make_policy
 
 Array = NDArray[np.float64]
@@ -47,29 +47,35 @@ class Stage:
     """
 
     def __init__(
-        self, policy: str, env: str, seed: int = 0, episode: int = 0, env_options: Mapping[str, Any] | None = None
+        self,
+        policy: str,
+        env: str,
+        seed: int = 0,
+        episode: int = 0,
+        env_options: Mapping[str, Any] | None = None,
+        render_mode: str | None = None,
     ) -> None:
         self.env_id = env
-        self._env = make_worlds(env, 1, env_options)
-        self.task = self._env.task
-        self.longest = self._env.max_episode_steps
+        self.worlds = make_worlds(env, 1, env_options, render_mode=render_mode)
+        self.task = self.worlds.task
+        self.longest = self.worlds.max_episode_steps
         """Control steps until an episode is truncated; None: never."""
-        self.period = self.task.control_period
-        """Seconds between control steps."""
+        self.period: float = self.task.control_period or 1 / self.worlds.metadata["render_fps"]
+        """Seconds between control steps; if that is unknown, between two frames of a video."""
         self.status = Status("", seed, episode)
         self.play(policy, seed, episode)
 
     def play(self, policy: str, seed: int, episode: int) -> None:
         """Start an episode. If it raises `ConfigurationError` or `AgentFileError`, the current episode continues."""
         if policy != self.status.policy:
-            self._actor: Policy = make_policy(policy, self._env)
-        self._observations, infos = self._env.reset(seed=[seed], options={"episode": [episode]})
+            self._actor: Policy = make_policy(policy, self.worlds)
+        self._observations, infos = self.worlds.reset(seed=[seed], options={"episode": [episode]})
         with wrap_policy_errors(policy, episode):
             self._actor.reset(np.zeros(1, dtype=np.int32))
         self.status = Status(policy, seed, episode, distance=self._distance(), contacts=_touched(infos))
 
     def step(self) -> None:
-        """Make one control step, unless the episode has ended. Raises `PolicyFailed`."""
+        """Make one control step, unless the episode has ended. Raises `PolicyFailed` or `EnvironmentFailed`."""
         status = self.status
         if status.outcome is not None:
             return
@@ -77,7 +83,8 @@ class Stage:
             began = time.perf_counter()
             actions = self._actor.act(self._observations)
             decision_ms = 1e3 * (time.perf_counter() - began)
-            self._observations, _, terminated, truncated, infos = self._env.step(actions)
+        with wrap_environment_errors(status.policy, status.episode):
+            self._observations, _, terminated, truncated, infos = self.worlds.step(actions)
         earned = {name: status.rewards.get(name, 0.0) + float(term[0]) for name, term in infos["reward_terms"].items()}
         self.status = replace(
             status,
@@ -95,7 +102,7 @@ class Stage:
 
     def close(self) -> None:
         """Close the environment."""
-        self._env.close()
+        self.worlds.close()
 
     def _distance(self) -> float:
         return float(self.task.goal_distances()[0])

@@ -6,17 +6,18 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import imageio
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from armctl.envs import batch_of_one, find_spec
+from armctl.envs import EpisodeVectorEnv, make_worlds
 from armctl.errors import ConfigurationError, ResultsError
-from armctl.evaluation.rollouts import wrap_policy_errors
-from armctl.policies import make_policy
+from armctl.evaluation.rollouts import wrap_environment_errors, wrap_policy_errors
+from armctl.policies import Policy, make_policy
 
+MOST_NUMBERS = 200
+"""Of an array that is printed."""
 Film = Callable[[NDArray[np.uint8]], None]
 VIDEO_FORMATS = (".mp4", ".mkv", ".mov", ".avi")
 """Containers that hold H.264, which every player knows."""
@@ -41,26 +42,26 @@ def run_episodes(
     if video:
         _check_video(video)
     console = Console()
-    world: Any = _make(env, steps, "human" if watch else "rgb_array" if video else None, env_options)
-    actor = make_policy(policy, world)
+    worlds = _make(env, steps, "human" if watch else "rgb_array" if video else None, env_options)
     try:
-        with _film(video, world.metadata["render_fps"], console) as film:
+        actor = make_policy(policy, worlds)
+        with _film(video, worlds.metadata["render_fps"], console) as film:
             for episode in range(episodes):
                 console.rule(f"{policy}, episode {episode} of seed {seed}", align="left")
-                _play(console, policy, actor, world, seed, episode, film, watch, steps)
+                _play(console, policy, actor, worlds, seed, episode, film, watch, steps)
     except KeyboardInterrupt:
         console.print("Interrupted.")
         return False
     finally:
-        world.close()
+        worlds.close()
     return True
 
 
 def _play(
     console: Console,
     name: str,
-    actor: Any,
-    world: Any,
+    actor: Policy,
+    worlds: Any,
     seed: int,
     episode: int,
     film: Film | None,
@@ -68,26 +69,33 @@ def _play(
     asked: int | None,
 ) -> None:
     """Play and print one episode, of at most the number of steps that the user `asked` for."""
-    observation, info = world.reset(seed=seed, options={"episode": episode})
-    total, step, terminated, truncated = 0.0, 0, False, False
+
+    def show() -> None:
+        if film:
+            film(worlds.render()[0])
+        if watch:
+            worlds.render()
+            time.sleep(1 / worlds.metadata["render_fps"])
+
+    observations, _ = worlds.reset(seed=[seed], options={"episode": [episode]})
+    total, step, terminated, truncated = 0.0, 0, [False], [False]
     with wrap_policy_errors(name, episode):
         actor.reset(np.zeros(1, dtype=np.int32))
-    while not (terminated or truncated):
-        if film:
-            film(world.render())
-        state = {part: value.copy() for part, value in world.unwrapped.task.observation_parts().items()}
+    while not (terminated[0] or truncated[0]):
+        show()
+        state = {part: np.array(values[0]) for part, values in worlds.task.observation_parts().items()}
         with wrap_policy_errors(name, episode):
-            action = actor.act(batch_of_one(observation))[0]
-            observation, reward, terminated, truncated, info = world.step(action)
-        if watch:
-            time.sleep(1 / world.metadata["render_fps"])
-        _print_step(console, step, state | {"action": action[None]}, info["reward_terms"], float(reward))
-        total, step = total + float(reward), step + 1
+            actions = actor.act(observations)
+        with wrap_environment_errors(name, episode):
+            observations, rewards, terminated, truncated, infos = worlds.step(actions)
+        terms = {term: float(earned[0]) for term, earned in infos["reward_terms"].items()}
+        _print_step(console, step, state | {"action": actions[0]}, terms, float(rewards[0]))
+        total, step = total + float(rewards[0]), step + 1
     if film:
-        for _ in range(world.metadata["render_fps"] // 2):
-            film(world.render())
-    stopped = truncated and not terminated and step == asked  # the environment itself would have gone on
-    ending = f"stopped after {_steps(step)}, as asked" if stopped else f"{info['outcome']} after {_steps(step)}"
+        for _ in range(worlds.metadata["render_fps"] // 2):
+            show()
+    stopped = truncated[0] and not terminated[0] and step == asked  # the environment itself would have gone on
+    ending = f"stopped after {_steps(step)}, as asked" if stopped else f"{infos['outcome'][0]} after {_steps(step)}"
     console.print(f"[bold]{ending}, return {total:g}[/]\n")
 
 
@@ -95,23 +103,24 @@ def _steps(count: int) -> str:
     return "1 step" if count == 1 else f"{count} steps"
 
 
-def _make(
-    env: str, steps: int | None, render_mode: str | None, env_options: Mapping[str, Any]
-) -> gymnasium.Env[Any, Any]:
+def _make(env: str, steps: int | None, render_mode: str | None, env_options: Mapping[str, Any]) -> EpisodeVectorEnv:
     options: dict[str, Any] = {**env_options, **({} if steps is None else {"max_episode_steps": steps})}
-    if not isinstance(options.get("max_episode_steps", 1), int):
-        raise ConfigurationError(f"max_episode_steps must be a whole number, not {options['max_episode_steps']!r}")
-    return gymnasium.make(find_spec(env), render_mode=render_mode, **options)
+    return make_worlds(env, 1, options, render_mode=render_mode)
 
 
-def _print_step(
-    console: Console, step: int, values: dict[str, NDArray[Any]], terms: dict[str, float], reward: float
-) -> None:
+def _print_step(console: Console, step: int, values: dict[str, Any], terms: dict[str, float], reward: float) -> None:
     console.print(f"[bold]step {step}[/]")
     for name, value in values.items():
-        console.print(f"  {name:<22}" + " ".join(f"{number:8.4f}" for number in value[0]), highlight=False)
+        console.print(f"  {name:<22}" + _numbers(value), highlight=False)
     earned = ", ".join(f"{name} {value:g}" for name, value in terms.items())
-    console.print(f"  {'reward':<22}{reward:8g}   ({earned})", highlight=False)
+    console.print(f"  {'reward':<22}{reward:8g}" + (f"   ({earned})" if earned else ""), highlight=False)
+
+
+def _numbers(value: Any) -> str:
+    array = np.asarray(value)
+    if array.size > MOST_NUMBERS:
+        return f"{array.dtype} array of shape {array.shape}"
+    return " ".join(f"{number:8.4f}" if array.dtype.kind == "f" else f"{number!s:>8}" for number in array.ravel())
 
 
 @contextmanager
@@ -121,7 +130,7 @@ def _film(video: Path | None, fps: int, console: Console) -> Iterator[Film | Non
         yield None
         return
     # ffmpeg's own messages are pages long: what goes wrong is said in one line, here and in `_check_video`
-    writer = imageio.get_writer(video, fps=fps, ffmpeg_log_level="quiet")
+    writer = imageio.get_writer(video, fps=fps, ffmpeg_log_level="quiet", macro_block_size=2)
     frames, broken = 0, False
 
     def film(frame: NDArray[np.uint8]) -> None:

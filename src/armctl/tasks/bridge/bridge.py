@@ -44,6 +44,7 @@ from armctl.tasks.task import (
     RewardTerms,
     Task,
     check_reward_terms,
+    once_terms,
 )
 
 Array = NDArray[np.float64]
@@ -167,6 +168,7 @@ class BridgeTask(Task):
         self._time, self._action, self._distance = np.zeros(n), np.zeros((n, 2)), np.zeros(n)
         self.reset(np.arange(n, dtype=np.int32), [np.random.default_rng(0)] * n)
         check_reward_terms(self.reward_terms(), n)
+        self.paid_once = once_terms(self._terms)
         limits = np.float32(MAX_VELOCITY)
         self.action_space = gymnasium.spaces.Box(-limits, limits, dtype=np.float32)
         self.observation_space = make_observation_space(self.observe(), options.camera, options.camera_range)

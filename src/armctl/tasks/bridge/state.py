@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.tasks.task import Once
+
 Array = NDArray[np.float64]
 
 
@@ -40,8 +42,8 @@ Term = Callable[[BridgeState], NDArray[np.floating[Any]]]
 
 REWARD: dict[str, Term] = {
     "time": lambda state: np.full(len(state.crossed), -0.1),
-    "goal": lambda state: np.where(state.crossed, 100.0, 0.0),
-    "collision": lambda state: np.where(state.collided, -100.0, 0.0),
-    "fall": lambda state: np.where(state.fell, -100.0, 0.0),
+    "goal": Once(lambda state: np.where(state.crossed, 100.0, 0.0)),
+    "collision": Once(lambda state: np.where(state.collided, -100.0, 0.0)),
+    "fall": Once(lambda state: np.where(state.fell, -100.0, 0.0)),
 }
 """Named reward terms, (n,) each; the reward is their sum."""

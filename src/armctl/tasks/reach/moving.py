@@ -17,7 +17,7 @@ from armctl.robot_description.joint_profiles import TICK
 from armctl.tasks.reach.potentials import MinimumTimeToMovingTarget
 from armctl.tasks.reach.reach import ReachOptions, ReachOutcome, ReachTask, Terms, Worlds
 from armctl.tasks.reach.state import GOAL_REWARD, OBSERVATION, STEP_REWARD, ReachState, Term
-from armctl.tasks.task import Ids, Potential
+from armctl.tasks.task import Ids, Once, Potential
 
 Array = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ MOVING_OBSERVATION: Mapping[str, Term] = {
 
 MOVING_REWARD: Mapping[str, Term] = {
     "away": lambda state: np.where(state.within, 0.0, STEP_REWARD),
-    "goal": lambda state: GOAL_REWARD * state.held,
+    "goal": Once(lambda state: GOAL_REWARD * state.held),
 }
 """The terms of the reward, whose sum is the reward."""
 

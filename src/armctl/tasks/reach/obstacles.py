@@ -24,7 +24,7 @@ from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES, sample_layout
 from armctl.tasks.reach.potentials import PathCostToGo
 from armctl.tasks.reach.reach import CONTROL_PERIOD, ReachOptions, ReachOutcome, ReachTask, Terms
 from armctl.tasks.reach.state import GOAL_REWARD, OBSERVATION, REWARD, ReachState, Term
-from armctl.tasks.task import Potential
+from armctl.tasks.task import Once, Potential
 
 Array = NDArray[np.float64]
 
@@ -42,8 +42,8 @@ OBSTACLES_OBSERVATION: Mapping[str, Term] = {**OBSERVATION, "boxes": lambda stat
 
 OBSTACLES_REWARD: Mapping[str, Term] = {
     **REWARD,
-    "goal": lambda state: GOAL_REWARD * (state.reached & ~state.collided),
-    "collision": lambda state: np.where(state.collided, -100.0, 0.0),
+    "goal": Once(lambda state: GOAL_REWARD * (state.reached & ~state.collided)),
+    "collision": Once(lambda state: np.where(state.collided, -100.0, 0.0)),
 }
 """The terms of the reward, whose sum is the reward."""
 

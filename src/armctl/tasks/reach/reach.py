@@ -34,6 +34,7 @@ from armctl.tasks.task import (
     RewardTerms,
     Task,
     check_reward_terms,
+    once_terms,
 )
 
 Array = NDArray[np.float64]
@@ -124,6 +125,7 @@ class ReachTask(Task):
         self.simulation.refresh()
         self._update_state(self._action)
         check_reward_terms(self.reward_terms(), n)
+        self.paid_once = once_terms(self.options.reward)
         self._check_observation(n)
         low, high = np.float32(self.arm.action_low), np.float32(self.arm.action_high)
         self.action_space = gymnasium.spaces.Box(low, high, dtype=np.float32)

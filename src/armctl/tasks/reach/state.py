@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.tasks.task import Once
+
 Array = NDArray[np.float64]
 
 
@@ -50,7 +52,7 @@ STEP_REWARD, GOAL_REWARD = -1.0, 100.0
 
 REWARD: Mapping[str, Term] = {
     "step": lambda state: np.full(len(state.reached), STEP_REWARD),
-    "goal": lambda state: GOAL_REWARD * state.reached,
+    "goal": Once(lambda state: GOAL_REWARD * state.reached),
 }
 """The terms of the reward, whose sum is the reward."""
 

@@ -1,0 +1,78 @@
+"""What a reward must be: finite, and paid once where it is for an ending."""
+
+import gymnasium
+import numpy as np
+import pytest
+
+import armctl
+from armctl.errors import EnvironmentFailed
+from armctl.tasks import REWARD, Once, ReachTask
+
+
+class GoesOn(ReachTask):
+    """A reach task whose episodes do not end at the target."""
+
+    def outcome(self):
+        return np.zeros(self.n, dtype=np.int8)
+
+
+armctl.register("tests/GoesOn-v0", GoesOn, max_episode_steps=40)
+
+
+def played(reward=REWARD, env="tests/GoesOn-v0", worlds=3, steps=40):
+    env = gymnasium.make_vec(env, num_envs=worlds, reward=reward)
+    policy = armctl.make_policy("reach_ik", env)
+    observations, _ = env.reset(seed=[0] * worlds)
+    policy.reset(np.arange(worlds, dtype=np.int32))
+    earned = []
+    for _ in range(steps):
+        observations, rewards, *_, infos = env.step(policy.act(observations))
+        np.testing.assert_allclose(sum(infos["reward_terms"].values()), rewards)
+        earned.append(infos["reward_terms"])
+    return {name: np.array([terms[name] for terms in earned]) for name in earned[0]}
+
+
+def test_what_is_paid_once_is_paid_once():
+    earned = played(steps=80)  # two episodes
+    assert (np.count_nonzero(earned["goal"][:40], axis=0) == 1).all()
+    assert (np.count_nonzero(earned["goal"][40:], axis=0) == 1).all()
+    assert (earned["step"][:40] == -1).all()
+
+
+def test_own_terms_are_paid_as_they_say():
+    near = {"goal": lambda state: -state.distance, "bonus": Once(lambda state: 5.0 * (state.distance < 0.3))}
+    earned = played(near)
+    assert (earned["goal"] < 0).all()
+    assert (earned["bonus"].sum(axis=0) == 5).all()
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_reward_that_is_not_a_number_is_refused(value):
+    def odd(state):
+        return np.where(state.distance < 0.2, value, 0.0)
+
+    with pytest.raises(EnvironmentFailed, match=r"the reward term 'odd' is (nan|inf) in step \d+ of episode 0"):
+        played({**REWARD, "odd": odd}, env="armctl/ArmReach-v0")
+
+
+def test_a_comparison_names_the_term_and_goes_on(tmp_path):
+    def odd(state):
+        return np.where(state.distance < 0.2, np.nan, 0.0)
+
+    comparison = armctl.compare(
+        ["reach_ik", "random"], episodes=3, env_options={"reward": {**REWARD, "odd": odd}, "max_episode_steps": 12}
+    )
+    assert "the reward term 'odd' is nan" in comparison.failures["reach_ik"]
+
+
+def test_a_typo_in_a_reward_is_shown_with_its_place():
+    def odd(state):
+        return state.distanec if armed else state.distance
+
+    armed = False
+    env = gymnasium.make_vec("armctl/ArmReach-v0", num_envs=1, reward={**REWARD, "odd": odd})
+    armed = True
+    from armctl.evaluation import rollouts
+
+    with pytest.raises(EnvironmentFailed, match=r"'distanec' \(test_rewards_of_strangers.py:\d+\)"):
+        list(rollouts(armctl.make_policy("random", env), env, 1, 0))
