@@ -160,7 +160,7 @@ def main(count: int = typer.Option(500, "--layouts"), robot: str = "ur5") -> Non
             name, str(len(shorts)), str(valid), str(count), *(f"{ms:.1f}" for ms in (np.mean(times), *quantiles)),
             f"{np.mean(raws):.2f}", f"{np.mean(shorts):.2f}",
         )  # fmt: skip
-    Console(width=130).print(table)
+    Console(width=160).print(table)
 
 
 if __name__ == "__main__":

@@ -115,7 +115,7 @@ def main(robot: str = "ur5", configurations: int = 10_000) -> None:
     ):
         capsules, meshes = counts.touching.mean(axis=0)
         table.add_row(what, f"{meshes:.1%}", f"{capsules:.1%}", str(counts.missed), f"{counts.over_careful:.1%}")
-    Console(width=120).print(table)
+    Console(width=160).print(table)
 
 
 if __name__ == "__main__":

@@ -192,7 +192,7 @@ def milliseconds(runs: list[list[float]]) -> tuple[str, str]:
 
 def main(states: int = 200, repeats: int = 5) -> None:
     """Measure, and print tables."""
-    model, console, bar = ArmModel("ur5"), Console(width=120), Console(stderr=True)
+    model, console, bar = ArmModel("ur5"), Console(width=160), Console(stderr=True)
     open_space, everything = ReachMpcOptions(pairs=0), ReachMpcOptions()
     table = Table("a control step", "ms", "99 %", "over the best: median", "99 %", "most", "failures",
                   title=f"{states} decisions, horizon {everything.problem.horizon}",

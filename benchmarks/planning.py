@@ -175,7 +175,7 @@ def main(count: int = typer.Option(200, "--layouts"), reference: int = 20, secon
             f"{np.quantile(times[name], 0.99):.1f}", f"{np.median(ratio) - 1:.2%}", f"{ratio.max() - 1:.2%}",
             f"{nearest:.4f}",
         )  # fmt: skip
-    Console(width=120).print(table)
+    Console(width=160).print(table)
 
 
 if __name__ == "__main__":
