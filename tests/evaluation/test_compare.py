@@ -157,7 +157,7 @@ def test_a_full_disk_is_reported_and_the_tables_are_there(tmp_path):
     ("arguments", "says"),
     [
         ({"policies": []}, "at least one policy"),
-        ({"policies": ["random", "random"]}, "each only once"),
+        ({"policies": ["random", "random"]}, "compared only once"),
         ({"policies": ["rndom"]}, "Did you mean 'random'"),
         ({"env": "armctl/ArmReech-v0"}, "ArmReach-v0"),
         ({"env": "CartPole-v1", "policies": ["reach_ik"]}, "cannot play this task"),

@@ -14,6 +14,7 @@ from armctl.cli.options import (
     Overwrite,
     Policies,
     Seed,
+    SuccessReturn,
     TableFormat,
     Workers,
     Worlds,
@@ -42,6 +43,7 @@ def compare(
     worlds: Worlds = 1,
     workers: Workers = 1,
     env_options: EnvOptions = None,
+    success_return: SuccessReturn = None,
     report: Annotated[bool, typer.Option("--report", help="Also write report.html, with figures and videos.")] = False,
     table_format: Format = TableFormat.TABLE,
 ) -> None:
@@ -70,7 +72,7 @@ def compare(
             overwrite=overwrite,
             worlds=worlds,
             workers=workers,
-            env_options=options_of(env_options),
+            env_options=options_of(env_options, success_return=success_return),
             progress=progress,
         )
     console = print_document(comparison.document(), table_format)
@@ -137,6 +139,7 @@ def sweep(
     worlds: Worlds = 1,
     workers: Workers = 1,
     env_options: EnvOptions = None,
+    success_return: SuccessReturn = None,
     table_format: Format = TableFormat.TABLE,
 ) -> None:
     """Let policies play the same episodes under increasing disturbances, and print how robust each is.
@@ -152,7 +155,7 @@ def sweep(
     from armctl.evaluation.compare import default_policies
     from armctl.evaluation.sweep import sweep_levels
 
-    names, options = policies or default_policies(env), options_of(env_options)
+    names, options = policies or default_policies(env), options_of(env_options, success_return=success_return)
     asked = levels_of(disturbances) if disturbances else None
     settings = 1 + sum(len(levels) - 1 for levels in sweep_levels(env, asked, options).values())
     folder = out or new_folder()

@@ -63,6 +63,15 @@ Format = Annotated[
         "--format", help="How results are printed. But for `table`, all else that is said goes to standard error."
     ),
 ]
+SuccessReturn = Annotated[
+    float | None,
+    typer.Option(
+        "--success-return",
+        metavar="RETURN",
+        help="Return from which on an episode counts as a success, in an environment that is not made of a task.",
+        show_default='the environment\'s info["is_success"] or info["success"]',
+    ),
+]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the results in the folder.")]
 
 
@@ -109,11 +118,11 @@ def levels_of(given: list[str]) -> dict[str, Any]:
     return levels
 
 
-def options_of(pairs: list[str] | None, flag: str = "--set") -> dict[str, Any]:
+def options_of(pairs: list[str] | None, flag: str = "--set", success_return: float | None = None) -> dict[str, Any]:
     """Options from NAME=VALUE pairs: numbers, tuples, True, False and None, or else strings."""
     from armctl.options import option_value
 
-    options = {}
+    options: dict[str, Any] = {} if success_return is None else {"success_return": success_return}
     for pair in pairs or []:
         name, equals, value = pair.partition("=")
         if not equals:

@@ -66,6 +66,10 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     def step(self, actions: ArrayLike) -> tuple[Observations, Array, NDArray[np.bool_], NDArray[np.bool_], Infos]:
         """Make one control step in every world. If an action is invalid, raises `InvalidAction` and steps nothing."""
 
+    @abstractmethod
+    def render(self) -> Any:
+        """Images (height, width, 3) of all worlds, as a tuple."""
+
     @property
     def seeds(self) -> NDArray[np.int64]:
         """Seed of each world's current episode, (n,)."""

@@ -1,6 +1,6 @@
 """Compares several policies on the same episodes."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from armctl.evaluation.record import COLUMNS, EpisodeResult
 from armctl.evaluation.seeding import seed_notes
 from armctl.evaluation.store import EpisodeLog
 from armctl.evaluation.summary import summarise
-from armctl.policies import Policy, PolicyFactory, make_policy, policy_name
+from armctl.policies import Policy, make_policy, named_policies
 from armctl.registration import bare_id
 
 UNTOLD = "{env} is not made of a task of armctl's: least times, feasibility, contacts and clearances are unknown."
@@ -26,7 +26,7 @@ UNSCORED = "{env} does not say what a success is: the verdict goes by return (su
 
 
 def compare(
-    policies: Sequence[str | PolicyFactory] | None = None,
+    policies: Any = None,
     env: str = DEFAULT_ENV,
     *,
     episodes: int = 200,
@@ -50,9 +50,9 @@ def compare(
     With `workers`, that many processes play, each with `worlds` worlds on one core. Decision times are then measured
     while the other processes compute.
 
-    Policies are names, agents' files, `module:function`, or functions (see `make_policy`); by default, those that the
-    task of `env` declares. `least_lengths` are shared as in `rollouts`. `progress` is called with every finished
-    episode, first with those of an earlier run.
+    `policies` is a list, or a mapping from names in the results, of any of the forms that `make_policy` takes: names,
+    files, functions, classes, models; by default, it is what the task of `env` declares. `least_lengths` are shared as
+    in `rollouts`. `progress` is called with every finished episode, first with those of an earlier run.
 
     Raises `ConfigurationError`, `AgentFileError`, and `ResultsError` if `out` cannot be written, is damaged, or holds
     the results of another comparison (unless `overwrite`).
@@ -60,9 +60,7 @@ def compare(
     env = full_id(env)
     if policies is None:
         policies = default_policies(env)
-    by_name = {policy_name(policy): policy for policy in ([policies] if isinstance(policies, str) else policies)}
-    if not by_name or (not isinstance(policies, str) and len(by_name) != len(policies)):
-        raise ConfigurationError(f"a comparison needs at least one policy, and each only once, not {policies}")
+    by_name = named_policies(policies)
     if episodes < 1 or worlds < 1 or workers < 1:
         raise ConfigurationError(
             f"episodes, worlds and workers must be at least 1, not {episodes}, {worlds} and {workers}"

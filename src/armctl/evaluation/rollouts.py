@@ -105,8 +105,9 @@ class _EpisodeRecorder:
             sums[began] = 0.0
         for i in np.flatnonzero(began):
             if (number := int(numbers[i])) not in self._least:
-                steps = self._task.least_time(int(i)) / self._task.control_period
-                self._least[number] = max(1.0, np.ceil(steps - 1e-9)) if math.isfinite(steps) else math.nan
+                time = self._task.least_time(int(i))
+                known = math.isfinite(time)
+                self._least[number] = max(1.0, np.ceil(time / self._task.control_period - 1e-9)) if known else math.nan
 
     def step(self, decision_ms: float, rewards: NDArray[np.float64], infos: Mapping[str, Any]) -> None:
         """All worlds have made a control step."""

@@ -24,7 +24,7 @@ from armctl.evaluation.summary import PolicySummary
 from armctl.evaluation.summary_tables import sweep_parts
 from armctl.evaluation.tables import Document, Remark
 from armctl.files import write_atomically
-from armctl.policies import PolicyFactory, policy_name
+from armctl.policies import named_policies
 
 COLUMNS = (
     "disturbance", "level", "policy", "episodes", "success", "low", "high", "return", "return_low", "return_high",
@@ -70,7 +70,7 @@ class Sweep(Displayed):
 
 
 def sweep(
-    policies: Sequence[str | PolicyFactory] | None = None,
+    policies: Any = None,
     env: str = DEFAULT_ENV,
     *,
     disturbances: Asked = None,
@@ -95,7 +95,7 @@ def sweep(
     env, options = full_id(env), dict(env_options or {})
     specs = _specs(env, options)
     levels = _levels(specs, disturbances)
-    policies = default_policies(env) if policies is None else [policies] if isinstance(policies, str) else policies
+    by_name = named_policies(default_policies(env) if policies is None else policies)
     found = Sweep(env, seed, levels)
     folder = None if out is None else Path(out)
     constant = dict(options.pop("disturbances", {}))
@@ -106,7 +106,7 @@ def sweep(
         disturbing = {"disturbances": constant | added} if constant | added else {}
         try:
             comparison = compare(
-                policies, env, episodes=episodes, seed=seed, out=folder and folder / name, overwrite=overwrite,
+                by_name, env, episodes=episodes, seed=seed, out=folder and folder / name, overwrite=overwrite,
                 worlds=worlds, workers=workers, env_options=options | disturbing, least_lengths=least,
                 progress=progress and functools.partial(progress, name),
             )  # fmt: skip
@@ -129,7 +129,7 @@ def sweep(
     if folder is not None:
         asked = {
             "env": env, "env_options": {name: str(value) for name, value in (env_options or {}).items()}, "seed": seed,
-            "episodes": episodes, "policies": [policy_name(policy) for policy in policies], "disturbances": levels,
+            "episodes": episodes, "policies": list(by_name), "disturbances": levels,
             "interrupted": found.interrupted, "failures": found.failures,
         }  # fmt: skip
         try:

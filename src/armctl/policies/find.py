@@ -4,6 +4,7 @@ A package offers a policy under the entry-point group `armctl.policies`: a funct
 """
 
 import inspect
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,26 @@ def describe_policy(name: str) -> str:
 def policy_name(policy: Any) -> str:
     """A policy's name in results."""
     return str(policy) if isinstance(policy, (str, Path)) else getattr(policy, "__name__", type(policy).__name__)
+
+
+def named_policies(policies: Any) -> dict[str, Any]:
+    """Policies by the names that they have in results, from one policy, several, or a mapping from names.
+
+    Raises `ConfigurationError` if there is none, or one twice.
+    """
+    if isinstance(policies, Mapping):
+        by_name = dict(policies)
+    else:
+        given = [policies] if isinstance(policies, (str, Path)) or callable(policies) else list(policies)
+        by_name = {policy_name(policy): policy for policy in given}
+        if len(by_name) != len(given):
+            raise ConfigurationError(
+                f"each policy can be compared only once, not {', '.join(map(policy_name, given))}: two of the same name "
+                "need others, {'first': policy, 'second': policy}"
+            )
+    if not by_name:
+        raise ConfigurationError("a comparison needs at least one policy")
+    return by_name
 
 
 def make_policy(policy: Any, env: gymnasium.Env[Any, Any] | EpisodeVectorEnv) -> Policy:
