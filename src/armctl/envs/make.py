@@ -88,7 +88,8 @@ def find_spec(env: str) -> EnvSpec:
     full = [known for known in gymnasium.registry if known.partition("/")[2] == name]
     if len(full) == 1:
         return gymnasium.spec(full[0])
-    hint = nearest(name, [*gymnasium.registry, *(known.rpartition("/")[2] for known in environment_names())])
+    short = [known.rpartition("/")[2] for known in gymnasium.registry]
+    hint = nearest(name, [*gymnasium.registry, *short, *vars(loaded or object)])
     raise ConfigurationError(
         f"there is no environment {name!r}.{hint} There are: {', '.join(environment_names())}, and those that "
         "Gymnasium knows, such as Pendulum-v1"

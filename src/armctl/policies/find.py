@@ -47,7 +47,7 @@ def named_policies(policies: Any) -> dict[str, Any]:
         by_name = {policy_name(policy): policy for policy in given}
         if len(by_name) != len(given):
             raise ConfigurationError(
-                f"each policy can be compared only once, not {', '.join(map(policy_name, given))}: two of the same name "
+                f"each policy can be compared only once, not {', '.join(map(policy_name, given))}: two of one name "
                 "need others, {'first': policy, 'second': policy}"
             )
     if not by_name:

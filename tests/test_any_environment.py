@@ -1,0 +1,130 @@
+"""The verbs in environments of others, with ids after a module or a file, and short ones."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from .command_line import armctl, program
+
+HERE = Path(__file__).parent
+POLICIES = """
+def right(observation):
+    return [0.2]
+
+
+def slow(observation):
+    return [0.1]
+"""
+
+
+@pytest.fixture
+def home(tmp_path):
+    """A folder with a user's files."""
+    shutil.copy(HERE / "envs" / "odd_environments.py", tmp_path / "odd_environments.py")
+    (tmp_path / "mine.py").write_text(POLICIES)
+    return tmp_path
+
+
+LINE = [
+    "odd_environments:odd/Line-v0",
+    "odd_environments:Line-v0",
+    "odd_environments.py:odd/Line-v0",
+    "odd_environments.py:Line",
+]
+PAIR = ["mine.py:right", "mine:slow"]
+
+
+@pytest.mark.parametrize("env", LINE)
+def test_compare_resume_and_report(home, env):
+    arguments = ["compare", *PAIR, "random", "--env", env, "--episodes", "12", "--out", "results"]
+    done = armctl(*arguments, "--report", cwd=home)
+    assert "mine.py:right wins" not in done.stdout  # both always win
+    assert "mine.py:right earns" in done.stdout
+    assert "is not made of a task" in " ".join(done.stdout.split())
+    episodes = home / "results" / "episodes.csv"
+    rows = pd.read_csv(episodes)
+    assert rows.env.unique().tolist() == [
+        env.partition(":")[2].replace("Line-v0", "odd/Line-v0").replace("odd/odd", "odd")
+    ]
+    assert rows.groupby("policy").success.sum()["mine.py:right"] == 12
+    assert rows.contacts.isna().all()
+    assert "Played again" not in (home / "results" / "report.html").read_text()
+    whole = episodes.read_text()
+    episodes.write_text("".join(line + "\n" for line in whole.splitlines()[:20]))  # as after a kill
+    (home / "results" / "summary.json").unlink()
+    again = armctl(*arguments, cwd=home)
+    assert "were finished by an earlier run" in " ".join(again.stdout.split())
+    same = [column for column in rows if not column.startswith(("decision", "missed"))]
+    pd.testing.assert_frame_equal(pd.read_csv(episodes)[same], rows[same])
+    armctl("report", "results", "--no-video", cwd=home)
+
+
+def test_another_spelling_of_an_id_resumes(home):
+    first = ["compare", "reach_ik", "--episodes", "2", "--out", "results", "--env"]
+    armctl(*first, "ArmReach-v0", cwd=home)
+    assert "2 episodes were finished" in " ".join(armctl(*first, "armctl/ArmReach-v0", cwd=home).stdout.split())
+
+
+def test_a_program_finds_files_and_modules_and_so_do_its_workers(home):
+    for env in ("odd_environments.py:Line", "odd_environments:odd/Line-v0"):
+        program(
+            "compare", *PAIR, "--env", env, "--episodes", "6", "--workers", "2", "--overwrite", "--out", "r", cwd=home
+        )
+        assert len(pd.read_csv(home / "r" / "episodes.csv")) == 12
+
+
+def test_sweep_collect_and_run(home):
+    env = ["--env", "odd_environments.py:Silent"]
+    swept = armctl("sweep", *PAIR, *env, "--episodes", "12", "--out", "s", "--disturbance", "delay=0,5", cwd=home)
+    assert "delay" in swept.stdout
+    points = pd.read_csv(home / "s" / "sweep.csv")
+    assert points.success.isna().all()
+    assert points.groupby("level")["return"].mean().is_monotonic_decreasing
+    assert (points.p[points.level > 0] < 0.01).all()
+    armctl("report", "s", "--no-video", cwd=home)
+    armctl("collect", PAIR[0], *env, "--episodes", "3", "--out", "data", cwd=home)
+    shown = armctl("run", PAIR[0], *env, "--steps", "2", cwd=home).stdout
+    assert "stopped after 2 steps, as asked" in shown
+    assert "the environment failed" not in shown
+
+
+def test_success_by_return(home):
+    arguments = ["compare", *PAIR, "--env", "odd_environments.py:Silent", "--episodes", "12", "--out", "r"]
+    armctl(*arguments, cwd=home)
+    summary = json.loads((home / "r" / "summary.json").read_text())
+    assert [policy["success"] for policy in summary["policies"]] == [None, None]
+    assert summary["paired"][0]["mcnemar_p"] is None
+    refused = armctl(*arguments, "--success-return", "-20", cwd=home, check=False)
+    assert refused.returncode == 2
+    assert "another comparison" in refused.stderr
+    armctl(*arguments, "--success-return", "-12", "--overwrite", cwd=home)
+    rates = [policy["success"]["value"] for policy in json.loads((home / "r" / "summary.json").read_text())["policies"]]
+    assert rates[0] > rates[1]
+
+
+def test_an_environment_that_ignores_its_seed_is_said(home):
+    said = armctl(
+        "compare", *PAIR, "--env", "odd_environments.py:Deaf", "--episodes", "10", "--out", "r", cwd=home
+    ).stdout
+    assert "Deaf does not obey its seed" in " ".join(said.split())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["compare", "random", "--env", "odd_environments.py:Lime"], "Did you mean"),
+        (["compare", "random", "--env", "odd_environments.py:Broken"], "no licence (odd_environments.py:"),
+        (["compare", "random", "--env", "armctl/ArmReach-v0", "--success-return", "5"], "success_return"),
+        (["view", "random", "--env", "odd_environments.py:Line"], "view shows environments that are made of tasks"),
+        (["train", "ppo", "--env", "odd_environments.py:Line"], "armctl export"),
+    ],
+)
+def test_mistakes_get_one_clear_line(home, arguments, said):
+    done = armctl(*arguments, cwd=home, check=False)
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not (home / "runs").exists()
