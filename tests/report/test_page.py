@@ -6,6 +6,7 @@ import re
 import shutil
 import sys
 from html import unescape
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -17,7 +18,8 @@ from armctl.evaluation import compare
 from armctl.evaluation.reproduce import card_path
 from armctl.evaluation.results import read_results
 from armctl.options import option_value
-from armctl.report import page, style, videos, write_report
+from armctl.report import colours, plots, style, videos, write_report
+from armctl.report.profile import profile_start
 
 from ..command_line import armctl
 
@@ -334,6 +336,98 @@ def test_policies_are_told_apart():
     assert style.looks(["a/x/agent.json", "b/x/agent.json"])["a/x/agent.json"].label == "a/x/agent.json"
 
 
+def test_colours_are_told_apart_and_readable_on_white_and_on_dark():
+    for palette in (colours.COLOURS, colours.TERM_COLOURS):
+        dark = [colours.DARK.get(colour, colour) for colour in palette]
+        assert len(set(dark)) == len(palette)
+        for colour in dark:
+            assert contrast(colour, colours.DARK[colours.PAPER]) > 3.5
+    for ink in (colours.INK, colours.PALE, colours.ALARM):
+        assert contrast(ink, colours.PAPER) > 4.4
+        assert contrast(colours.DARK[ink], colours.DARK[colours.PAPER]) > 4.5
+    assert colours.DARK[colours.faint("#0072b2")] == colours.faint(colours.DARK["#0072b2"])
+
+
+def contrast(one, other):
+    """Of two colours #rrggbb, as the Web Content Accessibility Guidelines define it."""
+    lights = []
+    for colour in (one, other):
+        parts = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255
+        linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+        lights.append(0.05 + linear @ (0.2126, 0.7152, 0.0722))
+    return max(lights) / min(lights)
+
+
+def test_no_colour_of_a_figure_is_forgotten_on_a_dark_page(folder):
+    (folder / "sweep.csv").write_text(SWEEP)
+    readable = {*colours.TERM_COLOURS, "rgba(0,0,0,0)", *colours.DARK}
+    for figure in plots_of(write_report(folder, video=False)).values():
+        used = re.findall(r"#[0-9a-fA-F]{6}\b|rgba\([^)]*\)|\bwhite\b|\bblack\b", json.dumps(figure))
+        assert set(used) <= readable
+
+
+def episodes_of(**returns):
+    return {
+        name: [SimpleNamespace(total_reward=float(earned)) for earned in values] for name, values in returns.items()
+    }
+
+
+@pytest.mark.parametrize(
+    ("returns", "start"),
+    [
+        ({"good": [60, 80, 95], "fair": [62, 80], "far": [-100] * 3}, 60),  # a policy that is far below
+        ({"good": [60, 80, 95], "fair": [62, 80, 40], "low": [20, 30]}, None),  # all are near
+        ({"good": range(60, 100), "fair": [-100, *range(60, 100)]}, 60),  # one failure
+        ({"good": [-100] * 6 + [60, 90], "fair": [-100] * 7 + [70]}, None),  # the best policy fails most of the time
+        ({"only": [1.0, 1.0]}, None),
+        ({"only": [-50.0, *range(90, 99)]}, 90),
+        ({"good": range(50, 90), "low": [-1000, *range(45, 80)], "lowest": range(-500, 40)}, 46),
+    ],
+)
+def test_a_profile_begins_where_policies_differ(returns, start):
+    assert profile_start(episodes_of(**returns)) == start
+
+
+def test_the_profile_says_what_it_leaves_out(finished):
+    report = write_report(finished, finished / "profile.html", video=False)
+    figure = plot_of(report, "Share of episodes above")
+    returns = pd.read_csv(finished / "episodes.csv")["return"]
+    low, high = figure["layout"]["xaxis"]["range"]
+    assert low > returns.min() + 50
+    assert high > returns.max()
+    assert "among them all of random" in text_of(report)
+    assert "Show all" in text_of(report)
+
+
+def unscored(folder):
+    """Make the results of an environment that does not say what a success is, and of which little is known."""
+    summary = json.loads((folder / "summary.json").read_text())
+    for policy in summary["policies"]:
+        policy |= dict.fromkeys(("success", "steps_to_goal", "optimality_gap", "missed_deadlines"))
+    for pair in summary["paired"]:
+        pair |= {"mcnemar_p": None, "only_a": 0, "only_b": 0, "steps_difference": None}
+    summary["notes"] = ["mine/Odd-v0 does not obey its seed: <episodes> differ"]
+    (folder / "summary.json").write_text(json.dumps(summary))
+
+
+def test_an_environment_without_success_is_reported_by_return(folder):
+    unscored(folder)
+    (folder / "sweep.csv").write_text(
+        "disturbance,level,policy,success,low,high,return,return_low,return_high,episodes\n"
+        + "".join(f"noise,{i},random,,,,{-i},{-i - 1},{1 - i},20\n" for i in range(3))
+    )
+    report = write_report(folder, video=False)
+    text = text_of(report)
+    assert "does not say what a success is" in text
+    assert "does not obey its seed: <episodes> differ" in text
+    for word in ("Wilson", "McNemar", "steps to goal", "Success rate", "None", "nan"):
+        assert word not in text
+    drawn = plots_of(report)
+    assert "reach_ik: return" in next(iter(drawn))
+    assert "Return against the level of noise" in drawn
+    assert re.search(r"The first is better in [\d.]+ % of the episodes", text)
+
+
 def test_episodes_to_show(finished):
     episodes = read_results(finished).episodes
     together = videos.most_different(episodes)
@@ -347,7 +441,7 @@ def test_episodes_to_show(finished):
 def needs_opengl():
     from armctl.simulation import Camera
 
-    env = page.make_worlds("armctl/ArmReach-v0", 1)
+    env = plots.make_worlds("armctl/ArmReach-v0", 1)
     assert isinstance(env, TaskVectorEnv)
     try:
         Camera(env.task.simulation.model, env.task.camera, 16, 16).close()
@@ -403,6 +497,35 @@ def test_without_opengl_the_report_says_so(folder, monkeypatch):
     assert "<video" not in report.read_text()
 
 
+def look_at_the_switches(tab):
+    """The theme follows the system and its switch, which is remembered; the profile shows all when asked to."""
+    paper = "getComputedStyle(document.querySelector('section')).backgroundColor"
+    ink = "document.querySelector('.canvas .xtick text').style.fill"
+    theme = tab.locator("#theme")
+    tab.emulate_media(color_scheme="dark")
+    tab.wait_for_function(f"() => {ink} === 'rgb(230, 234, 238)'")
+    assert (tab.evaluate(paper), theme.inner_text()) == ("rgb(23, 28, 33)", "Light")
+    theme.click()
+    tab.wait_for_function(f"() => {ink} === 'rgb(31, 41, 51)'")
+    assert (tab.evaluate(paper), theme.inner_text()) == ("rgb(255, 255, 255)", "Dark")
+    tab.reload()
+    tab.wait_for_function("() => document.getElementById('theme').textContent === 'Dark'")
+    assert tab.evaluate(paper) == "rgb(255, 255, 255)"
+    tab.emulate_media(color_scheme="light")
+    tab.wait_for_function("() => document.querySelectorAll('.canvas .main-svg').length > 0")
+    shown = "document.querySelector('button.axis').closest('.plot').querySelector('.canvas').layout.xaxis.range[0]"
+    least = tab.evaluate(shown)
+    tab.locator("button.axis").click()
+    assert tab.evaluate(shown) < least - 50
+    tab.locator("button.axis").click()
+    assert tab.evaluate(shown) == least
+    for player in tab.locator(".clip.playable").all():
+        assert player.locator("video").get_attribute("controls") is None
+        assert player.locator("button").bounding_box()["y"] >= sum(
+            player.locator("video").bounding_box()[edge] for edge in ("y", "height")
+        )
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
 @pytest.mark.parametrize("width", [1280, 390])
@@ -434,6 +557,7 @@ def test_the_page_in_a_browser(folder, tmp_path, width):
             assert max(shown) - min(shown) < 0.5
         else:
             assert "OpenGL" in tab.locator("body").inner_text()
+        look_at_the_switches(tab)
         wide = "[...document.querySelectorAll('.canvas .main-svg')].map(svg => svg.getBoundingClientRect().width)"
         tab.evaluate("dispatchEvent(new Event('beforeprint'))")
         assert max(tab.evaluate(wide)) <= 680

@@ -15,7 +15,7 @@ from armctl.evaluation.tables import AGAINST, UNKNOWN, Cell, Column, Remark, Tab
 def policy_table(env: str, seed: int, policies: Sequence[PolicySummary]) -> Table:
     """A row for each policy. An environment that knows no success has no columns of it."""
     by_success = any(policy.success for policy in policies)
-    columns = [Column("policy"), Column("success"), Column("return"), Column("steps")]
+    columns = [Column("policy"), Column("success"), Column("return"), Column("steps"), Column("length")]
     columns += [Column("decision ms", optional=True), Column("sees", optional=True)]
     rows = [
         [
@@ -23,6 +23,7 @@ def policy_table(env: str, seed: int, policies: Sequence[PolicySummary]) -> Tabl
             percent(policy.success),
             plain(policy.episode_return),
             plain(policy.steps_to_goal),
+            plain(policy.length),
             Cell(f"{policy.decision_ms_p50:.3f}", f"{policy.decision_ms_p99:.3f}"),
             Cell(policy.sees),
         ]
@@ -32,7 +33,8 @@ def policy_table(env: str, seed: int, policies: Sequence[PolicySummary]) -> Tabl
     if by_success:
         caption += " Steps: to the goal, where it was reached."
     else:
-        columns, rows = _without(("success", "steps"), columns, rows)
+        caption += " Length: steps of an episode."
+    columns, rows = _without(("length",) if by_success else ("success", "steps"), columns, rows)
     records = [dataclasses.asdict(policy) for policy in policies]
     title = f"{env}: {policies[0].planned} episodes of seed {seed}"
     return Table("policies", title, columns, rows, records, caption)

@@ -1,7 +1,6 @@
 """The report's figures, by Plotly: from numbers to `plotly.graph_objects.Figure`, without I/O.
 
-A policy looks the same in all figures. The colours, by Okabe and Ito (2008), are safe for colour-blind readers; further
-policies have the same colours with other dashes.
+A policy looks the same in all figures. Further policies have the same colours with other dashes.
 """
 
 import math
@@ -12,15 +11,13 @@ import pandas as pd
 import plotly.graph_objects as go
 
 from armctl.evaluation.record import EpisodeResult
-from armctl.evaluation.statistics import PairedDifference, performance_profile
+from armctl.evaluation.statistics import PairedDifference
 from armctl.evaluation.summary import PolicySummary
+from armctl.report.colours import ALARM, INK, PALE, PAPER
 from armctl.report.style import (
     CELLS,
-    INK,
     MOST_DOTS,
-    PALE,
     SHARE_AXIS,
-    THRESHOLDS,
     Look,
     Looks,
     add_band,
@@ -59,21 +56,28 @@ def success_bars(policies: Sequence[PolicySummary], look: Looks) -> go.Figure:
     return with_rows(figure, len(policies), {"range": [0, 101], "ticksuffix": " %", "dtick": 50}, right=100)
 
 
-def profile(episodes: Mapping[str, Sequence[EpisodeResult]], look: Looks) -> go.Figure:
-    """Share of episodes with a return above each threshold, with 95 % intervals (Agarwal et al. 2021)."""
-    returns = {name: np.array([result.total_reward for result in played]) for name, played in episodes.items()}
-    values = np.unique(np.concatenate(list(returns.values())))
-    if len(values) > THRESHOLDS:
-        values = np.unique(np.quantile(values, np.linspace(0, 1, THRESHOLDS)))
-    thresholds = np.concatenate(([values[0] - 0.02 * (np.ptp(values) or 1.0)], values))
+def return_points(policies: Sequence[PolicySummary], look: Looks) -> go.Figure:
+    """Mean return of each policy, with its 95 % interval, where success is unknown."""
     figure = go.Figure()
-    for name, earned in returns.items():
-        shares = performance_profile(earned, thresholds)
-        add_band(
-            figure, thresholds, [share.low for share in shares], [share.high for share in shares], look[name], "hv"
+    for policy in policies:
+        if (earned := policy.episode_return) is None:
+            continue
+        style, label = look[policy.policy], escaped(look[policy.policy].label)
+        low, high = (earned.value if bound is None else bound for bound in (earned.low, earned.high))
+        figure.add_scatter(
+            x=[low, high], y=[label] * 2, mode="lines", line={"color": style.colour, "width": 6}, opacity=0.4,
+            hoverinfo="skip",
+        )  # fmt: skip
+        figure.add_scatter(
+            x=[earned.value],
+            y=[label],
+            mode="markers",
+            marker={"color": style.colour, "size": 12},
+            hovertemplate=f"{label}: {earned.value:.4g} [{low:.4g}, {high:.4g}]<extra></extra>",
         )
-        add_line(figure, thresholds, [share.value for share in shares], look[name], "hv", "%{y:.0%} above %{x:.4~r}")
-    return framed(figure, "return", "share of episodes above it", y=SHARE_AXIS)
+        bounds = "" if earned.low is None else f"{number(low)} to {number(high)}"
+        add_label(figure, style.label, f"<b>{number(earned.value)}</b>", bounds)
+    return with_rows(figure, len(policies), {"title": {"text": "mean return of an episode"}}, right=130)
 
 
 def paired(pair: PairedDifference, episodes: Mapping[str, Sequence[EpisodeResult]], look: Looks) -> go.Figure:
@@ -135,14 +139,20 @@ def learning(curves: Mapping[str, pd.DataFrame], policies: Sequence[PolicySummar
 
 
 def robustness(sweep: pd.DataFrame, look: Looks) -> go.Figure:
-    """Success against the levels of one disturbance, evenly spaced, with 95 % intervals."""
+    """Success, or return if success is unknown, against the levels of one disturbance, with 95 % intervals."""
     figure = go.Figure()
+    by_success = bool(sweep.success.notna().any())
     for name, rows in sweep.groupby("policy", sort=False):
         levels = [f"{level:g}" for level in rows.level]
-        add_band(figure, levels, rows.low, rows.high, look[str(name)])
-        add_line(figure, levels, rows.success, look[str(name)], "linear", "%{y:.1%} at %{x}", markers=True)
+        if by_success:
+            add_band(figure, levels, rows.low, rows.high, look[str(name)])
+            add_line(figure, levels, rows.success, look[str(name)], "linear", "%{y:.1%} at %{x}", markers=True)
+        else:
+            add_band(figure, levels, rows["return_low"], rows["return_high"], look[str(name)])
+            add_line(figure, levels, rows["return"], look[str(name)], "linear", "%{y:.4~r} at %{x}", markers=True)
     unit = f"level, {sweep.unit.iloc[0]}" if "unit" in sweep and isinstance(sweep.unit.iloc[0], str) else "level"
-    return framed(figure, unit, "success", x={"type": "category"}, y=SHARE_AXIS, height=300)
+    what, y = ("success", SHARE_AXIS) if by_success else ("return", None)
+    return framed(figure, unit, what, x={"type": "category"}, y=y, height=300)
 
 
 def reward_terms(terms: Mapping[str, Mapping[str, float]], look: Looks, term_look: Looks) -> go.Figure:
@@ -163,7 +173,7 @@ def reward_terms(terms: Mapping[str, Mapping[str, float]], look: Looks, term_loo
         x=list(totals.values()),
         y=labels,
         mode="markers",
-        marker={"symbol": "diamond", "size": 10, "color": INK, "line": {"color": "white", "width": 1.5}},
+        marker={"symbol": "diamond", "size": 10, "color": INK, "line": {"color": PAPER, "width": 1.5}},
         hovertemplate="return %{x:.4~r}<extra></extra>",
     )
     for name, total in totals.items():
@@ -202,11 +212,10 @@ def decision_times(
     shown = [edge for trace in figure.data for edge in trace.x]
     if deadline_ms is not None:
         shown.append(deadline_ms)
-        red = "#b42318"
-        figure.add_vline(x=deadline_ms, line={"color": red, "width": 1.5, "dash": "dash"})
+        figure.add_vline(x=deadline_ms, line={"color": ALARM, "width": 1.5, "dash": "dash"})
         figure.add_annotation(
             x=math.log10(deadline_ms), y=1, yref="paper", yanchor="bottom", xanchor="right", showarrow=False,
-            text=f"deadline {deadline_ms:g} ms", font={"color": red, "size": 12},
+            text=f"deadline {deadline_ms:g} ms", font={"color": ALARM, "size": 12},
         )  # fmt: skip
     x = {
         "type": "log", "title": {"text": "decision time, ms"}, "dtick": 1, "tickformat": "~g",

@@ -1,4 +1,4 @@
-"""The style of figures: colours by policy, axes, labels, bands."""
+"""The style of figures: looks of policies, axes, labels, bands."""
 
 import html
 from collections.abc import Mapping, Sequence
@@ -10,15 +10,11 @@ import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5A5A5A")
-TERM_COLOURS = ("#B9B4A7", "#44AA99", "#882255", "#DDCC77", "#332288", "#88CCEE", "#999933", "#AA4499")
-"""Of reward terms, by Tol (2021); different from those of policies."""
+from armctl.report.colours import COLOURS, GRID, INK, LINE, PALE, PAPER, faint
+
 DASHES = ("solid", "dash", "dot", "dashdot")
-INK, PALE, GRID = "#1f2933", "#6b7680", "#e4e8ec"
 FONT = "'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
 LONGEST_LABEL = 20
-THRESHOLDS = 120
-"""Most points of a performance profile."""
 MOST_DOTS, CELLS = 1000, 80
 """Of a scatter plot. With more than `MOST_DOTS` episodes, all in one cell of a `CELLS` x `CELLS` grid are one dot."""
 ROW = 44
@@ -63,7 +59,7 @@ SHARE_AXIS = {
     "ticktext": ["0 %", "25 %", "50 %", "75 %", "100 %"],
 }
 AXIS = {
-    "gridcolor": GRID, "zeroline": False, "linecolor": "#aab3bb", "ticks": "", "automargin": True, "fixedrange": True,
+    "gridcolor": GRID, "zeroline": False, "linecolor": LINE, "ticks": "", "automargin": True, "fixedrange": True,
     "title": {"standoff": 8, "font": {"size": 13, "color": PALE}},
 }  # fmt: skip
 
@@ -87,7 +83,7 @@ def with_rows(figure: go.Figure, rows: int, x: Mapping[str, Any], right: int, to
     """Give a figure its style, and one row for each policy, the first on top."""
     dress(figure, ROW * rows + 64 + top, {"l": 8, "r": right, "t": top, "b": 8})
     figure.update_xaxes(tickangle=0, **x)
-    figure.update_yaxes(autorange="reversed", showgrid=False, ticks="outside", tickcolor="white", type="category")
+    figure.update_yaxes(autorange="reversed", showgrid=False, ticks="outside", tickcolor=PAPER, type="category")
     return figure
 
 
@@ -103,7 +99,7 @@ def dress(figure: go.Figure, height: int, margin: Mapping[str, int]) -> None:
         showlegend=False,
         hovermode="closest",
         dragmode=False,
-        hoverlabel={"bgcolor": "white", "bordercolor": GRID, "font": {"family": FONT, "size": 13, "color": INK}},
+        hoverlabel={"bgcolor": PAPER, "bordercolor": GRID, "font": {"family": FONT, "size": 13, "color": INK}},
     )
     figure.update_xaxes(**AXIS)
     figure.update_yaxes(**AXIS)
@@ -149,12 +145,6 @@ def add_band(figure: go.Figure, x: Any, low: Any, high: Any, style: Look, shape:
     figure.add_scatter(
         x=x, y=high, mode="lines", line=edge, hoverinfo="skip", fill="tonexty", fillcolor=faint(style.colour)
     )
-
-
-def faint(colour: str) -> str:
-    """A transparent version of a colour #rrggbb."""
-    red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
-    return f"rgba({red},{green},{blue},0.16)"
 
 
 def listed(values: Any) -> list[Any]:

@@ -1,0 +1,182 @@
+"""The figures of a comparison with their texts, as the report's page shows them."""
+
+import itertools
+from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from typing import Any
+
+import pandas as pd
+import plotly.graph_objects as go
+from markupsafe import Markup
+
+from armctl.envs import make_worlds
+from armctl.errors import ArmctlError
+from armctl.evaluation.curves import training_curves
+from armctl.evaluation.results import Results
+from armctl.evaluation.statistics import Estimate, PairedDifference
+from armctl.evaluation.tables import p_value
+from armctl.report import figures, style
+from armctl.report.colours import TERM_COLOURS
+from armctl.report.profile import profile, profile_start
+from armctl.report.videos import names_code
+
+NOTHING = "\u2013"
+MOST_PAIRS = 6
+"""If there are more pairs of policies than this, only those with the best policy are shown."""
+
+
+@dataclass(frozen=True)
+class Plot:
+    """A figure with its texts."""
+
+    figure: go.Figure
+    alt_text: str
+    title: str = ""
+    note: str = ""
+    whole_axis: Sequence[float] = ()
+    """The range of the x axis that shows everything, if the figure shows only a part of it at first."""
+
+    @property
+    def json(self) -> Markup:
+        """The figure as JSON for Plotly's JavaScript, escaped so that it can stand in a script element."""
+        text = str(self.figure.to_json())
+        return Markup(text.replace("<", r"\u003c").replace(">", r"\u003e").replace("&", r"\u0026"))
+
+
+def comparison_plots(results: Results, look: style.Looks, trusted: bool) -> dict[str, Any]:
+    """All figures of a comparison with at least one episode, by their names on the page."""
+    policies, episodes = results.comparison.policies, results.episodes
+    terms = figures.term_means(episodes)
+    term_look = {
+        term: style.Look(term, TERM_COLOURS[i % len(TERM_COLOURS)])
+        for i, term in enumerate(dict.fromkeys(itertools.chain(*terms.values())))
+    }
+    curves, problems = training_curves([policy.policy for policy in policies])
+    period = _period(results, trusted)
+    by_success = any(policy.success for policy in policies)
+    return {
+        "by_success": by_success,
+        "shown": [look[name] for name in episodes],
+        "success": Plot(
+            figures.success_bars(policies, look),
+            "; ".join(f"{policy.policy}: success {percent(policy.success)}" for policy in policies),
+        )
+        if by_success
+        else Plot(
+            figures.return_points(policies, look),
+            "; ".join(f"{policy.policy}: return {mean(policy.episode_return)}" for policy in policies),
+        ),
+        "profile": _profile(results, look),
+        "paired": _paired(results, look),
+        "reward_terms": Plot(
+            figures.reward_terms(terms, look, term_look),
+            "; ".join(
+                f"{name}: " + ", ".join(f"{term} {value:.4g}" for term, value in earned.items())
+                for name, earned in terms.items()
+            ),
+        )
+        if term_look
+        else None,
+        "term_look": term_look,
+        "decision_times": Plot(
+            figures.decision_times(episodes, look, None if period is None else 1e3 * period),
+            "; ".join(
+                f"{policy.policy}: median {policy.decision_ms_p50:.3g} ms, "
+                f"99th percentile {policy.decision_ms_p99:.3g} ms"
+                for policy in policies
+            ),
+        ),
+        "learning": Plot(figures.learning(curves, policies, look), "Success during training") if curves else None,
+        "curve_problems": problems,
+    }
+
+
+def sweep_plots(sweep: pd.DataFrame, look: style.Looks) -> list[Plot]:
+    """A figure for each disturbance of a sweep."""
+    what = "Success" if sweep.success.notna().any() else "Return"
+    return [
+        Plot(figures.robustness(rows, look), f"{what} against the level of {name}", str(name))
+        for name, rows in sweep.groupby("disturbance", sort=False)
+        if rows.level.nunique() > 1
+    ]
+
+
+def _profile(results: Results, look: style.Looks) -> Plot:
+    figure, alt_text = profile(results.episodes, look), "Share of episodes above each return, by policy"
+    start = profile_start(results.episodes)
+    if start is None:
+        return Plot(figure, alt_text)
+    returns = {name: [result.total_reward for result in played] for name, played in results.episodes.items()}
+    lowest, highest = min(map(min, returns.values())), max(map(max, returns.values()))
+    shown, whole = ([low - 0.02 * (highest - low), highest + 0.02 * (highest - low)] for low in (start, lowest))
+    figure.update_xaxes(range=shown)
+    beneath = [name for name, earned in returns.items() if max(earned) < start]
+    left_out = sum(one < start for earned in returns.values() for one in earned)
+    note = f"The axis begins at {style.number(start)}, as lower returns would squeeze it: {left_out} episodes are below"
+    if beneath:
+        note += f", among them all of {', '.join(look[name].label for name in beneath)}"
+    return Plot(figure, alt_text, note=f"{note}.", whole_axis=whole)
+
+
+def _paired(results: Results, look: style.Looks) -> list[Plot]:
+    pairs = results.comparison.paired
+    if len(pairs) > MOST_PAIRS:
+        best = max(results.comparison.policies, key=lambda policy: _score(policy.success or policy.episode_return))
+        pairs = [pair for pair in pairs if best.policy in (pair.a, pair.b)]
+    return [
+        Plot(
+            figures.paired(pair, results.episodes, look),
+            f"Returns of {pair.a} against those of {pair.b}",
+            f"{look[pair.a].label} against {look[pair.b].label}",
+            _difference(pair),
+        )
+        for pair in pairs
+    ]
+
+
+def _difference(pair: PairedDifference) -> str:
+    """What a pair's figure means, in numbers."""
+    gain = pair.return_difference
+    earns = f"Return {gain.value:+.1f} ({spread(gain, sign='+')})."
+    if pair.mcnemar_p is None:
+        chance = 100 * pair.superiority.probability.value
+        return style.signed(f"{earns} The first is better in {chance:.1f} % of the episodes.")
+    return (
+        f"Success {100 * (pair.only_a - pair.only_b) / pair.episodes:+.1f} % "
+        f"({pair.only_a} won only by the first, {pair.only_b} only by the second; p = {p_value(pair.mcnemar_p)}). "
+        + style.signed(earns)
+    )
+
+
+def _score(estimate: Estimate | None) -> float:
+    return estimate.value if estimate else 0.0
+
+
+def _period(results: Results, trusted: bool) -> float | None:
+    """The control period, s; None if the environment does not say, or cannot be made here."""
+    if names_code(results.comparison.env) and not trusted:
+        return None
+    try:
+        with closing(make_worlds(results.comparison.env, 1, results.comparison.env_options)) as worlds:
+            return worlds.task.control_period
+    except ArmctlError:
+        return None
+
+
+def percent(estimate: Estimate | None) -> str:
+    """A share in percent."""
+    return NOTHING if estimate is None else f"{100 * estimate.value:.1f} %"
+
+
+def mean(estimate: Estimate | None) -> str:
+    """A value."""
+    return NOTHING if estimate is None else style.signed(f"{estimate.value:,.1f}")
+
+
+def spread(estimate: Estimate | None, scale: float = 1.0, sign: str = "") -> str:
+    """An interval."""
+    if estimate is None or estimate.low is None or estimate.high is None:
+        return "interval unknown" if estimate else ""
+    low, high = scale * estimate.low, scale * estimate.high
+    return style.signed(f"{low:{sign}.1f} to {high:{sign}.1f}")
