@@ -381,7 +381,7 @@ def episodes_of(**returns):
         ({"good": [-100] * 6 + [60, 90], "fair": [-100] * 7 + [70]}, None),  # the best policy fails most of the time
         ({"only": [1.0, 1.0]}, None),
         ({"only": [-50.0, *range(90, 99)]}, 90),
-        ({"good": range(50, 90), "low": [-1000, *range(45, 80)], "lowest": range(-500, 40)}, 46),
+        ({"good": range(50, 90), "low": [-1000, *range(45, 80)], "lowest": range(-500, 40)}, 45),
     ],
 )
 def test_a_profile_begins_where_policies_differ(returns, start):
@@ -566,5 +566,5 @@ def test_the_page_in_a_browser(folder, tmp_path, width):
         assert pdf.startswith(b"%PDF")
         assert 3 <= len(re.findall(rb"/Type\s*/Page\b", pdf)) <= 12
         browser.close()
-    assert [url for url in requests if not url.startswith("data:")] == [report.as_uri()]
+    assert {url for url in requests if not url.startswith("data:")} == {report.as_uri()}
     assert complaints == []

@@ -159,7 +159,8 @@ def _period(results: Results, trusted: bool) -> float | None:
         return None
     try:
         with closing(make_worlds(results.comparison.env, 1, results.comparison.env_options)) as worlds:
-            return worlds.task.control_period
+            period: float | None = worlds.task.control_period
+            return period
     except ArmctlError:
         return None
 

@@ -44,7 +44,7 @@ def profile_start(episodes: Mapping[str, Sequence[EpisodeResult]]) -> float | No
     start = lowest
     if len(returns) > 1:
         without = (
-            min(float(np.quantile(earned, tail, method="higher")) for earned in returns[1:]) for tail in (0, TAIL)
+            min(float(np.quantile(earned, tail, method="lower")) for earned in returns[1:]) for tail in (0, TAIL)
         )
         start = next((begin for begin in without if highest - begin < (highest - lowest) / 2), start)
     rest = np.unique(np.concatenate([earned[earned >= start] for earned in returns]))
