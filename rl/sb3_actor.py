@@ -43,7 +43,7 @@ class Sb3Actor(torch.nn.Module):
             raise _trained_with("actions", model.action_space, commanded)
         self.policy, self.inputs = model.policy, inputs(observed)
         expected = inputs(model.observation_space)
-        if list(expected) != list(self.inputs):
+        if set(expected) != set(self.inputs):
             raise _trained_with("observations", model.observation_space, observed)
         statistics = _statistics(normalisation, self.inputs)
         self.prepare = torch.nn.ModuleList(

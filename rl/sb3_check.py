@@ -47,7 +47,7 @@ def largest_difference(
         try:
             wanted, state = model.predict(shown, state, began, deterministic=True)
         except Exception as error:  # what a network of somebody's own may raise, or one whose weights are NaN
-            raise AgentFileError(f"the model cannot act in {worlds.spec.id}: {in_a_line(error)}") from error
+            raise AgentFileError(f"the model cannot act in this environment: {in_a_line(error)}") from error
         differences.append(_difference(commanded, wanted, agent.act(observations)))
         random = rng.random(n) < RANDOM_SHARE
         played = np.array([commanded.sample() if random[i] else wanted[i] for i in range(n)])

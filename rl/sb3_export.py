@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from armctl.agents import AgentCard, Conversion, OnnxPolicy, sha256, shapes
-from armctl.envs import make_worlds
+from armctl.envs import full_id, make_worlds
 from armctl.errors import AgentFileError, ConfigurationError
 from armctl.evaluation.provenance import versions
 from armctl.files import write_atomically
@@ -68,7 +68,7 @@ def export(
             card = AgentCard(
                 name=graph.stem,
                 learner=f"sb3-{name}",
-                env=env,
+                env=full_id(env),
                 env_options=dict(env_options or {}),
                 interface=worlds.task.interface,
                 observation_shape=shapes(observed),

@@ -143,6 +143,20 @@ def _as_named_now(learner_options):
     return options
 
 
+def test_an_agent_whose_graph_lacks_the_memory_of_its_card(agent):
+    edit(agent, memory={"lstm_hidden": [1, 8]})
+    with pytest.raises(
+        AgentFileError, match=r"by its card, it maps \['observation', 'lstm_hidden'\] to \['action', 'next_"
+    ):
+        load(agent)
+
+
+def test_observations_of_another_precision(agent):
+    policy, worlds = load(agent), TaskVectorEnv(2, task=ReachTask)
+    observations, _ = worlds.reset(seed=0)
+    np.testing.assert_array_equal(policy.act(observations.astype(np.float64)), policy.act(observations))
+
+
 def test_a_card_of_before_there_were_recipes_is_read(agent):
     old = json.loads(agent.read_text())
     for name in ("recipe", "shaping", "shaping_scale", "reward_weights", "teacher", "best_after"):

@@ -1,11 +1,13 @@
 import importlib
 import re
+import sys
 from importlib import resources
+from pathlib import Path
 
 import pytest
 
 from armctl.errors import ConfigurationError
-from armctl.learners import Recipe, learner_names, load_learner, load_recipe, recipe_names
+from armctl.learners import Recipe, learner_names, load_exporter, load_learner, load_recipe, recipe_names
 from armctl.registration import environment_names
 
 GOOD = 'learner = "ppo"\nenv = "armctl/ArmReach-v0"\n'
@@ -112,3 +114,12 @@ def test_a_changed_recipe_is_checked_too():
 def test_an_unknown_learner():
     with pytest.raises(ConfigurationError, match="Did you mean 'ppo'"):
         load_learner("pppo")
+
+
+def test_an_exporter_is_found_by_the_model_s_suffix(monkeypatch):
+    assert load_exporter(Path("some/model.zip")).__module__ == "armctl.rl.sb3_export"
+    with pytest.raises(ConfigurationError, match=r"model\.pt cannot be exported: models are files \.zip"):
+        load_exporter(Path("model.pt"))
+    monkeypatch.setitem(sys.modules, "armctl.rl.sb3_export", None)
+    with pytest.raises(ConfigurationError, match=r"pip install 'armctl-suite\[rl\]'"):
+        load_exporter(Path("model.zip"))

@@ -1,11 +1,17 @@
-"""Models of Stable-Baselines3 with random weights, and environments to export them for."""
+"""Models of Stable-Baselines3 with random weights, environments to export them for, and comparisons of both."""
 
 import gymnasium
 import numpy as np
 import torch
 from gymnasium import spaces
-from sb3_contrib import TQC, RecurrentPPO
-from stable_baselines3 import A2C, DDPG, DQN, PPO, SAC, TD3
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+
+from armctl.agents import load_agent, read_card
+from armctl.envs import make_worlds
+from tests.command_line import armctl
+
+SMALL = {"buffer_size": 100}
+LSTM = {"lstm_hidden_size": 16}
 
 IMAGE = spaces.Box(0, 255, (36, 36, 3), np.uint8)
 VECTOR = spaces.Box(-np.inf, np.inf, (3,), np.float32)
@@ -57,7 +63,9 @@ def register():
     """Make `sb3/OBSERVED-COMMANDED-v0` an environment for each pair."""
     for seen, observed in OBSERVED.items():
         for done, commanded in COMMANDED.items():
-            gymnasium.register(f"sb3/{seen}-{done}-v0", Anything, kwargs={"observed": observed, "commanded": commanded})
+            env, spaces = f"sb3/{seen}-{done}-v0", {"observed": observed, "commanded": commanded}
+            if env not in gymnasium.registry:
+                gymnasium.register(env, Anything, kwargs=spaces)
 
 
 def make(kind, env, policy="MlpPolicy", **options):
@@ -73,4 +81,52 @@ def make(kind, env, policy="MlpPolicy", **options):
     return model
 
 
-__all__ = ["A2C", "DDPG", "DQN", "PPO", "SAC", "TD3", "TQC", "RecurrentPPO", "make", "register"]
+def normalised(env, folder, name="vecnormalize.pkl", **options):
+    """Statistics of an environment, saved, and as `predict` is used with them."""
+    venv = VecNormalize(DummyVecEnv([lambda: gymnasium.make(env)]), **options)
+    venv.seed(0)
+    venv.reset()
+    for _ in range(50):
+        venv.step(np.array([venv.action_space.sample()]))
+    venv.save(str(folder / name))
+    return venv
+
+
+def exported(model, env, folder, *arguments):
+    """The card and the agent, loaded for n worlds, of a model that the command line has exported."""
+    model.save(folder / "model.zip")
+    said = armctl("export", "model.zip", "--env", env, "--out", "agent.onnx", "--trust", *arguments, cwd=folder).stdout
+    assert "act alike on 1,000 observations" in said
+    card = read_card(folder / "agent.json")
+    return card, lambda n: load_agent(folder / "agent.onnx", make_worlds(env, n))
+
+
+def observations(env, steps, n, seed=5):
+    """Observations (steps, n) of random actions, and where episodes begin (steps, n)."""
+    worlds = make_worlds(env, n)
+    worlds.single_action_space.seed(seed)
+    seen, _ = worlds.reset(seed=seed)
+    began, shown = [np.ones(n, dtype=bool)], [seen]
+    for _ in range(steps - 1):
+        actions = np.array([worlds.single_action_space.sample() for _ in range(n)])
+        seen, _, terminated, truncated, _ = worlds.step(actions)
+        over = terminated | truncated
+        if over.any():
+            seen, _ = worlds.reset(options={"reset_mask": over})
+        shown.append(seen)
+        began.append(over)
+    return shown, began
+
+
+def check_acts_alike(model, agent, env, normalise=lambda seen: seen, steps=250, n=4):
+    shown, began = observations(env, steps, n)
+    state, wanted, found = None, [], []
+    for seen, starts in zip(shown, began, strict=True):
+        agent.reset(np.flatnonzero(starts).astype(np.int32))
+        action, state = model.predict(normalise(seen), state, starts, deterministic=True)
+        wanted.append(action)
+        found.append(agent.act(seen))
+    wanted, found = np.array(wanted), np.array(found)
+    assert wanted.shape[:2] == (steps, n)
+    assert len(np.unique(wanted.reshape(steps * n, -1), axis=0)) > 1, "the actions differ"
+    np.testing.assert_allclose(found, wanted, atol=1e-5, rtol=1e-5)

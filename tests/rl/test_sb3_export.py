@@ -1,73 +1,19 @@
-import base64
 import json
-import pickle
-import re
-import zipfile
-from pathlib import Path
 
 import gymnasium
 import numpy as np
 import pytest
-import torch
-from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize, VecTransposeImage
+from sb3_contrib import TQC, RecurrentPPO
+from stable_baselines3 import A2C, DDPG, DQN, PPO, SAC, TD3
+from stable_baselines3.common.vec_env import DummyVecEnv, VecTransposeImage
 
-from armctl.agents import load_agent, read_card
-from armctl.envs import make_worlds
-from armctl.errors import AgentFileError
-from armctl.rl import sb3_check, sb3_file
-from armctl.rl.sb3_export import export
+from armctl.agents import read_card
+from armctl.rl import sb3_file
 from tests.command_line import armctl
-from tests.rl.sb3_models import A2C, DDPG, DQN, PPO, SAC, TD3, TQC, RecurrentPPO, make, register
+from tests.rl.sb3_models import LSTM, SMALL, check_acts_alike, exported, make, normalised, observations, register
 
 register()
-SMALL = {"buffer_size": 100}
-LSTM = {"lstm_hidden_size": 16}
-
-
-def exported(model, env, folder, *arguments):
-    """The card and the agent, loaded for n worlds, of a model that the command line has exported."""
-    model.save(folder / "model.zip")
-    said = armctl("export", "model.zip", "--env", env, "--out", "agent.onnx", "--trust", *arguments, cwd=folder).stdout
-    assert "act alike on 1,000 observations" in said
-    card = read_card(folder / "agent.json")
-    return card, lambda n: load_agent(folder / "agent.onnx", make_worlds(env, n))
-
-
-def observations(env, steps, n, seed=5):
-    """Observations (steps, n) of random actions, and where episodes begin (steps, n)."""
-    worlds = make_worlds(env, n)
-    worlds.single_action_space.seed(seed)
-    seen, _ = worlds.reset(seed=seed)
-    began, shown = [np.ones(n, dtype=bool)], [seen]
-    for _ in range(steps - 1):
-        actions = np.array([worlds.single_action_space.sample() for _ in range(n)])
-        seen, _, terminated, truncated, _ = worlds.step(actions)
-        over = terminated | truncated
-        if over.any():
-            seen, _ = worlds.reset(options={"reset_mask": over})
-        shown.append(seen)
-        began.append(over)
-    return shown, began
-
-
-def rows(observations, chosen):
-    if isinstance(observations, dict):
-        return {name: values[chosen] for name, values in observations.items()}
-    return observations[chosen]
-
-
-def check_acts_alike(model, agent, env, normalise=lambda seen: seen, steps=250, n=4):
-    shown, began = observations(env, steps, n)
-    state, wanted, found = None, [], []
-    for seen, starts in zip(shown, began, strict=True):
-        agent.reset(np.flatnonzero(starts).astype(np.int32))
-        action, state = model.predict(normalise(seen), state, starts, deterministic=True)
-        wanted.append(action)
-        found.append(agent.act(seen))
-    wanted, found = np.array(wanted), np.array(found)
-    assert wanted.shape[:2] == (steps, n)
-    assert len(np.unique(wanted.reshape(steps * n, -1), axis=0)) > 1, "the actions differ"
-    np.testing.assert_allclose(found, wanted, atol=1e-5, rtol=1e-5)
+SLOW = pytest.mark.slow
 
 
 @pytest.mark.parametrize(
@@ -75,12 +21,14 @@ def check_acts_alike(model, agent, env, normalise=lambda seen: seen, steps=250, 
     [
         (PPO, "Pendulum-v1", "ppo", {}),
         (PPO, "CartPole-v1", "ppo", {}),
-        (PPO, "Pendulum-v1", "ppo", {"use_sde": True, "policy_kwargs": {"squash_output": True}}),
+        pytest.param(
+            PPO, "Pendulum-v1", "ppo", {"use_sde": True, "policy_kwargs": {"squash_output": True}}, marks=SLOW
+        ),
         (A2C, "CartPole-v1", "a2c", {}),
         (SAC, "Pendulum-v1", "sac", SMALL),
-        (SAC, "Pendulum-v1", "sac", SMALL | {"use_sde": True}),
+        pytest.param(SAC, "Pendulum-v1", "sac", SMALL | {"use_sde": True}, marks=SLOW),
         (TD3, "Pendulum-v1", "td3", SMALL),
-        (DDPG, "Pendulum-v1", "ddpg", SMALL),
+        pytest.param(DDPG, "Pendulum-v1", "ddpg", SMALL, marks=SLOW),
         (TQC, "Pendulum-v1", "tqc", SMALL),
         (DQN, "sb3/vector-choice-v0", "dqn", SMALL),
         (PPO, "armctl/ArmReach-v0", "ppo", {}),
@@ -101,9 +49,9 @@ def test_an_agent_acts_as_its_model(kind, env, name, options, tmp_path):
     [
         ("image", "choice", "CnnPolicy", {}),
         ("parts", "push", "MultiInputPolicy", {}),
-        ("number", "choices", "MlpPolicy", {}),
+        pytest.param("number", "choices", "MlpPolicy", {}, marks=SLOW),
         ("numbers", "switches", "MlpPolicy", {}),
-        ("bits", "table", "MlpPolicy", {}),
+        pytest.param("bits", "table", "MlpPolicy", {}, marks=SLOW),
         ("double", "exact", "MlpPolicy", {}),
     ],
 )
@@ -114,6 +62,7 @@ def test_any_observations_and_actions(seen, done, policy, options, tmp_path):
     check_acts_alike(model, load(3), env, n=3, steps=40)
 
 
+@SLOW
 def test_squashed_actions_in_double_precision(tmp_path):
     model = make(SAC, "sb3/double-exact-v0", **SMALL)
     _, load = exported(model, "sb3/double-exact-v0", tmp_path)
@@ -128,7 +77,9 @@ RECURRENT = {
 }
 
 
-@pytest.mark.parametrize("variant", RECURRENT)
+@pytest.mark.parametrize(
+    "variant", ["two LSTMs", "two layers", *(pytest.param(name, marks=SLOW) for name in ("shared", "actor's only"))]
+)
 def test_a_recurrent_agent_remembers_and_forgets(variant, tmp_path):
     env = "sb3/vector-push-v0"
     model = make(RecurrentPPO, env, "MlpLstmPolicy", policy_kwargs=RECURRENT[variant])
@@ -138,6 +89,7 @@ def test_a_recurrent_agent_remembers_and_forgets(variant, tmp_path):
     check_acts_alike(model, load(4), env)
 
 
+@SLOW
 def test_a_recurrent_agent_of_parts_and_choices(tmp_path):
     model = make(RecurrentPPO, "sb3/two-choices-v0", "MultiInputLstmPolicy", policy_kwargs=LSTM)
     _, load = exported(model, "sb3/two-choices-v0", tmp_path)
@@ -161,6 +113,7 @@ def test_a_world_remembers_the_same_whatever_the_number_of_worlds(tmp_path):
     assert not np.array_equal(load(1).act(shown[1][:1]), played[1][1]), "what it remembers matters"
 
 
+@SLOW
 def test_an_agent_that_is_reset_acts_as_a_new_one(tmp_path):
     env = "sb3/vector-push-v0"
     _, load = exported(make(RecurrentPPO, env, "MlpLstmPolicy", policy_kwargs=LSTM), env, tmp_path)
@@ -174,18 +127,10 @@ def test_an_agent_that_is_reset_acts_as_a_new_one(tmp_path):
     assert not np.array_equal(now[0], fresh[0])
 
 
-def normalised(env, folder, name="vecnormalize.pkl", **options):
-    """Statistics of an environment, saved, and as `predict` is used with them."""
-    venv = VecNormalize(DummyVecEnv([lambda: gymnasium.make(env)]), **options)
-    venv.seed(0)
-    venv.reset()
-    for _ in range(50):
-        venv.step(np.array([venv.action_space.sample()]))
-    venv.save(str(folder / name))
-    return venv
-
-
-@pytest.mark.parametrize(("name", "given"), [("vecnormalize.pkl", []), ("other.pkl", ["--vecnormalize", "other.pkl"])])
+@pytest.mark.parametrize(
+    ("name", "given"),
+    [("vecnormalize.pkl", []), pytest.param("other.pkl", ["--vecnormalize", "other.pkl"], marks=SLOW)],
+)
 def test_normalised_observations(name, given, tmp_path):
     venv = normalised("Pendulum-v1", tmp_path, name, clip_obs=1.0)
     model = make(PPO, venv)
@@ -208,6 +153,7 @@ def test_a_recurrent_agent_of_normalised_observations(tmp_path):
     check_acts_alike(model, load(4), "Pendulum-v1", venv.normalize_obs)
 
 
+@SLOW
 def test_normalised_images(tmp_path):
     env = "sb3/image-push-v0"
     venv = normalised(env, tmp_path)
@@ -262,142 +208,6 @@ def test_the_environment_s_options_are_on_the_card(tmp_path):
     refused = armctl("export", "model.zip", "--env", env, *options, "--trust", "--overwrite", cwd=tmp_path, check=False)
     assert refused.returncode == 2
     assert "trained with" in refused.stderr
-
-
-class Harmful:
-    """Creates a file when it is unpickled."""
-
-    def __init__(self, path):
-        self.path = path
-
-    def __reduce__(self):
-        return Path.touch, (self.path,)
-
-
-def poisoned(path, witness):
-    """A model whose pickled policy class would create the file `witness`."""
-    make(PPO, "Pendulum-v1").save(path)
-    with zipfile.ZipFile(path) as archive:
-        files = {name: archive.read(name) for name in archive.namelist()}
-    data = json.loads(files["data"])
-    data["policy_class"][":serialized:"] = base64.b64encode(pickle.dumps(Harmful(witness))).decode()
-    files["data"] = json.dumps(data).encode()
-    with zipfile.ZipFile(path, "w") as archive:
-        for name, content in files.items():
-            archive.writestr(name, content)
-
-
-@pytest.mark.parametrize("trust", [False, True])
-def test_nothing_is_unpickled_without_trust(trust, tmp_path):
-    poisoned(tmp_path / "model.zip", tmp_path / "from_model")
-    (tmp_path / "vecnormalize.pkl").write_bytes(pickle.dumps(Harmful(tmp_path / "from_statistics")))
-    arguments = ["export", "model.zip", "--env", "Pendulum-v1", *["--trust"][: int(trust)]]
-    done = armctl(*arguments, cwd=tmp_path, check=False)
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1
-    assert ("can run any code" in done.stderr) is not trust
-    assert (tmp_path / "from_model").exists() is trust, "and with trust, the test would notice"
-    assert not (tmp_path / "from_statistics").exists()
-    assert not list(tmp_path.glob("*.onnx"))
-
-
-@pytest.fixture(scope="module")
-def saved(tmp_path_factory):
-    """A folder with models, and files that are none."""
-    folder = tmp_path_factory.mktemp("saved")
-    make(PPO, "Pendulum-v1").save(folder / "model.zip")
-    make(PPO, "sb3/two-push-v0", "MultiInputPolicy").save(folder / "parts.zip")
-    (folder / "empty.zip").touch()
-    (folder / "cut.zip").write_bytes((folder / "model.zip").read_bytes()[:5000])
-    for name, files in {"foreign": {"a": "b"}, "list": {"data": "[]"}, "json": {"data": "{"}}.items():
-        with zipfile.ZipFile(folder / f"{name}.zip", "w") as archive:
-            for file, content in files.items():
-                archive.writestr(file, content)
-    (folder / "junk.pkl").write_bytes(b"junk")
-    (folder / "list.pkl").write_bytes(pickle.dumps([1]))
-    (folder / "model.onnx").write_text("there")
-    normalised("CartPole-v1", folder, "cartpole.pkl")
-    normalised("sb3/two-push-v0", folder, "parts.pkl")
-    return folder
-
-
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (["nowhere.zip"], "nowhere.zip cannot be read: No such file"),
-        (["empty.zip"], "empty.zip is not a zip file"),
-        (["cut.zip"], "cut.zip is not a zip file"),
-        (["foreign.zip"], "foreign.zip is not a model"),
-        (["list.zip"], "list.zip is not a model"),
-        (["json.zip"], "json.zip is not a zip file"),
-        (["model.pt"], "model.pt cannot be exported: models are files .zip"),
-        (["model.zip", "--out", "agent.json"], "an agent is a file .onnx"),
-        (["model.zip", "--out", "model.onnx"], "--overwrite"),
-        (["model.zip", "--env", "CartPole-v1"], "trained with actions Box"),
-        (["model.zip", "--env", "armctl/ArmReach-v0"], "trained with actions Box"),
-        (["model.zip", "--env", "MountainCarContinuous-v0"], "trained with actions Box"),
-        (["parts.zip", "--env", "sb3/vector-push-v0"], "trained with observations Dict"),
-        (["model.zip", "--env", "Pendulum-v11"], "no environment"),
-        (["model.zip", "--vecnormalize", "none.pkl"], "none.pkl cannot be read: No such file"),
-        (["model.zip", "--vecnormalize", "junk.pkl"], "junk.pkl cannot be loaded"),
-        (["model.zip", "--vecnormalize", "list.pkl"], "list.pkl holds a list"),
-        (["model.zip", "--vecnormalize", "cartpole.pkl"], "shape (4,)"),
-        (["model.zip", "--vecnormalize", "parts.pkl"], "there is none"),
-        (["model.zip", "--algorithm", "ppoo"], "Did you mean 'ppo'"),
-        (["model.zip", "--algorithm", "sac"], "cannot be loaded as a model of sac"),
-        (["model.zip", "--out", "/dev/null/agent.onnx"], "cannot be written"),
-        (["model.zip", "--out", "/proc/agent.onnx"], "cannot be written"),
-    ],
-)
-def test_mistakes_get_one_clear_line_and_leave_nothing(arguments, says, saved):
-    before = sorted(saved.rglob("*"))
-    default = {"--env": "Pendulum-v1", "--out": "agent.onnx"}
-    given = [
-        *arguments,
-        *(word for option, value in default.items() if option not in arguments for word in (option, value)),
-    ]
-    done = armctl("export", *given, "--trust", cwd=saved, check=False)
-    assert done.returncode == 2
-    assert says in done.stderr
-    assert done.stderr.count("\n") == 1
-    assert sorted(saved.rglob("*")) == before
-
-
-def test_an_agent_is_replaced_if_told_so(tmp_path):
-    model = make(PPO, "Pendulum-v1")
-    exported(model, "Pendulum-v1", tmp_path)
-    exported(model, "Pendulum-v1", tmp_path, "--overwrite")
-
-
-def test_an_agent_that_acts_otherwise_is_not_written(tmp_path, monkeypatch):
-    model = make(PPO, "Pendulum-v1")
-    model.save(tmp_path / "model.zip")
-    predict = PPO.predict
-    monkeypatch.setattr(PPO, "predict", lambda *a, **k: (predict(*a, **k)[0] + 0.01, None))
-    with pytest.raises(AgentFileError, match=r"differ by 0\.00\d+ of the range"):
-        export(tmp_path / "model.zip", env="Pendulum-v1", out=tmp_path / "agents" / "agent.onnx", trust=True)
-    assert [path.name for path in tmp_path.iterdir()] == ["model.zip"]
-
-
-def test_a_model_that_diverged_is_not_written(tmp_path):
-    model = make(PPO, "Pendulum-v1")
-    with torch.no_grad():
-        model.policy.action_net.bias.fill_(np.nan)
-    model.save(tmp_path / "model.zip")
-    done = armctl("export", "model.zip", "--env", "Pendulum-v1", "--trust", cwd=tmp_path, check=False)
-    assert done.returncode == 2
-    assert re.fullmatch(r"armctl: the model cannot act in Pendulum-v1: ValueError: .*\n", done.stderr)
-    assert not list(tmp_path.glob("*.onnx"))
-
-
-def test_differences_are_shares_of_the_range():
-    push = gymnasium.spaces.Box(np.array([-1.0, 0.0]), np.array([3.0, 1.0]), dtype=np.float64)
-    wanted, found = np.array([[1.0, 3.0], [0.0, 0.0]]), np.array([[1.4, 3.0], [0.0, 0.5]])
-    np.testing.assert_allclose(sb3_check._difference(push, wanted, found), [0.1, 0.5])
-    choice = gymnasium.spaces.Discrete(3)
-    np.testing.assert_array_equal(sb3_check._difference(choice, np.array([0, 2]), np.array([0, 1])), [0, 1])
-    with pytest.raises(AgentFileError, match="shape"):
-        sb3_check._difference(choice, np.array([0, 2]), np.array([[0], [1]]))
 
 
 def test_channels_may_have_been_first_already(tmp_path):

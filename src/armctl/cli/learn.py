@@ -84,8 +84,9 @@ def train(
         with _evaluations_logged():
             card = load_learner(chosen.learner)(chosen, out=folder, seed=seed, resume=resume)
     except KeyboardInterrupt:
-        begun = f"with --resume {_words('--out', folder)} resumes the training" if folder.exists() else "starts again"
-        typer.echo(f"Interrupted. The same command {begun}.")
+        begun = (folder / "settings.json").exists()
+        how = f"with --resume {_words('--out', folder)} resumes the training" if begun else "starts it again"
+        typer.echo(f"Interrupted. The same command {how}.")
         raise typer.Exit(130) from None
     assert card.evaluation is not None
     low, high = card.evaluation.success_interval
