@@ -82,6 +82,25 @@ def test_the_next_episode_follows_and_another_policy_may_come_on():
     assert viewer.frame.notice == ""
 
 
+@pytest.mark.parametrize("robot", ["ur3", "ur5", "panda"])
+def test_the_first_view_is_of_the_workspace(robot):
+    player = Player(Stage("random", "armctl/ArmReach-v0", env_options={"robot": robot}))
+    model, reach = player.scenery.model, player.stage.task._workspace.radius
+    view, stat = model.vis.global_, model.stat
+    turn, tilt = np.radians((view.azimuth, view.elevation))
+    ahead = np.array([np.cos(tilt) * np.cos(turn), np.cos(tilt) * np.sin(turn), np.sin(tilt)])
+    up = np.array([-np.sin(tilt) * np.cos(turn), -np.sin(tilt) * np.sin(turn), np.cos(tilt)])
+    eye = stat.center - 1.5 * stat.extent * ahead
+
+    def height(point):
+        """Of a point in the picture, from -1 at the bottom to 1 at the top."""
+        return (point - eye) @ up / ((point - eye) @ ahead) / np.tan(np.radians(view.fovy) / 2)
+
+    foot, top = height(np.zeros(3)), height(np.array([0.0, 0.0, reach]))
+    assert -0.7 < foot < -0.2
+    assert 0.2 < top < 1
+
+
 def test_plans_are_drawn_and_no_other_model_is_let_in(tmp_path):
     viewer = Viewer("reach_mpc")
     viewer.play(0.3)
@@ -133,6 +152,9 @@ def test_the_page_answers_on_loopback_alone_and_a_taken_port_is_told(tmp_path):
         with urlopen(f"http://{LOOPBACK}:{port}/") as page:
             assert b"web_client" in page.read()
         assert [address for address in own_addresses() if answers(address, port)] == []
+        said = (tmp_path / "log.txt").read_text()
+        assert f"The page is http://localhost:{port}/, for this machine only." in said
+        assert "authentication" not in said
         again = subprocess.run([ARMCTL, "view", "random", "--port", str(port)], capture_output=True, text=True)
     assert again.returncode == 2
     assert f"port {port}" in again.stderr

@@ -6,7 +6,8 @@ steps, the drawn state is interpolated, together with the plan that led from one
 
 import socket
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -270,7 +271,8 @@ class LoopbackViewer(web_viewer.WebViewer):
     _host = property(lambda self: LOOPBACK, lambda self, host: None)
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
+        with _own_words():
+            super().__init__(*args, **kwargs)
         if self._http_sock.getsockname()[0] != LOOPBACK:  # another version of Studio may not read `_host`
             self.close()
             raise ConfigurationError(
@@ -280,6 +282,21 @@ class LoopbackViewer(web_viewer.WebViewer):
     def get_drop_file(self) -> str:
         """Return nothing, so that files dropped onto the page are not written to disk."""
         return ""
+
+
+@contextmanager
+def _own_words() -> Iterator[None]:
+    """Replace Studio's words about the page, which warn of a network that cannot reach it here."""
+    theirs = getattr(web_viewer, "_print_url_banner", None)
+    web_viewer._print_url_banner = _print_address
+    try:
+        yield
+    finally:
+        web_viewer._print_url_banner = theirs
+
+
+def _print_address(host: str, port: int) -> None:
+    print(f"The page is http://localhost:{port}/, for this machine only. Ctrl-C ends the program.", flush=True)
 
 
 def show_in_browser(player: Player, port: int = 0, open_browser: bool = True) -> None:
