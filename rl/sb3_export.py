@@ -51,7 +51,7 @@ def export(
     file = sb3_file.read(model)
     if not trust:
         raise AgentFileError(
-            f"{model} was not opened: files of Stable-Baselines3 are pickles, which can run any code when they are "
+            f"{model} was not loaded: files of Stable-Baselines3 are pickles, which can run any code when they are "
             "loaded. If you trust where it comes from, say so: --trust"
         )
     name = algorithm or file.algorithm()
