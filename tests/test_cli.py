@@ -10,6 +10,10 @@ import imageio.v3 as imageio
 import pandas as pd
 import pytest
 
+from armctl.cli import completion
+from armctl.envs.describe import describe_options
+from armctl.registration import environment_names
+
 from .command_line import ARMCTL, armctl, program
 
 
@@ -49,6 +53,60 @@ def test_list_shows_what_there_is(tmp_path):
     for name in ("armctl/ArmReach-v0", "reach_ik", "reach_ppo", "random", "ur3", "ur5", "ur10", "ppo", "sac"):
         assert name in text
     assert re.search(r"recipes\s.*reach_sac  sac in armctl/ArmReach-v0", text, re.DOTALL)
+
+
+@pytest.mark.parametrize(
+    ("env", "words"),
+    [
+        ("armctl/ArmReach-v0", ("joint_positions  6", "tolerance = 0.05  float > 0. Radius of the target sphere, m",
+                                "control = position  position | delta", "payload  a ball", "ik  Minus the least time",
+                                "max_episode_steps = 100", "reach_ik, reach_ppo, random", "6 numbers: -6.")),
+        ("armctl/BridgeCross-v0", ("image  32 x 48", "deck_length = 20.0  float >= 8 and <= 200. m.", "fell",
+                                   "dropout  lost", "2 numbers")),
+        ("armctl/BridgeCrossMoving-v0", ("walkers = 3  int >= 0 and <= 20. Person-sized",)),
+        ("Pendulum-v1", ("g = 10.0", "max_episode_steps = 200", "1 numbers: -2 to 2")),
+    ],
+)  # fmt: skip
+def test_list_shows_an_environment(env, words, tmp_path):
+    text = " ".join(armctl("list", "--env", env, cwd=tmp_path).stdout.split())
+    for word in words:
+        assert " ".join(word.split()) in text
+
+
+def test_every_option_of_every_environment_is_described():
+    for env in environment_names():
+        for option in describe_options(env):
+            assert option.text, f"{env}: {option.name}"
+            assert option.type, f"{env}: {option.name}"
+
+
+def test_the_version_is_shown(tmp_path):
+    assert re.match(r"armctl \d+\.\d+\.\d+, MuJoCo \d", armctl("--version", cwd=tmp_path).stdout)
+
+
+@pytest.mark.parametrize(
+    ("complete", "start", "found"),
+    [
+        (completion.environments, "armctl/Bridge", ["armctl/BridgeCross-v0", "armctl/BridgeCrossMoving-v0"]),
+        (completion.policies, "reach_i", ["reach_ik"]),
+        (completion.agents, "reach_", ["reach_bc", "reach_dagger", "reach_ppo", "reach_sac"]),
+        (completion.recipes, "reach_p", ["reach_ppo"]),
+        (completion.disturbances, "d", ["delay", "dropout"]),
+    ],
+)
+def test_names_are_completed(complete, start, found):
+    assert complete(start) == found
+
+
+def test_tab_completes_without_a_simulator(tmp_path):
+    line = {"_ARMCTL_COMPLETE": "complete_bash", "COMP_WORDS": "armctl compare reach_o", "COMP_CWORD": "2"}
+    assert program("compare", "reach_o", cwd=tmp_path, **line).stdout.split() == ["reach_ompl"]
+    code = (
+        "import sys; from armctl.cli import completion\n"
+        "assert completion.policies('') and completion.recipes('') and completion.agents('')\n"
+        "print([m for m in ('mujoco', 'pinocchio', 'pandas', 'onnxruntime', 'torch') if m in sys.modules])"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
 
 
 def test_compare_prints_and_writes(tmp_path):
@@ -218,6 +276,7 @@ FORK = "<robot name='fork'><link name='base'/><link name='left'/><link name='rig
         (["run", "random", "--set", "robot=two.urdf", "--set", "tip=lift"], "Did you mean 'left'.*base, left, right"),
         (["reproduce", "reach_ik"], "reach_ik is not a learned agent: .* Agents are .*reach_ppo"),
         (["reproduce", "reach_pp"], "Did you mean 'reach_ppo'"),
+        (["list", "--env", "armctl/ArmReech-v0"], "Did you mean 'armctl/ArmReach-v0'"),
         (["run", "random", "--set", "control=torqe"], "Did you mean 'torque'"),
         (["collect", "reach_ki", "--out", "data"], "Did you mean 'reach_ik'"),
         (["collect", "random", "--out", "/proc/data", "--episodes", "1"], "cannot be written"),

@@ -1,6 +1,10 @@
 """The command line's application, to which each verb adds itself."""
 
+from typing import Annotated
+
 import typer
+
+from armctl import __version__
 
 app = typer.Typer(
     help="Compare planners and controllers with learned agents, on the same robot episodes.\n\n"
@@ -8,7 +12,24 @@ app = typer.Typer(
     "episodes. With `--env armctl/BridgeCross-v0`, a path planner and a camera agent cross the same bridges. "
     "`armctl list` shows all environments, policies and more.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
 )
+
+
+def _show_version(asked: bool) -> None:
+    if asked:
+        from importlib.metadata import version
+        from platform import python_version
+
+        print(f"armctl {__version__}, MuJoCo {version('mujoco')}, Python {python_version()}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version, and exit.")
+    ] = False,
+) -> None:
+    pass

@@ -1,16 +1,39 @@
-"""The verb that lists everything installed: `list`."""
+"""The verb that lists everything installed, or everything about one environment: `list`."""
 
-from collections.abc import Mapping
-from typing import Any
+import inspect
+import math
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 from armctl.cli.app import app
+from armctl.cli.completion import environments
 from armctl.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    import gymnasium
+    from rich.table import Table
 
 
 @app.command("list")
-def list_() -> None:
-    """List the environments, policies, arms, disturbances, learners and recipes."""
-    from rich.console import Console
+def list_(
+    env: Annotated[
+        str | None,
+        typer.Option("--env", metavar="ID", help="Show all about this environment.", autocompletion=environments),
+    ] = None,
+) -> None:
+    """List the environments, policies, arms, disturbances, learners and recipes.
+
+    With `--env ID`: what an environment's observations and actions are, its options with their units and defaults, its
+    disturbances with their levels, its potentials for reward shaping, and its default line-up.
+    """
+    from armctl.report.terminal import output_console
+
+    output_console().print(_everything() if env is None else _environment(env), highlight=False)
+
+
+def _everything() -> "Table":
     from rich.table import Table
 
     from armctl.envs import task_of
@@ -22,13 +45,12 @@ def list_() -> None:
     table = Table.grid(padding=(0, 2))
     for kind, names in (("environments", environment_names()), ("arms", BUILTIN_ARMS), ("learners", learner_names())):
         table.add_row(f"[bold]{kind}[/]", "  ".join(names))
-    for i, name in enumerate(policy_names()):
-        table.add_row("" if i else "[bold]policies[/]", f"[bold]{name}[/]  {describe_policy(name)}")
-    for i, recipe in enumerate(map(load_recipe, recipe_names())):
+    _add_rows(table, "policies", ((name, describe_policy(name)) for name in policy_names()))
+    recipes = []
+    for recipe in map(load_recipe, recipe_names()):
         guidance = " ".join(f"{name} {value}" for name in ("shaping", "teacher") if (value := getattr(recipe, name)))
-        table.add_row(
-            "" if i else "[bold]recipes[/]", f"[bold]{recipe.name}[/]  {recipe.learner} in {recipe.env} {guidance}"
-        )
+        recipes.append((recipe.name, f"{recipe.learner} in {recipe.env} {guidance}"))
+    _add_rows(table, "recipes", recipes)
     by_specs: dict[int, tuple[Mapping[str, Any], list[str]]] = {}
     for env in environment_names():
         try:
@@ -39,8 +61,87 @@ def list_() -> None:
         by_specs.setdefault(id(specs), (specs, []))[1].append(env)
     for specs, envs in by_specs.values():
         table.add_row("[bold]disturbances[/]", f"in {', '.join(envs)}:")
-        for name, spec in specs.items():
-            levels = ", ".join(f"{level:g}" for level in spec.levels)
-            table.add_row("", f"[bold]{name}[/]  {spec.does} ({spec.unit}): {levels}")
+        _add_rows(table, "", _disturbances(specs))
     table.add_row("", "A policy may also be path/to/agent.json or module:function, and an arm path/to/your.urdf.")
-    Console(highlight=False).print(table)
+    table.add_row("", "`armctl list --env ID` shows an environment's options, observations and actions.")
+    return table
+
+
+def _environment(env: str) -> "Table":
+    from contextlib import closing
+
+    from rich.table import Table
+
+    from armctl.disturbances import available
+    from armctl.envs import ThirdPartyVectorEnv, make_worlds, task_of
+    from armctl.envs.describe import describe_options
+
+    kind: Any = task_of(env)
+    table = Table.grid(padding=(0, 2))
+    with closing(make_worlds(env, 1)) as worlds:
+        worlds.reset(seed=0)
+        task: Any = worlds.task
+        period = "unknown" if task.control_period is None else f"{task.control_period:g} s"
+        described = kind if not isinstance(worlds, ThirdPartyVectorEnv) else type(worlds.worlds[0].unwrapped)
+        _add_rows(table, "environment", [(env, _first_line(described))])
+        _add_rows(table, "control period", [("", period)])
+        _add_rows(table, "observation", _observation(worlds.single_observation_space, task))
+        _add_rows(table, "action", [("", _action(worlds.single_action_space))])
+        if hasattr(kind, "outcomes"):
+            wins = [outcome.label + (" (success)" if outcome.success else "") for outcome in kind.outcomes]
+            table.add_row("[bold]outcomes[/]", ", ".join(wins))
+        disturbances = _disturbances(available(kind.disturbances, task))
+    options = ((f"{one.name} = {one.default}", f"{one.type}. {one.text}") for one in describe_options(env))
+    _add_rows(table, "options (--set)", options)
+    _add_rows(table, "disturbances", disturbances)
+    potentials: Mapping[str, Any] = getattr(kind, "potentials", {})
+    _add_rows(table, "potentials", ((name, _first_line(one)) for name, one in potentials.items()))
+    table.add_row("[bold]line-up[/]", ", ".join(kind.default_policies))
+    return table
+
+
+def _add_rows(table: "Table", heading: str, rows: Iterable[tuple[str, str]]) -> None:
+    """Rows of a name and what it is, of which the first has a heading."""
+    from rich.text import Text
+
+    for i, (name, text) in enumerate(rows):
+        table.add_row(
+            "" if i or not heading else f"[bold]{heading}[/]", Text.assemble((name, "bold"), "  " if name else "", text)
+        )
+
+
+def _disturbances(specs: Mapping[str, Any]) -> list[tuple[str, str]]:
+    return [
+        (name, f"{spec.does} ({spec.unit}): {', '.join(f'{level:g}' for level in spec.levels)}")
+        for name, spec in specs.items()
+    ]
+
+
+def _first_line(described: Any) -> str:
+    lines = (inspect.getdoc(described) or "").split("\n")
+    return next((line for line in lines if line.strip("# ")), "")
+
+
+def _observation(space: "gymnasium.Space[Any]", task: Any) -> list[tuple[str, str]]:
+    """The arrays of an observation, or the parts of the one array."""
+    if arrays := getattr(space, "spaces", None):
+        return [(name, f"{_size(part.shape)}, {part.dtype}") for name, part in arrays.items()]
+    parts = {name: value.shape[1:] for name, value in task.observation_parts().items()}
+    if sum(map(math.prod, parts.values())) == math.prod(space.shape or ()):
+        return [(name, _size(shape)) for name, shape in parts.items()]
+    return [("", str(space))]
+
+
+def _size(shape: tuple[int, ...]) -> str:
+    return " x ".join(map(str, shape)) if shape else "1"
+
+
+def _action(space: "gymnasium.Space[Any]") -> str:
+    """Size and range of an action."""
+    low, high = getattr(space, "low", None), getattr(space, "high", None)
+    if low is None or high is None:
+        return str(space)
+    same = low.min() == low.max() and high.min() == high.max()
+    ranges = zip(low.flat, high.flat, strict=True)
+    bounds = f"{low.min():g} to {high.max():g}" if same else ", ".join(f"{a:.4g} to {b:.4g}" for a, b in ranges)
+    return f"{_size(space.shape or ())} numbers: {bounds}"

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from armctl import DEFAULT_ENV
+from armctl.cli import completion
 from armctl.cli.app import app
 from armctl.cli.options import (
     Env,
@@ -127,6 +128,7 @@ def sweep(
             metavar="NAME[=LEVELS]",
             help="Disturbance; can be repeated: `--disturbance noise --disturbance payload=0,1,2,4`.",
             show_default="all of the environment's",
+            autocompletion=completion.disturbances,
         ),
     ] = None,
     episodes: Annotated[int, typer.Option(min=1, help="Episodes that every policy plays at each level.")] = 100,
@@ -187,7 +189,12 @@ def sweep(
 
 @app.command()
 def reproduce(
-    agents: Annotated[list[str], typer.Argument(help="Agents: their cards' paths, or the names of shipped ones.")],
+    agents: Annotated[
+        list[str],
+        typer.Argument(
+            help="Agents: their cards' paths, or the names of shipped ones.", autocompletion=completion.agents
+        ),
+    ],
     seed: Annotated[
         int | None, typer.Option(min=0, help="Seed of other episodes.", show_default="the card's: the same episodes")
     ] = None,

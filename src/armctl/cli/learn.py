@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
+from armctl.cli import completion
 from armctl.cli.app import app
 from armctl.cli.options import EnvOptions, options_of
 
@@ -18,7 +19,10 @@ from armctl.cli.options import EnvOptions, options_of
 def train(
     recipe: Annotated[
         str,
-        typer.Argument(help="Recipe: a name (`armctl list` shows them), path/to/recipe.toml, or a learner's name."),
+        typer.Argument(
+            help="Recipe: a name (`armctl list` shows them), path/to/recipe.toml, or a learner's name.",
+            autocompletion=completion.recipes,
+        ),
     ],
     env: Annotated[
         str | None, typer.Option("--env", help="Environment to train in.", show_default="the recipe's")

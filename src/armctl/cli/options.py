@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from armctl.cli import completion
 from armctl.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -13,7 +14,14 @@ if TYPE_CHECKING:
 
     from armctl.evaluation.tables import Document
 
-Env = Annotated[str, typer.Option("--env", help="Environment id; `armctl list` shows them.")]
+Env = Annotated[
+    str,
+    typer.Option("--env", help="Environment id; `armctl list` shows them.", autocompletion=completion.environments),
+]
+PolicyName = Annotated[
+    str,
+    typer.Argument(help="Policy: a name, an agent's file, or `module:function`.", autocompletion=completion.policies),
+]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of the episodes: the same seed, the same episodes.")]
 EnvOptions = Annotated[
     list[str] | None,
@@ -42,7 +50,9 @@ Workers = Annotated[
 Policies = Annotated[
     list[str] | None,
     typer.Argument(
-        help="Policies: names, agents' files, or `module:function`.", show_default="those of the environment"
+        help="Policies: names, agents' files, or `module:function`.",
+        show_default="those of the environment",
+        autocompletion=completion.policies,
     ),
 ]
 

@@ -10,6 +10,7 @@ from armctl.cli.app import app
 from armctl.cli.options import (
     Env,
     EnvOptions,
+    PolicyName,
     Seed,
     options_of,
 )
@@ -17,7 +18,7 @@ from armctl.cli.options import (
 
 @app.command()
 def run(
-    policy: Annotated[str, typer.Argument(help="Policy: a name, an agent's file, or `module:function`.")],
+    policy: PolicyName,
     env: Env = DEFAULT_ENV,
     episodes: Annotated[int, typer.Option(min=1, help="Episodes to play.")] = 1,
     steps: Annotated[
@@ -37,7 +38,7 @@ def run(
 
 @app.command()
 def view(
-    policy: Annotated[str, typer.Argument(help="Policy: a name, an agent's file, or `module:function`.")],
+    policy: PolicyName,
     env: Env = DEFAULT_ENV,
     seed: Seed = 0,
     episode: Annotated[int, typer.Option(min=0, help="Number of the first episode.")] = 0,
@@ -69,7 +70,7 @@ def view(
 
 @app.command()
 def collect(
-    policy: Annotated[str, typer.Argument(help="Policy: a name, an agent's file, or `module:function`.")],
+    policy: PolicyName,
     out: Annotated[Path, typer.Option(metavar="DATASET", help="Folder of the dataset, such as `data/reach_ik-v0`.")],
     env: Env = DEFAULT_ENV,
     episodes: Annotated[int, typer.Option(min=1, help="Episodes to play.")] = 500,

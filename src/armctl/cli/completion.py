@@ -1,0 +1,43 @@
+"""What Tab completes, after `armctl --install-completion`: names that are found without loading a simulator."""
+
+from collections.abc import Iterable
+from importlib.util import find_spec
+from pathlib import Path
+
+from armctl.registration import environment_names, installed
+
+
+def _starting(names: Iterable[str], incomplete: str) -> list[str]:
+    return sorted(name for name in names if name.startswith(incomplete))
+
+
+def environments(incomplete: str) -> list[str]:
+    """Ids of environments."""
+    return _starting(environment_names(), incomplete)
+
+
+def policies(incomplete: str) -> list[str]:
+    """Names of policies. What has none is a file, which shells complete by themselves."""
+    return _starting(installed("armctl.policies").names, incomplete)
+
+
+def agents(incomplete: str) -> list[str]:
+    """Names of learned agents: policies with a card beside their module."""
+    homes = {entry.name: find_spec(entry.module) for entry in installed("armctl.policies")}
+    cards = {name: Path(home.origin).with_name(f"{name}.json") for name, home in homes.items() if home and home.origin}
+    return _starting((name for name, card in cards.items() if card.exists()), incomplete)
+
+
+def recipes(incomplete: str) -> list[str]:
+    """Names of recipes and learners."""
+    homes = [find_spec(entry.module) for entry in installed("armctl.recipes")]
+    folders = [Path(folder) for home in homes if home for folder in home.submodule_search_locations or ()]
+    named = [file.stem for folder in folders for file in folder.glob("*.toml")]
+    return _starting({*named, *installed("armctl.learners").names}, incomplete)
+
+
+def disturbances(incomplete: str) -> list[str]:
+    """Names of disturbances."""
+    from armctl.disturbances import ARM, ROVER  # loads MuJoCo: a second, but only here
+
+    return _starting({*ARM, *ROVER}, incomplete)
