@@ -2,12 +2,16 @@
 
 import json
 import shutil
+import signal
+import subprocess
+import time
 from pathlib import Path
 
+import gymnasium
 import pandas as pd
 import pytest
 
-from .command_line import armctl, program
+from .command_line import ARMCTL, armctl, program
 
 HERE = Path(__file__).parent
 POLICIES = """
@@ -128,3 +132,55 @@ def test_mistakes_get_one_clear_line(home, arguments, said):
     assert said in done.stderr
     assert "Traceback" not in done.stderr
     assert not (home / "runs").exists()
+
+
+def test_what_an_interrupt_leaves_is_resumed(home):
+    slow = "import time\n\n\ndef right(observation):\n    time.sleep(0.01)\n    return [0.2]\n"
+    (home / "slow.py").write_text(slow)
+    command = [
+        "compare",
+        "slow.py:right",
+        "random",
+        "--env",
+        "odd_environments.py:Line",
+        "--episodes",
+        "40",
+        "--out",
+        "r",
+    ]
+    running = subprocess.Popen([ARMCTL, *command], cwd=home, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    episodes = home / "r" / "episodes.csv"
+    deadline = time.monotonic() + 60
+    while not (episodes.exists() and len(episodes.read_text().splitlines()) > 5) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    running.send_signal(signal.SIGINT)
+    out, _ = running.communicate(timeout=60)
+    assert running.returncode == 130, out
+    kept = len(pd.read_csv(episodes))
+    assert 5 <= kept < 80
+    resumed = armctl(*command, cwd=home).stdout
+    assert f"{kept} episodes were finished by an earlier run" in " ".join(resumed.split())
+    assert len(pd.read_csv(episodes)) == 80
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("env", ["Reacher-v5", "Pendulum-v1", "HalfCheetah-v5"])
+def test_a_controller_beside_an_agent_of_stable_baselines3(tmp_path, env):
+    """What a researcher does: their environment, a controller of theirs, their trained model."""
+    from stable_baselines3 import PPO
+
+    PPO("MlpPolicy", env, n_steps=64, seed=0).learn(128).save(tmp_path / "model.zip")
+    size = gymnasium.make(env).action_space.shape[0]
+    (tmp_path / "mine.py").write_text(f"import numpy as np\n\n\ndef still(observation):\n    return np.zeros({size})\n")
+    armctl("export", "model.zip", "--env", env, "--out", "agent.onnx", "--trust", cwd=tmp_path)
+    policies = ["mine.py:still", "agent.onnx", "random"]
+    armctl("compare", *policies, "--env", env, "--episodes", "10", "--out", "r", "--report", cwd=tmp_path)
+    report = (tmp_path / "r" / "report.html").read_text()
+    assert report.count("data:video/mp4") == 6
+    assert "Played again" not in report
+    armctl(
+        "sweep", *policies, "--env", env, "--episodes", "10", "--out", "s", "--disturbance", "noise=0,0.1", cwd=tmp_path
+    )
+    points = pd.read_csv(tmp_path / "s" / "sweep.csv")
+    assert points.policy.tolist() == policies * 2
+    assert points["return"].notna().all()

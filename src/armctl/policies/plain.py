@@ -98,10 +98,9 @@ class ModelPolicy:
     sees: Literal["observation", "state"] = "observation"
 
     def __init__(self, model: Any, worlds: EpisodeVectorEnv, name: str) -> None:
-        for kind in ("observation_space", "action_space"):
-            expected, space = getattr(model, kind, None), getattr(worlds, f"single_{kind}")
-            if expected is not None and type(expected) is not type(space):
-                raise ConfigurationError(f"{name} has the {kind} {expected}; here it is {space}")
+        here = worlds.single_action_space
+        if (trained := getattr(model, "action_space", here)) != here:
+            raise ConfigurationError(f"the actions of {name} are {trained}; here they are {here}")
         self.training_steps = int(getattr(model, "num_timesteps", 0))
         self._model = model
         self._normalizer = getattr(model, "get_vec_normalize_env", lambda: None)()
