@@ -186,6 +186,7 @@ def test_a_notebook_shows_tables_and_no_code():
     assert "<script" not in html
     assert "&lt;script&gt;a_b" in html
     assert "3.8e-59" in html
+    assert html.count("color: inherit") == 2  # in the notebook's colours, also where tables have their own
     assert swept()._repr_html_().count("<table") == 1
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from armctl.evaluation.tables import Cell, Document, Remark, Table
 
+TABLE = "border-collapse: collapse; margin: 0; color: inherit; font-size: inherit; font-variant-numeric: tabular-nums;"
 CELL = "padding: 3px 0 3px 18px; text-align: {align}; vertical-align: top; border: 0; white-space: nowrap;"
 RULE = "border-bottom: 1px solid color-mix(in srgb, currentColor {share}%, transparent);"
 SMALL = "font-size: 85%; opacity: .7;"
@@ -45,7 +46,7 @@ def _table(table: Table) -> str:
     rows = "".join(_row(row, "td", 15) for row in table.rows)
     return (
         f'<p style="margin: 12px 0 4px; font-weight: 600;">{html.escape(table.title)}</p>'
-        '<table style="border-collapse: collapse; margin: 0; font-variant-numeric: tabular-nums;">'
+        f'<table style="{TABLE}">'
         f"<thead>{_row(headings, 'th', 60)}</thead><tbody>{rows}</tbody></table>"
         f'<p style="margin: 4px 0; {SMALL}">{html.escape(table.caption)}</p>'
     )

@@ -77,7 +77,10 @@ def return_points(policies: Sequence[PolicySummary], look: Looks) -> go.Figure:
         )
         bounds = "" if earned.low is None else f"{number(low)} to {number(high)}"
         add_label(figure, style.label, f"<b>{number(earned.value)}</b>", bounds)
-    return with_rows(figure, len(policies), {"title": {"text": "mean return of an episode"}}, right=130)
+    ends = [float(end) for trace in figure.data for end in trace.x]
+    margin = 0.05 * (max(ends) - min(ends) or 1.0)
+    x = {"title": {"text": "mean return of an episode"}, "range": [min(ends) - margin, max(ends) + margin]}
+    return with_rows(figure, len(policies), x, right=130)
 
 
 def paired(pair: PairedDifference, episodes: Mapping[str, Sequence[EpisodeResult]], look: Looks) -> go.Figure:
