@@ -310,3 +310,24 @@ def test_mistakes_get_one_clear_line(arguments, says, tmp_path):
     assert done.returncode == 2
     assert re.search(says, done.stderr)
     assert done.stderr.count("\n") == 1
+
+
+def test_a_traceback_is_shown_where_it_is_asked_for(tmp_path):
+    (tmp_path / "mine.py").write_text("def typo(observation):\n    return obsevation\n")
+    arguments = ["compare", "mine.py:typo", "--episodes", "1", "--out", "r"]
+    short = armctl(*arguments, cwd=tmp_path, check=False)
+    assert "'obsevation' is not defined (mine.py:2)" in " ".join(short.stdout.split())
+    assert "Traceback" not in short.stdout + short.stderr
+    for words in (["--traceback", *arguments], [*arguments, "--traceback"]):
+        long = armctl(*words, "--overwrite", cwd=tmp_path, check=False)
+        assert "line 2, in typo" in long.stderr
+    refused = armctl("run", "mine.py:tipo", "--traceback", cwd=tmp_path, check=False)
+    assert refused.returncode == 2
+    assert "Traceback" in refused.stderr
+
+
+def test_run_starts_at_any_episode(tmp_path):
+    first, third = (armctl("run", "random", "--steps", "1", "--episode", n, cwd=tmp_path).stdout for n in ("0", "2"))
+    both = armctl("run", "random", "--steps", "1", "--episodes", "3", cwd=tmp_path).stdout
+    assert first in both
+    assert third in both

@@ -4,17 +4,24 @@ import sys
 from typing import NoReturn
 
 from armctl.cli import catalogue, evaluate, learn, play
-from armctl.cli.app import app
-from armctl.errors import ArmctlError
+from armctl.cli.app import app, settings
+from armctl.errors import ArmctlError, format_cause
 
 __all__ = ["app", "catalogue", "evaluate", "learn", "main", "play"]
+
+TRACEBACK = "--traceback"
 
 
 def main() -> NoReturn:
     """Run the command line; armctl's own errors become one line and exit status 2."""
+    words = sys.argv[1:]
+    if TRACEBACK in words:  # an option of the application, which Typer knows before the verb only
+        words = [TRACEBACK, *(word for word in words if word != TRACEBACK)]
     try:
-        app(prog_name="armctl")
+        app(words, prog_name="armctl")
     except ArmctlError as error:
+        if settings.traceback:
+            print(format_cause(error), file=sys.stderr)
         from rich.console import Console
         from rich.text import Text
 

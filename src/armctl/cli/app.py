@@ -1,5 +1,6 @@
 """The command line's application, to which each verb adds itself."""
 
+from dataclasses import dataclass
 from typing import Annotated
 
 import typer
@@ -17,6 +18,16 @@ app = typer.Typer(
 )
 
 
+@dataclass
+class Settings:
+    """What holds for all verbs."""
+
+    traceback: bool = False
+
+
+settings = Settings()
+
+
 def _show_version(asked: bool) -> None:
     if asked:
         from importlib.metadata import version
@@ -31,5 +42,8 @@ def _options(
     version: Annotated[
         bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version, and exit.")
     ] = False,
+    traceback: Annotated[
+        bool, typer.Option("--traceback", help="Show where errors come from; can stand anywhere on the line.")
+    ] = False,
 ) -> None:
-    pass
+    settings.traceback = traceback

@@ -119,7 +119,7 @@ def _disturbances(specs: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 def _first_line(described: Any) -> str:
     lines = (inspect.getdoc(described) or "").split("\n")
-    return next((line for line in lines if line.strip("# ")), "")
+    return next((line for line in lines if line.strip() and not line.startswith("#")), "")
 
 
 def _observation(space: "gymnasium.Space[Any]", task: Any) -> list[tuple[str, str]]:

@@ -1,5 +1,7 @@
 """Verbs that compare: `compare`, `report`, `sweep`, `reproduce`."""
 
+import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -7,7 +9,7 @@ import typer
 
 from armctl import DEFAULT_ENV
 from armctl.cli import completion
-from armctl.cli.app import app
+from armctl.cli.app import app, settings
 from armctl.cli.options import (
     Env,
     EnvOptions,
@@ -81,6 +83,7 @@ def compare(
     _exit_if_interrupted(comparison.interrupted, folder, console)
     if report:
         _write_report(folder, None, console, video=True, trusted=True)
+    _print_tracebacks(comparison.tracebacks)
     if comparison.failures:
         raise typer.Exit(1)
 
@@ -97,6 +100,12 @@ def report(
     from rich.console import Console
 
     _write_report(folder, out, Console(), video=video, trusted=False)
+
+
+def _print_tracebacks(tracebacks: Mapping[str, str]) -> None:
+    if settings.traceback:
+        for name, text in tracebacks.items():
+            print(f"{name}:\n{text}", file=sys.stderr)
 
 
 def _exit_if_interrupted(interrupted: bool, folder: Path, console: "Console") -> None:
@@ -183,6 +192,8 @@ def sweep(
     console = print_document(found.document(), table_format)
     console.print(f"{folder / 'sweep.csv'} has the curves; each comparison has a folder beside it.", soft_wrap=True)
     _exit_if_interrupted(found.interrupted, folder, console)
+    for one in found.comparisons.values():
+        _print_tracebacks(one.tracebacks)
     if found.failures:
         raise typer.Exit(1)
 

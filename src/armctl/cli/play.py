@@ -25,14 +25,15 @@ def run(
         int | None, typer.Option(min=1, help="Largest number of steps per episode.", show_default="the environment's")
     ] = None,
     seed: Seed = 0,
+    episode: Annotated[int, typer.Option(min=0, help="Number of the first episode.")] = 0,
     video: Annotated[Path | None, typer.Option(metavar="FILE.mp4", help="Record a video.")] = None,
-    watch: Annotated[bool, typer.Option("--watch", help="Show it in MuJoCo's window, in real time.")] = False,
+    watch: Annotated[bool, typer.Option("--watch", help="Show it in a window, in real time.")] = False,
     env_options: EnvOptions = None,
 ) -> None:
     """Play episodes with one policy, and print its states, actions and rewards."""
     from armctl.viewer.terminal import run_episodes
 
-    if not run_episodes(policy, env, episodes, steps, seed, video, watch, options_of(env_options)):
+    if not run_episodes(policy, env, episodes, steps, seed, video, watch, options_of(env_options), episode):
         raise typer.Exit(130)
 
 

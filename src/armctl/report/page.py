@@ -150,6 +150,8 @@ def _videos(results: Results, trusted: bool, progress: Callable[[str], None]) ->
 
 def _view(results: Results, result: EpisodeResult) -> str:
     """The command that shows an episode."""
+    if result.metrics.contacts is None:  # not made of a task: its window is its own
+        return _command("run", results, f"--episode {result.episode} --watch", names=[result.policy])
     return _command("view", results, f"--episode {result.episode}", names=[result.policy])
 
 

@@ -32,8 +32,9 @@ def run_episodes(
     video: Path | None,
     watch: bool,
     env_options: Mapping[str, Any],
+    first: int = 0,
 ) -> bool:
-    """Play episodes with one policy, and print each step. Returns False if interrupted.
+    """Play episodes with one policy, from number `first` on, and print each step. Returns False if interrupted.
 
     Raises `ConfigurationError`, `AgentFileError`, `PolicyFailed`, and `ResultsError` if the video cannot be written.
     """
@@ -46,7 +47,7 @@ def run_episodes(
     try:
         actor = make_policy(policy, worlds)
         with _film(video, worlds.metadata["render_fps"], console) as film:
-            for episode in range(episodes):
+            for episode in range(first, first + episodes):
                 console.rule(f"{policy}, episode {episode} of seed {seed}", align="left")
                 _play(console, policy, actor, worlds, seed, episode, film, watch, steps)
     except KeyboardInterrupt:
