@@ -149,6 +149,9 @@ def own_addresses():
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere 127.0.0.2 needs to be set up")
 def test_the_page_answers_on_loopback_alone_and_a_taken_port_is_told(tmp_path):
     with viewing(tmp_path, "random") as port:
+        until = time.monotonic() + 30
+        while not answers(LOOPBACK, port) and time.monotonic() < until:  # its server starts in a thread of its own
+            time.sleep(0.1)
         with urlopen(f"http://{LOOPBACK}:{port}/") as page:
             assert b"web_client" in page.read()
         assert [address for address in own_addresses() if answers(address, port)] == []

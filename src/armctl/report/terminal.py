@@ -17,7 +17,7 @@ from rich.text import Text
 from armctl.evaluation.notebook import Displayed
 from armctl.evaluation.tables import AGAINST, Cell, Document, Remark, Table
 
-SHORTEST_NAME = 12
+SHORTEST_NAME = 18
 """Characters that are left of a shortened name."""
 GAP = 2
 """Characters between two columns: one of padding, one of the box."""
