@@ -75,8 +75,8 @@ class HoverTask(Task):
 
     def __init__(self, n, options, threads=0):
         super().__init__(Simulation(mujoco.MjModel.from_xml_string(WORLD), n, threads), control_period=0.02)
-        self._qpos, self._qvel, self._thrusts, self._contacts, self._targets = (
-            self.simulation.array(name) for name in ("qpos", "qvel", "ctrl", "ncon", "mocap_pos")
+        self._qpos, self._qvel, self._thrusts, self._contacts, self._targets, self._rotations = (
+            self.simulation.array(name) for name in ("qpos", "qvel", "ctrl", "ncon", "mocap_pos", "xmat")
         )
         self.options, self.velocities = options, self._qvel[:, :3]
         self.action_space = gymnasium.spaces.Box(0.0, MAX_THRUST, (4,))
@@ -94,7 +94,7 @@ class HoverTask(Task):
 
     def observe(self, ids=None):
         """Offset to the target (m), rotation matrix, velocity (m/s) and body rates (rad/s): (n, 18)."""
-        rotations = self.simulation.array("xmat")[:, -1].reshape(-1, 9)
+        rotations = self._rotations[:, -1].reshape(-1, 9)
         seen = np.concatenate((self._offsets(), rotations, self._qvel), axis=1, dtype=np.float32)
         return seen if ids is None else seen[ids]
 
