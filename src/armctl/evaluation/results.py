@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -37,11 +37,11 @@ class _Summary:
     interrupted: bool
     resumed: int
     failures: dict[str, str]
-    notes: list[str]
     policies: list[PolicySummary]
     paired: list[PairedDifference]
     versions: dict[str, str]
     machine: dict[str, Any]
+    notes: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True)

@@ -48,8 +48,6 @@ class PolicySummary:
     episode_return: Estimate | None
     return_iqm: Estimate | None
     """Interquartile mean of the return (Agarwal et al. 2021), which is robust to outliers."""
-    length: Estimate | None
-    """Mean number of control steps, over all episodes."""
     steps_to_goal: Estimate | None
     """Mean over successful episodes."""
     optimality_gap: Estimate | None
@@ -65,6 +63,8 @@ class PolicySummary:
     """Share of control steps whose decision time exceeded the control period; None if that is unknown."""
     solver_failures: int
     """Number of control steps in which the controller's solver failed, if it counts them."""
+    length: Estimate | None = None
+    """Mean number of control steps, over all episodes; None in results of older versions."""
 
 
 def summarise(
@@ -115,7 +115,6 @@ def _summary(
         success_rate(np.array([bool(result.success) for result in results])) if scored else None,
         mean(returns),
         interquartile_mean([returns]),
-        mean(np.array([float(result.length) for result in results])),
         mean(np.array([float(result.length) for result in won])),
         median(_known(result.optimality_gap for result in results)),
         mean(_known(result.tracking_error for result in results)),
@@ -125,6 +124,7 @@ def _summary(
         float(decisions.max()),
         None if None in missed else sum(one for one in missed if one) / len(decisions),
         sum(result.metrics.solver_failures for result in results),
+        mean(np.array([float(result.length) for result in results])),
     )
 
 
