@@ -154,7 +154,7 @@ def test_what_is_no_task_is_said_to_be_none():
     with pytest.raises(ConfigurationError, match=r"a task is a subclass of armctl\.Task"):
         make_worlds("mine/NoTask-v0", 1)
     armctl.register("mine/Missing-v0", "json:Nothing", max_episode_steps=5)
-    with pytest.raises(ConfigurationError, match="cannot load the task 'json:Nothing'"):
+    with pytest.raises(ConfigurationError, match="there is no task in json: 'Nothing'"):
         make_worlds("mine/Missing-v0", 1)
     assert "mine/Missing-v0 cannot be loaded" in " ".join(in_process("list", cwd=".").stdout.split())
     for name in ("mine/NoTask-v0", "mine/Missing-v0"):

@@ -21,7 +21,10 @@ class Simulation:
         self._own: dict[str, Array] = {}
 
     def array(self, field: str) -> Array:
-        """Live (n, ...) array of an `MjData` field: a state to read and write, or an output to read."""
+        """Live (n, ...) array of an `MjData` field: a state to read and write, or an output to read.
+
+        Ask for outputs in a constructor: one that is asked for later holds zeros until the next `refresh` or `step`.
+        """
         return np.asarray(self._batch.bind(field))
 
     def per_world(self, field: str) -> Array:
