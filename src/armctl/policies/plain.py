@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from armctl.envs import EpisodeVectorEnv, ThirdPartyVectorEnv, one_of
 from armctl.envs.single import OneWorld
 from armctl.errors import ConfigurationError, InvalidAction
-from armctl.policies.policy import Actions, Policy
+from armctl.policies.policy import Actions, PerWorld, Policy
 from armctl.tasks import Observations
 
 ENV_PARAMETERS = {"env", "envs", "environment", "worlds"}
@@ -27,43 +27,33 @@ def adapted(given: Any, worlds: EpisodeVectorEnv, name: str) -> Policy:
             return given(worlds)  # type: ignore[no-any-return]
         if not callable(getattr(given, "act", None)):
             raise ConfigurationError(f"{name} is a class without act(observation){defined_at(given)}")
-        return PlainPolicy([_instance(given, worlds, i) for i in range(worlds.num_envs)], worlds, given, name)
+        return PlainPolicy([_instance(given, worlds, i) for i in range(worlds.num_envs)], worlds, given)
     if isinstance(given, Policy):
         return given
     if callable(getattr(given, "predict", None)):
         return ModelPolicy(given, worlds, name)
     if callable(getattr(given, "act", None)):
-        return PlainPolicy([given, *(copy.deepcopy(given) for _ in range(worlds.num_envs - 1))], worlds, given, name)
+        return PlainPolicy([given, *(copy.deepcopy(given) for _ in range(worlds.num_envs - 1))], worlds, given)
     if not callable(given):
         raise ConfigurationError(f"{name} is a {type(given).__name__}, which is not a policy: it cannot be called")
     if _makes_policies(given):
         return _from_factory(given, worlds, name)
-    return PlainPolicy([_Function(given)] * worlds.num_envs, worlds, given, name)
+    return PlainPolicy([_Function(given)] * worlds.num_envs, worlds, given)
 
 
-class PlainPolicy:
+class PlainPolicy(PerWorld):
     """A policy that consists of one plain controller for each world; it checks their actions.
 
     A controller has `act(observation)`. `reset()`, `plans()`, `failures`, `sees` and `training_steps` are optional.
     """
 
-    def __init__(self, controllers: list[Any], worlds: EpisodeVectorEnv, source: Any, name: str) -> None:
-        self.controllers = controllers
-        self.sees: Literal["observation", "state"] = getattr(controllers[0], "sees", "observation")
+    def __init__(self, controllers: list[Any], worlds: EpisodeVectorEnv, source: Any) -> None:
+        super().__init__(controllers, getattr(controllers[0], "sees", "observation"))
         self.training_steps = int(getattr(controllers[0], "training_steps", 0))
-        self._space, self._source, self._name = worlds.single_action_space, source, name
-
-    @property
-    def failures(self) -> NDArray[np.int64]:
-        """(n,) number of solver failures of each controller; 0 for controllers that do not count them."""
-        return np.array([getattr(controller, "failures", 0) for controller in self.controllers])
-
-    def plans(self, world: int) -> dict[str, NDArray[np.float64]]:
-        """The plans of the world's controller; none if it does not have the method `plans`."""
-        return dict(getattr(self.controllers[world], "plans", dict)())
+        self._space, self._source = worlds.single_action_space, source
 
     def reset(self, ids: NDArray[np.int32]) -> None:
-        """Worlds `ids` start a new episode."""
+        """Worlds `ids` start a new episode: controllers with a memory forget the last one."""
         for i in ids:
             getattr(self.controllers[i], "reset", lambda: None)()
 
@@ -80,16 +70,13 @@ class PlainPolicy:
         try:
             numbers = np.array(action, dtype=float)
         except (TypeError, ValueError):
-            numbers = np.array(np.nan)
-            described = f"returned {action!r}"
-        else:
-            described = f"returned an action of shape {numbers.shape}"
-        if action is None or numbers.shape != self._space.shape:
-            described = "returned None" if action is None else described
-            raise InvalidAction(
-                f"it {described}; expected are numbers of shape {self._space.shape}{defined_at(self._source)}"
-            )
-        return numbers
+            numbers = None
+        if action is not None and numbers is not None and numbers.shape == self._space.shape:
+            return numbers
+        returned = repr(action) if action is None or numbers is None else f"an action of shape {numbers.shape}"
+        raise InvalidAction(
+            f"it returned {returned}; expected are numbers of shape {self._space.shape}{defined_at(self._source)}"
+        )
 
 
 class ModelPolicy:
@@ -142,7 +129,7 @@ def _from_factory(factory: Callable[..., Any], worlds: EpisodeVectorEnv, name: s
             f"{defined_at(factory)}"
         )
     others = [factory(*arguments) for _ in range(worlds.num_envs - 1)]
-    return PlainPolicy([made, *others], worlds, factory, name)
+    return PlainPolicy([made, *others], worlds, factory)
 
 
 def _acts_in_batches(given: Any) -> bool:
