@@ -132,9 +132,7 @@ def test_invalid_actions_step_nothing(env, actions, said):
 def test_failures_name_the_environment_and_the_place():
     worlds = make_worlds(f"{ODD}:Crashing", 1)
     worlds.reset(seed=0)
-    with pytest.raises(
-        EnvironmentFailed, match=r"Crashing failed in episode 0: .*distanec.* \(odd_envir\w+.py:\d+"
-    ):
+    with pytest.raises(EnvironmentFailed, match=r"Crashing failed in episode 0: .*distanec.* \(odd_envir\w+.py:\d+"):
         worlds.step([[0.0]])
     worlds = make_worlds(f"{ODD}:Nan", 1)
     worlds.reset(seed=0)
