@@ -30,7 +30,12 @@ class RandomActions:
 
     def act(self, observations: Any) -> NDArray[Any]:
         """Actions (n, ...), independent of observations."""
-        return np.array([sampler.sample() for sampler in self._samplers])
+        samples = [sampler.sample() for sampler in self._samplers]
+        if not isinstance(samples[0], (dict, tuple)):
+            return np.array(samples)
+        actions = np.empty(len(samples), dtype=object)
+        actions[:] = samples
+        return actions
 
 
 class _Uniform:

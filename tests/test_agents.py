@@ -81,7 +81,7 @@ def test_corrupt_card(agent, text):
 
 
 def test_missing_files(agent, tmp_path):
-    with pytest.raises(AgentFileError, match="cannot be read"):
+    with pytest.raises(AgentFileError, match="there is no agent"):
         load(tmp_path / "none.json")
     agent.with_suffix(".onnx").unlink()
     with pytest.raises(AgentFileError, match="missing"):

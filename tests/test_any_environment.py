@@ -174,13 +174,12 @@ def test_a_controller_beside_an_agent_of_stable_baselines3(tmp_path, env):
     (tmp_path / "mine.py").write_text(f"import numpy as np\n\n\ndef still(observation):\n    return np.zeros({size})\n")
     armctl("export", "model.zip", "--env", env, "--out", "agent.onnx", "--trust", cwd=tmp_path)
     policies = ["mine.py:still", "agent.onnx", "random"]
-    armctl("compare", *policies, "--env", env, "--episodes", "10", "--out", "r", "--report", cwd=tmp_path)
+    short = ["--env", env, "--episodes", "10", "--set", "max_episode_steps=20"]
+    armctl("compare", *policies, *short, "--out", "r", "--report", cwd=tmp_path)
     report = (tmp_path / "r" / "report.html").read_text()
     assert report.count("data:video/mp4") == 6
     assert "Played again" not in report
-    armctl(
-        "sweep", *policies, "--env", env, "--episodes", "10", "--out", "s", "--disturbance", "noise=0,0.1", cwd=tmp_path
-    )
+    armctl("sweep", *policies, *short, "--out", "s", "--disturbance", "noise=0,0.1", cwd=tmp_path)
     points = pd.read_csv(tmp_path / "s" / "sweep.csv")
     assert points.policy.tolist() == policies * 2
     assert points["return"].notna().all()

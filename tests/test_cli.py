@@ -270,7 +270,7 @@ FORK = "<robot name='fork'><link name='base'/><link name='left'/><link name='rig
         (["sweep", "random", "--disturbance", "payload=heavy"], "payload are numbers, such as"),
         (["sweep", "random", "--disturbance", "delay=0.5"], "delay is a whole number"),
         (["compare", "random", "--set", "robot"], "NAME=VALUE"),
-        (["compare", "none.json"], "cannot be read"),
+        (["compare", "none.json"], "there is no agent"),
         (["run", "random", "--env", "armctl/Reach-v0"], "ArmReach"),
         (["run", "random", "--set", "robot=two.urdf"], r"2 leaf links \(left, right\).*`--set tip=LINK`"),
         (["run", "random", "--set", "robot=two.urdf", "--set", "tip=lift"], "Did you mean 'left'.*base, left, right"),

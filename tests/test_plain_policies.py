@@ -178,9 +178,9 @@ def test_models_with_memory_forget_when_an_episode_begins():
     ("name", "said"),
     [
         ("Dumb", r"is a class without act\(observation\) \(own_policies.py:\d+\)"),
-        ("makes_a_number", r"made a int, which is not a policy: .* \(own_policies.py:\d+\)"),
+        ("makes_a_number", r"made something of type int, which is not a policy: .* \(own_policies.py:\d+\)"),
         ("fails", r"could not be made: OSError: no licence \(own_policies.py:\d+\)"),
-        ("number", "is a int, which is not a policy"),
+        ("number", "is of type int, which cannot be called"),
         ("pdd", "Did you mean 'pd'"),
     ],
 )

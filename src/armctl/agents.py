@@ -160,8 +160,10 @@ def load_agent(path: Path, worlds: EpisodeVectorEnv) -> OnnxPolicy:
 
     Raises `AgentFileError` if a file is missing or corrupt, or if the agent was made for another environment.
     """
-    card = read_card(path.with_suffix(".json"))
     graph = path.with_suffix(".onnx")
+    if not path.is_file():
+        raise AgentFileError(f"there is no agent {path}")
+    card = read_card(path.with_suffix(".json"))
     if not graph.is_file():
         raise AgentFileError(f"the agent's graph {graph} is missing")
     if sha256(graph) != card.sha256:

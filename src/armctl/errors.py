@@ -1,10 +1,12 @@
 """The errors that armctl raises, and the wording they share."""
 
+import inspect
 import sysconfig
 import traceback
 from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path
+from typing import Any
 
 from armctl import DISTRIBUTION
 
@@ -38,7 +40,7 @@ class ResultsError(ArmctlError):
 
 
 def place_of(error: BaseException) -> str:
-    """Where an error arose, such as ` (mine.py:27)`: in the user's own code if that took part, never in armctl's."""
+    """Where in the user's own code an error arose, such as ` (mine.py:27)`; empty if that took no part."""
     if isinstance(error, SyntaxError):
         return ""  # its message says where
     library = sysconfig.get_path("stdlib")
@@ -48,9 +50,16 @@ def place_of(error: BaseException) -> str:
         if not f"{frame.f_globals.get('__name__')}.".startswith(("armctl.", "importlib."))
     ]
     own = [one for one in frames if "site-packages" not in one[0] and not one[0].startswith(library)]
-    for file, line in reversed(own or frames):
-        return f" ({Path(file).name}:{line})"
-    return ""
+    return f" ({Path(own[-1][0]).name}:{own[-1][1]})" if own else ""
+
+
+def defined_at(given: Any) -> str:
+    """Where a function, a class or an object's class is defined, such as ` (mine.py:12)`; empty if that is unknown."""
+    source = given if inspect.isclass(given) or inspect.isroutine(given) else type(given)
+    try:
+        return f" ({Path(inspect.getsourcefile(source) or '').name}:{inspect.getsourcelines(source)[1]})"
+    except (OSError, TypeError):
+        return ""
 
 
 def format_cause(error: BaseException) -> str:

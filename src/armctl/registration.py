@@ -77,8 +77,8 @@ def import_attribute(name: str, kind: str) -> Any:
     module, _, attribute = name.rpartition(":")
     loaded = import_named(module, f"the {kind} {name!r}")
     if not hasattr(loaded, attribute):
-        public = [name for name in vars(loaded) if not name.startswith("_")]
-        raise unknown_name(f"{kind} in {module}:", attribute, public)
+        own = [one for one, value in vars(loaded).items() if getattr(value, "__module__", None) == loaded.__name__]
+        raise unknown_name(f"{kind} in {module}:", attribute, own)
     return getattr(loaded, attribute)
 
 

@@ -132,6 +132,52 @@ class Rich(Line):
         return {"x": x, "t": self.t}, *rest
 
 
+class Mixed(Line):
+    """Observes and acts by tuples of unlike parts."""
+
+    observation_space = spaces.Tuple((spaces.Box(-2, 2, (2,)), spaces.Discrete(1000)))
+    action_space = spaces.Tuple((spaces.Discrete(3), spaces.Box(-1, 1, (1,))))
+
+    def reset(self, *, seed=None, options=None):
+        x, info = super().reset(seed=seed)
+        return (np.repeat(x, 2), 0), info
+
+    def step(self, action):
+        x, *rest = super().step(0.1 * (action[0] - 1) * action[1])
+        return (np.repeat(x, 2), self.t), *rest
+
+
+class Misfit(Line):
+    """Observes more than it declares."""
+
+    def reset(self, *, seed=None, options=None):
+        x, info = super().reset(seed=seed)
+        return np.repeat(x, 2), info
+
+    def step(self, action):
+        x, *rest = super().step(action)
+        return np.repeat(x, 2), *rest
+
+
+class Blind(Line):
+    """Observes NaN from the third step on."""
+
+    def step(self, action):
+        x, *rest = super().step(action)
+        return x * (np.nan if self.t > 2 else 1), *rest
+
+
+class Paired(Line):
+    """Has two rewards."""
+
+    def reward(self):
+        return np.array([1.0, 2.0])
+
+
+class NoSpaces(gymnasium.Env):
+    """Declares nothing."""
+
+
 def line_of(steps=20):
     """A function that makes an environment."""
     return Line(steps)

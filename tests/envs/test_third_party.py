@@ -11,7 +11,7 @@ from armctl.errors import ConfigurationError, EnvironmentFailed, InvalidAction
 from armctl.evaluation.seeding import seed_notes
 
 ODD = str(Path(__file__).with_name("odd_environments.py"))
-IDS = ["Pendulum-v1", "Reacher-v5", "CartPole-v1", "FrozenLake-v1", "Blackjack-v1", f"{ODD}:Rich"]
+IDS = ["Pendulum-v1", "Reacher-v5", "CartPole-v1", "FrozenLake-v1", "Blackjack-v1", f"{ODD}:Rich", f"{ODD}:Mixed"]
 
 
 def play(worlds, seed, episodes, steps=15):
@@ -93,7 +93,13 @@ def test_names_are_understood(name, full):
         ("LunarLander-v3", {}, "could not be made: DependencyNotInstalled"),
         ("nowhere:Line-v0", {}, "No module named 'nowhere'"),
         ("nowhere.py:Line-v0", {}, "there is no file .*nowhere.py"),
-        (f"{ODD}:Lime", {}, "no environment 'Lime'"),
+        (
+            f"{ODD}:Lime",
+            {},
+            "no environment '.*:Lime'. Did you mean 'Line'.* In odd_environments there are: Line, Silent",
+        ),
+        (f"{ODD}:NoSpaces", {}, r"NoSpaces has no observation_space \(odd_environments.py:\d+\)"),
+        ("odd_environments.py", {}, "odd_environments.py:NAME"),
         (f"{ODD}:Broken", {}, r"no licence \(odd_environments.py:\d+\)"),
         ("Pendulum-v1", {"render_mode": "human"}, "cannot be set as an option"),
         ("Pendulum-v1", {"disturbances": {"payload": 3}}, "no disturbance here 'payload'.*delay, noise"),
@@ -118,6 +124,8 @@ def test_mistakes_are_named(env, options, said):
         ("CartPole-v1", [2], "not 1 of Discrete"),
         ("CartPole-v1", [0.5], "not 1 of Discrete"),
         ("CartPole-v1", [0, 1], "not 1 of Discrete"),
+        ("CartPole-v1", [[0, 1]], "not 1 of Discrete"),
+        (f"{ODD}:Mixed", [(5, [0.0])], "not 1 of Tuple"),
         (f"{ODD}:Rich", [[5, 0]], "not 1 of MultiDiscrete"),
     ],
 )
@@ -140,6 +148,24 @@ def test_failures_name_the_environment_and_the_place():
     worlds.step([[0.0]])
     with pytest.raises(EnvironmentFailed, match="Nan returned the reward nan in step 3 of episode 0"):
         worlds.step([[0.0]])
+
+
+def test_a_reward_is_one_number():
+    worlds = make_worlds(f"{ODD}:Paired", 1)
+    worlds.reset(seed=0)
+    with pytest.raises(EnvironmentFailed, match=r"the reward array\(\[1., 2.\]\) is not one number"):
+        worlds.step([[0.0]])
+
+
+def test_a_class_or_a_function_is_an_environment_too():
+    from armctl.registration import import_named
+
+    module = import_named(ODD, "the test")
+    assert full_id(module.Line) == f"{module.__name__}:Line"
+    make_worlds(module.line_of, 1).close()
+    for given in (module.Line(), lambda: module.Line(), 3):
+        with pytest.raises(ConfigurationError, match=r"an environment is an id, .* gymnasium.register"):
+            full_id(given)
 
 
 def test_an_endless_episode_is_noticed():
@@ -185,6 +211,9 @@ def test_success_by_return():
         ("DeafLater", ["does not obey its seed: episode 0 differs in step 4"]),
         ("Remembering", ["does not obey its seed: episode 0 differs from its start"]),
         ("Monotonous", ["plays the same episode whatever its seed"]),
+        ("Mixed", []),
+        ("Misfit", ["declares observations of shape (1,), and observes (2,)"]),
+        ("Blind", ["observes numbers that are not finite"]),
         ("Crashing", ["Whether Crashing obeys its seed is unknown"]),
     ],
 )

@@ -24,14 +24,14 @@ SLOW = pytest.mark.slow
         pytest.param(
             PPO, "Pendulum-v1", "ppo", {"use_sde": True, "policy_kwargs": {"squash_output": True}}, marks=SLOW
         ),
-        (A2C, "CartPole-v1", "a2c", {}),
+        pytest.param(A2C, "CartPole-v1", "a2c", {}, marks=SLOW),
         (SAC, "Pendulum-v1", "sac", SMALL),
         pytest.param(SAC, "Pendulum-v1", "sac", SMALL | {"use_sde": True}, marks=SLOW),
-        (TD3, "Pendulum-v1", "td3", SMALL),
+        pytest.param(TD3, "Pendulum-v1", "td3", SMALL, marks=SLOW),
         pytest.param(DDPG, "Pendulum-v1", "ddpg", SMALL, marks=SLOW),
-        (TQC, "Pendulum-v1", "tqc", SMALL),
-        (DQN, "sb3/vector-choice-v0", "dqn", SMALL),
-        (PPO, "armctl/ArmReach-v0", "ppo", {}),
+        pytest.param(TQC, "Pendulum-v1", "tqc", SMALL, marks=SLOW),
+        pytest.param(DQN, "sb3/vector-choice-v0", "dqn", SMALL, marks=SLOW),
+        pytest.param(PPO, "armctl/ArmReach-v0", "ppo", {}, marks=SLOW),
     ],
 )
 def test_an_agent_acts_as_its_model(kind, env, name, options, tmp_path):
@@ -78,7 +78,7 @@ RECURRENT = {
 
 
 @pytest.mark.parametrize(
-    "variant", ["two LSTMs", "two layers", *(pytest.param(name, marks=SLOW) for name in ("shared", "actor's only"))]
+    "variant", ["two LSTMs", *(pytest.param(name, marks=SLOW) for name in ("shared", "actor's only", "two layers"))]
 )
 def test_a_recurrent_agent_remembers_and_forgets(variant, tmp_path):
     env = "sb3/vector-push-v0"

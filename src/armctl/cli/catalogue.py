@@ -34,15 +34,13 @@ def list_(
 
 
 def _everything() -> "Table":
-    from rich.table import Table
-
     from armctl.envs import task_of
     from armctl.learners import learner_names, load_recipe, recipe_names
     from armctl.policies import describe_policy, policy_names
     from armctl.registration import environment_names
     from armctl.robot_description import BUILTIN_ARMS
 
-    table = Table.grid(padding=(0, 2))
+    table = _grid()
     for kind, names in (("environments", environment_names()), ("arms", BUILTIN_ARMS), ("learners", learner_names())):
         table.add_row(f"[bold]{kind}[/]", "  ".join(names))
     _add_rows(table, "policies", ((name, describe_policy(name)) for name in policy_names()))
@@ -62,7 +60,11 @@ def _everything() -> "Table":
     for specs, envs in by_specs.values():
         table.add_row("[bold]disturbances[/]", f"in {', '.join(envs)}:")
         _add_rows(table, "", _disturbances(specs))
-    table.add_row("", "A policy may also be path/to/agent.json or module:function, and an arm path/to/your.urdf.")
+    table.add_row(
+        "",
+        "A policy may also be path/to/agent.json or file.py:NAME, an environment Pendulum-v1 or file.py:NAME, "
+        "and an arm path/to/your.urdf.",
+    )
     table.add_row("", "`armctl list --env ID` shows an environment's options, observations and actions.")
     return table
 
@@ -70,20 +72,18 @@ def _everything() -> "Table":
 def _environment(env: str) -> "Table":
     from contextlib import closing
 
-    from rich.table import Table
-
     from armctl.disturbances import available
-    from armctl.envs import ThirdPartyVectorEnv, make_worlds, task_of
+    from armctl.envs import ThirdPartyVectorEnv, full_id, make_worlds, task_of
     from armctl.envs.describe import describe_options
 
     kind: Any = task_of(env)
-    table = Table.grid(padding=(0, 2))
+    table = _grid()
     with closing(make_worlds(env, 1)) as worlds:
         worlds.reset(seed=0)
         task: Any = worlds.task
         period = "unknown" if task.control_period is None else f"{task.control_period:g} s"
         described = kind if not isinstance(worlds, ThirdPartyVectorEnv) else type(worlds.worlds[0].unwrapped)
-        _add_rows(table, "environment", [(env, _first_line(described))])
+        _add_rows(table, "environment", [(full_id(env), _first_line(described))])
         _add_rows(table, "control period", [("", period)])
         _add_rows(table, "observation", _observation(worlds.single_observation_space, task))
         _add_rows(table, "action", [("", _action(worlds.single_action_space))])
@@ -97,6 +97,15 @@ def _environment(env: str) -> "Table":
     potentials: Mapping[str, Any] = getattr(kind, "potentials", {})
     _add_rows(table, "potentials", ((name, _first_line(one)) for name, one in potentials.items()))
     table.add_row("[bold]line-up[/]", ", ".join(kind.default_policies))
+    return table
+
+
+def _grid() -> "Table":
+    from rich.table import Table
+
+    table = Table.grid(padding=(0, 2))
+    table.add_column()
+    table.add_column(overflow="fold")
     return table
 
 
@@ -118,7 +127,7 @@ def _disturbances(specs: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _first_line(described: Any) -> str:
-    lines = (inspect.getdoc(described) or "").split("\n")
+    lines = inspect.cleandoc(described.__doc__ or "").split("\n")
     return next((line for line in lines if line.strip() and not line.startswith("#")), "")
 
 

@@ -16,11 +16,18 @@ if TYPE_CHECKING:
 
 Env = Annotated[
     str,
-    typer.Option("--env", help="Environment id; `armctl list` shows them.", autocompletion=completion.environments),
+    typer.Option(
+        "--env",
+        help="Environment: an id (`armctl list` shows armctl's own), Gymnasium's `Pendulum-v1`, or `file.py:NAME`.",
+        autocompletion=completion.environments,
+    ),
 ]
 PolicyName = Annotated[
     str,
-    typer.Argument(help="Policy: a name, an agent's file, or `module:function`.", autocompletion=completion.policies),
+    typer.Argument(
+        help="Policy: a name, an agent's file, or `file.py:NAME` of a function or class of yours.",
+        autocompletion=completion.policies,
+    ),
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of the episodes: the same seed, the same episodes.")]
 EnvOptions = Annotated[
@@ -50,7 +57,7 @@ Workers = Annotated[
 Policies = Annotated[
     list[str] | None,
     typer.Argument(
-        help="Policies: names, agents' files, or `module:function`.",
+        help="Policies: names, agents' files, or `file.py:NAME` of functions or classes of yours.",
         show_default="those of the environment",
         autocompletion=completion.policies,
     ),

@@ -1,7 +1,10 @@
 """Makes environments by their ids."""
 
 import inspect
-from collections.abc import Mapping
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from types import ModuleType
 from typing import Any
 
 import gymnasium
@@ -11,7 +14,7 @@ from gymnasium.vector import AutoresetMode
 from armctl.envs.episodes import EpisodeVectorEnv
 from armctl.envs.third_party import ThirdPartyTask, ThirdPartyVectorEnv
 from armctl.envs.vector import TaskVectorEnv
-from armctl.errors import ConfigurationError, nearest, place_of, unknown_name
+from armctl.errors import ArmctlError, ConfigurationError, nearest, place_of, unknown_name
 from armctl.registration import VECTOR_ENV, environment_names, import_named, load_task
 
 RESERVED = {"num_envs", "autoreset_mode", "render_mode", "threads", "task"}
@@ -38,10 +41,14 @@ def make_worlds(
         raise ConfigurationError(f"{reserved.pop()} cannot be set as an option: armctl sets it itself")
     spec = find_spec(env)
     if is_task(spec):
-        made = gymnasium.make_vec(
-            spec, num_envs=worlds, autoreset_mode=autoreset_mode, threads=threads, render_mode=render_mode,
-            **options,
-        )  # fmt: skip
+        vector: dict[str, Any] = {
+            "num_envs": worlds,
+            "autoreset_mode": autoreset_mode,
+            "threads": threads,
+            "render_mode": render_mode,
+        }
+        with _wrap_errors(spec.id):
+            made: Any = gymnasium.make_vec(spec, **vector, **options)
         assert isinstance(made, TaskVectorEnv)
         return made
     if autoreset_mode is not AutoresetMode.DISABLED:
@@ -59,9 +66,9 @@ def task_of(env: str) -> type[Any]:
     return load_task(spec.kwargs["task"]) if is_task(spec) else ThirdPartyTask
 
 
-def full_id(env: str) -> str:
+def full_id(env: Any) -> str:
     """An environment's id with its namespace, after the module or file in `env`, if any."""
-    module, colon, _ = env.rpartition(":")
+    module, colon, _ = _as_text(env).rpartition(":")
     return f"{module}{colon}{find_spec(env).id}"
 
 
@@ -70,15 +77,17 @@ def is_task(spec: EnvSpec) -> bool:
     return spec.vector_entry_point == VECTOR_ENV
 
 
-def find_spec(env: str) -> EnvSpec:
+def find_spec(env: Any) -> EnvSpec:
     """Gymnasium's specification of an environment.
 
     `env` is an id (`armctl/ArmReach-v0`, `Pendulum-v1`), an id whose namespace is left out (`ArmReach-v0`), or
     either after the module that registers it, or its file (`mine:mine/Hover-v0`, `mine.py:Hover-v0`). What follows the
-    module may also be a class or function that makes the environment (`mine.py:Maze`).
+    module may also be a class or function that makes the environment (`mine.py:Maze`), which from Python can be given
+    itself.
 
     Raises `ConfigurationError`.
     """
+    env = _as_text(env)
     module, _, name = env.rpartition(":")
     loaded = import_named(module, f"the environment {env!r}") if module else None
     if name in gymnasium.registry:
@@ -88,25 +97,52 @@ def find_spec(env: str) -> EnvSpec:
     full = [known for known in gymnasium.registry if known.partition("/")[2] == name]
     if len(full) == 1:
         return gymnasium.spec(full[0])
-    short = [known.rpartition("/")[2] for known in gymnasium.registry]
-    hint = nearest(name, [*gymnasium.registry, *short, *vars(loaded or object)])
+    raise ConfigurationError(f"there is no environment {env!r}.{_hint(name, loaded)}")
+
+
+def _as_text(env: Any) -> str:
+    """The id of an environment, or `module:NAME` of a class or function that makes one."""
+    if isinstance(env, str):
+        return env
+    name = getattr(env, "__qualname__", "")
+    if callable(env) and name.isidentifier() and name in vars(sys.modules[env.__module__]):
+        return f"{env.__module__}:{name}"
     raise ConfigurationError(
-        f"there is no environment {name!r}.{hint} There are: {', '.join(environment_names())}, and those that "
-        "Gymnasium knows, such as Pendulum-v1"
+        f"an environment is an id, 'file.py:NAME', or a class or function at the top of a module that makes it, not "
+        f"{env!r}: gymnasium.register gives it an id"
+    )
+
+
+def _hint(name: str, loaded: ModuleType | None) -> str:
+    if loaded is not None:
+        own = [one for one, value in vars(loaded).items() if getattr(value, "__module__", None) == loaded.__name__]
+        return f"{nearest(name, own)} In {loaded.__name__} there are: {', '.join(own) or 'none'}"
+    if name.endswith(".py"):
+        return f" Name what makes it in that file: {name}:NAME"
+    short = [known.rpartition("/")[2] for known in gymnasium.registry]
+    return (
+        f"{nearest(name, [*gymnasium.registry, *short])} There are: {', '.join(environment_names())}, those that "
+        "Gymnasium knows, such as Pendulum-v1, and yours: file.py:NAME"
     )
 
 
 def _make_third_party(spec: EnvSpec, options: Mapping[str, Any], render_mode: str | None) -> gymnasium.Env[Any, Any]:
     rendering: dict[str, Any] = {} if render_mode is None else {"render_mode": render_mode}
-    try:
+    with _wrap_errors(spec.id):
         _check_options(spec, options)
-        made: gymnasium.Env[Any, Any] = gymnasium.make(spec, disable_env_checker=True, **rendering, **options)
-    except ConfigurationError:
+        return gymnasium.make(spec, disable_env_checker=True, **rendering, **options)
+
+
+@contextmanager
+def _wrap_errors(name: str) -> Iterator[None]:
+    """Turn any error of somebody's environment into `ConfigurationError`, with its place."""
+    try:
+        yield
+    except ArmctlError:
         raise
     except Exception as error:
         described = f"{type(error).__name__}: {error}{place_of(error)}"
-        raise ConfigurationError(f"{spec.id} could not be made: {described}") from error
-    return made
+        raise ConfigurationError(f"{name} could not be made: {described}") from error
 
 
 def _check_options(spec: EnvSpec, options: Mapping[str, Any]) -> None:

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from armctl.disturbances import GENERIC, DisturbanceSpec, disturb, episode_rng
 from armctl.envs.episodes import Array, EpisodeVectorEnv, Infos
 from armctl.envs.observations import stacked
-from armctl.errors import EnvironmentFailed, InvalidAction, place_of
+from armctl.errors import ConfigurationError, EnvironmentFailed, InvalidAction, defined_at, place_of
 from armctl.tasks import MotionSample, Observations
 
 SUCCESS_KEYS = ("is_success", "success")
@@ -44,6 +44,9 @@ class ThirdPartyTask:
 
     def __init__(self, env: gymnasium.Env[Any, Any], n: int) -> None:
         self.n = n
+        for name in ("observation_space", "action_space"):
+            if not isinstance(getattr(env, name, None), spaces.Space):
+                raise ConfigurationError(f"{type(env.unwrapped).__name__} has no {name}{defined_at(env.unwrapped)}")
         self.observation_space, self.action_space = env.observation_space, env.action_space
         period = getattr(env.unwrapped, "dt", None)
         self.control_period = float(period) if isinstance(period, (int, float)) and period > 0 else None
@@ -135,7 +138,7 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
                 action = action.astype(self.single_action_space.dtype)
             with self._wrap_errors(int(i)):
                 seen, reward, terminated[i], truncated[i], info = self.worlds[i].step(action)
-                rewards[i] = reward
+                rewards[i] = _one_number(reward)
             self._steps[i] += 1
             self._check_step(int(i), rewards[i], bool(terminated[i] or truncated[i]))
             self._returns[i] += rewards[i]
@@ -196,7 +199,7 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
                 )
             return checked
         if isinstance(space, spaces.Discrete):
-            actions = [_whole(action) for action in np.ravel(actions)]
+            actions = [_whole(action) for action in actions]
         if len(actions) != n or not all(space.contains(action) for action in actions):
             raise InvalidAction(f"actions {list(actions)!r} are not {n} of {space}")
         return actions
@@ -209,7 +212,7 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
         if not ended and self.max_episode_steps is None and self._steps[i] >= ENDLESS:
             raise EnvironmentFailed(
                 f"episode {self._episodes[i]} of {self._name} has not ended after {ENDLESS:,} steps: limit them, "
-                "with max_episode_steps"
+                "such as by --set max_episode_steps=1000"
             )
 
     def _success(self, i: int, info: Mapping[str, Any]) -> bool | None:
@@ -239,12 +242,21 @@ def _reward_terms(info: Mapping[str, Any]) -> dict[str, float]:
 
 def _whole(action: Any) -> Any:
     """A discrete action as an int, even if it came as a float array."""
-    number = np.asarray(action).item()
+    array = np.asarray(action)
+    number = array.item() if array.size == 1 else action
     return int(number) if isinstance(number, float) and number.is_integer() else number
+
+
+def _one_number(reward: Any) -> float:
+    if np.shape(reward) != ():
+        raise TypeError(f"the reward {reward!r} is not one number")
+    return float(reward)
 
 
 def _zero(space: spaces.Space[Any]) -> Any:
     """An observation of the right shape, for before the first reset."""
     if isinstance(space, spaces.Dict):
         return {name: _zero(part) for name, part in space.spaces.items()}
-    return np.zeros(space.shape or (), dtype=space.dtype or float)
+    if isinstance(space, (spaces.Box, spaces.Discrete, spaces.MultiDiscrete, spaces.MultiBinary)):
+        return np.zeros(space.shape or (), dtype=space.dtype)
+    return None

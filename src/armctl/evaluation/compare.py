@@ -15,6 +15,7 @@ from armctl.evaluation.comparison import Comparison, write_summary
 from armctl.evaluation.parallel import WorkerConfig, WorkersFailed, check_sendable, play_here, play_in_workers
 from armctl.evaluation.provenance import versions
 from armctl.evaluation.record import COLUMNS, EpisodeResult
+from armctl.evaluation.rollouts import wrap_environment_errors
 from armctl.evaluation.seeding import seed_notes
 from armctl.evaluation.store import EpisodeLog
 from armctl.evaluation.summary import summarise
@@ -22,7 +23,7 @@ from armctl.policies import Policy, make_policy, named_policies
 from armctl.registration import bare_id
 
 UNTOLD = "{env} is not made of a task of armctl's: least times, feasibility, contacts and clearances are unknown."
-UNSCORED = "{env} does not say what a success is: the verdict goes by return (success_return says which is one)."
+UNSCORED = "{env} does not say what a success is: the verdict goes by return. --success-return says which is one."
 
 
 def compare(
@@ -71,7 +72,8 @@ def compare(
     with ExitStack() as stack:
         made_env = make_worlds(env, worlds if workers == 1 else 1, env_options)
         stack.callback(made_env.close)
-        made_env.reset(seed=seed)  # raises for an invalid seed, before anything is written
+        with wrap_environment_errors("a trial", 0):
+            made_env.reset(seed=seed)  # raises for an invalid seed, before anything is written
         made = {name: make_policy(policy, made_env) for name, policy in by_name.items()}
         if workers > 1:
             check_sendable(by_name)

@@ -68,7 +68,8 @@ class Comparison(Displayed):
     def __repr__(self) -> str:
         names = ", ".join(policy.policy for policy in self.policies) or "no policy"
         said = f": {verdict(self.policies, self.paired)}" if self.paired else ""
-        return f"<Comparison of {names} in {self.env}, seed {self.seed}{said}>"
+        failed = "".join(f"; {failure}" for failure in self.failures.values())
+        return f"<Comparison of {names} in {self.env}, seed {self.seed}{said}{failed}>"
 
 
 def write_summary(folder: Path, comparison: Comparison) -> None:

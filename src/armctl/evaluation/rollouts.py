@@ -168,7 +168,7 @@ def wrap_environment_errors(name: str, episode: int) -> Iterator[None]:
         yield
     except InvalidAction as error:
         raise PolicyFailed(f"{name} failed in episode {episode}: {error}") from error
-    except EnvironmentFailed:
+    except (ConfigurationError, EnvironmentFailed):
         raise
     except Exception as error:
         described = f"{type(error).__name__}: {error}{place_of(error)}"

@@ -13,7 +13,7 @@ def verdict(policies: Sequence[PolicySummary], paired: Sequence[PairedDifference
     """
     fewest = min(pair.episodes for pair in paired)
     if fewest < FEWEST:
-        return f"No verdict from {fewest} episodes: it takes {FEWEST}."
+        return f"No verdict from {fewest} episode{'s' if fewest > 1 else ''}: it takes {FEWEST}."
     ranked = sorted(policies, key=lambda policy: _rank(policy.success, policy.episode_return), reverse=True)
     best, second = (policy.policy for policy in ranked[:2])
     pair = next(pair for pair in paired if {pair.a, pair.b} == {best, second})

@@ -103,8 +103,8 @@ def _made(policy: Any, worlds: EpisodeVectorEnv) -> Policy:
             )
     if name in policy_names():
         return adapted(installed(GROUP)[name].load(), worlds, name)
+    if name.endswith(".py"):
+        raise ConfigurationError(f"there is no policy {name!r}. Name a function or class in that file: {name}:NAME")
     if ":" not in name:
-        raise unknown_name(
-            "policy", name, [*policy_names(), "path/to/agent.json", "module:function", "file.py:function"]
-        )
+        raise unknown_name("policy", name, [*policy_names(), "path/to/agent.json", "file.py:NAME"])
     return adapted(import_attribute(name, "policy"), worlds, name)

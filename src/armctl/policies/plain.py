@@ -3,7 +3,6 @@
 import copy
 import inspect
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 
 from armctl.envs import EpisodeVectorEnv, ThirdPartyVectorEnv, one_of
 from armctl.envs.single import OneWorld
-from armctl.errors import ConfigurationError, InvalidAction
+from armctl.errors import ConfigurationError, InvalidAction, defined_at
 from armctl.policies.policy import Actions, PerWorld, Policy
 from armctl.tasks import Observations
 
@@ -35,7 +34,9 @@ def adapted(given: Any, worlds: EpisodeVectorEnv, name: str) -> Policy:
     if callable(getattr(given, "act", None)):
         return PlainPolicy([given, *(copy.deepcopy(given) for _ in range(worlds.num_envs - 1))], worlds, given)
     if not callable(given):
-        raise ConfigurationError(f"{name} is a {type(given).__name__}, which is not a policy: it cannot be called")
+        raise ConfigurationError(
+            f"{name} is of type {type(given).__name__}, which cannot be called: it is not a policy"
+        )
     if _makes_policies(given):
         return _from_factory(given, worlds, name)
     return PlainPolicy([_Function(given)] * worlds.num_envs, worlds, given)
@@ -125,7 +126,7 @@ def _from_factory(factory: Callable[..., Any], worlds: EpisodeVectorEnv, name: s
         return made
     if not callable(getattr(made, "act", None)):
         raise ConfigurationError(
-            f"{name} made a {type(made).__name__}, which is not a policy: it needs act(observation)"
+            f"{name} made something of type {type(made).__name__}, which is not a policy: it needs act(observation)"
             f"{defined_at(factory)}"
         )
     others = [factory(*arguments) for _ in range(worlds.num_envs - 1)]
@@ -152,12 +153,3 @@ def _instance(cls: type[Any], worlds: EpisodeVectorEnv, i: int) -> Any:
     if wants_env is None:
         return cls()
     return cls(**{wants_env: worlds.worlds[i] if isinstance(worlds, ThirdPartyVectorEnv) else OneWorld.of(worlds)})
-
-
-def defined_at(given: Any) -> str:
-    """Where a function, a class or an object's class is defined, such as ` (mine.py:12)`; empty if that is unknown."""
-    source = given if inspect.isclass(given) or inspect.isroutine(given) else type(given)
-    try:
-        return f" ({Path(inspect.getsourcefile(source) or '').name}:{inspect.getsourcelines(source)[1]})"
-    except (OSError, TypeError):
-        return ""

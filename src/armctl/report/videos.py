@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import imageio.v3 as imageio
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
@@ -140,12 +141,18 @@ def _play(results: Results, result: EpisodeResult, stride: int, trusted: bool) -
 def _pictures(stage: Stage) -> Iterator[Callable[[], Frame]]:
     """A function that takes a picture of the stage, of the size `SIZE`."""
     if isinstance(stage.worlds, ThirdPartyVectorEnv):
+        model = getattr(stage.worlds.worlds[0].unwrapped, "model", None)
+        if isinstance(model, mujoco.MjModel):
+            _simplify(model)
         yield lambda: _fitted(stage.worlds.render()[0])
         return
-    quality = stage.task.simulation.model.vis.quality
-    quality.offsamples, quality.shadowsize = OFFSAMPLES, SHADOW
+    _simplify(stage.task.simulation.model)
     with closing(Camera(stage.task.simulation.model, stage.task.camera, *SIZE)) as camera:
         yield lambda: camera.picture(stage.task.simulation.data(0)).copy()
+
+
+def _simplify(model: mujoco.MjModel) -> None:
+    model.vis.quality.offsamples, model.vis.quality.shadowsize = OFFSAMPLES, SHADOW
 
 
 def _fitted(frame: Frame) -> Frame:

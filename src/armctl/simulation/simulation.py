@@ -12,7 +12,7 @@ WorldIds = NDArray[np.int32]
 class Simulation:
     """A thin wrapper of `mujoco.batch.Batch`; every world is bit-identical to one simulated alone.
 
-    Worlds start in the first keyframe of `model`.
+    Worlds start in the first keyframe of `model`, if it has one.
     """
 
     def __init__(self, model: mujoco.MjModel, n: int, threads: int = 0) -> None:
@@ -43,8 +43,8 @@ class Simulation:
         return bool(self._own)
 
     def reset(self, ids: WorldIds | None = None) -> None:
-        """Reset worlds to the first keyframe. Call `refresh` after setting the state."""
-        self._batch.reset(ids, keyframe=0, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
+        """Reset worlds to the first keyframe, or the initial state. Call `refresh` after setting the state."""
+        self._batch.reset(ids, keyframe=0 if self.model.nkey else -1, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
 
     def refresh(self, ids: WorldIds | None = None) -> None:
         """Recompute the outputs from the state."""
