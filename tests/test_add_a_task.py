@@ -172,3 +172,74 @@ def test_installed_tasks_are_registered_and_broken_ones_left_out(tmp_path):
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
     assert done.stdout == "(18,)\n", done.stderr
     assert "the tasks of broken were left out: ModuleNotFoundError" in done.stderr
+
+
+PUCK = """
+import gymnasium
+import mujoco
+import numpy as np
+
+import armctl
+from armctl.simulation import Simulation
+from armctl.tasks import Outcome, Task
+
+PUCK = '<body name="puck"> <joint type="slide" axis="1 0 0"/> <geom size="0.1"/> </body>'
+WORLD = f"<mujoco> <worldbody> {PUCK} </worldbody> </mujoco>"
+
+
+class PuckOutcome(Outcome):
+    TIMEOUT = 0
+
+
+class Puck(Task):
+    outcomes = PuckOutcome
+
+    def __init__(self, n, options, threads=0):
+        super().__init__(Simulation(mujoco.MjModel.from_xml_string(WORLD), n, threads), 0.02)
+        self.qpos = self.simulation.array("qpos")
+        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (1,), dtype=np.float32)
+        self.action_space = gymnasium.spaces.Box(-1, 1, (1,), dtype=np.float32)
+
+    def reset(self, ids, rngs):
+        self.simulation.reset(ids)
+        self.qpos[ids] = [rng.uniform(-1, 1, 1) for rng in rngs]
+        self.simulation.refresh(ids)
+
+    def command(self, actions):
+        pass
+
+    def observe(self, ids=None):
+        return self.qpos.astype(np.float32) if ids is None else self.qpos[ids].astype(np.float32)
+
+    def reward_terms(self):
+        return {"near": -np.abs(self.qpos[:, 0])}
+
+    def outcome(self):
+        return np.zeros(self.n, dtype=np.int8)
+
+
+class Oops(Puck):
+    def reward_terms(self):
+        raise RuntimeError("oops")
+
+
+class Crooked(Puck):
+    def __init__(self, n, options, threads=0):
+        raise RuntimeError("no world")
+
+
+for task in (Puck, Oops, Crooked):
+    armctl.register(f"puck/{task.__name__}-v0", task, max_episode_steps=5)
+"""
+
+
+def test_a_world_needs_no_keyframe_and_a_task_that_fails_is_one_line(tmp_path):
+    (tmp_path / "puck_tasks.py").write_text(PUCK)
+    compare = ["compare", "random", "--episodes", "2", "--out", "r", "--overwrite", "--env"]
+    done = in_process(*compare, "puck_tasks.py:Puck-v0", cwd=tmp_path)
+    assert "2 timeout" in done.stdout
+    for name, said in (("Oops", "RuntimeError: oops (puck_tasks.py:"), ("Crooked", "no world (puck_tasks.py:")):
+        failed = in_process(*compare, f"puck_tasks.py:{name}-v0", cwd=tmp_path, check=False)
+        assert failed.returncode in (1, 2)
+        assert said in " ".join((failed.stdout + failed.stderr).split())
+        assert "Traceback" not in failed.stdout + failed.stderr

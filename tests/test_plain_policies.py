@@ -222,3 +222,9 @@ def test_a_models_file_is_not_opened(tmp_path):
 def test_experts_say_where_they_belong(name):
     with pytest.raises(Exception, match="armctl/"):
         make_policy(name, make_worlds(PENDULUM, 1))
+
+
+def test_failures_show_where_a_comparison_does():
+    comparison = armctl.compare([lambda observation: None, "random"], PENDULUM, episodes=2)
+    assert "it returned None" in repr(comparison)
+    assert "it returned None" in comparison._repr_html_()
