@@ -483,7 +483,7 @@ def test_policies_that_are_gone_are_told_and_the_others_shown(folder):
     for file in ("comparison.json", "summary.json", "episodes.csv", "decisions.csv"):
         (folder / file).write_text((folder / file).read_text().replace("reach_ppo", "gone/agent.json"))
     report = write_report(folder)
-    assert text_of(report).count("No video: the agent's card gone/agent.json cannot be read") == 2
+    assert text_of(report).count("No video: there is no agent gone/agent.json") == 2
     assert report.read_text().count("<video") == 4
 
 
