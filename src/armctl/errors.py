@@ -39,6 +39,11 @@ class ResultsError(ArmctlError):
     """A results folder that cannot be written, or that holds results already."""
 
 
+def described(error: BaseException) -> str:
+    """An error of somebody's code in a line: its type, its message, and its place."""
+    return f"{type(error).__name__}: {error}{place_of(error)}"
+
+
 def place_of(error: BaseException) -> str:
     """Where in the user's own code an error arose, such as ` (mine.py:27)`; empty if that took no part."""
     if isinstance(error, SyntaxError):

@@ -17,7 +17,7 @@ from typing import Any
 
 import gymnasium
 
-from armctl.errors import ConfigurationError, place_of, unknown_name
+from armctl.errors import ConfigurationError, described, unknown_name
 
 GROUP = "armctl.tasks"
 ENV, VECTOR_ENV = "armctl.envs:TaskEnv", "armctl.envs:TaskVectorEnv"
@@ -77,9 +77,13 @@ def import_attribute(name: str, kind: str) -> Any:
     module, _, attribute = name.rpartition(":")
     loaded = import_named(module, f"the {kind} {name!r}")
     if not hasattr(loaded, attribute):
-        own = [one for one, value in vars(loaded).items() if getattr(value, "__module__", None) == loaded.__name__]
-        raise unknown_name(f"{kind} in {module}:", attribute, own)
+        raise unknown_name(f"{kind} in {module}:", attribute, own_names(loaded))
     return getattr(loaded, attribute)
+
+
+def own_names(module: ModuleType) -> list[str]:
+    """What a module defines itself."""
+    return [name for name, value in vars(module).items() if getattr(value, "__module__", None) == module.__name__]
 
 
 def import_named(module: str, purpose: str) -> ModuleType:
@@ -91,7 +95,7 @@ def import_named(module: str, purpose: str) -> ModuleType:
     try:
         return _import_file(Path(module)) if module.endswith(".py") else importlib.import_module(module)
     except Exception as error:
-        raise ConfigurationError(f"cannot load {purpose}: {type(error).__name__}: {error}{place_of(error)}") from error
+        raise ConfigurationError(f"cannot load {purpose}: {described(error)}") from error
 
 
 def _import_file(path: Path) -> ModuleType:

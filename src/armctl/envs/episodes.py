@@ -8,7 +8,9 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
-from armctl.errors import ConfigurationError
+from armctl.disturbances import Disturbance, episode_rng
+from armctl.envs.observations import action_numbers
+from armctl.errors import ConfigurationError, InvalidAction
 from armctl.tasks import Observations
 
 Array = NDArray[np.float64]
@@ -27,6 +29,7 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     """A `Task`, or what stands for one in the environments of others (`ThirdPartyTask`)."""
     max_episode_steps: int | None
     autoreset_mode: AutoresetMode
+    disturbances: dict[str, Disturbance]
 
     def __init__(self, num_envs: int) -> None:
         self.num_envs = num_envs
@@ -81,7 +84,7 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         return self._episodes.copy()
 
     @abstractmethod
-    def _begin(self, ids: NDArray[np.integer[Any]]) -> None:
+    def _begin(self, ids: NDArray[np.int32]) -> None:
         """Start the new episodes of worlds `ids`, which `_episodes` numbers."""
 
     @abstractmethod
@@ -92,7 +95,33 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._episodes[ids] += 1
         self._steps[ids] = 0
         self._finished[ids] = False
-        self._begin(ids)
+        worlds = ids.astype(np.int32)
+        for name, disturbance in self.disturbances.items():
+            for i in worlds:
+                disturbance.rngs[i] = episode_rng(name, int(self._seeds[i]), int(self._episodes[i]))
+            disturbance.begin(worlds)
+        self._begin(worlds)
+
+    def _disturbed_commands(self, commands: Any) -> Any:
+        for disturbance in self.disturbances.values():
+            commands = disturbance.command(commands)
+        return commands
+
+    def _disturbed_observations(self, observations: Observations, ids: Any = slice(None)) -> Observations:
+        for disturbance in self.disturbances.values():
+            observations = disturbance.observe(observations, ids)
+        return observations
+
+    def _checked_numbers(self, actions: ArrayLike) -> Array:
+        """Actions as numbers of the right shape. Raises `InvalidAction`."""
+        checked = action_numbers(actions)
+        expected = (self.num_envs, *(self.single_action_space.shape or ()))
+        if checked.shape != expected:
+            raise InvalidAction(f"actions have shape {checked.shape}; expected {expected}")
+        if not np.isfinite(checked).all():
+            worlds = np.flatnonzero(~np.isfinite(checked).reshape(self.num_envs, -1).all(axis=1))
+            raise InvalidAction(f"action {checked[worlds[0]]} of world {worlds[0]} is not finite; no world was stepped")
+        return checked
 
     def _check_seeded(self) -> None:
         if not self._seeded:

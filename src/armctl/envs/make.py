@@ -14,8 +14,8 @@ from gymnasium.vector import AutoresetMode
 from armctl.envs.episodes import EpisodeVectorEnv
 from armctl.envs.third_party import ThirdPartyTask, ThirdPartyVectorEnv
 from armctl.envs.vector import TaskVectorEnv
-from armctl.errors import ArmctlError, ConfigurationError, nearest, place_of, unknown_name
-from armctl.registration import VECTOR_ENV, environment_names, import_named, load_task
+from armctl.errors import ArmctlError, ConfigurationError, described, nearest, unknown_name
+from armctl.registration import VECTOR_ENV, environment_names, import_named, load_task, own_names
 
 RESERVED = {"num_envs", "autoreset_mode", "render_mode", "threads", "task"}
 """Arguments that callers cannot set as options."""
@@ -115,7 +115,7 @@ def _as_text(env: Any) -> str:
 
 def _hint(name: str, loaded: ModuleType | None) -> str:
     if loaded is not None:
-        own = [one for one, value in vars(loaded).items() if getattr(value, "__module__", None) == loaded.__name__]
+        own = own_names(loaded)
         return f"{nearest(name, own)} In {loaded.__name__} there are: {', '.join(own) or 'none'}"
     if name.endswith(".py"):
         return f" Name what makes it in that file: {name}:NAME"
@@ -141,8 +141,7 @@ def _wrap_errors(name: str) -> Iterator[None]:
     except ArmctlError:
         raise
     except Exception as error:
-        described = f"{type(error).__name__}: {error}{place_of(error)}"
-        raise ConfigurationError(f"{name} could not be made: {described}") from error
+        raise ConfigurationError(f"{name} could not be made: {described(error)}") from error
 
 
 def _check_options(spec: EnvSpec, options: Mapping[str, Any]) -> None:

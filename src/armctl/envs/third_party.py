@@ -4,7 +4,6 @@ Episode k of seed s starts with `reset(seed=episode_seed(s, k))`. Success is `in
 of an episode's last step, or a return of at least `success_return`; without either, it is unknown.
 """
 
-import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from types import MappingProxyType
@@ -16,11 +15,12 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
-from armctl.disturbances import GENERIC, DisturbanceSpec, disturb, episode_rng
+from armctl.disturbances import GENERIC, DisturbanceSpec, disturb
 from armctl.envs.episodes import Array, EpisodeVectorEnv, Infos
 from armctl.envs.observations import stacked
-from armctl.errors import ConfigurationError, EnvironmentFailed, InvalidAction, defined_at, place_of
+from armctl.errors import ConfigurationError, EnvironmentFailed, InvalidAction, defined_at, described
 from armctl.tasks import MotionSample, Observations
+from armctl.tasks.task import TaskFacts
 
 SUCCESS_KEYS = ("is_success", "success")
 RENDER_FPS = 25
@@ -34,7 +34,7 @@ def episode_seed(seed: int, episode: int) -> int:
     return int(np.random.SeedSequence((seed, episode)).generate_state(1)[0])
 
 
-class ThirdPartyTask:
+class ThirdPartyTask(TaskFacts):
     """What stands for a task in an environment of others: what it does not tell is NaN or None."""
 
     disturbances: ClassVar[Mapping[str, DisturbanceSpec]] = GENERIC
@@ -63,30 +63,9 @@ class ThirdPartyTask:
         """Observations of all worlds, without disturbances."""
         return stacked(self.observations)
 
-    def observation_parts(self) -> dict[str, NDArray[Any]]:
-        """The present observations' parts by name, (n, ...) each; for display."""
-        observed = self.observe()
-        return observed if isinstance(observed, dict) else {"observation": observed}
-
-    def info(self) -> dict[str, Any]:
-        """Nothing."""
-        return {}
-
     def motion(self) -> MotionSample:
         """An unknown motion."""
         return MotionSample(np.full((self.n, 3), np.nan), np.full((self.n, 1), np.nan), None)
-
-    def goal_distances(self) -> Array:
-        """(n,) NaN."""
-        return np.full(self.n, np.nan)
-
-    def least_clearance(self, world: int, configurations: Array) -> float:
-        """NaN."""
-        return math.nan
-
-    def least_time(self, world: int) -> float:
-        """NaN."""
-        return math.nan
 
 
 class ThirdPartyVectorEnv(EpisodeVectorEnv):
@@ -124,9 +103,7 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
         Raises `EnvironmentFailed` if an environment fails.
         """
         self._check_seeded()
-        commands: Any = self._checked(actions)
-        for disturbance in self.disturbances.values():
-            commands = disturbance.command(commands)
+        commands: Any = self._disturbed_commands(self._checked(actions))
         n = self.num_envs
         rewards, outcome = np.zeros(n), np.full(n, "", dtype=object)
         terminated, truncated = np.zeros((2, n), dtype=bool)
@@ -165,12 +142,7 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
         for world in self.worlds:
             world.close()
 
-    def _begin(self, ids: NDArray[np.integer[Any]]) -> None:
-        worlds = ids.astype(np.int32)
-        for name, disturbance in self.disturbances.items():
-            for i in worlds:
-                disturbance.rngs[i] = episode_rng(name, int(self._seeds[i]), int(self._episodes[i]))
-            disturbance.begin(worlds)
+    def _begin(self, ids: NDArray[np.int32]) -> None:
         self._returns[ids] = 0.0
         for i in ids:
             seed = episode_seed(int(self._seeds[i]), int(self._episodes[i]))
@@ -178,26 +150,13 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
                 self.task.observations[i], _ = self.worlds[i].reset(seed=seed)
 
     def _observe(self) -> Observations:
-        observations: Observations = self.task.observe()
-        for disturbance in self.disturbances.values():
-            observations = disturbance.observe(observations, slice(None))
-        return observations
+        return self._disturbed_observations(self.task.observe())
 
     def _checked(self, actions: Any) -> Any:
         """Actions that are in the action space; boxes only by shape, since many environments clip."""
         space, n = self.single_action_space, self.num_envs
         if isinstance(space, spaces.Box):
-            try:
-                checked = np.array(actions, dtype=float)
-            except (TypeError, ValueError) as error:
-                raise InvalidAction(f"an action is an array of numbers, not {actions!r}") from error
-            if checked.shape != (n, *space.shape):
-                raise InvalidAction(f"actions have shape {checked.shape}; expected {(n, *space.shape)}")
-            if not np.isfinite(checked).all():
-                raise InvalidAction(
-                    f"the action {checked[~np.isfinite(checked).reshape(n, -1).all(1)][0]} is not finite"
-                )
-            return checked
+            return self._checked_numbers(actions)
         if isinstance(space, spaces.Discrete):
             actions = [_whole(action) for action in actions]
         if len(actions) != n or not all(space.contains(action) for action in actions):
@@ -231,7 +190,7 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
             yield
         except Exception as error:
             where = f"{self._name} failed in episode {self._episodes[i]}"
-            raise EnvironmentFailed(f"{where}: {type(error).__name__}: {error}{place_of(error)}") from error
+            raise EnvironmentFailed(f"{where}: {described(error)}") from error
 
 
 def _reward_terms(info: Mapping[str, Any]) -> dict[str, float]:

@@ -14,10 +14,10 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from armctl.disturbances import disturb, episode_rng
+from armctl.disturbances import disturb
 from armctl.envs.episodes import Array, EpisodeVectorEnv, Infos
-from armctl.envs.observations import action_numbers, with_replaced
-from armctl.errors import ConfigurationError, EnvironmentFailed, InvalidAction, unknown_name
+from armctl.envs.observations import with_replaced
+from armctl.errors import ConfigurationError, EnvironmentFailed, unknown_name
 from armctl.options import make_options
 from armctl.registration import load_task
 from armctl.simulation.rendering import Camera, Window
@@ -103,12 +103,11 @@ class TaskVectorEnv(EpisodeVectorEnv):
 
     def step(self, actions: ArrayLike) -> tuple[Observations, Array, NDArray[np.bool_], NDArray[np.bool_], Infos]:
         """Make one control step in every world. If an action is invalid, raises `InvalidAction` and steps nothing."""
-        commands = self._checked(actions)
+        self._check_seeded()
+        commands = self._disturbed_commands(self._checked_numbers(actions))
         idle = self._finished
         restart = np.flatnonzero(idle) if idle.any() else None
         awake = None if restart is None else np.flatnonzero(~idle).astype(np.int32)
-        for disturbance in self.disturbances.values():
-            commands = disturbance.command(commands)
         self.task.command(commands)
         self.task.advance(awake)
         self._steps += 1
@@ -175,24 +174,16 @@ class TaskVectorEnv(EpisodeVectorEnv):
             self._viewer.close()
             self._viewer = None
 
-    def _begin(self, ids: NDArray[np.integer[Any]]) -> None:
+    def _begin(self, ids: NDArray[np.int32]) -> None:
         rngs = [np.random.default_rng((seed, k)) for seed, k in zip(self._seeds[ids], self._episodes[ids], strict=True)]
-        worlds = ids.astype(np.int32)
         for paid in self._paid_before.values():
             paid[ids] = False
-        for name, disturbance in self.disturbances.items():
-            for i in worlds:
-                disturbance.rngs[i] = episode_rng(name, int(self._seeds[i]), int(self._episodes[i]))
-            disturbance.begin(worlds)
-        self.task.reset(worlds, rngs)
+        self.task.reset(ids, rngs)
         for observer in self.observers:
-            observer.began(worlds)
+            observer.began(ids)
 
     def _observe(self, ids: NDArray[np.int32] | None = None) -> Observations:
-        observations: Observations = self.task.observe(ids)
-        for disturbance in self.disturbances.values():
-            observations = disturbance.observe(observations, slice(None) if ids is None else ids)
-        return observations
+        return self._disturbed_observations(self.task.observe(ids), slice(None) if ids is None else ids)
 
     def _paid(self, terms: RewardTerms) -> RewardTerms:
         """The terms without what they have paid before, if they are paid once an episode."""
@@ -210,16 +201,6 @@ class TaskVectorEnv(EpisodeVectorEnv):
                     f"the reward term {name!r} is {earned[i]} in step {self._steps[i]} of episode {self._episodes[i]}"
                 )
         raise EnvironmentFailed(f"the sum of the reward terms {', '.join(terms)} is not finite")
-
-    def _checked(self, actions: ArrayLike) -> Array:
-        self._check_seeded()
-        checked = action_numbers(actions)
-        if checked.shape != self.action_space.shape:
-            raise InvalidAction(f"actions have shape {checked.shape}; expected {self.action_space.shape}")
-        if not np.isfinite(checked).all():
-            worlds = np.flatnonzero(~np.isfinite(checked).reshape(self.num_envs, -1).all(axis=1))
-            raise InvalidAction(f"action {checked[worlds[0]]} of world {worlds[0]} is not finite; no world was stepped")
-        return checked
 
 
 def _at_least_one(name: str, value: int) -> int:

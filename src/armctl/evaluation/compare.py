@@ -1,6 +1,6 @@
 """Compares several policies on the same episodes."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
@@ -38,6 +38,7 @@ def compare(
     workers: int = 1,
     env_options: Mapping[str, Any] | None = None,
     least_lengths: dict[int, float] | None = None,
+    seeding: Sequence[str] | None = None,
     progress: Callable[[EpisodeResult], None] | None = None,
 ) -> Comparison:
     """Let policies play the same episodes 0 to `episodes` - 1 of `seed`.
@@ -53,7 +54,8 @@ def compare(
 
     `policies` is a list, or a mapping from names in the results, of any of the forms that `make_policy` takes: names,
     files, functions, classes, models; by default, it is what the task of `env` declares. `least_lengths` are shared as
-    in `rollouts`. `progress` is called with every finished episode, first with those of an earlier run.
+    in `rollouts`; `seeding` are the remarks of `seed_notes`, where these are known. `progress` is called with every
+    finished episode, first with those of an earlier run.
 
     Raises `ConfigurationError`, `AgentFileError`, and `ResultsError` if `out` cannot be written, is damaged, or holds
     the results of another comparison (unless `overwrite`).
@@ -77,7 +79,7 @@ def compare(
         made = {name: make_policy(policy, made_env) for name, policy in by_name.items()}
         if workers > 1:
             check_sendable(by_name)
-        comparison.notes += seed_notes(env, env_options)
+        comparison.notes += seed_notes(env, env_options) if seeding is None else seeding
         if isinstance(made_env, ThirdPartyVectorEnv):
             comparison.notes.append(UNTOLD.format(env=bare_id(env)))
         log: EpisodeLog | None = None

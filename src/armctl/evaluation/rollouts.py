@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from armctl import DEFAULT_ENV
 from armctl.envs import EpisodeVectorEnv, make_worlds
-from armctl.errors import ArmctlError, ConfigurationError, EnvironmentFailed, InvalidAction, place_of
+from armctl.errors import ArmctlError, ConfigurationError, EnvironmentFailed, InvalidAction, described
 from armctl.evaluation.metrics import metrics
 from armctl.evaluation.record import COLUMNS, EpisodeResult
 from armctl.policies import Policy, PolicyFactory, make_policy, policy_name
@@ -157,8 +157,7 @@ def wrap_policy_errors(name: str, episode: int) -> Iterator[None]:
     except InvalidAction as error:
         raise PolicyFailed(f"{name} failed in episode {episode}: {error}") from error
     except Exception as error:
-        described = f"{type(error).__name__}: {error}{place_of(error)}"
-        raise PolicyFailed(f"{name} failed in episode {episode}: {described}") from error
+        raise PolicyFailed(f"{name} failed in episode {episode}: {described(error)}") from error
 
 
 @contextmanager
@@ -171,8 +170,7 @@ def wrap_environment_errors(name: str, episode: int) -> Iterator[None]:
     except (ConfigurationError, EnvironmentFailed):
         raise
     except Exception as error:
-        described = f"{type(error).__name__}: {error}{place_of(error)}"
-        raise EnvironmentFailed(f"the environment failed in episode {episode} of {name}: {described}") from error
+        raise EnvironmentFailed(f"the environment failed in episode {episode} of {name}: {described(error)}") from error
 
 
 def evaluate(

@@ -19,6 +19,7 @@ from armctl.evaluation.compare import compare, default_policies
 from armctl.evaluation.comparison import Comparison
 from armctl.evaluation.notebook import Displayed
 from armctl.evaluation.record import EpisodeResult
+from armctl.evaluation.seeding import seed_notes
 from armctl.evaluation.statistics import Estimate, mcnemar, paired_superiority
 from armctl.evaluation.summary import PolicySummary
 from armctl.evaluation.summary_tables import sweep_parts
@@ -100,6 +101,7 @@ def sweep(
     folder = None if out is None else Path(out)
     constant = dict(options.pop("disturbances", {}))
     least: dict[int, float] = {}
+    seeding = seed_notes(env, env_options)
     settings: dict[str, dict[str, float]] = {UNDISTURBED: {}}
     settings |= {folder_name(name, level): {name: level} for name in levels for level in levels[name][1:]}
     for name, added in settings.items():
@@ -107,7 +109,7 @@ def sweep(
         try:
             comparison = compare(
                 by_name, env, episodes=episodes, seed=seed, out=folder and folder / name, overwrite=overwrite,
-                worlds=worlds, workers=workers, env_options=options | disturbing, least_lengths=least,
+                worlds=worlds, workers=workers, env_options=options | disturbing, least_lengths=least, seeding=seeding,
                 progress=progress and functools.partial(progress, name),
             )  # fmt: skip
         except ResultsError as error:

@@ -12,7 +12,7 @@ import gymnasium
 
 from armctl.agents import load_agent
 from armctl.envs import EpisodeVectorEnv, TaskEnv
-from armctl.errors import ArmctlError, ConfigurationError, place_of, unknown_name
+from armctl.errors import ArmctlError, ConfigurationError, described, unknown_name
 from armctl.policies.plain import adapted
 from armctl.policies.policy import Policy
 from armctl.registration import import_attribute, installed
@@ -84,8 +84,7 @@ def make_policy(policy: Any, env: gymnasium.Env[Any, Any] | EpisodeVectorEnv) ->
     except ArmctlError:
         raise
     except Exception as error:
-        described = f"{type(error).__name__}: {error}{place_of(error)}"
-        raise ConfigurationError(f"{policy_name(policy)} could not be made: {described}") from error
+        raise ConfigurationError(f"{policy_name(policy)} could not be made: {described(error)}") from error
     return made
 
 

@@ -123,7 +123,41 @@ class NoOptions:
     """For tasks without options."""
 
 
-class Task(ABC):
+class TaskFacts(ABC):
+    """What evaluation and viewers ask about n worlds; here, the answers where nothing is known."""
+
+    n: int
+
+    @abstractmethod
+    def observe(self) -> Observations:
+        """Present observations of all worlds."""
+
+    def observation_parts(self) -> dict[str, NDArray[Any]]:
+        """The present observation's parts by name, (n, ...) each; for display."""
+        observed = self.observe()
+        return observed if isinstance(observed, dict) else {"observation": observed}
+
+    def info(self) -> dict[str, Any]:
+        """Additional entries of the environment's `info`: arrays (n,), or dicts of such arrays."""
+        return {}
+
+    def goal_distances(self) -> Array:
+        """(n,) distance from the robot to its goal, m; NaN if unknown."""
+        return np.full(self.n, np.nan)
+
+    def least_clearance(self, world: int, configurations: Array) -> float:
+        """Least distance between the robot and anything it must not touch, m, over an episode; NaN if unknown.
+
+        `configurations` (steps, k) are the `MotionSample.configuration` of the episode that has just ended in `world`.
+        """
+        return math.nan
+
+    def least_time(self, world: int) -> float:
+        """Lower bound on the time to success from the present state, s; NaN if unknown."""
+        return math.nan
+
+
+class Task(TaskFacts):
     """A task in n worlds. All arrays carry a leading axis n, the number of worlds.
 
     A subclass is made with `(n, options, threads)`. It sets `observation_space` and `action_space`, those of one world,
@@ -220,35 +254,11 @@ class Task(ABC):
         """Features and action scaling for learners: by default the bare observation, and the whole action space."""
         return LearnerView(self.action_space.low, self.action_space.high)
 
-    def observation_parts(self) -> dict[str, NDArray[Any]]:
-        """The present observation's parts by name, (n, ...) each; for display."""
-        observed = self.observe()
-        return observed if isinstance(observed, dict) else {"observation": observed}
-
-    def info(self) -> dict[str, Any]:
-        """Additional entries of the environment's `info`: arrays (n,), or dicts of such arrays."""
-        return {}
-
     def motion(self) -> MotionSample:
         """The present motion, in new arrays. Positions are NaN unless a subclass overrides this."""
         return MotionSample(
             np.full((self.n, 3), np.nan), self.simulation.array("qpos").copy(), np.zeros(self.n, dtype=bool)
         )
-
-    def goal_distances(self) -> Array:
-        """(n,) distance from the robot to its goal, m; NaN if unknown."""
-        return np.full(self.n, np.nan)
-
-    def least_clearance(self, world: int, configurations: Array) -> float:
-        """Least distance between the robot and anything it must not touch, m, over an episode; NaN if unknown.
-
-        `configurations` (steps, k) are the `MotionSample.configuration` of the episode that has just ended in `world`.
-        """
-        return math.nan
-
-    def least_time(self, world: int) -> float:
-        """Lower bound on the time to success from the present state, s; NaN if unknown."""
-        return math.nan
 
 
 def once_terms(terms: Mapping[str, Any]) -> frozenset[str]:
