@@ -1,7 +1,6 @@
 """How many threads torch computes on.
 
-The networks are small: beyond a few threads, these only wait for each other. torch's own choice counts the machine's
-cores, of which a container or a cluster's job may have been given two.
+torch's own choice counts the machine's cores, of which a container or a cluster's job may have been given two.
 """
 
 from collections.abc import Iterator
@@ -11,7 +10,7 @@ import joblib
 import torch
 
 MOST_THREADS = 4
-"""Layers have some hundred units, and batches some hundred rows: more threads take longer to meet than they save."""
+"""An estimate for layers of some hundred units, which was not measured on machines with more cores."""
 
 
 @contextmanager
