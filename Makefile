@@ -1,5 +1,5 @@
 # make compare: set up, then let the IK expert, the PPO agent and random actions meet the same 200 episodes.
-# make test:    set up with everything, then run the quick tests; make test-all: all of them.
+# make test:    set up with everything, then run the quick tests; make test-all: the slow ones too; make test-thorough: thousands of trials.
 # make check:   lint, format, types. make lock: after a change of dependencies. make dist: sdist and wheel.
 # make docs:    the documentation as a site, in site/; make docs-serve: the same in the browser, while you write.
 # For some of the tests: make test ARGS="tests/kinematics -k jacobian"
@@ -13,7 +13,7 @@ MKDOCS := NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs
 UV := $(BIN)/uv --quiet
 EXPORT := $(UV) export --frozen --all-extras --no-emit-project --no-hashes --no-annotate
 
-.PHONY: compare test test-all check docs docs-serve lock check-lock dist benchmarks clean
+.PHONY: compare test test-all test-thorough check docs docs-serve lock check-lock dist benchmarks clean
 
 compare: $(VENV)/core
 	$(BIN)/armctl compare
@@ -23,6 +23,9 @@ test: $(VENV)/full
 
 test-all: $(VENV)/full
 	$(PYTEST) --all $(ARGS)
+
+test-thorough: $(VENV)/full
+	$(PYTEST) --all --thorough -m thorough $(ARGS)
 
 check: $(VENV)/full
 	$(BIN)/ruff check .

@@ -11,7 +11,12 @@ from notebook_page import as_markdown
 
 ROOT = Path(__file__).parents[1]
 GITHUB = "https://github.com/armctl/armctl"
-GUESTS = {"changelog.md": "CHANGELOG.md", "contributing.md": "CONTRIBUTING.md", "zoo.md": "rl/README.md"}
+GUESTS = {
+    "changelog.md": "CHANGELOG.md",
+    "contributing.md": "CONTRIBUTING.md",
+    "security.md": "SECURITY.md",
+    "zoo.md": "rl/README.md",
+}
 """Pages of the site that lie elsewhere in the repository."""
 NOTEBOOKS = {f"notebooks/{path.stem}.md": f"notebooks/{path.name}" for path in (ROOT / "notebooks").glob("*.ipynb")}
 

@@ -13,6 +13,7 @@ from armctl.learners import Recipe
 from armctl.options import options
 from armctl.rl.actor import Actor
 from armctl.rl.cloning import CloningOptions, check_teaching, demonstrations, examples_for, fit, new_actor
+from armctl.rl.disk import save_torch
 from armctl.rl.training import Training
 
 
@@ -52,4 +53,4 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
 
 
 def _save(training: Training, actor: Actor, step: int) -> None:
-    training.checkpoint(step, lambda path: torch.save(actor.state_dict(), path))
+    training.checkpoint(step, lambda path: save_torch(actor.state_dict(), path))

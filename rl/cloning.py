@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from armctl.console import printable
 from armctl.datasets.demonstrations import Demonstration, demonstrate
 from armctl.datasets.minari import read_demonstrations
 from armctl.envs import make_worlds
@@ -123,7 +124,7 @@ class Teacher:
     def show(self, episodes: int, seed: int, progress: bool, **instead: Any) -> list[Demonstration]:
         """The teacher's episodes 0 to `episodes` - 1 of a seed, in this order; see `demonstrate` for `instead`."""
         shown = demonstrate(self.policy, self.worlds, episodes, seed, self.name, **instead)
-        bar = tqdm(shown, self.name, episodes, leave=False, disable=not bar_fits(progress))
+        bar = tqdm(shown, printable(self.name), episodes, leave=False, disable=not bar_fits(progress))
         played = sorted(bar, key=lambda pair: pair[0].episode)
         return [episode for _, episode in played]
 

@@ -20,6 +20,7 @@ from armctl.options import options
 from armctl.policies import Policy
 from armctl.rl.actor import Actor, tensors
 from armctl.rl.cloning import CloningOptions, Examples, Teacher, check_teaching, examples_for, fit, new_actor
+from armctl.rl.disk import save_torch
 from armctl.rl.training import Count, Training
 
 RECORD = "rounds.pt"
@@ -97,12 +98,12 @@ def _mixture(actor: Actor, share: float, rng: np.random.Generator) -> Any:
 
 
 def _save(training: Training, actor: Actor, examples: Examples, rounds: int, steps: int) -> None:
-    training.checkpoint(rounds * steps, lambda path: torch.save(actor.state_dict(), path))
+    training.checkpoint(rounds * steps, lambda path: save_torch(actor.state_dict(), path))
     episodes = [
         {"observations": tensors(episode.observations), "actions": torch.as_tensor(episode.actions)}
         for episode in examples.episodes
     ]
-    write_atomically(training.out / RECORD, lambda path: torch.save({"rounds": rounds, "episodes": episodes}, path))
+    write_atomically(training.out / RECORD, lambda path: save_torch({"rounds": rounds, "episodes": episodes}, path))
 
 
 def _load(training: Training, actor: Actor, examples: Examples) -> int:

@@ -1,5 +1,6 @@
 """The training loop of Stable-Baselines3's learners, with evaluations and checkpoints."""
 
+import io
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +39,9 @@ def save(model: BaseAlgorithm, path: Path) -> None:
     """Write a checkpoint. The replay buffer is large: only the newest is kept."""
     if isinstance(model, OffPolicyAlgorithm):
         write_atomically(path.with_name(REPLAY), model.save_replay_buffer)
-    model.save(path)
+    buffer = io.BytesIO()  # a file would have torch fail in ways of its own on a full disk
+    model.save(buffer)
+    path.write_bytes(buffer.getbuffer())
 
 
 class EvalCheckpointCallback(BaseCallback):

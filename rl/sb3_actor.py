@@ -69,7 +69,7 @@ class Sb3Actor(torch.nn.Module):
         """One step of the LSTM. States are (n, layers, units), which torch has as (layers, n, units)."""
         policy = self.policy
         features = BasePolicy.extract_features(policy, observation, policy.pi_features_extractor)
-        before = (hidden.transpose(0, 1), cell.transpose(0, 1))
+        before = (hidden.transpose(0, 1).contiguous(), cell.transpose(0, 1).contiguous())
         output, (hidden, cell) = policy.lstm_actor(features[None], before)
         latent = policy.mlp_extractor.forward_actor(output[0])
         actions = policy._get_action_dist_from_latent(latent).get_actions(deterministic=True)

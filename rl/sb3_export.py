@@ -4,6 +4,7 @@
 and needs neither torch nor Stable-Baselines3 to act.
 """
 
+import os.path
 import tempfile
 from collections.abc import Mapping
 from contextlib import closing
@@ -41,19 +42,19 @@ def export(
     named `none` is none. `algorithm`, of `sb3_file.ALGORITHMS`, need only be named if the file does not tell it.
 
     Before anything is written, agent and model act on `OBSERVATIONS` observations of the environment, and must agree.
-    Without `trust` nothing is unpickled. Raises `AgentFileError` or `ConfigurationError`.
+    Without `trust` the model's file is not even opened. Raises `AgentFileError` or `ConfigurationError`.
     """
-    graph, card_file = out.with_suffix(".onnx"), out.with_suffix(".json")
     if out.suffix != ".onnx":
         raise ConfigurationError(f"an agent is a file .onnx, with its card beside it, not {out}")
-    if not overwrite and (there := next((file for file in (graph, card_file) if file.exists()), None)):
+    graph, card_file = out.with_suffix(".onnx"), out.with_suffix(".json")
+    if not overwrite and (there := next(filter(os.path.exists, (graph, card_file)), None)):
         raise ConfigurationError(f"{there} exists already: choose another --out, or replace it with --overwrite")
-    file = sb3_file.read(model)
     if not trust:
         raise AgentFileError(
             f"{model} was not loaded: files of Stable-Baselines3 are pickles, which can run any code when they are "
             "loaded. If you trust where it comes from, say so: --trust"
         )
+    file = sb3_file.read(model)
     name = algorithm or file.algorithm()
     statistics = sb3_file.normalisation_beside(model) if normalisation is None else normalisation
     statistics = None if statistics == Path("none") else statistics

@@ -20,7 +20,8 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
 from armctl.errors import AgentFileError, unknown_name
-from armctl.registration import add_cwd_to_path
+from armctl.files import bounded_bytes, opened_regular
+from armctl.registration import importable_from
 
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {
     "a2c": A2C,
@@ -45,6 +46,8 @@ RECURRENT = "recurrent"
 """Part of the name of the module of sb3-contrib's recurrent policies."""
 VERSION = "_stable_baselines3_version"
 """Name of the file in the zip file that holds the version that wrote it."""
+LARGEST_DATA, LARGEST_VERSION, LARGEST_WEIGHTS = 2**26, 2**20, 2**31
+"""Bytes in the zip file, unpacked: of its JSON, of the version that wrote it, and of all of its weights."""
 NOT_OPTIONS = {"self", "policy", "env", "seed", "device", "verbose", "tensorboard_log", "_init_setup_model"}
 """Arguments of an algorithm that its training does not depend on, or that a card has elsewhere."""
 FOR_TRAINING_ONLY = {
@@ -102,12 +105,19 @@ class ModelFile:
 
 
 def read(path: Path) -> ModelFile:
-    """Read a model's file, but none of its pickles. Raises `AgentFileError`."""
+    """Read a model's file, but none of its pickles. Raises `AgentFileError`, also if much is packed in it."""
     try:
-        with zipfile.ZipFile(path) as archive:
+        with opened_regular(path) as file, zipfile.ZipFile(file) as archive:
             names = archive.namelist()
-            values = json.loads(archive.read("data")) if "data" in names else None
-            version = archive.read(VERSION).decode().strip() if VERSION in names else "of unknown version"
+            values = json.loads(_unpacked(archive, "data", LARGEST_DATA)) if "data" in names else None
+            version = "of unknown version"
+            if VERSION in names:
+                version = _unpacked(archive, VERSION, LARGEST_VERSION).decode().strip()
+            weights = sum(entry.file_size for entry in archive.infolist() if entry.filename.endswith(".pth"))
+            if weights > LARGEST_WEIGHTS:
+                raise ValueError(
+                    f"its weights have {weights:,} bytes, more than the {LARGEST_WEIGHTS:,} that armctl reads"
+                )
     except OSError as error:
         raise AgentFileError(f"the model {path} cannot be read: {error.strerror}") from error
     except Exception as error:  # what a corrupt zip or JSON may raise
@@ -117,13 +127,23 @@ def read(path: Path) -> ModelFile:
     return ModelFile(path, values, f"stable-baselines3 {version}")
 
 
+def _unpacked(archive: zipfile.ZipFile, name: str, largest: int) -> bytes:
+    entry = archive.getinfo(name)
+    if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):  # others are unpacked as a whole
+        raise ValueError(f"{name!r} in it is compressed otherwise than Stable-Baselines3 does")
+    if entry.file_size > largest:
+        raise ValueError(f"{name!r} in it has {entry.file_size:,} bytes, more than the {largest:,} that armctl reads")
+    with archive.open(entry) as file:
+        return file.read(entry.file_size)  # with a number, since without one more is unpacked than the entry claims
+
+
 def load(file: ModelFile, algorithm: str) -> BaseAlgorithm:
     """The model, for acting only. Runs what is pickled in its file. Raises `AgentFileError`."""
     if algorithm not in ALGORITHMS:
         raise unknown_name("algorithm", algorithm, ALGORITHMS)
-    add_cwd_to_path()  # a network of one's own is imported from there
     try:
-        return ALGORITHMS[algorithm].load(file.path, device="cpu", custom_objects=FOR_TRAINING_ONLY)
+        with importable_from(Path.cwd()):  # a network of one's own
+            return ALGORITHMS[algorithm].load(file.path, device="cpu", custom_objects=FOR_TRAINING_ONLY)
     except Exception as error:  # what a model of another algorithm or version, or somebody else's code, may raise
         raise AgentFileError(f"{file.path} cannot be loaded as a model of {algorithm}: {in_a_line(error)}") from error
 
@@ -144,7 +164,7 @@ def normalisation_beside(model: Path) -> Path | None:
 def load_normalisation(path: Path) -> VecNormalize:
     """Statistics of the observations. Runs what is pickled in their file. Raises `AgentFileError`."""
     try:
-        loaded = pickle.loads(path.read_bytes())
+        loaded = pickle.loads(bounded_bytes(path, LARGEST_WEIGHTS))
     except OSError as error:
         raise AgentFileError(f"the statistics {path} cannot be read: {error.strerror}") from error
     except Exception as error:  # a pickle may raise anything

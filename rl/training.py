@@ -26,14 +26,16 @@ from armctl.envs import make_worlds
 from armctl.errors import ConfigurationError, unknown_name
 from armctl.evaluation import evaluate
 from armctl.evaluation.curves import CURVE, read_curve
+from armctl.evaluation.identity import checksums
 from armctl.evaluation.provenance import versions
 from armctl.evaluation.reproduce import evaluation_of
 from armctl.evaluation.rollouts import rollouts
 from armctl.evaluation.statistics import success_rate
-from armctl.files import write_atomically
+from armctl.files import one_writer, write_atomically
 from armctl.learners import Recipe
 from armctl.options import options
 from armctl.rl.actor import Actor
+from armctl.rl.disk import full_disk_told, save_torch
 from armctl.rl.threads import bounded_threads
 from armctl.rl.view import Features, view_of
 from armctl.shaping import Shaped
@@ -88,7 +90,8 @@ class Training:
     `checkpoints/`, `tensorboard/`, `curve.csv` and the best actor so far, `best.pt`, and in the end `agent.onnx` and
     `agent.json`. Checkpoints are pickles: resume only trainings that you trust.
 
-    Raises `ConfigurationError` for a recipe that cannot be followed, or a folder that another training has used.
+    Raises `ConfigurationError` for a recipe that cannot be followed, or a folder that another training has used, and
+    `ResultsError` at its end if the disk is full; finished checkpoints are whole.
     """
 
     def __init__(self, recipe: Recipe, options: TrainingOptions, out: Path, seed: int, resume: bool) -> None:
@@ -107,15 +110,17 @@ class Training:
 
     def __enter__(self) -> Self:
         with ExitStack() as opened:
+            opened.enter_context(full_disk_told(self.out))
             opened.callback(self.worlds.close)
             opened.callback(self.held_out.close)
             opened.enter_context(bounded_threads())
+            opened.enter_context(one_writer(self.out))
             try:
                 (self.out / "checkpoints").mkdir(parents=True, exist_ok=True)
                 write_atomically(self.out / SETTINGS, json.dumps(self._settings(), indent=2))
+                self.logger = configure(str(self.out / "tensorboard"), ["tensorboard"])
             except OSError as error:
                 raise ConfigurationError(f"the training cannot be written to {self.out}: {error.strerror}") from error
-            self.logger = configure(str(self.out / "tensorboard"), ["tensorboard"])
             opened.callback(self.logger.close)
             self._opened = opened.pop_all()
         return self
@@ -123,7 +128,7 @@ class Training:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._opened.close()
+        self._opened.__exit__(kind, error, trace)
 
     @property
     def seconds(self) -> float:
@@ -175,7 +180,7 @@ class Training:
         }
         best = self._best()
         if best is None or (rate.value, mean_return) > (best["success"], best["return"]):
-            write_atomically(self.out / "best.pt", lambda path: torch.save({**row, "actor": actor.state_dict()}, path))
+            write_atomically(self.out / "best.pt", lambda path: save_torch({**row, "actor": actor.state_dict()}, path))
         curve = pd.DataFrame([*self.curve(), row]).astype({"steps": int})
         write_atomically(self.out / CURVE, curve.to_csv(index=False))
         LOG.info("%s steps: success %.1f%% of %s held-out episodes", f"{steps:,}", 100 * rate.value, episodes)
@@ -190,7 +195,7 @@ class Training:
         assert best is not None
         actor.load_state_dict(best["actor"])
         graph = self.out / "agent.onnx"
-        actor.export(graph)
+        write_atomically(graph, actor.export)
         recipe, worlds = self.recipe, self.held_out
         card = AgentCard(
             name=self.out.name,
@@ -232,7 +237,7 @@ class Training:
     def _settings(self) -> dict[str, Any]:
         settings = _plain(self.recipe) | {"seed": self.seed, "options": dataclasses.asdict(self.options)}
         del settings["seeds"]
-        return settings
+        return settings | checksums(self.recipe.env, self.held_out, self.recipe.env_options)
 
     def _check_folder(self, resume: bool) -> None:
         """Check that the folder is unused, or holds the training to resume; only `steps` may differ."""

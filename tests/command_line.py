@@ -1,8 +1,10 @@
 """The command line, as a program and in this process."""
 
 import contextlib
+import functools
 import io
 import os
+import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -15,10 +17,18 @@ ARMCTL = str(Path(sys.executable).parent / "armctl")
 ENVIRONMENT = {"COLUMNS": "100", "NO_COLOR": "1"}
 
 
-def program(*arguments, cwd, check=True, **variables):
-    """Run armctl as a program, which has never seen another folder's modules."""
+def program(*arguments, cwd, check=True, disk=None, **variables):
+    """Run armctl as a program, which has never seen another folder's modules.
+
+    `disk` is the size of the largest file that it can write, in bytes: a longer one fails as it does on a full disk.
+    """
     done = subprocess.run(
-        [ARMCTL, *arguments], capture_output=True, text=True, cwd=cwd, env=os.environ | ENVIRONMENT | variables
+        [ARMCTL, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        cwd=cwd,
+        env=os.environ | ENVIRONMENT | variables,
+        preexec_fn=None if disk is None else functools.partial(resource.setrlimit, resource.RLIMIT_FSIZE, (disk, disk)),
     )
     assert not check or done.returncode == 0, done.stderr
     return done
@@ -30,6 +40,7 @@ def armctl(*arguments, cwd, check=True):
         patch.chdir(cwd)
         patch.setattr(sys, "argv", ["armctl", *arguments])
         patch.setattr(sys, "path", list(sys.path))
+        patch.setenv("PYTHONSAFEPATH", "")  # `main` sets it, and processes that tests start would inherit that
         for name, value in ENVIRONMENT.items():
             patch.setenv(name, value)
         status = 0

@@ -9,17 +9,20 @@ import armctl  # noqa: F401 - before any test imports MuJoCo, which chooses its 
 # A shell that runs the tests in the background ignores interrupts, and whatever the tests interrupt would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
+MARKERS = {"slow": "--all", "thorough": "--thorough"}
+"""What runs with which option."""
+
 
 def pytest_addoption(parser):
     parser.addoption("--all", action="store_true", help="run slow tests too, and take full samples")
+    parser.addoption("--thorough", action="store_true", help="run tests of thousands of trials too")
 
 
 def pytest_collection_modifyitems(config, items):
-    if config.getoption("--all"):
-        return
-    slow = [item for item in items if item.get_closest_marker("slow")]
-    items[:] = [item for item in items if item not in slow]
-    config.hook.pytest_deselected(items=slow)
+    left_out = {marker for marker, option in MARKERS.items() if not config.getoption(option)}
+    others = [item for item in items if left_out.intersection(marker.name for marker in item.iter_markers())]
+    items[:] = [item for item in items if item not in others]
+    config.hook.pytest_deselected(items=others)
 
 
 @pytest.fixture(scope="session")

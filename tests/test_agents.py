@@ -1,5 +1,6 @@
 import dataclasses
 import json
+import os
 import shutil
 from importlib import resources
 from pathlib import Path
@@ -59,6 +60,12 @@ def test_truncated_graph(agent):
     graph.write_bytes(graph.read_bytes()[:5000])
     edit(agent, sha256=sha256(graph))
     with pytest.raises(AgentFileError):
+        load(agent)
+
+
+def test_a_graph_of_terabytes_that_holds_nothing_is_not_read(agent):
+    os.truncate(agent.with_suffix(".onnx"), 10**13)
+    with pytest.raises(AgentFileError, match="10,000,000,000,000 bytes, more than the 268,435,456"):
         load(agent)
 
 

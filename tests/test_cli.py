@@ -35,7 +35,7 @@ def test_help_loads_no_simulator():
 def test_comparing_needs_no_torch():
     code = (
         "import sys, armctl; assert len(armctl.compare(['reach_ppo', 'reach_ik'], episodes=2).episodes) == 4\n"
-        "print([m for m in ('torch', 'stable_baselines3', 'onnx') if m in sys.modules])"
+        "print([m for m in ('torch', 'stable_baselines3', 'onnxscript') if m in sys.modules])"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
 
@@ -260,6 +260,14 @@ FORK = "<robot name='fork'><link name='base'/><link name='left'/><link name='rig
 """An arm with two tips."""
 
 
+QUITS = """def act(observation):
+    raise SystemExit(5)
+class Made:
+    def __init__(self): raise SystemExit(6)
+    def act(self, observation): pass
+"""
+
+
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
@@ -297,15 +305,26 @@ FORK = "<robot name='fork'><link name='base'/><link name='left'/><link name='rig
         (["run", "random", "--video", "/dev/null/film.mp4"], "cannot be written: /dev/null is not a folder"),
         (["run", "random", "--video", "/proc/film.mp4"], "cannot be written: No such file"),
         (["run", "random", "--video", "film.xyz"], "ends in one of .mp4, .mkv"),
-        (["run", "random", "--video", "full.mp4", "--steps", "1"], "cannot be written: ffmpeg gave up|libegl1"),
         (["run", "random", "--video", "film.mp4", "--watch"], "exclude each other"),
         (["run", "random", "--set", "max_episode_steps=abc"], "max_episode_steps"),
         (["train", "ppo", "--set", "control=nope", "--out", "fresh"], "control"),
+        (["run", "random", "--env", "exits.py:Maze"], r"cannot load the environment .*SystemExit: 17 \(exits.py:1\)"),
+        (["run", "exits.py:act"], "cannot load the policy .*SystemExit: 17"),
+        (["run", "quits.py:act"], r"quits.py:act failed in episode 0: SystemExit: 5 \(quits.py:2\)"),
+        (["run", "quits.py:Made"], r"quits.py:Made could not be made: SystemExit: 6"),
+        (["collect", "random", "--out", "loop", "--episodes", "1"], "loop cannot be written to"),
+        (["export", "model.zip", "--out", "", "--env", "Pendulum-v1"], "an agent is a file .onnx"),
+        (["export", "model.zip", "--out", "x" * 300 + ".onnx", "--env", "Pendulum-v1"], "model.zip"),
+        (["report", "x" * 300], "there is no folder"),
+        (["compare", "x" * 300 + ".json"], "there is no agent"),
+        (["compare", "random", "--episodes", "9" * 30], "at most 10,000,000"),
     ],
 )
 def test_mistakes_get_one_clear_line(arguments, says, tmp_path):
-    (tmp_path / "full.mp4").symlink_to("/dev/full")
     (tmp_path / "two.urdf").write_text(FORK)
+    (tmp_path / "exits.py").write_text("raise SystemExit(17)\n")
+    (tmp_path / "quits.py").write_text(QUITS)
+    (tmp_path / "loop").symlink_to("loop")
     done = armctl(*arguments, cwd=tmp_path, check=False)
     assert done.returncode == 2
     assert re.search(says, done.stderr)

@@ -3,29 +3,25 @@
 Nothing is unpickled, and neither file can run code: an agent from a stranger is safe to load.
 """
 
-import hashlib
+import math
+import os.path
 from pathlib import Path
 from typing import Any, Literal
 
 import gymnasium
 import numpy as np
-import onnxruntime
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from armctl.envs import EpisodeVectorEnv
 from armctl.errors import AgentFileError
+from armctl.files import LARGEST_TEXT, bounded_bytes, file_checksum
 from armctl.tasks import Observations
 
+FILES = (".onnx", ".json")
+"""Suffixes of an agent's graph and card."""
 INPUT, OUTPUT, NEXT = "observation", "action", "next_"
 """Names in a graph: of its input if the observation is one array, of its first output, and before a new memory's."""
-
-
-DTYPES = {
-    "tensor(float)": np.float32, "tensor(double)": np.float64, "tensor(bool)": np.bool_, "tensor(uint8)": np.uint8,
-    "tensor(int8)": np.int8, "tensor(int16)": np.int16, "tensor(int32)": np.int32, "tensor(int64)": np.int64,
-}  # fmt: skip
-"""NumPy's types for onnxruntime's."""
 
 
 class Evaluation(BaseModel):
@@ -107,27 +103,20 @@ class OnnxPolicy:
     sees: Literal["observation", "state"] = "observation"
 
     def __init__(self, graph: Path, card: AgentCard) -> None:
+        from armctl.agent_graph import AgentGraph  # onnx takes longer to import than the rest, and few need it
+
         self.card = card
         self.training_steps = card.training_steps
         if card.training_minutes is not None:
             self.training_minutes = card.training_minutes
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = 1
-        options.log_severity_level = 4
-        try:
-            self._session = onnxruntime.InferenceSession(graph.read_bytes(), options, ["CPUExecutionProvider"])
-        except Exception as error:  # onnxruntime raises many kinds of exceptions for broken files
-            raise AgentFileError(f"{graph} is not an ONNX graph that onnxruntime can run: {error}") from error
-        graph_inputs, graph_outputs = (
-            [value.name for value in values] for values in (self._session.get_inputs(), self._session.get_outputs())
-        )
+        self._graph = AgentGraph(graph)
         observed = list(card.observation_shape) if isinstance(card.observation_shape, dict) else [INPUT]
-        expected, self._outputs = [*observed, *card.memory], [OUTPUT, *(NEXT + name for name in card.memory)]
-        if (sorted(graph_inputs), graph_outputs) != (sorted(expected), self._outputs):
+        expected, outputs = [*observed, *card.memory], [OUTPUT, *(NEXT + name for name in card.memory)]
+        found = list(self._graph.dtypes)
+        if (sorted(found), self._graph.outputs) != (sorted(expected), outputs):
             raise AgentFileError(
-                f"{graph} maps {graph_inputs} to {graph_outputs}; by its card, it maps {expected} to {self._outputs}"
+                f"{graph} maps {found} to {self._graph.outputs}; by its card, it maps {expected} to {outputs}"
             )
-        self._dtypes = {value.name: DTYPES.get(value.type) for value in self._session.get_inputs()}
         self._memory: dict[str, NDArray[np.float32]] = {}
 
     def reset(self, ids: NDArray[np.int32]) -> None:
@@ -138,13 +127,10 @@ class OnnxPolicy:
     def act(self, observations: Observations) -> NDArray[Any]:
         """Actions (n, ...) for observations (n, ...). A world's action does not depend on the number of worlds."""
         arrays = observations if isinstance(observations, dict) else {INPUT: observations}
-        worlds = len(next(iter(arrays.values())))
         # an environment may observe in another precision than its space says
-        arrays = {name: np.asarray(values, dtype=self._dtypes[name]) for name, values in arrays.items()}
-        arrays |= self._remembered(worlds)
-        if worlds % 2:  # onnxruntime rounds the last of an odd number of rows differently
-            arrays = {name: np.concatenate((values, values[-1:])) for name, values in arrays.items()}
-        actions, *memory = (np.asarray(values)[:worlds] for values in self._session.run(self._outputs, arrays))
+        arrays = {name: np.asarray(values, dtype=self._graph.dtypes[name]) for name, values in arrays.items()}
+        worlds = len(next(iter(arrays.values())))
+        actions, *memory = self._graph.run(arrays | self._remembered(worlds))
         self._memory = dict(zip(self.card.memory, memory, strict=True))
         return actions
 
@@ -160,13 +146,15 @@ def load_agent(path: Path, worlds: EpisodeVectorEnv) -> OnnxPolicy:
 
     Raises `AgentFileError` if a file is missing or corrupt, or if the agent was made for another environment.
     """
+    from armctl.agent_graph import LARGEST_FILE  # onnx takes longer to import than the rest, and few need it
+
     graph = path.with_suffix(".onnx")
-    if not path.is_file():
+    if not os.path.isfile(path):  # also for a name that no file can have
         raise AgentFileError(f"there is no agent {path}")
     card = read_card(path.with_suffix(".json"))
     if not graph.is_file():
         raise AgentFileError(f"the agent's graph {graph} is missing")
-    if sha256(graph) != card.sha256:
+    if sha256(graph, LARGEST_FILE) != card.sha256:
         raise AgentFileError(f"{graph} does not have the checksum on its card: it was changed, or damaged")
     _check_made_for(card, worlds)
     return OnnxPolicy(graph, card)
@@ -175,18 +163,25 @@ def load_agent(path: Path, worlds: EpisodeVectorEnv) -> OnnxPolicy:
 def read_card(path: Path) -> AgentCard:
     """Read and check an agent's card. Raises `AgentFileError`."""
     try:
-        return AgentCard.model_validate_json(path.read_bytes())
+        return AgentCard.model_validate_json(bounded_bytes(path, LARGEST_TEXT))
     except OSError as error:
         raise AgentFileError(f"the agent's card {path} cannot be read: {error.strerror}") from error
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"]) or "file"
         raise AgentFileError(f"{path} is not an agent's card: {where}: {first['msg']}") from error
+    except ValueError as error:
+        raise AgentFileError(f"{path} is not an agent's card: {error}") from error
 
 
-def sha256(path: Path) -> str:
-    """SHA-256 checksum of a file."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+def sha256(path: Path, largest: float = math.inf) -> str:
+    """SHA-256 checksum of a graph or model of at most `largest` bytes. Raises `AgentFileError`."""
+    try:
+        return file_checksum(path, largest)
+    except OSError as error:
+        raise AgentFileError(f"{path} cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise AgentFileError(str(error)) from error
 
 
 def _check_made_for(card: AgentCard, worlds: EpisodeVectorEnv) -> None:

@@ -10,6 +10,9 @@ from typing import Any
 
 from armctl import DISTRIBUTION
 
+FAILURES = (Exception, SystemExit)
+"""What the code of others raises when it fails. `sys.exit` in a policy ends the policy, not the comparison."""
+
 
 class ArmctlError(Exception):
     """Base of every error that armctl raises on purpose."""

@@ -14,10 +14,11 @@ from typing import Annotated, Any, Protocol, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from armctl import DEFAULT_ENV
-from armctl.agents import AgentCard
+from armctl.agents import FILES, AgentCard
 from armctl.errors import ConfigurationError, missing_extra, unknown_name
+from armctl.files import bounded_text, checked_name
 from armctl.options import make_options
-from armctl.registration import installed
+from armctl.registration import check_named, installed
 
 LEARNERS, RECIPES, EXPORTERS = "armctl.learners", "armctl.recipes", "armctl.exporters"
 
@@ -31,7 +32,7 @@ class Recipe(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     name: str
-    """Name of its file, without `.toml`."""
+    """Name of its file, without `.toml`; the default folder of a training begins with it."""
     learner: str
     env: str
     env_options: dict[str, Any] = {}
@@ -123,22 +124,28 @@ def recipe_names() -> list[str]:
     return sorted(_installed())
 
 
-def load_recipe(name: str | Path, env: str | None = None) -> Recipe:
-    """A recipe by its name, by its file's path, or by its learner and environment; `env` replaces the recipe's own.
+def load_recipe(name: str | Path, env: str | None = None, teacher: str | None = None) -> Recipe:
+    """A recipe by its name, by its file's path, or by its learner and environment.
 
-    A learner's name without `env` means `DEFAULT_ENV`. Of several recipes for an environment, the one with the shortest
+    `env` and `teacher` replace the recipe's own, and have to if these are code (`module:name`): a file runs none. A
+    learner's name without `env` means `DEFAULT_ENV`. Of several recipes for an environment, the one with the shortest
     name is taken, which is the plain one; without any, the learner's defaults are. Raises `ConfigurationError`.
     """
     installed = _installed()
     if Path(name).suffix == ".toml":
         recipe = _read(Path(name), Path(name).stem)
+        if env is None:
+            check_named(recipe.env, f"the recipe {name}", "--env")
+        if teacher is None and recipe.teacher is not None and Path(recipe.teacher).suffix not in FILES:
+            check_named(recipe.teacher, f"the recipe {name}", "--teacher")
     elif str(name) in installed:
         recipe = _read(installed[str(name)], str(name))
     elif name in learner_names():
-        return _recipe_of(str(name), env or DEFAULT_ENV)
+        recipe = _recipe_of(str(name), env or DEFAULT_ENV)
     else:
         raise unknown_name("recipe", name, [*installed, *learner_names(), "path/to/recipe.toml"])
-    return recipe if env is None else recipe.changed(env=env)
+    given = {"env": env, "teacher": teacher}
+    return recipe.changed(**{key: value for key, value in given.items() if value is not None})
 
 
 def _installed() -> dict[str, Traversable]:
@@ -158,11 +165,13 @@ def _recipe_of(learner: str, env: str) -> Recipe:
 
 def _read(file: Traversable, name: str) -> Recipe:
     try:
-        values = tomllib.loads(file.read_text("utf-8"))
+        values = tomllib.loads(bounded_text(file) if isinstance(file, Path) else file.read_text("utf-8"))
     except OSError as error:
         raise ConfigurationError(f"the recipe {file} cannot be read: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except ValueError as error:
         raise ConfigurationError(f"{file} is not TOML: {error}") from error
+    except RecursionError:
+        raise ConfigurationError(f"{file} is nested too deeply for a recipe") from None
     return _recipe({"name": name, **values}, str(file))
 
 
@@ -170,6 +179,7 @@ def _recipe(values: dict[str, Any], source: str) -> Recipe:
     for key in values:
         if key not in Recipe.model_fields:
             raise unknown_name(f"key of a recipe in {source}:", key, Recipe.model_fields)
+    checked_name("recipe", str(values.get("name")))
     try:
         return Recipe.model_validate(values)
     except ValidationError as error:

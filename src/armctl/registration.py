@@ -1,15 +1,19 @@
 """How tasks become environments, and how code is found by its name. Light: it imports neither MuJoCo nor a task.
 
+Code is named by the person at the keyboard or offered by an installed package, never named by a file.
+
 A package offers its tasks under the entry-point group `armctl.tasks`: a module that registers them when it is imported.
 """
 
+import contextlib
 import functools
 import importlib
 import importlib.util
-import os
+import shlex
 import sys
 import warnings
 import zlib
+from collections.abc import Iterator
 from importlib.metadata import EntryPoints, entry_points
 from pathlib import Path
 from types import ModuleType
@@ -17,10 +21,12 @@ from typing import Any
 
 import gymnasium
 
-from armctl.errors import ConfigurationError, described, unknown_name
+from armctl.errors import FAILURES, ConfigurationError, described, unknown_name
 
 GROUP = "armctl.tasks"
 ENV, VECTOR_ENV = "armctl.envs:TaskEnv", "armctl.envs:TaskVectorEnv"
+_named: set[str] = set()
+"""What the user has named in this process, such as `mine.py:pd`. Of code, a file can name only this."""
 
 
 def register(env_id: str, task: "str | type[Any]", *, max_episode_steps: int | None, **options: Any) -> None:
@@ -57,7 +63,7 @@ def register_installed() -> None:
     for entry in installed(GROUP):
         try:
             entry.load()
-        except Exception as error:  # whatever somebody else's module may raise
+        except FAILURES as error:
             warnings.warn(f"the tasks of {entry.value} were left out: {type(error).__name__}: {error}", stacklevel=2)
 
 
@@ -78,6 +84,7 @@ def import_attribute(name: str, kind: str) -> Any:
     loaded = import_named(module, f"the {kind} {name!r}")
     if not hasattr(loaded, attribute):
         raise unknown_name(f"{kind} in {module}:", attribute, own_names(loaded))
+    remember_named(name)
     return getattr(loaded, attribute)
 
 
@@ -87,15 +94,55 @@ def own_names(module: ModuleType) -> list[str]:
 
 
 def import_named(module: str, purpose: str) -> ModuleType:
-    """Import a module by its name or its file's path, from the working directory too.
+    """Import a module that the user has named, by its name or its file's path, from the working directory too.
 
     Raises `ConfigurationError`, whatever the module raises.
     """
-    add_cwd_to_path()
     try:
-        return _import_file(Path(module)) if module.endswith(".py") else importlib.import_module(module)
-    except Exception as error:
+        return _import_file(Path(module)) if module.endswith(".py") else _import_from(Path.cwd(), module)
+    except FAILURES as error:
         raise ConfigurationError(f"cannot load {purpose}: {described(error)}") from error
+
+
+def remember_named(*names: str) -> None:
+    """Remember what the user has named, so that files can name it, too."""
+    _named.update(names)
+
+
+def was_named(name: str) -> bool:
+    """Whether the user has named this in this process."""
+    return name in _named
+
+
+def check_named(name: str, source: str, option: str) -> None:
+    """Check a name that stands in a file: if it is code (`module:name`), the user must have named just this.
+
+    `source` is the file, `option` where the user can name the code. Raises `ConfigurationError`.
+    """
+    if ":" in name and not was_named(name):
+        raise ConfigurationError(
+            f"{source} names the code {name}, and a file never runs code: if you trust it, name it yourself, {option} "
+            f"{shlex.quote(name)}"
+        )
+
+
+@contextlib.contextmanager
+def importable_from(folder: Path) -> Iterator[None]:
+    """Let modules be imported from a folder, after all other places; a console script does not look where it runs."""
+    place = str(folder)
+    if place in sys.path:
+        yield
+        return
+    sys.path.append(place)
+    try:
+        yield
+    finally:
+        sys.path.remove(place)
+
+
+def _import_from(folder: Path, module: str) -> ModuleType:
+    with importable_from(folder):
+        return importlib.import_module(module)
 
 
 def _import_file(path: Path) -> ModuleType:
@@ -103,26 +150,19 @@ def _import_file(path: Path) -> ModuleType:
     path = path.resolve()
     if not path.is_file():
         raise FileNotFoundError(f"there is no file {path}")
-    if str(path.parent) not in sys.path:
-        sys.path.append(str(path.parent))
-    found = importlib.util.find_spec(path.stem) if path.stem.isidentifier() else None
-    if found is not None and found.origin == str(path):
-        return importlib.import_module(path.stem)
-    name = f"{path.stem}_{zlib.crc32(bytes(path)):08x}"
-    if name not in sys.modules:
-        spec = importlib.util.spec_from_file_location(name, path)
-        assert spec is not None
-        assert spec.loader is not None
-        sys.modules[name] = importlib.util.module_from_spec(spec)
-        try:
-            spec.loader.exec_module(sys.modules[name])
-        except BaseException:
-            del sys.modules[name]
-            raise
-    return sys.modules[name]
-
-
-def add_cwd_to_path() -> None:
-    """Let modules be imported from the working directory, where a console script does not look."""
-    if os.getcwd() not in sys.path:
-        sys.path.append(os.getcwd())
+    with importable_from(path.parent):
+        found = importlib.util.find_spec(path.stem) if path.stem.isidentifier() else None
+        if found is not None and found.origin == str(path):
+            return importlib.import_module(path.stem)
+        name = f"{path.stem}_{zlib.crc32(bytes(path)):08x}"
+        if name not in sys.modules:
+            spec = importlib.util.spec_from_file_location(name, path)
+            assert spec is not None
+            assert spec.loader is not None
+            sys.modules[name] = importlib.util.module_from_spec(spec)
+            try:
+                spec.loader.exec_module(sys.modules[name])
+            except BaseException:
+                del sys.modules[name]
+                raise
+        return sys.modules[name]

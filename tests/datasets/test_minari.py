@@ -1,16 +1,13 @@
 import json
-import os
-import signal
-import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from armctl.datasets.collect import collect
 from armctl.datasets.demonstrations import demonstrate
-from armctl.datasets.minari import collect, read_demonstrations
+from armctl.datasets.minari import read_demonstrations
 from armctl.envs import make_worlds
 from armctl.errors import ConfigurationError, ResultsError
 from armctl.evaluation import PolicyFailed
@@ -150,7 +147,7 @@ def test_a_dataset_is_not_overwritten_and_a_place_that_cannot_be_written_is_told
     with pytest.raises(ResultsError, match="already holds a dataset"):
         collect("random", episodes=1, out=dataset[0])
     assert (dataset[0] / "data" / "metadata.json").read_bytes() == before
-    with pytest.raises(ResultsError, match="cannot be written"):
+    with pytest.raises(ResultsError, match=r"(cannot|could not) be written"):
         collect("random", episodes=1, out="/proc/nowhere")
 
 
@@ -192,6 +189,13 @@ def test_any_minari_dataset_that_fits_is_read(tmp_path, monkeypatch):
     assert first.success  # nothing tells otherwise
 
 
+def without_checksums(data):
+    """Make a dataset one that armctl has not written."""
+    metadata = json.loads((data / "metadata.json").read_text())
+    del metadata["checksum"], metadata["sha256"]
+    (data / "metadata.json").write_text(json.dumps(metadata))
+
+
 def _cut(data):
     file = data / "main_data.hdf5"
     file.write_bytes(file.read_bytes()[:1000])
@@ -227,12 +231,13 @@ def _too_short(episode):
         (_cut, "not a readable Minari dataset"),
         (_no_spaces, "does not declare"),
         (lambda data: (data / "metadata.json").write_text("{"), "not a readable Minari dataset"),
-        (lambda data: (data / "metadata.json").write_text("[]"), "spaces|not a readable"),
-        (lambda data: (data / "main_data.hdf5").unlink(), "not a readable Minari dataset"),
+        (lambda data: (data / "metadata.json").write_text("[]"), "does not declare"),
+        (lambda data: (data / "metadata.json").write_text("[" * 100_000), "not a readable Minari dataset"),
+        (lambda data: (data / "main_data.hdf5").unlink(), "there is no file"),
         (lambda data: (data / "metadata.json").unlink(), "there is no Minari dataset"),
-        (_edit(lambda episode: episode.pop("actions")), "not a readable Minari dataset"),
-        (_edit(_not_finite), "not finite"),
-        (_edit(_too_short), "episode 1 .* incomplete"),
+        (_edit(lambda episode: episode.pop("actions")), "episode_1 has no actions"),
+        (_edit(_not_finite), "actions of episode_1 .* not finite"),
+        (_edit(_too_short), "observations of episode_1 is incomplete"),
     ],
 )
 def test_a_corrupt_dataset_gets_one_clear_error(dataset, damage, says, tmp_path):
@@ -240,28 +245,7 @@ def test_a_corrupt_dataset_gets_one_clear_error(dataset, damage, says, tmp_path)
     copied.mkdir()
     for file in (dataset[0] / "data").iterdir():
         (copied / file.name).write_bytes(file.read_bytes())
+    without_checksums(copied)
     damage(copied)
     with pytest.raises(ConfigurationError, match=says):
         read_demonstrations(tmp_path, worlds())
-
-
-@pytest.mark.slow
-def test_ctrl_c_keeps_finished_episodes(tmp_path):
-    command = [ARMCTL, "collect", "random", "--episodes", "100000", "--out", "here-v0", "--set", "max_episode_steps=12"]
-    with subprocess.Popen(
-        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ
-    ) as process:
-        metadata = tmp_path / "here-v0" / "data" / "metadata.json"
-        for _ in range(1200):
-            time.sleep(0.1)
-            if metadata.exists() and '"successes"' in metadata.read_text():
-                break
-        time.sleep(1)
-        process.send_signal(signal.SIGINT)
-        output, errors = process.communicate(timeout=120)
-    assert process.returncode == 130, errors
-    read = read_demonstrations(tmp_path / "here-v0", worlds())
-    assert f"{len(read)} episodes of random" in output
-    assert {len(episode) for episode in read} == {12} or any(episode.success for episode in read)
-    told = json.loads(metadata.read_text())
-    assert told["total_episodes"] == sum(told["outcomes"].values()) == len(read)

@@ -13,6 +13,8 @@ from armctl.evaluation.record import COLUMNS, TIME_COLUMNS
 from armctl.evaluation.verdict import verdict
 from armctl.report.terminal import tables
 
+from ..command_line import program
+
 TIMES = list(TIME_COLUMNS)
 BOX = {"target": "box", "max_episode_steps": 30}
 
@@ -144,13 +146,20 @@ def test_results_where_no_folder_can_be(tmp_path):
         compare(["random"], episodes=1, out=tmp_path / "file" / "results")
 
 
-def test_a_full_disk_is_reported_and_the_tables_are_there(tmp_path):
-    for name in ("episodes.csv", "summary.json"):
-        (tmp_path / name).symlink_to("/dev/full")
-    comparison = compare(["reach_ik"], episodes=3, out=tmp_path, overwrite=True)
-    assert "No space left" in comparison.failures["results"]
-    assert len(comparison.episodes) == 3
-    assert "reach_ik" in text_of(comparison)
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_a_full_disk_is_reported_and_nothing_that_was_written_is_lost(tmp_path, workers):
+    command = ["compare", "random", "--episodes", "300", "--worlds", "20", "--workers", workers, "--out", "out"]
+    full = program(*command, cwd=tmp_path, check=False, disk=100_000)
+    assert full.returncode == 1
+    assert "could not be written any further" in full.stdout
+    assert "has every episode" not in full.stdout
+    assert "Traceback" not in full.stdout + full.stderr
+    assert not (tmp_path / "out" / "summary.json").exists()
+    kept = len((tmp_path / "out" / "episodes.csv").read_text().splitlines()) - 2  # the header, and half a line
+    assert 20 < kept < 300
+    again = program(*command, cwd=tmp_path)
+    assert "episodes were finished by an earlier run" in again.stdout
+    assert len(pd.read_csv(tmp_path / "out" / "episodes.csv")) == 300
 
 
 @pytest.mark.parametrize(
@@ -162,6 +171,9 @@ def test_a_full_disk_is_reported_and_the_tables_are_there(tmp_path):
         ({"env": "armctl/ArmReech-v0"}, "ArmReach-v0"),
         ({"env": "CartPole-v1", "policies": ["reach_ik"]}, "cannot play this task"),
         ({"episodes": 0}, "at least 1"),
+        ({"episodes": 10**30}, "at most 10,000,000"),
+        ({"episodes": 10**9, "worlds": 10**9}, "at most"),
+        ({"workers": 10**6}, "at most 1,000"),
         ({"worlds": 0}, "at least 1"),
         ({"workers": 0}, "at least 1"),
         ({"seed": -1}, "seed is a whole number"),

@@ -1,3 +1,4 @@
+import contextlib
 import os
 import signal
 import subprocess
@@ -127,3 +128,49 @@ def test_ctrl_c_keeps_what_workers_have_finished_and_the_same_command_goes_on(tm
     options = {"max_episode_steps": 20}
     assert compare(["random"], episodes=int(episodes), out=tmp_path / "here", env_options=options).resumed == len(kept)
     assert pd.read_csv(csv).episode.tolist() == list(range(int(episodes)))
+
+
+IDLE = """
+import time
+import armctl
+armctl.compare(["random"], episodes=8, workers=2, env_options={"max_episode_steps": 3})
+print("idle", flush=True)
+time.sleep(600)
+"""
+WORKING = IDLE.replace("episodes=8", "episodes=100_000, progress=lambda result: print('working', flush=True)")
+
+
+def family(session):
+    """Ids of the living processes of a session."""
+    found = []
+    for status in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            state, _, _, its_session = status.read_text().rpartition(")")[2].split()[:4]
+            found += [int(status.parent.name)] if int(its_session) == session and state != "Z" else []
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+@pytest.mark.parametrize("moment", ["starting", "working", "idle"])
+def test_workers_end_with_a_parent_that_is_killed(tmp_path, moment):
+    code = WORKING if moment == "working" else IDLE
+    with subprocess.Popen(
+        [sys.executable, "-c", code], cwd=tmp_path, stdout=subprocess.PIPE, text=True, start_new_session=True
+    ) as process:
+        try:
+            if moment == "starting":
+                while len(family(process.pid)) < 3:  # itself, loky's tracker, and a worker that loads its modules
+                    assert process.poll() is None
+                    time.sleep(0.01)
+            else:
+                assert process.stdout.readline() == f"{moment}\n"
+                assert len(family(process.pid)) >= 3
+        finally:
+            process.kill()
+        until = time.monotonic() + 60  # they look every second, but on a busy machine their imports take long
+        while (left := family(process.pid)) and time.monotonic() < until:
+            time.sleep(0.1)
+    for orphan in left:
+        os.kill(orphan, signal.SIGKILL)
+    assert left == []

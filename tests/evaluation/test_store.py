@@ -1,5 +1,10 @@
+import contextlib
+import dataclasses
 import json
+import math
 import os
+import subprocess
+import sys
 
 import pandas as pd
 import pytest
@@ -7,6 +12,12 @@ import pytest
 from armctl.errors import ResultsError
 from armctl.evaluation import compare
 from armctl.evaluation.record import TIME_COLUMNS
+from armctl.evaluation.results import read_results
+from armctl.evaluation.store import EpisodeLog, read_episodes
+from armctl.files import one_writer, sealed, unsealed
+from armctl.robot_description import load_arm
+
+from ..command_line import program
 
 POLICIES = ["random", "reach_ik"]
 OPTIONS = {"max_episode_steps": 5}
@@ -29,7 +40,7 @@ def finished(tmp_path_factory):
 
 @pytest.fixture
 def folder(finished, tmp_path):
-    for name in ("comparison.json", "episodes.csv", "decisions.csv", "summary.json"):
+    for name in ("comparison.json", "episodes.csv", "decisions.csv", "summary.json", ".lock"):
         (tmp_path / name).write_text((finished / name).read_text())
     return tmp_path
 
@@ -82,7 +93,12 @@ def test_a_last_line_cut_off_is_played_again(folder, finished, name):
         ("episodes.csv", lambda rows: [*rows[:2], rows[2].replace(",0,timeout", ",7,timeout"), *rows[3:]], "line 3"),
         ("episodes.csv", lambda rows: ["policy,episode\n", *rows[1:]], "columns"),
         ("decisions.csv", lambda rows: [*rows[:3], rows[3].replace(" ", " soon "), *rows[4:]], "line 4"),
-        ("decisions.csv", lambda rows: [*rows[:3], rows[3].replace("\n", " 0.1\n"), *rows[4:]], "episodes.csv"),
+        ("decisions.csv", lambda rows: [*rows[:3], rows[3].replace("\n", " 0.1\n"), *rows[4:]], "line 4"),
+        ("episodes.csv", lambda rows: [*rows[:1], rows[1].replace(",5,", ",4,"), *rows[2:]], "was changed"),
+        ("episodes.csv", lambda rows: [*rows[:1], rows[1].replace("-5.0", "-4.0"), *rows[2:]], "was changed"),
+        ("decisions.csv", lambda rows: [*rows[:1], rows[1].replace("\n", "1\n"), *rows[2:]], "was changed"),
+        ("comparison.json", lambda rows: [row.replace('"seed": 0', '"seed": 1') for row in rows], "checksum"),
+        ("comparison.json", lambda rows: ["[" * 100_000], "nested too deeply"),
         ("comparison.json", lambda rows: rows[:3], "without a readable comparison.json"),
     ],
 )
@@ -93,6 +109,18 @@ def test_damage_is_told_and_nothing_is_touched(folder, name, spoil, says):
         run(folder)
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
     assert run(folder, overwrite=True).resumed == 0
+
+
+@pytest.mark.parametrize("earned", [math.inf, -math.inf, math.nan, 1e101, -1e308])
+@pytest.mark.parametrize("change", [lambda r: {"total_reward": r}, lambda r: {"reward_terms": {"step": -5.0, "x": r}}])
+def test_a_return_beyond_statistics_is_told(folder, change, earned):
+    own = unsealed((folder / "comparison.json").read_text())
+    results = read_episodes(folder, own)
+    results[0] = dataclasses.replace(results[0], **change(earned))
+    with EpisodeLog(folder, own, len(results), overwrite=True) as log:
+        log.finish(results, {})
+    with pytest.raises(ResultsError, match=r"episodes.csv is damaged in line 2 \((return|reward_terms).* 1e\+100"):
+        read_episodes(folder, own)
 
 
 def test_bytes_that_are_no_text_are_told(folder):
@@ -116,11 +144,103 @@ def test_another_comparison_is_refused(folder, change, says):
 
 
 def test_other_versions_are_another_comparison(folder):
-    told = json.loads((folder / "comparison.json").read_text())
+    told = unsealed((folder / "comparison.json").read_text())
     told["versions"]["mujoco"] = "3.3.0"
-    (folder / "comparison.json").write_text(json.dumps(told))
-    with pytest.raises(ResultsError, match="versions"):
+    (folder / "comparison.json").write_text(sealed(told))
+    with pytest.raises(ResultsError, match=r"versions: mujoco 3\.3\.0 there"):
         run(folder)
+
+
+def test_rows_of_another_comparison_are_noticed(folder, tmp_path):
+    run(tmp_path / "other", env_options={"max_episode_steps": 5, "tolerance": 0.2})
+    for name in ("episodes.csv", "decisions.csv"):
+        (folder / name).write_bytes((tmp_path / "other" / name).read_bytes())
+    with pytest.raises(ResultsError, match="another comparison"):
+        run(folder)
+    with pytest.raises(ResultsError, match="another comparison"):
+        read_results(folder)
+
+
+def test_a_changed_digit_of_the_summary_is_noticed(folder):
+    text = (folder / "summary.json").read_text()
+    (folder / "summary.json").write_text(text.replace('"episodes": 3', '"episodes": 4'))
+    with pytest.raises(ResultsError, match="checksum"):
+        read_results(folder)
+
+
+def test_a_folder_has_one_writer(folder):
+    before = (folder / "episodes.csv").read_bytes()
+    with one_writer(folder), pytest.raises(ResultsError, match="another process writes"):
+        run(folder, seed=1, overwrite=True)
+    assert (folder / "episodes.csv").read_bytes() == before
+    assert run(folder).resumed == 6
+
+
+def test_a_killed_process_holds_no_folder(folder):
+    code = "import sys, time; from pathlib import Path; from armctl.files import one_writer\n"
+    code += f"with one_writer(Path({str(folder)!r})): print('held', flush=True); time.sleep(60)"
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as holder:
+        assert holder.stdout.readline() == "held\n"
+        with pytest.raises(ResultsError, match="another process writes"):
+            run(folder)
+        holder.kill()
+        holder.wait()
+        assert run(folder).resumed == 6
+
+
+@pytest.mark.parametrize("name", ["episodes.csv", "decisions.csv", "summary.json", "comparison.json", ".lock"])
+def test_nothing_is_written_through_a_link(folder, tmp_path, name):
+    victim = tmp_path / "victim"
+    victim.write_text("precious")
+    (folder / name).unlink()
+    (folder / name).symlink_to(victim)
+    with contextlib.suppress(ResultsError):
+        run(folder)
+    with contextlib.suppress(ResultsError):
+        run(folder, overwrite=True, seed=1)
+    assert victim.read_text() == "precious"
+
+
+def test_a_pipe_instead_of_a_file_does_not_hang(folder):
+    (folder / "decisions.csv").unlink()
+    os.mkfifo(folder / "decisions.csv")
+    with pytest.raises(ResultsError, match="not a regular file"):
+        run(folder)
+
+
+STILL = """
+import helper
+
+def still(observation):
+    return observation[3:9] * helper.GAIN
+"""
+
+
+@pytest.mark.parametrize("edited", ["still.py", "helper.py"])
+def test_edited_code_is_another_comparison(tmp_path, edited):
+    """Each run in a process of its own: Python does not notice that a module has changed."""
+    (tmp_path / "still.py").write_text(STILL)
+    (tmp_path / "helper.py").write_text("GAIN = 1.0\n")
+    command = ["compare", "still.py:still", "--episodes", "2", "--out", "out", "--set", "max_episode_steps=3"]
+    program(*command, cwd=tmp_path)
+    assert "were finished by an earlier run" in program(*command, cwd=tmp_path).stdout
+    with (tmp_path / edited).open("a") as file:
+        file.write("# another gain\n")
+    refused = program(*command, cwd=tmp_path, check=False)
+    assert refused.returncode == 2
+    assert f"code: {edited}" in refused.stderr
+    program(*command, "--overwrite", cwd=tmp_path)
+
+
+def test_an_edited_robot_is_another_comparison(tmp_path):
+    urdf = tmp_path / "arm.urdf"
+    urdf.write_text(load_arm("ur5").urdf)
+    options = OPTIONS | {"robot": str(urdf), "tip": "tool0"}
+    run(tmp_path / "out", policies=["random"], env_options=options)
+    assert run(tmp_path / "out", policies=["random"], env_options=options).resumed == 3
+    urdf.write_text(urdf.read_text().replace('effort="150.0"', 'effort="120.0"'))
+    with pytest.raises(ResultsError, match=r"files: .*model: "):
+        run(tmp_path / "out", policies=["random"], env_options=options)
 
 
 def test_a_folder_that_cannot_be_written_is_told(folder):

@@ -13,6 +13,7 @@ from armctl.evaluation.degradation import degradations
 from armctl.evaluation.record import TIME_COLUMNS
 from armctl.evaluation.statistics import mcnemar
 from armctl.evaluation.sweep import COLUMNS, sweep, sweep_levels
+from armctl.report import write_report
 from armctl.report.terminal import tables
 
 POLICIES = ["reach_ik", "random"]
@@ -225,3 +226,11 @@ def test_the_tables_tell_levels_and_failures(finished):
     text = printed(finished[0])
     assert "noise, m, rad, m/s" in text
     assert "random: below half from 0 on." in text
+
+
+def test_a_comparison_that_was_replaced_is_not_the_sweeps(tmp_path):
+    sweep("random", disturbances={"delay": [1]}, episodes=2, out=tmp_path, env_options={"max_episode_steps": 3})
+    write_report(tmp_path, video=False)
+    compare("random", seed=9, episodes=2, out=tmp_path / "none", overwrite=True)
+    with pytest.raises(ResultsError, match="holds another comparison by now"):
+        write_report(tmp_path, video=False)

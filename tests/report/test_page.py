@@ -4,7 +4,6 @@ import json
 import os
 import re
 import shutil
-import sys
 from html import unescape
 from types import SimpleNamespace
 
@@ -17,11 +16,13 @@ from armctl.errors import ConfigurationError, ResultsError
 from armctl.evaluation import compare
 from armctl.evaluation.reproduce import card_path
 from armctl.evaluation.results import read_results
+from armctl.files import sealed, unsealed
 from armctl.options import option_value
 from armctl.report import colours, plots, style, videos, write_report
 from armctl.report.profile import profile_start
 
 from ..command_line import armctl
+from ..forgery import forge, write_sweep
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 POLICIES = ["reach_ik", "reach_ppo", "random"]
@@ -89,6 +90,14 @@ def test_options_survive_as_text(value):
     assert option_value(str(value)) == value
 
 
+def test_an_option_of_a_long_text_is_not_read(folder):
+    summary = unsealed((folder / "summary.json").read_text())
+    summary["env_options"] = {"tolerance": f"[{'1,' * 500}]"}
+    (folder / "summary.json").write_text(sealed(summary))
+    with pytest.raises(ResultsError, match="option tolerance has 1,002 characters, more than 1,000"):
+        read_results(folder)
+
+
 def test_figures_hold_the_numbers_of_the_summary(folder):
     report = write_report(folder, video=False)
     summary = {policy["policy"]: policy for policy in json.loads((folder / "summary.json").read_text())["policies"]}
@@ -144,13 +153,7 @@ NAMES = ["<script>alert(1)</script>", '</script><img src=x onerror="alert(1)">',
 
 def test_names_are_shown_and_not_obeyed(folder):
     for name, hostile in zip(POLICIES, NAMES, strict=True):
-        for file in ("comparison.json", "summary.json"):
-            text = (folder / file).read_text()
-            (folder / file).write_text(text.replace(f'"{name}"', json.dumps(hostile)))
-        for file in ("episodes.csv", "decisions.csv"):
-            table = pd.read_csv(folder / file, dtype=str, keep_default_na=False)
-            table.policy = table.policy.replace({name: hostile})
-            table.to_csv(folder / file, index=False)
+        forge(folder, name, hostile)
     report = write_report(folder)
     html = re.sub(r"<script>.*?</script>", "", report.read_text(), count=2, flags=re.DOTALL)
     assert "<script>alert" not in report.read_text()
@@ -160,28 +163,9 @@ def test_names_are_shown_and_not_obeyed(folder):
 
 
 @pytest.mark.parametrize(
-    ("there", "hostile"), [("random", "there:make"), ("armctl/ArmReach-v0", "there:armctl/ArmReach-v0")]
-)
-def test_code_that_a_folder_names_is_called_if_trusted_only(tmp_path, monkeypatch, there, hostile):
-    (tmp_path / "there.py").write_text("import armctl\nfrom pathlib import Path\nPath(__file__ + '.called').touch()\n")
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.delitem(sys.modules, "there", raising=False)
-    compare(["random"], episodes=1, out=tmp_path, env_options=OPTIONS)
-    files = ["comparison.json", "summary.json"]
-    if "/" not in there:  # the records of episodes have the bare id of an environment
-        files += ["episodes.csv", "decisions.csv"]
-    for file in files:
-        (tmp_path / file).write_text((tmp_path / file).read_text().replace(there, hostile))
-    assert f"There are no videos. {hostile} is code, which" in text_of(write_report(tmp_path))
-    assert not (tmp_path / "there.py.called").exists()
-    write_report(tmp_path, trusted=True)
-    assert (tmp_path / "there.py.called").exists()
-
-
-@pytest.mark.parametrize(
     ("spoil", "says"),
     [
-        (lambda folder: shutil.rmtree(folder), "holds no results"),
+        (lambda folder: shutil.rmtree(folder), "there is no folder"),
         (lambda folder: (folder / "comparison.json").unlink(), "holds no results"),
         (lambda folder: (folder / "summary.json").unlink(), "is unfinished"),
         (lambda folder: (folder / "summary.json").write_text("{"), "cannot be read"),
@@ -190,10 +174,15 @@ def test_code_that_a_folder_names_is_called_if_trusted_only(tmp_path, monkeypatc
         (lambda folder: (folder / "episodes.csv").unlink(), "cannot be read"),
         (lambda folder: (folder / "episodes.csv").write_text("policy\nrandom\n"), "line 1"),
         (
-            lambda folder: (folder / "decisions.csv").write_text("policy,episode,decision_ms\n"),
+            lambda folder: (folder / "decisions.csv").write_text("policy,episode,checksum,decision_ms\n"),
             "not belong to the episodes",
         ),
-        (lambda folder: (folder / "sweep.csv").write_text("level\n1\n"), "no column disturbance"),
+        (lambda folder: write_sweep(folder, "level\n1\n"), "no column disturbance"),
+        (lambda folder: (folder / "sweep.csv").write_text(SWEEP), "sweep.json"),
+        (
+            lambda folder: (write_sweep(folder, SWEEP), (folder / "sweep.csv").write_text(SWEEP.replace("0.9", "1.0"))),
+            "was changed",
+        ),
         (lambda folder: (folder / "report.html").mkdir(), "cannot be written"),
     ],
 )
@@ -295,7 +284,7 @@ def test_learning_curves_of_agents_beside_the_others(tmp_path):
 def test_a_sweep_with_and_without_its_undisturbed_comparison(folder, tmp_path):
     sweep = tmp_path / "sweep"
     sweep.mkdir()
-    (sweep / "sweep.csv").write_text(SWEEP)
+    write_sweep(sweep, SWEEP)
     report = write_report(sweep)
     assert list(plots_of(report)) == [f"Success against the level of {kind}" for kind in ("noise", "delay")]
     lines = [one for one in plot_of(report, "delay")["data"] if one.get("name")]
@@ -317,7 +306,7 @@ def test_the_commands_write_it_and_say_where(tmp_path):
         "mine.html is the report" in armctl("report", "here", "--out", "mine.html", "--no-video", cwd=tmp_path).stdout
     )
     missing = armctl("report", "elsewhere", cwd=tmp_path, check=False)
-    assert (missing.returncode, "elsewhere holds no results" in missing.stderr) == (2, True)
+    assert (missing.returncode, "there is no folder elsewhere" in missing.stderr) == (2, True)
 
 
 @pytest.mark.parametrize(
@@ -359,7 +348,7 @@ def contrast(one, other):
 
 
 def test_no_colour_of_a_figure_is_forgotten_on_a_dark_page(folder):
-    (folder / "sweep.csv").write_text(SWEEP)
+    write_sweep(folder, SWEEP)
     readable = {*colours.TERM_COLOURS, "rgba(0,0,0,0)", *colours.DARK}
     for figure in plots_of(write_report(folder, video=False)).values():
         used = re.findall(r"#[0-9a-fA-F]{6}\b|rgba\([^)]*\)|\bwhite\b|\bblack\b", json.dumps(figure))
@@ -401,20 +390,21 @@ def test_the_profile_says_what_it_leaves_out(finished):
 
 def unscored(folder):
     """Make the results of an environment that does not say what a success is, and of which little is known."""
-    summary = json.loads((folder / "summary.json").read_text())
+    summary = unsealed((folder / "summary.json").read_text())
     for policy in summary["policies"]:
         policy |= dict.fromkeys(("success", "steps_to_goal", "optimality_gap", "missed_deadlines"))
     for pair in summary["paired"]:
         pair |= {"mcnemar_p": None, "only_a": 0, "only_b": 0, "steps_difference": None}
     summary["notes"] = ["mine/Odd-v0 does not obey its seed: <episodes> differ"]
-    (folder / "summary.json").write_text(json.dumps(summary))
+    (folder / "summary.json").write_text(sealed(summary))
 
 
 def test_an_environment_without_success_is_reported_by_return(folder):
     unscored(folder)
-    (folder / "sweep.csv").write_text(
+    write_sweep(
+        folder,
         "disturbance,level,policy,success,low,high,return,return_low,return_high,episodes\n"
-        + "".join(f"noise,{i},random,,,,{-i},{-i - 1},{1 - i},20\n" for i in range(3))
+        + "".join(f"noise,{i},random,,,,{-i},{-i - 1},{1 - i},20\n" for i in range(3)),
     )
     report = write_report(folder, video=False)
     text = text_of(report)
@@ -456,7 +446,7 @@ def test_videos_show_the_episodes_of_the_table(finished, tmp_path):
 
     results = read_results(finished)
     together = videos.most_different(results.episodes)
-    clips = videos.film(results, together, trusted=False)
+    clips = videos.film(results, together)
     assert [clip.problem for clip in clips] == [""] * 3
     frames = [imageio.imread(clip.video, extension=".mp4") for clip in clips]
     assert len({one.shape for one in frames}) == 1
@@ -472,7 +462,7 @@ def test_a_replay_that_goes_otherwise_is_told(finished):
     from dataclasses import replace
 
     results = read_results(finished)
-    (clip,) = videos.film(results, [replace(results.episodes["reach_ik"][0], outcome="fell")], trusted=False)
+    (clip,) = videos.film(results, [replace(results.episodes["reach_ik"][0], outcome="fell")])
     assert clip.problem.startswith("Played again: reached after")
     assert clip.video
 
@@ -480,8 +470,7 @@ def test_a_replay_that_goes_otherwise_is_told(finished):
 @pytest.mark.slow
 def test_policies_that_are_gone_are_told_and_the_others_shown(folder):
     needs_opengl()
-    for file in ("comparison.json", "summary.json", "episodes.csv", "decisions.csv"):
-        (folder / file).write_text((folder / file).read_text().replace("reach_ppo", "gone/agent.json"))
+    forge(folder, "reach_ppo", "gone/agent.json")
     report = write_report(folder)
     assert text_of(report).count("No video: there is no agent gone/agent.json") == 2
     assert report.read_text().count("<video") == 4
@@ -531,7 +520,7 @@ def look_at_the_switches(tab):
 @pytest.mark.parametrize("width", [1280, 390])
 def test_the_page_in_a_browser(folder, tmp_path, width):
     playwright = pytest.importorskip("playwright.sync_api", reason="no Playwright here: pip install playwright")
-    (folder / "sweep.csv").write_text(SWEEP)
+    write_sweep(folder, SWEEP)
     report = write_report(folder)
     assert report.stat().st_size < 15e6
     requests, complaints = [], []
@@ -568,3 +557,26 @@ def test_the_page_in_a_browser(folder, tmp_path, width):
         browser.close()
     assert {url for url in requests if not url.startswith("data:")} == {report.as_uri()}
     assert complaints == []
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda summary: summary["paired"][0].update(a="stranger"), "does not belong to the episodes"),
+        (lambda summary: summary["notes"].append("\ud800"), "surrogates not allowed"),
+    ],
+)
+def test_a_summary_that_nobody_wrote(tmp_path, change, says):
+    """With the right checksum, these ended in tracebacks."""
+    compare(["random", "reach_ik"], episodes=5, out=tmp_path, env_options=OPTIONS)
+    summary = unsealed((tmp_path / "summary.json").read_text())
+    change(summary)
+    (tmp_path / "summary.json").write_text(sealed(summary))
+    with pytest.raises(ResultsError, match=says):
+        write_report(tmp_path, video=False)
+
+
+def test_a_sweep_has_names(tmp_path):
+    write_sweep(tmp_path, "disturbance,level,policy,success,low,high\ndelay,1,,0.5,0.4,0.6\n")
+    with pytest.raises(ResultsError, match="a row without a name"):
+        write_report(tmp_path, video=False)

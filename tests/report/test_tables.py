@@ -18,7 +18,7 @@ from armctl.evaluation.notebook import html_of
 from armctl.evaluation.statistics import Estimate, PairedDifference, Superiority
 from armctl.evaluation.summary import PolicySummary
 from armctl.evaluation.sweep import COLUMNS
-from armctl.evaluation.tables import Cell, Document, Remark, Table, p_value, plain
+from armctl.evaluation.tables import Cell, Column, Document, Remark, Table, p_value, plain
 from armctl.report.formats import FORMATS, as_csv, as_json, latex, markdown
 from armctl.report.reproduction import reproduction_document
 from armctl.report.terminal import UNLIMITED, DocumentView, fitted_table, tables
@@ -165,6 +165,27 @@ def test_markdown_tables_have_as_many_cells_in_each_row():
             assert len({len(re.findall(r"(?<!\\)\|", line)) for line in block.splitlines()}) == 1
     assert "\\<script\\>a\\_b" in text
     assert "99.5 % \\[97.2 to 99.9\\]" in text
+
+
+@pytest.mark.parametrize("end", ["\n", "\r", "\v", "\f", "\x1c", "\x85", "\u2028", "\n\n| a |\n"])
+@pytest.mark.parametrize("form", [markdown, latex, lambda document: printed(document, 400)])
+def test_a_name_of_many_lines_breaks_no_row(form, end):
+    plain_names, broken_names = ([*SHORT[:-1], f"first{middle}last"] for middle in ("", end))
+    plain_text, text = form(comparison_of(plain_names).document()), form(comparison_of(broken_names).document())
+    assert len(text.splitlines()) == len(plain_text.splitlines())
+    assert end not in text or end == "\n"
+
+
+def test_headings_titles_and_remarks_are_one_line():
+    table = Table("key", "a\nb", [Column("c\rd")], [[Cell("e\nf", "g\nh")]], [], "i\n\nj")
+    shown = [
+        table.title,
+        table.columns[0].heading,
+        table.caption,
+        Remark("k\nl").text,
+        *vars(table.rows[0][0]).values(),
+    ]
+    assert shown == ["a\\nb", "c\\rd", "i\\n\\nj", "k\\nl", "e\\nf", "g\\nh"]
 
 
 def test_latex_is_escaped_and_made_for_booktabs():

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
+from armctl.datasets.collect import collect
 from armctl.datasets.demonstrations import demonstrate
-from armctl.datasets.minari import collect
 from armctl.envs import TaskVectorEnv, make_worlds
 from armctl.errors import ConfigurationError
 from armctl.evaluation import evaluate

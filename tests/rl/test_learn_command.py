@@ -62,3 +62,24 @@ def test_a_mistake_leaves_no_folder(wrong, tmp_path):
     done = armctl("train", *wrong, "--out", "run", cwd=tmp_path, check=False)
     assert done.returncode == 2
     assert not list(tmp_path.iterdir())
+
+
+def test_resuming_says_that_checkpoints_can_run_code(trained, tmp_path):
+    warning = "Its checkpoints are pickles, which can run code: go on only if it is your own."
+    (tmp_path / "there").mkdir()
+    (tmp_path / "there" / "settings.json").write_text("{}")
+    done = armctl("train", "reach_ppo", "--out", "there", "--resume", cwd=tmp_path, check=False)
+    assert done.stderr.splitlines()[0] == f"Resuming there. {warning}"
+    assert warning not in trained[0].stdout + trained[0].stderr
+    told = re.sub(r"[│\s]+", " ", armctl("train", "--help", cwd=tmp_path).stdout)
+    assert "Checkpoints can run code: only of your own." in told
+
+
+def test_a_recipe_speaks_plainly(tmp_path):
+    (tmp_path / "hostile.toml").write_text(
+        'learner = "ppo\\u001b[2J[/]"\nenv = "armctl/ArmReach-v0"\nshaping = "\\u001b]0;title\\u0007"\n'
+    )
+    for arguments in (["hostile.toml"], ["hostile.toml", "--out", "\x1b[2J[/]"]):
+        done = armctl("train", *arguments, cwd=tmp_path, check=False)
+        assert (done.returncode, "Traceback" in done.stderr) == (2, False)
+        assert "\x1b" not in done.stdout + done.stderr

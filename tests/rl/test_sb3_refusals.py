@@ -2,9 +2,11 @@
 
 import base64
 import json
+import os
 import pickle
 import re
 import sys
+import tracemalloc
 import types
 import zipfile
 from pathlib import Path
@@ -16,7 +18,7 @@ import torch
 from stable_baselines3 import PPO
 
 from armctl.errors import AgentFileError
-from armctl.rl import sb3_check
+from armctl.rl import sb3_check, sb3_file
 from armctl.rl.sb3_export import export
 from tests.command_line import armctl
 from tests.rl.sb3_models import exported, make, normalised, register
@@ -59,6 +61,74 @@ def test_nothing_is_unpickled_without_trust(trust, tmp_path):
     assert (tmp_path / "from_model").exists() is trust, "and with trust, the test would notice"
     assert not (tmp_path / "from_statistics").exists()
     assert not list(tmp_path.glob("*.onnx"))
+
+
+def test_without_trust_nothing_is_read(tmp_path):
+    os.mkfifo(tmp_path / "model.zip")  # who opens it waits for ever
+    with pytest.raises(AgentFileError, match="can run any code"):
+        export(tmp_path / "model.zip", env="Pendulum-v1", out=tmp_path / "agent.onnx")
+
+
+def zipped(path, files, compression=zipfile.ZIP_DEFLATED):
+    """A zip file of contents, or of as many zeros as a number says."""
+    with zipfile.ZipFile(path, "w", compression) as archive:
+        for name, content in files.items():
+            with archive.open(name, "w") as file:
+                if isinstance(content, int):
+                    for _ in range(content // 2**20):
+                        file.write(bytes(2**20))
+                else:
+                    file.write(content)
+    return path
+
+
+MODEL = {"data": b'{"policy_class": {}}', sb3_file.VERSION: b"2.9.0", "policy.pth": b""}
+
+
+@pytest.mark.parametrize(
+    ("files", "says"),
+    [
+        ({"data": 128 * 2**20}, "'data' in it has 134,217,728 bytes, more than the 67,108,864"),
+        ({sb3_file.VERSION: 2 * 2**20}, "'_stable_baselines3_version' in it has 2,097,152 bytes, more than the 1,048"),
+        ({"policy.pth": 3 * 2**20}, "its weights have 3,145,728 bytes, more than the 3,000,000"),
+        ({"policy.pth": 2 * 2**20, "more.pth": 2 * 2**20}, "its weights have 4,194,304 bytes, more than the 3,000,000"),
+    ],
+)
+def test_a_small_file_that_grows_is_not_unpacked(files, says, tmp_path, monkeypatch):
+    monkeypatch.setattr(sb3_file, "LARGEST_WEIGHTS", 3_000_000)
+    path = zipped(tmp_path / "model.zip", MODEL | files)
+    assert path.stat().st_size < 200_000
+    with pytest.raises(AgentFileError, match=re.escape(says)):
+        sb3_file.read(path)
+
+
+def test_what_a_zip_file_claims_of_its_sizes_is_not_believed(tmp_path):
+    path = zipped(tmp_path / "model.zip", {"data": 512 * 2**20})
+    content = path.read_bytes()
+    start = content.rindex(b"PK\1\2") + 24  # where the directory at its end has the size of the first file
+    assert content[start : start + 4] == (512 * 2**20).to_bytes(4, "little")
+    path.write_bytes(content[:start] + (2**20).to_bytes(4, "little") + content[start + 4 :])
+    tracemalloc.start()
+    with pytest.raises(AgentFileError, match="is damaged"):
+        sb3_file.read(path)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 300e6, most
+
+
+def test_a_compression_that_is_unpacked_as_a_whole_is_refused(tmp_path):
+    path = zipped(tmp_path / "model.zip", {"data": 2**20}, zipfile.ZIP_LZMA)
+    with pytest.raises(AgentFileError, match="'data' in it is compressed otherwise than Stable-Baselines3 does"):
+        sb3_file.read(path)
+
+
+def test_a_pipe_as_a_model_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "model.zip")
+    with pytest.raises(AgentFileError, match="not a regular file"):
+        sb3_file.read(tmp_path / "model.zip")
+    os.mkfifo(tmp_path / "statistics.pkl")
+    with pytest.raises(AgentFileError, match="not a regular file"):
+        sb3_file.load_normalisation(tmp_path / "statistics.pkl")
 
 
 @pytest.fixture(scope="module")

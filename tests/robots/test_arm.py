@@ -7,6 +7,7 @@ from armctl.kinematics import ArmModel
 from armctl.robot_description import load_arm
 from armctl.robot_description.joint_profiles import TICK, trapezoidal_displacement, travel_time
 from armctl.robots import CONTROLS, Arm, build_arm_world
+from armctl.robots.arm import FOLLOWING_ERROR, speed_limits
 from armctl.simulation import Simulation
 
 PERIOD = 0.04
@@ -17,11 +18,13 @@ ROBOTS = ["ur3", "ur5", "ur10"]
 class Rig:
     """n simulated arms at home."""
 
-    def __init__(self, robot, control, n=4):
+    def __init__(self, robot, control, n=4, touches=True):
         self.description = load_arm(robot)
         self.limits = self.description.limits
         self.model = build_arm_world(self.description, control)
-        self.simulation = Simulation(self.model, n, threads=1)
+        if not touches:
+            self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+        self.simulation = Simulation(self.model, n, threads=1, speed_limits=speed_limits(self.description))
         self.arm = Arm(self.simulation, self.description, control, PERIOD)
         self.commanded = self.simulation.array("act")
         self.substeps = round(PERIOD / self.model.opt.timestep)
@@ -123,7 +126,7 @@ def test_position_command_arrives_in_the_time_that_limits_allow(robot):
 @pytest.mark.parametrize("control", ["position", "delta", "velocity"])
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_command_keeps_to_the_limits_of_velocity_acceleration_and_position(robot, control):
-    rig = Rig(robot, control)
+    rig = Rig(robot, control, touches=False)
     rng = np.random.default_rng(0)
     command, speed = rig.commanded.copy(), np.zeros((rig.n, 6))
     fastest = hardest = 0.0
@@ -141,6 +144,17 @@ def test_command_keeps_to_the_limits_of_velocity_acceleration_and_position(robot
             assert (command <= rig.limits.upper + 1e-9).all()
     assert fastest == pytest.approx(1, abs=1e-6)  # as fast as allowed, and no faster
     assert hardest == pytest.approx(1, abs=1e-6)
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_a_command_waits_for_a_joint_that_is_blocked(robot):
+    rig = Rig(robot, "velocity")
+    rig.step(0.5 * np.array([0, 1, 0, 0, 0, 0]) * rig.limits.velocity, decisions=100)  # lean on the floor
+    lag = rig.commanded - rig.arm.joint_positions
+    assert 0.25 < np.abs(lag[:, 1]).max() <= FOLLOWING_ERROR + TICK * rig.limits.velocity[1]
+    before = rig.arm.joint_positions.copy()
+    rig.step(-0.5 * np.array([0, 1, 0, 0, 0, 0]) * rig.limits.velocity, decisions=25)
+    assert (before - rig.arm.joint_positions)[:, 1].min() > 0.3  # within a second, it is on its way back
 
 
 @pytest.mark.parametrize("robot", ROBOTS)

@@ -5,10 +5,13 @@ import re
 import shutil
 import signal
 import socket
+import struct
 import subprocess
 import sys
+import threading
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from io import BytesIO
 from pathlib import Path
 from urllib.request import urlopen
@@ -17,6 +20,8 @@ import imageio.v3 as imageio
 import numpy as np
 import pytest
 from mujoco.studio import launch_thread, messages, sim, viewer_handle
+from websockets.exceptions import ConnectionClosed, InvalidHandshake
+from websockets.sync.client import connect
 
 from armctl.viewer.browser import LOOPBACK, Frame, Play, Player
 from armctl.viewer.stage import Stage
@@ -114,18 +119,17 @@ def test_plans_are_drawn_and_no_other_model_is_let_in(tmp_path):
 
 @contextmanager
 def viewing(tmp_path, *arguments):
-    """`armctl view`, and the port of its page once that is there; ended as with Ctrl-C."""
+    """`armctl view`, and its process and the address of its page once that is there; ended as with Ctrl-C."""
     command = [ARMCTL, "view", *arguments, "--no-open"]
     log = tmp_path / "log.txt"
     with log.open("w") as output, subprocess.Popen(command, stdout=output, stderr=output, cwd=tmp_path) as process:
         try:
-            port = None
-            while port is None:
+            found = None
+            while found is None:
                 assert process.poll() is None, log.read_text()
                 time.sleep(0.2)
-                found = re.search(r"http://localhost:(\d+)/", log.read_text())
-                port = found and int(found[1])
-            yield port
+                found = re.search(r"(http://localhost:(\d+)/\?token=.{32})\n", log.read_text())
+            yield process, found[1], int(found[2])
         finally:
             process.send_signal(signal.SIGINT)
             code = process.wait(60)
@@ -148,15 +152,12 @@ def own_addresses():
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere 127.0.0.2 needs to be set up")
 def test_the_page_answers_on_loopback_alone_and_a_taken_port_is_told(tmp_path):
-    with viewing(tmp_path, "random") as port:
-        until = time.monotonic() + 30
-        while not answers(LOOPBACK, port) and time.monotonic() < until:  # its server starts in a thread of its own
-            time.sleep(0.1)
-        with urlopen(f"http://{LOOPBACK}:{port}/") as page:
+    with viewing(tmp_path, "random") as (_, address, port):
+        with urlopen(address) as page:
             assert b"web_client" in page.read()
         assert [address for address in own_addresses() if answers(address, port)] == []
         said = (tmp_path / "log.txt").read_text()
-        assert f"The page is http://localhost:{port}/, for this machine only." in said
+        assert f"The page, for this machine only: {address}\n" in said
         assert "authentication" not in said
         again = subprocess.run([ARMCTL, "view", "random", "--port", str(port)], capture_output=True, text=True)
     assert again.returncode == 2
@@ -198,17 +199,49 @@ def eventually(page, holds, seconds=200):
     return held
 
 
+def memory(process):
+    """Bytes that a process holds."""
+    return int(re.search(r"VmRSS:\s+(\d+) kB", Path(f"/proc/{process.pid}/status").read_text())[1]) * 1024
+
+
+def uploads(port, token, sid, size):
+    """Drop a model onto the page; what is not taken is not sent."""
+    address = f"ws://localhost:{port}/drop?sid={sid}&token={token}"
+    with suppress(InvalidHandshake, ConnectionClosed), connect(address, proxy=None) as drop:
+        drop.send(struct.pack("<I", 5) + b"a.xml" + bytes(size))
+        drop.send(b"")
+        drop.recv(timeout=60)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_uploads_and_long_messages_do_not_fill_the_memory(tmp_path):
+    with viewing(tmp_path, "random") as (process, address, port):
+        token = address.partition("=")[2]
+        with connect(f"ws://localhost:{port}/ui?sid=me&token={token}", proxy=None) as panel:
+            before = memory(process)
+            for _ in range(24):
+                uploads(port, token, "me", 2**26 - 9)
+            with suppress(ConnectionClosed):
+                for _ in range(24):
+                    panel.send(bytes(2**26))
+            assert memory(process) - before < 2**26
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
 def test_the_robot_moves_on_the_page_and_no_request_leaves_the_machine(tmp_path):
     playwright = pytest.importorskip("playwright.sync_api", reason="no Playwright here: pip install playwright")
     addresses = []
-    with viewing(tmp_path, "reach_mpc", "--env", "armctl/ArmReachMoving-v0") as port, playwright.sync_playwright() as p:
+    with (
+        viewing(tmp_path, "reach_mpc", "--env", "armctl/ArmReachMoving-v0") as (_, address, port),
+        playwright.sync_playwright() as p,
+    ):
         browser = p.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE_GL)
         page = browser.new_page(viewport={"width": 800, "height": 500})
         page.on("request", lambda request: addresses.append(request.url))
         page.on("websocket", lambda connection: addresses.append(connection.url))
-        page.goto(f"http://localhost:{port}/", wait_until="commit", timeout=120_000)
+        page.goto(address, wait_until="commit", timeout=120_000)
         assert eventually(page, lambda: picture(page).std() > 15)
         first = picture(page)
         assert eventually(page, lambda: changed(first, picture(page)) > 0.005)
@@ -218,3 +251,40 @@ def test_the_robot_moves_on_the_page_and_no_request_leaves_the_machine(tmp_path)
         browser.close()
     assert any(address.startswith("ws://") for address in addresses)
     assert [address for address in addresses if not re.match(rf"(http|ws)://localhost:{port}/", address)] == []
+
+
+ATTACK = """
+async ([port, path]) => new Promise(tell => {
+  const socket = new WebSocket(`ws://localhost:${port}${path}`)
+  socket.onopen = () => tell("open")
+  socket.onerror = () => tell("refused")
+})
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
+def test_another_page_in_the_same_browser_gets_nothing(tmp_path):
+    playwright = pytest.importorskip("playwright.sync_api", reason="no Playwright here: pip install playwright")
+    with (
+        viewing(tmp_path, "random") as (_, address, port),
+        ThreadingHTTPServer((LOOPBACK, 0), SimpleHTTPRequestHandler) as other,
+        playwright.sync_playwright() as p,
+    ):
+        threading.Thread(target=other.serve_forever).start()
+        try:
+            browser = p.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE_GL)
+            context = browser.new_context()
+            own = context.new_page()
+            own.goto(address, wait_until="commit", timeout=120_000)
+            assert own.evaluate(ATTACK, [port, "/state?sid=own"]) == "open"
+            assert own.evaluate("async () => (await fetch('/model')).status") == 200  # by the cookie
+            strange = context.new_page()
+            strange.goto(f"http://localhost:{other.server_port}/nothing")  # the same site, so that the cookie is sent
+            for path in ("/ui?sid=it", "/state?sid=it", "/drop?sid=it"):
+                assert strange.evaluate(ATTACK, [port, path]) == "refused"
+            fetched = "async port => fetch(`http://localhost:${port}/model`).then(() => 'read', () => 'refused')"
+            assert strange.evaluate(fetched, port) == "refused"
+            browser.close()
+        finally:
+            other.shutdown()

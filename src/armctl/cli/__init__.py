@@ -1,5 +1,6 @@
 """The verbs of the command line. No logic of their own: each calls the library."""
 
+import os
 import sys
 from typing import NoReturn
 
@@ -14,17 +15,19 @@ TRACEBACK = "--traceback"
 
 def main() -> NoReturn:
     """Run the command line; armctl's own errors become one line and exit status 2."""
+    os.environ["PYTHONSAFEPATH"] = "1"  # worker processes import nothing from the working directory either
     words = sys.argv[1:]
     if TRACEBACK in words:  # an option of the application, which Typer knows before the verb only
         words = [TRACEBACK, *(word for word in words if word != TRACEBACK)]
     try:
         app(words, prog_name="armctl")
     except ArmctlError as error:
-        if settings.traceback:
-            print(format_cause(error), file=sys.stderr)
-        from rich.console import Console
         from rich.text import Text
 
-        Console(stderr=True).print(Text.assemble(("armctl: ", "red"), str(error)), soft_wrap=True)
+        from armctl.console import PlainConsole, printable
+
+        if settings.traceback:
+            print(printable(format_cause(error)), file=sys.stderr)
+        PlainConsole(stderr=True).print(Text.assemble(("armctl: ", "red"), str(error)), soft_wrap=True)
         sys.exit(2)
     sys.exit(0)

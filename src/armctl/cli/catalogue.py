@@ -14,6 +14,7 @@ from armctl.errors import ConfigurationError
 if TYPE_CHECKING:
     import gymnasium
     from rich.table import Table
+    from rich.text import Text
 
 
 @app.command("list")
@@ -42,7 +43,7 @@ def _everything() -> "Table":
 
     table = _grid()
     for kind, names in (("environments", environment_names()), ("arms", BUILTIN_ARMS), ("learners", learner_names())):
-        table.add_row(f"[bold]{kind}[/]", "  ".join(names))
+        table.add_row(_bold(kind), "  ".join(names))
     _add_rows(table, "policies", ((name, describe_policy(name)) for name in policy_names()))
     recipes = []
     for recipe in map(load_recipe, recipe_names()):
@@ -58,7 +59,7 @@ def _everything() -> "Table":
             continue
         by_specs.setdefault(id(specs), (specs, []))[1].append(env)
     for specs, envs in by_specs.values():
-        table.add_row("[bold]disturbances[/]", f"in {', '.join(envs)}:")
+        table.add_row(_bold("disturbances"), f"in {', '.join(envs)}:")
         _add_rows(table, "", _disturbances(specs))
     table.add_row(
         "",
@@ -89,14 +90,14 @@ def _environment(env: str) -> "Table":
         _add_rows(table, "action", [("", _action(worlds.single_action_space))])
         if hasattr(kind, "outcomes"):
             wins = [outcome.label + (" (success)" if outcome.success else "") for outcome in kind.outcomes]
-            table.add_row("[bold]outcomes[/]", ", ".join(wins))
+            table.add_row(_bold("outcomes"), ", ".join(wins))
         disturbances = _disturbances(available(kind.disturbances, task))
     options = ((f"{one.name} = {one.default}", f"{one.type}. {one.text}") for one in describe_options(env))
     _add_rows(table, "options (--set)", options)
     _add_rows(table, "disturbances", disturbances)
     potentials: Mapping[str, Any] = getattr(kind, "potentials", {})
     _add_rows(table, "potentials", ((name, _first_line(one)) for name, one in potentials.items()))
-    table.add_row("[bold]line-up[/]", ", ".join(kind.default_policies))
+    table.add_row(_bold("line-up"), ", ".join(kind.default_policies))
     return table
 
 
@@ -114,9 +115,13 @@ def _add_rows(table: "Table", heading: str, rows: Iterable[tuple[str, str]]) -> 
     from rich.text import Text
 
     for i, (name, text) in enumerate(rows):
-        table.add_row(
-            "" if i or not heading else f"[bold]{heading}[/]", Text.assemble((name, "bold"), "  " if name else "", text)
-        )
+        table.add_row(_bold("" if i else heading), Text.assemble((name, "bold"), "  " if name else "", text))
+
+
+def _bold(heading: str) -> "Text":
+    from rich.text import Text
+
+    return Text(heading, "bold")
 
 
 def _disturbances(specs: Mapping[str, Any]) -> list[tuple[str, str]]:

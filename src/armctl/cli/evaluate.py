@@ -1,7 +1,7 @@
 """Verbs that compare: `compare`, `report`, `sweep`, `reproduce`."""
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -79,10 +79,14 @@ def compare(
             progress=progress,
         )
     console = print_document(comparison.document(), table_format)
-    console.print(f"{folder / 'episodes.csv'} has every episode, {folder / 'summary.json'} the tables.", soft_wrap=True)
+    written = "results" not in comparison.failures
+    if written:
+        console.print(
+            f"{folder / 'episodes.csv'} has every episode, {folder / 'summary.json'} the tables.", soft_wrap=True
+        )
     _exit_if_interrupted(comparison.interrupted, folder, console)
-    if report:
-        _write_report(folder, None, console, video=True, trusted=True)
+    if report and written:
+        _write_report(folder, None, console)
     _print_tracebacks(comparison.tracebacks)
     if comparison.failures:
         raise typer.Exit(1)
@@ -95,17 +99,30 @@ def report(
         Path | None, typer.Option(metavar="FILE", help="HTML file to write.", show_default="DIR/report.html")
     ] = None,
     video: Annotated[bool, typer.Option("--video/--no-video", help="Play some episodes again for videos.")] = True,
+    env: Annotated[
+        str | None, typer.Option("--env", help="Environment of your own that the results name, such as mine:Maze.")
+    ] = None,
+    policies: Annotated[
+        list[str] | None,
+        typer.Option("--policy", metavar="POLICY", help="Policy of your own that they name; can be repeated."),
+    ] = None,
 ) -> None:
-    """Write the report of a comparison: one HTML file that works offline, on a phone and in print."""
-    from rich.console import Console
+    """Write the report of a comparison: one HTML file that works offline, on a phone and in print.
 
-    _write_report(folder, out, Console(), video=video, trusted=False)
+    A results folder never runs code. If its environment or policies are modules of your own, the videos need their
+    names on the command line too, as `--env` and `--policy`.
+    """
+    from armctl.console import PlainConsole
+
+    _write_report(folder, out, PlainConsole(), video=video, env=env, policies=policies or ())
 
 
 def _print_tracebacks(tracebacks: Mapping[str, str]) -> None:
+    from armctl.console import printable
+
     if settings.traceback:
         for name, text in tracebacks.items():
-            print(f"{name}:\n{text}", file=sys.stderr)
+            print(printable(f"{name}:\n{text}"), file=sys.stderr)
 
 
 def _exit_if_interrupted(interrupted: bool, folder: Path, console: "Console") -> None:
@@ -114,14 +131,28 @@ def _exit_if_interrupted(interrupted: bool, folder: Path, console: "Console") ->
         raise typer.Exit(130)
 
 
-def _write_report(folder: Path, out: Path | None, console: "Console", *, video: bool, trusted: bool) -> None:
-    from rich.console import Console
+def _write_report(
+    folder: Path,
+    out: Path | None,
+    console: "Console",
+    *,
+    video: bool = True,
+    env: str | None = None,
+    policies: Sequence[str] = (),
+) -> None:
+    from rich.text import Text
 
+    from armctl.console import PlainConsole
     from armctl.report import write_report
 
-    with Console(stderr=True).status("report") as status:
+    with PlainConsole(stderr=True).status("report") as status:
         path = write_report(
-            folder, out, video=video, trusted=trusted, progress=lambda doing: status.update(f"report: {doing}")
+            folder,
+            out,
+            video=video,
+            env=env,
+            policies=policies,
+            progress=lambda doing: status.update(Text(f"report: {doing}")),
         )
     console.print(f"{path} is the report: open it in a browser.", soft_wrap=True)
 
@@ -190,7 +221,8 @@ def sweep(
             progress=progress,
         )
     console = print_document(found.document(), table_format)
-    console.print(f"{folder / 'sweep.csv'} has the curves; each comparison has a folder beside it.", soft_wrap=True)
+    if "results" not in found.failures:
+        console.print(f"{folder / 'sweep.csv'} has the curves; each comparison has a folder beside it.", soft_wrap=True)
     _exit_if_interrupted(found.interrupted, folder, console)
     for one in found.comparisons.values():
         _print_tracebacks(one.tracebacks)
@@ -210,14 +242,19 @@ def reproduce(
         int | None, typer.Option(min=0, help="Seed of other episodes.", show_default="the card's: the same episodes")
     ] = None,
     worlds: Annotated[int, typer.Option(min=1, help="Worlds stepped at once.")] = 64,
+    env: Annotated[
+        str | None,
+        typer.Option("--env", help="Environment of your own that the cards name.", show_default="the cards'"),
+    ] = None,
     table_format: Format = TableFormat.TABLE,
 ) -> None:
     """Evaluate learned agents again, and compare the results with their cards.
 
     An agent agrees if its success rate is within the 95 % interval on its card. If one does not, the exit status is 1.
     """
-    from rich.console import Console
+    from rich.text import Text
 
+    from armctl.console import PlainConsole
     from armctl.evaluation.reproduce import card_path
     from armctl.evaluation.reproduce import reproduce as run_again
     from armctl.report.reproduction import reproduction_document
@@ -226,8 +263,8 @@ def reproduce(
         card_path(agent)  # a misspelt name is told before the first agent plays
     again = []
     for agent in agents:
-        with Console(stderr=True).status(f"{agent}: playing its episodes again"):
-            again.append(run_again(agent, seed=seed, worlds=worlds))
+        with PlainConsole(stderr=True).status(Text(f"{agent}: playing its episodes again")):
+            again.append(run_again(agent, seed=seed, worlds=worlds, env=env))
     print_document(reproduction_document(again), table_format)
     if not all(one.agrees for one in again):
         raise typer.Exit(1)

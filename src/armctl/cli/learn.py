@@ -54,7 +54,13 @@ def train(
         Path | None,
         typer.Option(help="Folder for the agent, logs and checkpoints.", show_default="runs/<recipe>-<seed>"),
     ] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Resume from the newest checkpoint in the folder.")] = False,
+    resume: Annotated[
+        bool,
+        typer.Option(
+            "--resume",
+            help="Resume from the newest checkpoint in the folder. Checkpoints can run code: only of your own.",
+        ),
+    ] = False,
 ) -> None:
     """Train an agent by a recipe; needs the extra `rl`.
 
@@ -62,17 +68,19 @@ def train(
 
     `armctl train reach_ppo` repeats the training of the shipped agent. Everything in a recipe can be changed:
     `armctl train reach_ppo --seed 1 --shaping ik --set robot=ur10 --option worlds=64`, or
-    `armctl train ppo --env armctl/BridgeCross-v0`.
+    `armctl train ppo --env armctl/BridgeCross-v0`. A recipe's file never runs code: name an environment or a teacher of
+    your own with `--env` or `--teacher`, even if the recipe names it too.
 
     During training, the agent is evaluated on held-out episodes (`curve.csv`), and the best version is kept. Ctrl-C
-    leaves a checkpoint, and the same command with `--resume` resumes from it. Watch the training with
+    leaves a checkpoint, and the same command with `--resume` resumes from it. Checkpoints are pickles, which can run
+    any code when they are loaded: resume only trainings of your own. Watch the training with
     `tensorboard --logdir FOLDER`.
     """
     from armctl.envs import task_of
     from armctl.learners import load_learner, load_recipe
 
-    chosen = load_recipe(recipe, env)
-    given = {"shaping": shaping, "shaping_scale": shaping_scale, "teacher": teacher}
+    chosen = load_recipe(recipe, env, teacher)
+    given = {"shaping": shaping, "shaping_scale": shaping_scale}
     changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     if shaping == "none":
         changes["shaping"] = None
@@ -84,24 +92,26 @@ def train(
     )
     seed = chosen.seeds[0] if seed is None else seed
     folder = out or Path("runs") / f"{chosen.name}-{seed}"
+    if resume and (folder / "settings.json").exists():
+        _say(f"Resuming {folder}. Its checkpoints are pickles, which can run code: go on only if it is your own.", True)
     try:
         with _evaluations_logged():
             card = load_learner(chosen.learner)(chosen, out=folder, seed=seed, resume=resume)
     except KeyboardInterrupt:
         begun = (folder / "settings.json").exists()
         how = f"with --resume {_words('--out', folder)} resumes the training" if begun else "starts it again"
-        typer.echo(f"Interrupted. The same command {how}.")
+        _say(f"Interrupted. The same command {how}.")
         raise typer.Exit(130) from None
     assert card.evaluation is not None
     low, high = card.evaluation.success_interval
-    typer.echo(
+    _say(
         f"{card.training_steps:,} steps in {card.training_minutes} minutes, best after {card.best_after:,}: "
         f"success {card.evaluation.success_rate:.1%} [{low:.1%}, {high:.1%}] "
         f"on {card.evaluation.episodes} held-out episodes"
     )
     rival, agent = task_of(chosen.env).default_policies[0], folder / "agent.json"
     environment = ("--env", chosen.env, *_settings(chosen.env_options))
-    typer.echo(f"The agent is {agent}: {_words('armctl', 'compare', rival, agent, *environment)}")
+    _say(f"The agent is {agent}: {_words('armctl', 'compare', rival, agent, *environment)}")
 
 
 @app.command()
@@ -160,16 +170,16 @@ def export(
     conversion = card.conversion
     assert conversion is not None
     statistics = conversion.normalisation
-    typer.echo(
+    _say(
         f"{model} is a model of {card.learner.removeprefix('sb3-')} after {card.training_steps:,} steps; its "
         + (f"observations are normalised by {statistics}" if statistics else "observations are not normalised")
     )
-    typer.echo(
+    _say(
         f"Agent and model act alike on {conversion.observations:,} observations of {env}: "
         f"largest difference {conversion.largest_difference:.1g}"
     )
     run = _words("armctl", "run", target, "--env", env, *_settings(card.env_options))
-    typer.echo(f"The agent is {target}, with its card beside it: {run}")
+    _say(f"The agent is {target}, with its card beside it: {run}")
 
 
 @contextmanager
@@ -187,6 +197,12 @@ def _evaluations_logged() -> Iterator[None]:
     finally:
         log.setLevel(before)
         log.removeHandler(lines)
+
+
+def _say(text: str, error: bool = False) -> None:
+    from armctl.console import printable
+
+    typer.echo(printable(text), err=error)
 
 
 def _words(*words: object) -> str:

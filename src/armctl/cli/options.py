@@ -101,8 +101,7 @@ def new_folder() -> Path:
 
 def print_document(document: "Document", table_format: TableFormat) -> "Console":
     """Print results on standard output, and return where to say anything else: not in the midst of JSON."""
-    from rich.console import Console
-
+    from armctl.console import PlainConsole, printable
     from armctl.report.formats import FORMATS
     from armctl.report.terminal import DocumentView, output_console
 
@@ -110,17 +109,24 @@ def print_document(document: "Document", table_format: TableFormat) -> "Console"
         console = output_console()
         console.print(DocumentView(document))
         return console
-    print(FORMATS[table_format](document), end="")
-    return Console(stderr=True)
+    text = FORMATS[table_format](document)
+    print(text if table_format is TableFormat.JSON else printable(text), end="")  # JSON has escapes of its own
+    return PlainConsole(stderr=True)
 
 
 def progress_bar() -> Any:
     """A progress display on standard error; nothing where that is not a terminal."""
-    from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    columns = (TextColumn("{task.description:>12}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    console = Console(stderr=True)
+    from armctl.console import PlainConsole
+
+    columns = (
+        TextColumn("{task.description:>12}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+    )
+    console = PlainConsole(stderr=True)
     return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
 
 

@@ -13,6 +13,7 @@ from armctl.cli.options import (
     PolicyName,
     Seed,
     options_of,
+    progress_bar,
 )
 
 
@@ -54,7 +55,8 @@ def view(
 
     A panel on the page selects policy, seed and episode. Keys: Space pauses, Right arrow makes one control step, R
     restarts the episode, N starts the next one; drag with the mouse to rotate the view. Ctrl-C ends the program. The
-    page is served to this machine only; from another one, use `ssh -L 8080:localhost:8080 HOST`.
+    page is served to this machine only, at the address that is printed, whose token lets you in; from another machine,
+    use `ssh -L 8080:localhost:8080 HOST` and the same address.
     """
     from armctl.viewer.browser import Player, show_in_browser
     from armctl.viewer.stage import Stage
@@ -80,31 +82,29 @@ def collect(
     ] = 10**9,
     worlds: Annotated[int, typer.Option(min=1, help="Worlds stepped at once.")] = 50,
     env_options: EnvOptions = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the dataset in the folder.")] = False,
 ) -> None:
     """Write a policy's episodes to a Minari dataset, from which `bc` can learn; needs the extra `rl`.
 
-    Ctrl-C keeps the finished episodes.
+    Ctrl-C keeps the finished episodes, and the same command resumes. So it does after a full disk or a crash.
     """
-    from rich.console import Console
-    from rich.progress import track
+    from armctl.console import PlainConsole
+    from armctl.datasets.collect import collect as run_collection
 
-    from armctl.datasets.minari import collect as run_collection
-    from armctl.evaluation import EpisodeResult
-
-    console = Console(stderr=True)
-    ended = iter(track(range(episodes), policy, console=console, transient=True))
-
-    def progress(result: EpisodeResult) -> None:
-        next(ended, None)
-
-    collection = run_collection(
-        policy, env, episodes=episodes, out=out, seed=seed, worlds=worlds, env_options=options_of(env_options),
-        progress=progress,
-    )  # fmt: skip
-    Console().print(
+    with progress_bar() as bar:
+        task = bar.add_task(policy, total=episodes)
+        collection = run_collection(
+            policy, env, episodes=episodes, out=out, seed=seed, worlds=worlds, env_options=options_of(env_options),
+            overwrite=overwrite, progress=lambda finished: bar.update(task, completed=finished),
+        )  # fmt: skip
+    console = PlainConsole()
+    if collection.resumed:
+        console.print(f"Resumed: {collection.resumed} of {episodes} episodes were there already.", soft_wrap=True)
+    console.print(
         f"{collection.episodes} episodes of {policy}, {collection.steps} control steps, "
         f"{collection.successes} successes: {out}",
         soft_wrap=True,
     )
     if collection.interrupted:
+        console.print(f"Interrupted after {collection.episodes} of {episodes}. The same command resumes.")
         raise typer.Exit(130)

@@ -1,6 +1,6 @@
 """Demonstrations: whole episodes of a policy, played in many worlds at once."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,6 +31,23 @@ class Demonstration:
 
     def __len__(self) -> int:
         return len(self.actions)
+
+
+OBSERVATIONS = "observations"
+
+
+def parts_of(observations: Observations) -> dict[str, NDArray[Any]]:
+    """The arrays of some observations by their names in a file: `observations`, or `observations/PART` for each."""
+    if isinstance(observations, dict):
+        return {f"{OBSERVATIONS}/{name}": values for name, values in observations.items()}
+    return {OBSERVATIONS: observations}
+
+
+def observations_of(parts: dict[str, NDArray[Any]]) -> Observations:
+    """The observations of which these are the `parts_of`."""
+    if OBSERVATIONS in parts:
+        return parts[OBSERVATIONS]
+    return {name.removeprefix(f"{OBSERVATIONS}/"): values for name, values in parts.items()}
 
 
 class Recorder(gymnasium.vector.VectorWrapper[Any, Any, Any, Any, Any]):
@@ -75,21 +92,22 @@ class Recorder(gymnasium.vector.VectorWrapper[Any, Any, Any, Any, Any]):
 def demonstrate(
     policy: Policy,
     worlds: EpisodeVectorEnv,
-    episodes: int,
+    episodes: int | Sequence[int],
     seed: int,
     name: str = "policy",
     acting: Callable[[Observations, NDArray[Any]], NDArray[Any]] | None = None,
 ) -> Iterator[tuple[EpisodeResult, Demonstration]]:
-    """Play episodes 0 to `episodes` - 1 of `seed`, and yield each as it ends.
+    """Play episodes of `seed`, and yield each as it ends. `episodes` is how many, from 0 on, or their numbers.
 
     `acting`, a function of the observations and the policy's actions, returns actions to execute in place of the
     policy's; the recorded actions are still the policy's. `worlds` must have no autoreset (see `make_worlds`), and
-    there must be no more of them than `episodes`. Raises `PolicyFailed` if the policy fails.
+    there should be no more of them than episodes. Raises `PolicyFailed` if the policy fails.
     """
     recorder: Any = Recorder(worlds)
     actor: Any = policy if acting is None else _Overridden(policy, acting, recorder)
-    unknown = dict.fromkeys(range(episodes), np.nan)  # least lengths, which are not needed here
-    for result in rollouts(actor, recorder, episodes, seed, name, unknown):
+    numbers = range(episodes) if isinstance(episodes, int) else episodes
+    unknown = dict.fromkeys(numbers, np.nan)  # least lengths, which are not needed here
+    for result in rollouts(actor, recorder, numbers, seed, name, unknown):
         yield result, recorder.finished.pop(result.episode)
 
 

@@ -23,6 +23,10 @@ ON_TOP = (0.0, 0.0, 0.22)
 """m above the rover's axles."""
 
 Share = functools.partial(DisturbanceSpec, highest=1.0)
+LARGEST_MISMATCH = 0.5
+"""Share: with 1, there would be links and wheels of no size and no mass."""
+LARGEST_PUSH = 100.0
+"""N s: a person of 70 kg who runs into the robot has some 200 with his whole weight, and passes on less than half."""
 
 
 def _has_camera(task: Disturbable) -> bool:
@@ -50,42 +54,43 @@ GENERIC: dict[str, DisturbanceSpec] = {
         applies=_observes_numbers,
     ),
     "delay": DisturbanceSpec(
-        Delay, "late actions", "control steps", (0, 1, 2, 4, 8), 1e3, whole=True, applies=_acts_by_numbers
+        Delay, "late actions", "control steps", (0, 1, 2, 4, 8), 100, whole=True, applies=_acts_by_numbers
     ),
     "dropout": Share(Dropout, "lost camera images", "share", (0, 0.1, 0.25, 0.5, 0.75), applies=_has_camera),
 }
 """For any task."""
 ARM: dict[str, DisturbanceSpec] = {
     "noise": DisturbanceSpec(
-        Noise, "sensor noise, standard deviation", "m, rad, m/s", (0, 0.005, 0.01, 0.02, 0.05), 1e3
+        Noise, "sensor noise, standard deviation", "m, rad, m/s", (0, 0.005, 0.01, 0.02, 0.05), 10
     ),
-    "delay": DisturbanceSpec(Delay, "late actions", "control steps of 40 ms", (0, 1, 2, 4, 8), 1e3, whole=True),
-    "payload": DisturbanceSpec(Payload, "a ball at the end-effector", "kg", (0, 2, 5, 10, 20), 1e4),
+    "delay": DisturbanceSpec(Delay, "late actions", "control steps of 40 ms", (0, 1, 2, 4, 8), 100, whole=True),
+    "payload": DisturbanceSpec(Payload, "a ball at the end-effector", "kg", (0, 2, 5, 10, 20), 50),
     "friction": Share(JointFriction, "dry friction of the joints", "of largest torque", (0, 0.1, 0.2, 0.4, 0.8)),
     "strength": Share(Strength, "torque of the motors", "left", (1, 0.8, 0.6, 0.4, 0.2)),
-    "pushes": DisturbanceSpec(Pushes, "pushes at the end-effector, about one a second", "N s", (0, 5, 10, 20, 40), 1e4),
-    "mismatch": Share(
-        LinkMismatch, "largest error of the model's link masses and lengths", "share", (0, 0.02, 0.05, 0.1, 0.2)
+    "pushes": DisturbanceSpec(
+        Pushes, "pushes at the end-effector, about one a second", "N s", (0, 5, 10, 20, 40), LARGEST_PUSH
     ),
-}
+    "mismatch": DisturbanceSpec(
+        LinkMismatch, "largest error of the model's link masses and lengths", "share", (0, 0.02, 0.05, 0.1, 0.2),
+        LARGEST_MISMATCH,
+    ),
+}  # fmt: skip
 """For an arm."""
 ROVER: dict[str, DisturbanceSpec] = {
-    "noise": DisturbanceSpec(Noise, "sensor noise, standard deviation", "m, m/s, rad/s", (0, 0.05, 0.1, 0.2, 0.5), 1e3),
-    "delay": DisturbanceSpec(Delay, "late actions", "control steps of 100 ms", (0, 1, 2, 3, 5), 1e3, whole=True),
+    "noise": DisturbanceSpec(Noise, "sensor noise, standard deviation", "m, m/s, rad/s", (0, 0.05, 0.1, 0.2, 0.5), 10),
+    "delay": DisturbanceSpec(Delay, "late actions", "control steps of 100 ms", (0, 1, 2, 3, 5), 100, whole=True),
     "payload": DisturbanceSpec(
-        functools.partial(Payload, offset=ON_TOP), "a ball on top", "kg", (0, 5, 10, 20, 40), 1e4
+        functools.partial(Payload, offset=ON_TOP), "a ball on top", "kg", (0, 5, 10, 20, 40), 100
     ),
     "friction": Share(Slipperiness, "friction of the tyres", "left", (1, 0.75, 0.5, 0.25, 0.1)),
     "strength": Share(Strength, "torque of the motors", "left", (1, 0.8, 0.6, 0.4, 0.2)),
     "pushes": DisturbanceSpec(
         functools.partial(Pushes, horizontal=True), "pushes at the base, about one a second", "N s",
-        (0, 5, 10, 20, 40), 1e4,
+        (0, 5, 10, 20, 40), LARGEST_PUSH,
     ),
-    "mismatch": Share(
-        WheelMismatch,
-        "largest error of the model's wheel radii and base mass",
-        "share",
-        (0, 0.02, 0.05, 0.1, 0.2),
+    "mismatch": DisturbanceSpec(
+        WheelMismatch, "largest error of the model's wheel radii and base mass", "share", (0, 0.02, 0.05, 0.1, 0.2),
+        LARGEST_MISMATCH,
     ),
     "dropout": GENERIC["dropout"],
 }  # fmt: skip

@@ -93,6 +93,11 @@ class DisturbanceSpec:
         """The level that changes nothing."""
         return float(self.levels[0])
 
+    @property
+    def strongest(self) -> float:
+        """The allowed level that is farthest from the neutral one."""
+        return 0.0 if self.neutral > 0 else self.highest
+
     def checked(self, name: str, level: object) -> float:
         """A level as a float. Raises `ConfigurationError` for an invalid level."""
         usable = isinstance(level, (int, float, np.number)) and not isinstance(level, bool)

@@ -4,13 +4,13 @@
 """
 
 from armctl.envs.episodes import EpisodeVectorEnv
-from armctl.envs.make import find_spec, full_id, make_worlds, task_of
+from armctl.envs.make import check_from_file, find_spec, full_id, make_worlds, task_of
 from armctl.envs.observations import batch_of_one, one_of
 from armctl.envs.single import TaskEnv
 from armctl.envs.third_party import ThirdPartyVectorEnv, episode_seed
 from armctl.envs.vector import Observer, TaskVectorEnv
 
 __all__ = [
-    "EpisodeVectorEnv", "Observer", "TaskEnv", "TaskVectorEnv", "ThirdPartyVectorEnv", "batch_of_one", "episode_seed",
-    "find_spec", "full_id", "make_worlds", "one_of", "task_of",
+    "EpisodeVectorEnv", "Observer", "TaskEnv", "TaskVectorEnv", "ThirdPartyVectorEnv", "batch_of_one",
+    "check_from_file", "episode_seed", "find_spec", "full_id", "make_worlds", "one_of", "task_of",
 ]  # fmt: skip

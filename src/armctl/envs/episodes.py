@@ -15,6 +15,8 @@ from armctl.tasks import Observations
 
 Array = NDArray[np.float64]
 Infos = dict[str, Any]
+LARGEST_REWARD = 1e90
+"""Largest reward, or reward term, of a control step: statistics square the sum of those of an episode."""
 
 
 class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):

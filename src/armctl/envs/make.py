@@ -1,9 +1,11 @@
 """Makes environments by their ids."""
 
 import inspect
+import shlex
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -14,10 +16,23 @@ from gymnasium.vector import AutoresetMode
 from armctl.envs.episodes import EpisodeVectorEnv
 from armctl.envs.third_party import ThirdPartyTask, ThirdPartyVectorEnv
 from armctl.envs.vector import TaskVectorEnv
-from armctl.errors import ArmctlError, ConfigurationError, described, nearest, unknown_name
-from armctl.registration import VECTOR_ENV, environment_names, import_named, load_task, own_names
+from armctl.errors import FAILURES, ArmctlError, ConfigurationError, described, nearest, unknown_name
+from armctl.registration import (
+    VECTOR_ENV,
+    check_named,
+    environment_names,
+    import_named,
+    importable_from,
+    load_task,
+    own_names,
+    remember_named,
+    was_named,
+)
 
-RESERVED = {"num_envs", "autoreset_mode", "render_mode", "threads", "task"}
+RESERVED = {
+    "autoreset_mode", "id", "num_envs", "render_mode", "task", "threads", "vector_kwargs", "vectorization_mode",
+    "wrappers",
+}  # fmt: skip
 """Arguments that callers cannot set as options."""
 SCORING = {"success_return", "disturbances"}
 """Options for environments of others, which these do not get to see."""
@@ -57,6 +72,8 @@ def make_worlds(
             "such as Stable-Baselines3, and make an agent of its model with `armctl export`"
         )
     scoring = {name: options.pop(name) for name in SCORING & set(options)}
+    if not isinstance(scoring.get("success_return", 0.0), (int, float)):
+        raise ConfigurationError(f"success_return is a number, not {scoring['success_return']!r}")
     return ThirdPartyVectorEnv(lambda: _make_third_party(spec, options, render_mode), worlds, **scoring)
 
 
@@ -89,11 +106,36 @@ def find_spec(env: Any) -> EnvSpec:
     """
     env = _as_text(env)
     module, _, name = env.rpartition(":")
-    loaded = import_named(module, f"the environment {env!r}") if module else None
+    if not module:
+        return _registered(name, env, None)
+    loaded = import_named(module, f"the environment {env!r}")
+    maker = getattr(loaded, name, None)
+    known = name in gymnasium.registry or not callable(maker)
+    spec = _registered(name, env, loaded) if known else EnvSpec(id=name, entry_point=maker)
+    if isinstance(spec.entry_point, str):
+        with _wrap_errors(env), importable_from(Path(module).parent if module.endswith(".py") else Path.cwd()):
+            load_env_creator(spec.entry_point)
+    remember_named(env, f"{module}:{spec.id}")
+    return spec
+
+
+def check_from_file(env: str, options: Mapping[str, Any], source: str) -> None:
+    """Check an environment that a file names. Raises `ConfigurationError` if it is code that the user has not named.
+
+    Texts among the options of somebody else's environment may be paths, so that has to be named too.
+    """
+    check_named(env, source, "--env")
+    texts = [name for name, value in options.items() if isinstance(value, str)]
+    if texts and not was_named(env) and not is_task(find_spec(env)):
+        raise ConfigurationError(
+            f"{source} gives {env} the text {texts[0]}, which may be a path: if you trust it, name the environment "
+            f"yourself, --env {shlex.quote(env)}"
+        )
+
+
+def _registered(name: str, env: str, loaded: ModuleType | None) -> EnvSpec:
     if name in gymnasium.registry:
         return gymnasium.spec(name)
-    if callable(maker := getattr(loaded, name, None)):
-        return EnvSpec(id=name, entry_point=maker)
     full = [known for known in gymnasium.registry if known.partition("/")[2] == name]
     if len(full) == 1:
         return gymnasium.spec(full[0])
@@ -140,12 +182,15 @@ def _wrap_errors(name: str) -> Iterator[None]:
         yield
     except ArmctlError:
         raise
-    except Exception as error:
+    except FAILURES as error:
         raise ConfigurationError(f"{name} could not be made: {described(error)}") from error
 
 
 def _check_options(spec: EnvSpec, options: Mapping[str, Any]) -> None:
-    """Raise `ConfigurationError` for an option that the environment's constructor does not take."""
+    """Raise `ConfigurationError` for an option that neither the environment's constructor nor Gymnasium takes."""
+    steps = options.get("max_episode_steps", 1)
+    if type(steps) is not int or steps < 1:
+        raise ConfigurationError(f"max_episode_steps is a whole number from 1 on, not {steps!r}")
     maker = load_env_creator(spec.entry_point) if isinstance(spec.entry_point, str) else spec.entry_point
     parameters = inspect.signature(maker).parameters if maker else {}
     if any(one.kind is inspect.Parameter.VAR_KEYWORD for one in parameters.values()):

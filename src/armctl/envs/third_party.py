@@ -16,9 +16,9 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
 from armctl.disturbances import GENERIC, DisturbanceSpec, disturb
-from armctl.envs.episodes import Array, EpisodeVectorEnv, Infos
+from armctl.envs.episodes import LARGEST_REWARD, Array, EpisodeVectorEnv, Infos
 from armctl.envs.observations import stacked
-from armctl.errors import ConfigurationError, EnvironmentFailed, InvalidAction, defined_at, described
+from armctl.errors import FAILURES, ConfigurationError, EnvironmentFailed, InvalidAction, defined_at, described
 from armctl.tasks import MotionSample, Observations
 from armctl.tasks.task import TaskFacts
 
@@ -164,7 +164,7 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
         return actions
 
     def _check_step(self, i: int, reward: float, ended: bool) -> None:
-        if not np.isfinite(reward):
+        if not abs(reward) <= LARGEST_REWARD:
             raise EnvironmentFailed(
                 f"{self._name} returned the reward {reward} in step {self._steps[i]} of episode {self._episodes[i]}"
             )
@@ -188,7 +188,7 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
     def _wrap_errors(self, i: int) -> Iterator[None]:
         try:
             yield
-        except Exception as error:
+        except FAILURES as error:
             where = f"{self._name} failed in episode {self._episodes[i]}"
             raise EnvironmentFailed(f"{where}: {described(error)}") from error
 

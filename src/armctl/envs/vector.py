@@ -15,7 +15,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from armctl.disturbances import disturb
-from armctl.envs.episodes import Array, EpisodeVectorEnv, Infos
+from armctl.envs.episodes import LARGEST_REWARD, Array, EpisodeVectorEnv, Infos
 from armctl.envs.observations import with_replaced
 from armctl.errors import ConfigurationError, EnvironmentFailed, unknown_name
 from armctl.options import make_options
@@ -26,6 +26,8 @@ from armctl.tasks import Observations, RewardTerms, Task
 RENDER_MODES = ("rgb_array", "human")
 TIMEOUT = 0
 """The value of every task's `TIMEOUT` outcome."""
+UNSTABLE = "unstable"
+"""The outcome of an episode whose physics has failed (see `armctl.simulation.Simulation.unstable`)."""
 
 
 class Observer(Protocol):
@@ -40,6 +42,9 @@ class Observer(Protocol):
 
 class TaskVectorEnv(EpisodeVectorEnv):
     """n worlds of one task.
+
+    An episode whose physics fails (infinite numbers, or none) terminates with the outcome `unstable`, which is no
+    success and earns nothing in its last step. What is observed then is the last good state.
 
     Args:
         num_envs: number of worlds.
@@ -90,8 +95,8 @@ class TaskVectorEnv(EpisodeVectorEnv):
         make_task: Any = task_type
         task_options = make_options(task_type.options_type, options, others=("disturbances", "max_episode_steps"))
         self.task = make_task(self.num_envs, task_options, threads)
-        self._outcome_labels = np.array([outcome.label for outcome in task_type.outcomes])
-        self._successes = np.array([outcome.success for outcome in task_type.outcomes])
+        self._outcome_labels = np.array([*(outcome.label for outcome in task_type.outcomes), UNSTABLE])
+        self._successes = np.array([*(outcome.success for outcome in task_type.outcomes), False])
         self.disturbances = disturb(self.task, task_type.disturbances, disturbances)
         self.single_observation_space = self.task.observation_space
         self.single_action_space = self.task.action_space
@@ -111,8 +116,11 @@ class TaskVectorEnv(EpisodeVectorEnv):
         self.task.command(commands)
         self.task.advance(awake)
         self._steps += 1
-        terms = self._paid(self.task.reward_terms())
-        outcome = np.array(self.task.outcome(), dtype=np.int8)
+        terms, outcome = self.task.reward_terms(), np.array(self.task.outcome(), dtype=np.int8)
+        if (unstable := self.task.simulation.unstable).any():
+            terms = {name: np.where(unstable, 0.0, earned) for name, earned in terms.items()}
+            outcome[unstable] = len(self._outcome_labels) - 1
+        terms = self._paid(terms)
         if restart is not None:
             outcome[restart] = TIMEOUT
         terminated = outcome != TIMEOUT
@@ -123,9 +131,8 @@ class TaskVectorEnv(EpisodeVectorEnv):
             truncated[restart] = False
             for earned in terms.values():
                 earned[restart] = 0.0
+        self._check_terms(terms)
         rewards = sum(terms.values(), start=np.zeros(self.num_envs))
-        if not np.isfinite(rewards).all():
-            self._blame_term(terms)
         finished = terminated | truncated
         infos: Infos = {
             "is_success": self._successes[outcome],
@@ -193,14 +200,13 @@ class TaskVectorEnv(EpisodeVectorEnv):
             before |= terms[name] != 0
         return terms
 
-    def _blame_term(self, terms: RewardTerms) -> None:
+    def _check_terms(self, terms: RewardTerms) -> None:
         for name, earned in terms.items():
-            if not np.isfinite(earned).all():
-                i = int(np.flatnonzero(~np.isfinite(earned))[0])
+            if not (fine := np.abs(earned) <= LARGEST_REWARD).all():
+                i = int(np.flatnonzero(~fine)[0])
                 raise EnvironmentFailed(
                     f"the reward term {name!r} is {earned[i]} in step {self._steps[i]} of episode {self._episodes[i]}"
                 )
-        raise EnvironmentFailed(f"the sum of the reward terms {', '.join(terms)} is not finite")
 
 
 def _at_least_one(name: str, value: int) -> int:

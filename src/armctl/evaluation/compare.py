@@ -8,19 +8,18 @@ from typing import Any
 import pandas as pd
 
 from armctl import DEFAULT_ENV
-from armctl.agents import OnnxPolicy
 from armctl.envs import ThirdPartyVectorEnv, full_id, make_worlds, task_of
-from armctl.errors import ConfigurationError, ResultsError
-from armctl.evaluation.comparison import Comparison, write_summary
+from armctl.errors import ResultsError
+from armctl.evaluation.comparison import Comparison, summary
+from armctl.evaluation.identity import identity
 from armctl.evaluation.parallel import WorkerConfig, WorkersFailed, check_sendable, play_here, play_in_workers
-from armctl.evaluation.provenance import versions
 from armctl.evaluation.record import COLUMNS, EpisodeResult
-from armctl.evaluation.rollouts import wrap_environment_errors
+from armctl.evaluation.rollouts import check_counts, wrap_environment_errors
 from armctl.evaluation.seeding import seed_notes
 from armctl.evaluation.store import EpisodeLog
 from armctl.evaluation.summary import summarise
-from armctl.policies import Policy, make_policy, named_policies
-from armctl.registration import bare_id
+from armctl.policies import make_policy, named_policies
+from armctl.registration import bare_id, remember_named
 
 UNTOLD = "{env} is not made of a task of armctl's: least times, feasibility, contacts and clearances are unknown."
 UNSCORED = "{env} does not say what a success is: the verdict goes by return. --success-return says which is one."
@@ -61,13 +60,11 @@ def compare(
     the results of another comparison (unless `overwrite`).
     """
     env = full_id(env)
+    remember_named(env)
     if policies is None:
         policies = default_policies(env)
     by_name = named_policies(policies)
-    if episodes < 1 or worlds < 1 or workers < 1:
-        raise ConfigurationError(
-            f"episodes, worlds and workers must be at least 1, not {episodes}, {worlds} and {workers}"
-        )
+    check_counts(episodes=episodes, worlds=worlds, workers=workers)
     comparison = Comparison(env, seed, dict(env_options or {}), pd.DataFrame(columns=list(COLUMNS)))
     worlds = min(worlds, episodes)
     results: list[EpisodeResult] = []
@@ -84,7 +81,8 @@ def compare(
             comparison.notes.append(UNTOLD.format(env=bare_id(env)))
         log: EpisodeLog | None = None
         if out is not None:
-            log = stack.enter_context(EpisodeLog(Path(out), _identity(comparison, made), episodes, overwrite))
+            own = identity(env, comparison.env_options, seed, by_name, made, made_env)
+            log = stack.enter_context(EpisodeLog(Path(out), own, episodes, overwrite))
             results += log.kept
         comparison.resumed = len(results)
         for result in results:
@@ -108,10 +106,7 @@ def compare(
                     for result in played.results:
                         results.append(result)
                         if log is not None:
-                            try:
-                                log.write(result)
-                            except ResultsError as error:
-                                comparison.failures["results"], log = str(error), None
+                            log.write(result)
                         if progress is not None:
                             progress(result)
         except WorkersFailed as failure:
@@ -120,21 +115,16 @@ def compare(
             comparison.interrupted = True
         order = list(made)
         results.sort(key=lambda result: (order.index(result.policy), result.episode))
+        if results:
+            comparison.episodes = pd.DataFrame([result.row() for result in results])
+            comparison.policies, comparison.paired = summarise(results, made, episodes)
+            if comparison.policies and comparison.policies[0].success is None:
+                comparison.notes.append(UNSCORED.format(env=bare_id(env)))
         if log is not None:
             try:
-                log.rewrite(results)
+                log.finish(results, summary(comparison))
             except ResultsError as error:
                 comparison.failures["results"] = str(error)
-    if results:
-        comparison.episodes = pd.DataFrame([result.row() for result in results])
-        comparison.policies, comparison.paired = summarise(results, made, episodes)
-        if comparison.policies and comparison.policies[0].success is None:
-            comparison.notes.append(UNSCORED.format(env=bare_id(env)))
-    if out is not None:
-        try:
-            write_summary(Path(out), comparison)
-        except ResultsError as error:
-            comparison.failures["results"] = str(error)
     return comparison
 
 
@@ -142,16 +132,3 @@ def default_policies(env: str) -> tuple[str, ...]:
     """The default line-up of an environment, which its task declares."""
     policies: tuple[str, ...] = task_of(env).default_policies
     return policies
-
-
-def _identity(comparison: Comparison, policies: Mapping[str, Policy]) -> dict[str, Any]:
-    """Everything that determines a comparison's episodes, as JSON values."""
-    agents = {name: policy.card.sha256 for name, policy in policies.items() if isinstance(policy, OnnxPolicy)}
-    return {
-        "env": comparison.env,
-        "env_options": {name: str(value) for name, value in comparison.env_options.items()},
-        "seed": comparison.seed,
-        "policies": list(policies),
-        "agents": agents,
-        "versions": versions(),
-    }

@@ -1,24 +1,19 @@
 """The result of a comparison, and its `summary.json`."""
 
 import dataclasses
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from armctl.errors import ResultsError
 from armctl.evaluation.notebook import Displayed
 from armctl.evaluation.provenance import machine, versions
 from armctl.evaluation.statistics import PairedDifference
-from armctl.evaluation.store import SUMMARY
 from armctl.evaluation.summary import PolicySummary
 from armctl.evaluation.summary_tables import details, paired_table, policy_table
 from armctl.evaluation.tables import Document, Remark, Table
 from armctl.evaluation.verdict import verdict
-from armctl.files import write_atomically
 
 
 @dataclass(repr=False)
@@ -72,9 +67,9 @@ class Comparison(Displayed):
         return f"<Comparison of {names} in {self.env}, seed {self.seed}{said}{failed}>"
 
 
-def write_summary(folder: Path, comparison: Comparison) -> None:
-    """Write `summary.json`: settings, results, versions and machine. Raises `ResultsError`."""
-    summary = {
+def summary(comparison: Comparison) -> dict[str, Any]:
+    """The content of `summary.json`: settings, results, versions and machine."""
+    return {
         "env": comparison.env,
         "env_options": {name: str(value) for name, value in comparison.env_options.items()},
         "seed": comparison.seed,
@@ -87,7 +82,3 @@ def write_summary(folder: Path, comparison: Comparison) -> None:
         "versions": versions(),
         "machine": machine(),
     }
-    try:
-        write_atomically(folder / SUMMARY, json.dumps(summary, indent=2) + "\n")
-    except OSError as error:
-        raise ResultsError(f"{folder / SUMMARY} could not be written: {error.strerror}") from error

@@ -1,5 +1,6 @@
 """Reads curves from CSV files: success during a training (`curve.csv`) and under disturbances (`sweep.csv`)."""
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -7,10 +8,14 @@ import pandas as pd
 
 from armctl.errors import ArmctlError, ResultsError
 from armctl.evaluation.reproduce import card_path
+from armctl.evaluation.store import COMPARISON
+from armctl.files import bounded_text, digest, unsealed
 
 CURVE = "curve.csv"
 CURVE_COLUMNS = ("steps", "minutes", "success", "low", "high", "return")
 """Of held-out episodes: after how many steps and minutes of training, success with its 95 % interval, mean return."""
+SWEEP, POINTS, COMPARISONS = "sweep.json", "sweep.csv", "comparisons"
+"""Files of a sweep, and the first's key for the identities of its comparisons."""
 SWEEP_COLUMNS = ("disturbance", "level", "policy", "success", "low", "high")
 
 
@@ -39,19 +44,36 @@ def read_curve(path: Path) -> pd.DataFrame:
     return _table(path, CURVE_COLUMNS, CURVE_COLUMNS)
 
 
-def read_sweep(path: Path) -> pd.DataFrame:
+def read_sweep(folder: Path) -> pd.DataFrame:
     """A sweep: a row per disturbance, level and policy, with `SWEEP_COLUMNS` at least. Raises `ResultsError`."""
+    path = folder / POINTS
+    try:
+        told = unsealed(bounded_text(folder / SWEEP))
+        if told.get(POINTS) != digest(bounded_text(path)):
+            raise ValueError(f"it does not have the checksum in {SWEEP}: it was changed, or damaged")
+        for name, own in dict(told.get(COMPARISONS, {})).items():
+            if (folder / name / COMPARISON).exists() and comparison_in(folder / name) != own:
+                raise ValueError(f"{folder / name} holds another comparison by now: run the sweep again")
+    except (OSError, ValueError, TypeError) as error:
+        raise ResultsError(f"{path} cannot be read: {error}") from error
     return _table(path, SWEEP_COLUMNS, ("level", "success", "low", "high")).astype({"policy": str, "disturbance": str})
+
+
+def comparison_in(folder: Path) -> str:
+    """The digest of the identity of a folder's comparison. Raises `OSError` or `ValueError`."""
+    return digest(unsealed(bounded_text(folder / COMPARISON)))
 
 
 def _table(path: Path, columns: Sequence[str], numbers: Sequence[str]) -> pd.DataFrame:
     """A CSV file with these `columns` and at least one row; the `numbers` columns as floats. Raises `ResultsError`."""
     try:
-        table = pd.read_csv(path)
+        table = pd.read_csv(io.StringIO(bounded_text(path)))
         if missing := [column for column in columns if column not in table]:
             raise ValueError(f"it has no column {missing[0]}")
         if table.empty:
             raise ValueError("it has no row")
+        if table[[column for column in columns if column not in numbers]].isna().any(axis=None):
+            raise ValueError("it has a row without a name")
         return table.astype(dict.fromkeys(numbers, float))
     except (OSError, ValueError) as error:
         raise ResultsError(f"{path} cannot be read: {error}") from error

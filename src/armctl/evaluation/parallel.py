@@ -8,6 +8,8 @@ import contextlib
 import functools
 import os
 import signal
+import threading
+import time
 import uuid
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
@@ -17,6 +19,7 @@ from typing import Any
 
 import cloudpickle
 import joblib
+from joblib.parallel import LokyBackend, get_active_backend
 
 from armctl.envs import EpisodeVectorEnv, make_worlds
 from armctl.errors import ArmctlError, ConfigurationError, EnvironmentFailed, format_cause
@@ -26,6 +29,9 @@ from armctl.policies import Policy, PolicyFactory, make_policy
 
 ROUNDS = 4
 """Episodes per world in a block. With so many, little time is lost waiting for the last episodes of a block."""
+
+PARENT_CHECK = 1.0
+"""s between two looks of a worker whether its parent still lives."""
 
 
 class WorkersFailed(ArmctlError):
@@ -94,7 +100,7 @@ def play_in_workers(
                     known = {episode: least_lengths[episode] for episode in block if episode in least_lengths}
                     yield joblib.delayed(_play)(config, name, policy, block, known)
 
-    parallel = joblib.Parallel(n_jobs=workers, return_as="generator_unordered")
+    parallel = joblib.Parallel(n_jobs=workers, return_as="generator_unordered", **_ending_with_this_process())
     try:
         with closing(parallel(blocks())) as everything:
             for played in everything:
@@ -118,6 +124,24 @@ def check_sendable(policies: Mapping[str, Any]) -> None:
                 f"{name} cannot be sent to worker processes ({error}): use a function that makes it, its "
                 "module:function, or a single worker"
             ) from error
+
+
+def _ending_with_this_process() -> dict[str, Any]:
+    """Arguments for loky, whose workers would outlive a killed parent by minutes. A cluster's are not children."""
+    backend, _ = get_active_backend()
+    return {"initializer": _begin, "initargs": (os.getpid(),)} if isinstance(backend, LokyBackend) else {}
+
+
+def _begin(parent: int) -> None:
+    """Let this worker end when its parent has gone, however that ended, and not by Ctrl-C before."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(PARENT_CHECK)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def _blocks(episodes: Sequence[int], worlds: int, workers: int) -> Iterator[Sequence[int]]:

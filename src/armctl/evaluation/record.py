@@ -21,6 +21,9 @@ COLUMNS = (
 TIME_COLUMNS = ("missed_deadlines", "decision_ms_p50", "decision_ms_p99", "decision_ms_max")
 """The columns that depend on the machine. All others are the same whenever and wherever an episode is played."""
 
+LARGEST_RETURN = 1e100
+"""Beyond what the environments pay in any episode; its square, and the sum of many such, are still numbers."""
+
 
 @dataclass(frozen=True)
 class EpisodeResult:
@@ -65,9 +68,14 @@ class EpisodeResult:
     def from_row(cls, row: Mapping[str, str], decision_ms: NDArray[np.float64]) -> "EpisodeResult":
         """Read a row of `episodes.csv`, as text. Raises `KeyError` or `ValueError` for an invalid row."""
         named = {**row, "total_reward": row["return"]}
-        return cls(
-            **_read(_PLAIN_COLUMNS, named), metrics=Metrics(**_read(_METRICS_COLUMNS, named)), decision_ms=decision_ms
-        )
+        plain = _read(_PLAIN_COLUMNS, named)
+        earned = {"return": plain["total_reward"]} | {
+            f"reward_terms: {n!r}": r for n, r in plain["reward_terms"].items()
+        }
+        for name, value in earned.items():
+            if not abs(value) <= LARGEST_RETURN:
+                raise ValueError(f"{name} is {value}, and should be between -{LARGEST_RETURN:g} and {LARGEST_RETURN:g}")
+        return cls(**plain, metrics=Metrics(**_read(_METRICS_COLUMNS, named)), decision_ms=decision_ms)
 
 
 _EMPTY_IS_NONE = BeforeValidator(lambda text: text or None)

@@ -7,11 +7,12 @@ from pathlib import Path
 import pandas as pd
 
 from armctl.agents import AgentCard, Evaluation, read_card
+from armctl.envs import check_from_file, full_id
 from armctl.errors import AgentFileError, ConfigurationError, unknown_name
 from armctl.evaluation.rollouts import evaluate
 from armctl.evaluation.statistics import success_rate
 from armctl.policies import GROUP
-from armctl.registration import installed
+from armctl.registration import installed, remember_named
 
 
 @dataclass(frozen=True)
@@ -31,16 +32,24 @@ class Reproduction:
         return low <= self.found.success_rate <= high
 
 
-def reproduce(agent: str | Path, *, seed: int | None = None, worlds: int = 64) -> Reproduction:
+def reproduce(agent: str | Path, *, seed: int | None = None, worlds: int = 64, env: str | None = None) -> Reproduction:
     """Evaluate an agent again, on the episodes named by its card or on those of another seed.
 
-    `agent` is the path of its card or graph, or the name of an installed one. Raises `AgentFileError` for unusable
-    files and cards without an evaluation, and `ConfigurationError` for an unknown name or one without a card.
+    `agent` is the path of its card or graph, or the name of an installed one. A card runs no code: if its environment
+    is `module:name`, that has to be given as `env`, or was named in this process before.
+
+    Raises `AgentFileError` for unusable files and cards without an evaluation, and `ConfigurationError` for an unknown
+    name or one without a card.
     """
     path = card_path(agent)
     card = read_card(path)
     if (claimed := card.evaluation) is None:
         raise AgentFileError(f"the card {path} has no evaluation to reproduce")
+    if env is not None:
+        if full_id(env) != card.env:
+            raise ConfigurationError(f"{path} is of an agent for {card.env}, not for {env}")
+        remember_named(card.env)
+    check_from_file(card.env, card.env_options, str(path))
     seed = claimed.seed if seed is None else seed
     episodes = evaluate(
         path,

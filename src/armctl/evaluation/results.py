@@ -1,6 +1,5 @@
 """Reads a comparison's folder back, without playing anything."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,22 +14,29 @@ from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.statistics import PairedDifference
 from armctl.evaluation.store import COMPARISON, SUMMARY, read_episodes
 from armctl.evaluation.summary import PolicySummary, counted_results
+from armctl.files import bounded_text, digest, unsealed
 from armctl.options import option_value
 
 Kind = TypeVar("Kind")
+LONGEST_OPTION = 1_000
+"""Characters of an option's text; to read long ones as Python takes much time and memory."""
 
 
 @dataclass(frozen=True)
 class _Identity:
     """The part of `comparison.json` that the report uses."""
 
+    env: str
+    seed: int
     policies: list[str]
 
 
 @dataclass(frozen=True)
 class _Summary:
-    """`summary.json`, as `armctl.evaluation.comparison.write_summary` writes it."""
+    """`summary.json`, as `EpisodeLog.finish` writes it."""
 
+    comparison: str
+    """Digest of the identity in `comparison.json`."""
     env: str
     env_options: dict[str, str]
     seed: int
@@ -62,21 +68,23 @@ def read_results(folder: Path) -> Results:
 
     Raises `ResultsError` if a file is missing or damaged.
     """
-    identity = _read(folder / COMPARISON, _Identity)
+    own, identity = _read(folder / COMPARISON, _Identity)
     if not (folder / SUMMARY).exists():
         raise ResultsError(
             f"{folder} has no {SUMMARY}: its comparison is unfinished; the same command with --out {folder} resumes it"
         )
-    summary = _read(folder / SUMMARY, _Summary)
-    results = read_episodes(folder, {"env": summary.env, "seed": summary.seed, "policies": identity.policies})
+    _, summary = _read(folder / SUMMARY, _Summary)
+    results = read_episodes(folder, own)
     results.sort(key=lambda result: (identity.policies.index(result.policy), result.episode))
     counted, _ = counted_results(results)
-    if {name for name, played in counted.items() if played} != {policy.policy for policy in summary.policies}:
+    played = {name for name, episodes in counted.items() if episodes}
+    paired = {name for pair in summary.paired for name in (pair.a, pair.b)}
+    if played != {one.policy for one in summary.policies} or not paired <= played or summary.comparison != digest(own):
         raise ResultsError(f"{folder / SUMMARY} does not belong to the episodes beside it: run the comparison again")
     comparison = Comparison(
         summary.env,
         summary.seed,
-        {name: option_value(value) for name, value in summary.env_options.items()},
+        _options(folder, summary),
         pd.DataFrame([result.row() for result in results]),
         summary.policies,
         summary.paired,
@@ -94,9 +102,21 @@ def read_results(folder: Path) -> Results:
     )
 
 
-def _read(path: Path, kind: type[Kind]) -> Kind:
+def _options(folder: Path, summary: _Summary) -> dict[str, Any]:
+    for name, text in summary.env_options.items():
+        if len(text) > LONGEST_OPTION:
+            raise ResultsError(
+                f"{folder / SUMMARY} cannot be read as results of a comparison: its option {name[:LONGEST_OPTION]} has "
+                f"{len(text):,} characters, more than {LONGEST_OPTION:,}"
+            )
+    return {name: option_value(text) for name, text in summary.env_options.items()}
+
+
+def _read(path: Path, kind: type[Kind]) -> tuple[dict[str, Any], Kind]:
+    """All values of a file that `sealed` made, and those that `kind` has."""
     try:
-        return TypeAdapter(kind).validate_python(json.loads(path.read_text()))
-    except (OSError, ValueError, RecursionError) as error:
+        values = unsealed(bounded_text(path))
+        return values, TypeAdapter(kind).validate_python(values)
+    except (OSError, ValueError) as error:
         why = error.errors()[0]["msg"] if isinstance(error, ValidationError) else error
         raise ResultsError(f"{path} cannot be read as results of a comparison: {why}") from error

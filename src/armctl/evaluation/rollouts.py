@@ -13,11 +13,14 @@ from numpy.typing import NDArray
 
 from armctl import DEFAULT_ENV
 from armctl.envs import EpisodeVectorEnv, make_worlds
-from armctl.errors import ArmctlError, ConfigurationError, EnvironmentFailed, InvalidAction, described
+from armctl.errors import FAILURES, ArmctlError, ConfigurationError, EnvironmentFailed, InvalidAction, described
 from armctl.evaluation.metrics import metrics
 from armctl.evaluation.record import COLUMNS, EpisodeResult
 from armctl.policies import Policy, PolicyFactory, make_policy, policy_name
 from armctl.tasks import MotionSample
+
+MOST = {"episodes": 10_000_000, "worlds": 100_000, "workers": 1_000}
+"""Larger numbers are mistakes, or a stranger's: they would fill the memory before anything is played."""
 
 
 class PolicyFailed(ArmctlError):
@@ -156,7 +159,7 @@ def wrap_policy_errors(name: str, episode: int) -> Iterator[None]:
         yield
     except InvalidAction as error:
         raise PolicyFailed(f"{name} failed in episode {episode}: {error}") from error
-    except Exception as error:
+    except FAILURES as error:
         raise PolicyFailed(f"{name} failed in episode {episode}: {described(error)}") from error
 
 
@@ -169,8 +172,15 @@ def wrap_environment_errors(name: str, episode: int) -> Iterator[None]:
         raise PolicyFailed(f"{name} failed in episode {episode}: {error}") from error
     except (ConfigurationError, EnvironmentFailed):
         raise
-    except Exception as error:
+    except FAILURES as error:
         raise EnvironmentFailed(f"the environment failed in episode {episode} of {name}: {described(error)}") from error
+
+
+def check_counts(**counts: int) -> None:
+    """Raise `ConfigurationError` for a number of episodes, worlds or workers that is too small or too large."""
+    for name, count in counts.items():
+        if not 1 <= count <= MOST[name]:
+            raise ConfigurationError(f"{name} must be at least 1 and at most {MOST[name]:,}, not {count:,}")
 
 
 def evaluate(
@@ -189,8 +199,7 @@ def evaluate(
 
     Raises `ConfigurationError`, `AgentFileError`, `PolicyFailed` or `EnvironmentFailed`.
     """
-    if episodes < 1 or worlds < 1:
-        raise ConfigurationError(f"episodes and worlds must be at least 1, not {episodes} and {worlds}")
+    check_counts(episodes=episodes, worlds=worlds)
     with closing(make_worlds(env, min(worlds, episodes), env_options)) as made_env:
         made = make_policy(policy, made_env)
         known = None if least_lengths else dict.fromkeys(range(episodes), math.nan)

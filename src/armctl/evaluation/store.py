@@ -3,54 +3,69 @@
 import contextlib
 import csv
 import io
-import json
-from collections.abc import Iterable, Iterator, Mapping
+import zlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armctl.errors import ResultsError
+from armctl.evaluation.identity import differences
 from armctl.evaluation.record import COLUMNS, EpisodeResult
-from armctl.files import write_atomically
+from armctl.files import (
+    bounded_text,
+    digest,
+    one_writer,
+    open_without_links,
+    sealed,
+    unsealed,
+    write_atomically,
+)
 from armctl.registration import bare_id
 
 COMPARISON, EPISODES, DECISIONS, SUMMARY = "comparison.json", "episodes.csv", "decisions.csv", "summary.json"
-DECISION_COLUMNS = ("policy", "episode", "decision_ms")
-"""The last column holds the episode's decision times, ms, separated by spaces."""
+DECISION_COLUMNS = ("policy", "episode", "checksum", "decision_ms")
+"""The last column holds the episode's decision times, ms, separated by spaces. The checksum is of these, of the row in
+`episodes.csv`, and of the comparison's identity."""
+LARGEST_TABLE, LARGEST_FIELD = 4 * 2**30, 2**28
+"""Bytes of a table, and of the decision times of one episode."""
 
 
 class EpisodeLog:
     """Writes `comparison.json`, which identifies the comparison, and episodes to `decisions.csv` and `episodes.csv`.
 
     `kept` are the episodes that an earlier run of the same comparison has finished, except for an incomplete last line
-    and for episodes without decision times.
+    and for episodes without decision times. Until it is closed, no other process can write to the folder. Changed
+    rows, and rows of another comparison, are noticed by their checksums.
 
-    Raises `ResultsError` if the folder cannot be written, is damaged, or holds another comparison's results (unless
-    `overwrite`).
+    Raises `ResultsError` if the folder cannot be written, is damaged, is being written to by another process, or holds
+    another comparison's results (unless `overwrite`).
     """
 
     def __init__(self, folder: Path, comparison: Mapping[str, Any], episodes: int, overwrite: bool = False) -> None:
+        self._own = digest(comparison)
         self._folder = folder
-        resuming = (folder / EPISODES).exists() and not overwrite
-        self.kept = self._read(comparison, episodes) if resuming else []
-        self._files: list[IO[str]] = []
+        self._opened = contextlib.ExitStack()
+        self._failure: OSError | None = None
         try:
-            folder.mkdir(parents=True, exist_ok=True)
+            self._opened.enter_context(one_writer(folder))
+            resuming = (folder / EPISODES).exists() and not overwrite
+            self.kept = self._read(comparison, episodes) if resuming else []
             (folder / SUMMARY).unlink(missing_ok=True)
-            if resuming:
-                self.rewrite(self.kept)
-            else:
-                write_atomically(folder / COMPARISON, json.dumps(comparison, indent=2) + "\n")
-            for name, columns in ((DECISIONS, DECISION_COLUMNS), (EPISODES, COLUMNS)):
-                self._files.append((folder / name).open("a" if resuming else "w", newline=""))
-                if not resuming:
-                    self._files[-1].write(_lines([columns]))
+            if not resuming:
+                for name in (EPISODES, DECISIONS):  # first, so that no row is ever beside another identity
+                    (folder / name).unlink(missing_ok=True)
+                write_atomically(folder / COMPARISON, sealed(comparison))
+            self._rewrite(self.kept)
+            self._files = [self._opened.enter_context(_appended(folder / name)) for name in (DECISIONS, EPISODES)]
         except OSError as error:
-            self._close()
+            self.close()
             raise ResultsError(f"results cannot be written to {folder}: {error.strerror}") from error
+        except BaseException:
+            self.close()
+            raise
 
     def __enter__(self) -> "EpisodeLog":
         return self
@@ -58,33 +73,48 @@ class EpisodeLog:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._close()
+        self.close()
 
     def write(self, result: EpisodeResult) -> None:
-        """Append an episode, and flush it to the operating system."""
+        """Append an episode, and flush it to the operating system. `finish` tells whether that failed."""
+        if self._failure is not None:
+            return
         try:
-            for file, row in zip(self._files, (_decisions(result), result.row().values()), strict=True):
+            for file, row in zip(self._files, self._rows(result), strict=True):
                 file.write(_lines([row]))
                 file.flush()
         except OSError as error:
+            self._failure = error
+
+    def finish(self, results: Iterable[EpisodeResult], summary: Mapping[str, Any]) -> None:
+        """Replace all rows by these, in this order, and write `summary.json`.
+
+        Raises `ResultsError`, also if an episode could not be written; the folder then holds those before.
+        """
+        try:
+            if self._failure is not None:
+                raise self._failure
+            self._rewrite(results)
+            write_atomically(self._folder / SUMMARY, sealed({**summary, "comparison": self._own}))
+        except OSError as error:
             raise ResultsError(
-                f"{self._folder / EPISODES} could not be written any further ({error.strerror}); it holds the episodes "
-                "before"
+                f"{self._folder} could not be written any further ({error.strerror}): the same command resumes from "
+                "the episodes that it holds"
             ) from error
 
-    def rewrite(self, results: Iterable[EpisodeResult]) -> None:
-        """Replace all rows by these, in this order. Raises `ResultsError`, and then leaves the old rows."""
-        results = list(results)
-        try:
-            write_atomically(self._folder / DECISIONS, _lines([DECISION_COLUMNS, *map(_decisions, results)]))
-            write_atomically(self._folder / EPISODES, _lines([COLUMNS, *(result.row().values() for result in results)]))
-        except OSError as error:
-            raise ResultsError(f"results cannot be written to {self._folder}: {error.strerror}") from error
+    def close(self) -> None:
+        """Close the files, and let others write to the folder."""
+        self._opened.close()
 
-    def _close(self) -> None:
-        for file in self._files:
-            with contextlib.suppress(OSError):  # a full disk was reported by `write`
-                file.close()
+    def _rewrite(self, results: Iterable[EpisodeResult]) -> None:
+        rows = [(DECISION_COLUMNS, COLUMNS), *map(self._rows, results)]
+        for name, table in zip((DECISIONS, EPISODES), zip(*rows, strict=True), strict=True):
+            write_atomically(self._folder / name, _lines(table))
+
+    def _rows(self, result: EpisodeResult) -> tuple[Sequence[Any], Sequence[Any]]:
+        """An episode's rows in both tables."""
+        row, times = list(result.row().values()), " ".join(map(str, result.decision_ms.tolist()))
+        return (result.policy, result.episode, _checksum(self._own, row, times), times), row
 
     def _read(self, comparison: Mapping[str, Any], episodes: int) -> list[EpisodeResult]:
         self._check_same(comparison)
@@ -99,35 +129,34 @@ class EpisodeLog:
     def _check_same(self, comparison: Mapping[str, Any]) -> None:
         otherwise = "choose another folder, or overwrite them (--overwrite)"
         try:
-            stored = json.loads((self._folder / COMPARISON).read_text())
-            differing = [name for name in comparison if stored[name] != comparison[name]]
-        except (OSError, ValueError, KeyError, TypeError) as error:
+            stored = unsealed(bounded_text(self._folder / COMPARISON))
+        except (OSError, ValueError, RecursionError) as error:
             raise ResultsError(
-                f"{self._folder} holds results without a readable {COMPARISON} that identifies them: {otherwise}"
+                f"{self._folder} holds results without a readable {COMPARISON} that identifies them ({error}): "
+                f"{otherwise}"
             ) from error
-        if differing:
-            what = "; ".join(f"{name}: {stored[name]} there, {comparison[name]} here" for name in differing)
+        if what := "; ".join(differences(stored, comparison)):
             raise ResultsError(f"{self._folder} holds results of another comparison ({what}): {otherwise}")
 
 
 def read_episodes(folder: Path, comparison: Mapping[str, Any]) -> list[EpisodeResult]:
     """The finished episodes in a comparison's folder, in file order. Raises `ResultsError` for damaged files."""
-    path = folder / DECISIONS
-    times: dict[tuple[str, str], NDArray[np.float64]] = {}
-    for line, row in _rows(path, DECISION_COLUMNS):
-        with _damage(path, line):
-            times[row["policy"], row["episode"]] = np.array(row["decision_ms"].split(), dtype=float)
+    own = digest(comparison)
+    times = {(row["policy"], row["episode"]): row for _, row in _rows(folder / DECISIONS, DECISION_COLUMNS)}
     path, kept = folder / EPISODES, {}
     for line, row in _rows(path, COLUMNS):
+        if (pair := (row["policy"], row["episode"])) not in times:
+            continue
         with _damage(path, line):
-            if (pair := (row["policy"], row["episode"])) not in times:
-                continue
-            result = EpisodeResult.from_row(row, times[pair])
+            if pair in kept:
+                raise ValueError(f"episode {row['episode']} of {row['policy']} for the second time")
+            spent = times[pair]["decision_ms"]
+            if times[pair]["checksum"] != _checksum(own, row.values(), spent):
+                raise ValueError("it, or its line in decisions.csv, was changed, or belongs to another comparison")
+            result = EpisodeResult.from_row(row, np.array(spent.split(), dtype=float))
             expected = bare_id(comparison["env"]), comparison["seed"], len(result.decision_ms)
             if (result.env, result.seed, result.length) != expected or result.policy not in comparison["policies"]:
                 raise ValueError("not an episode of this comparison")
-            if pair in kept:
-                raise ValueError(f"episode {result.episode} of {result.policy} for the second time")
             if result.episode < 0:
                 raise ValueError(f"{result.episode} is not the number of an episode")
         kept[pair] = result
@@ -147,19 +176,33 @@ def _damage(path: Path, line: int) -> Iterator[None]:
 def _rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[int, dict[str, str]]]:
     """The lines of a table, by number, without an incomplete last one."""
     try:
-        whole, newline, _ = path.read_text().rpartition("\n")
+        whole, newline, _ = bounded_text(path, LARGEST_TABLE).rpartition("\n")
     except (OSError, ValueError) as error:
         raise ResultsError(f"{path} cannot be read: {error}; overwrite all (--overwrite)") from error
+    csv.field_size_limit(LARGEST_FIELD)
     lines = csv.reader(io.StringIO(whole + newline))
-    for line, values in enumerate(lines, start=1):
-        if len(values) != len(columns) or (line == 1 and tuple(values) != columns):
-            raise ResultsError(f"{path} is damaged in line {line}: it does not have the columns {', '.join(columns)}")
-        if line > 1:
-            yield line, dict(zip(columns, values, strict=True))
+    try:
+        for line, values in enumerate(lines, start=1):
+            if len(values) != len(columns) or (line == 1 and tuple(values) != columns):
+                raise csv.Error(f"it does not have the columns {', '.join(columns)}")
+            if line > 1:
+                yield line, dict(zip(columns, values, strict=True))
+    except csv.Error as error:
+        raise ResultsError(f"{path} is damaged in line {lines.line_num}: {error}") from error
 
 
-def _decisions(result: EpisodeResult) -> tuple[Any, ...]:
-    return result.policy, result.episode, " ".join(map(str, result.decision_ms.tolist()))
+def _checksum(own: str, row: Iterable[Any], times: str) -> str:
+    return f"{zlib.crc32((own + _lines([row]) + times).encode()):08x}"
+
+
+@contextlib.contextmanager
+def _appended(path: Path) -> Iterator[IO[str]]:
+    file = open(path, "a", newline="", encoding="utf-8", opener=open_without_links)  # noqa: SIM115
+    try:
+        yield file
+    finally:
+        with contextlib.suppress(OSError):  # `finish` tells of a full disk
+            file.close()
 
 
 def _lines(rows: Iterable[Iterable[Any]]) -> str:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.envs.vector import UNSTABLE
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.statistics import (
     Estimate,
@@ -65,6 +66,11 @@ class PolicySummary:
     """Number of control steps in which the controller's solver failed, if it counts them."""
     length: Estimate | None = None
     """Mean number of control steps, over all episodes; None in results of older versions."""
+
+    @property
+    def unstable(self) -> int:
+        """Number of episodes whose physics failed: infinite numbers, or none. They are no successes."""
+        return self.outcomes.get(UNSTABLE, 0)
 
 
 def summarise(

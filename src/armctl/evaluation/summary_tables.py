@@ -44,6 +44,8 @@ def details(policy: PolicySummary) -> Remark:
     """How a policy's episodes ended, and what else there is to know of them."""
     ends = ", ".join(f"{count} {outcome}" for outcome, count in policy.outcomes.items())
     said = [f"{policy.policy}: {ends}"]
+    if policy.unstable:
+        said.append(f"the physics failed in {policy.unstable}, which count as failures")
     if gap := policy.optimality_gap:
         said.append(f"{100 * gap.value:.0f}{_bracketed(gap, 100, 0)} % over the least time (median)")
     if error := policy.tracking_error:

@@ -2,9 +2,9 @@
 
 import functools
 import itertools
-import json
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from armctl.envs import full_id, make_worlds
 from armctl.errors import ConfigurationError, ResultsError, unknown_name
 from armctl.evaluation.compare import compare, default_policies
 from armctl.evaluation.comparison import Comparison
+from armctl.evaluation.curves import COMPARISONS, POINTS, SWEEP, comparison_in
 from armctl.evaluation.notebook import Displayed
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.seeding import seed_notes
@@ -24,7 +25,7 @@ from armctl.evaluation.statistics import Estimate, mcnemar, paired_superiority
 from armctl.evaluation.summary import PolicySummary
 from armctl.evaluation.summary_tables import sweep_parts
 from armctl.evaluation.tables import Document, Remark
-from armctl.files import write_atomically
+from armctl.files import digest, one_writer, sealed, write_atomically
 from armctl.policies import named_policies
 
 COLUMNS = (
@@ -33,7 +34,6 @@ COLUMNS = (
 )  # fmt: skip
 """Of `sweep.csv`: one row per disturbance, level and policy, with 95 % intervals. `p` is McNemar's p-value for equal
 success in the same episodes without the disturbance, or the sign test's for equal return if success is unknown."""
-SWEEP, POINTS = "sweep.json", "sweep.csv"
 UNDISTURBED = "none"
 Asked = Mapping[str, Sequence[float] | None] | Sequence[str] | None
 
@@ -104,42 +104,56 @@ def sweep(
     seeding = seed_notes(env, env_options)
     settings: dict[str, dict[str, float]] = {UNDISTURBED: {}}
     settings |= {folder_name(name, level): {name: level} for name in levels for level in levels[name][1:]}
-    for name, added in settings.items():
-        disturbing = {"disturbances": constant | added} if constant | added else {}
-        try:
-            comparison = compare(
-                by_name, env, episodes=episodes, seed=seed, out=folder and folder / name, overwrite=overwrite,
-                worlds=worlds, workers=workers, env_options=options | disturbing, least_lengths=least, seeding=seeding,
-                progress=progress and functools.partial(progress, name),
-            )  # fmt: skip
-        except ResultsError as error:
-            if name == UNDISTURBED:
-                raise
-            found.failures["results"] = str(error)
-            break
-        except KeyboardInterrupt:  # between two comparisons
-            found.interrupted = True
-            break
-        found.comparisons[name] = comparison
-        found.failures |= {
-            what if what == "results" else f"{name}: {what}": why for what, why in comparison.failures.items()
-        }
-        found.interrupted = comparison.interrupted
-        if found.interrupted or "results" in comparison.failures:
-            break
-    found.points = _points(found, specs)
-    if folder is not None:
-        asked = {
-            "env": env, "env_options": {name: str(value) for name, value in (env_options or {}).items()}, "seed": seed,
-            "episodes": episodes, "policies": list(by_name), "disturbances": levels,
-            "interrupted": found.interrupted, "failures": found.failures,
-        }  # fmt: skip
-        try:
-            write_atomically(folder / SWEEP, json.dumps(asked, indent=2) + "\n")
-            write_atomically(folder / POINTS, found.points.to_csv(index=False))
-        except OSError as error:
-            found.failures["results"] = f"{folder / POINTS} could not be written: {error.strerror}"
+    with nullcontext() if folder is None else one_writer(folder):
+        for name, added in settings.items():
+            disturbing = {"disturbances": constant | added} if constant | added else {}
+            try:
+                comparison = compare(
+                    by_name, env, episodes=episodes, seed=seed, out=folder and _inside(folder, name),
+                    overwrite=overwrite, worlds=worlds, workers=workers, env_options=options | disturbing,
+                    least_lengths=least, seeding=seeding, progress=progress and functools.partial(progress, name),
+                )  # fmt: skip
+            except ResultsError as error:
+                if name == UNDISTURBED:
+                    raise
+                found.failures["results"] = str(error)
+                break
+            except KeyboardInterrupt:  # between two comparisons
+                found.interrupted = True
+                break
+            found.comparisons[name] = comparison
+            found.failures |= {
+                what if what == "results" else f"{name}: {what}": why for what, why in comparison.failures.items()
+            }
+            found.interrupted = comparison.interrupted
+            if found.interrupted or "results" in comparison.failures:
+                break
+        found.points = _points(found, specs)
+        if folder is not None:
+            options_in_words = {name: str(value) for name, value in (env_options or {}).items()}
+            _write(folder, found, {"env_options": options_in_words, "episodes": episodes, "policies": list(by_name)})
     return found
+
+
+def _inside(folder: Path, name: str) -> Path:
+    """A comparison's folder in a sweep's, which must not lead elsewhere."""
+    if (folder / name).is_symlink():
+        raise ResultsError(f"{folder / name} is a symbolic link, through which nothing is written")
+    return folder / name
+
+
+def _write(folder: Path, found: Sweep, asked: Mapping[str, Any]) -> None:
+    points = found.points.to_csv(index=False)
+    try:
+        told = {
+            "env": found.env, "seed": found.seed, **asked, "disturbances": found.levels,
+            "interrupted": found.interrupted, "failures": found.failures, POINTS: digest(points),
+            COMPARISONS: {name: comparison_in(folder / name) for name in found.comparisons},
+        }  # fmt: skip
+        write_atomically(folder / POINTS, points)
+        write_atomically(folder / SWEEP, sealed(told))
+    except OSError as error:
+        found.failures["results"] = f"{folder / POINTS} could not be written: {error.strerror}"
 
 
 def sweep_levels(

@@ -5,6 +5,7 @@ A `Document` is what `armctl compare`, `sweep` and `reproduce` print. `armctl.re
 """
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -17,10 +18,21 @@ AGAINST = "- "
 """Before the second policy's name in the name of a difference."""
 LEAST_P = 1e-300
 """About the smallest p-value that a floating-point number can hold."""
+_LINE_ENDS = re.compile(r"[\n\r\v\f\x1c-\x1e\x85\u2028\u2029]")
+
+
+class _InLines:
+    """Texts without line ends, which are written as in Python: a name from a file breaks no row of a table."""
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if isinstance(value, str):
+                one_line = _LINE_ENDS.sub(lambda end: end[0].encode("unicode_escape").decode(), value)
+                object.__setattr__(self, name, one_line)
 
 
 @dataclass(frozen=True)
-class Cell:
+class Cell(_InLines):
     """The text of a value, and beneath it the small print, such as its interval."""
 
     text: str
@@ -28,7 +40,7 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Column:
+class Column(_InLines):
     """The heading of a column."""
 
     heading: str
@@ -37,7 +49,7 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Table:
+class Table(_InLines):
     """Rows of cells; the first cell of each is its name."""
 
     key: str
@@ -51,7 +63,7 @@ class Table:
 
 
 @dataclass(frozen=True)
-class Remark:
+class Remark(_InLines):
     """A sentence between tables."""
 
     text: str

@@ -9,8 +9,20 @@ from armctl.evaluation.summary import PolicySummary
 def verdict(policies: Sequence[PolicySummary], paired: Sequence[PairedDifference]) -> str:
     """Which of the two best policies wins more often, and which earns more, if the differences are significant.
 
-    The best are those with the highest success rate, or return where success is unknown.
+    The best are those with the highest success rate, or return where success is unknown. Episodes whose physics failed
+    are counted apart.
     """
+    return " ".join(filter(None, (_best_two(policies, paired), *map(_physics_failed, policies))))
+
+
+def _physics_failed(policy: PolicySummary) -> str:
+    if not policy.unstable:
+        return ""
+    share = f"{policy.unstable} of {policy.episodes} episodes"
+    return f"{policy.policy} counts {share} as failures because their physics became unstable."
+
+
+def _best_two(policies: Sequence[PolicySummary], paired: Sequence[PairedDifference]) -> str:
     fewest = min(pair.episodes for pair in paired)
     if fewest < FEWEST:
         return f"No verdict from {fewest} episode{'s' if fewest > 1 else ''}: it takes {FEWEST}."

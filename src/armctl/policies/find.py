@@ -10,9 +10,9 @@ from typing import Any
 
 import gymnasium
 
-from armctl.agents import load_agent
+from armctl.agents import FILES, load_agent
 from armctl.envs import EpisodeVectorEnv, TaskEnv
-from armctl.errors import ArmctlError, ConfigurationError, described, unknown_name
+from armctl.errors import FAILURES, ArmctlError, ConfigurationError, described, unknown_name
 from armctl.policies.plain import adapted
 from armctl.policies.policy import Policy
 from armctl.registration import import_attribute, installed
@@ -83,7 +83,7 @@ def make_policy(policy: Any, env: gymnasium.Env[Any, Any] | EpisodeVectorEnv) ->
         made = _made(policy, worlds)
     except ArmctlError:
         raise
-    except Exception as error:
+    except FAILURES as error:
         raise ConfigurationError(f"{policy_name(policy)} could not be made: {described(error)}") from error
     return made
 
@@ -92,14 +92,13 @@ def _made(policy: Any, worlds: EpisodeVectorEnv) -> Policy:
     if not isinstance(policy, (str, Path)):
         return adapted(policy, worlds, policy_name(policy))
     name = str(policy)
-    match Path(name).suffix:
-        case ".onnx" | ".json":
-            return load_agent(Path(name), worlds)
-        case ".zip":
-            raise ConfigurationError(
-                f"{name} may be a model of Stable-Baselines3's, which holds pickles: "
-                f"`armctl export {name} --env ID --out agent.onnx --trust` makes an agent of it"
-            )
+    if Path(name).suffix in FILES:
+        return load_agent(Path(name), worlds)
+    if Path(name).suffix == ".zip":
+        raise ConfigurationError(
+            f"{name} may be a model of Stable-Baselines3's, which holds pickles: "
+            f"`armctl export {name} --env ID --out agent.onnx --trust` makes an agent of it"
+        )
     if name in policy_names():
         return adapted(installed(GROUP)[name].load(), worlds, name)
     if name.endswith(".py"):

@@ -1,6 +1,7 @@
 """Writes the report of a results folder: one HTML file that makes no network requests."""
 
 import base64
+import os.path
 import shlex
 from collections.abc import Callable, Sequence
 from datetime import datetime
@@ -12,14 +13,16 @@ import pandas as pd
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
+from armctl.envs import full_id
 from armctl.errors import ResultsError
-from armctl.evaluation.curves import read_sweep
+from armctl.evaluation.curves import POINTS, read_sweep
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.results import Results, read_results
 from armctl.evaluation.store import COMPARISON
-from armctl.evaluation.sweep import POINTS, UNDISTURBED
+from armctl.evaluation.sweep import UNDISTURBED
 from armctl.evaluation.verdict import verdict
 from armctl.files import write_atomically
+from armctl.registration import import_attribute, remember_named
 from armctl.report import style
 from armctl.report.colours import DARK, on_both
 from armctl.report.plots import comparison_plots, mean, percent, spread, sweep_plots
@@ -33,21 +36,29 @@ def write_report(
     out: str | Path | None = None,
     *,
     video: bool = True,
-    trusted: bool = False,
+    env: str | None = None,
+    policies: Sequence[str] = (),
     progress: Callable[[str], None] = lambda doing: None,
 ) -> Path:
     """Write the report of a comparison's or a sweep's folder to `out` (`folder/report.html`), and return its path.
 
-    With `video`, some episodes are played again; if that is impossible, the report says why. Policies given as code
-    (`module:function`) are called only if the folder is `trusted`. `progress` is called with what is being done.
+    With `video`, some episodes are played again; if that is impossible, the report says why. A folder runs no code:
+    what it names as `module:name` is imported only if it is `env` or one of `policies`, or was named in this process
+    before. `progress` is called with what is being done.
 
     Raises `ResultsError` for a folder without results, or with damaged ones, and if the report cannot be written.
     """
+    if env is not None:
+        remember_named(full_id(env))
+    for name in filter(lambda policy: ":" in policy, policies):
+        import_attribute(name, "policy")
     folder = Path(folder)
+    if not os.path.isdir(folder):  # also for a name that no folder can have
+        raise ResultsError(f"there is no folder {folder}: armctl compare --out {shlex.quote(str(folder))} makes one")
     out = folder / REPORT if out is None else Path(out)
-    sweep = read_sweep(folder / POINTS) if (folder / POINTS).exists() else None
+    sweep = read_sweep(folder) if (folder / POINTS).exists() else None
     home = folder if sweep is None or (folder / COMPARISON).exists() else folder / UNDISTURBED
-    if not folder.is_dir() or (sweep is None and not (home / COMPARISON).exists()):
+    if sweep is None and not (home / COMPARISON).exists():
         raise ResultsError(f"{folder} holds no results: armctl compare --out {folder} writes some")
     results = read_results(home) if (home / COMPARISON).exists() else None
     names = list(results.names) if results else []
@@ -67,10 +78,10 @@ def write_report(
     }
     if results is not None:
         progress("drawing figures")
-        page |= _comparison(results, look, trusted)
+        page |= _comparison(results, look)
         if sweep is not None:
             page["command"] = f"{_command('sweep', results, page['extent'], results.names)}{_disturbances(sweep)}"
-        page |= _videos(results, trusted, progress) if video else {"no_videos": "They were left out (--no-video)."}
+        page |= _videos(results, progress) if video else {"no_videos": "They were left out (--no-video)."}
     progress("writing")
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("armctl.report", "."),
@@ -95,7 +106,7 @@ def write_report(
     return out
 
 
-def _comparison(results: Results, look: style.Looks, trusted: bool) -> dict[str, Any]:
+def _comparison(results: Results, look: style.Looks) -> dict[str, Any]:
     """Everything on the page about a comparison, except for videos."""
     comparison, episodes = results.comparison, results.episodes
     policies = comparison.policies
@@ -113,7 +124,7 @@ def _comparison(results: Results, look: style.Looks, trusted: bool) -> dict[str,
         "command": _command("compare", results, extent, results.names),
         "missing": [name for name in results.names if name not in episodes],
     }
-    return page | (comparison_plots(results, look, trusted) if policies else {})
+    return page | (comparison_plots(results, look) if policies else {})
 
 
 def _verdict(results: Results) -> str:
@@ -128,16 +139,16 @@ def _verdict(results: Results) -> str:
     return f"{only.policy} succeeds in {percent(success)} of {only.episodes} episodes ({spread(success, 100)} %)."
 
 
-def _videos(results: Results, trusted: bool, progress: Callable[[str], None]) -> dict[str, Any]:
+def _videos(results: Results, progress: Callable[[str], None]) -> dict[str, Any]:
     """The clips, or why there are none."""
     if not results.episodes:
         return {"no_videos": "There is no episode to show."}
     progress("filming the same episode under each policy")
-    together = film(results, apart, trusted) if (apart := most_different(results.episodes)) else []
+    together = film(results, apart) if (apart := most_different(results.episodes)) else []
     lowest = []
     for result in worst(results.episodes):
         progress(f"filming the worst episode of {result.policy}")
-        lowest += film(results, [result], trusted)
+        lowest += film(results, [result])
     problems = {clip.problem for clip in (*together, *lowest)}
     no_videos = problems.pop() if len(problems) == 1 and not any(clip.video for clip in (*together, *lowest)) else ""
     return {

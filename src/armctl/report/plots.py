@@ -10,7 +10,7 @@ import pandas as pd
 import plotly.graph_objects as go
 from markupsafe import Markup
 
-from armctl.envs import make_worlds
+from armctl.envs import check_from_file, make_worlds
 from armctl.errors import ArmctlError
 from armctl.evaluation.curves import training_curves
 from armctl.evaluation.results import Results
@@ -19,7 +19,6 @@ from armctl.evaluation.tables import p_value
 from armctl.report import figures, style
 from armctl.report.colours import TERM_COLOURS
 from armctl.report.profile import profile, profile_start
-from armctl.report.videos import names_code
 
 NOTHING = "\u2013"
 MOST_PAIRS = 6
@@ -44,7 +43,7 @@ class Plot:
         return Markup(text.replace("<", r"\u003c").replace(">", r"\u003e").replace("&", r"\u0026"))
 
 
-def comparison_plots(results: Results, look: style.Looks, trusted: bool) -> dict[str, Any]:
+def comparison_plots(results: Results, look: style.Looks) -> dict[str, Any]:
     """All figures of a comparison with at least one episode, by their names on the page."""
     policies, episodes = results.comparison.policies, results.episodes
     terms = figures.term_means(episodes)
@@ -53,7 +52,7 @@ def comparison_plots(results: Results, look: style.Looks, trusted: bool) -> dict
         for i, term in enumerate(dict.fromkeys(itertools.chain(*terms.values())))
     }
     curves, problems = training_curves([policy.policy for policy in policies])
-    period = _period(results, trusted)
+    period = _period(results)
     by_success = any(policy.success for policy in policies)
     return {
         "by_success": by_success,
@@ -153,11 +152,10 @@ def _score(estimate: Estimate | None) -> float:
     return estimate.value if estimate else 0.0
 
 
-def _period(results: Results, trusted: bool) -> float | None:
+def _period(results: Results) -> float | None:
     """The control period, s; None if the environment does not say, or cannot be made here."""
-    if names_code(results.comparison.env) and not trusted:
-        return None
     try:
+        check_from_file(results.comparison.env, results.comparison.env_options, "the comparison")
         with closing(make_worlds(results.comparison.env, 1, results.comparison.env_options)) as worlds:
             period: float | None = worlds.task.control_period
             return period

@@ -14,6 +14,7 @@ from rich.console import Console, ConsoleOptions, RenderResult
 from rich.table import Table as RichTable
 from rich.text import Text
 
+from armctl.console import PlainConsole
 from armctl.evaluation.notebook import Displayed
 from armctl.evaluation.tables import AGAINST, Cell, Document, Remark, Table
 
@@ -26,10 +27,10 @@ UNLIMITED = 10_000
 STYLES = {"detail": "", "verdict": "bold", "note": "yellow", "problem": "red"}
 
 
-def output_console() -> Console:
+def output_console() -> PlainConsole:
     """Standard output. Where it is not a terminal, it is as wide as its lines, unless the variable COLUMNS is set."""
     limited = sys.stdout.isatty() or os.environ.get("COLUMNS", "").isdigit()
-    return Console(width=None if limited else UNLIMITED)
+    return PlainConsole(width=None if limited else UNLIMITED)
 
 
 def tables(found: Displayed) -> "DocumentView":

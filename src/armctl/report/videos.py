@@ -12,11 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
-from armctl.envs import ThirdPartyVectorEnv
-from armctl.errors import ArmctlError, ConfigurationError
+from armctl import agents
+from armctl.envs import ThirdPartyVectorEnv, check_from_file
+from armctl.errors import ArmctlError, ResultsError
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.results import Results
+from armctl.registration import check_named
 from armctl.simulation.rendering import Camera
+from armctl.viewer.recording import check_frames
 from armctl.viewer.stage import Stage
 
 Frame = NDArray[np.uint8]
@@ -69,15 +72,15 @@ def worst(episodes: Mapping[str, Sequence[EpisodeResult]]) -> list[EpisodeResult
     return [min(played, key=lambda result: result.total_reward) for played in episodes.values()]
 
 
-def film(results: Results, wanted: Sequence[EpisodeResult], trusted: bool) -> list[Clip]:
-    """Videos of equal length and speed, which can be played side by side; see `names_code` for `trusted`."""
+def film(results: Results, wanted: Sequence[EpisodeResult]) -> list[Clip]:
+    """Videos of equal length and speed, which can be played side by side."""
     lengths = [result.length for result in wanted]
     slowness = 2 if np.median(lengths) < BRIEF else 1
     stride = -(-max(lengths) // (slowness * MOST_FRAMES))
     recordings: list[_Recording | str] = []
     for result in wanted:
         try:
-            recordings.append(_play(results, result, stride, trusted))
+            recordings.append(_play(results, result, stride))
         except ArmctlError as error:
             recordings.append(str(error))
     longest = max((len(one.frames) for one in recordings if isinstance(one, _Recording)), default=0)
@@ -88,17 +91,14 @@ def film(results: Results, wanted: Sequence[EpisodeResult], trusted: bool) -> li
             continue
         fps = 1 / (slowness * recording.period)
         frames = recording.frames + [recording.frames[-1]] * (longest - len(recording.frames) + round(STILL_TIME * fps))
+        try:
+            video = _mp4(frames, fps)
+        except ResultsError as error:
+            clips.append(Clip(result, problem=str(error)))
+            continue
         still = imageio.imwrite("<bytes>", frames[-1], extension=".jpg", quality=80)
-        clips.append(Clip(result, _mp4(frames, fps), still, stride / slowness, recording.problem))
+        clips.append(Clip(result, video, still, stride / slowness, recording.problem))
     return clips
-
-
-def names_code(name: str) -> bool:
-    """Whether making a policy or an environment of this name imports a module that the name contains.
-
-    Names in somebody's results folder are not imported, unless the folder is trusted.
-    """
-    return ":" in name and Path(name).suffix not in (".onnx", ".json")
 
 
 @dataclass(frozen=True)
@@ -111,14 +111,12 @@ class _Recording:
     problem: str
 
 
-def _play(results: Results, result: EpisodeResult, stride: int, trusted: bool) -> _Recording:
+def _play(results: Results, result: EpisodeResult, stride: int) -> _Recording:
     """Play an episode again, with an image at every `stride`-th control step and at the end."""
     name, comparison = result.policy, results.comparison
-    for code in filter(names_code, (name, comparison.env)):
-        if not trusted:
-            raise ConfigurationError(
-                f"{code} is code, which armctl report does not run: armctl compare --report makes its videos"
-            )
+    check_from_file(comparison.env, comparison.env_options, "the comparison")
+    if Path(name).suffix not in agents.FILES:
+        check_named(name, "the comparison", "--policy")
     with (
         closing(
             Stage(
@@ -162,10 +160,15 @@ def _fitted(frame: Frame) -> Frame:
 
 
 def _mp4(frames: Sequence[Frame], fps: float) -> bytes:
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "video.mp4"
-        imageio.imwrite(
-            path, np.array(frames), fps=fps, codec="libx264", pixelformat="yuv420p", quality=None,
-            output_params=["-crf", str(QUALITY), "-movflags", "+faststart"],
-        )  # fmt: skip
-        return path.read_bytes()
+    """The frames as MP4. Raises `ResultsError` if the disk for temporary files is full."""
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "video.mp4"
+            imageio.imwrite(
+                path, np.array(frames), fps=fps, codec="libx264", pixelformat="yuv420p", quality=None,
+                output_params=["-crf", str(QUALITY), "-movflags", "+faststart"],
+            )  # fmt: skip
+            check_frames(path, len(frames), "of the report")
+            return path.read_bytes()
+    except OSError as error:
+        raise ResultsError(f"the video of the report cannot be written to {tempfile.gettempdir()}: {error}") from error

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from armctl.errors import ConfigurationError, unknown_name
 from armctl.robot_description.capsules import Capsule, enclosing_capsule
 from armctl.robot_description.collision_pairs import Pair, pairs_worth_testing
-from armctl.robot_description.urdf import Shape, Urdf, impossible_pairs
+from armctl.robot_description.urdf import Shape, Urdf
+from armctl.robot_description.xml_file import impossible_pairs
 
 Array = NDArray[np.float64]
 
@@ -134,8 +135,12 @@ def load_arm(
     (rad/s^3) are one number for all joints or one for each; the defaults are a named arm's own, `MAX_ACCELERATION` and
     `MAX_JERK`.
 
-    Raises `ConfigurationError` for an unknown name, and for a file without the parts of a reach arm: at least one
-    revolute joint between root and tip, with position, velocity and effort limits, and mass behind each joint.
+    A file may come from a stranger. Meshes are read only below its own package: the nearest folder above it with a
+    `package.xml`; or else the folder that holds its folder `urdf` or `robots`; or else its own folder.
+
+    Raises `ConfigurationError` for an unknown name, for a file that is malformed or too large, and for one without the
+    parts of a reach arm: at least one revolute joint between root and tip, with position, velocity and effort limits,
+    and mass behind each joint.
     """
     if isinstance(robot, ArmDescription):
         if any(option is not None for option in (tip, home, srdf, max_acceleration, max_jerk)):
@@ -151,17 +156,26 @@ def load_arm(
     elif not isinstance(robot, (str, Path)):
         raise ConfigurationError(f"robot should be a name, a path or an ArmDescription, not {robot!r}")
     else:
-        path = Path(robot).resolve()
+        path = Path(robot)
         if path.suffix.lower() not in (".urdf", ".xml"):
             raise unknown_name("robot", robot, [*BUILTIN_ARMS, "path/to/your.urdf"])
-        if not path.is_file():
-            raise ConfigurationError(f"there is no URDF file {str(robot)!r}")
-    srdf = None if srdf is None else Path(srdf)
-    edited = tuple(file.stat().st_mtime_ns for file in (path, srdf) if file is not None and file.is_file())
+        path = _existing(path)
+    srdf = None if srdf is None else _existing(Path(srdf))
+    edited = tuple(file.stat().st_mtime_ns for file in (path, srdf) if file is not None)
     acceleration = _as_tuple("max_acceleration", MAX_ACCELERATION if max_acceleration is None else max_acceleration)
     jerk = _as_tuple("max_jerk", MAX_JERK if max_jerk is None else max_jerk)
     home = None if home is None else _as_tuple("home", home)
     return _read_arm(path, edited, tip, home, srdf, acceleration, jerk)
+
+
+def _existing(path: Path) -> Path:
+    """The absolute path of a file; raises `ConfigurationError` if there is none."""
+    try:
+        if (found := path.resolve()).is_file():
+            return found
+    except (OSError, ValueError, RuntimeError):
+        pass  # a name that no file can have, or links that go round in circles
+    raise ConfigurationError(f"there is no robot's file {str(path)!r}")
 
 
 def _as_tuple(name: str, values: float | Sequence[float] | Array) -> tuple[float, ...]:
@@ -182,7 +196,7 @@ def _read_arm(
     max_jerk: tuple[float, ...],
 ) -> ArmDescription:
     """Read a file; `edited` (ns) tells its versions apart in the cache."""
-    source = Urdf(path, tip, packages=robot_data().parents[1])
+    source = Urdf(path, tip, package=robot_data().parent)
     dof = len(source.joints)
     acceleration = _limit("max_acceleration", max_acceleration, dof)
     joint_limits = JointLimits(*_frozen(*source.limits(), acceleration, _limit("max_jerk", max_jerk, dof)))
@@ -193,6 +207,10 @@ def _read_arm(
         for link, parts in itertools.groupby(shapes, key=lambda shape: shape.link)
     )
     impossible = impossible_pairs(srdf) if srdf else set()
+    try:
+        pairs = pairs_worth_testing(source.text(), capsules, home_position, impossible)
+    except (ValueError, RuntimeError) as error:
+        raise ConfigurationError(f"{path.name} is not an arm that Pinocchio can model: {error}") from error
     return ArmDescription(
         name=source.name,
         urdf=source.text(),
@@ -202,7 +220,7 @@ def _read_arm(
         limits=joint_limits,
         capsules=capsules,
         meshes=tuple(shape for shape in shapes if len(shape.triangles)),
-        collision_pairs=pairs_worth_testing(source.text(), capsules, home_position, impossible),
+        collision_pairs=pairs,
     )
 
 

@@ -1,24 +1,47 @@
-"""Reads the URDF file of a reach arm, and explains what is wrong with an unsuitable one."""
+"""Reads the URDF file of a reach arm, and explains what is wrong with an unsuitable one.
+
+The libraries behind armctl get a URDF that is written anew from checked numbers, never the file itself: some of them
+crash on a malformed one.
+"""
 
 import itertools
 import math
+import reprlib
 import xml.etree.ElementTree as ElementTree
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import coal
 import numpy as np
 import pinocchio
 from numpy.typing import NDArray
 
 from armctl.errors import ConfigurationError, unknown_name
+from armctl.robot_description.collision_pairs import FLOOR
+from armctl.robot_description.meshes import MeshError, Meshes
+from armctl.robot_description.xml_file import Element, read_xml
 
 Array = NDArray[np.float64]
-Element = ElementTree.Element
 
 FULL_TURN = 2 * math.pi
+
+MAX_LINKS = 300
+"""The largest robot of example-robot-data has 130; libraries recurse along a chain, and 5,000 overflow their stack."""
+MAX_SHAPES = 1_000
+"""Collision shapes of all links together."""
+LARGEST = 1e9
+"""Largest number, in SI units; files write it where they mean no limit."""
+LEAST_SIZE = 1e-9
+"""m: least length or radius of a shape."""
+LEAST_AXIS = 1e-6
+"""Least length of a joint's axis, which is then made 1."""
+LEAST_MASS = 1e-9
+"""kg: least mass of a link that has one."""
+LEAST_INERTIA = 1e-14
+"""kg m^2: least principal moment; MuJoCo's own limit is near."""
+
+_INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,13 +56,13 @@ class Shape:
 class Urdf:
     """A URDF file whose joints from the root to the link `tip` form a reach arm.
 
-    Meshes named as `package://` are searched in the folders above the file, and in `packages`.
+    Meshes are read only below the file's own package and below `package` (see `Meshes`).
 
     Raises `ConfigurationError`, naming the file and the culprit, if the file is unsuitable.
     """
 
-    def __init__(self, path: Path, tip: str | None, packages: Path) -> None:
-        self.path, self._packages = path, packages
+    def __init__(self, path: Path, tip: str | None, package: Path) -> None:
+        self.path, self._meshes = path, Meshes(path, package)
         self._robot = read_xml(path)
         if not self._robot.get("name"):
             raise self._error("its <robot> has no name")
@@ -47,6 +70,7 @@ class Urdf:
         self._links = {name: link for link in self._robot.findall("link") if (name := link.get("name", ""))}
         self._joints = self._robot.findall("joint")
         self._check_tree()
+        self._mass = {name: self._mass_of(name, link) for name, link in self._links.items()}
         self.tip = tip or self._only_leaf()
         self._chain = self._movable_chain()
         self.joints = tuple(joint.get("name", "") for joint in self._chain)
@@ -61,41 +85,68 @@ class Urdf:
         bare = ElementTree.Element("robot", {"name": self.name})
         for name, link in self._links.items():
             copy = ElementTree.SubElement(bare, "link", {"name": name})
-            if _mass(link) > 0:
-                copy.extend(link.findall("inertial"))
+            if self._mass[name] > 0 and (inertial := link.find("inertial")) is not None:
+                copy.append(self._copied_inertial(name, inertial))
         for joint in self._joints:
             movable = joint in self._chain
             kind = "revolute" if movable else "fixed"
             copy = ElementTree.SubElement(bare, "joint", {"name": joint.get("name", ""), "type": kind})
-            copy.extend(part for tag in ("origin", "parent", "child") for part in joint.findall(tag))
+            self._copy_numbers(joint, copy, f"joint {joint.get('name')!r}", "origin", xyz="0 0 0", rpy="0 0 0")
+            for end in ("parent", "child"):
+                ElementTree.SubElement(copy, end, {"link": _end(joint, end)})
             if movable:
-                copy.extend(joint.findall("axis"))
+                self._copy_numbers(joint, copy, f"joint {joint.get('name')!r}", "axis", xyz="1 0 0")
                 limits = zip(("lower", "upper", "velocity", "effort"), self._limits_of(joint), strict=True)
                 ElementTree.SubElement(copy, "limit", {name: repr(value) for name, value in limits})
         return ElementTree.tostring(bare, encoding="unicode")
 
     def shapes(self) -> tuple[Shape, ...]:
         """All collision shapes."""
-        return tuple(
-            self._shape(name, collision)
-            for name, link in self._links.items()
-            for collision in link.findall("collision")
-        )
+        collisions = [(name, one) for name, link in self._links.items() for one in link.findall("collision")]
+        if len(collisions) > MAX_SHAPES:
+            raise self._error(f"it has {len(collisions)} collision shapes; at most {MAX_SHAPES} are allowed")
+        return tuple(self._shape(name, collision) for name, collision in collisions)
+
+    def _copied_inertial(self, link: str, inertial: Element) -> Element:
+        copy = ElementTree.Element("inertial")
+        self._copy_numbers(inertial, copy, f"the inertia of link {link!r}", "origin", xyz="0 0 0", rpy="0 0 0")
+        ElementTree.SubElement(copy, "mass", {"value": repr(self._mass[link])})
+        moments = self._moments(link, inertial)
+        ElementTree.SubElement(copy, "inertia", {name: repr(value) for name, value in moments.items()})
+        return copy
+
+    def _copy_numbers(self, source: Element, copy: Element, what: str, tag: str, **defaults: str) -> None:
+        """Copy an element of vectors, such as an origin, if there is one."""
+        if (found := source.find(tag)) is not None:
+            vectors = {name: self._numbers(found, name, f"{tag} of {what}", 3, at) for name, at in defaults.items()}
+            words = {name: " ".join(repr(float(number)) for number in vector) for name, vector in vectors.items()}
+            ElementTree.SubElement(copy, tag, words)
 
     def _error(self, what: str) -> ConfigurationError:
         return ConfigurationError(f"{self.path.name} is not an arm that armctl can use: {what}")
 
     def _check_tree(self) -> None:
         for kind in ("link", "joint"):
+            if (count := len(self._robot.findall(kind))) > MAX_LINKS:
+                raise self._error(f"it has {count} {kind}s; at most {MAX_LINKS} are allowed")
+        for kind in ("link", "joint"):
             names = Counter(element.get("name", "") for element in self._robot.findall(kind))
             if repeated := [name for name, count in names.items() if count > 1 or not name]:
-                raise self._error(f"it has several {kind}s, or one without a name, called {repeated[0]!r}")
+                raise self._error(f"it has several {kind}s, or one without a name, called {short(repeated[0])}")
         for joint in self._joints:
             for end in (_end(joint, "parent"), _end(joint, "child")):
                 if end not in self._links:
                     raise self._error(f"joint {joint.get('name')!r} refers to a link {end!r} that does not exist")
-        children = Counter(_end(joint, "child") for joint in self._joints)
-        if len(children) != len(self._joints) or len(children) != max(len(self._links) - 1, 0):
+        parents = {_end(joint, "child"): _end(joint, "parent") for joint in self._joints}
+        if FLOOR in self._links or "world" in parents:
+            raise self._error(
+                f"a link is called {FLOOR!r}, or one that is not the root 'world': MuJoCo's are called so"
+            )
+        roots = self._links.keys() - parents.keys()
+        reached = list(roots)
+        for link in reached:
+            reached += [child for child, parent in parents.items() if parent == link]
+        if len(parents) != len(self._joints) or len(roots) > 1 or len(reached) != len(self._links):
             raise self._error("its links and joints are not a tree with one root")
 
     def _only_leaf(self) -> str:
@@ -148,25 +199,38 @@ class Urdf:
             )
         return [lower, upper, velocity, effort]
 
+    def _mass_of(self, name: str, link: Element) -> float:
+        mass = link.find("inertial/mass")
+        value = 0.0 if mass is None else self._number(mass.get("value", "0"), f"mass of link {name!r}")
+        if value < 0:
+            raise self._error(f"link {name!r} has a mass of {value:g} kg")
+        return value if value >= LEAST_MASS else 0.0
+
+    def _moments(self, link: str, inertial: Element) -> dict[str, float]:
+        inertia = inertial.find("inertia")
+        found = {} if inertia is None else inertia.attrib
+        if missing := [name for name in _INERTIA if name not in found]:
+            raise self._error(f"link {link!r} has a mass, but no {' and no '.join(missing)} in its <inertia>")
+        return {name: self._number(found[name], f"inertia of link {link!r}") for name in _INERTIA}
+
     def _check_inertia(self) -> None:
         for joint in self._chain:
             name = joint.get("name")
             axis = joint.find("axis")
-            if axis is not None and not np.any(self._numbers(axis, "xyz", f"axis of joint {name!r}", 3, "1 0 0")):
-                raise self._error(f"joint {name!r} has an axis of length 0")
+            if axis is not None:
+                length = np.linalg.norm(self._numbers(axis, "xyz", f"axis of joint {name!r}", 3, "1 0 0"))
+                if length < LEAST_AXIS:
+                    raise self._error(f"joint {name!r} has an axis of length {length:.1g}")
             moved = _end(joint, "child")
-            if not _mass(self._links[moved]) > 0:
+            if not self._mass[moved]:
                 raise self._error(f"link {moved!r} behind joint {name!r} has no mass")
         for name, link in self._links.items():
-            inertia = link.find("inertial/inertia")
-            if not _mass(link) > 0 or inertia is None:
+            inertial = link.find("inertial")
+            if not self._mass[name] or inertial is None:
                 continue
-            xx, yy, zz, xy, xz, yz = (
-                self._number(inertia.get(f"i{part}", "0"), f"inertia of link {name!r}")
-                for part in ("xx", "yy", "zz", "xy", "xz", "yz")
-            )
+            xx, xy, xz, yy, yz, zz = self._moments(name, inertial).values()
             small, medium, large = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-            if small <= 0 or small + medium < large * (1 - 1e-6):
+            if small < LEAST_INERTIA or small + medium < large * (1 - 1e-6):
                 raise self._error(
                     f"link {name!r} has an impossible inertia: its principal moments are "
                     f"{small:.3g}, {medium:.3g}, {large:.3g}"
@@ -199,26 +263,16 @@ class Urdf:
         return Shape(link, vertices @ placement.rotation.T + placement.translation, triangles)
 
     def _mesh(self, shape: Element, what: str) -> tuple[Array, NDArray[np.int32]]:
-        path = self._mesh_path(shape.get("filename", ""))
-        scale = self._numbers(shape, "scale", what, 3, "1 1 1")
+        filename = shape.get("filename", "")
         try:
-            mesh = coal.MeshLoader().load(str(path), scale)
-        except ValueError as error:
-            raise self._error(f"the mesh {path.name} of a {what} cannot be read") from error
-        triangles = [[mesh.tri_indices(i)[corner] for corner in range(3)] for i in range(mesh.num_tris)]
-        return np.array(mesh.vertices()), np.array(triangles, dtype=np.int32)
-
-    def _mesh_path(self, filename: str) -> Path:
-        relative = filename.removeprefix("file://").removeprefix("package://")
-        for folder in (*self.path.parents, self._packages):
-            if (folder / relative).is_file():
-                return folder / relative
-        raise self._error(f"its mesh {filename!r} was not found beside it, nor in a folder above")
+            return self._meshes.read(filename, self._numbers(shape, "scale", what, 3, "1 1 1"))
+        except MeshError as error:
+            raise self._error(f"the mesh {short(filename)} of a {what} {error}") from error
 
     def _numbers(self, element: Element, attribute: str, what: str, count: int, default: str | None = None) -> Array:
         words = element.get(attribute, default or "").split()
         if len(words) != count:
-            raise self._error(f"{what} needs {count} numbers as {attribute}, not {' '.join(words)!r}")
+            raise self._error(f"{what} needs {count} numbers as {attribute}, not {short(' '.join(words))}")
         return np.array([self._number(word, f"{attribute} of {what}") for word in words])
 
     def _number(self, word: str, what: str) -> float:
@@ -226,31 +280,14 @@ class Urdf:
             number = float(word)
         except ValueError:
             number = math.nan
-        if not math.isfinite(number):
-            raise self._error(f"{what}: {word!r} is not a finite number")
+        if not abs(number) <= LARGEST:
+            raise self._error(f"{what}: {short(word)} is not a finite number between -{LARGEST:g} and {LARGEST:g}")
         return number
 
     def _positive(self, numbers: Array, what: str) -> Array:
-        if not (numbers > 0).all():
+        if not (numbers >= LEAST_SIZE).all():
             raise self._error(f"{what} has a size of {numbers.min():g}")
         return numbers
-
-
-def read_xml(path: Path) -> Element:
-    """Root element of a URDF or SRDF file; raises `ConfigurationError` if it is neither."""
-    try:
-        root = ElementTree.parse(path).getroot()
-    except (ElementTree.ParseError, OSError, ValueError) as error:
-        raise ConfigurationError(f"{path.name} cannot be read as XML: {error}") from error
-    if root.tag != "robot":
-        raise ConfigurationError(f"{path.name} is not a URDF or SRDF: its root element is <{root.tag}>, not <robot>")
-    return root
-
-
-def impossible_pairs(srdf: Path) -> set[frozenset[str]]:
-    """Pairs of links that cannot touch, according to an SRDF."""
-    pairs = read_xml(srdf).iter("disable_collisions")
-    return {frozenset((pair.get("link1", ""), pair.get("link2", ""))) for pair in pairs}
 
 
 def _end(joint: Element, tag: str) -> str:
@@ -258,12 +295,9 @@ def _end(joint: Element, tag: str) -> str:
     return "" if found is None else found.get("link", "")
 
 
-def _mass(link: Element) -> float:
-    mass = link.find("inertial/mass")
-    try:
-        return 0.0 if mass is None else float(mass.get("value", 0))
-    except ValueError:
-        return math.nan
+def short(text: str) -> str:
+    """A text from a file as messages show it: quoted, and not too long."""
+    return reprlib.repr(text)
 
 
 def _rings(shape: str, radius: float, half_length: float, points: int = 24) -> Iterator[tuple[float, float, float]]:

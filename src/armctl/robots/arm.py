@@ -16,6 +16,7 @@ from armctl.robot_description.collision_pairs import FLOOR
 from armctl.robot_description.joint_profiles import TICK, limited, towards
 from armctl.robots.joints import ActuatorLimits, JointSamples
 from armctl.simulation import Simulation
+from armctl.simulation.impacts import add_impact_sensors
 from armctl.simulation.worlds import world_path
 
 Array = NDArray[np.float64]
@@ -24,6 +25,16 @@ CONTROLS = ("position", "delta", "velocity", "torque")
 
 SERVO_BANDWIDTH = 60.0
 """rad/s: natural frequency of the critically damped joint servos, which settle within a tenth of a second"""
+
+BRAKE_GAIN = 10.0
+"""With torque control, a joint that exceeds its velocity limit by a tenth is braked with its full effort."""
+
+HARD = (0.001, 1.0), (0.99, 0.99, 0.001, 0.5, 2.0)
+"""`solref` and `solimp` of contacts and joint limits: as hard as physics steps of 2 ms allow (MuJoCo's manual, "Solver
+parameters")."""
+
+FOLLOWING_ERROR = 0.3
+"""rad: a command waits for a joint that is so far behind it, because something blocks it; in free motion, none is."""
 
 PREFIX = "arm/"
 """Prefix of the arm's names in a world's model."""
@@ -77,7 +88,7 @@ class Arm:
         """Set actions (n, dof), clipped to their bounds."""
         self._wanted = np.clip(actions, self.action_low, self.action_high)
         if self.control == "torque":
-            self._ctrl[:] = self._wanted
+            self._ctrl[:, : self.description.dof] = self._wanted
         elif self.control == "delta":
             self._wanted /= self.period
 
@@ -86,10 +97,19 @@ class Arm:
         if self.control == "torque":
             return
         limits, dof = self.description.limits, self.description.dof
+        position = self.joint_positions
+        if np.abs(self._command - position).max() > FOLLOWING_ERROR:
+            np.clip(self._command, position - FOLLOWING_ERROR, position + FOLLOWING_ERROR, out=self._command)
         wanted = towards(self._wanted, self._command, limits) if self.control == "position" else self._wanted
         velocity = limited(wanted, self._command, self._ctrl[:, :dof], limits)
         self._ctrl[:, :dof] = velocity
         self._ctrl[:, dof:] = velocity
+
+
+def speed_limits(description: ArmDescription) -> dict[str, float]:
+    """The joints' speed limits, rad/s, by their names in a world's model."""
+    names = (PREFIX + name for name in description.joints)
+    return dict(zip(names, description.limits.velocity, strict=True))
 
 
 def build_arm_world(
@@ -123,6 +143,8 @@ def _compiled(
         joint.actgravcomp = True  # gravity compensation counts towards the joint's effort
         joint.actfrclimited = True
         joint.actfrcrange = [-effort, effort]
+        joint.solref_limit, joint.solimp_limit = HARD
+    add_impact_sensors(spec, speed_limits(description), round(TICK / spec.option.timestep))
     if furnish is not None:
         furnish(spec, description)
     if control == "torque":
@@ -158,7 +180,12 @@ def _add_shapes(spec: mujoco.MjSpec, description: ArmDescription) -> None:
         group = _COLLISION_GROUP if capsule.link in drawn else _VISUAL_GROUP
         _add_capsule(_link(spec, capsule.link), capsule, group)
     for first, second in description.collision_pairs:
-        spec.add_pair(geomname1=collision_geom(first), geomname2=collision_geom(second))
+        add_collision_pair(spec, collision_geom(first), collision_geom(second))
+
+
+def add_collision_pair(spec: Any, first: str, second: str) -> None:
+    """Let two geoms collide, by their names: links of an arm, the floor, obstacles."""
+    spec.add_pair(geomname1=first, geomname2=second, solref=HARD[0], solimp=HARD[1])
 
 
 def _link(spec: mujoco.MjSpec, link: str) -> Any:
@@ -188,10 +215,21 @@ def _add_capsule(body: Any, capsule: Capsule, group: int) -> None:
 
 
 def _add_motors(spec: mujoco.MjSpec, description: ArmDescription) -> None:
-    for name, effort in zip(description.joints, description.limits.effort, strict=True):
+    """A motor per joint, and a brake for each of its directions, which acts above the velocity limit only."""
+    limits = description.limits
+    joints = list(zip(description.joints, limits.effort, limits.velocity, strict=True))
+    for name, effort, _ in joints:
         motor = spec.add_actuator(name=name, target=PREFIX + name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         motor.set_to_motor()
         motor.ctrlrange = [-effort, effort]
+    for name, effort, velocity in joints:
+        damping = BRAKE_GAIN * effort / velocity
+        for direction, (low, high) in {1: (-2 * effort, 0.0), -1: (0.0, 2 * effort)}.items():
+            brake = spec.add_actuator(target=PREFIX + name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+            brake.gainprm = [0.0] * 10
+            brake.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+            brake.biasprm = [direction * damping * velocity, 0.0, -damping, *[0.0] * 7]
+            brake.forcerange = [low, high]
 
 
 def _add_servos(spec: mujoco.MjSpec, description: ArmDescription, inertia: Array) -> None:

@@ -30,6 +30,8 @@ MAX_WHEEL_SPEED = 25.0
 """rad/s."""
 MAX_VELOCITY = np.array([2.0, 3.0])
 """Limits of commands: linear (m/s) and angular (rad/s)."""
+SPEED_LIMITS = {PREFIX + wheel: MAX_WHEEL_SPEED for wheel in WHEELS}
+"""rad/s, by the joints' names in a world's model."""
 RADIUS = 0.31
 """m: from its centre to its farthest corner; it can turn in a disc of this radius"""
 
@@ -76,6 +78,12 @@ class Rover:
         x, y, _, qw, qx, qy, qz = self._qpos[:, self._pose_columns].T
         yaw = np.arctan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
         return np.stack((x, y, yaw), axis=1)
+
+    @property
+    def upright(self) -> Array:
+        """Cosine of the angle by which each base leans over, (n,): 1 on its wheels, 0 on its side."""
+        _, _, _, _, qx, qy, _ = self._qpos[:, self._pose_columns].T
+        return np.asarray(1 - 2 * (qx * qx + qy * qy))
 
     @property
     def velocities(self) -> Array:

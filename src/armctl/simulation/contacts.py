@@ -7,13 +7,14 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.simulation.simulation import Simulation
+from armctl.simulation.history import sample_columns, time_columns
+from armctl.simulation.simulation import Simulation, WorldIds
 
 Thing = tuple[mujoco.mjtObj, str]
 """A partner of a contact: its kind and its name."""
 
-_HISTORY_HEAD = 2
-"""Numbers before the sample times in a sensor's history buffer; the samples follow these."""
+_ROUNDING = 1e-9
+"""s."""
 
 
 def add_contact_sensors(spec: Any, parts: Mapping[str, Thing], classes: Mapping[str, Thing], memory: int) -> None:
@@ -41,20 +42,34 @@ class ContactSensors:
     def __init__(self, simulation: Simulation, parts: Iterable[str], classes: Iterable[str]) -> None:
         model = simulation.model
         sensors = [[model.sensor(_sensor_name(part, label)) for label in classes] for part in parts]
-        memory = int(model.sensor_history[sensors[0][0].id, 0])
-        self._now = simulation.array("sensordata")
+        self._simulation = simulation
+        self._noted = np.zeros((simulation.n, len(sensors), len(sensors[0])), dtype=bool)
+        self._now, self._time = simulation.array("sensordata"), simulation.array("time")
         self._history = simulation.array("history")
         self._columns = np.array([[sensor.adr[0] for sensor in row] for row in sensors])
-        first = np.array([[model.sensor_historyadr[sensor.id] for sensor in row] for row in sensors])
-        self._samples = first[..., None] + _HISTORY_HEAD + memory + np.arange(memory)
+        self._samples = np.array([[sample_columns(model, sensor.name) for sensor in row] for row in sensors])
+        self._sample_times = np.array([[time_columns(model, sensor.name) for sensor in row] for row in sensors])
 
     def now(self) -> NDArray[np.bool_]:
         """Current contacts, (n, parts, classes)."""
         return self._now[:, self._columns] > 0
 
     def since_last_step(self) -> NDArray[np.bool_]:
-        """Contacts now or in one of the recorded physics steps, (n, parts, classes)."""
-        return self.now() | (self._history[:, self._samples] > 0).any(axis=-1)
+        """Contacts now, in one of the recorded physics steps, or noted, (n, parts, classes)."""
+        return self.now() | (self._history[:, self._samples] > 0).any(axis=-1) | self._noted
+
+    def note(self, duration: float) -> None:
+        """Note contacts in the finer steps of a `Simulation.step` of `duration` s: they are too many to be recorded."""
+        worlds = np.flatnonzero(self._simulation.refined)
+        if len(worlds):
+            history = self._history[worlds]
+            start = self._time[worlds] - duration - _ROUNDING
+            during = history[:, self._sample_times] > start[:, None, None, None]
+            self._noted[worlds] |= (during & (history[:, self._samples] > 0)).any(axis=-1)
+
+    def forget(self, ids: WorldIds | None) -> None:
+        """Forget what was noted in worlds `ids`, or in all: a control step or an episode begins."""
+        self._noted[slice(None) if ids is None else ids] = False
 
 
 def _sensor_name(part: str, label: str) -> str:

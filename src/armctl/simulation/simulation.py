@@ -1,24 +1,46 @@
-"""n worlds of one MuJoCo model, stepped together on all cores."""
+"""n worlds of one MuJoCo model, stepped together on all cores.
+
+MuJoCo resets a world whose numbers become infinite, in the middle of an episode. Here, that is switched off: such a
+world stands still in its last good state, `unstable`, until it is reset. Nor does MuJoCo write its log file.
+"""
+
+from collections.abc import Mapping
 
 import mujoco
 import numpy as np
 from mujoco.batch import MODEL_FIELDS, Batch
 from numpy.typing import NDArray
 
+from armctl.simulation.impacts import Impacts
+
 Array = NDArray[np.float64]
 WorldIds = NDArray[np.int32]
+
+_BAD = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADQACC) + 1)
+"""MuJoCo's warnings of bad positions, velocities and accelerations."""
 
 
 class Simulation:
     """A thin wrapper of `mujoco.batch.Batch`; every world is bit-identical to one simulated alone.
 
-    Worlds start in the first keyframe of `model`, if it has one.
+    Worlds start in the first keyframe of `model`, if it has one. As a side effect, `model` loses MuJoCo's automatic
+    reset. With `speed_limits` of joints (rad/s, by name), impacts are simulated in finer steps: see `impacts`.
     """
 
-    def __init__(self, model: mujoco.MjModel, n: int, threads: int = 0) -> None:
+    def __init__(
+        self, model: mujoco.MjModel, n: int, threads: int = 0, speed_limits: Mapping[str, float] | None = None
+    ) -> None:
+        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self.model, self.n = model, n
+        self.unstable = np.zeros(n, dtype=bool)
+        """(n,) worlds that have become unstable since their last reset: positions, velocities or accelerations were
+        infinite, or no numbers."""
         self._batch = Batch(model, n, nthread=1 if n == 1 else threads)
+        self._impacts = None if speed_limits is None else Impacts(self._batch, speed_limits)
         self._own: dict[str, Array] = {}
+        self._warnings = self._batch.warning[:, _BAD, 1]
+        self._motion = self.array("qpos"), self.array("qvel")
+        self._good = self._batch.state.copy()
 
     def array(self, field: str) -> Array:
         """Live (n, ...) array of an `MjData` field: a state to read and write, or an output to read.
@@ -35,24 +57,51 @@ class Simulation:
     def derive(self, ids: WorldIds | None = None) -> None:
         """Recompute the model's constants from the masses, lengths and sizes of each world."""
         self._batch.set_const(ids)
-        self._own = {field: values for field in MODEL_FIELDS if (values := self._batch.expanded(field)) is not None}
+        fields = (field for field in MODEL_FIELDS if not field.startswith("opt."))
+        self._own = {field: values for field in fields if (values := self._batch.expanded(field)) is not None}
 
     @property
     def worlds_differ(self) -> bool:
         """Whether worlds have model fields of their own."""
         return bool(self._own)
 
+    @property
+    def refined(self) -> NDArray[np.bool_]:
+        """(n,) worlds whose last `step` was made in finer steps, after an impact."""
+        return np.zeros(self.n, dtype=bool) if self._impacts is None else self._impacts.refined
+
     def reset(self, ids: WorldIds | None = None) -> None:
         """Reset worlds to the first keyframe, or the initial state. Call `refresh` after setting the state."""
         self._batch.reset(ids, keyframe=0 if self.model.nkey else -1, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
+        worlds = slice(None) if ids is None else ids
+        self.unstable[worlds] = False
+        self._good[worlds] = self._batch.state[worlds]
 
     def refresh(self, ids: WorldIds | None = None) -> None:
         """Recompute the outputs from the state."""
         self._batch.forward(ids, stage=mujoco.mjtStage.mjSTAGE_VEL.value)
 
     def step(self, substeps: int, ids: WorldIds | None = None) -> None:
-        """Advance worlds by `substeps` time steps, with outputs of the new state."""
-        self._batch.step(ids, nstep=substeps, stage=mujoco.mjtStage.mjSTAGE_VEL.value)
+        """Advance worlds by `substeps` time steps, with outputs of the new state. Unstable worlds stand still."""
+        if self.unstable.any():
+            asked = np.arange(self.n, dtype=np.int32) if ids is None else ids
+            ids = asked[~self.unstable[asked]]
+        if self._impacts is None:
+            self._batch.step(ids, nstep=substeps, stage=mujoco.mjtStage.mjSTAGE_VEL.value)
+            self._stop_unstable()
+        elif not self._impacts.step(substeps, ids):
+            self._stop_unstable()
+        np.copyto(self._good, self._batch.state)
+
+    def _stop_unstable(self) -> None:
+        """Put worlds that have just become unstable back into their last good state."""
+        good = all(np.abs(numbers).max(initial=0.0) < mujoco.mjMAXVAL for numbers in self._motion)
+        if self._warnings.any() or not good:
+            within = [(np.abs(numbers) < mujoco.mjMAXVAL).all(axis=1) for numbers in self._motion]
+            bad = (self._warnings.any(axis=1) | ~np.logical_and(*within)) & ~self.unstable
+            self.unstable |= bad
+            self._batch.state[bad] = self._good[bad]
+            self._batch.forward(np.flatnonzero(bad).astype(np.int32))
 
     def cast_rays(
         self, starts: Array, directions: Array, groups: NDArray[np.uint8], ids: WorldIds | None = None

@@ -4,11 +4,15 @@ The main thread plays episodes in real time (`Player`), and Studio's thread show
 steps, the drawn state is interpolated, together with the plan that led from one to the other.
 """
 
+import os
 import socket
+import sys
+import threading
 import time
+import webbrowser
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import mujoco
@@ -21,6 +25,7 @@ from armctl.envs import ThirdPartyVectorEnv
 from armctl.errors import ArmctlError, ConfigurationError
 from armctl.policies import policy_names
 from armctl.simulation.scenery import STATE, Scenery, polyline
+from armctl.viewer.guard import Guard, OwnProcessListener, guarded, unguarded
 from armctl.viewer.stage import Stage, Status
 
 Array = NDArray[np.float64]
@@ -266,37 +271,41 @@ def _contact_text(contacts: Mapping[str, tuple[str, ...]]) -> str:
 
 
 class LoopbackViewer(web_viewer.WebViewer):
-    """Studio's web viewer, for this machine only. Studio's own listens on all interfaces, without authentication."""
+    """Studio's web viewer, for this machine and behind a guard. Studio's own is open to all who reach the machine."""
 
     _host = property(lambda self: LOOPBACK, lambda self, host: None)
+    _tcp_sock: socket.socket
 
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        with _own_words():
-            super().__init__(*args, **kwargs)
-        if self._http_sock.getsockname()[0] != LOOPBACK:  # another version of Studio may not read `_host`
-            self.close()
-            raise ConfigurationError(
-                f"MuJoCo {mujoco.__version__} would serve this page to the network: install another version"
-            )
+    def __init__(self, config: viewer_protocol.ViewerConfig, *args: Any, **kwargs: Any) -> None:
+        with _silence():
+            super().__init__(replace(config, open_browser=False), *args, **kwargs)
+        print(f"The page, for this machine only: {self.guard.address}\nCtrl-C ends the program.", flush=True)
+        if config.open_browser and _has_screen():
+            threading.Thread(target=webbrowser.open, args=(self.guard.address, 2), daemon=True).start()
 
-    def get_drop_file(self) -> str:
-        """Return nothing, so that files dropped onto the page are not written to disk."""
-        return ""
+    def _start_server(self) -> None:
+        address, port = self._http_sock.getsockname()
+        if address != LOOPBACK:  # another version of Studio may not read `_host`
+            raise unguarded()
+        self._tcp_sock = OwnProcessListener(fileno=self._tcp_sock.detach())
+        self.guard = Guard(port)
+        with guarded(self.guard):
+            super()._start_server()
+
+
+def _has_screen() -> bool:
+    return not sys.platform.startswith("linux") or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
 
 
 @contextmanager
-def _own_words() -> Iterator[None]:
-    """Replace Studio's words about the page, which warn of a network that cannot reach it here."""
+def _silence() -> Iterator[None]:
+    """Leave out Studio's words about the page: they warn of a network that cannot reach it, and lack the token."""
     theirs = getattr(web_viewer, "_print_url_banner", None)
-    web_viewer._print_url_banner = _print_address
+    web_viewer._print_url_banner = lambda *_: None
     try:
         yield
     finally:
         web_viewer._print_url_banner = theirs
-
-
-def _print_address(host: str, port: int) -> None:
-    print(f"The page is http://localhost:{port}/, for this machine only. Ctrl-C ends the program.", flush=True)
 
 
 def show_in_browser(player: Player, port: int = 0, open_browser: bool = True) -> None:

@@ -1,26 +1,23 @@
 """Plays N episodes of M steps, prints states, actions and rewards, and records a video."""
 
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
-import imageio
 import numpy as np
-from numpy.typing import NDArray
-from rich.console import Console
+from rich.text import Text
 
+from armctl.console import PlainConsole
 from armctl.envs import EpisodeVectorEnv, make_worlds
-from armctl.errors import ConfigurationError, ResultsError
+from armctl.errors import ConfigurationError
 from armctl.evaluation.rollouts import wrap_environment_errors, wrap_policy_errors
 from armctl.policies import Policy, make_policy
+from armctl.viewer.recording import Film, check_video, recording
 
 MOST_NUMBERS = 200
 """Of an array that is printed."""
-Film = Callable[[NDArray[np.uint8]], None]
-VIDEO_FORMATS = (".mp4", ".mkv", ".mov", ".avi")
-"""Containers that hold H.264, which every player knows."""
 
 
 def run_episodes(
@@ -41,8 +38,8 @@ def run_episodes(
     if watch and video:
         raise ConfigurationError("--watch and --video exclude each other: choose one")
     if video:
-        _check_video(video)
-    console = Console()
+        check_video(video)
+    console = PlainConsole()
     worlds = _make(env, steps, "human" if watch else "rgb_array" if video else None, env_options)
     try:
         actor = make_policy(policy, worlds)
@@ -59,7 +56,7 @@ def run_episodes(
 
 
 def _play(
-    console: Console,
+    console: PlainConsole,
     name: str,
     actor: Policy,
     worlds: Any,
@@ -97,7 +94,7 @@ def _play(
             show()
     stopped = truncated[0] and not terminated[0] and step == asked  # the environment itself would have gone on
     ending = f"stopped after {_steps(step)}, as asked" if stopped else f"{infos['outcome'][0]} after {_steps(step)}"
-    console.print(f"[bold]{ending}, return {total:g}[/]\n")
+    console.print(Text(f"{ending}, return {total:g}", "bold"), end="\n\n")
 
 
 def _steps(count: int) -> str:
@@ -109,8 +106,10 @@ def _make(env: str, steps: int | None, render_mode: str | None, env_options: Map
     return make_worlds(env, 1, options, render_mode=render_mode)
 
 
-def _print_step(console: Console, step: int, values: dict[str, Any], terms: dict[str, float], reward: float) -> None:
-    console.print(f"[bold]step {step}[/]")
+def _print_step(
+    console: PlainConsole, step: int, values: dict[str, Any], terms: dict[str, float], reward: float
+) -> None:
+    console.print(Text(f"step {step}", "bold"))
     for name, value in values.items():
         console.print(f"  {name:<22}" + _numbers(value), highlight=False)
     earned = ", ".join(f"{name} {value:g}" for name, value in terms.items())
@@ -124,44 +123,8 @@ def _numbers(value: Any) -> str:
     return " ".join(f"{number:8.4f}" if array.dtype.kind == "f" else f"{number!s:>8}" for number in array.ravel())
 
 
-@contextmanager
-def _film(video: Path | None, fps: int, console: Console) -> Iterator[Film | None]:
+def _film(video: Path | None, fps: int, console: PlainConsole) -> AbstractContextManager[Film | None]:
     """A function that appends frames to a video file; None without a file."""
     if video is None:
-        yield None
-        return
-    # ffmpeg's own messages are pages long: what goes wrong is said in one line, here and in `_check_video`
-    writer = imageio.get_writer(video, fps=fps, ffmpeg_log_level="quiet", macro_block_size=2)
-    frames, broken = 0, False
-
-    def film(frame: NDArray[np.uint8]) -> None:
-        nonlocal frames, broken
-        frames += 1
-        try:
-            writer.append_data(frame)
-        except OSError as error:
-            broken = True
-            raise ResultsError(f"the video {video} cannot be written: ffmpeg gave up after {frames} frames") from error
-
-    try:
-        yield film
-    finally:
-        writer.close()
-        if not broken:
-            console.print(f"{video}: {frames} frames", soft_wrap=True)
-
-
-def _check_video(video: Path) -> None:
-    """Raise `ConfigurationError` or `ResultsError` for a video that cannot be written, before anything is played."""
-    if video.suffix.lower() not in VIDEO_FORMATS:
-        raise ConfigurationError(f"a video's name ends in one of {', '.join(VIDEO_FORMATS)}; {str(video)!r} does not")
-    missing = not video.exists()
-    try:
-        video.parent.mkdir(parents=True, exist_ok=True)
-        video.open("ab").close()
-        if missing:
-            video.unlink()
-    except FileExistsError as error:
-        raise ResultsError(f"the video {video} cannot be written: {video.parent} is not a folder") from error
-    except OSError as error:
-        raise ResultsError(f"the video {video} cannot be written: {error.strerror}") from error
+        return nullcontext()
+    return recording(video, fps, lambda frames: console.print(f"{video}: {frames} frames", soft_wrap=True))

@@ -35,6 +35,26 @@ def same(a, b):
     return np.array_equal(a, b)
 
 
+@pytest.mark.parametrize(
+    ("position", "quaternion"),
+    [
+        ((5, 0, 0.2), (0, 1, 0, 0)),
+        ((5, 0, 0.3), (0.707, 0.707, 0, 0)),
+        ((5, 2.5, 1), (1, 0, 0, 0)),
+        ((-0.5, 0, 1), (1, 0, 0, 0)),
+    ],
+    ids=["on its back", "on its side", "over the side", "over the end"],
+)
+def test_a_rover_that_lies_or_has_left_the_deck_has_fallen(position, quaternion):
+    env = batch(2, autoreset_mode="disabled")
+    env.reset(seed=0)
+    env.task.simulation.array("qpos")[1, :7] = *position, *quaternion
+    _, _, terminated, _, infos = env.step(np.zeros((2, 2)))
+    assert terminated.tolist() == [False, True]
+    assert infos["outcome"][1] == "fell"
+    assert infos["reward_terms"]["fall"].tolist() == [0, -100]
+
+
 def drive(env, action, limit=200):
     """Repeat an action until the episode ends."""
     env.reset(seed=0)

@@ -16,7 +16,7 @@ from armctl.disturbances import ROVER
 from armctl.errors import ConfigurationError
 from armctl.options import options
 from armctl.robots.joints import JointSamples
-from armctl.robots.rover import MAX_VELOCITY, PARTS, PREFIX, RADIUS, WHEEL_RADIUS, Rover
+from armctl.robots.rover import MAX_VELOCITY, PARTS, PREFIX, RADIUS, SPEED_LIMITS, WHEEL_RADIUS, Rover
 from armctl.scene import BridgeMap, PedestrianTrajectories
 from armctl.simulation import ContactSensors, Simulation
 from armctl.tasks.bridge.layout import Layout, sample_layout
@@ -132,17 +132,12 @@ class BridgeTask(Task):
 
     def __init__(self, n: int, options: BridgeOptions, threads: int = 0) -> None:
         self.options = options
+        memory = round(CONTROL_PERIOD / options.timestep)
         model = build_bridge_world(
-            options.deck_length,
-            options.deck_width,
-            options.blocks,
-            options.walkers,
-            options.timestep,
-            round(CONTROL_PERIOD / options.timestep),
-            options.resolution,
-            options.field_of_view,
-        )
-        super().__init__(Simulation(model, n, threads), CONTROL_PERIOD)
+            options.deck_length, options.deck_width, options.blocks, options.walkers, options.timestep, memory,
+            options.resolution, options.field_of_view,
+        )  # fmt: skip
+        super().__init__(Simulation(model, n, threads, SPEED_LIMITS), CONTROL_PERIOD)
         self.rover = Rover(self.simulation)
         self.joints = self.rover.wheel_samples(MOVES, CONTROL_PERIOD)
         self.goal_x = options.deck_length - GOAL_MARGIN
@@ -208,6 +203,7 @@ class BridgeTask(Task):
     def reset(self, ids: Ids, rngs: list[np.random.Generator]) -> None:
         """Place the rover at the start, and everything else at random."""
         self.simulation.reset(ids)
+        self._contacts.forget(ids)
         for i, rng in zip(ids, rngs, strict=True):
             self._layouts[i] = self._sample_episode(rng)
             self._furnish(i, self._layouts[i])
@@ -227,11 +223,13 @@ class BridgeTask(Task):
     def advance(self, ids: Ids | None) -> None:
         """Simulate until the next control step, in worlds `ids` or in all."""
         worlds = np.arange(len(self._time), dtype=np.int32) if ids is None else ids
+        self._contacts.forget(worlds)
         for _ in range(MOVES):
             self._time[worlds] += CONTROL_PERIOD / MOVES
             self._move_walkers(worlds)
             self.simulation.step(self.substeps // MOVES, ids)
             self.joints.take()
+            self._contacts.note(WALKER_PERIOD)
 
     def observation_parts(self) -> dict[str, NDArray[np.floating[Any]]]:
         """Pose, velocity and own motion."""
@@ -317,7 +315,8 @@ class BridgeTask(Task):
         poses = self.rover.poses
         base_on_floor = contacts[:, PARTS.index("base"), label["floor"]]
         collided = contacts[:, :, (label["barrier"], label["obstacle"])].any(axis=(1, 2)) | base_on_floor
-        fell = np.asarray((self.rover.wheel_heights < WHEEL_RADIUS / 2).any(axis=1))
+        beside = (np.abs(poses[:, 1]) > self.options.deck_width / 2) | (poses[:, 0] < 0)
+        fell = (self.rover.wheel_heights < WHEEL_RADIUS / 2).any(axis=1) | (self.rover.upright < 0.5) | beside
         at_goal = contacts[:, :, label["goal"]].any(axis=1)
         self.state = BridgeState(
             time=self._time.copy(),

@@ -33,7 +33,7 @@ class BridgeState:
     collided: NDArray[np.bool_]
     """A part has touched a barrier or an obstacle, or the base the floor, (n,)."""
     fell: NDArray[np.bool_]
-    """A wheel has dropped over the edge of the deck, (n,)."""
+    """A wheel has dropped off the deck, or the rover is beside it or leans over by more than 60 degrees, (n,)."""
     action: Array
     """Linear and angular velocity commanded last, before clipping, (n, 2); zeros after a reset."""
 

@@ -5,8 +5,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from armctl.robots.rover import PARTS, PREFIX, add_rover
+from armctl.robots.rover import PARTS, PREFIX, SPEED_LIMITS, add_rover
 from armctl.simulation.contacts import add_contact_sensors
+from armctl.simulation.impacts import add_impact_sensors
 from armctl.simulation.ray_camera import vertical_field_of_view
 from armctl.simulation.worlds import world_path
 
@@ -82,6 +83,7 @@ def build_bridge_world(
     add_contact_sensors(
         spec, {part: (mujoco.mjtObj.mjOBJ_BODY, PREFIX + part) for part in PARTS}, CONTACT_CLASSES, memory
     )
+    add_impact_sensors(spec, SPEED_LIMITS, memory, body=PREFIX + "base")
     _add_start(spec)
     return spec.compile()
 

@@ -17,14 +17,15 @@ from armctl.kinematics.clearance import Clearance
 from armctl.options import options
 from armctl.planning import ArmPlanner
 from armctl.robot_description import ArmDescription
-from armctl.robots.arm import PREFIX, build_arm_world, collision_geom
+from armctl.robot_description.joint_profiles import TICK
+from armctl.robots.arm import PREFIX, add_collision_pair, build_arm_world, collision_geom
 from armctl.scene import Boxes
 from armctl.simulation.contacts import ContactSensors, add_contact_sensors
 from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES, sample_layout
 from armctl.tasks.reach.potentials import PathCostToGo
-from armctl.tasks.reach.reach import CONTROL_PERIOD, ReachOptions, ReachOutcome, ReachTask, Terms
+from armctl.tasks.reach.reach import CONTROL_PERIOD, ReachOptions, ReachOutcome, ReachTask, Terms, Worlds
 from armctl.tasks.reach.state import GOAL_REWARD, OBSERVATION, REWARD, ReachState, Term
-from armctl.tasks.task import Once, Potential
+from armctl.tasks.task import Ids, Once, Potential
 
 Array = NDArray[np.float64]
 
@@ -110,6 +111,11 @@ class ReachObstaclesTask(ReachTask):
         touched = {name: self.state.contacts[:, i].copy() for i, name in enumerate(TOUCHED)}
         return super().info() | {"contacts": touched}
 
+    def advance(self, ids: Ids | None) -> None:
+        """Simulate until the next control step, in worlds `ids` or in all."""
+        self._touches.forget(ids)
+        super().advance(ids)
+
     @functools.cached_property
     def _clearance(self) -> Clearance:
         return Clearance(self._workspace.model)
@@ -129,6 +135,7 @@ class ReachObstaclesTask(ReachTask):
     def _sample_episode(self, world: int, rng: np.random.Generator) -> None:
         if self._planner is None:
             self._planner = ArmPlanner(self._workspace.model)
+        self._touches.forget(np.array([world], dtype=np.int32))
         home = _as_observed(self._workspace.model.home)
         for _ in range(ATTEMPTS):
             layout = sample_layout(rng, self._workspace, self.options.tolerance)
@@ -144,6 +151,10 @@ class ReachObstaclesTask(ReachTask):
 
     def _contact(self) -> NDArray[np.bool_]:
         return self.state.collided
+
+    def _on_tick(self, worlds: Worlds) -> None:
+        super()._on_tick(worlds)
+        self._touches.note(TICK)
 
     def _place(self, world: int, boxes: Boxes) -> None:
         count = len(boxes)
@@ -196,7 +207,7 @@ def _add_boxes(spec: Any, description: ArmDescription) -> None:
             name=_name(i), type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.1] * 3, contype=0, conaffinity=0, material="obstacle"
         )
         for capsule in description.capsules:
-            spec.add_pair(geomname1=collision_geom(capsule.link), geomname2=_name(i))
+            add_collision_pair(spec, collision_geom(capsule.link), _name(i))
 
 
 def _add_sensors(spec: Any, memory: int) -> None:

@@ -19,7 +19,7 @@ from armctl.options import options
 from armctl.robot_description import ArmDescription, load_arm
 from armctl.robot_description.joint_profiles import TICK
 from armctl.robots import Arm, build_arm_world
-from armctl.robots.arm import PREFIX
+from armctl.robots.arm import PREFIX, speed_limits
 from armctl.robots.joints import JointSamples
 from armctl.simulation import Simulation
 from armctl.tasks.reach.potentials import MinimumTime, MpcCost
@@ -110,7 +110,7 @@ class ReachTask(Task):
         description = load_arm(options.robot) if options.tip is None else load_arm(options.robot, tip=options.tip)
         model = self._build(description)
         model.geom("target").size[:] = options.tolerance
-        super().__init__(Simulation(model, n, threads), CONTROL_PERIOD)
+        super().__init__(Simulation(model, n, threads, speed_limits(description)), CONTROL_PERIOD)
         self.arm = Arm(self.simulation, description, options.control, CONTROL_PERIOD)
         self.joints = self.arm.joints
         self._workspace = Workspace(ArmModel(description))

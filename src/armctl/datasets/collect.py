@@ -1,0 +1,183 @@
+"""Records a policy's episodes as a Minari dataset, so that nothing finished is lost.
+
+Each finished episode is a file in the folder `unfinished`. At the end, the dataset is assembled of them there, moved
+into its place, and `unfinished` is deleted. So a dataset is whole, and an interrupted collection resumes.
+"""
+
+import contextlib
+import json
+import shutil
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from armctl import DEFAULT_ENV
+from armctl.datasets.demonstrations import Demonstration, demonstrate
+from armctl.datasets.minari import (
+    DATA,
+    METADATA,
+    UNFINISHED,
+    check_recordable,
+    describe,
+    require_minari,
+    write_dataset,
+)
+from armctl.datasets.unfinished import OTHERWISE, Unfinished, check_same
+from armctl.envs import full_id, make_worlds
+from armctl.errors import EnvironmentFailed, ResultsError
+from armctl.evaluation.identity import identity
+from armctl.evaluation.provenance import versions
+from armctl.evaluation.rollouts import PolicyFailed, check_counts
+from armctl.files import LOCK, one_writer
+from armctl.policies import PolicyFactory, make_policy, policy_name
+
+
+@dataclass
+class Collection:
+    """The result of `collect`."""
+
+    folder: Path
+    episodes: int = 0
+    steps: int = 0
+    successes: int = 0
+    resumed: int = 0
+    """Episodes that an earlier run had finished."""
+    interrupted: bool = False
+
+
+def collect(
+    policy: str | Path | PolicyFactory,
+    env: str = DEFAULT_ENV,
+    *,
+    episodes: int,
+    out: str | Path,
+    seed: int = 0,
+    worlds: int = 1,
+    env_options: Mapping[str, Any] | None = None,
+    overwrite: bool = False,
+    progress: Callable[[int], None] | None = None,
+) -> Collection:
+    """Write a policy's episodes 0 to `episodes` - 1 of `seed` to a Minari dataset in the folder `out`.
+
+    The episodes are in the order of their numbers, however many worlds play at once. `minari.MinariDataset(out /
+    "data")` opens it. So does `minari.load_dataset(out.name)` if `MINARI_DATASETS_PATH` is the parent folder and
+    `out.name` ends with a version, such as `-v0`.
+
+    After an interrupt (Ctrl-C) or a failing policy, the dataset has the episodes that were finished. After these, a
+    full disk or the end of the process, the same call resumes, and gives the same dataset as one without interruption.
+    `progress` is called with the number of finished episodes.
+
+    Raises `ConfigurationError`, `AgentFileError`, `PolicyFailed`, and `ResultsError` if `out` holds another dataset
+    (unless `overwrite`), cannot be written or is written by another process, or if no episode was finished.
+    """
+    require_minari()
+    check_counts(episodes=episodes, worlds=worlds)
+    folder, name, options = Path(out).absolute(), policy_name(policy), dict(env_options or {})
+    with contextlib.closing(make_worlds(env, min(worlds, episodes), options)) as made_env:
+        made_env.reset(seed=seed)  # raises for an invalid seed, before anything is written
+        check_recordable(made_env)
+        made = make_policy(policy, made_env)
+        own = identity(full_id(env), options, seed, {name: policy}, {name: made}, made_env)
+        about = describe(folder, env, options, made_env) | {
+            "algorithm_name": name, "sees": made.sees, "seed": seed, "identity": own,
+            "versions": versions() | {"minari": require_minari().__version__},
+        }  # fmt: skip
+        with _claimed(folder, overwrite):
+            if (finished := _finished(folder, own, episodes)) is not None:
+                return finished
+            unfinished = Unfinished(folder / UNFINISHED, own)
+            if beyond := [number for number in unfinished.outcomes if number >= episodes]:
+                raise ResultsError(
+                    f"{folder} already holds episode {max(beyond)}, beyond the {episodes} asked for: ask for more, "
+                    f"{OTHERWISE}"
+                )
+            collection = Collection(folder, resumed=len(unfinished.outcomes))
+            failure: PolicyFailed | EnvironmentFailed | None = None
+            waiting = [number for number in range(episodes) if number not in unfinished.outcomes]
+            try:
+                if progress is not None:
+                    progress(len(unfinished.outcomes))
+                for result, demonstration in demonstrate(made, made_env, waiting, seed, name) if waiting else ():
+                    unfinished.add(result.episode, result.outcome, demonstration)
+                    if progress is not None:
+                        progress(len(unfinished.outcomes))
+            except KeyboardInterrupt:
+                collection.interrupted = True
+            except (PolicyFailed, EnvironmentFailed) as error:
+                failure = error
+            finally:
+                if not unfinished.outcomes:
+                    unfinished.remove()
+            if unfinished.outcomes:
+                _assemble(folder, unfinished, about, seed)
+            if len(unfinished.outcomes) == episodes:
+                unfinished.remove()
+            if failure is not None:
+                raise failure
+            if not unfinished.outcomes:
+                raise ResultsError(f"no episode was finished: {out} was not written")
+            collection.episodes = len(unfinished.outcomes)
+            collection.steps, collection.successes = unfinished.steps, unfinished.successes
+            return collection
+
+
+@contextlib.contextmanager
+def _claimed(folder: Path, overwrite: bool) -> Iterator[None]:
+    """Keep other processes from writing to the folder; with `overwrite`, delete its dataset."""
+    parts = [folder / DATA, folder / UNFINISHED]
+    with one_writer(folder):
+        if link := next((part for part in parts if part.is_symlink()), None):
+            raise ResultsError(f"{link} is a symbolic link, through which armctl does not write: choose another folder")
+        for part in parts if overwrite else ():
+            if part.exists():
+                shutil.rmtree(part)
+        try:
+            yield
+        finally:
+            if not any(part.exists() for part in parts):
+                (folder / LOCK).unlink(missing_ok=True)
+                with contextlib.suppress(OSError):
+                    folder.rmdir()  # fails if it holds something else
+
+
+def _finished(folder: Path, own: Mapping[str, Any], episodes: int) -> Collection | None:
+    """The dataset that this call would make, if it is there already; None if some of it is missing.
+
+    Raises `ResultsError` if another dataset is there.
+    """
+    if (folder / UNFINISHED).exists() or not (folder / DATA).exists():
+        return None
+    values = check_same(folder / DATA / METADATA, own, folder)
+    if (there := values["total_episodes"]) != episodes:
+        raise ResultsError(f"{folder} already holds a dataset, of {there} episodes, not {episodes}: {OTHERWISE}")
+    return Collection(folder, episodes, values["total_steps"], values["successes"], resumed=episodes)
+
+
+def _assemble(folder: Path, unfinished: Unfinished, about: Mapping[str, Any], seed: int) -> None:
+    """Make the dataset of the finished episodes. Raises `ResultsError`, and then keeps the episodes."""
+    numbers = sorted(unfinished.outcomes)
+
+    def episodes() -> Iterator[tuple[Demonstration, dict[str, Any]]]:
+        for number in numbers:
+            episode, outcome = unfinished.read(number), unfinished.outcomes[number]
+            attributes = {"seed": seed, "options/episode": number, "outcome": outcome, "success": episode.success}
+            yield episode, attributes
+
+    counts = {
+        "total_episodes": len(numbers),
+        "total_steps": unfinished.steps,
+        "outcomes": dict(sorted(Counter(unfinished.outcomes.values()).items())),
+        "successes": unfinished.successes,
+    }
+    made = unfinished.folder / DATA
+    try:
+        for old in (made, folder / DATA):
+            if old.exists():
+                shutil.rmtree(old)
+        write_dataset(made, episodes(), json.loads(json.dumps({**about, **counts})))
+        made.rename(folder / DATA)
+    except OSError as error:
+        shutil.rmtree(made, ignore_errors=True)
+        raise unfinished.not_written(error) from error

@@ -1,0 +1,107 @@
+"""A dataset in the making: a folder with one file per finished episode, each written whole.
+
+Minari rewrites a dataset's files in place, so that a killed process can leave none that is readable.
+"""
+
+import json
+import shutil
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from armctl.datasets.demonstrations import OBSERVATIONS, Demonstration, observations_of, parts_of
+from armctl.errors import ResultsError
+from armctl.evaluation.identity import differences
+from armctl.files import bounded_text, sealed, unsealed, write_atomically
+
+OTHERWISE = "choose another folder, or overwrite it (--overwrite)"
+_IDENTITY = "identity.json"
+
+
+class Unfinished:
+    """The finished episodes of a collection, on disk. `outcomes` holds their outcomes, by number.
+
+    Raises `ResultsError` if the folder holds episodes of another collection, or cannot be written.
+    """
+
+    def __init__(self, folder: Path, identity: Mapping[str, Any]) -> None:
+        self.folder = folder
+        self.outcomes: dict[int, str] = {}
+        self.steps = self.successes = 0
+        if (folder / _IDENTITY).exists():
+            check_same(folder / _IDENTITY, identity, folder)
+            for path in sorted(folder.glob("episode_*.npz")):
+                self._find(path)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            write_atomically(folder / _IDENTITY, sealed(identity))
+        except OSError as error:
+            raise self.not_written(error) from error
+
+    def add(self, number: int, outcome: str, episode: Demonstration) -> None:
+        """Keep an episode. Raises `ResultsError`."""
+        arrays: dict[str, Any] = {"actions": episode.actions, "rewards": episode.rewards, "outcome": outcome}
+        arrays |= {"terminated": episode.terminated, "success": episode.success}
+        arrays |= parts_of(episode.observations)
+        try:
+            write_atomically(self._path(number), lambda path: np.savez(path, allow_pickle=False, **arrays))
+        except OSError as error:
+            raise self.not_written(error) from error
+        self._count(number, outcome, episode)
+
+    def read(self, number: int) -> Demonstration:
+        """A finished episode."""
+        return _read(self._path(number))[1]
+
+    def not_written(self, error: OSError) -> ResultsError:
+        """The error for a disk that is full, or the like: it says what is kept."""
+        kept = f". Its {len(self.outcomes)} finished episodes are kept: the same command resumes"
+        return ResultsError(
+            f"the dataset could not be written to {self.folder.parent}: {error.strerror or error}"
+            f"{kept if self.outcomes else ''}"
+        )
+
+    def remove(self) -> None:
+        """Delete the folder."""
+        shutil.rmtree(self.folder)
+
+    def _find(self, path: Path) -> None:
+        try:
+            number = int(path.stem.removeprefix("episode_"))
+            outcome, episode = _read(path)
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+            return  # damaged: it is played again
+        self._count(number, outcome, episode)
+
+    def _count(self, number: int, outcome: str, episode: Demonstration) -> None:
+        self.outcomes[number] = outcome
+        self.steps += len(episode)
+        self.successes += episode.success
+
+    def _path(self, number: int) -> Path:
+        return self.folder / f"episode_{number}.npz"
+
+
+def check_same(path: Path, identity: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """The values of a JSON file with an identity. Raises `ResultsError` unless the identity is this one."""
+    try:
+        values = unsealed(bounded_text(path))
+        stored = values.get("identity", values)
+        what = "; ".join(differences(stored, json.loads(json.dumps(identity))))
+    except (OSError, ValueError, AttributeError) as error:
+        raise ResultsError(f"{folder} already holds a dataset that is damaged ({error}): {OTHERWISE}") from error
+    if what:
+        raise ResultsError(f"{folder} already holds a dataset of another kind ({what}): {OTHERWISE}")
+    return values
+
+
+def _read(path: Path) -> tuple[str, Demonstration]:
+    with np.load(path, allow_pickle=False) as arrays:
+        parts = {name: arrays[name] for name in arrays.files if name.startswith(OBSERVATIONS)}
+        return str(arrays["outcome"]), Demonstration(
+            observations_of(parts), arrays["actions"], arrays["rewards"], bool(arrays["terminated"]),
+            bool(arrays["success"]),
+        )  # fmt: skip

@@ -1,0 +1,249 @@
+"""What determines a comparison's episodes: a results folder holds the episodes of one identity only."""
+
+import ast
+import functools
+import importlib.util
+import inspect
+import os
+import site
+import sys
+import sysconfig
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import mujoco
+import numpy as np
+from gymnasium.envs.registration import load_env_creator
+
+from armctl.agents import OnnxPolicy
+from armctl.envs import EpisodeVectorEnv, TaskVectorEnv, ThirdPartyVectorEnv, find_spec
+from armctl.errors import ConfigurationError
+from armctl.evaluation.fingerprint import fingerprint
+from armctl.evaluation.provenance import versions
+from armctl.files import short_checksum
+from armctl.policies import GROUP, Policy, policy_names
+from armctl.registration import import_attribute, import_named, installed
+
+WITHOUT_EFFECT = {"baselines", "cli", "datasets", "models", "report", "rl", "viewer"}
+"""Folders of armctl that take no part in an episode, or count by other means."""
+_first_seen: dict[Path, bytes] = {}
+"""Files of modules, as this process has seen them first."""
+
+
+def identity(
+    env: str,
+    env_options: Mapping[str, Any],
+    seed: int,
+    given: Mapping[str, Any],
+    policies: Mapping[str, Policy],
+    worlds: EpisodeVectorEnv,
+) -> dict[str, Any]:
+    """Everything that determines a comparison's episodes, as JSON values.
+
+    `given` are the policies as they were asked for, `policies` as they were made for `worlds`. Agents, code of one's
+    own, objects, files among the options, the compiled MuJoCo model with its meshes, and armctl's source count by
+    checksum. What other files a policy or an environment opens is not known.
+    """
+    definitions = {name: _definition(policy) for name, policy in given.items()}
+    return {
+        "env": env,
+        "env_options": {name: _in_words(value) for name, value in env_options.items()},
+        "registered": _registration(env),
+        "seed": seed,
+        "policies": list(policies),
+        "agents": {name: policy.card.sha256 for name, policy in policies.items() if isinstance(policy, OnnxPolicy)},
+        "objects": {name: fingerprint(given) for name, given in definitions.items() if given is not None},
+        **checksums(env, worlds, env_options, definitions.values()),
+        "versions": versions(),
+        "source": _checksum_of_core(),
+    }
+
+
+def checksums(
+    env: str, worlds: EpisodeVectorEnv, env_options: Mapping[str, Any], things: Iterable[Any] = ()
+) -> dict[str, Any]:
+    """Checksums of the code of an environment and of other things, of files among its options, and of its model."""
+    return {
+        "code": checksums_of_code([*things, *_makers(env, worlds)]),
+        "files": {str(value): short_checksum(Path(value).read_bytes()) for value in _files(env_options.values())},
+        "model": _checksum_of_model(worlds),
+    }
+
+
+def differences(stored: Mapping[str, Any], here: Mapping[str, Any]) -> list[str]:
+    """What differs between two identities, in words."""
+    found = []
+    for name, value in here.items():
+        other = stored.get(name)
+        if isinstance(value, dict) and isinstance(other, dict):
+            keys = [key for key in {**other, **value} if other.get(key) != value.get(key)]
+            found += [f"{name}: {key} {other.get(key)} there, {value.get(key)} here" for key in keys]
+        elif other != value:
+            found.append(f"{name}: {other} there, {value} here")
+    return found
+
+
+def checksums_of_code(things: Iterable[Any]) -> dict[str, str]:
+    """Checksums of the files that define some functions, classes, objects and modules, by file name.
+
+    Files of one's own which these import count too, wherever in the code they do. The core of armctl is left out, and
+    so are scripts and notebooks, which may change from run to run: what these define has a `fingerprint`.
+
+    Raises `ConfigurationError` if a file has changed since this process has first seen it.
+    """
+    modules = [thing if inspect.ismodule(thing) else inspect.getmodule(_code_of(thing)) for thing in things]
+    waiting = [file for one in modules if one is not None and _counts(one) and (file := _file_of(one))]
+    sources: dict[str, list[bytes]] = {}
+    seen: set[Path] = set()
+    while waiting:
+        file = waiting.pop()
+        if file in seen:
+            continue
+        seen.add(file)
+        sources.setdefault(file.name, []).append(content := file.read_bytes())
+        if _first_seen.setdefault(file, content) != content:
+            raise ConfigurationError(f"{file} has changed since Python imported it: start Python again")
+        waiting += _imports_of(file, content)
+    return {name: short_checksum(b"".join(sorted(parts))) for name, parts in sorted(sources.items())}
+
+
+def _definition(policy: Any) -> Any:
+    """What defines a policy: a function, a class or an object; None for a learned agent's file."""
+    if not isinstance(policy, (str, Path)):
+        return policy
+    name = str(policy)
+    if name in policy_names():
+        return installed(GROUP)[name].load()
+    return import_attribute(name, "policy") if ":" in name else None
+
+
+def _makers(env: str, worlds: EpisodeVectorEnv) -> Iterator[Any]:
+    """What makes an environment: its task, or its class, wrappers and constructor; and the module that registers it."""
+    module, _, _ = env.rpartition(":")
+    if module:
+        yield import_named(module, env)
+    if not isinstance(worlds, ThirdPartyVectorEnv):
+        yield type(worlds.task)
+        return
+    made = worlds.worlds[0]
+    while made is not made.unwrapped:
+        yield type(made)
+        made = made.env  # type: ignore[attr-defined]
+    yield type(made)
+    if (maker := find_spec(env).entry_point) is not None:
+        yield load_env_creator(maker) if isinstance(maker, str) else maker
+
+
+def _registration(env: str) -> str:
+    """A checksum of what an environment was registered with. The code of its maker counts by itself."""
+    spec = find_spec(env)
+    maker = getattr(spec.entry_point, "__qualname__", spec.entry_point)
+    return fingerprint((maker, spec.max_episode_steps, spec.kwargs, spec.additional_wrappers))
+
+
+def _in_words(value: Any) -> str:
+    """An option's value; a checksum, if it is not made of plain values."""
+    return str(value) if _is_plain(value) else fingerprint(value)
+
+
+def _is_plain(value: Any) -> bool:
+    if isinstance(value, Mapping):
+        return all(map(_is_plain, (*value, *value.values())))
+    if isinstance(value, (list, tuple)):
+        return all(map(_is_plain, value))
+    return value is None or isinstance(value, (str, bool, int, float, Path))
+
+
+def _files(options: Iterable[Any]) -> list[Any]:
+    return [value for value in options if isinstance(value, (str, Path)) and os.path.isfile(value)]
+
+
+def _code_of(thing: Any) -> Any:
+    code = getattr(thing, "func", thing)  # of a functools.partial
+    return code if inspect.isclass(code) or inspect.isroutine(code) else type(code)
+
+
+def _imports_of(file: Path, content: bytes) -> Iterator[Path]:
+    """The files of one's own that a module imports, at its beginning or later."""
+    try:
+        nodes = list(ast.walk(ast.parse(content)))
+    except (SyntaxError, ValueError):  # an extension module, or a file that nothing imports in fact
+        return
+    for node in nodes:
+        match node:
+            case ast.Import():
+                names, folder = [name.name for name in node.names], file.parent
+            case ast.ImportFrom():
+                folder = file.parents[max(node.level - 1, 0)]
+                names = [node.module or "", *(f"{node.module or ''}.{name.name}".strip(".") for name in node.names)]
+            case _:
+                continue
+        for name in filter(None, names):
+            module = sys.modules.get(name) if folder == file.parent else None
+            if module is not None and _is_own(module) and (found := _file_of(module)):
+                yield found
+            beside = folder.joinpath(*name.split("."))
+            if not _is_library(beside):
+                yield from filter(Path.is_file, (beside.with_suffix(".py"), beside / "__init__.py"))
+
+
+def _counts(module: ModuleType) -> bool:
+    return module.__name__ != "__main__" and not _is_core(module)
+
+
+def _is_core(module: ModuleType) -> bool:
+    """Whether a module is armctl's, and not one of the plug-ins that come with it."""
+    return f"{module.__name__}.".startswith("armctl.") and not _is_plugin(module)
+
+
+def _is_plugin(module: ModuleType) -> bool:
+    packages = {f"{entry.module.rpartition('.')[0]}." for entry in installed(GROUP)}
+    return module.__name__.startswith(tuple(packages))
+
+
+def _is_own(module: ModuleType) -> bool:
+    """Whether a module is the user's or a plug-in's: neither of another installed package, nor Python's."""
+    file = _file_of(module)
+    if file is None or _is_core(module):
+        return False
+    return _is_plugin(module) or not _is_library(file)
+
+
+def _is_library(file: Path) -> bool:
+    return any(map(file.is_relative_to, _libraries()))
+
+
+@functools.cache
+def _libraries() -> tuple[Path, ...]:
+    places = (*site.getsitepackages(), site.getusersitepackages(), *sysconfig.get_paths().values())
+    return tuple(Path(place).resolve() for place in places)
+
+
+def _file_of(module: ModuleType) -> Path | None:
+    file = getattr(module, "__file__", None)
+    return Path(file).resolve() if file and Path(file).is_file() else None
+
+
+def _checksum_of_model(worlds: EpisodeVectorEnv) -> str | None:
+    if not isinstance(worlds, TaskVectorEnv):
+        return None
+    model = worlds.task.simulation.model
+    content = np.empty(mujoco.mj_sizeModel(model), dtype=np.uint8)
+    mujoco.mj_saveModel(model, None, content)
+    return short_checksum(content.tobytes())
+
+
+@functools.cache
+def _checksum_of_core() -> str:
+    """Checksum of armctl's own files that may take part in an episode."""
+    package = importlib.util.find_spec("armctl")
+    assert package is not None
+    files = {
+        file.relative_to(root): file
+        for root in package.submodule_search_locations or ()
+        for file in Path(root).rglob("*.py")
+    }
+    taking_part = [name for name in sorted(files) if name.parts[0] not in WITHOUT_EFFECT]
+    return short_checksum(b"".join(files[name].read_bytes() for name in taking_part))

@@ -1,0 +1,57 @@
+"""Reads the XML of robot files, URDF and SRDF, within limits: such a file may come from a stranger."""
+
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+from armctl.errors import ConfigurationError
+from armctl.files import bounded_bytes
+
+Element = ElementTree.Element
+
+MAX_BYTES = 5_000_000
+"""Size of a file; the largest of example-robot-data has 0.2 MB."""
+MAX_DEPTH = 32
+"""Elements within each other; URDF itself needs 5, and simulators add some of their own."""
+
+
+def read_xml(path: Path) -> Element:
+    """Root element of a URDF or SRDF file; raises `ConfigurationError` if it is neither, or beyond the limits."""
+    try:
+        content = bounded_bytes(path, MAX_BYTES)
+        root = ElementTree.fromstring(content, ElementTree.XMLParser(target=_Limited(path.name)))
+    except (ElementTree.ParseError, OSError, ValueError, LookupError) as error:
+        if isinstance(error, ConfigurationError):
+            raise
+        raise ConfigurationError(f"{path.name} cannot be read as XML: {error}") from error
+    if root.tag != "robot":
+        raise ConfigurationError(
+            f"{path.name} is not a URDF or SRDF: its root element is <{root.tag[:40]}>, not <robot>"
+        )
+    return root
+
+
+def impossible_pairs(srdf: Path) -> set[frozenset[str]]:
+    """Pairs of links that cannot touch, according to an SRDF."""
+    pairs = read_xml(srdf).iter("disable_collisions")
+    return {frozenset((pair.get("link1", ""), pair.get("link2", ""))) for pair in pairs}
+
+
+class _Limited(ElementTree.TreeBuilder):
+    """Refuses deep nesting, on which libraries overflow their stacks, and document types, which define entities."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__()
+        self._name, self._depth = name, 0
+
+    def doctype(self, *_: object) -> None:
+        raise ConfigurationError(f"{self._name} has a document type (<!DOCTYPE>), which armctl does not read")
+
+    def start(self, tag: str, attrs: dict[str, str]) -> Element:
+        self._depth += 1
+        if self._depth > MAX_DEPTH:
+            raise ConfigurationError(f"{self._name} has more than {MAX_DEPTH} elements within each other")
+        return super().start(tag, attrs)
+
+    def end(self, tag: str) -> Element:
+        self._depth -= 1
+        return super().end(tag)

@@ -1,0 +1,91 @@
+"""Videos that are written whole or not at all. ffmpeg writes them, and does not say when a disk is full."""
+
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import imageio
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.errors import ConfigurationError, ResultsError
+from armctl.files import write_atomically
+
+Film = Callable[[NDArray[np.uint8]], None]
+VIDEO_FORMATS = (".mp4", ".mkv", ".mov", ".avi")
+"""Containers that hold H.264, which every player knows."""
+
+
+@contextmanager
+def recording(video: Path, fps: int, written: Callable[[int], object]) -> Iterator[Film]:
+    """A function that appends frames to a video, which is there at the end, even if that is an interrupt or an error.
+
+    Calls `written` with their number then. Raises `ResultsError` if it cannot be written, and leaves an older video as
+    it was.
+    """
+    try:
+        scratch = tempfile.TemporaryDirectory(prefix="unfinished-", dir=video.parent)
+    except OSError as error:
+        raise ResultsError(f"the video {video} cannot be written: {error.strerror}") from error
+    frames, broken = 0, False
+    with scratch as folder:
+        unfinished = Path(folder) / video.name
+        # ffmpeg's own messages are pages long: what goes wrong is said in one line
+        writer = imageio.get_writer(unfinished, fps=fps, ffmpeg_log_level="quiet", macro_block_size=2)
+
+        def film(frame: NDArray[np.uint8]) -> None:
+            nonlocal frames, broken
+            frames += 1
+            try:
+                writer.append_data(frame)
+            except OSError as error:
+                broken = True
+                raise ResultsError(
+                    f"the video {video} cannot be written: ffmpeg gave up after {frames} frames"
+                ) from error
+
+        try:
+            yield film
+        finally:
+            writer.close()
+            if frames and not broken:
+                check_frames(unfinished, frames, video)
+                _publish(unfinished, video)
+                written(frames)
+
+
+def _publish(unfinished: Path, video: Path) -> None:
+    try:
+        write_atomically(video, unfinished.replace)
+    except OSError as error:
+        raise ResultsError(f"the video {video} cannot be written: {error.strerror}") from error
+
+
+def check_frames(path: Path, frames: int, name: object) -> None:
+    """Raise `ResultsError`, which calls the video by `name`, if it does not have so many frames."""
+    try:
+        with imageio.get_reader(path) as reader:
+            written = reader.count_frames()
+    except (OSError, RuntimeError, ValueError):  # whatever imageio raises of a video that breaks off
+        written = 0
+    if written != frames:
+        raise ResultsError(
+            f"the video {name} cannot be written: {written} of its {frames} frames arrived, as on a full disk"
+        )
+
+
+def check_video(video: Path) -> None:
+    """Raise `ConfigurationError` or `ResultsError` for a video that cannot be written, before anything is played."""
+    if video.suffix.lower() not in VIDEO_FORMATS:
+        raise ConfigurationError(f"a video's name ends in one of {', '.join(VIDEO_FORMATS)}; {str(video)!r} does not")
+    missing = not video.exists()
+    try:
+        video.parent.mkdir(parents=True, exist_ok=True)
+        video.open("ab").close()
+        if missing:
+            video.unlink()
+    except FileExistsError as error:
+        raise ResultsError(f"the video {video} cannot be written: {video.parent} is not a folder") from error
+    except OSError as error:
+        raise ResultsError(f"the video {video} cannot be written: {error.strerror}") from error

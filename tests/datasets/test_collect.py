@@ -1,0 +1,326 @@
+"""Nothing that a collection has finished is lost: by kill -9, Ctrl-C, a full disk or a failing policy."""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+
+from armctl.datasets import collect as collecting
+from armctl.datasets import minari as minari_files
+from armctl.datasets.collect import collect
+from armctl.datasets.minari import check_recordable, read_demonstrations
+from armctl.datasets.unfinished import Unfinished
+from armctl.envs import make_worlds
+from armctl.errors import ConfigurationError, ResultsError
+from armctl.evaluation import PolicyFailed
+from armctl.files import one_writer
+
+ARMCTL = str(Path(sys.executable).parent / "armctl")
+SHORT = {"max_episode_steps": 12}
+EPISODES = 150
+COMMAND = ["collect", "random", "--episodes", str(EPISODES), "--worlds", "7", "--set", "max_episode_steps=12"]
+LIMITED = """
+import resource, signal, sys
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv.pop(1)),) * 2)
+from armctl.cli import main
+main()
+"""
+
+
+def worlds():
+    return make_worlds("armctl/ArmReach-v0", 1)
+
+
+def files(out):
+    return {file.name: file.read_bytes() for file in (out / "data").iterdir()}
+
+
+def same_dataset(out, other):
+    """Whether two datasets hold the same; their names may differ."""
+    ours, theirs = files(out), files(other)
+    about, about_other = json.loads(ours.pop("metadata.json")), json.loads(theirs.pop("metadata.json"))
+    for one in (about, about_other):
+        del one["dataset_id"], one["checksum"]
+    return ours == theirs and about == about_other and not (out / "unfinished").exists()
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(tmp_path_factory):
+    out = tmp_path_factory.mktemp("whole") / "random-v0"
+    subprocess.run([ARMCTL, *COMMAND, "--out", out], check=True, capture_output=True)
+    return out
+
+
+def begin(out):
+    return subprocess.Popen([ARMCTL, *COMMAND, "--out", out], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def wait_for_episodes(process, out, count):
+    while process.poll() is None and len(list((out / "unfinished").glob("episode_*.npz"))) < count:
+        time.sleep(0.005)
+
+
+def kill_until_finished(out, kills, rng):
+    """Run a collection, and kill it at random moments; the last run may finish."""
+    for _ in range(kills):
+        process = begin(out)
+        before = len(list((out / "unfinished").glob("episode_*.npz")))
+        wait_for_episodes(process, out, rng.randrange(before, EPISODES + 2))
+        time.sleep(rng.uniform(0, 0.2))
+        finished = len(list((out / "unfinished").glob("episode_*.npz")))
+        process.send_signal(signal.SIGKILL)
+        process.communicate()
+        if finished:  # nothing of it is lost, unless it has become the dataset
+            kept = len(list((out / "unfinished").glob("episode_*.npz")))
+            assert kept >= finished or (out / "data/metadata.json").exists()
+    process = begin(out)
+    output, errors = process.communicate()
+    assert process.returncode == 0, errors
+    return output
+
+
+@pytest.mark.parametrize("seed", [0])
+def test_a_killed_collection_resumes_to_the_same_dataset(uninterrupted, seed, tmp_path):
+    output = kill_until_finished(tmp_path / "killed-v0", 2, random.Random(seed))
+    assert "were there already" in output
+    assert same_dataset(tmp_path / "killed-v0", uninterrupted)
+    assert len(read_demonstrations(tmp_path / "killed-v0", worlds())) == EPISODES
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in range(2, 6))])
+def test_a_collection_that_is_killed_again_and_again_resumes_to_the_same_dataset(uninterrupted, seed, tmp_path):
+    kill_until_finished(tmp_path / "killed-v0", 5, random.Random(seed))
+    assert same_dataset(tmp_path / "killed-v0", uninterrupted)
+
+
+def test_ctrl_c_leaves_a_dataset_of_the_finished_episodes_and_the_same_command_resumes(uninterrupted, tmp_path):
+    out = tmp_path / "here-v0"
+    process = begin(out)
+    wait_for_episodes(process, out, 40)
+    process.send_signal(signal.SIGINT)
+    output, errors = process.communicate()
+    assert process.returncode == 130, errors
+    assert "The same command resumes" in output
+    read = read_demonstrations(out, worlds())
+    assert 40 <= len(read) < EPISODES
+    assert f"{len(read)} episodes of random" in output
+    again = subprocess.run([ARMCTL, *COMMAND, "--out", out], check=True, capture_output=True, text=True)
+    assert f"{len(read)} of {EPISODES} episodes were there already" in again.stdout
+    assert same_dataset(out, uninterrupted)
+
+
+@pytest.mark.parametrize("limit", [2_000, 100_000], ids=["an episode does not fit", "the dataset does not fit"])
+def test_a_full_disk_is_told_in_a_line_and_the_same_command_resumes(uninterrupted, limit, tmp_path):
+    """A limit on the size of files stands for the disk: what crosses it fails as on a full one."""
+    out = tmp_path / "full-v0"
+    command = [sys.executable, "-c", LIMITED, str(limit), *COMMAND, "--out", out]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.startswith("armctl: ")
+    assert len(done.stderr.splitlines()) == 1, done.stderr
+    assert "written" in done.stderr
+    assert not (out / "data").exists()
+    kept = len(list((out / "unfinished").glob("episode_*.npz"))) if out.exists() else 0
+    assert kept == (0 if limit == 2_000 else EPISODES)
+    assert ("the same command resumes" in done.stderr) == bool(kept)
+    again = subprocess.run([ARMCTL, *COMMAND, "--out", out], check=True, capture_output=True, text=True)
+    assert same_dataset(out, uninterrupted)
+    assert ("were there already" in again.stdout) == bool(kept)
+
+
+@pytest.fixture
+def interrupted(tmp_path):
+    """A collection of 9 episodes with 5 finished; the folder."""
+
+    def progress(finished):
+        if finished == 5:
+            raise KeyboardInterrupt
+
+    collection = collect("random", episodes=9, out=tmp_path / "d", env_options=SHORT, progress=progress)
+    assert (collection.episodes, collection.interrupted) == (5, True)
+    return tmp_path / "d"
+
+
+def test_a_resumed_collection_plays_only_what_is_missing(interrupted, tmp_path):
+    seen = []
+    collection = collect("random", episodes=9, out=interrupted, env_options=SHORT, progress=seen.append)
+    assert (collection.resumed, collection.episodes, seen) == (5, 9, [5, 6, 7, 8, 9])
+    whole = collect("random", episodes=9, out=tmp_path / "whole", worlds=3, env_options=SHORT)
+    assert same_dataset(interrupted, tmp_path / "whole")
+    assert (collection.steps, collection.successes) == (whole.steps, whole.successes)
+
+
+def test_a_finished_collection_is_left_as_it_is(interrupted):
+    collect("random", episodes=9, out=interrupted, env_options=SHORT)
+    before = files(interrupted)
+    again = collect("random", episodes=9, out=interrupted, env_options=SHORT)
+    assert (again.resumed, again.episodes) == (9, 9)
+    assert files(interrupted) == before
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"policy": "reach_ik"}, "random"),
+        ({"seed": 1}, "seed: 0 there, 1 here"),
+        ({"env_options": SHORT | {"tolerance": 0.1}}, "tolerance"),
+        ({"env_options": {"max_episode_steps": 13}}, "max_episode_steps 12 there, 13 here"),
+        ({"env": "armctl/ArmReachMoving-v0"}, "ArmReachMoving"),
+        ({"episodes": 4}, "episode 4, beyond the 4"),
+    ],
+)
+@pytest.mark.parametrize("finished", [False, True])
+def test_collections_do_not_mix(interrupted, change, says, finished):
+    same = {"policy": "random", "episodes": 9, "out": interrupted, "env_options": SHORT}
+    if finished:
+        collect(**same)
+        says = says if "episodes" not in change else "of 9 episodes, not 4"
+    before = files(interrupted)
+    with pytest.raises(ResultsError, match=rf"already holds.*{says}.*--overwrite"):
+        collect(**same | change)
+    assert files(interrupted) == before
+    replaced = collect(**same | change, overwrite=True)
+    assert replaced.resumed == 0
+    assert replaced.episodes == change.get("episodes", 9)
+
+
+def test_versions_are_part_of_what_a_collection_is(interrupted, monkeypatch):
+    real = collecting.identity
+    monkeypatch.setattr(collecting, "identity", lambda *given: real(*given) | {"versions": {"mujoco": "0.1"}})
+    with pytest.raises(ResultsError, match=r"already holds.*mujoco"):
+        collect("random", episodes=9, out=interrupted, env_options=SHORT)
+
+
+def test_an_episode_that_is_damaged_is_played_again(interrupted, tmp_path):
+    one, other = interrupted / "unfinished/episode_1.npz", interrupted / "unfinished/episode_2.npz"
+    content = bytearray(one.read_bytes())
+    content[len(content) // 2] ^= 1
+    one.write_bytes(content)
+    other.write_bytes(b"")
+    assert collect("random", episodes=9, out=interrupted, env_options=SHORT).resumed == 3
+    collect("random", episodes=9, out=tmp_path / "whole", env_options=SHORT)
+    assert same_dataset(interrupted, tmp_path / "whole")
+
+
+@pytest.mark.parametrize("name", ["unfinished/identity.json", "data/metadata.json"])
+def test_damage_to_what_identifies_a_collection_is_told(interrupted, name):
+    if name.startswith("data"):
+        collect("random", episodes=9, out=interrupted, env_options=SHORT)
+    text = (interrupted / name).read_text()
+    for changed in (text.replace('"seed": 0', '"seed": 1'), text[:100], "[]", ""):
+        (interrupted / name).write_text(changed)
+        with pytest.raises(ResultsError, match="damaged"):
+            collect("random", episodes=9, out=interrupted, env_options=SHORT)
+
+
+def test_a_policy_that_fails_leaves_what_was_finished_and_resumes(tmp_path):
+    def failing(env):
+        policy = random_policy(env)
+        plain, calls = policy.act, iter(range(30))
+
+        def act(observations):
+            if next(calls, None) is None and (tmp_path / "tired").exists():
+                raise ZeroDivisionError("tired")
+            return plain(observations)
+
+        policy.act = act
+        return policy
+
+    (tmp_path / "tired").touch()
+    given = {"episodes": 4, "out": tmp_path / "d", "env_options": SHORT}
+    with pytest.raises(PolicyFailed, match="tired"):
+        collect(failing, **given)
+    assert len(read_demonstrations(tmp_path / "d", worlds())) == 2
+    (tmp_path / "tired").unlink()
+    assert collect(failing, **given).resumed == 2
+    assert len(read_demonstrations(tmp_path / "d", worlds())) == 4
+
+
+def random_policy(env):
+    from armctl.policies import make_policy
+
+    return make_policy("random", env)
+
+
+def test_one_process_writes_at_a_time(interrupted):
+    with one_writer(interrupted), pytest.raises(ResultsError, match="another process"):
+        collect("random", episodes=9, out=interrupted, env_options=SHORT)
+
+
+@pytest.mark.parametrize("name", ["data", "unfinished"])
+def test_nothing_is_written_through_a_symbolic_link(tmp_path, name):
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere/precious").touch()
+    (tmp_path / "d").mkdir()
+    (tmp_path / "d" / name).symlink_to(tmp_path / "elsewhere")
+    for overwrite in (False, True):
+        with pytest.raises(ResultsError, match="symbolic link"):
+            collect("random", episodes=1, out=tmp_path / "d", overwrite=overwrite)
+    assert os.listdir(tmp_path / "elsewhere") == ["precious"]
+
+
+def test_other_files_in_the_folder_stay(tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    collect("random", episodes=1, out=tmp_path, env_options=SHORT)
+    collect("random", episodes=1, out=tmp_path, seed=1, env_options=SHORT, overwrite=True)
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    "space",
+    [
+        gymnasium.spaces.Text(5),
+        gymnasium.spaces.Tuple([gymnasium.spaces.Discrete(2)]),
+        gymnasium.spaces.Dict(deep=gymnasium.spaces.Dict(deeper=gymnasium.spaces.Discrete(2))),
+    ],
+)
+def test_what_no_array_holds_is_not_recorded(space):
+    env = worlds()
+    env.single_observation_space = space
+    with pytest.raises(ConfigurationError, match="arrays of numbers"):
+        check_recordable(env)
+
+
+def test_numbers_are_kept_to_the_last_bit(interrupted):
+    env = worlds()
+    before = read_demonstrations(interrupted, env)
+    collect("random", episodes=9, out=interrupted, env_options=SHORT)
+    for first, again in zip(before, read_demonstrations(interrupted, env)[:5], strict=True):
+        np.testing.assert_array_equal(first.observations, again.observations)
+        np.testing.assert_array_equal(first.actions, again.actions)
+        assert first.actions.dtype == again.actions.dtype
+
+
+class Killed(BaseException):
+    """The end of the process, as far as one process can tell."""
+
+
+@pytest.mark.parametrize("step", ["write_dataset", "sealed", "rename", "remove"])
+@pytest.mark.parametrize("after", [False, True])
+def test_an_end_while_the_dataset_is_assembled_loses_nothing(interrupted, tmp_path, monkeypatch, step, after):
+    place = {"write_dataset": collecting, "sealed": minari_files, "rename": Path, "remove": Unfinished}[step]
+    real = getattr(place, step)
+
+    def killed(*given):
+        if after:
+            real(*given)
+        raise Killed
+
+    monkeypatch.setattr(place, step, killed)
+    with pytest.raises(Killed):
+        collect("random", episodes=9, out=interrupted, env_options=SHORT)
+    monkeypatch.undo()
+    assert len(list((interrupted / "unfinished").glob("episode_*.npz"))) == 9 or step == "remove"
+    assert collect("random", episodes=9, out=interrupted, env_options=SHORT).resumed == 9
+    collect("random", episodes=9, out=tmp_path / "whole", env_options=SHORT)
+    assert same_dataset(interrupted, tmp_path / "whole")

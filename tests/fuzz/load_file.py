@@ -1,0 +1,44 @@
+"""Reads results, agents, recipes and curves in a process of its own, with bounded memory: see `test_files.py`."""
+
+import resource
+
+from child import serve
+
+from armctl.agents import load_agent
+from armctl.envs import make_worlds
+from armctl.evaluation import compare
+from armctl.evaluation.curves import read_curve, read_sweep
+from armctl.evaluation.reproduce import reproduce
+from armctl.evaluation.results import read_results
+from armctl.learners import load_recipe
+from armctl.report import write_report
+
+MEMORY = 8 * 2**30
+"""Bytes of addresses."""
+OPTIONS = {"max_episode_steps": 2}
+WORLDS = make_worlds("armctl/ArmReach-v0", 1)
+
+
+def check(path):
+    """Do with a file or folder what its parent folder is named after."""
+    match path.parent.name:
+        case "read":
+            read_sweep(path) if (path / "sweep.csv").exists() else read_results(path)
+        case "report":
+            write_report(path, path / "report.html", video=False)
+        case "resume":
+            compare(["random", "reach_ppo"], episodes=3, out=path, env_options=OPTIONS)
+        case "agent":
+            load_agent(path / "agent.json", WORLDS)
+        case "reproduce":
+            reproduce(path / "agent.json")
+        case "recipe":
+            load_recipe(path / "recipe.toml")
+        case "curve":
+            read_curve(path / "curve.csv")
+    return ""
+
+
+if __name__ == "__main__":
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    serve(check)

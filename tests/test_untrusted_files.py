@@ -1,0 +1,206 @@
+"""Files from strangers, whose code would leave a mark: it is never run."""
+
+import json
+import os
+import shutil
+from dataclasses import replace
+
+import pytest
+
+from armctl.errors import ConfigurationError
+from armctl.evaluation import compare
+from armctl.evaluation.reproduce import card_path, reproduce
+from armctl.evaluation.store import EpisodeLog, read_episodes
+from armctl.files import unsealed
+from armctl.learners import load_recipe
+from armctl.registration import check_named
+
+from .command_line import program
+from .forgery import forge
+
+EVIL = "from pathlib import Path\nPath(__file__ + '.ran').touch()\n"
+OPTIONS = {"max_episode_steps": 5}
+
+
+@pytest.fixture
+def home(tmp_path):
+    """A folder with hostile modules, some of which have the names of libraries that are often looked for."""
+    for name in ("evil", "orjson", "ujson", "kaleido", "IPython", "ompl_extra", "sitecustomize", "tomli", "lxml"):
+        (tmp_path / f"{name}.py").write_text(EVIL)
+    (tmp_path / "results").mkdir()
+    (tmp_path / "results" / "__init__.py").touch()
+    (tmp_path / "results" / "evil.py").write_text(EVIL)
+    return tmp_path
+
+
+def marks(home):
+    return [path.name for path in home.rglob("*.ran")]
+
+
+@pytest.fixture
+def results(home):
+    compare(["random", "reach_ik"], episodes=2, out=home / "results", env_options=OPTIONS)
+    return home / "results"
+
+
+@pytest.mark.parametrize(
+    ("there", "hostile"),
+    [
+        ("armctl/ArmReach-v0", "evil:armctl/ArmReach-v0"),
+        ("armctl/ArmReach-v0", "evil.py:armctl/ArmReach-v0"),
+        ("armctl/ArmReach-v0", "results.evil:armctl/x.json"),
+        ("armctl/ArmReach-v0", "results/evil.py:Maze"),
+        ("random", "evil:make"),
+        ("random", "evil.py:make"),
+        ("random", "results.evil:make"),
+        ("random", "evil:armctl/x.json"),
+    ],
+)
+def test_a_results_folder_runs_no_code(home, results, there, hostile):
+    forge(results, there, hostile)
+    done = program("report", "results", cwd=home)
+    assert marks(home) == []
+    assert (results / "report.html").exists(), done.stderr
+
+
+@pytest.fixture
+def agent(home):
+    card = card_path("reach_ppo")
+    for suffix in (".json", ".onnx"):
+        shutil.copy(card.with_suffix(suffix), home / f"agent{suffix}")
+    return home / "agent.json"
+
+
+RUNS = """
+from subprocess import run
+from gymnasium.envs.classic_control import PendulumEnv
+
+class Maze(PendulumEnv):
+    pass
+"""
+
+
+def test_to_name_one_thing_of_a_module_is_not_to_name_another(home, results):
+    (home / "mine.py").write_text(RUNS)
+    own, summary = (unsealed((results / name).read_text()) for name in ("comparison.json", "summary.json"))
+    own["env"] = summary["env"] = "mine.py:run"
+    own["env_options"] = summary["env_options"] = {"args": "touch evil.ran", "shell": "True"}
+    episodes = [
+        replace(one, env="run") for one in read_episodes(results, unsealed((results / "comparison.json").read_text()))
+    ]
+    with EpisodeLog(results, own, 9, overwrite=True) as log:
+        log.finish(episodes, summary)
+    program("report", "results", "--env", "mine.py:Maze", cwd=home)
+    assert marks(home) == []
+    assert "--env mine.py:run" in (results / "report.html").read_text()
+
+
+def test_a_text_for_an_environment_of_others_may_be_a_path(home, agent):
+    """As in `xml_file` of Gymnasium's own: the parser of MuJoCo would open it."""
+    card = json.loads(agent.read_text()) | {"env": "Ant-v5", "env_options": {"xml_file": str(home / "pipe.xml")}}
+    os.mkfifo(home / "pipe.xml")
+    agent.write_text(json.dumps(card))
+    with pytest.raises(ConfigurationError, match="--env Ant-v5"):
+        reproduce(agent)
+
+
+def test_a_report_says_how_to_run_code_that_one_trusts(home, results):
+    (home / "mine.py").write_text("def still(observation):\n    return observation[3:9]\n")
+    program("compare", "mine.py:still", "--episodes", "2", "--out", "own", "--set", "max_episode_steps=5", cwd=home)
+    program("report", "own", cwd=home)
+    page = (home / "own" / "report.html").read_text()
+    assert "name it yourself, --policy mine.py:still" in page
+    program("report", "own", "--policy", "mine.py:still", cwd=home)
+    page = (home / "own" / "report.html").read_text()
+    assert "name it yourself" not in page
+    assert "data:video/mp4" in page
+
+
+def test_a_folder_in_which_one_works_runs_no_code(home, results):
+    """`import orjson` inside a library finds no file of the working directory."""
+    program("report", ".", cwd=results.parent, check=False)
+    for name in ("orjson", "kaleido"):
+        (results / f"{name}.py").write_text(EVIL)
+    program("report", ".", cwd=results)
+    program("list", cwd=results)
+    program("compare", "random", "--episodes", "1", "--out", "more", "--report", cwd=results)
+    assert marks(home) == []
+
+
+@pytest.mark.parametrize("env", ["evil:armctl/ArmReach-v0", "evil.py:ArmReach-v0", "results.evil:x"])
+def test_a_card_runs_no_code(home, agent, env):
+    agent.write_text(json.dumps(json.loads(agent.read_text()) | {"env": env}))
+    done = program("reproduce", "agent.json", cwd=home, check=False)
+    assert done.returncode == 2
+    assert f"--env {env}" in done.stderr
+    assert marks(home) == []
+    program("compare", "agent.json", "--episodes", "1", "--out", "own", cwd=home)
+    assert marks(home) == []
+
+
+def test_an_environment_that_is_not_the_cards(agent):
+    with pytest.raises(ConfigurationError, match="of an agent for armctl/ArmReach-v0"):
+        reproduce(agent, env="armctl/BridgeCross-v0")
+
+
+def recipe_text(**changes):
+    values = {"learner": "ppo", "env": "armctl/ArmReach-v0"} | changes
+    return "".join(f"{name} = {json.dumps(value)}\n" for name, value in values.items())
+
+
+@pytest.mark.parametrize(
+    ("changes", "option"),
+    [
+        ({"env": "evil:armctl/ArmReach-v0"}, "--env evil:armctl/ArmReach-v0"),
+        ({"env": "evil.py:Maze"}, "--env evil.py:Maze"),
+        ({"learner": "dagger", "teacher": "evil:make"}, "--teacher evil:make"),
+        ({"learner": "bc", "teacher": "results/evil.py:make"}, "--teacher results/evil.py:make"),
+    ],
+)
+def test_a_recipe_runs_no_code(home, changes, option):
+    (home / "recipe.toml").write_text(recipe_text(**changes))
+    done = program("train", "recipe.toml", cwd=home, check=False)
+    assert done.returncode == 2
+    assert option in done.stderr
+    assert marks(home) == []
+    assert not (home / "runs").exists()
+
+
+@pytest.mark.parametrize("name", ["../../escaped", "/tmp/escaped", "a/b", "", "..", "x" * 300, "a\nb", "\x1b[2J"])
+def test_the_name_of_a_recipe_leads_nowhere(home, name):
+    (home / "recipe.toml").write_text(recipe_text(name=name))
+    with pytest.raises(ConfigurationError, match="cannot be the name of a recipe"):
+        load_recipe(home / "recipe.toml")
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("a = " + "[" * 100_000, "nested too deeply|not TOML"),
+        ("a = " + "{x=" * 100_000, "nested too deeply|not TOML"),
+        ("x" * 70_000_000, "bytes, more than"),
+    ],
+)
+def test_a_recipe_that_is_too_much(home, text, says):
+    (home / "recipe.toml").write_text(text)
+    with pytest.raises(ConfigurationError, match=says):
+        load_recipe(home / "recipe.toml")
+
+
+def test_a_pipe_as_a_recipe_does_not_hang(home):
+    os.mkfifo(home / "recipe.toml")
+    with pytest.raises(ConfigurationError, match="not a regular file"):
+        load_recipe(home / "recipe.toml")
+
+
+def test_only_what_was_named_here_is_named():
+    check_named("armctl/ArmReach-v0", "a file", "--env")
+    with pytest.raises(ConfigurationError, match="a file names the code colorsys:rgb_to_hsv"):
+        check_named("colorsys:rgb_to_hsv", "a file", "--env")
+
+
+@pytest.mark.parametrize("name", ["numpy", "queue", "cloudpickle", "threadpoolctl", "orjson"])
+def test_workers_import_nothing_from_where_they_run(tmp_path, name):
+    (tmp_path / f"{name}.py").write_text(EVIL)
+    program("compare", "random", "--episodes", "2", "--workers", "2", "--out", "out", cwd=tmp_path)
+    assert marks(tmp_path) == []
