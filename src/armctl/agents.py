@@ -33,7 +33,7 @@ class Evaluation(BaseModel):
     seed: int
     success_rate: float
     success_interval: tuple[float, float]
-    """95 % Wilson interval."""
+    """Exact 95 % interval of Clopper and Pearson."""
     mean_return: float
     mean_steps_to_goal: float | None
 

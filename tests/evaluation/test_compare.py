@@ -281,7 +281,7 @@ def test_tables_fit_a_narrow_terminal():
 def test_verdict_names_the_better():
     comparison = compare(["random", "reach_ik"], episodes=12)
     sentence = verdict(comparison.policies, comparison.paired)
-    assert sentence.startswith("reach_ik wins more episodes than random")
+    assert sentence.startswith("reach_ik is better than random: success +100.0 points [")
 
 
 def text_of(comparison):

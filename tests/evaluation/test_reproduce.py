@@ -1,6 +1,7 @@
 import json
 import shutil
 
+import numpy as np
 import pytest
 from scipy.stats import binomtest
 from typer.testing import CliRunner
@@ -8,7 +9,7 @@ from typer.testing import CliRunner
 from armctl.agents import read_card
 from armctl.cli import app
 from armctl.errors import AgentFileError, ConfigurationError
-from armctl.evaluation.reproduce import card_path, reproduce
+from armctl.evaluation.reproduce import Reproduction, card_path, reproduce
 
 
 @pytest.fixture
@@ -68,3 +69,17 @@ def test_every_shipped_agent_does_about_what_its_card_says(card, tmp_path, sized
     found = reproduce(tmp_path / "agent.json").found
     claimed = read_card(card).evaluation
     assert binomtest(round(n * found.success_rate), n, claimed.success_rate).pvalue > 1e-3
+
+
+@pytest.mark.parametrize("rate", [0.5, 0.9, 0.99])
+def test_honest_agents_are_rarely_called_dishonest(rate):
+    rng = np.random.default_rng(0)
+    card = read_card(card_path("reach_ppo"))
+    claimed, found = rng.binomial(200, rate, size=(2, 500)) / 200
+
+    def said(success_rate):
+        return card.evaluation.model_copy(update={"episodes": 200, "success_rate": success_rate})
+
+    refused = [not Reproduction(card, said(a), said(b)).agrees for a, b in zip(claimed, found, strict=True)]
+    assert np.mean(refused) <= 0.05
+    assert not Reproduction(card, said(0.95), said(0.8)).agrees

@@ -7,28 +7,72 @@ from hypothesis import strategies as st
 
 from armctl.evaluation.statistics import (
     Estimate,
-    interquartile_mean,
+    bounded_mean,
     mean,
-    mean_over_trainings,
     median,
-    paired_difference,
     paired_superiority,
     performance_profile,
     performance_ratios,
     success_rate,
     superiority,
+    worst_decile,
 )
 
 
 @pytest.mark.parametrize(
     ("wins", "episodes", "low", "high"),
-    # Newcombe (1998), "Two-sided confidence intervals for the single proportion", table I, method 3.
-    [(81, 263, 0.2553, 0.3662), (15, 148, 0.0624, 0.1605), (0, 20, 0.0, 0.1611), (1, 29, 0.0061, 0.1718)],
+    # Newcombe (1998), "Two-sided confidence intervals for the single proportion", table I, method 5.
+    [(81, 263, 0.2527, 0.3676), (15, 148, 0.0578, 0.1617), (0, 20, 0.0, 0.1684), (1, 29, 0.0009, 0.1776)],
 )
-def test_wilson_interval_against_newcombe(wins, episodes, low, high):
+def test_exact_interval_against_newcombe(wins, episodes, low, high):
     estimate = success_rate(np.arange(episodes) < wins)
     assert estimate.value == pytest.approx(wins / episodes)
     assert (estimate.low, estimate.high) == pytest.approx((low, high), abs=5e-5)
+
+
+@pytest.mark.parametrize(("wins", "episodes"), [(0, 20), (1, 29), (199, 200), (50, 100), (1000, 1000)])
+def test_bounded_mean_of_wins_and_losses_is_the_exact_interval(wins, episodes):
+    won = np.arange(episodes) < wins
+    found, exact = bounded_mean(won * 1.0, (0.0, 1.0)), success_rate(won)
+    assert (found.value, found.low, found.high) == pytest.approx((exact.value, exact.low, exact.high), abs=0.006)
+
+
+def test_bounded_mean_of_many_values_is_students():
+    values = np.random.default_rng(0).normal(3, 2, 2000)
+    found, students = bounded_mean(values, (-8.0, 14.0)), mean(values)
+    assert (found.low, found.high) == pytest.approx((students.low, students.high), abs=0.02)
+
+
+def test_bounded_mean_knows_of_disasters_that_were_not_seen():
+    returns = np.full(200, 88.0)
+    found = bounded_mean(returns, (-100.0, 99.0))
+    assert found.value == 88
+    assert found.low == pytest.approx(88 - 188 * (1 - 0.025 ** (1 / 200)), abs=0.3)  # of 3.7 in 200
+    assert mean(returns).low == 88  # Student's does not
+
+
+@given(
+    st.lists(st.floats(-100, 100), min_size=1, max_size=50),
+    st.floats(-1000, -100),
+    st.floats(100, 1000),
+)
+@settings(deadline=None, max_examples=50)
+def test_bounded_mean_lies_within_its_bounds(values, lowest, highest):
+    values = np.array(values)
+    found = bounded_mean(values, (lowest, highest))
+    assert found.value == pytest.approx(values.mean(), abs=1e-9)
+    assert lowest <= found.low <= found.value <= found.high <= highest
+    worst = worst_decile(values, (lowest, highest))
+    assert lowest - 1e-9 <= worst.low <= worst.value <= worst.high <= highest + 1e-9
+    assert worst.value <= found.value + 1e-9
+    assert bounded_mean(np.flip(values), (lowest, highest)) == found
+
+
+def test_worst_decile_is_the_conditional_value_at_risk():
+    values = np.array([-100.0, -50.0, *[88.0] * 18])
+    assert worst_decile(values, (-100.0, 100.0)).value == pytest.approx(-75)
+    assert worst_decile(np.array([-100.0, *[88.0] * 19]), (-100.0, 100.0)).value == pytest.approx(-6)
+    assert worst_decile(np.array([]), (-100.0, 100.0)) is None
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=200))
@@ -63,64 +107,12 @@ def test_few_values_say_nothing_of_their_precision(values):
     assert (estimate.value, estimate.low, estimate.high) == (4, None, None)
 
 
-def test_mcnemar_is_exact_and_counts_pairs():
-    a = np.array([True] * 8 + [False] * 2 + [True] * 5 + [False] * 3)
-    b = np.array([False] * 8 + [True] * 2 + [True] * 5 + [False] * 3)
-    zeros = np.zeros(18)
-    pair = paired_difference("a", "b", (a, b), (zeros + 2, zeros), (zeros + 7, zeros + 4))
-    assert (pair.both, pair.only_a, pair.only_b, pair.neither) == (5, 8, 2, 3)
-    assert pair.mcnemar_p == pytest.approx(2 * (1 + 10 + 45) / 2**10)
-    assert pair.return_difference.value == 2
-    assert pair.steps_difference.value == 3
-
-
-def test_equal_policies_do_not_differ():
-    won = np.array([True, False, True])
-    pair = paired_difference("a", "b", (won, won), (won * 1.0, won * 1.0), (won * 1.0, won * 1.0))
-    assert pair.mcnemar_p == 1
-    assert pair.return_difference.value == 0
-
-
 def test_median_has_the_coverage_it_claims():
     rng = np.random.default_rng(0)
     estimates = [median(rng.exponential(size=60)) for _ in range(400)]
     assert 0.93 <= np.mean([one.low <= np.log(2) <= one.high for one in estimates]) <= 0.99
     assert median(np.empty(0)) is None
     assert median(np.arange(5.0)) == Estimate(2.0, None, None)
-
-
-def test_mcnemar_against_agresti():
-    # Agresti, "Categorical data analysis", section 10.1: approval of the prime minister, 150 and 86 changed their
-    # minds, z = -4.17. Exact: the binomial tail, added up here in whole numbers.
-    a = np.repeat([True, True, False, False], [794, 150, 86, 570])
-    b = np.repeat([True, False, True, False], [794, 150, 86, 570])
-    pair = paired_difference("a", "b", (a, b), (a * 1.0, b * 1.0), (a * 1.0, b * 1.0))
-    exact = 2 * sum(math.comb(236, k) for k in range(87)) / 2**236
-    assert (pair.only_a, pair.only_b) == (150, 86)
-    assert pair.mcnemar_p == pytest.approx(exact)
-    assert pair.mcnemar_p == pytest.approx(math.erfc(4.17 / math.sqrt(2)), rel=0.25)
-
-
-def test_interquartile_mean_is_the_mean_of_the_middle_half():
-    # rliable: scipy.stats.trim_mean(scores, 0.25) over all runs; of 10, floor(2.5) are cut at either end.
-    assert interquartile_mean([np.array([-900.0, 1, 2, 3, 4, 5, 6, 900])]).value == (2 + 3 + 4 + 5) / 4
-    assert interquartile_mean([np.arange(5.0), np.arange(5.0) + 5]).value == (2 + 3 + 4 + 5 + 6 + 7) / 6
-    assert interquartile_mean([np.arange(4.0)]).low is None
-    assert interquartile_mean([np.array([])]) is None
-
-
-def test_interquartile_mean_is_resampled_within_each_training():
-    # Within a stratum all are alike, so that no resampling of episodes moves the mean: nothing is known.
-    apart = interquartile_mean([np.zeros(10), np.ones(10)])
-    assert (apart.value, apart.low, apart.high) == (0.5, None, None)
-    together = interquartile_mean([np.repeat([0.0, 1.0], 10)])
-    assert together.low < 0.5 < together.high
-
-
-def test_interquartile_mean_covers_the_truth_as_often_as_it_says():
-    rng = np.random.default_rng(0)
-    estimates = [interquartile_mean([rng.normal(3, 2, 40)]) for _ in range(100)]
-    assert 0.86 <= np.mean([one.low <= 3 <= one.high for one in estimates]) <= 1
 
 
 def test_mann_whitney_against_conover():
@@ -179,34 +171,3 @@ def test_performance_ratios_of_dolan_and_more():
     solved = performance_profile(-ratios["a"], np.array([-1e9, -1.2]))  # in the end, and at most 1.2 times the best
     assert [point.value for point in solved] == pytest.approx([2 / 3, 1 / 3])
     assert np.isinf(performance_ratios({"a": np.array([np.inf]), "b": np.array([np.inf])})["a"]).all()
-
-
-LOOMS = [[98, 97, 99, 96], [91, 90, 93, 92], [96, 95, 97, 95], [95, 96, 99, 98]]
-
-
-def test_trainings_against_montgomery():
-    # Montgomery, "Design and analysis of experiments", 8th ed. (2012), example 3.11: strength of fabric by loom;
-    # variance components 1.90 and 6.96, 95 % interval of the mean 95.44 +- 4.34.
-    found = mean_over_trainings([np.array(loom, dtype=float) for loom in LOOMS])
-    assert found.within**2 == pytest.approx(1.90, abs=0.005)
-    assert found.between**2 == pytest.approx(6.96, abs=0.005)
-    assert (found.mean.value, found.mean.low, found.mean.high) == pytest.approx((95.44, 91.10, 99.78), abs=0.005)
-    assert found.trainings == 4
-
-
-def test_one_training_says_nothing_of_others():
-    found = mean_over_trainings([np.arange(1000.0)])
-    assert (found.mean.value, found.mean.low, found.mean.high, found.between) == (499.5, None, None, None)
-    assert found.within == pytest.approx(np.std(np.arange(1000), ddof=1))
-
-
-def test_many_episodes_do_not_make_up_for_few_trainings():
-    rng = np.random.default_rng(0)
-    held, pooled = 0, 0
-    for _ in range(300):
-        scores = [rng.normal(rng.normal(0, 1), 1, 200) for _ in range(4)]
-        two_level, flat = mean_over_trainings(scores).mean, mean(np.concatenate(scores))
-        held += two_level.low <= 0 <= two_level.high
-        pooled += flat.low <= 0 <= flat.high
-    assert held / 300 == pytest.approx(0.95, abs=0.04)
-    assert pooled / 300 < 0.3

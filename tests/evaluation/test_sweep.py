@@ -10,8 +10,8 @@ import armctl
 from armctl.errors import ConfigurationError, ResultsError
 from armctl.evaluation import compare
 from armctl.evaluation.degradation import degradations
+from armctl.evaluation.paired import mcnemar
 from armctl.evaluation.record import TIME_COLUMNS
-from armctl.evaluation.statistics import mcnemar
 from armctl.evaluation.sweep import COLUMNS, sweep, sweep_levels
 from armctl.report import write_report
 from armctl.report.terminal import tables

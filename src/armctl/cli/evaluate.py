@@ -1,4 +1,4 @@
-"""Verbs that compare: `compare`, `report`, `sweep`, `reproduce`."""
+"""Verbs that compare: `compare`, `plan`, `report`, `sweep`, `reproduce`."""
 
 import sys
 from collections.abc import Mapping, Sequence
@@ -47,6 +47,17 @@ def compare(
     workers: Workers = 1,
     env_options: EnvOptions = None,
     success_return: SuccessReturn = None,
+    baseline: Annotated[
+        str | None,
+        typer.Option(
+            metavar="POLICY",
+            help="Hold all other policies against this one.",
+            show_default="the best classical against the best learned policy",
+        ),
+    ] = None,
+    margin: Annotated[
+        float, typer.Option(metavar="POINTS", help="Success that differs by less, in percent, counts as equivalent.")
+    ] = 2.0,
     report: Annotated[bool, typer.Option("--report", help="Also write report.html, with figures and videos.")] = False,
     table_format: Format = TableFormat.TABLE,
 ) -> None:
@@ -76,6 +87,8 @@ def compare(
             worlds=worlds,
             workers=workers,
             env_options=options_of(env_options, success_return=success_return),
+            baseline=baseline,
+            margin=margin / 100,
             progress=progress,
         )
     console = print_document(comparison.document(), table_format)
@@ -90,6 +103,25 @@ def compare(
     _print_tracebacks(comparison.tracebacks)
     if comparison.failures:
         raise typer.Exit(1)
+
+
+@app.command()
+def plan(
+    detect: Annotated[float, typer.Option(metavar="POINTS", help="Difference in success to tell, in percent.")] = 2.0,
+    power: Annotated[float, typer.Option(help="Probability of telling it, if it is there.")] = 0.8,
+    pilot: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Results of an earlier comparison, whose pairs are planned for.")
+    ] = None,
+    table_format: Format = TableFormat.TABLE,
+) -> None:
+    """Tell how many episodes a comparison needs to show a difference in success, or that there is none.
+
+    That depends on the episodes that exactly one of two policies wins. A pilot, such as 50 episodes with
+    `armctl compare --out pilot`, gives their share for each pair; without one, the table has common shares.
+    """
+    from armctl.evaluation.sample_size import plan_comparison
+
+    print_document(plan_comparison(detect / 100, power, pilot), table_format)
 
 
 @app.command()

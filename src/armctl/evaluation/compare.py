@@ -9,9 +9,10 @@ import pandas as pd
 
 from armctl import DEFAULT_ENV
 from armctl.envs import ThirdPartyVectorEnv, full_id, make_worlds, task_of
-from armctl.errors import ResultsError
+from armctl.errors import ConfigurationError, ResultsError, unknown_name
 from armctl.evaluation.comparison import Comparison, summary
 from armctl.evaluation.identity import identity
+from armctl.evaluation.paired import MARGIN
 from armctl.evaluation.parallel import WorkerConfig, WorkersFailed, check_sendable, play_here, play_in_workers
 from armctl.evaluation.record import COLUMNS, EpisodeResult
 from armctl.evaluation.rollouts import check_counts, wrap_environment_errors
@@ -23,6 +24,7 @@ from armctl.registration import bare_id, remember_named
 
 UNTOLD = "{env} is not made of a task of armctl's: least times, feasibility, contacts and clearances are unknown."
 UNSCORED = "{env} does not say what a success is: the verdict goes by return. --success-return says which is one."
+UNBOUNDED = "The possible returns are unknown: their intervals assume that none lies beyond those seen here."
 
 
 def compare(
@@ -36,6 +38,8 @@ def compare(
     worlds: int = 1,
     workers: int = 1,
     env_options: Mapping[str, Any] | None = None,
+    baseline: str | None = None,
+    margin: float = MARGIN,
     least_lengths: dict[int, float] | None = None,
     seeding: Sequence[str] | None = None,
     progress: Callable[[EpisodeResult], None] | None = None,
@@ -56,6 +60,9 @@ def compare(
     in `rollouts`; `seeding` are the remarks of `seed_notes`, where these are known. `progress` is called with every
     finished episode, first with those of an earlier run.
 
+    The verdict is about the best classical and the best learned policy, or about `baseline` against all others. Success
+    that differs by less than `margin` counts as equivalent.
+
     Raises `ConfigurationError`, `AgentFileError`, and `ResultsError` if `out` cannot be written, is damaged, or holds
     the results of another comparison (unless `overwrite`).
     """
@@ -65,7 +72,12 @@ def compare(
         policies = default_policies(env)
     by_name = named_policies(policies)
     check_counts(episodes=episodes, worlds=worlds, workers=workers)
+    if baseline is not None and baseline not in by_name:
+        raise unknown_name("baseline among the compared policies", baseline, by_name)
+    if not 0 < margin < 1:
+        raise ConfigurationError(f"the margin is a difference in success between 0 and 1, not {margin:g}")
     comparison = Comparison(env, seed, dict(env_options or {}), pd.DataFrame(columns=list(COLUMNS)))
+    comparison.baseline, comparison.margin = baseline, margin
     worlds = min(worlds, episodes)
     results: list[EpisodeResult] = []
     with ExitStack() as stack:
@@ -117,7 +129,10 @@ def compare(
         results.sort(key=lambda result: (order.index(result.policy), result.episode))
         if results:
             comparison.episodes = pd.DataFrame([result.row() for result in results])
-            comparison.policies, comparison.paired = summarise(results, made, episodes)
+            steps = made_env.max_episode_steps
+            if (bounds := made_env.task.return_bounds(steps)) is None:
+                comparison.notes.append(UNBOUNDED)
+            comparison.policies, comparison.paired = summarise(results, made, episodes, bounds, steps)
             if comparison.policies and comparison.policies[0].success is None:
                 comparison.notes.append(UNSCORED.format(env=bare_id(env)))
         if log is not None:

@@ -8,8 +8,8 @@ from typing import Any
 import pandas as pd
 
 from armctl.evaluation.notebook import Displayed
+from armctl.evaluation.paired import MARGIN, PairedDifference
 from armctl.evaluation.provenance import machine, versions
-from armctl.evaluation.statistics import PairedDifference
 from armctl.evaluation.summary import PolicySummary
 from armctl.evaluation.summary_tables import details, paired_table, policy_table
 from armctl.evaluation.tables import Document, Remark, Table
@@ -31,11 +31,20 @@ class Comparison(Displayed):
     """Error messages: by policy, under `results` if results could not be written, or under `workers`."""
     tracebacks: dict[str, str] = field(default_factory=dict)
     """Tracebacks of the failures, where there are any."""
+    baseline: str | None = None
+    """The policy that all others are held against, if one was chosen beforehand."""
+    margin: float = MARGIN
+    """Difference in success below which policies count as equivalent."""
     notes: list[str] = field(default_factory=list)
     """Remarks about the environment: what it does not tell, and whether it obeys its seed."""
     interrupted: bool = False
     resumed: int = 0
     """Number of episodes that an earlier run had finished."""
+
+    @property
+    def verdict(self) -> str:
+        """Which policy is better, by how much, at what cost; empty for a single policy."""
+        return verdict(self.policies, self.paired, self.baseline, self.margin) if self.paired else ""
 
     def document(self) -> Document:
         """The tables, the verdict, and what else there is to say."""
@@ -44,7 +53,7 @@ class Comparison(Displayed):
             parts.append(policy_table(self.env, self.seed, self.policies))
         parts += [details(policy) for policy in self.policies]
         if self.paired:
-            parts += [paired_table(self.paired), Remark(verdict(self.policies, self.paired), "verdict")]
+            parts += [paired_table(self.paired), Remark(self.verdict, "verdict")]
         if self.policies and (infeasible := self.policies[0].infeasible):
             parts.append(Remark(f"{infeasible} episodes have a target out of reach; they are left out of all figures."))
         parts += [Remark(note, "note") for note in self.notes]
@@ -62,7 +71,7 @@ class Comparison(Displayed):
 
     def __repr__(self) -> str:
         names = ", ".join(policy.policy for policy in self.policies) or "no policy"
-        said = f": {verdict(self.policies, self.paired)}" if self.paired else ""
+        said = f": {self.verdict}" if self.paired else ""
         failed = "".join(f"; {failure}" for failure in self.failures.values())
         return f"<Comparison of {names} in {self.env}, seed {self.seed}{said}{failed}>"
 
@@ -77,6 +86,8 @@ def summary(comparison: Comparison) -> dict[str, Any]:
         "resumed": comparison.resumed,
         "failures": comparison.failures,
         "notes": comparison.notes,
+        "baseline": comparison.baseline,
+        "margin": comparison.margin,
         "policies": [dataclasses.asdict(policy) for policy in comparison.policies],
         "paired": [dataclasses.asdict(difference) for difference in comparison.paired],
         "versions": versions(),

@@ -10,8 +10,8 @@ from pydantic import TypeAdapter, ValidationError
 
 from armctl.errors import ResultsError
 from armctl.evaluation.comparison import Comparison
+from armctl.evaluation.paired import MARGIN, PairedDifference
 from armctl.evaluation.record import EpisodeResult
-from armctl.evaluation.statistics import PairedDifference
 from armctl.evaluation.store import COMPARISON, SUMMARY, read_episodes
 from armctl.evaluation.summary import PolicySummary, counted_results
 from armctl.files import bounded_text, digest, unsealed
@@ -48,6 +48,8 @@ class _Summary:
     versions: dict[str, str]
     machine: dict[str, Any]
     notes: list[str] = field(default_factory=list)
+    baseline: str | None = None
+    margin: float = MARGIN
 
 
 @dataclass(frozen=True)
@@ -89,6 +91,8 @@ def read_results(folder: Path) -> Results:
         summary.policies,
         summary.paired,
         summary.failures,
+        baseline=summary.baseline,
+        margin=summary.margin,
         notes=summary.notes,
         interrupted=summary.interrupted,
         resumed=summary.resumed,

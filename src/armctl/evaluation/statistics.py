@@ -1,6 +1,6 @@
-"""Statistics of finitely many episodes, and of few trainings: intervals, differences, probability of superiority."""
+"""Statistics of finitely many episodes: intervals that hold when disasters are rare, probability of superiority."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,9 +9,15 @@ from numpy.typing import NDArray
 from scipy import stats
 
 Array = NDArray[np.float64]
+Bounds = tuple[float, float]
+"""Least and largest value that is possible."""
 
 FEWEST = 10
 """Least number of values for a confidence interval of a mean: returns and lengths are skewed."""
+DRAWS = 4000
+"""Of random weights: a limit's standard error is about a twentieth of the interval's half width."""
+LARGEST_BATCH = 4_000_000
+"""Weights that are drawn at once."""
 RESAMPLES = 2000
 """Of a bootstrap. With so many, the error of a 95 % interval's bound is about a tenth of the interval's width."""
 
@@ -27,16 +33,63 @@ class Estimate:
 
 
 def success_rate(successes: NDArray[np.bool_]) -> Estimate | None:
-    """Success rate with Wilson's score interval (1927); None without episodes."""
+    """Success rate with the exact interval of Clopper and Pearson (1934); None without episodes."""
     if not len(successes):
         return None
-    result = stats.binomtest(int(successes.sum()), len(successes))
-    interval = result.proportion_ci(method="wilson")
+    interval = stats.binomtest(int(successes.sum()), len(successes)).proportion_ci(method="exact")
     return Estimate(float(successes.mean()), float(interval.low), float(interval.high))
 
 
+def bounded_mean(values: Array, bounds: Bounds) -> Estimate | None:
+    """Mean of values (k,) that cannot lie outside `bounds`; None without values.
+
+    The interval holds for disasters that are too rare to have been seen, which Student's does not know. Its limits are
+    those of Gaffke (Mathematical Methods of Statistics 14, 2005; Learned-Miller and Thomas, arXiv:1905.06208): 2.5 and
+    97.5 % quantiles of the mean under random weights, with a value at the bound in addition. For values of 0 and 1, it
+    is Clopper and Pearson's; for many values and no rare ones, Student's. `benchmarks/coverage.py` simulates it.
+    """
+    return _bounded(values, bounds, lambda ordered, weights: weights @ ordered)
+
+
+def worst_decile(values: Array, bounds: Bounds) -> Estimate | None:
+    """Mean of the worst tenth of values (k,), the conditional value at risk, with the interval of `bounded_mean`."""
+
+    def statistic(ordered: Array, weights: Array) -> Array:
+        reached = np.minimum(np.cumsum(weights, axis=1), 0.1)
+        return np.asarray(np.diff(reached, axis=1, prepend=0.0) @ ordered / 0.1)
+
+    return _bounded(values, bounds, statistic)
+
+
+def _bounded(values: Array, bounds: Bounds, statistic: Callable[[Array, Array], Array]) -> Estimate | None:
+    """`statistic` maps ordered values (m,) and weights (r, m), each row of which adds up to 1, to (r,)."""
+    if not len(values):
+        return None
+    ordered, counts = np.unique(values, return_counts=True)
+    lowest, highest = min(bounds[0], ordered[0]), max(bounds[1], ordered[-1])
+    rng, draws = np.random.default_rng(0), []
+    rows = max(1, LARGEST_BATCH // len(ordered))
+    for first in range(0, DRAWS, rows):
+        weights = rng.standard_gamma(counts, size=(min(rows, DRAWS - first), len(ordered)))
+        at_bound = rng.standard_exponential((len(weights), 1))
+        weights, at_bound = weights / (total := weights.sum(axis=1, keepdims=True) + at_bound), at_bound / total
+        draws.append(
+            (
+                statistic(np.concatenate(([lowest], ordered)), np.hstack((at_bound, weights))),
+                statistic(np.concatenate((ordered, [highest])), np.hstack((weights, at_bound))),
+            )
+        )
+    low, high = np.concatenate(draws, axis=1)
+    value = float(np.clip(statistic(ordered, counts[None] / counts.sum())[0], ordered[0], ordered[-1]))
+    low, high = np.clip((np.quantile(low, 0.025), np.quantile(high, 0.975)), (lowest, value), (value, highest))
+    return Estimate(value, float(low), float(high))
+
+
 def mean(values: Array) -> Estimate | None:
-    """Mean with Student's t interval (1908), unknown for fewer than `FEWEST` values; None without values."""
+    """Mean with Student's t interval (1908), unknown for fewer than `FEWEST` values; None without values.
+
+    For values without bounds. It is far too narrow where disasters are rare: see `bounded_mean`.
+    """
     if not len(values):
         return None
     value = float(np.mean(values))
@@ -57,22 +110,6 @@ def median(values: Array) -> Estimate | None:
     return Estimate(value, float(interval.low), float(interval.high))
 
 
-def interquartile_mean(scores: Sequence[Array]) -> Estimate | None:
-    """Mean of the middle half of all scores (Agarwal et al. 2021); no interval for fewer than `FEWEST` scores.
-
-    `scores` are those of each training seed, (k,) each. The percentile bootstrap resamples each seed separately. The
-    interval covers the variation between episodes, not that between trainings: see `mean_over_trainings`.
-    """
-    strata = [np.asarray(one, dtype=float) for one in scores if len(one)]
-    if not strata:
-        return None
-
-    def statistic(*strata: Array, axis: int = -1) -> Any:
-        return stats.trim_mean(np.concatenate(strata, axis=axis), 0.25, axis=axis)
-
-    return _bootstrapped(float(statistic(*strata)), strata, statistic)
-
-
 @dataclass(frozen=True)
 class Superiority:
     """Probability that one policy's score is above another's; a tie counts half."""
@@ -89,7 +126,7 @@ def superiority(a: Array, b: Array) -> Superiority:
         wins: Any = stats.mannwhitneyu(a, b, axis=axis, method="asymptotic").statistic
         return wins / (a.shape[axis] * b.shape[axis])
 
-    probability = _bootstrapped(float(statistic(a, b)), [a, b], statistic)
+    probability = bootstrapped(float(statistic(a, b)), [a, b], statistic)
     equal = np.ptp(np.concatenate((a, b))) == 0
     return Superiority(probability, 1.0 if equal else float(stats.mannwhitneyu(a, b).pvalue))
 
@@ -102,10 +139,10 @@ def paired_superiority(a: Array, b: Array) -> Superiority:
     wins = (np.sign(a - b) + 1) / 2
     decided = int((wins != 0.5).sum())
     p = float(stats.binomtest(int((wins == 1).sum()), decided).pvalue) if decided else 1.0
-    return Superiority(_bootstrapped(float(wins.mean()), [wins], np.mean), p)
+    return Superiority(bootstrapped(float(wins.mean()), [wins], np.mean), p)
 
 
-def _bootstrapped(value: float, samples: Sequence[Array], statistic: Any) -> Estimate:
+def bootstrapped(value: float, samples: Sequence[Array], statistic: Any) -> Estimate:
     """Percentile interval of samples that are resampled separately; unknown for few or identical values."""
     if sum(map(len, samples)) < FEWEST or min(map(len, samples)) < 2:
         return Estimate(value, None, None)
@@ -118,7 +155,7 @@ def _bootstrapped(value: float, samples: Sequence[Array], statistic: Any) -> Est
 
 
 def performance_profile(scores: Array, thresholds: Array) -> list[Estimate]:
-    """Share of episodes with a score above each threshold, with Wilson's interval at each (Agarwal et al. 2021).
+    """Share of episodes with a score above each threshold, with an exact interval at each (Agarwal et al. 2021).
 
     The profiles of Dolan and More (2002) are those of negated `performance_ratios`, at negated ratios.
     """
@@ -136,94 +173,3 @@ def performance_ratios(costs: Mapping[str, Array]) -> dict[str, Array]:
         policy: np.divide(cost, least, out=np.full(len(cost), np.inf), where=np.isfinite(cost))
         for policy, cost in costs.items()
     }
-
-
-@dataclass(frozen=True)
-class TrainingMean:
-    """A mean over several trainings of one recipe, each with several episodes."""
-
-    mean: Estimate
-    """Mean of the trainings' means; no interval for a single training."""
-    trainings: int
-    between: float | None
-    """Standard deviation between trainings, without the part due to their episodes; None for a single one."""
-    within: float | None
-    """Standard deviation between episodes of one training; None with one episode each."""
-
-
-def mean_over_trainings(scores: Sequence[Array]) -> TrainingMean:
-    """Mean over trainings, each with scores of its episodes, (k,) and not empty.
-
-    The question is how other trainings would turn out. So the interval is Student's over the trainings' means, however
-    many episodes each has. The variance components are those of one-way random effects (Montgomery 2012, section 3.9).
-    """
-    means = np.array([np.mean(one) for one in scores])
-    episodes = [one for one in scores if len(one) > 1]
-    degrees = sum(len(one) - 1 for one in episodes)
-    within = sum(float(np.var(one)) * len(one) for one in episodes) / degrees if degrees else None
-    value = float(means.mean())
-    scatter = None if within is None else within**0.5
-    if len(means) < 2:
-        return TrainingMean(Estimate(value, None, None), len(means), None, scatter)
-    half = float(stats.sem(means) * stats.t.ppf(0.975, len(means) - 1))
-    by_episodes = (within or 0.0) * float(np.mean([1 / len(one) for one in scores]))
-    between = max(0.0, float(np.var(means, ddof=1)) - by_episodes) ** 0.5
-    return TrainingMean(Estimate(value, value - half, value + half), len(means), between, scatter)
-
-
-@dataclass(frozen=True)
-class PairedDifference:
-    """Policy a against policy b on the same episodes."""
-
-    a: str
-    b: str
-    episodes: int
-    both: int
-    only_a: int
-    only_b: int
-    neither: int
-    mcnemar_p: float | None
-    """Exact two-sided p-value for equal success (McNemar 1947); None, with counts of 0, if success is unknown."""
-    return_difference: Estimate
-    """Mean of return a - return b."""
-    superiority: Superiority
-    """Of return a over return b."""
-    steps_difference: Estimate | None
-    """Mean of steps a - steps b where both succeeded."""
-
-
-def mcnemar(only_a: int, only_b: int) -> float:
-    """Exact two-sided p-value for equal success, from how many episodes only a and only b won (McNemar 1947)."""
-    return float(stats.binomtest(only_a, only_a + only_b).pvalue) if only_a + only_b else 1.0
-
-
-def paired_difference(
-    a: str,
-    b: str,
-    success: tuple[NDArray[np.bool_], NDArray[np.bool_]] | None,
-    returns: tuple[Array, Array],
-    lengths: tuple[Array, Array],
-) -> PairedDifference:
-    """Compare two policies. The i-th entries (k,) of both belong to the same episode; k is at least 1.
-
-    `success` is None if it is unknown.
-    """
-    k = len(returns[0])
-    success_a, success_b = success or (np.zeros(k, dtype=bool), np.zeros(k, dtype=bool))
-    both = success_a & success_b
-    only_a, only_b = int((success_a & ~success_b).sum()), int((success_b & ~success_a).sum())
-    return_difference = mean(returns[0] - returns[1])
-    assert return_difference is not None
-    return PairedDifference(
-        a,
-        b,
-        len(both),
-        int(both.sum()),
-        only_a,
-        only_b,
-        0 if success is None else int((~success_a & ~success_b).sum()),
-        None if success is None else mcnemar(only_a, only_b),
-        return_difference,
-        paired_superiority(*returns),
-        mean((lengths[0] - lengths[1])[both]),
-    )

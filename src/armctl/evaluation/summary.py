@@ -10,18 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.envs.vector import UNSTABLE
+from armctl.evaluation.paired import PairedDifference, paired_difference
 from armctl.evaluation.record import EpisodeResult
-from armctl.evaluation.statistics import (
-    Estimate,
-    PairedDifference,
-    interquartile_mean,
-    mean,
-    median,
-    paired_difference,
-    success_rate,
-)
+from armctl.evaluation.statistics import Bounds, Estimate, bounded_mean, mean, median, success_rate, worst_decile
 from armctl.policies import Policy
 
+WITHIN_RANGE, WITHIN_SPEED = 1.01, 1.2
+"""Largest use of a joint's range, and of its speed limit, in a clean episode: servos overshoot a little."""
 METRICS = (
     "path_length", "smoothness", "range_use", "speed_use", "torque_use", "energy", "clearance", "contacts",
 )  # fmt: skip
@@ -47,10 +42,8 @@ class PolicySummary:
     success: Estimate | None
     """None if the environment does not say what a success is."""
     episode_return: Estimate | None
-    return_iqm: Estimate | None
-    """Interquartile mean of the return (Agarwal et al. 2021), which is robust to outliers."""
     steps_to_goal: Estimate | None
-    """Mean over successful episodes."""
+    """Mean over successful episodes, which flatters whoever wins only the easy ones: see `restricted_steps`."""
     optimality_gap: Estimate | None
     """Median relative excess of successful episodes' lengths over the least possible, where that is known."""
     tracking_error: Estimate | None
@@ -66,6 +59,19 @@ class PolicySummary:
     """Number of control steps in which the controller's solver failed, if it counts them."""
     length: Estimate | None = None
     """Mean number of control steps, over all episodes; None in results of older versions."""
+    clean_success: Estimate | None = None
+    """Rate of `clean` successes; None if contacts are unknown."""
+    worst_decile: Estimate | None = None
+    """Mean of the worst tenth of the returns: the conditional value at risk."""
+    restricted_steps: Estimate | None = None
+    """Mean steps to the goal over all episodes, a failure counting as the time limit; None without a limit."""
+    efficiency: Estimate | None = None
+    """Mean of success times least possible length over length (SPL, Anderson et al. 2018, arXiv:1807.06757)."""
+
+    @property
+    def learned(self) -> bool:
+        """Whether it was trained."""
+        return self.training_steps > 0
 
     @property
     def unstable(self) -> int:
@@ -74,17 +80,53 @@ class PolicySummary:
 
 
 def summarise(
-    results: Sequence[EpisodeResult], policies: Mapping[str, Policy], planned: int
+    results: Sequence[EpisodeResult],
+    policies: Mapping[str, Policy],
+    planned: int,
+    return_bounds: Bounds | None = None,
+    time_limit: int | None = None,
 ) -> tuple[list[PolicySummary], list[PairedDifference]]:
-    """Summaries of policies and of pairs. `results` are sorted by policy and episode."""
+    """Summaries of policies and of pairs. `results` are sorted by policy and episode.
+
+    `return_bounds` are the least and largest possible return; if they are unknown, those of all results take their
+    place. `time_limit` is the largest number of control steps of an episode.
+    """
     counted, infeasible = counted_results(results)
     scored = any(result.success is not None for result in results)
+    returns = [result.total_reward for result in results]
+    limits = Limits(return_bounds or (min(returns), max(returns)), time_limit)
     found = [
-        _summary(name, policy, planned, infeasible, counted[name], scored)
+        _summary(name, policy, planned, infeasible, counted[name], scored, limits)
         for name, policy in policies.items()
         if counted.get(name)
     ]
-    return found, _paired(counted, scored)
+    return found, _paired(counted, scored, limits)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Between which numbers returns and times lie."""
+
+    returns: Bounds
+    steps: int | None
+
+    def restricted(self, results: Iterable[EpisodeResult]) -> NDArray[np.float64] | None:
+        """Steps to the goal (k,), failures counting as the time limit; None without a limit."""
+        if self.steps is None:
+            return None
+        return np.array([float(result.length if result.success else self.steps) for result in results])
+
+
+def clean(result: EpisodeResult) -> bool | None:
+    """Whether an episode was won without a forbidden contact, and within the joints' ranges and speed limits.
+
+    `WITHIN_RANGE` and `WITHIN_SPEED` allow for what servos overshoot. None if contacts are unknown.
+    """
+    use = result.metrics
+    if use.contacts is None:
+        return None
+    beyond = use.range_use > WITHIN_RANGE or use.speed_use > WITHIN_SPEED
+    return bool(result.success) and not use.contacts and not beyond
 
 
 def counted_results(results: Sequence[EpisodeResult]) -> tuple[dict[str, list[EpisodeResult]], int]:
@@ -103,12 +145,17 @@ def counted_results(results: Sequence[EpisodeResult]) -> tuple[dict[str, list[Ep
 
 
 def _summary(
-    name: str, policy: Policy, planned: int, infeasible: int, results: list[EpisodeResult], scored: bool
+    name: str, policy: Policy, planned: int, infeasible: int, results: list[EpisodeResult], scored: bool, limits: Limits
 ) -> PolicySummary:
     decisions = np.concatenate([result.decision_ms for result in results])
     won = [result for result in results if result.success]
     missed = [result.metrics.missed_deadlines for result in results]
     returns = np.array([result.total_reward for result in results])
+    cleanly = [clean(result) for result in results]
+    restricted = limits.restricted(results) if scored else None
+    lengths = np.array([float(result.length) for result in results])
+    least = np.array([result.least_length for result in results])
+    efficiency = np.array([bool(result.success) for result in results]) * least / np.maximum(lengths, least)
     return PolicySummary(
         name,
         policy.sees,
@@ -119,8 +166,7 @@ def _summary(
         infeasible,
         dict(Counter(result.outcome for result in results).most_common()),
         success_rate(np.array([bool(result.success) for result in results])) if scored else None,
-        mean(returns),
-        interquartile_mean([returns]),
+        bounded_mean(returns, limits.returns),
         mean(np.array([float(result.length) for result in won])),
         median(_known(result.optimality_gap for result in results)),
         mean(_known(result.tracking_error for result in results)),
@@ -130,7 +176,11 @@ def _summary(
         float(decisions.max()),
         None if None in missed else sum(one for one in missed if one) / len(decisions),
         sum(result.metrics.solver_failures for result in results),
-        mean(np.array([float(result.length) for result in results])),
+        mean(lengths) if limits.steps is None else bounded_mean(lengths, (1.0, limits.steps)),
+        success_rate(np.array(cleanly)) if scored and None not in cleanly else None,
+        worst_decile(returns, limits.returns),
+        None if restricted is None else bounded_mean(restricted, (1.0, float(limits.steps or 1))),
+        bounded_mean(efficiency, (0.0, 1.0)) if scored and np.isfinite(efficiency).all() else None,
     )
 
 
@@ -143,18 +193,28 @@ def _known(values: Iterable[float]) -> NDArray[np.float64]:
     return np.array([value for value in values if not np.isnan(value)])
 
 
-def _paired(counted: dict[str, list[EpisodeResult]], scored: bool) -> list[PairedDifference]:
+def _paired(counted: dict[str, list[EpisodeResult]], scored: bool, limits: Limits) -> list[PairedDifference]:
     return [
         paired_difference(
             a,
             b,
             _both(counted[a], counted[b], lambda result: bool(result.success)) if scored else None,
             _both(counted[a], counted[b], lambda result: result.total_reward),
-            _both(counted[a], counted[b], lambda result: float(result.length)),
+            _restricted(counted[a], counted[b], limits) if scored else None,
+            limits.returns,
+            limits.steps,
         )
         for a, b in itertools.combinations(counted, 2)
         if counted[a] and counted[b]
     ]
+
+
+def _restricted(
+    a: list[EpisodeResult], b: list[EpisodeResult], limits: Limits
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    fewest = min(len(a), len(b))
+    first, second = limits.restricted(a[:fewest]), limits.restricted(b[:fewest])
+    return None if first is None or second is None else (first, second)
 
 
 def _both(

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import pandas as pd
 
 from armctl.evaluation.degradation import FALSE_DISCOVERY_RATE, Degradation, degradations
-from armctl.evaluation.statistics import Estimate, PairedDifference
+from armctl.evaluation.paired import PairedDifference, holm
+from armctl.evaluation.statistics import Estimate
 from armctl.evaluation.summary import PolicySummary
 from armctl.evaluation.tables import AGAINST, UNKNOWN, Cell, Column, Remark, Table, p_value, percent, plain
 
@@ -16,25 +17,27 @@ def policy_table(env: str, seed: int, policies: Sequence[PolicySummary]) -> Tabl
     """A row for each policy. An environment that knows no success has no columns of it."""
     by_success = any(policy.success for policy in policies)
     columns = [Column("policy"), Column("success"), Column("return"), Column("steps"), Column("length")]
-    columns += [Column("decision ms", optional=True), Column("sees", optional=True)]
+    columns += [Column(name, optional=True) for name in ("decision ms", "sees", "clean", "worst 10 %")]
     rows = [
         [
             Cell(policy.policy, f"{policy.training_steps:,}" if policy.training_steps else "untrained"),
             percent(policy.success),
             plain(policy.episode_return),
-            plain(policy.steps_to_goal),
+            plain(policy.restricted_steps),
             plain(policy.length),
             Cell(f"{policy.decision_ms_p50:.3f}", f"{policy.decision_ms_p99:.3f}"),
             Cell(policy.sees),
+            percent(policy.clean_success),
+            plain(policy.worst_decile),
         ]
         for policy in policies
     ]
     caption = "With training steps, 95 % intervals, and the 99th percentile of decision times."
     if by_success:
-        caption += " Steps: to the goal, where it was reached."
+        caption += " Clean: without contacts and beyond no limit. Steps: to the goal; failures count as the time limit."
     else:
         caption += " Length: steps of an episode."
-    columns, rows = _without(("length",) if by_success else ("success", "steps"), columns, rows)
+    columns, rows = _without(("length",) if by_success else ("success", "clean", "steps"), columns, rows)
     records = [dataclasses.asdict(policy) for policy in policies]
     title = f"{env}: {policies[0].planned} episodes of seed {seed}"
     return Table("policies", title, columns, rows, records, caption)
@@ -62,17 +65,18 @@ def paired_table(pairs: Sequence[PairedDifference]) -> Table:
     by_success = any(pair.mcnemar_p is not None for pair in pairs)
     name, gain = Column("a - b"), Column("return")
     columns = [name, Column("success"), Column("only a / only b", optional=True), Column("p"), gain, Column("steps")]
+    corrected = iter(holm([pair.mcnemar_p for pair in pairs if pair.mcnemar_p is not None]))
     rows = []
     for pair in pairs:
-        counts = Cell(f"{100 * (pair.only_a - pair.only_b) / pair.episodes:+.1f} %"), f"{pair.only_a} / {pair.only_b}"
         names, difference = Cell(pair.a, AGAINST + pair.b), plain(pair.return_difference, "+")
         if by_success:
-            steps = plain(pair.steps_difference, "+")
-            rows.append([names, counts[0], Cell(counts[1]), Cell(p_value(pair.mcnemar_p)), difference, steps])
+            counts, p = Cell(f"{pair.only_a} / {pair.only_b}"), Cell(p_value(next(corrected)))
+            success, steps = percent(pair.success_difference, "+"), plain(pair.steps_difference, "+")
+            rows.append([names, success, counts, p, difference, steps])
         else:
             rows.append([names, difference, percent(pair.superiority.probability), Cell(p_value(pair.superiority.p))])
     if by_success:
-        caption = "p: McNemar's exact test for equal success. Steps: over the episodes that both won."
+        caption = "p: McNemar's exact test for equal success, after Holm's correction for all pairs. Intervals: 95 %."
     else:
         columns = [name, gain, Column("a is better"), Column("p")]
         caption = "a is better: share of episodes in which a has the higher return; a tie counts half. p: sign test."

@@ -19,9 +19,10 @@ from armctl.evaluation.compare import compare, default_policies
 from armctl.evaluation.comparison import Comparison
 from armctl.evaluation.curves import COMPARISONS, POINTS, SWEEP, comparison_in
 from armctl.evaluation.notebook import Displayed
+from armctl.evaluation.paired import mcnemar
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.seeding import seed_notes
-from armctl.evaluation.statistics import Estimate, mcnemar, paired_superiority
+from armctl.evaluation.statistics import Estimate, paired_superiority
 from armctl.evaluation.summary import PolicySummary
 from armctl.evaluation.summary_tables import sweep_parts
 from armctl.evaluation.tables import Document, Remark

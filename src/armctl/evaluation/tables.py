@@ -92,12 +92,12 @@ def plain(estimate: Estimate | None, sign: str = "") -> Cell:
     return Cell(_short(estimate.value, decimals, sign), _interval(estimate.low, estimate.high, decimals, sign))
 
 
-def percent(estimate: Estimate | None) -> Cell:
-    """A share above its interval, both in percent."""
+def percent(estimate: Estimate | None, sign: str = "") -> Cell:
+    """A share above its interval, both in percent; `sign` is "+" for differences."""
     if estimate is None:
         return Cell(UNKNOWN)
     low, high = (None if bound is None else 100 * bound for bound in (estimate.low, estimate.high))
-    return Cell(f"{100 * estimate.value:.1f} %", _interval(low, high, 1, ""))
+    return Cell(f"{100 * estimate.value:{sign}.1f} %", _interval(low, high, 1, sign))
 
 
 def p_value(p: float | None) -> str:

@@ -1,18 +1,146 @@
-"""The verdict of a comparison: a sentence about its two best policies."""
+"""The verdict of a comparison: whether a planner or a learned agent is better, by how much, and at what cost."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
-from armctl.evaluation.statistics import FEWEST, Estimate, PairedDifference
+from armctl.evaluation.paired import (
+    MARGIN,
+    PairedDifference,
+    episodes_to_detect,
+    episodes_to_show_equivalence,
+    holm,
+)
+from armctl.evaluation.statistics import FEWEST, Estimate
 from armctl.evaluation.summary import PolicySummary
+from armctl.policies import policy_names
+
+SIGNIFICANT = 0.05
 
 
-def verdict(policies: Sequence[PolicySummary], paired: Sequence[PairedDifference]) -> str:
-    """Which of the two best policies wins more often, and which earns more, if the differences are significant.
+@dataclass(frozen=True)
+class Contest:
+    """Two policies on the same episodes, the first being the one that does better."""
 
-    The best are those with the highest success rate, or return where success is unknown. Episodes whose physics failed
-    are counted apart.
+    first: PolicySummary
+    second: PolicySummary
+    pair: PairedDifference
+    p: float | None
+    """McNemar's p-value after Holm's correction for all pairs of the comparison; None if success is unknown."""
+    pairs: int
+    """Number of pairs."""
+
+
+def verdict(
+    policies: Sequence[PolicySummary],
+    paired: Sequence[PairedDifference],
+    baseline: str | None = None,
+    margin: float = MARGIN,
+) -> str:
+    """A sentence about the best classical and the best learned policy, or about the two best, and about costs.
+
+    With `baseline`, every other policy is held against it instead. Policies that did not come with armctl are always
+    named. The best are those of the highest success rate, or return where success is unknown. `margin` is the
+    difference in success below which policies count as equivalent.
     """
-    return " ".join(filter(None, (_best_two(policies, paired), *map(_physics_failed, policies))))
+    fewest = min(pair.episodes for pair in paired)
+    if fewest < FEWEST:
+        said = [f"No verdict from {fewest} episode{'s' if fewest > 1 else ''}: it takes {FEWEST}."]
+    else:
+        contests = [_contest(policies, paired, names, baseline) for names in _pairs_to_tell(policies, baseline)]
+        said = [_sentence(contest, margin) for contest in contests]
+        said += [_cost(contests[0])] if contests else []
+    return " ".join(filter(None, (*said, *map(_physics_failed, policies))))
+
+
+def _pairs_to_tell(policies: Sequence[PolicySummary], baseline: str | None) -> list[tuple[str, str]]:
+    ranked = sorted(policies, key=lambda policy: _rank(policy.success, policy.episode_return), reverse=True)
+    names = [policy.policy for policy in ranked]
+    if baseline in names:
+        return [(baseline, name) for name in names if name != baseline]
+    classical = [policy.policy for policy in ranked if not policy.learned]
+    learned = [policy.policy for policy in ranked if policy.learned]
+    best = (classical[0], learned[0]) if classical and learned else (names[0], names[1])
+    own = [name for name in names if name not in policy_names() and name not in best]
+    return [best, *((name, best[names.index(best[1]) < names.index(best[0])]) for name in own)]
+
+
+def _contest(
+    policies: Sequence[PolicySummary],
+    paired: Sequence[PairedDifference],
+    names: tuple[str, str],
+    baseline: str | None,
+) -> Contest:
+    by_name = {policy.policy: policy for policy in policies}
+    family = [pair for pair in paired if baseline is None or baseline in (pair.a, pair.b)]
+    pair = next(pair for pair in paired if {pair.a, pair.b} == set(names))
+    p = None
+    if pair.mcnemar_p is not None:
+        p = holm([one.mcnemar_p for one in family if one.mcnemar_p is not None])[family.index(pair)]
+    first, second = sorted((by_name[pair.a], by_name[pair.b]), key=lambda one: names.index(one.policy))
+    gain = pair.return_difference.value if p is None or pair.only_a == pair.only_b else pair.only_a - pair.only_b
+    if gain and (first.policy == pair.a) != (gain > 0):
+        first, second = second, first
+    return Contest(first, second, pair, p, len(family))
+
+
+def _sentence(contest: Contest, margin: float) -> str:
+    first, second, pair = contest.first.policy, contest.second.policy, contest.pair
+    by_return = _by_return(contest)
+    if contest.p is None:
+        return f"{by_return or f'The returns of {first} and {second} cannot be told apart'}."
+    difference, points = _difference(contest), f"{100 * margin:g} points"
+    family = f" after Holm's correction for {contest.pairs} pairs" if contest.pairs > 1 else ""
+    if contest.p < SIGNIFICANT:
+        within = f", though by less than {points}" if pair.equivalent(margin) else ""
+        said = f"{first} is better than {second}{within}: success {difference}, p = {contest.p:.1g}{family}"
+    elif pair.equivalent(margin):
+        said = f"{first} and {second} are equivalent within {points}: success {difference}"
+    else:
+        said = f"Undecided between {first} and {second}: success {difference}; {_more(pair, margin, points)}"
+    return f"{said}. {by_return}{'.' if by_return else ''}".rstrip()
+
+
+def _difference(contest: Contest) -> str:
+    """In points, of the first over the second, with its interval."""
+    found = contest.pair.success_difference
+    assert found is not None
+    assert found.low is not None
+    assert found.high is not None
+    values = [found.value, found.low, found.high]
+    if contest.first.policy != contest.pair.a:
+        values = [-found.value, -found.high, -found.low]
+    value, low, high = (100 * one + 0.0 for one in values)
+    return f"{value:+.1f} points [{low:.1f}, {high:.1f}]"
+
+
+def _more(pair: PairedDifference, margin: float, points: str) -> str:
+    discordant = (pair.only_a + pair.only_b + 1) / (pair.episodes + 2)
+    needed = max(episodes_to_detect(margin, discordant), episodes_to_show_equivalence(margin, discordant))
+    more = max(needed - pair.episodes, pair.episodes // 2)
+    rounded = round(more, 1 - len(str(more)))
+    return f"about {rounded:,} more episodes would tell {points}"
+
+
+def _cost(contest: Contest) -> str:
+    """What the two policies need: training, and time for a decision."""
+    trained = [
+        f"{one.policy} was trained for {one.training_steps:,} steps"
+        + (f" ({one.training_minutes:.1f} minutes)" if one.training_minutes else "")
+        for one in (contest.first, contest.second)
+        if one.learned
+    ]
+    times = " and ".join(f"{one.policy} {one.decision_ms_p50:.2g} ms" for one in (contest.first, contest.second))
+    return f"{'; '.join((*trained, f'a decision takes {times}'))}."
+
+
+def _by_return(contest: Contest) -> str:
+    """Which of two policies earns more; empty if that is not significant."""
+    gain = contest.pair.return_difference
+    if gain.low is None or gain.high is None or gain.low <= 0 <= gain.high:
+        return ""
+    better, other = (contest.pair.a, contest.pair.b) if gain.value > 0 else (contest.pair.b, contest.pair.a)
+    low, high = sorted((abs(gain.low), abs(gain.high)))
+    return f"{better} earns {abs(gain.value):.1f} [{low:.1f}, {high:.1f}] more an episode than {other}"
 
 
 def _physics_failed(policy: PolicySummary) -> str:
@@ -20,34 +148,6 @@ def _physics_failed(policy: PolicySummary) -> str:
         return ""
     share = f"{policy.unstable} of {policy.episodes} episodes"
     return f"{policy.policy} counts {share} as failures because their physics became unstable."
-
-
-def _best_two(policies: Sequence[PolicySummary], paired: Sequence[PairedDifference]) -> str:
-    fewest = min(pair.episodes for pair in paired)
-    if fewest < FEWEST:
-        return f"No verdict from {fewest} episode{'s' if fewest > 1 else ''}: it takes {FEWEST}."
-    ranked = sorted(policies, key=lambda policy: _rank(policy.success, policy.episode_return), reverse=True)
-    best, second = (policy.policy for policy in ranked[:2])
-    pair = next(pair for pair in paired if {pair.a, pair.b} == {best, second})
-    by_return = _by_return(pair)
-    if pair.mcnemar_p is None:
-        return f"{by_return or f'The returns of {best} and {second} cannot be told apart'}."
-    won = {pair.a: pair.only_a, pair.b: pair.only_b}
-    if pair.mcnemar_p < 0.05:
-        first = f"{best} wins more episodes than {second} ({won[best]} against {won[second]} that the other lost)"
-    else:
-        first = f"{best} and {second} cannot be told apart by success (p = {pair.mcnemar_p:.2g})"
-    return f"{first}; {by_return or 'their returns cannot be told apart'}."
-
-
-def _by_return(pair: PairedDifference) -> str:
-    """Which of two policies earns more; empty if that is not significant."""
-    gain = pair.return_difference
-    if gain.low is None or gain.high is None or gain.low <= 0 <= gain.high:
-        return ""
-    better, other = (pair.a, pair.b) if gain.value > 0 else (pair.b, pair.a)
-    low, high = sorted((abs(gain.low), abs(gain.high)))
-    return f"{better} earns {abs(gain.value):.1f} [{low:.1f}, {high:.1f}] more an episode than {other}"
 
 
 def _rank(success: Estimate | None, episode_return: Estimate | None) -> tuple[float, float]:

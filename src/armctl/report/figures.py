@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 import plotly.graph_objects as go
 
+from armctl.evaluation.paired import PairedDifference
 from armctl.evaluation.record import EpisodeResult
-from armctl.evaluation.statistics import PairedDifference
 from armctl.evaluation.summary import PolicySummary
 from armctl.report.colours import ALARM, INK, PALE, PAPER
 from armctl.report.style import (

@@ -20,7 +20,6 @@ from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.results import Results, read_results
 from armctl.evaluation.store import COMPARISON
 from armctl.evaluation.sweep import UNDISTURBED
-from armctl.evaluation.verdict import verdict
 from armctl.files import write_atomically
 from armctl.registration import import_attribute, remember_named
 from armctl.report import style
@@ -115,7 +114,7 @@ def _comparison(results: Results, look: style.Looks) -> dict[str, Any]:
     sentence = _verdict(results)
     for name in sorted(look, key=len, reverse=True):
         sentence = sentence.replace(name, look[name].label)
-    headline, _, rest = sentence.partition("; ")
+    headline, _, rest = sentence.partition(". ")
     page: dict[str, Any] = {
         "headline": headline,
         "lead": rest,
@@ -130,7 +129,7 @@ def _comparison(results: Results, look: style.Looks) -> dict[str, Any]:
 def _verdict(results: Results) -> str:
     policies = results.comparison.policies
     if results.comparison.paired:
-        return verdict(policies, results.comparison.paired)
+        return results.comparison.verdict
     if not policies:
         return "No episode was finished."
     only, success = policies[0], policies[0].success

@@ -13,8 +13,9 @@ from markupsafe import Markup
 from armctl.envs import check_from_file, make_worlds
 from armctl.errors import ArmctlError
 from armctl.evaluation.curves import training_curves
+from armctl.evaluation.paired import PairedDifference
 from armctl.evaluation.results import Results
-from armctl.evaluation.statistics import Estimate, PairedDifference
+from armctl.evaluation.statistics import Estimate
 from armctl.evaluation.tables import p_value
 from armctl.report import figures, style
 from armctl.report.colours import TERM_COLOURS
@@ -141,9 +142,10 @@ def _difference(pair: PairedDifference) -> str:
     if pair.mcnemar_p is None:
         chance = 100 * pair.superiority.probability.value
         return style.signed(f"{earns} The first is better in {chance:.1f} % of the episodes.")
+    success = pair.success_difference
     return (
-        f"Success {100 * (pair.only_a - pair.only_b) / pair.episodes:+.1f} % "
-        f"({pair.only_a} won only by the first, {pair.only_b} only by the second; p = {p_value(pair.mcnemar_p)}). "
+        f"Success {100 * (success.value if success else 0):+.1f} % ({spread(success, 100, '+')}): "
+        f"{pair.only_a} won only by the first, {pair.only_b} only by the second, p = {p_value(pair.mcnemar_p)}. "
         + style.signed(earns)
     )
 

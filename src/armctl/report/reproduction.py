@@ -14,7 +14,7 @@ COLUMNS = (
 
 def reproduction_document(again: Sequence[Reproduction]) -> Document:
     """A row for each agent that was evaluated again."""
-    caption = "An agent agrees if its success rate is within the 95 % interval on its card. Steps: to the goal."
+    caption = "An agent agrees unless Fisher's exact test tells both success rates apart, at 5 %. Steps: to the goal."
     rows = [_row(one) for one in again]
     title = "Success of agents, on their cards and now"
     table = Table("agents", title, COLUMNS, rows, [_record(one) for one in again], caption)

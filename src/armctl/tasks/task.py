@@ -112,9 +112,25 @@ class Once:
 
     term: Callable[[Any], NDArray[np.floating[Any]]]
     """A function of the state of n worlds."""
+    bounds: tuple[float, float] | None = None
+    """The least and the most that it can pay, if known."""
 
     def __call__(self, state: Any) -> NDArray[np.floating[Any]]:
         """What it would pay in the present state, (n,)."""
+        return self.term(state)
+
+
+@dataclass(frozen=True)
+class EachStep:
+    """A reward term that is paid at each control step, and whose bounds are known: a plain function has none."""
+
+    term: Callable[[Any], NDArray[np.floating[Any]]]
+    """A function of the state of n worlds."""
+    bounds: tuple[float, float]
+    """The least and the most that it can pay in a step."""
+
+    def __call__(self, state: Any) -> NDArray[np.floating[Any]]:
+        """What it pays in the present state, (n,)."""
         return self.term(state)
 
 
@@ -151,6 +167,10 @@ class TaskFacts(ABC):
         `configurations` (steps, k) are the `MotionSample.configuration` of the episode that has just ended in `world`.
         """
         return math.nan
+
+    def return_bounds(self, steps: int | None) -> tuple[float, float] | None:
+        """Least and largest possible return of an episode of at most `steps` control steps; None if unknown."""
+        return None
 
     def least_time(self, world: int) -> float:
         """Lower bound on the time to success from the present state, s; NaN if unknown."""
@@ -264,6 +284,18 @@ class Task(TaskFacts):
 def once_terms(terms: Mapping[str, Any]) -> frozenset[str]:
     """The names of those of some reward terms that are `Once`."""
     return frozenset(name for name, term in terms.items() if isinstance(term, Once))
+
+
+def return_bounds(terms: Mapping[str, Any], steps: int | None) -> tuple[float, float] | None:
+    """Between what the sum of some reward terms lies in an episode of at most `steps` steps; None if unknown."""
+    lowest = highest = 0.0
+    for term in terms.values():
+        if steps is None or (bounds := getattr(term, "bounds", None)) is None:
+            return None
+        low, high = bounds
+        times = 1 if isinstance(term, Once) else steps
+        lowest, highest = lowest + min(low, low * times), highest + max(high, high * times)
+    return lowest, highest
 
 
 def check_reward_terms(terms: RewardTerms, n: int) -> None:

@@ -45,6 +45,7 @@ from armctl.tasks.task import (
     Task,
     check_reward_terms,
     once_terms,
+    return_bounds,
 )
 
 Array = NDArray[np.float64]
@@ -241,6 +242,10 @@ class BridgeTask(Task):
         if self.options.observation == "state":
             return full_state(self.state, self._blocks(), self._pedestrians)[worlds]
         return {"image": self._see(ids), "motion": self._motion().astype(np.float32)[worlds]}
+
+    def return_bounds(self, steps: int | None) -> tuple[float, float] | None:
+        """From the bounds of the reward terms."""
+        return return_bounds(self._terms, steps)
 
     def reward_terms(self) -> RewardTerms:
         """The terms of `BridgeOptions.reward`."""

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.tasks.task import Once
+from armctl.tasks.task import EachStep, Once
 
 Array = NDArray[np.float64]
 
@@ -41,9 +41,9 @@ class BridgeState:
 Term = Callable[[BridgeState], NDArray[np.floating[Any]]]
 
 REWARD: dict[str, Term] = {
-    "time": lambda state: np.full(len(state.crossed), -0.1),
-    "goal": Once(lambda state: np.where(state.crossed, 100.0, 0.0)),
-    "collision": Once(lambda state: np.where(state.collided, -100.0, 0.0)),
-    "fall": Once(lambda state: np.where(state.fell, -100.0, 0.0)),
+    "time": EachStep(lambda state: np.full(len(state.crossed), -0.1), (-0.1, -0.1)),
+    "goal": Once(lambda state: np.where(state.crossed, 100.0, 0.0), (0.0, 100.0)),
+    "collision": Once(lambda state: np.where(state.collided, -100.0, 0.0), (-100.0, 0.0)),
+    "fall": Once(lambda state: np.where(state.fell, -100.0, 0.0), (-100.0, 0.0)),
 }
 """Named reward terms, (n,) each; the reward is their sum."""

@@ -17,7 +17,7 @@ from armctl.robot_description.joint_profiles import TICK
 from armctl.tasks.reach.potentials import MinimumTimeToMovingTarget
 from armctl.tasks.reach.reach import ReachOptions, ReachOutcome, ReachTask, Terms, Worlds
 from armctl.tasks.reach.state import GOAL_REWARD, OBSERVATION, STEP_REWARD, ReachState, Term
-from armctl.tasks.task import Ids, Once, Potential
+from armctl.tasks.task import EachStep, Ids, Once, Potential
 
 Array = NDArray[np.float64]
 
@@ -37,8 +37,8 @@ MOVING_OBSERVATION: Mapping[str, Term] = {
 """The parts of an observation, in order."""
 
 MOVING_REWARD: Mapping[str, Term] = {
-    "away": lambda state: np.where(state.within, 0.0, STEP_REWARD),
-    "goal": Once(lambda state: GOAL_REWARD * state.held),
+    "away": EachStep(lambda state: np.where(state.within, 0.0, STEP_REWARD), (STEP_REWARD, 0.0)),
+    "goal": Once(lambda state: GOAL_REWARD * state.held, (0.0, GOAL_REWARD)),
 }
 """The terms of the reward, whose sum is the reward."""
 

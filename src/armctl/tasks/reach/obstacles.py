@@ -43,8 +43,8 @@ OBSTACLES_OBSERVATION: Mapping[str, Term] = {**OBSERVATION, "boxes": lambda stat
 
 OBSTACLES_REWARD: Mapping[str, Term] = {
     **REWARD,
-    "goal": Once(lambda state: GOAL_REWARD * (state.reached & ~state.collided)),
-    "collision": Once(lambda state: np.where(state.collided, -100.0, 0.0)),
+    "goal": Once(lambda state: GOAL_REWARD * (state.reached & ~state.collided), (0.0, GOAL_REWARD)),
+    "collision": Once(lambda state: np.where(state.collided, -100.0, 0.0), (-100.0, 0.0)),
 }
 """The terms of the reward, whose sum is the reward."""
 

@@ -35,6 +35,7 @@ from armctl.tasks.task import (
     Task,
     check_reward_terms,
     once_terms,
+    return_bounds,
 )
 
 Array = NDArray[np.float64]
@@ -207,6 +208,10 @@ class ReachTask(Task):
         """Observations (n, k): the parts side by side."""
         observations = np.concatenate(list(self.observation_parts().values()), axis=1, dtype=np.float32)
         return observations if ids is None else observations[ids]
+
+    def return_bounds(self, steps: int | None) -> tuple[float, float] | None:
+        """From the bounds of the reward terms."""
+        return return_bounds(self.options.reward, steps)
 
     def reward_terms(self) -> RewardTerms:
         """The terms of `ReachOptions.reward`."""

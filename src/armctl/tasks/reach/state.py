@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.tasks.task import Once
+from armctl.tasks.task import EachStep, Once
 
 Array = NDArray[np.float64]
 
@@ -51,8 +51,8 @@ STEP_REWARD, GOAL_REWARD = -1.0, 100.0
 """For each control step, and for success."""
 
 REWARD: Mapping[str, Term] = {
-    "step": lambda state: np.full(len(state.reached), STEP_REWARD),
-    "goal": Once(lambda state: GOAL_REWARD * state.reached),
+    "step": EachStep(lambda state: np.full(len(state.reached), STEP_REWARD), (STEP_REWARD, STEP_REWARD)),
+    "goal": Once(lambda state: GOAL_REWARD * state.reached, (0.0, GOAL_REWARD)),
 }
 """The terms of the reward, whose sum is the reward."""
 
