@@ -1,10 +1,13 @@
 """What a reward must be: finite, and paid once where it is for an ending."""
 
+from contextlib import closing
+
 import gymnasium
 import numpy as np
 import pytest
 
 import armctl
+from armctl.envs import make_worlds
 from armctl.errors import EnvironmentFailed
 from armctl.tasks import REWARD, Once, ReachTask
 
@@ -76,3 +79,27 @@ def test_a_typo_in_a_reward_is_shown_with_its_place():
 
     with pytest.raises(EnvironmentFailed, match=r"'distanec' \(test_rewards_of_strangers.py:\d+\)"):
         list(rollouts(armctl.make_policy("random", env), env, 1, 0))
+
+
+@pytest.mark.parametrize(
+    ("env", "bounds"),
+    [
+        ("ArmReach-v0", (-100.0, 99.0)),
+        ("ArmReachMoving-v0", (-300.0, 100.0)),
+        ("ArmReachObstacles-v0", (-300.0, 99.0)),
+        ("BridgeCross-v0", (-230.0, 99.9)),
+        ("BridgeCrossMoving-v0", (-260.0, 99.9)),
+    ],
+)
+def test_returns_lie_within_their_bounds(env, bounds):
+    found = armctl.evaluate("random", f"armctl/{env}", episodes=6, worlds=6, least_lengths=False)["return"]
+    with closing(make_worlds(f"armctl/{env}", 1)) as worlds:
+        assert worlds.task.return_bounds(worlds.max_episode_steps) == pytest.approx(bounds)
+        assert worlds.task.return_bounds(None) is None
+    assert found.between(*bounds).all()
+
+
+def test_a_term_without_bounds_leaves_the_return_unbounded():
+    reward = {**REWARD, "effort": lambda state: np.zeros(len(state.reached))}
+    with closing(make_worlds("armctl/ArmReach-v0", 1, {"reward": reward})) as worlds:
+        assert worlds.task.return_bounds(100) is None

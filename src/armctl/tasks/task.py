@@ -205,8 +205,8 @@ class Task(TaskFacts):
     """Of one world."""
     action_space: gymnasium.spaces.Box
     """Of one world."""
-    paid_once: frozenset[str] = frozenset()
-    """Names of the reward terms that are paid once an episode."""
+    reward_functions: Mapping[str, Any] = {}
+    """The reward terms by name, as functions, `Once` or `EachStep`, if the task has them like this."""
     joints: JointSamples | None = None
     """Speeds and torques, and their limits, for metrics; None if the task does not sample them."""
 
@@ -250,6 +250,22 @@ class Task(TaskFacts):
         self.simulation.step(self.substeps, ids)
 
     @property
+    def paid_once(self) -> frozenset[str]:
+        """Names of the reward terms that are paid once an episode."""
+        return frozenset(name for name, term in self.reward_functions.items() if isinstance(term, Once))
+
+    def return_bounds(self, steps: int | None) -> tuple[float, float] | None:
+        """From the bounds of all reward terms; None unless each has some."""
+        lowest = highest = 0.0
+        for term in self.reward_functions.values():
+            if steps is None or (bounds := getattr(term, "bounds", None)) is None:
+                return None
+            low, high = bounds
+            times = 1 if isinstance(term, Once) else steps
+            lowest, highest = lowest + min(low, low * times), highest + max(high, high * times)
+        return (lowest, highest) if self.reward_functions else None
+
+    @property
     def control_period(self) -> float:
         """Seconds between two control steps."""
         return float(self.substeps * self.simulation.model.opt.timestep)
@@ -279,23 +295,6 @@ class Task(TaskFacts):
         return MotionSample(
             np.full((self.n, 3), np.nan), self.simulation.array("qpos").copy(), np.zeros(self.n, dtype=bool)
         )
-
-
-def once_terms(terms: Mapping[str, Any]) -> frozenset[str]:
-    """The names of those of some reward terms that are `Once`."""
-    return frozenset(name for name, term in terms.items() if isinstance(term, Once))
-
-
-def return_bounds(terms: Mapping[str, Any], steps: int | None) -> tuple[float, float] | None:
-    """Between what the sum of some reward terms lies in an episode of at most `steps` steps; None if unknown."""
-    lowest = highest = 0.0
-    for term in terms.values():
-        if steps is None or (bounds := getattr(term, "bounds", None)) is None:
-            return None
-        low, high = bounds
-        times = 1 if isinstance(term, Once) else steps
-        lowest, highest = lowest + min(low, low * times), highest + max(high, high * times)
-    return lowest, highest
 
 
 def check_reward_terms(terms: RewardTerms, n: int) -> None:

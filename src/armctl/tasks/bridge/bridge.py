@@ -44,8 +44,6 @@ from armctl.tasks.task import (
     RewardTerms,
     Task,
     check_reward_terms,
-    once_terms,
-    return_bounds,
 )
 
 Array = NDArray[np.float64]
@@ -142,9 +140,11 @@ class BridgeTask(Task):
         self.rover = Rover(self.simulation)
         self.joints = self.rover.wheel_samples(MOVES, CONTROL_PERIOD)
         self.goal_x = options.deck_length - GOAL_MARGIN
-        self._terms = dict(options.reward)
+        self.reward_functions = dict(options.reward)
         if options.progress:
-            self._terms["progress"] = lambda state: options.progress * (state.previous_distance - state.distance)
+            self.reward_functions["progress"] = lambda state: (
+                options.progress * (state.previous_distance - state.distance)
+            )
         self._contacts = ContactSensors(self.simulation, PARTS, CONTACT_CLASSES)
         self._positions, self._rotations = (self.simulation.per_world(name) for name in ("body_pos", "body_quat"))
         self._barrier_bodies, self._block_bodies, self._walker_bodies = (
@@ -164,7 +164,6 @@ class BridgeTask(Task):
         self._time, self._action, self._distance = np.zeros(n), np.zeros((n, 2)), np.zeros(n)
         self.reset(np.arange(n, dtype=np.int32), [np.random.default_rng(0)] * n)
         check_reward_terms(self.reward_terms(), n)
-        self.paid_once = once_terms(self._terms)
         limits = np.float32(MAX_VELOCITY)
         self.action_space = gymnasium.spaces.Box(-limits, limits, dtype=np.float32)
         self.observation_space = make_observation_space(self.observe(), options.camera, options.camera_range)
@@ -243,14 +242,10 @@ class BridgeTask(Task):
             return full_state(self.state, self._blocks(), self._pedestrians)[worlds]
         return {"image": self._see(ids), "motion": self._motion().astype(np.float32)[worlds]}
 
-    def return_bounds(self, steps: int | None) -> tuple[float, float] | None:
-        """From the bounds of the reward terms."""
-        return return_bounds(self._terms, steps)
-
     def reward_terms(self) -> RewardTerms:
         """The terms of `BridgeOptions.reward`."""
         self._update_state(self._contacts.since_last_step())
-        return {name: np.array(term(self.state), dtype=float) for name, term in self._terms.items()}
+        return {name: np.array(term(self.state), dtype=float) for name, term in self.reward_functions.items()}
 
     def outcome(self) -> NDArray[np.int8]:
         """`CROSSED`, `COLLIDED` or `FELL`; `TIMEOUT` while the episode goes on."""

@@ -34,8 +34,6 @@ from armctl.tasks.task import (
     RewardTerms,
     Task,
     check_reward_terms,
-    once_terms,
-    return_bounds,
 )
 
 Array = NDArray[np.float64]
@@ -126,7 +124,7 @@ class ReachTask(Task):
         self.simulation.refresh()
         self._update_state(self._action)
         check_reward_terms(self.reward_terms(), n)
-        self.paid_once = once_terms(self.options.reward)
+        self.reward_functions = self.options.reward
         self._check_observation(n)
         low, high = np.float32(self.arm.action_low), np.float32(self.arm.action_high)
         self.action_space = gymnasium.spaces.Box(low, high, dtype=np.float32)
@@ -208,10 +206,6 @@ class ReachTask(Task):
         """Observations (n, k): the parts side by side."""
         observations = np.concatenate(list(self.observation_parts().values()), axis=1, dtype=np.float32)
         return observations if ids is None else observations[ids]
-
-    def return_bounds(self, steps: int | None) -> tuple[float, float] | None:
-        """From the bounds of the reward terms."""
-        return return_bounds(self.options.reward, steps)
 
     def reward_terms(self) -> RewardTerms:
         """The terms of `ReachOptions.reward`."""
