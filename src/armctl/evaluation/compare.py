@@ -11,13 +11,14 @@ from armctl import DEFAULT_ENV
 from armctl.envs import ThirdPartyVectorEnv, full_id, make_worlds, task_of
 from armctl.errors import ResultsError
 from armctl.evaluation.comparison import Comparison, summary
+from armctl.evaluation.decision_times import timing_notes
 from armctl.evaluation.identity import identity
 from armctl.evaluation.parallel import WorkerConfig, WorkersFailed, check_sendable, play_here, play_in_workers
 from armctl.evaluation.record import COLUMNS, EpisodeResult
 from armctl.evaluation.rollouts import check_counts, wrap_environment_errors
 from armctl.evaluation.seeding import seed_notes
 from armctl.evaluation.store import EpisodeLog
-from armctl.evaluation.summary import summarise
+from armctl.evaluation.summary import counted_results, summarise
 from armctl.policies import make_policy, named_policies
 from armctl.registration import bare_id, remember_named
 
@@ -45,8 +46,9 @@ def compare(
     With `out`, every episode is written to `out/episodes.csv` as soon as it ends, and the summary to
     `out/summary.json`. After an interrupt (Ctrl-C), a failing policy or a full disk, finished episodes are kept, and
     the same call resumes the comparison. Except for decision times, `episodes.csv` does not depend on the number of
-    worlds and workers. With one world (the default), decision times are latencies; with more, each is a batch's time
-    divided by the number of worlds.
+    worlds and workers. With one world and one worker (the default), decision times are latencies, by which deadlines
+    are judged; with more worlds, each is a batch's time divided by the number of worlds. The first decision of an
+    episode includes the policy's reset; the policy's first in a process is told apart.
 
     With `workers`, that many processes play, each with `worlds` worlds on one core. Decision times are then measured
     while the other processes compute.
@@ -95,7 +97,7 @@ def compare(
         if workers == 1:
             stream = play_here(made, made_env, seed, waiting, least)
         else:
-            config = WorkerConfig(env, worlds, comparison.env_options, seed)
+            config = WorkerConfig(env, worlds, comparison.env_options, seed, workers)
             stream = play_in_workers(by_name, config, waiting, least, workers)
         try:
             with closing(stream):
@@ -118,6 +120,8 @@ def compare(
         if results:
             comparison.episodes = pd.DataFrame([result.row() for result in results])
             comparison.policies, comparison.paired = summarise(results, made, episodes)
+            counted, _ = counted_results(results)
+            comparison.notes += timing_notes((name, played) for name, played in counted.items() if played)
             if comparison.policies and comparison.policies[0].success is None:
                 comparison.notes.append(UNSCORED.format(env=bare_id(env)))
         if log is not None:

@@ -23,6 +23,7 @@ from joblib.parallel import LokyBackend, get_active_backend
 
 from armctl.envs import EpisodeVectorEnv, make_worlds
 from armctl.errors import ArmctlError, ConfigurationError, EnvironmentFailed, format_cause
+from armctl.evaluation.decision_times import TimedPolicy
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.rollouts import PolicyFailed, rollouts
 from armctl.policies import Policy, PolicyFactory, make_policy
@@ -46,6 +47,7 @@ class WorkerConfig:
     worlds: int = field(compare=False)
     env_options: Mapping[str, Any] = field(compare=False)
     seed: int = field(compare=False)
+    workers: int = field(compare=False, default=1)
     home: int = field(default_factory=os.getpid, compare=False)
     """Id of the process that waits for the workers."""
     key: str = field(default_factory=lambda: uuid.uuid4().hex)
@@ -161,16 +163,16 @@ def _play(
     if os.getpid() != config.home:
         with contextlib.suppress(ValueError):  # threads of a cluster's worker get no signals
             signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the process that waits
-    worlds, made = _worlds(config), _made(config, name, policy)
+    worlds, timed = _worlds(config), _made(config, name, policy)
     results: list[EpisodeResult] = []
     try:
-        results.extend(rollouts(made, worlds, episodes, config.seed, name, least_lengths))
+        results.extend(rollouts(timed, worlds, episodes, config.seed, name, least_lengths, config.workers))
     except (PolicyFailed, EnvironmentFailed) as failure:
         return RolloutBatch(name, results, str(failure), format_cause(failure))
     return RolloutBatch(name, results)
 
 
-_policies: dict[tuple[WorkerConfig, str], Policy] = {}
+_policies: dict[tuple[WorkerConfig, str], TimedPolicy] = {}
 
 
 @functools.lru_cache(maxsize=1)
@@ -179,8 +181,8 @@ def _worlds(config: WorkerConfig) -> EpisodeVectorEnv:
     return make_worlds(config.env, config.worlds, config.env_options, threads=1)
 
 
-def _made(config: WorkerConfig, name: str, policy: str | PolicyFactory) -> Policy:
+def _made(config: WorkerConfig, name: str, policy: str | PolicyFactory) -> TimedPolicy:
     worlds = _worlds(config)
     if (config, name) not in _policies:
-        _policies[config, name] = make_policy(policy, worlds)
+        _policies[config, name] = TimedPolicy(make_policy(policy, worlds), worlds.num_envs)
     return _policies[config, name]

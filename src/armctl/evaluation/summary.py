@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.envs.vector import UNSTABLE
+from armctl.evaluation.decision_times import comparable_times, setting_in_words
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.statistics import (
     Estimate,
@@ -58,14 +59,26 @@ class PolicySummary:
     metrics: dict[str, Estimate | None]
     """Means of `METRICS` over successful episodes, or over all if success is unknown."""
     decision_ms_p50: float
+    """Of warm decisions, like the next two, in the episodes that `worlds` and `workers` tell."""
     decision_ms_p99: float
     decision_ms_max: float
     missed_deadlines: float | None
-    """Share of control steps whose decision time exceeded the control period; None if that is unknown."""
+    """Share of warm decisions whose time exceeded the control period; None if that is unknown (see `timing`)."""
     solver_failures: int
     """Number of control steps in which the controller's solver failed, if it counts them."""
     length: Estimate | None = None
     """Mean number of control steps, over all episodes; None in results of older versions."""
+    decision_ms_cold: float | None = None
+    """The longest first decision of the policy in a process; None if that was in none of the episodes."""
+    worlds: int = 1
+    """How many worlds shared the policy's calls in the episodes from which the decision times are."""
+    workers: int = 1
+    """How many processes played at a time in these."""
+
+    @property
+    def timing(self) -> str:
+        """What the decision times are, in words; empty for latencies, by which deadlines can be judged."""
+        return setting_in_words(self.worlds, self.workers)
 
     @property
     def unstable(self) -> int:
@@ -105,9 +118,11 @@ def counted_results(results: Sequence[EpisodeResult]) -> tuple[dict[str, list[Ep
 def _summary(
     name: str, policy: Policy, planned: int, infeasible: int, results: list[EpisodeResult], scored: bool
 ) -> PolicySummary:
-    decisions = np.concatenate([result.decision_ms for result in results])
+    timed = comparable_times(results)
+    decisions = np.concatenate([result.warm_ms for result in timed])
+    cold = _known(result.metrics.decision_ms_cold for result in timed)
     won = [result for result in results if result.success]
-    missed = [result.metrics.missed_deadlines for result in results]
+    missed = [result.metrics.missed_deadlines for result in timed]
     returns = np.array([result.total_reward for result in results])
     return PolicySummary(
         name,
@@ -131,6 +146,9 @@ def _summary(
         None if None in missed else sum(one for one in missed if one) / len(decisions),
         sum(result.metrics.solver_failures for result in results),
         mean(np.array([float(result.length) for result in results])),
+        float(cold.max()) if len(cold) else None,
+        timed[0].worlds,
+        timed[0].workers,
     )
 
 

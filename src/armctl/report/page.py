@@ -19,6 +19,7 @@ from armctl.evaluation.curves import POINTS, read_sweep
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.results import Results, read_results
 from armctl.evaluation.store import COMPARISON
+from armctl.evaluation.summary import PolicySummary
 from armctl.evaluation.sweep import UNDISTURBED
 from armctl.evaluation.verdict import verdict
 from armctl.files import write_atomically
@@ -111,7 +112,7 @@ def _comparison(results: Results, look: style.Looks) -> dict[str, Any]:
     comparison, episodes = results.comparison, results.episodes
     policies = comparison.policies
     planned = policies[0].planned if policies else 0
-    extent = f"--episodes {planned}" if planned else ""
+    extent = f"--episodes {planned}{_parallel(policies)}" if planned else ""
     sentence = _verdict(results)
     for name in sorted(look, key=len, reverse=True):
         sentence = sentence.replace(name, look[name].label)
@@ -171,6 +172,12 @@ def _command(verb: str, results: Results, more: str, names: Sequence[str]) -> st
     options = [f"--set {shlex.quote(f'{name}={value}')}" for name, value in comparison.env_options.items()]
     words = ("armctl", verb, *map(shlex.quote, names), "--env", shlex.quote(comparison.env), *options)
     return " ".join((*words, f"--seed {comparison.seed}", more)).rstrip()
+
+
+def _parallel(policies: Sequence[PolicySummary]) -> str:
+    """The options with which the decision times were taken like this."""
+    used = {name: max(getattr(policy, name) for policy in policies) for name in ("worlds", "workers")}
+    return "".join(f" --{name} {count}" for name, count in used.items() if count > 1)
 
 
 def _disturbances(sweep: pd.DataFrame) -> str:
