@@ -16,6 +16,7 @@ from armctl.cli.options import (
     Format,
     Overwrite,
     Policies,
+    RealTime,
     Seed,
     SuccessReturn,
     TableFormat,
@@ -47,6 +48,10 @@ def compare(
     workers: Workers = 1,
     env_options: EnvOptions = None,
     success_return: SuccessReturn = None,
+    real_time: RealTime = None,
+    slow_down: Annotated[
+        float, typer.Option(metavar="FACTOR", help="In real time, decisions take so many times as long.")
+    ] = 1.0,
     report: Annotated[bool, typer.Option("--report", help="Also write report.html, with figures and videos.")] = False,
     table_format: Format = TableFormat.TABLE,
 ) -> None:
@@ -77,6 +82,8 @@ def compare(
             workers=workers,
             env_options=options_of(env_options, success_return=success_return),
             progress=progress,
+            real_time=real_time,
+            slow_down=slow_down,
         )
     console = print_document(comparison.document(), table_format)
     written = "results" not in comparison.failures

@@ -22,8 +22,13 @@ class TimedPolicy:
     decision of the current episode was the policy's very first, in which code is loaded and compiled.
     """
 
-    def __init__(self, policy: Policy, n: int) -> None:
+    slow_down = 1.0
+    """By how much a decision takes longer than it was measured."""
+
+    def __init__(self, policy: Policy, n: int, workers: int = 1) -> None:
         self.policy = policy
+        self.setting = (n, workers)
+        """How many worlds share a call, and how many processes play."""
         self.cold = np.zeros(n, dtype=bool)
         self._fresh = True
         self._reset_ms = np.zeros(n)
@@ -36,7 +41,7 @@ class TimedPolicy:
         self._reset_ms[ids] = 1e3 * (perf_counter() - start) / len(ids)
 
     def act(self, observations: Observations) -> tuple[Actions, NDArray[np.float64]]:
-        """Actions (n, ...), and the time of each world's decision, (n,) ms; NaN where none began."""
+        """Actions (n, ...), and the time of each world's decision, (n,) ms; NaN where none begins."""
         start = perf_counter()
         actions = self.policy.act(observations)
         spent = 1e3 * (perf_counter() - start) / len(self.cold) + self._reset_ms
@@ -67,9 +72,10 @@ def timing_notes(timed: Iterable[tuple[str, Sequence[EpisodeResult]]]) -> list[s
         settings[policy] = setting_in_words(alike[0].worlds, alike[0].workers)
         if len(alike) < len(results):
             kind = settings[policy] or "latencies"
+            counts = f"{len(alike)} of {len(results)} episodes"
             notes.append(
-                f"Decision times of {policy} are from {len(alike)} of {len(results)} episodes, and are {kind}: the others "
-                "were played with other --worlds or --workers."
+                f"Decision times of {policy} are from {counts}, and are {kind}: the others were played with other "
+                "--worlds or --workers."
             )
     if len(kinds := set(settings.values())) > 1:
         said = "; ".join(f"those of {policy} are {words or 'latencies'}" for policy, words in settings.items())

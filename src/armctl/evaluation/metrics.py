@@ -36,7 +36,7 @@ class Metrics:
     solver_failures: int
     """Control steps in which the controller's solver failed, if it counts them."""
     missed_deadlines: int | None
-    """Warm decisions whose time exceeded the control period; None if that is unknown, or if times are no latencies."""
+    """Warm decisions that took longer than the control period; None if that or their latencies are unknown."""
     decision_ms_p50: float
     """Of warm decisions, like the next two: of all but the policy's first in its process, unless there is no other."""
     decision_ms_p99: float
@@ -54,13 +54,13 @@ def metrics(
     solver_failures: int,
     *,
     cold: bool,
-    latencies: bool,
+    slow_down: float | None,
 ) -> Metrics:
     """Metrics of the episode that has just ended in a world.
 
     `start` (3,) m is the robot's initial position, `motions` and `decision_ms` (steps,) are those of its control steps.
-    `cold` says whether its first decision was the policy's first in its process, `latencies` whether deadlines can be
-    judged by these times.
+    `decision_ms` is NaN in steps in which none began. `cold` says whether the first decision was the policy's first in
+    its process; `slow_down` by how much decisions take longer, None if times are no latencies.
     """
     period = task.control_period
     contacts = [None if motion.contact is None else bool(motion.contact[world]) for motion in motions]
@@ -76,7 +76,7 @@ def metrics(
         task.least_clearance(world, configurations),
         None if None in contacts else sum(map(bool, contacts)),
         solver_failures,
-        int((warm > 1e3 * period).sum()) if latencies and period is not None else None,
+        None if slow_down is None or period is None else int((slow_down * warm > 1e3 * period).sum()),
         round(float(p50), 4),
         round(float(p99), 4),
         round(float(most), 4),
@@ -85,8 +85,12 @@ def metrics(
 
 
 def warm_times(decision_ms: Array, cold: bool) -> Array:
-    """The times of an episode's decisions without the first one if that was `cold`, unless it is the only one."""
-    return decision_ms[1:] if cold and len(decision_ms) > 1 else decision_ms
+    """The times of an episode's decisions without the first one if that was `cold`, unless it is the only one.
+
+    `decision_ms` (steps,) is NaN in steps in which none began.
+    """
+    times = decision_ms[~np.isnan(decision_ms)]
+    return times[1:] if cold and len(times) > 1 else times
 
 
 def _joint_use(

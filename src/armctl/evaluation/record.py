@@ -56,7 +56,9 @@ class EpisodeResult:
     workers: int
     """How many processes played at a time."""
     decision_ms: NDArray[np.float64]
-    """(length,) decision times: wall time of each call of the policy, to 0.1 us, the first with the policy's reset."""
+    """(length,) decision times: wall time of each call of the policy, to 0.1 us, the first with the policy's reset.
+
+    NaN in control steps in which the policy was still computing (`RealTime`)."""
 
     @property
     def optimality_gap(self) -> float:

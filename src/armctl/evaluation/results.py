@@ -48,6 +48,7 @@ class _Summary:
     versions: dict[str, str]
     machine: dict[str, Any]
     notes: list[str] = field(default_factory=list)
+    real_time: dict[str, str | float] | None = None
 
 
 @dataclass(frozen=True)
@@ -90,6 +91,7 @@ def read_results(folder: Path) -> Results:
         summary.paired,
         summary.failures,
         notes=summary.notes,
+        real_time=summary.real_time,
         interrupted=summary.interrupted,
         resumed=summary.resumed,
     )

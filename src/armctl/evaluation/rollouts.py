@@ -34,14 +34,13 @@ def rollouts(
     seed: int,
     name: str = "policy",
     least_lengths: dict[int, float] | None = None,
-    workers: int = 1,
 ) -> Iterator[EpisodeResult]:
     """Play episodes of `seed` in the worlds of `env`, and yield the result of each as it ends.
 
     `episodes` is how many to play, or their numbers. `least_lengths`, by episode, is read and extended, so that
     policies can share it. A decision time is the duration of the policy's call divided by the number of worlds; the
-    first one of an episode includes the policy's reset. A policy that has decided before is given as `TimedPolicy`.
-    `workers` is how many processes play.
+    first one of an episode includes the policy's reset. `TimedPolicy` is for a policy that has decided before, or whose
+    decisions come late.
 
     Raises `PolicyFailed` if the policy fails, and `EnvironmentFailed` if the environment does.
     """
@@ -51,7 +50,7 @@ def rollouts(
     numbers = np.array([*episodes[:n], *[0] * (n - len(episodes))])
     waiting = iter(episodes[n:])
     timed = policy if isinstance(policy, TimedPolicy) else TimedPolicy(policy, n)
-    recorder = _EpisodeRecorder(timed, env, seed, name, {} if least_lengths is None else least_lengths, workers)
+    recorder = _EpisodeRecorder(timed, env, seed, name, {} if least_lengths is None else least_lengths)
     with wrap_environment_errors(name, numbers[0]):
         observations, infos = env.reset(seed=[seed] * n, options={"episode": numbers})
         recorder.begin(playing, numbers, infos)
@@ -91,11 +90,9 @@ class _EpisodeRecorder:
         seed: int,
         name: str,
         least_lengths: dict[int, float],
-        workers: int,
     ) -> None:
         n = env.num_envs
         self._timed, self._task, self._seed, self._name, self._least = timed, env.task, seed, name, least_lengths
-        self._setting = (n, workers)
         self._env_id = env.spec.id if env.spec else type(env).__name__
         self._numbers, self._first_step = np.zeros((2, n), dtype=np.int64)
         self._starts = np.zeros((n, 3))
@@ -154,9 +151,9 @@ class _EpisodeRecorder:
                 decision_ms,
                 failures,
                 cold=bool(self._timed.cold[i]),
-                latencies=self._setting == (1, 1),
+                slow_down=self._timed.slow_down if self._timed.setting == (1, 1) else None,
             ),
-            *self._setting,
+            *self._timed.setting,
             decision_ms,
         )
 

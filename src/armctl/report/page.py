@@ -82,7 +82,12 @@ def write_report(
         page |= _comparison(results, look)
         if sweep is not None:
             page["command"] = f"{_command('sweep', results, page['extent'], results.names)}{_disturbances(sweep)}"
-        page |= _videos(results, progress) if video else {"no_videos": "They were left out (--no-video)."}
+        if not video:
+            page["no_videos"] = "They were left out (--no-video)."
+        elif results.comparison.real_time:
+            page["no_videos"] = "Episodes in real time cannot be played again for them."
+        else:
+            page |= _videos(results, progress)
     progress("writing")
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("armctl.report", "."),
@@ -112,7 +117,7 @@ def _comparison(results: Results, look: style.Looks) -> dict[str, Any]:
     comparison, episodes = results.comparison, results.episodes
     policies = comparison.policies
     planned = policies[0].planned if policies else 0
-    extent = f"--episodes {planned}{_parallel(policies)}" if planned else ""
+    extent = f"--episodes {planned}{_parallel(policies)}{_late(results)}" if planned else ""
     sentence = _verdict(results)
     for name in sorted(look, key=len, reverse=True):
         sentence = sentence.replace(name, look[name].label)
@@ -178,6 +183,14 @@ def _parallel(policies: Sequence[PolicySummary]) -> str:
     """The options with which the decision times were taken like this."""
     used = {name: max(getattr(policy, name) for policy in policies) for name in ("worlds", "workers")}
     return "".join(f" --{name} {count}" for name, count in used.items() if count > 1)
+
+
+def _late(results: Results) -> str:
+    """The options of a world that does not wait."""
+    late = results.comparison.real_time
+    if late is None:
+        return ""
+    return f" --real-time {shlex.quote(str(late['latency']))} --slow-down {late['slow_down']:g}"
 
 
 def _disturbances(sweep: pd.DataFrame) -> str:
