@@ -9,10 +9,12 @@ import pandas as pd
 import pytest
 
 from armctl.errors import ConfigurationError, ResultsError
-from armctl.evaluation import compare, decision_times
+from armctl.evaluation import compare, decision_times, sweep
 from armctl.evaluation.real_time import RealTime, RealTimePolicy, RecordedTimes, check_real_time
 from armctl.evaluation.results import read_results
 from armctl.report import write_report
+
+from ..command_line import program
 
 BRIDGE = "armctl/BridgeCross-v0"
 SHORT = {"observation": "state", "max_episode_steps": 9}
@@ -212,3 +214,77 @@ def test_actions_that_are_no_numbers_cannot_be_late():
     worlds = SimpleNamespace(task=SimpleNamespace(control_period=0.1), single_action_space=gymnasium.spaces.Discrete(2))
     with pytest.raises(ConfigurationError, match="real time needs actions that are numbers"):
         check_real_time("mine/Doors-v0", worlds)
+
+
+def test_success_against_slow_down_has_the_same_times_at_every_level(clock, tmp_path):
+    arguments = {"policies": wandering(clock), "env": BRIDGE, "episodes": 2, "env_options": SHORT}
+    found = sweep(**arguments, disturbances={"slow-down": [5, 1]}, out=tmp_path)
+    assert found.levels == {"slow-down": [0, 1, 5]}
+    assert not found.failures
+    assert found.points.level.tolist() == [0, 0, 1, 1, 5, 5]
+    times = {name: one.episodes.decision_ms_p50.tolist() for name, one in found.comparisons.items()}
+    assert times["slow-down-1.0"] != times["none"]  # late decisions are fewer
+    for level in (1.0, 5.0):
+        alone = compare(**arguments, real_time=tmp_path / "none", slow_down=level, seeding=[])
+        pd.testing.assert_frame_equal(alone.episodes, found.comparisons[f"slow-down-{level}"].episodes)
+    said = repr(found.document())
+    assert "slow-down: in real time, with the decision times of the undisturbed comparison" in said
+    assert "takes effect when it is ready" not in said  # once, and not for each level
+    page = write_report(tmp_path, video=False).read_text()
+    assert "--disturbance slow-down=0,1,5" in page
+    assert "the level of slow-down" in page
+
+
+def test_a_sweep_of_recorded_times_may_have_many_worlds(recorded, tmp_path):
+    arguments = {"env": BRIDGE, "episodes": 2, "env_options": SHORT, "disturbances": {"slow-down": [2], "delay": [1]}}
+    found = sweep("random", **arguments, worlds=2, real_time=recorded / "latencies", out=tmp_path)
+    assert not found.failures
+    assert found.comparisons["slow-down-2.0"].real_time == {"latency": str(recorded / "latencies"), "slow_down": 2.0}
+    assert found.comparisons["delay-1.0"].real_time is None
+    assert f"--real-time {recorded / 'latencies'}" in write_report(tmp_path, video=False).read_text()
+
+
+def test_more_episodes_extend_a_recording_and_what_repeats_it(tmp_path):
+    arguments = {"env": BRIDGE, "env_options": SHORT, "disturbances": {"slow-down": [2]}, "out": tmp_path}
+    sweep("random", **arguments, episodes=1)
+    more = sweep("random", **arguments, episodes=2)
+    assert [one.resumed for one in more.comparisons.values()] == [1, 1]
+
+
+def failing_at_once(env):
+    return SimpleNamespace(act=lambda observation: 1 / 0)
+
+
+def test_a_policy_without_times_is_told_and_spoils_nothing():
+    found = sweep([failing_at_once, "random"], BRIDGE, episodes=1, env_options=SHORT, disturbances={"slow-down": [2]})
+    assert found.failures["slow-down-2.0: failing_at_once"] == "no decision times of episode 0"
+    assert found.points.policy.tolist() == ["random", "random"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ({"disturbances": {"slow-down": [2]}, "worlds": 2}, "one world and one worker, not 2 and 1"),
+        ({"disturbances": {"slow-down": [-2]}}, "slow-down is a number from 0 to 10000"),
+        ({"disturbances": {"slow-down": "fast"}}, "the levels of slow-down are numbers"),
+        ({"disturbances": {"delay": [1]}, "real_time": "latencies"}, "real_time is for the levels of slow-down"),
+        ({"disturbances": {"slow-down": [2]}, "real_time": "latencies", "episodes": 3}, "no decision times of random"),
+        ({"disturbances": ["slow-down"], "env": "CartPole-v1", "env_options": {}}, "does not say its control period"),
+    ],
+)
+def test_a_sweep_that_cannot_be_in_real_time_is_refused(recorded, tmp_path, arguments, says):
+    given = {"policies": "random", "env": BRIDGE, "episodes": 2, "env_options": SHORT} | arguments
+    if "real_time" in given:
+        given["real_time"] = recorded / given["real_time"]
+    with pytest.raises(ConfigurationError, match=says):
+        sweep(**given, out=tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_real_time_at_the_command_line(tmp_path):
+    few = ("random", "--env", "Pendulum-v1", "--episodes", "1", "--set", "max_episode_steps=3")
+    printed = program("compare", *few, "--real-time", "measured", "--slow-down", "2", cwd=tmp_path).stdout
+    assert "In real time: a decision that takes longer than the control period, 50 ms," in printed
+    printed = program("sweep", *few, "--slow-down", "1,30", "--format", "markdown", cwd=tmp_path).stdout
+    assert "slow-down, times the decision times" in printed
+    assert "noise" not in printed

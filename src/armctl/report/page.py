@@ -15,7 +15,7 @@ from plotly.offline import get_plotlyjs
 
 from armctl.envs import full_id
 from armctl.errors import ResultsError
-from armctl.evaluation.curves import POINTS, read_sweep
+from armctl.evaluation.curves import POINTS, RECORDED, read_sweep
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.results import Results, read_results
 from armctl.evaluation.store import COMPARISON
@@ -196,7 +196,9 @@ def _late(results: Results) -> str:
 def _disturbances(sweep: pd.DataFrame) -> str:
     levels = sweep.groupby("disturbance", sort=False)["level"].unique()
     asked = [f"{name}={','.join(f'{level:g}' for level in at)}" for name, at in levels.items()]
-    return "".join(f" --disturbance {shlex.quote(one)}" for one in asked)
+    recorded = sweep.attrs.get(RECORDED)
+    late = f" --real-time {shlex.quote(str(recorded))}" if recorded else ""
+    return "".join(f" --disturbance {shlex.quote(one)}" for one in asked) + late
 
 
 def _base64(data: bytes) -> str:
