@@ -1,6 +1,7 @@
 """What a decision time is, by a clock that only the policy advances."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -8,7 +9,7 @@ import pytest
 
 from armctl.envs import make_worlds
 from armctl.evaluation import compare, decision_times
-from armctl.evaluation.decision_times import TimedPolicy
+from armctl.evaluation.decision_times import TimedPolicy, timing_notes
 from armctl.evaluation.rollouts import rollouts
 from armctl.report import write_report
 
@@ -45,10 +46,11 @@ class Slow:
         return observations[:, 3:9]
 
 
-def played(policy, worlds, episodes, workers=1):
+def played(policy, worlds, episodes):
+    timed = policy if isinstance(policy, TimedPolicy) else TimedPolicy(policy, worlds)
     env = make_worlds("armctl/ArmReach-v0", worlds, OPTIONS)
     found = sorted(
-        rollouts(policy, env, episodes, 0, "slow", dict.fromkeys(range(episodes), math.nan), workers),
+        rollouts(timed, env, episodes, 0, "slow", dict.fromkeys(range(episodes), math.nan)),
         key=lambda result: result.episode,
     )
     env.close()
@@ -77,8 +79,8 @@ def test_in_a_batch_everybody_has_a_share_and_no_deadline_is_judged(clock):
 
 
 def test_a_policy_that_has_decided_before_is_warm(clock):
-    timed = TimedPolicy(Slow(clock, 0.0, [9, 1, 1, 8, 1, 1]), 1)
-    (cold,), (warm,) = played(timed, 1, 1, workers=2), played(timed, 1, 1, workers=2)
+    timed = TimedPolicy(Slow(clock, 0.0, [9, 1, 1, 8, 1, 1]), 1, workers=2)
+    (cold,), (warm,) = played(timed, 1, 1), played(timed, 1, 1)
     assert cold.metrics.decision_ms_cold == 9
     assert math.isnan(warm.metrics.decision_ms_cold)
     assert warm.metrics.decision_ms_max == 8
@@ -105,6 +107,19 @@ def test_times_that_were_taken_otherwise_are_not_mixed(tmp_path):
     last = pd.read_csv(tmp_path / "episodes.csv").iloc[-1]
     assert policy.decision_ms_p50 == pytest.approx(last.decision_ms_p50, abs=1e-3)
     assert policy.missed_deadlines == last.missed_deadlines / (last.length - 1)
+
+
+def test_times_of_different_settings_are_said_not_to_compare():
+    alone, shared, beside = (
+        [SimpleNamespace(worlds=worlds, workers=workers)] * 3 for worlds, workers in ((1, 1), (40, 1), (1, 3))
+    )
+    assert timing_notes([("a", alone), ("b", alone)]) == []
+    assert timing_notes([("a", alone), ("b", shared), ("c", beside)]) == [
+        "Decision times cannot be compared: those of a are latencies; those of b are shares of a batch of 40 worlds; "
+        "those of c are taken while up to 2 other workers computed."
+    ]
+    (said, _) = timing_notes([("a", shared * 2 + alone), ("b", shared)])
+    assert said.startswith("Decision times of a are from 3 of 9 episodes, and are latencies")
 
 
 def test_the_report_says_what_its_times_are_and_how_to_take_them_again(tmp_path):

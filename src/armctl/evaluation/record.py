@@ -91,7 +91,14 @@ class EpisodeResult:
         for name, value in earned.items():
             if not abs(value) <= LARGEST_RETURN:
                 raise ValueError(f"{name} is {value}, and should be between -{LARGEST_RETURN:g} and {LARGEST_RETURN:g}")
+        if not _are_times(decision_ms):
+            raise ValueError("its decision times are no times: numbers from 0 on, and nan where no decision began")
         return cls(**plain, metrics=Metrics(**_read(_METRICS_COLUMNS, named)), decision_ms=decision_ms)
+
+
+def _are_times(decision_ms: NDArray[np.float64]) -> bool:
+    began = decision_ms[~np.isnan(decision_ms)]
+    return bool(len(began) and not np.isnan(decision_ms[0]) and np.isfinite(began).all() and (began >= 0).all())
 
 
 _EMPTY_IS_NONE = BeforeValidator(lambda text: text or None)

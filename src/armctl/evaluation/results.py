@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 
 import pandas as pd
 from pydantic import TypeAdapter, ValidationError
+from typing_extensions import TypedDict
 
 from armctl.errors import ResultsError
 from armctl.evaluation.comparison import Comparison
@@ -31,6 +32,13 @@ class _Identity:
     policies: list[str]
 
 
+class _RealTime(TypedDict):
+    """What `Comparison.real_time` holds."""
+
+    latency: str
+    slow_down: float
+
+
 @dataclass(frozen=True)
 class _Summary:
     """`summary.json`, as `EpisodeLog.finish` writes it."""
@@ -48,7 +56,7 @@ class _Summary:
     versions: dict[str, str]
     machine: dict[str, Any]
     notes: list[str] = field(default_factory=list)
-    real_time: dict[str, str | float] | None = None
+    real_time: _RealTime | None = None
 
 
 @dataclass(frozen=True)
@@ -91,7 +99,7 @@ def read_results(folder: Path) -> Results:
         summary.paired,
         summary.failures,
         notes=summary.notes,
-        real_time=summary.real_time,
+        real_time=dict(summary.real_time) if summary.real_time else None,
         interrupted=summary.interrupted,
         resumed=summary.resumed,
     )
