@@ -106,7 +106,8 @@ def late(env):
 
 def test_missed_deadlines_are_counted():
     row = evaluate(late, episodes=1, env_options={"max_episode_steps": 3}, least_lengths=False).iloc[0]
-    assert row.missed_deadlines == 3
+    assert row.missed_deadlines == 2  # of three: the first is cold, and told apart
+    assert row.decision_ms_cold > 41
     assert row.decision_ms_max >= row.decision_ms_p99 >= row.decision_ms_p50 > 41
 
 

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -120,6 +121,19 @@ def test_a_return_beyond_statistics_is_told(folder, change, earned):
     with EpisodeLog(folder, own, len(results), overwrite=True) as log:
         log.finish(results, {})
     with pytest.raises(ResultsError, match=r"episodes.csv is damaged in line 2 \((return|reward_terms).* 1e\+100"):
+        read_episodes(folder, own)
+
+
+@pytest.mark.parametrize(
+    "times", ["nan nan nan nan nan", "nan 1.0 1.0 1.0 1.0", "inf 1.0 1.0 1.0 1.0", "-1.0 1.0 1.0 1.0 1.0"]
+)
+def test_decision_times_that_are_none_are_told(folder, times):
+    own = unsealed((folder / "comparison.json").read_text())
+    results = read_episodes(folder, own)
+    results[0] = dataclasses.replace(results[0], decision_ms=np.array(times.split(), dtype=float))
+    with EpisodeLog(folder, own, len(results), overwrite=True) as log:
+        log.finish(results, {})
+    with pytest.raises(ResultsError, match=r"damaged in line 2 \(its decision times are no times"):
         read_episodes(folder, own)
 
 

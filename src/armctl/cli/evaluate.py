@@ -16,6 +16,7 @@ from armctl.cli.options import (
     Format,
     Overwrite,
     Policies,
+    RealTime,
     Seed,
     SuccessReturn,
     TableFormat,
@@ -58,6 +59,10 @@ def compare(
     margin: Annotated[
         float, typer.Option(metavar="POINTS", help="Success that differs by less, in percent, counts as equivalent.")
     ] = 2.0,
+    real_time: RealTime = None,
+    slow_down: Annotated[
+        float, typer.Option(metavar="FACTOR", help="In real time, decisions take so many times as long.")
+    ] = 1.0,
     report: Annotated[bool, typer.Option("--report", help="Also write report.html, with figures and videos.")] = False,
     table_format: Format = TableFormat.TABLE,
 ) -> None:
@@ -90,6 +95,8 @@ def compare(
             baseline=baseline,
             margin=margin / 100,
             progress=progress,
+            real_time=real_time,
+            slow_down=slow_down,
         )
     console = print_document(comparison.document(), table_format)
     written = "results" not in comparison.failures
@@ -214,23 +221,41 @@ def sweep(
     workers: Workers = 1,
     env_options: EnvOptions = None,
     success_return: SuccessReturn = None,
+    slow_down: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LEVELS",
+            help="Slower computers, in real time: `--slow-down 1,2,5,10,30`, short for `--disturbance slow-down=...`.",
+        ),
+    ] = None,
+    real_time: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Results folder whose decision times `--slow-down` repeats.",
+            show_default="those of the undisturbed comparison, with one world and one worker",
+        ),
+    ] = None,
     table_format: Format = TableFormat.TABLE,
 ) -> None:
     """Let policies play the same episodes under increasing disturbances, and print how robust each is.
 
     Disturbances: `noise` of sensors, `delay` of actions, `payload`, `friction`, `strength` of motors, `pushes`,
     `mismatch` between the robot and the controllers' model of it, and `dropout` of camera images. Noise and dropout do
-    not affect policies that see the state. `armctl list` shows the levels.
+    not affect policies that see the state. `armctl list` shows the levels. With `--slow-down`, success is against the
+    slowness of the computer, in a world that does not wait.
 
     Every episode is written as it ends. After Ctrl-C, the same command with the same `--out` resumes the sweep.
     """
     from armctl.evaluation import EpisodeResult
     from armctl.evaluation import sweep as run_sweep
     from armctl.evaluation.compare import default_policies
+    from armctl.evaluation.real_time import SLOWER
     from armctl.evaluation.sweep import sweep_levels
 
     names, options = policies or default_policies(env), options_of(env_options, success_return=success_return)
-    asked = levels_of(disturbances) if disturbances else None
+    given = (disturbances or []) + ([f"{SLOWER}={slow_down}"] if slow_down else [])
+    asked = levels_of(given) if given else None
     settings = 1 + sum(len(levels) - 1 for levels in sweep_levels(env, asked, options).values())
     folder = out or new_folder()
     with progress_bar() as bar:
@@ -250,6 +275,7 @@ def sweep(
             worlds=worlds,
             workers=workers,
             env_options=options,
+            real_time=real_time,
             progress=progress,
         )
     console = print_document(found.document(), table_format)

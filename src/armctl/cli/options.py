@@ -42,7 +42,8 @@ Worlds = Annotated[
     int,
     typer.Option(
         min=1,
-        help="Worlds stepped at once. With 1, decision times are latencies; with more, a batch's time per world.",
+        help="Worlds stepped at once. With 1, decision times are latencies; with more, a batch's time per world, and "
+        "no deadlines are judged.",
     ),
 ]
 
@@ -51,7 +52,7 @@ Workers = Annotated[
     typer.Option(
         min=1,
         help="Parallel processes that play episodes, each on one core. With more than 1, decision times are measured "
-        "while the other processes compute.",
+        "while the other processes compute, and no deadlines are judged.",
     ),
 ]
 Policies = Annotated[
@@ -60,6 +61,16 @@ Policies = Annotated[
         help="Policies: names, agents' files, or `file.py:NAME` of functions or classes of yours.",
         show_default="those of the environment",
         autocompletion=completion.policies,
+    ),
+]
+
+RealTime = Annotated[
+    str | None,
+    typer.Option(
+        "--real-time",
+        metavar="measured|DIR",
+        help="The world does not wait: a decision longer than the control period takes effect when it is ready. With "
+        "`measured` times (one world, one worker), or those in the results folder DIR, which repeat exactly.",
     ),
 ]
 

@@ -11,14 +11,22 @@ from armctl import DEFAULT_ENV
 from armctl.envs import ThirdPartyVectorEnv, full_id, make_worlds, task_of
 from armctl.errors import ConfigurationError, ResultsError, unknown_name
 from armctl.evaluation.comparison import Comparison, summary
+from armctl.evaluation.decision_times import timing_notes
 from armctl.evaluation.identity import identity
 from armctl.evaluation.paired import MARGIN
 from armctl.evaluation.parallel import WorkerConfig, WorkersFailed, check_sendable, play_here, play_in_workers
+from armctl.evaluation.real_time import (
+    RealTime,
+    check_measurable,
+    check_real_time,
+    check_recorded,
+    real_time_of,
+)
 from armctl.evaluation.record import COLUMNS, EpisodeResult
 from armctl.evaluation.rollouts import check_counts, wrap_environment_errors
 from armctl.evaluation.seeding import seed_notes
 from armctl.evaluation.store import EpisodeLog
-from armctl.evaluation.summary import summarise
+from armctl.evaluation.summary import counted_results, summarise
 from armctl.policies import make_policy, named_policies
 from armctl.registration import bare_id, remember_named
 
@@ -42,6 +50,8 @@ def compare(
     margin: float = MARGIN,
     least_lengths: dict[int, float] | None = None,
     seeding: Sequence[str] | None = None,
+    real_time: str | Path | RealTime | None = None,
+    slow_down: float = 1.0,
     progress: Callable[[EpisodeResult], None] | None = None,
 ) -> Comparison:
     """Let policies play the same episodes 0 to `episodes` - 1 of `seed`.
@@ -49,11 +59,18 @@ def compare(
     With `out`, every episode is written to `out/episodes.csv` as soon as it ends, and the summary to
     `out/summary.json`. After an interrupt (Ctrl-C), a failing policy or a full disk, finished episodes are kept, and
     the same call resumes the comparison. Except for decision times, `episodes.csv` does not depend on the number of
-    worlds and workers. With one world (the default), decision times are latencies; with more, each is a batch's time
-    divided by the number of worlds.
+    worlds and workers. With one world and one worker (the default), decision times are latencies, by which deadlines
+    are judged; with more worlds, each is a batch's time divided by the number of worlds. The first decision of an
+    episode includes the policy's reset; the policy's first in a process is told apart.
 
     With `workers`, that many processes play, each with `worlds` worlds on one core. Decision times are then measured
     while the other processes compute.
+
+    With `real_time`, the world does not wait: a decision that takes longer than the control period takes effect when it
+    is ready (see `armctl.evaluation.real_time`). It is `measured`, which needs one world and one worker, or the folder
+    of a comparison with one world and one worker, whose decision times are repeated: then the episodes are the same
+    whenever and wherever they are played. Each process plays one world at a time, however many `worlds` there are.
+    Decisions take `slow_down` times as long as they were measured.
 
     `policies` is a list, or a mapping from names in the results, of any of the forms that `make_policy` takes: names,
     files, functions, classes, models; by default, it is what the task of `env` declares. `least_lengths` are shared as
@@ -76,6 +93,12 @@ def compare(
         raise unknown_name("baseline among the compared policies", baseline, by_name)
     if not 0 < margin < 1:
         raise ConfigurationError(f"the margin is a difference in success between 0 and 1, not {margin:g}")
+    paced = real_time_of(real_time, slow_down, env, seed)
+    if paced is not None:
+        if paced.recorded is None:
+            check_measurable(worlds, workers)
+        check_recorded(paced, by_name, episodes)
+        worlds = 1
     comparison = Comparison(env, seed, dict(env_options or {}), pd.DataFrame(columns=list(COLUMNS)))
     comparison.baseline, comparison.margin = baseline, margin
     worlds = min(worlds, episodes)
@@ -86,6 +109,10 @@ def compare(
         with wrap_environment_errors("a trial", 0):
             made_env.reset(seed=seed)  # raises for an invalid seed, before anything is written
         made = {name: make_policy(policy, made_env) for name, policy in by_name.items()}
+        if paced is not None:
+            check_real_time(bare_id(env), made_env)
+            comparison.real_time = {"latency": paced.latency, "slow_down": paced.slow_down}
+            comparison.notes.append(paced.in_words(made_env.task.control_period))
         if workers > 1:
             check_sendable(by_name)
         comparison.notes += seed_notes(env, env_options) if seeding is None else seeding
@@ -93,7 +120,8 @@ def compare(
             comparison.notes.append(UNTOLD.format(env=bare_id(env)))
         log: EpisodeLog | None = None
         if out is not None:
-            own = identity(env, comparison.env_options, seed, by_name, made, made_env)
+            late = None if paced is None else paced.identity(by_name)
+            own = identity(env, comparison.env_options, seed, by_name, made, made_env, late)
             log = stack.enter_context(EpisodeLog(Path(out), own, episodes, overwrite))
             results += log.kept
         comparison.resumed = len(results)
@@ -105,10 +133,10 @@ def compare(
         least = {} if least_lengths is None else least_lengths
         least.update((result.episode, result.least_length) for result in results)
         if workers == 1:
-            stream = play_here(made, made_env, seed, waiting, least)
+            stream = play_here(made, made_env, seed, waiting, least, paced)
         else:
-            config = WorkerConfig(env, worlds, comparison.env_options, seed)
-            stream = play_in_workers(by_name, config, waiting, least, workers)
+            config = WorkerConfig(env, worlds, comparison.env_options, seed, workers)
+            stream = play_in_workers(by_name, config, waiting, least, workers, paced)
         try:
             with closing(stream):
                 for played in stream:
@@ -133,6 +161,8 @@ def compare(
             if (bounds := made_env.task.return_bounds(steps)) is None:
                 comparison.notes.append(UNBOUNDED)
             comparison.policies, comparison.paired = summarise(results, made, episodes, bounds, steps)
+            counted, _ = counted_results(results)
+            comparison.notes += timing_notes((name, played) for name, played in counted.items() if played)
             if comparison.policies and comparison.policies[0].success is None:
                 comparison.notes.append(UNSCORED.format(env=bare_id(env)))
         if log is not None:

@@ -37,6 +37,8 @@ class Comparison(Displayed):
     """Difference in success below which policies count as equivalent."""
     notes: list[str] = field(default_factory=list)
     """Remarks about the environment: what it does not tell, and whether it obeys its seed."""
+    real_time: dict[str, Any] | None = None
+    """The `latency` (`measured`, or the folder of recorded times) and `slow_down`, if the world did not wait."""
     interrupted: bool = False
     resumed: int = 0
     """Number of episodes that an earlier run had finished."""
@@ -82,6 +84,7 @@ def summary(comparison: Comparison) -> dict[str, Any]:
         "env": comparison.env,
         "env_options": {name: str(value) for name, value in comparison.env_options.items()},
         "seed": comparison.seed,
+        "real_time": comparison.real_time,
         "interrupted": comparison.interrupted,
         "resumed": comparison.resumed,
         "failures": comparison.failures,

@@ -16,6 +16,8 @@ CURVE_COLUMNS = ("steps", "minutes", "success", "low", "high", "return")
 """Of held-out episodes: after how many steps and minutes of training, success with its 95 % interval, mean return."""
 SWEEP, POINTS, COMPARISONS = "sweep.json", "sweep.csv", "comparisons"
 """Files of a sweep, and the first's key for the identities of its comparisons."""
+RECORDED = "real_time"
+"""The key, in the first of them and in its table's attributes, of the folder whose decision times were repeated."""
 SWEEP_COLUMNS = ("disturbance", "level", "policy", "success", "low", "high")
 
 
@@ -56,7 +58,9 @@ def read_sweep(folder: Path) -> pd.DataFrame:
                 raise ValueError(f"{folder / name} holds another comparison by now: run the sweep again")
     except (OSError, ValueError, TypeError) as error:
         raise ResultsError(f"{path} cannot be read: {error}") from error
-    return _table(path, SWEEP_COLUMNS, ("level", "success", "low", "high")).astype({"policy": str, "disturbance": str})
+    table = _table(path, SWEEP_COLUMNS, ("level", "success", "low", "high")).astype({"policy": str, "disturbance": str})
+    table.attrs[RECORDED] = told.get(RECORDED)
+    return table
 
 
 def comparison_in(folder: Path) -> str:

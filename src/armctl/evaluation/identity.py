@@ -39,10 +39,12 @@ def identity(
     given: Mapping[str, Any],
     policies: Mapping[str, Policy],
     worlds: EpisodeVectorEnv,
+    real_time: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Everything that determines a comparison's episodes, as JSON values.
 
-    `given` are the policies as they were asked for, `policies` as they were made for `worlds`. Agents, code of one's
+    `given` are the policies as they were asked for, `policies` as they were made for `worlds`; `real_time` is
+    `RealTime.identity`. Agents, code of one's
     own, objects, files among the options, the compiled MuJoCo model with its meshes, and armctl's source count by
     checksum. What other files a policy or an environment opens is not known.
     """
@@ -52,6 +54,7 @@ def identity(
         "env_options": {name: _in_words(value) for name, value in env_options.items()},
         "registered": _registration(env),
         "seed": seed,
+        "real_time": real_time,
         "policies": list(policies),
         "agents": {name: policy.card.sha256 for name, policy in policies.items() if isinstance(policy, OnnxPolicy)},
         "objects": {name: fingerprint(given) for name, given in definitions.items() if given is not None},

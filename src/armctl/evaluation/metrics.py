@@ -36,25 +36,39 @@ class Metrics:
     solver_failures: int
     """Control steps in which the controller's solver failed, if it counts them."""
     missed_deadlines: int | None
-    """Control steps whose decision time exceeded the control period; None if that is unknown."""
+    """Warm decisions that took longer than the control period; None if that or their latencies are unknown."""
     decision_ms_p50: float
+    """Of warm decisions, like the next two: of all but the policy's first in its process, unless there is no other."""
     decision_ms_p99: float
     decision_ms_max: float
+    decision_ms_cold: float
+    """Time of the policy's first decision in its process; NaN if that was in another episode."""
 
 
 def metrics(
-    task: Any, world: int, start: Array, motions: Sequence[MotionSample], decision_ms: Array, solver_failures: int
+    task: Any,
+    world: int,
+    start: Array,
+    motions: Sequence[MotionSample],
+    decision_ms: Array,
+    solver_failures: int,
+    *,
+    cold: bool,
+    slow_down: float | None,
 ) -> Metrics:
     """Metrics of the episode that has just ended in a world.
 
     `start` (3,) m is the robot's initial position, `motions` and `decision_ms` (steps,) are those of its control steps.
+    `decision_ms` is NaN in steps in which none began. `cold` says whether the first decision was the policy's first in
+    its process; `slow_down` by how much decisions take longer, None if times are no latencies.
     """
     period = task.control_period
     contacts = [None if motion.contact is None else bool(motion.contact[world]) for motion in motions]
     positions = np.array([start, *(motion.position[world] for motion in motions)])
     configurations = np.array([motion.configuration[world] for motion in motions])
     use = _joint_use(task, world, motions, configurations)
-    p50, p99, most = np.quantile(decision_ms, (0.5, 0.99, 1.0))
+    warm = warm_times(decision_ms, cold)
+    p50, p99, most = np.quantile(warm, (0.5, 0.99, 1.0))
     return Metrics(
         path_length(positions),
         math.nan if period is None else smoothness(positions, period),
@@ -62,11 +76,21 @@ def metrics(
         task.least_clearance(world, configurations),
         None if None in contacts else sum(map(bool, contacts)),
         solver_failures,
-        None if period is None else int((decision_ms > 1e3 * period).sum()),
+        None if slow_down is None or period is None else int((slow_down * warm > 1e3 * period).sum()),
         round(float(p50), 4),
         round(float(p99), 4),
         round(float(most), 4),
+        float(decision_ms[0]) if cold else math.nan,
     )
+
+
+def warm_times(decision_ms: Array, cold: bool) -> Array:
+    """The times of an episode's decisions without the first one if that was `cold`, unless it is the only one.
+
+    `decision_ms` (steps,) is NaN in steps in which none began.
+    """
+    times = decision_ms[~np.isnan(decision_ms)]
+    return times[1:] if cold and len(times) > 1 else times
 
 
 def _joint_use(

@@ -23,6 +23,8 @@ from joblib.parallel import LokyBackend, get_active_backend
 
 from armctl.envs import EpisodeVectorEnv, make_worlds
 from armctl.errors import ArmctlError, ConfigurationError, EnvironmentFailed, format_cause
+from armctl.evaluation.decision_times import TimedPolicy
+from armctl.evaluation.real_time import RealTime, RealTimePolicy
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.rollouts import PolicyFailed, rollouts
 from armctl.policies import Policy, PolicyFactory, make_policy
@@ -46,6 +48,7 @@ class WorkerConfig:
     worlds: int = field(compare=False)
     env_options: Mapping[str, Any] = field(compare=False)
     seed: int = field(compare=False)
+    workers: int = field(compare=False, default=1)
     home: int = field(default_factory=os.getpid, compare=False)
     """Id of the process that waits for the workers."""
     key: str = field(default_factory=lambda: uuid.uuid4().hex)
@@ -68,13 +71,18 @@ def play_here(
     seed: int,
     waiting: Mapping[str, Sequence[int]],
     least_lengths: dict[int, float],
+    real_time: RealTime | None = None,
 ) -> Generator[RolloutBatch, None, None]:
-    """Play each policy's `waiting` episodes, and yield each as it ends. `least_lengths` is as in `rollouts`."""
+    """Play each policy's `waiting` episodes, and yield each as it ends. `least_lengths` is as in `rollouts`.
+
+    In real time, `env` has one world.
+    """
     for name, policy in policies.items():
         if not waiting[name]:
             continue
         try:
-            for result in rollouts(policy, env, waiting[name], seed, name, least_lengths):
+            timed = RealTimePolicy(policy, env.task, real_time, name) if real_time else policy
+            for result in rollouts(timed, env, waiting[name], seed, name, least_lengths):
                 yield RolloutBatch(name, [result])
         except (PolicyFailed, EnvironmentFailed) as failure:
             yield RolloutBatch(name, [], str(failure), format_cause(failure))
@@ -86,6 +94,7 @@ def play_in_workers(
     waiting: Mapping[str, Sequence[int]],
     least_lengths: dict[int, float],
     workers: int,
+    real_time: RealTime | None = None,
 ) -> Generator[RolloutBatch, None, None]:
     """The same in `workers` processes, by blocks of episodes. Closing the iterator discards unfinished blocks.
 
@@ -98,7 +107,8 @@ def play_in_workers(
             for block in _blocks(waiting[name], config.worlds, workers):
                 if name not in failed:
                     known = {episode: least_lengths[episode] for episode in block if episode in least_lengths}
-                    yield joblib.delayed(_play)(config, name, policy, block, known)
+                    late = real_time and real_time.of(name, block)
+                    yield joblib.delayed(_play)(config, name, policy, block, known, late)
 
     parallel = joblib.Parallel(n_jobs=workers, return_as="generator_unordered", **_ending_with_this_process())
     try:
@@ -156,21 +166,24 @@ def _play(
     policy: str | PolicyFactory,
     episodes: Sequence[int],
     least_lengths: dict[int, float],
+    real_time: RealTime | None,
 ) -> RolloutBatch:
     """Play a block of episodes in a worker."""
     if os.getpid() != config.home:
         with contextlib.suppress(ValueError):  # threads of a cluster's worker get no signals
             signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the process that waits
-    worlds, made = _worlds(config), _made(config, name, policy)
+    worlds, timed = _worlds(config), _made(config, name, policy)
+    if real_time:
+        timed = RealTimePolicy(timed.policy, worlds.task, real_time, name)
     results: list[EpisodeResult] = []
     try:
-        results.extend(rollouts(made, worlds, episodes, config.seed, name, least_lengths))
+        results.extend(rollouts(timed, worlds, episodes, config.seed, name, least_lengths))
     except (PolicyFailed, EnvironmentFailed) as failure:
         return RolloutBatch(name, results, str(failure), format_cause(failure))
     return RolloutBatch(name, results)
 
 
-_policies: dict[tuple[WorkerConfig, str], Policy] = {}
+_policies: dict[tuple[WorkerConfig, str], TimedPolicy] = {}
 
 
 @functools.lru_cache(maxsize=1)
@@ -179,8 +192,8 @@ def _worlds(config: WorkerConfig) -> EpisodeVectorEnv:
     return make_worlds(config.env, config.worlds, config.env_options, threads=1)
 
 
-def _made(config: WorkerConfig, name: str, policy: str | PolicyFactory) -> Policy:
+def _made(config: WorkerConfig, name: str, policy: str | PolicyFactory) -> TimedPolicy:
     worlds = _worlds(config)
     if (config, name) not in _policies:
-        _policies[config, name] = make_policy(policy, worlds)
+        _policies[config, name] = TimedPolicy(make_policy(policy, worlds), worlds.num_envs, config.workers)
     return _policies[config, name]

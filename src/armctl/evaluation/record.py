@@ -12,14 +12,19 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Json, TypeAdapter, ValidationError
 from typing_extensions import TypedDict
 
-from armctl.evaluation.metrics import Metrics
+from armctl.evaluation.metrics import Metrics, warm_times
 
 COLUMNS = (
     "policy", "env", "episode", "seed", "outcome", "success", "feasible", "return", "reward_terms", "length",
     "least_length", "optimality_gap", "tracking_error", *(field.name for field in fields(Metrics)),
+    "worlds", "workers",
 )  # fmt: skip
-TIME_COLUMNS = ("missed_deadlines", "decision_ms_p50", "decision_ms_p99", "decision_ms_max")
-"""The columns that depend on the machine. All others are the same whenever and wherever an episode is played."""
+TIME_COLUMNS = (
+    "missed_deadlines", "decision_ms_p50", "decision_ms_p99", "decision_ms_max", "decision_ms_cold", "worlds",
+    "workers",
+)  # fmt: skip
+"""The columns that depend on the machine, and on how it was used. All others are the same whenever and wherever an
+episode is played."""
 
 LARGEST_RETURN = 1e100
 """Beyond what the environments pay in any episode; its square, and the sum of many such, are still numbers."""
@@ -46,13 +51,24 @@ class EpisodeResult:
     tracking_error: float
     """m, mean distance to a moving target since it was first reached; NaN in other tasks."""
     metrics: Metrics
+    worlds: int
+    """How many worlds shared the policy's calls: decision times are these calls' divided by it."""
+    workers: int
+    """How many processes played at a time."""
     decision_ms: NDArray[np.float64]
-    """(length,) decision times: wall time of each call of the policy, to 0.1 us."""
+    """(length,) decision times: wall time of each call of the policy, to 0.1 us, the first with the policy's reset.
+
+    NaN in control steps in which the policy was still computing (`RealTime`)."""
 
     @property
     def optimality_gap(self) -> float:
         """Relative excess of the episode's length over the least possible; NaN unless it was a success."""
         return self.length / self.least_length - 1 if self.success else math.nan
+
+    @property
+    def warm_ms(self) -> NDArray[np.float64]:
+        """The decision times without that of the policy's first decision in its process (see `warm_times`)."""
+        return warm_times(self.decision_ms, not math.isnan(self.metrics.decision_ms_cold))
 
     def row(self) -> dict[str, Any]:
         """The episode as a row of `episodes.csv`."""
@@ -60,7 +76,7 @@ class EpisodeResult:
             self.policy, self.env, self.episode, self.seed, self.outcome, self.success, self.feasible,
             self.total_reward, json.dumps(self.reward_terms), self.length, self.least_length, self.optimality_gap,
             self.tracking_error,
-            *asdict(self.metrics).values(),
+            *asdict(self.metrics).values(), self.worlds, self.workers,
         )  # fmt: skip
         return dict(zip(COLUMNS, values, strict=True))
 
@@ -75,7 +91,14 @@ class EpisodeResult:
         for name, value in earned.items():
             if not abs(value) <= LARGEST_RETURN:
                 raise ValueError(f"{name} is {value}, and should be between -{LARGEST_RETURN:g} and {LARGEST_RETURN:g}")
+        if not _are_times(decision_ms):
+            raise ValueError("its decision times are no times: numbers from 0 on, and nan where no decision began")
         return cls(**plain, metrics=Metrics(**_read(_METRICS_COLUMNS, named)), decision_ms=decision_ms)
+
+
+def _are_times(decision_ms: NDArray[np.float64]) -> bool:
+    began = decision_ms[~np.isnan(decision_ms)]
+    return bool(len(began) and not np.isnan(decision_ms[0]) and np.isfinite(began).all() and (began >= 0).all())
 
 
 _EMPTY_IS_NONE = BeforeValidator(lambda text: text or None)

@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 
 import pandas as pd
 from pydantic import TypeAdapter, ValidationError
+from typing_extensions import TypedDict
 
 from armctl.errors import ResultsError
 from armctl.evaluation.comparison import Comparison
@@ -31,6 +32,13 @@ class _Identity:
     policies: list[str]
 
 
+class _RealTime(TypedDict):
+    """What `Comparison.real_time` holds."""
+
+    latency: str
+    slow_down: float
+
+
 @dataclass(frozen=True)
 class _Summary:
     """`summary.json`, as `EpisodeLog.finish` writes it."""
@@ -50,6 +58,7 @@ class _Summary:
     notes: list[str] = field(default_factory=list)
     baseline: str | None = None
     margin: float = MARGIN
+    real_time: _RealTime | None = None
 
 
 @dataclass(frozen=True)
@@ -94,6 +103,7 @@ def read_results(folder: Path) -> Results:
         baseline=summary.baseline,
         margin=summary.margin,
         notes=summary.notes,
+        real_time=dict(summary.real_time) if summary.real_time else None,
         interrupted=summary.interrupted,
         resumed=summary.resumed,
     )

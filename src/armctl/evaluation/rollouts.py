@@ -1,7 +1,6 @@
 """Plays episodes with one policy, and records a result for each."""
 
 import math
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from armctl import DEFAULT_ENV
 from armctl.envs import EpisodeVectorEnv, make_worlds
 from armctl.errors import FAILURES, ArmctlError, ConfigurationError, EnvironmentFailed, InvalidAction, described
+from armctl.evaluation.decision_times import TimedPolicy
 from armctl.evaluation.metrics import metrics
 from armctl.evaluation.record import COLUMNS, EpisodeResult
 from armctl.policies import Policy, PolicyFactory, make_policy, policy_name
@@ -28,7 +28,7 @@ class PolicyFailed(ArmctlError):
 
 
 def rollouts(
-    policy: Policy,
+    policy: Policy | TimedPolicy,
     env: EpisodeVectorEnv,
     episodes: int | Sequence[int],
     seed: int,
@@ -38,7 +38,9 @@ def rollouts(
     """Play episodes of `seed` in the worlds of `env`, and yield the result of each as it ends.
 
     `episodes` is how many to play, or their numbers. `least_lengths`, by episode, is read and extended, so that
-    policies can share it. A decision time is the duration of the policy's call divided by the number of worlds.
+    policies can share it. A decision time is the duration of the policy's call divided by the number of worlds; the
+    first one of an episode includes the policy's reset. `TimedPolicy` is for a policy that has decided before, or whose
+    decisions come late.
 
     Raises `PolicyFailed` if the policy fails, and `EnvironmentFailed` if the environment does.
     """
@@ -47,17 +49,16 @@ def rollouts(
     playing = np.arange(n) < len(episodes)
     numbers = np.array([*episodes[:n], *[0] * (n - len(episodes))])
     waiting = iter(episodes[n:])
-    recorder = _EpisodeRecorder(policy, env, seed, name, {} if least_lengths is None else least_lengths)
+    timed = policy if isinstance(policy, TimedPolicy) else TimedPolicy(policy, n)
+    recorder = _EpisodeRecorder(timed, env, seed, name, {} if least_lengths is None else least_lengths)
     with wrap_environment_errors(name, numbers[0]):
         observations, infos = env.reset(seed=[seed] * n, options={"episode": numbers})
         recorder.begin(playing, numbers, infos)
     with wrap_policy_errors(name, numbers[0]):
-        policy.reset(np.arange(n, dtype=np.int32))
+        timed.reset(np.arange(n, dtype=np.int32), numbers.tolist())
     while playing.any():
         with wrap_policy_errors(name, numbers[playing][0]):
-            start = time.perf_counter()
-            actions = policy.act(observations)
-            decision_ms = 1e3 * (time.perf_counter() - start) / n
+            actions, decision_ms = timed.act(observations)
         with wrap_environment_errors(name, numbers[playing][0]):
             observations, rewards, terminated, truncated, infos = env.step(actions)
             recorder.step(decision_ms, rewards, infos)
@@ -75,7 +76,7 @@ def rollouts(
                 observations, infos = env.reset(options={"reset_mask": again, "episode": np.maximum(numbers, 0)})
                 recorder.begin(again, numbers, infos)
             with wrap_policy_errors(name, numbers[again][0]):
-                policy.reset(np.flatnonzero(again).astype(np.int32))
+                timed.reset(np.flatnonzero(again).astype(np.int32), numbers[again].tolist())
         recorder.forget_before_all(playing)
 
 
@@ -83,10 +84,15 @@ class _EpisodeRecorder:
     """Records the current episode of each of n worlds."""
 
     def __init__(
-        self, policy: Policy, env: EpisodeVectorEnv, seed: int, name: str, least_lengths: dict[int, float]
+        self,
+        timed: TimedPolicy,
+        env: EpisodeVectorEnv,
+        seed: int,
+        name: str,
+        least_lengths: dict[int, float],
     ) -> None:
         n = env.num_envs
-        self._policy, self._task, self._seed, self._name, self._least = policy, env.task, seed, name, least_lengths
+        self._timed, self._task, self._seed, self._name, self._least = timed, env.task, seed, name, least_lengths
         self._env_id = env.spec.id if env.spec else type(env).__name__
         self._numbers, self._first_step = np.zeros((2, n), dtype=np.int64)
         self._starts = np.zeros((n, 3))
@@ -94,7 +100,7 @@ class _EpisodeRecorder:
         self._failures_before = np.zeros(n, dtype=np.int64)
         self._earned: dict[str, NDArray[np.float64]] = {}
         self._returns = np.zeros(n)
-        self._decision_ms: list[float] = []
+        self._decision_ms: list[NDArray[np.float64]] = []
         self._motions: list[MotionSample] = []
 
     def begin(self, began: NDArray[np.bool_], numbers: NDArray[np.int64], infos: Mapping[str, Any]) -> None:
@@ -112,7 +118,7 @@ class _EpisodeRecorder:
                 known = math.isfinite(time)
                 self._least[number] = max(1.0, np.ceil(time / self._task.control_period - 1e-9)) if known else math.nan
 
-    def step(self, decision_ms: float, rewards: NDArray[np.float64], infos: Mapping[str, Any]) -> None:
+    def step(self, decision_ms: NDArray[np.float64], rewards: NDArray[np.float64], infos: Mapping[str, Any]) -> None:
         """All worlds have made a control step."""
         self._decision_ms.append(decision_ms)
         self._motions.append(self._task.motion())
@@ -121,7 +127,7 @@ class _EpisodeRecorder:
 
     def result(self, i: int, infos: Mapping[str, Any]) -> EpisodeResult:
         """The record of the episode that has just ended in world i."""
-        decision_ms = np.round(self._decision_ms[self._first_step[i] :], 4)
+        decision_ms = np.array([spent[i] for spent in self._decision_ms[self._first_step[i] :]])
         motions = self._motions[self._first_step[i] :]
         failures = int(self._failures()[i] - self._failures_before[i])
         return EpisodeResult(
@@ -137,7 +143,17 @@ class _EpisodeRecorder:
             len(motions),
             self._least[int(self._numbers[i])],
             float(infos["tracking_error"][i]) if "tracking_error" in infos else math.nan,
-            metrics(self._task, i, self._starts[i], motions, decision_ms, failures),
+            metrics(
+                self._task,
+                i,
+                self._starts[i],
+                motions,
+                decision_ms,
+                failures,
+                cold=bool(self._timed.cold[i]),
+                slow_down=self._timed.slow_down if self._timed.setting == (1, 1) else None,
+            ),
+            *self._timed.setting,
             decision_ms,
         )
 
@@ -149,7 +165,7 @@ class _EpisodeRecorder:
 
     def _failures(self) -> NDArray[np.int64]:
         """(n,) number of solver failures in each world; 0 for policies that do not count them."""
-        return np.broadcast_to(getattr(self._policy, "failures", 0), len(self._numbers)).copy()
+        return np.broadcast_to(getattr(self._timed.policy, "failures", 0), len(self._numbers)).copy()
 
 
 @contextmanager

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.envs.vector import UNSTABLE
+from armctl.evaluation.decision_times import comparable_times, setting_in_words
 from armctl.evaluation.paired import PairedDifference, paired_difference
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.statistics import Bounds, Estimate, bounded_mean, mean, median, success_rate, worst_decile
@@ -51,10 +52,11 @@ class PolicySummary:
     metrics: dict[str, Estimate | None]
     """Means of `METRICS` over successful episodes, or over all if success is unknown."""
     decision_ms_p50: float
+    """Of warm decisions, like the next two, in the episodes that `worlds` and `workers` tell."""
     decision_ms_p99: float
     decision_ms_max: float
     missed_deadlines: float | None
-    """Share of control steps whose decision time exceeded the control period; None if that is unknown."""
+    """Share of warm decisions whose time exceeded the control period; None if that is unknown (see `timing`)."""
     solver_failures: int
     """Number of control steps in which the controller's solver failed, if it counts them."""
     length: Estimate | None = None
@@ -67,11 +69,22 @@ class PolicySummary:
     """Mean steps to the goal over all episodes, a failure counting as the time limit; None without a limit."""
     efficiency: Estimate | None = None
     """Mean of success times least possible length over length (SPL, Anderson et al. 2018, arXiv:1807.06757)."""
+    decision_ms_cold: float | None = None
+    """The longest first decision of the policy in a process; None if that was in none of the episodes."""
+    worlds: int = 1
+    """How many worlds shared the policy's calls in the episodes from which the decision times are."""
+    workers: int = 1
+    """How many processes played at a time in these."""
 
     @property
     def learned(self) -> bool:
         """Whether it was trained."""
         return self.training_steps > 0
+
+    @property
+    def timing(self) -> str:
+        """What the decision times are, in words; empty for latencies, by which deadlines can be judged."""
+        return setting_in_words(self.worlds, self.workers)
 
     @property
     def unstable(self) -> int:
@@ -147,9 +160,11 @@ def counted_results(results: Sequence[EpisodeResult]) -> tuple[dict[str, list[Ep
 def _summary(
     name: str, policy: Policy, planned: int, infeasible: int, results: list[EpisodeResult], scored: bool, limits: Limits
 ) -> PolicySummary:
-    decisions = np.concatenate([result.decision_ms for result in results])
+    timed = comparable_times(results)
+    decisions = np.concatenate([result.warm_ms for result in timed])
+    cold = _known(result.metrics.decision_ms_cold for result in timed)
     won = [result for result in results if result.success]
-    missed = [result.metrics.missed_deadlines for result in results]
+    missed = [result.metrics.missed_deadlines for result in timed]
     returns = np.array([result.total_reward for result in results])
     cleanly = [clean(result) for result in results]
     restricted = limits.restricted(results) if scored else None
@@ -181,6 +196,9 @@ def _summary(
         worst_decile(returns, limits.returns),
         None if restricted is None else bounded_mean(restricted, (1.0, float(limits.steps or 1))),
         bounded_mean(efficiency, (0.0, 1.0)) if scored and np.isfinite(efficiency).all() else None,
+        float(cold.max()) if len(cold) else None,
+        timed[0].worlds,
+        timed[0].workers,
     )
 
 

@@ -4,8 +4,8 @@ import functools
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext
-from dataclasses import dataclass, field
+from contextlib import closing, nullcontext
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +17,19 @@ from armctl.envs import full_id, make_worlds
 from armctl.errors import ConfigurationError, ResultsError, unknown_name
 from armctl.evaluation.compare import compare, default_policies
 from armctl.evaluation.comparison import Comparison
-from armctl.evaluation.curves import COMPARISONS, POINTS, SWEEP, comparison_in
+from armctl.evaluation.curves import COMPARISONS, POINTS, RECORDED, SWEEP, comparison_in
 from armctl.evaluation.notebook import Displayed
 from armctl.evaluation.paired import mcnemar
+from armctl.evaluation.real_time import (
+    SLOW_DOWN,
+    SLOWER,
+    RealTime,
+    check_measurable,
+    check_real_time,
+    check_recorded,
+    read_recording,
+    recorded_times,
+)
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.seeding import seed_notes
 from armctl.evaluation.statistics import Estimate, paired_superiority
@@ -28,6 +38,7 @@ from armctl.evaluation.summary_tables import sweep_parts
 from armctl.evaluation.tables import Document, Remark
 from armctl.files import digest, one_writer, sealed, write_atomically
 from armctl.policies import named_policies
+from armctl.registration import bare_id
 
 COLUMNS = (
     "disturbance", "level", "policy", "episodes", "success", "low", "high", "return", "return_low", "return_high",
@@ -53,13 +64,19 @@ class Sweep(Displayed):
     """The rows of `sweep.csv`."""
     failures: dict[str, str] = field(default_factory=dict)
     """Error messages: by comparison and policy, or under `results` if results could not be written."""
+    recorded: str = ""
+    """Where the decision times of the slow-down levels come from; empty without such levels."""
     interrupted: bool = False
 
     def document(self) -> Document:
         """A table for each disturbance, and from which level each policy gets worse."""
         parts = sweep_parts(self.points)
-        notes = itertools.chain.from_iterable(comparison.notes for comparison in self.comparisons.values())
+        waiting = (comparison for comparison in self.comparisons.values() if comparison.real_time is None)
+        notes = itertools.chain.from_iterable(comparison.notes for comparison in waiting)
         parts += [Remark(note, "note") for note in dict.fromkeys(notes)]
+        if self.recorded:
+            times = f"with the decision times of {self.recorded}"
+            parts.append(Remark(f"{SLOWER}: in real time, {times}; at 0 the world waits."))
         parts += [Remark(f"{what}: {why}", "problem") for what, why in self.failures.items()]
         if self.interrupted:
             parts.append(Remark("Interrupted.", "note"))
@@ -83,14 +100,20 @@ def sweep(
     worlds: int = 1,
     workers: int = 1,
     env_options: Mapping[str, Any] | None = None,
+    real_time: str | Path | None = None,
     progress: Callable[[str, EpisodeResult], None] | None = None,
 ) -> Sweep:
     """Compare policies on the same episodes, undisturbed and at each level of each disturbance.
 
     `disturbances` are names, or levels by name; None as levels means the disturbance's default levels. By default, all
-    disturbances of the environment are swept. The other arguments are those of `compare`. `out` gets `sweep.csv` and a
-    comparison's folder for each level, `out/none` for that without disturbance. The same call resumes an interrupted
-    sweep, and a call with more levels extends it. `progress` is called with the comparison's name and the episode.
+    disturbances of the environment are swept. `slow-down` stands for a slower computer in real time (see `compare`):
+    its levels are by how much decisions take longer; at 0 the world waits. All levels repeat the same decision times,
+    those in the results folder `real_time`, or else those of the undisturbed comparison, which then needs one world and
+    one worker.
+
+    The other arguments are those of `compare`. `out` gets `sweep.csv` and a comparison's folder for each level,
+    `out/none` for that without disturbance. The same call resumes an interrupted sweep, and a call with more levels
+    extends it. `progress` is called with the comparison's name and the episode.
 
     Raises `ConfigurationError`, `AgentFileError`, and `ResultsError` as `compare` does.
     """
@@ -99,20 +122,52 @@ def sweep(
     levels = _levels(specs, disturbances)
     by_name = named_policies(default_policies(env) if policies is None else policies)
     found = Sweep(env, seed, levels)
+    recorded = None if real_time is None else read_recording(Path(real_time), 1.0, env, seed)
+    if SLOWER in levels:
+        with closing(make_worlds(env, 1, options)) as made:
+            check_real_time(bare_id(env), made)
+        if recorded is None:
+            check_measurable(worlds, workers)
+            found.recorded = "the undisturbed comparison"
+        else:
+            check_recorded(recorded, by_name, episodes)
+            found.recorded = recorded.latency
+    elif recorded is not None:
+        raise ConfigurationError(f"real_time is for the levels of {SLOWER}, of which none is asked for (--slow-down)")
     folder = None if out is None else Path(out)
     constant = dict(options.pop("disturbances", {}))
     least: dict[int, float] = {}
     seeding = seed_notes(env, env_options)
     settings: dict[str, dict[str, float]] = {UNDISTURBED: {}}
     settings |= {folder_name(name, level): {name: level} for name in levels for level in levels[name][1:]}
+    undisturbed: list[EpisodeResult] = []
+
+    def told(name: str, result: EpisodeResult) -> None:
+        if name == UNDISTURBED:
+            undisturbed.append(result)
+        if progress is not None:
+            progress(name, result)
+
     with nullcontext() if folder is None else one_writer(folder):
         for name, added in settings.items():
+            slower = added.pop(SLOWER, None)
+            playing, late = by_name, None
+            if slower is not None:
+                late = recorded or RealTime(latency=found.recorded, recorded=recorded_times(undisturbed))
+                late = replace(late, slow_down=slower)
+                lacking = late.lacking(by_name, episodes)
+                playing = {policy: given for policy, given in by_name.items() if policy not in lacking}
+                found.failures |= {
+                    f"{name}: {policy}": f"no decision times of episode {k}" for policy, k in lacking.items()
+                }
+                if not playing:
+                    continue
             disturbing = {"disturbances": constant | added} if constant | added else {}
             try:
                 comparison = compare(
-                    by_name, env, episodes=episodes, seed=seed, out=folder and _inside(folder, name),
+                    playing, env, episodes=episodes, seed=seed, out=folder and _inside(folder, name),
                     overwrite=overwrite, worlds=worlds, workers=workers, env_options=options | disturbing,
-                    least_lengths=least, seeding=seeding, progress=progress and functools.partial(progress, name),
+                    least_lengths=least, seeding=seeding, real_time=late, progress=functools.partial(told, name),
                 )  # fmt: skip
             except ResultsError as error:
                 if name == UNDISTURBED:
@@ -131,8 +186,11 @@ def sweep(
                 break
         found.points = _points(found, specs)
         if folder is not None:
-            options_in_words = {name: str(value) for name, value in (env_options or {}).items()}
-            _write(folder, found, {"env_options": options_in_words, "episodes": episodes, "policies": list(by_name)})
+            asked = {
+                "env_options": {name: str(value) for name, value in (env_options or {}).items()},
+                "episodes": episodes, "policies": list(by_name), RECORDED: real_time and str(real_time),
+            }  # fmt: skip
+            _write(folder, found, asked)
     return found
 
 
@@ -177,11 +235,13 @@ def _specs(env: str, options: Mapping[str, Any]) -> dict[str, DisturbanceSpec]:
     made.close()
     constant = options.get("disturbances", {})
     specs = available(made.task.disturbances, made.task)
-    return {name: spec for name, spec in specs.items() if name not in constant}
+    return {name: spec for name, spec in specs.items() if name not in constant} | {SLOWER: SLOW_DOWN}
 
 
 def _levels(specs: Mapping[str, DisturbanceSpec], disturbances: Asked) -> dict[str, list[float]]:
-    given = list(specs) if disturbances is None else [disturbances] if isinstance(disturbances, str) else disturbances
+    if disturbances is None:
+        disturbances = [name for name in specs if name != SLOWER]
+    given = [disturbances] if isinstance(disturbances, str) else disturbances
     asked: Mapping[str, Any] = given if isinstance(given, Mapping) else dict.fromkeys(given)
     levels = {}
     for name, wanted in asked.items():

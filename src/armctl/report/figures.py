@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import plotly.graph_objects as go
 
+from armctl.evaluation.decision_times import comparable_times
 from armctl.evaluation.paired import PairedDifference
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.summary import PolicySummary
@@ -192,7 +193,7 @@ def decision_times(
     """Decision times: median, middle half, 1st to 99th percentile and maximum, on a logarithmic axis."""
     figure = go.Figure()
     for name, played in episodes.items():
-        times = np.maximum(np.concatenate([result.decision_ms for result in played]), 1e-4)
+        times = np.maximum(np.concatenate([result.warm_ms for result in comparable_times(played)]), 1e-4)
         q1, p25, p50, p75, p99, most = np.quantile(times, (0.01, 0.25, 0.5, 0.75, 0.99, 1.0)).tolist()
         style, label = look[name], escaped(look[name].label)
         for ends, width, opacity in (((q1, most), 2, 0.5), ((q1, p99), 6, 0.55), ((p25, p75), 14, 1.0)):

@@ -15,10 +15,11 @@ from plotly.offline import get_plotlyjs
 
 from armctl.envs import full_id
 from armctl.errors import ResultsError
-from armctl.evaluation.curves import POINTS, read_sweep
+from armctl.evaluation.curves import POINTS, RECORDED, read_sweep
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.results import Results, read_results
 from armctl.evaluation.store import COMPARISON
+from armctl.evaluation.summary import PolicySummary
 from armctl.evaluation.sweep import UNDISTURBED
 from armctl.files import write_atomically
 from armctl.registration import import_attribute, remember_named
@@ -80,7 +81,12 @@ def write_report(
         page |= _comparison(results, look)
         if sweep is not None:
             page["command"] = f"{_command('sweep', results, page['extent'], results.names)}{_disturbances(sweep)}"
-        page |= _videos(results, progress) if video else {"no_videos": "They were left out (--no-video)."}
+        if not video:
+            page["no_videos"] = "They were left out (--no-video)."
+        elif results.comparison.real_time:
+            page["no_videos"] = "Episodes in real time cannot be played again for them."
+        else:
+            page |= _videos(results, progress)
     progress("writing")
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("armctl.report", "."),
@@ -110,7 +116,7 @@ def _comparison(results: Results, look: style.Looks) -> dict[str, Any]:
     comparison, episodes = results.comparison, results.episodes
     policies = comparison.policies
     planned = policies[0].planned if policies else 0
-    extent = f"--episodes {planned}" if planned else ""
+    extent = f"--episodes {planned}{_parallel(policies)}{_late(results)}" if planned else ""
     sentence = _verdict(results)
     for name in sorted(look, key=len, reverse=True):
         sentence = sentence.replace(name, look[name].label)
@@ -172,10 +178,26 @@ def _command(verb: str, results: Results, more: str, names: Sequence[str]) -> st
     return " ".join((*words, f"--seed {comparison.seed}", more)).rstrip()
 
 
+def _parallel(policies: Sequence[PolicySummary]) -> str:
+    """The options with which the decision times were taken like this."""
+    used = {name: max(getattr(policy, name) for policy in policies) for name in ("worlds", "workers")}
+    return "".join(f" --{name} {count}" for name, count in used.items() if count > 1)
+
+
+def _late(results: Results) -> str:
+    """The options of a world that does not wait."""
+    late = results.comparison.real_time
+    if late is None:
+        return ""
+    return f" --real-time {shlex.quote(str(late['latency']))} --slow-down {late['slow_down']:g}"
+
+
 def _disturbances(sweep: pd.DataFrame) -> str:
     levels = sweep.groupby("disturbance", sort=False)["level"].unique()
     asked = [f"{name}={','.join(f'{level:g}' for level in at)}" for name, at in levels.items()]
-    return "".join(f" --disturbance {shlex.quote(one)}" for one in asked)
+    recorded = sweep.attrs.get(RECORDED)
+    late = f" --real-time {shlex.quote(str(recorded))}" if recorded else ""
+    return "".join(f" --disturbance {shlex.quote(one)}" for one in asked) + late
 
 
 def _base64(data: bytes) -> str:

@@ -53,7 +53,7 @@ def comparison_plots(results: Results, look: style.Looks) -> dict[str, Any]:
         for i, term in enumerate(dict.fromkeys(itertools.chain(*terms.values())))
     }
     curves, problems = training_curves([policy.policy for policy in policies])
-    period = _period(results)
+    period = None if any(policy.timing for policy in policies) else _period(results)
     by_success = any(policy.success for policy in policies)
     return {
         "by_success": by_success,

@@ -1,0 +1,85 @@
+"""Times the decisions of a policy, planning at the reset included, and says what the times are worth."""
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.evaluation.record import EpisodeResult
+from armctl.policies import Actions, Policy
+from armctl.tasks import Observations
+
+DIGITS = 4
+"""Of a decision time in ms: to 0.1 us."""
+
+
+class TimedPolicy:
+    """A policy in n worlds. The time of its reset belongs to the first decision of the episode.
+
+    What a call takes is divided by the number of worlds that it is for. `cold` (n,) says in which worlds the first
+    decision of the current episode was the policy's very first, in which code is loaded and compiled.
+    """
+
+    slow_down = 1.0
+    """By how much a decision takes longer than it was measured."""
+
+    def __init__(self, policy: Policy, n: int, workers: int = 1) -> None:
+        self.policy = policy
+        self.setting = (n, workers)
+        """How many worlds share a call, and how many processes play."""
+        self.cold = np.zeros(n, dtype=bool)
+        self._fresh = True
+        self._reset_ms = np.zeros(n)
+
+    def reset(self, ids: NDArray[np.int32], episodes: Sequence[int]) -> None:
+        """Worlds `ids` start these `episodes`."""
+        self.cold[ids] = self._fresh
+        start = perf_counter()
+        self.policy.reset(ids)
+        self._reset_ms[ids] = 1e3 * (perf_counter() - start) / len(ids)
+
+    def act(self, observations: Observations) -> tuple[Actions, NDArray[np.float64]]:
+        """Actions (n, ...), and the time of each world's decision, (n,) ms; NaN where none begins."""
+        start = perf_counter()
+        actions = self.policy.act(observations)
+        spent = 1e3 * (perf_counter() - start) / len(self.cold) + self._reset_ms
+        self._fresh = False
+        self._reset_ms[:] = 0.0
+        return actions, np.round(spent, DIGITS)
+
+
+def comparable_times(results: Sequence[EpisodeResult]) -> list[EpisodeResult]:
+    """The results whose decision times were taken alike: the latencies, or else those of the most frequent setting."""
+    settings = Counter((result.worlds, result.workers) for result in results)
+    best = max(settings, key=lambda setting: (setting == (1, 1), settings[setting]))
+    return [result for result in results if (result.worlds, result.workers) == best]
+
+
+def setting_in_words(worlds: int, workers: int) -> str:
+    """What decision times are if they are not latencies; empty if they are."""
+    said = [f"shares of a batch of {worlds} worlds"] if worlds > 1 else []
+    said += [f"taken while up to {workers - 1} other workers computed"] if workers > 1 else []
+    return ", ".join(said)
+
+
+def timing_notes(timed: Iterable[tuple[str, Sequence[EpisodeResult]]]) -> list[str]:
+    """Remarks about the decision times of policies: what they are, and which episodes they leave out."""
+    settings, notes = {}, []
+    for policy, results in timed:
+        alike = comparable_times(results)
+        settings[policy] = setting_in_words(alike[0].worlds, alike[0].workers)
+        if len(alike) < len(results):
+            kind = settings[policy] or "latencies"
+            counts = f"{len(alike)} of {len(results)} episodes"
+            notes.append(
+                f"Decision times of {policy} are from {counts}, and are {kind}: the others were played with other "
+                "--worlds or --workers."
+            )
+    if len(kinds := set(settings.values())) > 1:
+        said = "; ".join(f"those of {policy} are {words or 'latencies'}" for policy, words in settings.items())
+        notes.append(f"Decision times cannot be compared: {said}.")
+    elif kinds and (words := kinds.pop()):
+        notes.append(f"Decision times are {words}. Only those of one world and one worker are held against deadlines.")
+    return notes
