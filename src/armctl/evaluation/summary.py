@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.envs import SEES
 from armctl.envs.vector import UNSTABLE
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.statistics import (
@@ -66,6 +67,11 @@ class PolicySummary:
     """Number of control steps in which the controller's solver failed, if it counts them."""
     length: Estimate | None = None
     """Mean number of control steps, over all episodes; None in results of older versions."""
+
+    @property
+    def knowledge(self) -> str:
+        """What it sees, as tables say it."""
+        return SEES.get(self.sees, self.sees)
 
     @property
     def unstable(self) -> int:

@@ -4,15 +4,17 @@ from collections.abc import Sequence
 
 from armctl.evaluation.statistics import FEWEST, Estimate, PairedDifference
 from armctl.evaluation.summary import PolicySummary
+from armctl.policies import privileges
 
 
 def verdict(policies: Sequence[PolicySummary], paired: Sequence[PairedDifference]) -> str:
     """Which of the two best policies wins more often, and which earns more, if the differences are significant.
 
     The best are those with the highest success rate, or return where success is unknown. Episodes whose physics failed
-    are counted apart.
+    are counted apart. Privileges are named if they differ.
     """
-    return " ".join(filter(None, (_best_two(policies, paired), *map(_physics_failed, policies))))
+    seen = privileges({policy.policy: policy.sees for policy in policies})
+    return " ".join(filter(None, (_best_two(policies, paired), seen, *map(_physics_failed, policies))))
 
 
 def _physics_failed(policy: PolicySummary) -> str:

@@ -200,6 +200,11 @@ class BridgeTask(Task):
         """The map of a world's bridge, which is privileged knowledge."""
         return self._layouts[world].map
 
+    def static_map(self, world: int) -> BridgeMap:
+        """A copy of the map, without pedestrians."""
+        whole = self.map(world)
+        return BridgeMap(whole.length, whole.half_width, whole.blocks.copy())
+
     def reset(self, ids: Ids, rngs: list[np.random.Generator]) -> None:
         """Place the rover at the start, and everything else at random."""
         self.simulation.reset(ids)
