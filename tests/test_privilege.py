@@ -3,13 +3,12 @@
 import functools
 import re
 
-import gymnasium
 import numpy as np
 import pytest
 
 import armctl
 from armctl.envs import INTERFACES, SEES, make_worlds
-from armctl.errors import ConfigurationError
+from armctl.errors import ConfigurationError, Disqualified
 from armctl.evaluation.rollouts import PolicyDisqualified, rollouts
 from armctl.evaluation.tampering import Watch
 from armctl.policies import PerWorld, make_policy, policy_names, privileges
@@ -127,6 +126,7 @@ def test_nothing_in_an_interface_leads_to_the_simulation(env, sees):
         make_policy(armctl.sees(sees)(lambda env: told.append(env)), worlds)
     inside = reachable_from(told[0])
     assert not any(one is worlds or one is worlds.task for one in inside)
+    worlds.on_begin.clear()  # through which the environment tells, and is not told
     arrays = [one for one in reachable_from([worlds, worlds.task]) if isinstance(one, np.ndarray) and one.size]
     for one in inside:
         assert not isinstance(one, np.ndarray) or not any(np.shares_memory(one, array) for array in arrays)
@@ -261,8 +261,6 @@ CHEATS = [
     (REACH, writes("task.arm.joint_positions"), "task.arm.joint_positions"),
     (REACH, writes("task.arm.joint_velocities", when="reset"), "task.arm.joint_velocities"),
     (REACH, writes("task.state.distance", value=9.0), "task.state.distance"),
-    (REACH, writes("task.arm.description.limits.velocity", value=100.0), "robot.limits.velocity"),
-    (REACH, writes("task.arm.action_high", value=100.0), "task.arm.action_high"),
     (REACH, writes("_steps", value=0), "env._steps"),
     (REACH, writes("_episodes", value=3), "env._episodes"),
     (REACH, sets("max_episode_steps", 10**9), "env.max_episode_steps"),
@@ -293,13 +291,6 @@ def test_a_drivers_writing_is_noticed():
 
     failure = armctl.compare([cheat], BRIDGE, episodes=1, env_options=SMALL).failures["cheat"]
     assert "task._pedestrians.speed" in failure
-
-
-class Careless(gymnasium.Wrapper):
-    """Observes its own array, which is not a copy."""
-
-    def __init__(self):
-        super().__init__(gymnasium.make("Pendulum-v1"))
 
 
 @pytest.mark.parametrize("env", ["Pendulum-v1", "Reacher-v5"])
@@ -365,7 +356,7 @@ def test_what_is_watched_holds_the_whole_state(env):
     for field in ("qpos", "qvel", "ctrl", "act", "mocap_pos", "xfrc_applied", "qfrc_applied", "time"):
         array = worlds.task.simulation.array(field)
         if array.size:
-            with pytest.raises(Exception, match="simulation.state|task"), watch.untouched(new_episode=True):
+            with pytest.raises(Disqualified, match=r"simulation.state|task"), watch.untouched(new_episode=True):
                 array += 0.01
 
 

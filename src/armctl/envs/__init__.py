@@ -21,7 +21,7 @@ from armctl.envs.third_party import ThirdPartyVectorEnv, episode_seed
 from armctl.envs.vector import Observer, TaskVectorEnv
 
 __all__ = [
-    "INTERFACES", "SEES", "EpisodeVectorEnv", "Interface", "MapInterface", "ModelInterface", "Observer", "Sees", "TaskEnv",
-    "TaskVectorEnv", "ThirdPartyVectorEnv", "batch_of_one", "check_from_file", "episode_seed", "find_spec", "full_id",
-    "how_to_declare", "interface", "make_worlds", "one_of", "task_of",
+    "INTERFACES", "SEES", "EpisodeVectorEnv", "Interface", "MapInterface", "ModelInterface", "Observer", "Sees",
+    "TaskEnv", "TaskVectorEnv", "ThirdPartyVectorEnv", "batch_of_one", "check_from_file", "episode_seed", "find_spec",
+    "full_id", "how_to_declare", "interface", "make_worlds", "one_of", "task_of",
 ]  # fmt: skip

@@ -69,9 +69,10 @@ class PolicySummary:
     """Mean number of control steps, over all episodes; None in results of older versions."""
 
     @property
-    def knowledge(self) -> str:
-        """What it sees, as tables say it."""
-        return SEES.get(self.sees, self.sees)
+    def knowledge(self) -> tuple[str, str]:
+        """What it sees, as tables say it: on two lines, of which the second may be empty."""
+        first, plus, more = SEES.get(self.sees, self.sees).partition(" + ")
+        return first, plus.lstrip() + more
 
     @property
     def unstable(self) -> int:

@@ -25,7 +25,7 @@ def policy_table(env: str, seed: int, policies: Sequence[PolicySummary]) -> Tabl
             plain(policy.steps_to_goal),
             plain(policy.length),
             Cell(f"{policy.decision_ms_p50:.3f}", f"{policy.decision_ms_p99:.3f}"),
-            Cell(policy.knowledge),
+            Cell(*policy.knowledge),
         ]
         for policy in policies
     ]
