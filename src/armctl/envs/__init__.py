@@ -12,7 +12,7 @@ from armctl.envs.interface import (
     ModelInterface,
     Sees,
     how_to_declare,
-    interface,
+    interface_of,
 )
 from armctl.envs.make import check_from_file, find_spec, full_id, make_worlds, task_of
 from armctl.envs.observations import batch_of_one, one_of
@@ -23,5 +23,5 @@ from armctl.envs.vector import Observer, TaskVectorEnv
 __all__ = [
     "INTERFACES", "SEES", "EpisodeVectorEnv", "Interface", "MapInterface", "ModelInterface", "Observer", "Sees",
     "TaskEnv", "TaskVectorEnv", "ThirdPartyVectorEnv", "batch_of_one", "check_from_file", "episode_seed", "find_spec",
-    "full_id", "how_to_declare", "interface", "make_worlds", "one_of", "task_of",
+    "full_id", "how_to_declare", "interface_of", "make_worlds", "one_of", "task_of",
 ]  # fmt: skip

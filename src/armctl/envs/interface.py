@@ -139,7 +139,7 @@ def how_to_declare(sees: str) -> str:
     return f'put @armctl.sees("{sees}") above its function or class, and every table will say it'
 
 
-def interface(worlds: EpisodeVectorEnv, sees: str) -> Interface:
+def interface_of(worlds: EpisodeVectorEnv, sees: str) -> Interface:
     """What a policy that declares to see so much is told about these worlds. `sees` is a key of `INTERFACES`."""
     kind, task = INTERFACES[sees], worlds.task
     episodes = [CurrentEpisode() for _ in range(worlds.num_envs)]

@@ -36,7 +36,7 @@ class Watch:
 
         What there is to compare is looked up when an episode begins.
         """
-        if new_episode or isinstance(self._worlds, ThirdPartyVectorEnv):
+        if new_episode:
             self._slots = list(_slots(self._worlds))
         state = getattr(self._worlds.task, "state", None)  # another object at each control step
         slots = [*self._slots, *_inside("task.state", getattr(state, "__dict__", {}))]

@@ -4,7 +4,7 @@ import functools
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
-from armctl.envs import SEES, EpisodeVectorEnv, Interface, Sees, how_to_declare, interface
+from armctl.envs import SEES, EpisodeVectorEnv, Interface, Sees, how_to_declare, interface_of
 from armctl.errors import ConfigurationError, defined_at, unknown_name
 
 Factory = TypeVar("Factory")
@@ -53,7 +53,7 @@ def told(what: str, env: EpisodeVectorEnv | Interface, name: str) -> EpisodeVect
     """
     if isinstance(env, Interface):
         return env.limited_to(what, name)
-    return env if what == "state" else interface(env, what)
+    return env if what == "state" else interface_of(env, what)
 
 
 def as_declared(policy: Any, what: str, name: str, source: Any) -> Any:
