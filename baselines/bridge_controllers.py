@@ -1,13 +1,13 @@
 """What the bridge experts share: a policy with one controller per world, which sees the map and the true state."""
 
 from collections.abc import Callable
-from typing import Any, Literal, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armctl.control.arc_path import ArcPath
-from armctl.envs import TaskVectorEnv
+from armctl.envs import Sees, TaskVectorEnv
 from armctl.errors import ConfigurationError
 from armctl.planning import plan_path
 from armctl.scene import BridgeMap
@@ -50,7 +50,7 @@ def distance_from_path(follower: PathFollower, pose: Array) -> float:
 class BridgePolicy:
     """A policy of controllers, each made for a map and the goal line's x (m)."""
 
-    sees: Literal["observation", "state"] = "state"
+    sees: Sees = "state"
     training_steps = 0
 
     def __init__(self, name: str, env: TaskVectorEnv, make_one: Callable[[BridgeMap, float], BridgeController]) -> None:

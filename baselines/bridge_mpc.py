@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from armctl.baselines.bridge_controllers import BridgePolicy, distance_from_path, path_from
 from armctl.control.drive_mpc import DriveMpc, DriveMpcOptions
 from armctl.envs import TaskVectorEnv
+from armctl.policies import sees
 from armctl.robots.rover import MAX_VELOCITY, MAX_WHEEL_SPEED, RADIUS, TRACK, WHEEL_RADIUS, WHEEL_SEPARATION_MULTIPLIER
 from armctl.scene import BridgeMap
 from armctl.tasks.bridge import CONTROL_PERIOD
@@ -28,6 +29,7 @@ REPLAN_DISTANCE = 1.0
 """m: distance from the path at which a new one is planned."""
 
 
+@sees("state")
 def make(env: TaskVectorEnv) -> BridgePolicy:
     """OMPL path on the true map, and nonlinear MPC along it, around the predicted pedestrians."""
     return BridgePolicy("bridge_mpc", env, BridgeMpc)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from armctl.baselines.bridge_controllers import BridgePolicy, distance_from_path, path_from
 from armctl.control import RegulatedPurePursuit
 from armctl.envs import TaskVectorEnv
+from armctl.policies import sees
 from armctl.robots.rover import RADIUS
 from armctl.scene import BridgeMap
 from armctl.tasks.bridge import CONTROL_PERIOD
@@ -30,6 +31,7 @@ REPLAN_DISTANCE = 0.4
 """m: distance from the path at which a new one is planned."""
 
 
+@sees("state")
 def make(env: TaskVectorEnv) -> BridgePolicy:
     """OMPL path on the true map, and pure pursuit; waits for pedestrians who cross the path."""
     return BridgePolicy("bridge_ompl", env, BridgeOmpl)

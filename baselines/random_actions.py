@@ -1,32 +1,31 @@
 """Uniform random actions: the lower bound for any policy."""
 
 import copy
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from armctl.envs import EpisodeVectorEnv
+from armctl.envs import Interface, Sees
 
 
 class RandomActions:
     """Uniform random actions that depend only on seed and episode."""
 
-    sees: Literal["observation", "state"] = "observation"
+    sees: Sees = "observation"
     training_steps = 0
 
-    def __init__(self, env: EpisodeVectorEnv, seed: int = 0) -> None:
-        self._env = env
-        self._seed = seed
+    def __init__(self, env: Interface) -> None:
         space = env.single_action_space
         bounded = isinstance(space, spaces.Box) and space.is_bounded()
-        self._samplers = [_Uniform(space) if bounded else _Sampler(space) for _ in range(env.num_envs)]
+        kind = _Uniform if bounded else _Sampler
+        self._samplers = [kind(space, env.rng(i)) for i in range(env.num_envs)]
 
     def reset(self, ids: NDArray[np.int32]) -> None:
-        """Seed the generators of worlds `ids` by their new episodes."""
+        """Worlds `ids` start a new episode, for which armctl has seeded their generators."""
         for i in ids:
-            self._samplers[i].seed((self._seed, int(self._env.seeds[i]), int(self._env.episodes[i])))
+            self._samplers[i].reset()
 
     def act(self, observations: Any) -> NDArray[Any]:
         """Actions (n, ...), independent of observations."""
@@ -41,12 +40,11 @@ class RandomActions:
 class _Uniform:
     """Samples a bounded box."""
 
-    def __init__(self, space: Any) -> None:
-        self._space = space
-        self.seed((0,))
+    def __init__(self, space: Any, rng: np.random.Generator) -> None:
+        self._space, self._rng = space, rng
 
-    def seed(self, entropy: tuple[int, ...]) -> None:
-        self._rng = np.random.default_rng(entropy)
+    def reset(self) -> None:
+        """Its generator is all that it has."""
 
     def sample(self) -> NDArray[np.float64]:
         return np.asarray(self._rng.uniform(self._space.low, self._space.high))
@@ -55,11 +53,11 @@ class _Uniform:
 class _Sampler:
     """Samples any other space, by the space's own method."""
 
-    def __init__(self, space: Any) -> None:
-        self._space = copy.deepcopy(space)
+    def __init__(self, space: Any, rng: np.random.Generator) -> None:
+        self._space, self._rng = copy.deepcopy(space), rng
 
-    def seed(self, entropy: tuple[int, ...]) -> None:
-        self._space.seed(int(np.random.SeedSequence(entropy).generate_state(1)[0]))
+    def reset(self) -> None:
+        self._space.seed(int(self._rng.integers(2**32)))
 
     def sample(self) -> Any:
         return self._space.sample()

@@ -7,12 +7,13 @@ by plain IK at every control step.
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.baselines.reach_task import checked_task
-from armctl.envs import TaskVectorEnv
+from armctl.baselines.reach_task import checked_options
+from armctl.envs import ModelInterface
 from armctl.kinematics import ArmModel, MinimumTimeReach
-from armctl.policies import PerWorld
+from armctl.policies import PerWorld, sees
 from armctl.robot_description.joint_profiles import towards
-from armctl.tasks import OBSERVATION, ReachMovingTask, ReachTask
+from armctl.tasks import OBSERVATION, ReachMovingOptions, ReachOptions
+from armctl.tasks.reach import CONTROL_PERIOD
 
 Array = NDArray[np.float64]
 
@@ -24,14 +25,14 @@ PATIENCE = 5
 """Control steps at rest after which it plans again."""
 
 
-def make(env: TaskVectorEnv) -> PerWorld:
+@sees("model")
+def make(env: ModelInterface) -> PerWorld:
     """Pinocchio IK: the minimum-time collision-free configuration that reaches the target."""
     controls = ("position", "delta", "velocity")
-    task = checked_task("reach_ik", env, ReachTask, "armctl/ArmReach-v0", OBSERVATION, controls)
-    search = MinimumTimeReach(ArmModel(task.arm.description))
-    make_one = ReachIkTracking if isinstance(task, ReachMovingTask) else ReachIk
-    options, period = task.options, task.arm.period
-    return PerWorld([make_one(search, options.tolerance, options.control, period) for _ in range(env.num_envs)])
+    options = checked_options("reach_ik", env, ReachOptions, "armctl/ArmReach-v0", OBSERVATION, controls)
+    search = MinimumTimeReach(ArmModel(env.robot))
+    make_one = ReachIkTracking if isinstance(options, ReachMovingOptions) else ReachIk
+    return PerWorld([make_one(search, options.tolerance, options.control, CONTROL_PERIOD) for _ in range(env.num_envs)])
 
 
 class ReachIk:

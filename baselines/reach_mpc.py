@@ -7,14 +7,14 @@ then plans 0.8 s and commands the first period. It sees only the observation, wh
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.baselines.reach_task import checked_task
+from armctl.baselines.reach_task import checked_options
 from armctl.control.reach_mpc import ReachMpc, ReachMpcOptions
 from armctl.control.reach_problem import JointTrajectory
 from armctl.control.streaming import CommandStream
-from armctl.envs import TaskVectorEnv
+from armctl.envs import ModelInterface
 from armctl.kinematics import ArmModel, ReachabilityMap
-from armctl.policies import PerWorld
-from armctl.tasks import OBSERVATION, ReachTask
+from armctl.policies import PerWorld, sees
+from armctl.tasks import OBSERVATION, ReachOptions
 from armctl.tasks.reach import read_boxes
 
 Array = NDArray[np.float64]
@@ -28,11 +28,12 @@ MARGIN, INFLUENCE = 0.01, 0.06
 """m: margin and influence distance for floor and self-collisions; larger ones are used among boxes."""
 
 
-def make(env: TaskVectorEnv) -> PerWorld:
+@sees("model")
+def make(env: ModelInterface) -> PerWorld:
     """MPC with OSQP on Pinocchio's kinematics: keeps joint limits and predicts the target's motion."""
-    task = checked_task("reach_mpc", env, ReachTask, "armctl/ArmReach-v0", OBSERVATION, ["position"])
-    configurations, parts = ReachabilityMap(ArmModel(task.arm.description)), list(task.options.observation)
-    return PerWorld([ReachWithMpc(configurations, task.options.tolerance, parts) for _ in range(env.num_envs)])
+    options = checked_options("reach_mpc", env, ReachOptions, "armctl/ArmReach-v0", OBSERVATION, ["position"])
+    configurations, parts = ReachabilityMap(ArmModel(env.robot)), list(options.observation)
+    return PerWorld([ReachWithMpc(configurations, options.tolerance, parts) for _ in range(env.num_envs)])
 
 
 class ReachWithMpc:

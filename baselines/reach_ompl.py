@@ -10,16 +10,16 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.baselines.reach_task import checked_task
+from armctl.baselines.reach_task import checked_options
 from armctl.control.streaming import CommandStream, commanded
 from armctl.control.trajectory import Trajectory, smooth
-from armctl.envs import TaskVectorEnv
+from armctl.envs import ModelInterface
 from armctl.kinematics import ArmModel, ArmShapes, EdgeChecker
 from armctl.planning import ArmPlanner
-from armctl.policies import PerWorld
+from armctl.policies import PerWorld, sees
 from armctl.scene import Boxes
-from armctl.tasks import ReachObstaclesTask
-from armctl.tasks.reach import read_boxes
+from armctl.tasks import ReachObstaclesOptions
+from armctl.tasks.reach import CONTROL_PERIOD, read_boxes
 from armctl.tasks.reach.obstacles import OBSTACLES_OBSERVATION
 
 Array = NDArray[np.float64]
@@ -32,12 +32,13 @@ HEADROOM = 0.7
 """Fraction of the acceleration limits for the trajectory: the drives need the rest to follow it."""
 
 
-def make(env: TaskVectorEnv) -> PerWorld:
+@sees("model")
+def make(env: ModelInterface) -> PerWorld:
     """OMPL path around the obstacles, timed within velocity, acceleration and jerk limits."""
     env_id = "armctl/ArmReachObstacles-v0"
-    task = checked_task("reach_ompl", env, ReachObstaclesTask, env_id, OBSTACLES_OBSERVATION, ["position"])
-    planner = ArmPlanner(ArmModel(task.arm.description))
-    return PerWorld([ReachOmpl(planner, task.options.tolerance, task.arm.period) for _ in range(env.num_envs)])
+    options = checked_options("reach_ompl", env, ReachObstaclesOptions, env_id, OBSTACLES_OBSERVATION, ["position"])
+    planner = ArmPlanner(ArmModel(env.robot))
+    return PerWorld([ReachOmpl(planner, options.tolerance, CONTROL_PERIOD) for _ in range(env.num_envs)])
 
 
 class ReachOmpl:

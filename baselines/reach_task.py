@@ -3,25 +3,31 @@
 from collections.abc import Iterable, Sequence
 from typing import TypeVar
 
-from armctl.envs import TaskVectorEnv
+from armctl.envs import ModelInterface
 from armctl.errors import ConfigurationError
-from armctl.tasks import ReachTask
+from armctl.tasks import ReachOptions
 
-Task = TypeVar("Task", bound=ReachTask)
+Options = TypeVar("Options", bound=ReachOptions)
 
 
-def checked_task(
-    name: str, env: TaskVectorEnv, task: type[Task], env_id: str, observation: Iterable[str], controls: Sequence[str]
-) -> Task:
-    """The task of `env`; raises `ConfigurationError` unless it suits the expert called `name`.
+def checked_options(
+    name: str,
+    env: ModelInterface,
+    options: type[Options],
+    env_id: str,
+    observation: Iterable[str],
+    controls: Sequence[str],
+) -> Options:
+    """The task's options; raises `ConfigurationError` unless the task suits the expert called `name`.
 
-    It has to be a `task`, whose observation begins with the parts `observation`, with one of `controls`.
+    It has to be one with `options`, whose observation begins with the parts `observation`, with one of `controls`.
     """
-    if not isinstance(env.task, task):
+    if not isinstance(env.options, options):
         raise ConfigurationError(f"{name} cannot play this task: use it with {env_id}")
-    options, expected = env.task.options, list(observation)
-    if (found := list(options.observation))[: len(expected)] != expected:
+    expected = list(observation)
+    if (found := list(env.options.observation))[: len(expected)] != expected:
         raise ConfigurationError(f"{name} reads the observation {', '.join(expected)}, not {', '.join(found)}")
-    if options.control not in controls:
-        raise ConfigurationError(f"{name} needs control {' or '.join(map(repr, controls))}, not {options.control!r}")
-    return env.task
+    if env.options.control not in controls:
+        wanted = " or ".join(map(repr, controls))
+        raise ConfigurationError(f"{name} needs control {wanted}, not {env.options.control!r}")
+    return env.options

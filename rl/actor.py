@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from armctl.agents import INPUT, OUTPUT, inputs
+from armctl.envs import Sees
 from armctl.rl.graph import write_graph
 from armctl.tasks import Observations
 
@@ -20,7 +21,7 @@ class Actor(torch.nn.Module):
     It is also an `armctl.policies.Policy`, so that it can be evaluated while it learns.
     """
 
-    sees: Literal["observation", "state"] = "observation"
+    sees: Sees = "observation"
     training_steps = 0
 
     def __init__(self, network: torch.nn.Module, scale: torch.nn.Module, observed: gymnasium.Space[Any]) -> None:

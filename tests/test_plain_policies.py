@@ -46,7 +46,7 @@ class Counting:
 
 
 def made_of(env):
-    return Controller(env.worlds[0])
+    return Controller(env.in_world(0))
 
 
 def made_of_nothing():
@@ -140,9 +140,11 @@ def test_a_function_acts_in_armctls_own_environments():
         return observation[3:9]
 
     class Still:
+        sees = "model"
+
         def __init__(self, env):
             assert env.observation_space.shape == (12,)
-            assert env.task.arm.description.dof == 6
+            assert env.robot.dof == 6
 
         def act(self, observation):
             return observation[3:9]

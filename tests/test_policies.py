@@ -35,6 +35,8 @@ def no_policy(env):
     return object()
 
 
+SEEN = dict.fromkeys(("reach_ik", "reach_mpc", "reach_ompl"), "model")
+SEEN |= dict.fromkeys(("bridge_mpc", "bridge_ompl"), "state")
 MEETINGS = [(name, env) for env in environment_names() for name in default_policies(env)]
 MEETINGS += sorted({(path.stem, read_card(path).env) for path in AGENTS.glob("*.json")} - set(MEETINGS))
 
@@ -45,7 +47,7 @@ def test_installed_policies_act_in_batches(name, env_id, worlds):
     env = gymnasium.make_vec(env_id, num_envs=worlds)
     policy = make_policy(name, env)
     assert isinstance(policy, Policy)
-    assert policy.sees == ("state" if name in ("bridge_mpc", "bridge_ompl") else "observation")
+    assert policy.sees == SEEN.get(name, "observation")
     observations, _ = env.reset(seed=0)
     policy.reset(np.arange(worlds, dtype=np.int32))
     actions = policy.act(observations)

@@ -3,51 +3,51 @@
 from pathlib import Path
 
 from armctl.agents import OnnxPolicy, load_agent
-from armctl.envs import TaskVectorEnv
+from armctl.envs import Interface
 
 FOLDER = Path(__file__).parent
 
 
-def reach_ppo(env: TaskVectorEnv) -> OnnxPolicy:
+def reach_ppo(env: Interface) -> OnnxPolicy:
     """PPO on `armctl/ArmReach-v0`, robot `ur5`, position control."""
     return load_agent(FOLDER / "reach_ppo.json", env)
 
 
-def bridge_ppo(env: TaskVectorEnv) -> OnnxPolicy:
+def bridge_ppo(env: Interface) -> OnnxPolicy:
     """PPO on `armctl/BridgeCross-v0`; it sees the depth camera and its own motion."""
     return load_agent(FOLDER / "bridge_ppo.json", env)
 
 
-def reach_bc(env: TaskVectorEnv) -> OnnxPolicy:
+def reach_bc(env: Interface) -> OnnxPolicy:
     """Behaviour cloning on `armctl/ArmReach-v0`, from 500 episodes of `reach_ik`."""
     return load_agent(FOLDER / "reach_bc.json", env)
 
 
-def reach_dagger(env: TaskVectorEnv) -> OnnxPolicy:
+def reach_dagger(env: Interface) -> OnnxPolicy:
     """DAgger on `armctl/ArmReach-v0`, with 500 episodes labelled by `reach_ik`."""
     return load_agent(FOLDER / "reach_dagger.json", env)
 
 
-def bridge_dagger(env: TaskVectorEnv) -> OnnxPolicy:
+def bridge_dagger(env: Interface) -> OnnxPolicy:
     """DAgger on `armctl/BridgeCross-v0`, from `bridge_ompl`; it sees the depth camera and its own motion."""
     return load_agent(FOLDER / "bridge_dagger.json", env)
 
 
-def reach_sac(env: TaskVectorEnv) -> OnnxPolicy:
+def reach_sac(env: Interface) -> OnnxPolicy:
     """SAC with hindsight on `armctl/ArmReach-v0`, without reward shaping."""
     return load_agent(FOLDER / "reach_sac.json", env)
 
 
-def moving_ppo(env: TaskVectorEnv) -> OnnxPolicy:
+def moving_ppo(env: Interface) -> OnnxPolicy:
     """PPO on `armctl/ArmReachMoving-v0`, with reward shaping by the least time to the target."""
     return load_agent(FOLDER / "moving_ppo.json", env)
 
 
-def obstacles_dagger(env: TaskVectorEnv) -> OnnxPolicy:
+def obstacles_dagger(env: Interface) -> OnnxPolicy:
     """DAgger on `armctl/ArmReachObstacles-v0`, from `reach_ompl`; it sees the boxes."""
     return load_agent(FOLDER / "obstacles_dagger.json", env)
 
 
-def bridge_moving_ppo(env: TaskVectorEnv) -> OnnxPolicy:
+def bridge_moving_ppo(env: Interface) -> OnnxPolicy:
     """PPO on `armctl/BridgeCrossMoving-v0`; it sees the depth camera and its own motion."""
     return load_agent(FOLDER / "bridge_moving_ppo.json", env)

@@ -27,6 +27,7 @@ _HOMES = {
     "register": "armctl.registration",
     "make_policy": "armctl.policies",
     "Policy": "armctl.policies",
+    "sees": "armctl.policies",
     "evaluate": "armctl.evaluation",
     "compare": "armctl.evaluation",
     "sweep": "armctl.evaluation",

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from armctl.envs import EpisodeVectorEnv
+from armctl.envs import EpisodeVectorEnv, Interface, Sees
 from armctl.errors import AgentFileError
 from armctl.files import LARGEST_TEXT, bounded_bytes, file_checksum
 from armctl.tasks import Observations
@@ -100,7 +100,7 @@ class AgentCard(BaseModel):
 class OnnxPolicy:
     """A learned agent, run by onnxruntime. It sees only the observation, and what it remembers of earlier ones."""
 
-    sees: Literal["observation", "state"] = "observation"
+    sees: Sees = "observation"
 
     def __init__(self, graph: Path, card: AgentCard) -> None:
         from armctl.agent_graph import AgentGraph  # onnx takes longer to import than the rest, and few need it
@@ -141,7 +141,7 @@ class OnnxPolicy:
         return {name: np.zeros((worlds, *shape), dtype=np.float32) for name, shape in self.card.memory.items()}
 
 
-def load_agent(path: Path, worlds: EpisodeVectorEnv) -> OnnxPolicy:
+def load_agent(path: Path, worlds: EpisodeVectorEnv | Interface) -> OnnxPolicy:
     """Load an agent by the path of its card or graph, which are in the same folder, for the worlds of an environment.
 
     Raises `AgentFileError` if a file is missing or corrupt, or if the agent was made for another environment.
@@ -184,7 +184,7 @@ def sha256(path: Path, largest: float = math.inf) -> str:
         raise AgentFileError(str(error)) from error
 
 
-def _check_made_for(card: AgentCard, worlds: EpisodeVectorEnv) -> None:
+def _check_made_for(card: AgentCard, worlds: EpisodeVectorEnv | Interface) -> None:
     trained = (card.observation_shape, card.action_shape)
     here = (shapes(worlds.single_observation_space), shapes(worlds.single_action_space))
     if trained != here:
@@ -192,7 +192,8 @@ def _check_made_for(card: AgentCard, worlds: EpisodeVectorEnv) -> None:
             f"agent {card.name}, trained in {card.env}, maps observations {trained[0]} to actions {trained[1]}; "
             f"here they are {here[0]} and {here[1]}"
         )
-    for name, value in worlds.task.interface.items():
+    interface = worlds.interface if isinstance(worlds, Interface) else worlds.task.interface
+    for name, value in interface.items():
         if (trained_for := card.interface.get(name)) != value:
             raise AgentFileError(
                 f"agent {card.name} was trained for {name} {trained_for!r}, but here {name} is {value!r}"

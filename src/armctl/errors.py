@@ -26,6 +26,10 @@ class InvalidAction(ArmctlError, ValueError):
     """An action of the wrong shape, or with numbers that are not finite. The world was not stepped."""
 
 
+class Disqualified(ArmctlError):
+    """A policy changed the world in another way than by its actions."""
+
+
 class EnvironmentFailed(ArmctlError):
     """An environment raised an error, or returned what an environment must not, such as a reward that is not finite."""
 

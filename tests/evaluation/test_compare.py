@@ -211,6 +211,7 @@ def test_all_figures_are_over_the_same_feasible_episodes():
     assert pair.only_a - pair.only_b == pytest.approx(pair.episodes * (ik.success.value - random.success.value))
 
 
+@armctl.sees("state")
 def winning_every_second(env):
     """Holds still in every second episode, and fails after the seventh decision there."""
     expert = armctl.make_policy("reach_ik", env)

@@ -21,6 +21,7 @@ MINE = """
 import os
 import armctl
 
+@armctl.sees("state")
 def failing(env):
     policy = armctl.make_policy("random", env)
     act = policy.act

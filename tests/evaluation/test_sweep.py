@@ -111,7 +111,7 @@ def test_worlds_and_workers_change_nothing(tmp_path):
 
 
 class Interrupting:
-    sees, training_steps = "observation", 0
+    sees, training_steps = "model", 0
     decisions = 0
 
     def __init__(self, env):
@@ -145,6 +145,7 @@ def test_an_interrupted_sweep_keeps_its_episodes_and_goes_on(decisions, tmp_path
     assert (tmp_path / "cut" / "sweep.csv").read_text() == (tmp_path / "whole" / "sweep.csv").read_text()
 
 
+@armctl.sees("state")
 def failing_when_late(env):
     policy = armctl.make_policy("reach_ik", env)
     if "delay" in env.disturbances:

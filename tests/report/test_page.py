@@ -18,6 +18,7 @@ from armctl.evaluation.reproduce import card_path
 from armctl.evaluation.results import read_results
 from armctl.files import sealed, unsealed
 from armctl.options import option_value
+from armctl.policies import sees
 from armctl.report import colours, plots, style, videos, write_report
 from armctl.report.profile import profile_start
 
@@ -241,10 +242,12 @@ class Still:
         return observations[:, 3:9]
 
 
+@sees("state")
 def broken(env):
     return Still(env, 0, RuntimeError("out of ideas"))
 
 
+@sees("state")
 def stopping(env):
     return Still(env, 2, KeyboardInterrupt)
 

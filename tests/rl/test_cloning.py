@@ -128,7 +128,7 @@ def test_mistakes_get_one_clear_error(train, changes, says, tmp_path):
 
 def test_a_teacher_of_ones_own(tmp_path, monkeypatch):
     (tmp_path / "my_own_teacher.py").write_text(
-        "import armctl\n\n\ndef mine(env):\n    return armctl.make_policy('reach_ik', env)\n"
+        "import armctl\n\n\n@armctl.sees('model')\ndef mine(env):\n    return armctl.make_policy('reach_ik', env)\n"
     )
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))

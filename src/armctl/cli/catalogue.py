@@ -35,16 +35,17 @@ def list_(
 
 
 def _everything() -> "Table":
-    from armctl.envs import task_of
+    from armctl.envs import SEES, task_of
     from armctl.learners import learner_names, load_recipe, recipe_names
-    from armctl.policies import describe_policy, policy_names
+    from armctl.policies import declared_sees, describe_policy, policy_names
     from armctl.registration import environment_names
     from armctl.robot_description import BUILTIN_ARMS
 
     table = _grid()
     for kind, names in (("environments", environment_names()), ("arms", BUILTIN_ARMS), ("learners", learner_names())):
         table.add_row(_bold(kind), "  ".join(names))
-    _add_rows(table, "policies", ((name, describe_policy(name)) for name in policy_names()))
+    policies = ((name, f"{describe_policy(name)} Sees: {SEES[declared_sees(name)]}.") for name in policy_names())
+    _add_rows(table, "policies", policies)
     recipes = []
     for recipe in map(load_recipe, recipe_names()):
         guidance = " ".join(f"{name} {value}" for name in ("shaping", "teacher") if (value := getattr(recipe, name)))

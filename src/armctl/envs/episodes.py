@@ -1,6 +1,7 @@
 """What all vector environments of armctl share: episodes by number, and worlds that are reset one by one."""
 
 from abc import abstractmethod
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium
@@ -40,6 +41,8 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._steps = np.zeros(num_envs, dtype=np.int64)
         self._finished = np.ones(num_envs, dtype=bool)
         self._seeded = False
+        self.on_begin: list[Callable[[NDArray[np.int32]], None]] = []
+        """Called with the indices of worlds that have begun a new episode."""
 
     def reset(
         self, *, seed: int | list[int] | None = None, options: dict[str, Any] | None = None
@@ -103,6 +106,8 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
                 disturbance.rngs[i] = episode_rng(name, int(self._seeds[i]), int(self._episodes[i]))
             disturbance.begin(worlds)
         self._begin(worlds)
+        for callback in self.on_begin:
+            callback(worlds)
 
     def _disturbed_commands(self, commands: Any) -> Any:
         for disturbance in self.disturbances.values():

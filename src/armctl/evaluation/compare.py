@@ -103,6 +103,7 @@ def compare(
     comparison.baseline, comparison.margin = baseline, margin
     worlds = min(worlds, episodes)
     results: list[EpisodeResult] = []
+    disqualified: set[str] = set()
     with ExitStack() as stack:
         made_env = make_worlds(env, worlds if workers == 1 else 1, env_options)
         stack.callback(made_env.close)
@@ -143,6 +144,8 @@ def compare(
                     if played.failure:
                         comparison.failures[played.policy] = played.failure
                         comparison.tracebacks[played.policy] = played.traceback
+                    if played.disqualified:
+                        disqualified.add(played.policy)
                     for result in played.results:
                         results.append(result)
                         if log is not None:
@@ -154,6 +157,7 @@ def compare(
         except KeyboardInterrupt:
             comparison.interrupted = True
         order = list(made)
+        results = [result for result in results if result.policy not in disqualified]
         results.sort(key=lambda result: (order.index(result.policy), result.episode))
         if results:
             comparison.episodes = pd.DataFrame([result.row() for result in results])

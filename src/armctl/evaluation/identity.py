@@ -56,6 +56,7 @@ def identity(
         "seed": seed,
         "real_time": real_time,
         "policies": list(policies),
+        "sees": {name: policy.sees for name, policy in policies.items()},
         "agents": {name: policy.card.sha256 for name, policy in policies.items() if isinstance(policy, OnnxPolicy)},
         "objects": {name: fingerprint(given) for name, given in definitions.items() if given is not None},
         **checksums(env, worlds, env_options, definitions.values()),

@@ -26,7 +26,7 @@ from armctl.errors import ArmctlError, ConfigurationError, EnvironmentFailed, fo
 from armctl.evaluation.decision_times import TimedPolicy
 from armctl.evaluation.real_time import RealTime, RealTimePolicy
 from armctl.evaluation.record import EpisodeResult
-from armctl.evaluation.rollouts import PolicyFailed, rollouts
+from armctl.evaluation.rollouts import PolicyDisqualified, PolicyFailed, rollouts
 from armctl.policies import Policy, PolicyFactory, make_policy
 
 ROUNDS = 4
@@ -63,6 +63,8 @@ class RolloutBatch:
     failure: str | None = None
     """Error message, if the policy or the environment failed after these."""
     traceback: str = ""
+    disqualified: bool = False
+    """Whether the policy wrote to the world, so that none of its episodes count."""
 
 
 def play_here(
@@ -85,7 +87,7 @@ def play_here(
             for result in rollouts(timed, env, waiting[name], seed, name, least_lengths):
                 yield RolloutBatch(name, [result])
         except (PolicyFailed, EnvironmentFailed) as failure:
-            yield RolloutBatch(name, [], str(failure), format_cause(failure))
+            yield _failed(name, [], failure)
 
 
 def play_in_workers(
@@ -179,8 +181,13 @@ def _play(
     try:
         results.extend(rollouts(timed, worlds, episodes, config.seed, name, least_lengths))
     except (PolicyFailed, EnvironmentFailed) as failure:
-        return RolloutBatch(name, results, str(failure), format_cause(failure))
+        return _failed(name, results, failure)
     return RolloutBatch(name, results)
+
+
+def _failed(name: str, results: list[EpisodeResult], failure: PolicyFailed | EnvironmentFailed) -> RolloutBatch:
+    disqualified = isinstance(failure, PolicyDisqualified)
+    return RolloutBatch(name, results, str(failure), format_cause(failure), disqualified)
 
 
 _policies: dict[tuple[WorkerConfig, str], TimedPolicy] = {}

@@ -12,10 +12,19 @@ from numpy.typing import NDArray
 
 from armctl import DEFAULT_ENV
 from armctl.envs import EpisodeVectorEnv, make_worlds
-from armctl.errors import FAILURES, ArmctlError, ConfigurationError, EnvironmentFailed, InvalidAction, described
+from armctl.errors import (
+    FAILURES,
+    ArmctlError,
+    ConfigurationError,
+    Disqualified,
+    EnvironmentFailed,
+    InvalidAction,
+    described,
+)
 from armctl.evaluation.decision_times import TimedPolicy
 from armctl.evaluation.metrics import metrics
 from armctl.evaluation.record import COLUMNS, EpisodeResult
+from armctl.evaluation.tampering import Watch
 from armctl.policies import Policy, PolicyFactory, make_policy, policy_name
 from armctl.tasks import MotionSample
 
@@ -25,6 +34,10 @@ MOST = {"episodes": 10_000_000, "worlds": 100_000, "workers": 1_000}
 
 class PolicyFailed(ArmctlError):
     """A policy raised an error, or returned an invalid action."""
+
+
+class PolicyDisqualified(PolicyFailed):
+    """A policy wrote to the world. None of its episodes count."""
 
 
 def rollouts(
@@ -42,9 +55,10 @@ def rollouts(
     first one of an episode includes the policy's reset. `TimedPolicy` is for a policy that has decided before, or whose
     decisions come late.
 
-    Raises `PolicyFailed` if the policy fails, and `EnvironmentFailed` if the environment does.
+    Raises `PolicyFailed` if the policy fails (`PolicyDisqualified` if it writes to the world), and `EnvironmentFailed`
+    if the environment does.
     """
-    n = env.num_envs
+    n, watch = env.num_envs, Watch(env)
     episodes = range(episodes) if isinstance(episodes, int) else episodes
     playing = np.arange(n) < len(episodes)
     numbers = np.array([*episodes[:n], *[0] * (n - len(episodes))])
@@ -54,10 +68,10 @@ def rollouts(
     with wrap_environment_errors(name, numbers[0]):
         observations, infos = env.reset(seed=[seed] * n, options={"episode": numbers})
         recorder.begin(playing, numbers, infos)
-    with wrap_policy_errors(name, numbers[0]):
+    with wrap_policy_errors(name, numbers[0]), watch.untouched(new_episode=True):
         timed.reset(np.arange(n, dtype=np.int32), numbers.tolist())
     while playing.any():
-        with wrap_policy_errors(name, numbers[playing][0]):
+        with wrap_policy_errors(name, numbers[playing][0]), watch.untouched():
             actions, decision_ms = timed.act(observations)
         with wrap_environment_errors(name, numbers[playing][0]):
             observations, rewards, terminated, truncated, infos = env.step(actions)
@@ -75,7 +89,7 @@ def rollouts(
             with wrap_environment_errors(name, numbers[again][0]):
                 observations, infos = env.reset(options={"reset_mask": again, "episode": np.maximum(numbers, 0)})
                 recorder.begin(again, numbers, infos)
-            with wrap_policy_errors(name, numbers[again][0]):
+            with wrap_policy_errors(name, numbers[again][0]), watch.untouched(new_episode=True):
                 timed.reset(np.flatnonzero(again).astype(np.int32), numbers[again].tolist())
         recorder.forget_before_all(playing)
 
@@ -173,6 +187,8 @@ def wrap_policy_errors(name: str, episode: int) -> Iterator[None]:
     """Turn any error inside into `PolicyFailed`, with its place."""
     try:
         yield
+    except Disqualified as error:
+        raise PolicyDisqualified(f"{name} is disqualified: in episode {episode}, {error}") from error
     except InvalidAction as error:
         raise PolicyFailed(f"{name} failed in episode {episode}: {error}") from error
     except FAILURES as error:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.envs import SEES
 from armctl.envs.vector import UNSTABLE
 from armctl.evaluation.decision_times import comparable_times, setting_in_words
 from armctl.evaluation.paired import PairedDifference, paired_difference
@@ -85,6 +86,12 @@ class PolicySummary:
     def timing(self) -> str:
         """What the decision times are, in words; empty for latencies, by which deadlines can be judged."""
         return setting_in_words(self.worlds, self.workers)
+
+    @property
+    def knowledge(self) -> tuple[str, str]:
+        """What it sees, as tables say it: on two lines, of which the second may be empty."""
+        first, plus, more = SEES.get(self.sees, self.sees).partition(" + ")
+        return first, plus.lstrip() + more
 
     @property
     def unstable(self) -> int:

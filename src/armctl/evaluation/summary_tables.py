@@ -26,7 +26,7 @@ def policy_table(env: str, seed: int, policies: Sequence[PolicySummary]) -> Tabl
             plain(policy.restricted_steps),
             plain(policy.length),
             Cell(f"{policy.decision_ms_p50:.3f}", f"{policy.decision_ms_p99:.3f}"),
-            Cell(policy.sees),
+            Cell(*policy.knowledge),
             percent(policy.clean_success),
             plain(policy.worst_decile),
         ]

@@ -12,7 +12,7 @@ from armctl.evaluation.paired import (
 )
 from armctl.evaluation.statistics import FEWEST, Estimate
 from armctl.evaluation.summary import PolicySummary
-from armctl.policies import policy_names
+from armctl.policies import policy_names, privileges
 
 SIGNIFICANT = 0.05
 
@@ -48,7 +48,7 @@ def verdict(
     else:
         contests = [_contest(policies, paired, names, baseline) for names in _pairs_to_tell(policies, baseline)]
         said = [_sentence(contest, margin) for contest in contests]
-        said += [_cost(contests[0])] if contests else []
+        said += [_cost(contests[0]), _privileges(contests[0])] if contests else []
     return " ".join(filter(None, (*said, *map(_physics_failed, policies))))
 
 
@@ -131,6 +131,10 @@ def _cost(contest: Contest) -> str:
     ]
     times = " and ".join(f"{one.policy} {one.decision_ms_p50:.2g} ms" for one in (contest.first, contest.second))
     return f"{'; '.join((*trained, f'a decision takes {times}'))}."
+
+
+def _privileges(contest: Contest) -> str:
+    return privileges({one.policy: one.sees for one in (contest.first, contest.second)})
 
 
 def _by_return(contest: Contest) -> str:

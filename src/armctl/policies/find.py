@@ -11,10 +11,11 @@ from typing import Any
 import gymnasium
 
 from armctl.agents import FILES, load_agent
-from armctl.envs import EpisodeVectorEnv, TaskEnv
+from armctl.envs import EpisodeVectorEnv, Interface, TaskEnv
 from armctl.errors import FAILURES, ArmctlError, ConfigurationError, described, unknown_name
 from armctl.policies.plain import adapted
 from armctl.policies.policy import Policy
+from armctl.policies.privilege import declared
 from armctl.registration import import_attribute, installed
 
 GROUP = "armctl.policies"
@@ -28,6 +29,11 @@ def policy_names() -> list[str]:
 def describe_policy(name: str) -> str:
     """First line of the docstring of an installed policy's factory."""
     return (inspect.getdoc(installed(GROUP)[name].load()) or "").partition("\n")[0]
+
+
+def declared_sees(name: str) -> str:
+    """What an installed policy declares to see: a key of `armctl.envs.SEES`."""
+    return declared(installed(GROUP)[name].load())
 
 
 def policy_name(policy: Any) -> str:
@@ -55,8 +61,8 @@ def named_policies(policies: Any) -> dict[str, Any]:
     return by_name
 
 
-def make_policy(policy: Any, env: gymnasium.Env[Any, Any] | EpisodeVectorEnv) -> Policy:
-    """Make a policy for the worlds of `env`.
+def make_policy(policy: Any, env: gymnasium.Env[Any, Any] | EpisodeVectorEnv | Interface) -> Policy:
+    """Make a policy for the worlds of `env`: an environment, or the interface of a policy that is made of another.
 
     `policy` is one of these:
 
@@ -70,12 +76,16 @@ def make_policy(policy: Any, env: gymnasium.Env[Any, Any] | EpisodeVectorEnv) ->
     - `module:name` or `path/to/file.py:name` of any of these functions, classes and objects;
     - a `Policy`, which acts in all worlds at once.
 
-    Raises `ConfigurationError` for an unknown name, and `AgentFileError` for a file that cannot be run here.
+    Where it says `env`, a policy gets an `Interface` of copies, with as much as it declares to see (`armctl.sees`);
+    only one that sees the state gets the environment itself.
+
+    Raises `ConfigurationError` for an unknown name, or for a policy that sees more than was declared, and
+    `AgentFileError` for a file that cannot be run here.
     """
-    worlds: Any = env.unwrapped
+    worlds: Any = env if isinstance(env, Interface) else env.unwrapped
     if isinstance(worlds, TaskEnv):
         worlds = worlds.worlds
-    if not isinstance(worlds, EpisodeVectorEnv):
+    if not isinstance(worlds, (EpisodeVectorEnv, Interface)):
         raise ConfigurationError(
             f"policies act in worlds that armctl has made (armctl.envs.make_worlds), and {env} is not among them"
         )
@@ -88,7 +98,7 @@ def make_policy(policy: Any, env: gymnasium.Env[Any, Any] | EpisodeVectorEnv) ->
     return made
 
 
-def _made(policy: Any, worlds: EpisodeVectorEnv) -> Policy:
+def _made(policy: Any, worlds: EpisodeVectorEnv | Interface) -> Policy:
     if not isinstance(policy, (str, Path)):
         return adapted(policy, worlds, policy_name(policy))
     name = str(policy)

@@ -3,24 +3,37 @@
 import copy
 import inspect
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from armctl.envs import EpisodeVectorEnv, ThirdPartyVectorEnv, one_of
+from armctl.envs import EpisodeVectorEnv, Interface, Sees, ThirdPartyVectorEnv, one_of
 from armctl.envs.single import OneWorld
 from armctl.errors import ConfigurationError, InvalidAction, defined_at
 from armctl.policies.policy import Actions, PerWorld, Policy
+from armctl.policies.privilege import as_declared, declared, told
 from armctl.tasks import Observations
 
 ENV_PARAMETERS = {"env", "envs", "environment", "worlds"}
-"""Names of parameters that are given an environment."""
+"""Names of parameters that are given what a policy may know of its environment."""
+
+Worlds = EpisodeVectorEnv | Interface
+"""An environment, for a policy that sees the state; for all others, what they are told about it."""
 
 
-def adapted(given: Any, worlds: EpisodeVectorEnv, name: str) -> Policy:
-    """A policy from any of the objects that `make_policy` takes. Raises `ConfigurationError`."""
+def adapted(given: Any, worlds: Worlds, name: str) -> Policy:
+    """A policy from any of the objects that `make_policy` takes, made of what it declares to see.
+
+    Raises `ConfigurationError`.
+    """
+    what = declared(given)
+    policy: Policy = as_declared(_adapted(given, told(what, worlds, name), name), what, name, given)
+    return policy
+
+
+def _adapted(given: Any, worlds: Worlds, name: str) -> Policy:
     if isinstance(given, type):
         if _acts_in_batches(given):
             return given(worlds)  # type: ignore[no-any-return]
@@ -48,7 +61,7 @@ class PlainPolicy(PerWorld):
     A controller has `act(observation)`. `reset()`, `plans()`, `failures`, `sees` and `training_steps` are optional.
     """
 
-    def __init__(self, controllers: list[Any], worlds: EpisodeVectorEnv, source: Any) -> None:
+    def __init__(self, controllers: list[Any], worlds: Worlds, source: Any) -> None:
         super().__init__(controllers, getattr(controllers[0], "sees", "observation"))
         self.training_steps = int(getattr(controllers[0], "training_steps", 0))
         self._space, self._source = worlds.single_action_space, source
@@ -83,9 +96,9 @@ class PlainPolicy(PerWorld):
 class ModelPolicy:
     """A model with the `predict` of Stable-Baselines3's, recurrent ones included."""
 
-    sees: Literal["observation", "state"] = "observation"
+    sees: Sees = "observation"
 
-    def __init__(self, model: Any, worlds: EpisodeVectorEnv, name: str) -> None:
+    def __init__(self, model: Any, worlds: Worlds, name: str) -> None:
         here = worlds.single_action_space
         if (trained := getattr(model, "action_space", here)) != here:
             raise ConfigurationError(f"the actions of {name} are {trained}; here they are {here}")
@@ -118,7 +131,7 @@ class _Function:
         self.sees = getattr(function, "sees", "observation")
 
 
-def _from_factory(factory: Callable[..., Any], worlds: EpisodeVectorEnv, name: str) -> Policy:
+def _from_factory(factory: Callable[..., Any], worlds: Worlds, name: str) -> Policy:
     """What a factory makes: a policy for all worlds, or one controller, and then another for each further world."""
     arguments = [worlds] if inspect.signature(factory).parameters else []
     made = factory(*arguments)
@@ -146,10 +159,12 @@ def _makes_policies(function: Callable[..., Any]) -> bool:
     return not parameters or parameters[0].name in ENV_PARAMETERS
 
 
-def _instance(cls: type[Any], worlds: EpisodeVectorEnv, i: int) -> Any:
+def _instance(cls: type[Any], worlds: Worlds, i: int) -> Any:
     """An instance of a controller's class for world i."""
     parameters = inspect.signature(cls).parameters.values()
     wants_env = next((one.name for one in parameters if one.name in ENV_PARAMETERS), None)
     if wants_env is None:
         return cls()
+    if isinstance(worlds, Interface):
+        return cls(**{wants_env: worlds.in_world(i)})
     return cls(**{wants_env: worlds.worlds[i] if isinstance(worlds, ThirdPartyVectorEnv) else OneWorld.of(worlds)})

@@ -1,12 +1,12 @@
 """What a policy is: it acts in n worlds at once, or consists of one controller for each."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.envs import one_of
+from armctl.envs import Sees, one_of
 from armctl.tasks import Observations
 
 Actions = NDArray[np.floating[Any]]
@@ -20,8 +20,8 @@ class Policy(Protocol):
     failed in each world, and `training_minutes`.
     """
 
-    sees: Literal["observation", "state"]
-    """What it is allowed to see: only the environment's observation, or privileged state as well."""
+    sees: Sees
+    """What it may see (see `armctl.sees`). What it is made by has to declare that beforehand."""
     training_steps: int
     """Environment steps of its training; 0 for a policy that was not trained."""
 
@@ -51,7 +51,7 @@ class Controller(Protocol):
 
 
 PolicyFactory = Callable[[Any], Policy]
-"""Makes a policy for the worlds of an environment."""
+"""Makes a policy from what it may know of an environment: see `armctl.sees`."""
 
 
 class PerWorld:
@@ -59,9 +59,7 @@ class PerWorld:
 
     training_steps = 0
 
-    def __init__(
-        self, controllers: Sequence[Controller], sees: Literal["observation", "state"] = "observation"
-    ) -> None:
+    def __init__(self, controllers: Sequence[Controller], sees: Sees = "observation") -> None:
         self.controllers = controllers
         self.sees = sees
 

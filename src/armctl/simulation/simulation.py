@@ -5,6 +5,7 @@ world stands still in its last good state, `unstable`, until it is reset. Nor do
 """
 
 from collections.abc import Mapping
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -53,6 +54,11 @@ class Simulation:
         """Live (n, ...) array of an `MjModel` field, which becomes separate for each world."""
         self._own[field] = np.asarray(self._batch.expand(field))
         return self._own[field]
+
+    @property
+    def live_arrays(self) -> Mapping[str, NDArray[Any]]:
+        """All that determines how the worlds go on: MuJoCo's state, and the model's fields that each world has."""
+        return {"state": self._batch.state, "unstable": self.unstable, **self._own}
 
     def derive(self, ids: WorldIds | None = None) -> None:
         """Recompute the model's constants from the masses, lengths and sizes of each world."""

@@ -144,6 +144,15 @@ class TaskFacts(ABC):
 
     n: int
 
+    @property
+    def robot(self) -> Any:
+        """The robot's description, for policies that use a model of it; None if there is none."""
+        return None
+
+    def static_map(self, world: int) -> Any:
+        """A copy of what stands still around the robot in the current episode, for policies that see the map."""
+        return None
+
     @abstractmethod
     def observe(self) -> Observations:
         """Present observations of all worlds."""

@@ -200,6 +200,11 @@ class BridgeTask(Task):
         """The map of a world's bridge, which is privileged knowledge."""
         return self._layouts[world].map
 
+    def static_map(self, world: int) -> BridgeMap:
+        """A copy of the map, without pedestrians."""
+        whole = self.map(world)
+        return BridgeMap(whole.length, whole.half_width, whole.blocks.copy())
+
     def reset(self, ids: Ids, rngs: list[np.random.Generator]) -> None:
         """Place the rover at the start, and everything else at random."""
         self.simulation.reset(ids)
@@ -239,7 +244,8 @@ class BridgeTask(Task):
         """Images `image` (n, height, width) and odometry `motion` (n, 3), or states (n, k)."""
         worlds = slice(None) if ids is None else ids
         if self.options.observation == "state":
-            return full_state(self.state, self._blocks(), self._pedestrians)[worlds]
+            blocks = np.array([layout.map.blocks for layout in self._layouts])
+            return full_state(self.state, blocks, self._pedestrians)[worlds]
         return {"image": self._see(ids), "motion": self._motion().astype(np.float32)[worlds]}
 
     def reward_terms(self) -> RewardTerms:
@@ -330,10 +336,6 @@ class BridgeTask(Task):
             fell=fell,
             action=self._action,
         )
-
-    def _blocks(self) -> Array:
-        """Blocks of all worlds, (n, blocks, 5), as in `BridgeMap.blocks`."""
-        return np.array([layout.map.blocks for layout in self._layouts])
 
     def _motion(self) -> Array:
         """Odometry (m/s, rad/s) and the gyro's yaw rate (rad/s), (n, 3)."""

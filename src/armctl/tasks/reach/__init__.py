@@ -2,11 +2,11 @@
 
 from armctl.tasks.reach.moving import MovingReachState, ReachMovingOptions, ReachMovingTask
 from armctl.tasks.reach.obstacles import ObstaclesReachState, ReachObstaclesOptions, ReachObstaclesTask, read_boxes
-from armctl.tasks.reach.reach import ReachOptions, ReachOutcome, ReachTask
+from armctl.tasks.reach.reach import CONTROL_PERIOD, ReachOptions, ReachOutcome, ReachTask
 from armctl.tasks.reach.state import OBSERVATION, REWARD, ReachState, observation_sizes, observation_slices
 
 __all__ = [
-    "OBSERVATION", "REWARD", "MovingReachState", "ObstaclesReachState", "ReachMovingOptions", "ReachMovingTask",
-    "ReachObstaclesOptions", "ReachObstaclesTask", "ReachOptions", "ReachOutcome", "ReachState", "ReachTask",
-    "observation_sizes", "observation_slices", "read_boxes",
+    "CONTROL_PERIOD", "OBSERVATION", "REWARD", "MovingReachState", "ObstaclesReachState", "ReachMovingOptions",
+    "ReachMovingTask", "ReachObstaclesOptions", "ReachObstaclesTask", "ReachOptions", "ReachOutcome", "ReachState",
+    "ReachTask", "observation_sizes", "observation_slices", "read_boxes",
 ]  # fmt: skip

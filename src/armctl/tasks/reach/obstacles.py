@@ -92,6 +92,10 @@ class ReachObstaclesTask(ReachTask):
         """The obstacles of a world."""
         return read_boxes(self._boxes[world])
 
+    def static_map(self, world: int) -> Boxes:
+        """A copy of a world's obstacles."""
+        return read_boxes(self._boxes[world].copy())
+
     def path(self, world: int) -> Array:
         """Waypoints (m, dof) of the planner's path in a world; none, (0, dof), if it found no path."""
         return self._paths[world]

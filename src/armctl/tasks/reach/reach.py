@@ -141,6 +141,11 @@ class ReachTask(Task):
         }
 
     @property
+    def robot(self) -> ArmDescription:
+        """The arm's description."""
+        return self.arm.description
+
+    @property
     def idle_action(self) -> Array:
         """Stay at home: the home joint positions, or zeros."""
         return self.arm.description.home if self.arm.control == "position" else super().idle_action

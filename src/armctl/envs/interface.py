@@ -1,0 +1,176 @@
+"""What a policy is told about its environment: as much as it declares to see, and no more.
+
+Everything in an `Interface` is a copy. Nothing in it leads to the simulation: armctl writes into it when an episode
+begins, and never reads it.
+"""
+
+import copy
+import dataclasses
+import functools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, ClassVar, Literal
+
+import gymnasium
+import numpy as np
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from armctl.envs.episodes import EpisodeVectorEnv
+from armctl.errors import ConfigurationError, nearest
+
+Sees = Literal["observation", "model", "map", "state"]
+SEES: Mapping[str, str] = {
+    "observation": "observation",
+    "model": "observation + robot model",
+    "map": "map",
+    "state": "true state",
+}
+"""What a policy can declare to see, from the least to the most, and how tables say it. Each includes the ones before
+it."""
+
+
+class CurrentEpisode:
+    """What a policy is told of one world's current episode. armctl changes it when the next one begins."""
+
+    def __init__(self) -> None:
+        self.rng = np.random.default_rng(0)
+        self.map: Any = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Interface:
+    """What every policy may know of n worlds before it acts."""
+
+    sees: ClassVar[Sees] = "observation"
+    env_id: str
+    num_envs: int
+    single_observation_space: gymnasium.Space[Any]
+    """Of one world."""
+    single_action_space: gymnasium.Space[Any]
+    """Of one world."""
+    control_period: float | None
+    """Seconds between two control steps; None if the environment does not say."""
+    max_episode_steps: int | None
+    interface: Mapping[str, str]
+    """What a learned policy depends on, such as robot and control, by `Task.interface`."""
+    idle_action: NDArray[Any] | None
+    """The action that leaves the robot where it starts; None if actions are not boxes."""
+    of_one_world: bool = False
+    """Whether the policy acts in one world, without a batch axis."""
+    _episodes: Sequence[CurrentEpisode] = ()
+
+    @functools.cached_property
+    def observation_space(self) -> gymnasium.Space[Any]:
+        """Of all worlds at once, or of the one world in which the policy acts."""
+        return self._space(self.single_observation_space)
+
+    @functools.cached_property
+    def action_space(self) -> gymnasium.Space[Any]:
+        """Of all worlds at once, or of the one world in which the policy acts."""
+        return self._space(self.single_action_space)
+
+    def rng(self, world: int = 0) -> np.random.Generator:
+        """For random choices in a world. armctl seeds it anew for each episode, by its seed and number."""
+        return self._episodes[world].rng
+
+    def in_world(self, world: int) -> "Interface":
+        """The interface of a policy that acts in one of the worlds."""
+        return dataclasses.replace(self, num_envs=1, of_one_world=True, _episodes=(self._episodes[world],))
+
+    def limited_to(self, sees: str, name: str) -> "Interface":
+        """What this policy may tell another one, called `name`, which declares what it `sees`.
+
+        Raises `ConfigurationError` if that is more than this one knows itself.
+        """
+        if list(SEES).index(sees) > list(SEES).index(self.sees):
+            raise ConfigurationError(
+                f"{name} sees the {SEES[sees]}, and a policy that is made of it has to declare that too: "
+                f"{how_to_declare(sees)}"
+            )
+        kind = INTERFACES[sees]
+        return kind(**{field.name: getattr(self, field.name) for field in dataclasses.fields(kind)})
+
+    def __getattr__(self, name: str) -> Any:
+        """Only called for what is not there: raises an AttributeError that says which declaration gives it."""
+        if name.startswith("_"):
+            raise AttributeError(name)
+        known = [one for one in dir(type(self)) if not one.startswith("_")]
+        known += [field.name for field in dataclasses.fields(self) if not field.name.startswith("_")]
+        needed = next((sees for sees, kind in INTERFACES.items() if name in _names(kind)), "state")
+        raise AttributeError(
+            f"env.{name} is not for a policy that sees the {SEES[self.sees]}.{nearest(name, known)} If it needs it, it "
+            f"has to say so: {how_to_declare(needed)}"
+        )
+
+    def _space(self, single: gymnasium.Space[Any]) -> gymnasium.Space[Any]:
+        return single if self.of_one_world else batch_space(single, self.num_envs)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ModelInterface(Interface):
+    """For policies that use a model of the robot."""
+
+    sees: ClassVar[Sees] = "model"
+    robot: Any
+    """Description of the robot (`armctl.robot_description.ArmDescription`); None if the task has none."""
+    options: Any
+    """The task's options; None if it has none."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MapInterface(ModelInterface):
+    """For policies that see the map as well: what stands still during an episode."""
+
+    sees: ClassVar[Sees] = "map"
+
+    def map(self, world: int = 0) -> Any:
+        """The static surroundings in a world's current episode, by `Task.static_map`."""
+        return self._episodes[world].map
+
+
+INTERFACES: Mapping[str, type[Interface]] = {"observation": Interface, "model": ModelInterface, "map": MapInterface}
+"""By what a policy declares to see. The state has none: such a policy gets the environment itself."""
+
+
+def how_to_declare(sees: str) -> str:
+    """How a policy says what it sees."""
+    return f'put @armctl.sees("{sees}") above its function or class, and every table will say it'
+
+
+def interface_of(worlds: EpisodeVectorEnv, sees: str) -> Interface:
+    """What a policy that declares to see so much is told about these worlds. `sees` is a key of `INTERFACES`."""
+    kind, task = INTERFACES[sees], worlds.task
+    episodes = [CurrentEpisode() for _ in range(worlds.num_envs)]
+
+    def begin(ids: NDArray[np.integer[Any]]) -> None:
+        seeds, numbers = worlds.seeds, worlds.episodes
+        for i in ids:
+            fresh = np.random.default_rng((0, int(seeds[i]), int(numbers[i])))
+            episodes[i].rng.bit_generator.state = fresh.bit_generator.state  # which does not tell the seed
+            if issubclass(kind, MapInterface):
+                episodes[i].map = task.static_map(int(i))
+
+    begin(np.flatnonzero(worlds.episodes >= 0))
+    worlds.on_begin.append(begin)
+    more: dict[str, Any] = {}
+    if issubclass(kind, ModelInterface):
+        more = {"robot": copy.deepcopy(task.robot), "options": copy.deepcopy(getattr(task, "options", None))}
+    boxed = isinstance(worlds.single_action_space, gymnasium.spaces.Box)
+    return kind(
+        env_id=worlds.spec.id if worlds.spec else type(worlds).__name__,
+        num_envs=worlds.num_envs,
+        single_observation_space=copy.deepcopy(worlds.single_observation_space),
+        single_action_space=copy.deepcopy(worlds.single_action_space),
+        control_period=task.control_period,
+        max_episode_steps=worlds.max_episode_steps,
+        interface=MappingProxyType(dict(task.interface)),
+        idle_action=np.array(task.idle_action) if boxed else None,
+        _episodes=episodes,
+        **more,
+    )
+
+
+def _names(kind: type[Interface]) -> set[str]:
+    return {*dir(kind), *(field.name for field in dataclasses.fields(kind))}

@@ -1,0 +1,370 @@
+"""A policy gets as much of the environment as it declares to see, and whoever writes to the world is disqualified."""
+
+import functools
+import re
+
+import numpy as np
+import pytest
+
+import armctl
+from armctl.envs import INTERFACES, SEES, make_worlds
+from armctl.errors import ConfigurationError, Disqualified
+from armctl.evaluation.rollouts import PolicyDisqualified, rollouts
+from armctl.evaluation.tampering import Watch
+from armctl.policies import PerWorld, make_policy, policy_names, privileges
+from armctl.policies.find import declared_sees
+from armctl.report import write_report
+
+REACH, OBSTACLES, BRIDGE = "ArmReach-v0", "ArmReachObstacles-v0", "BridgeCrossMoving-v0"
+SMALL = {"resolution": (4, 4)}
+
+
+class Still:
+    """Holds still, after it has done something."""
+
+    training_steps = 0
+
+    def __init__(self, sees="observation", act=lambda: None, reset=lambda: None):
+        self.sees, self.does, self.forgets = sees, act, reset
+
+    def reset(self, ids):
+        self.forgets()
+
+    def act(self, observations):
+        self.does()
+        return observations[:, 3:9].astype(float)
+
+
+# Cheats that played, and won, when `sees` was only a label.
+
+
+def moves_the_target(env):
+    return Still(act=lambda: env.task._targets.__setitem__(slice(None), env.task.arm.end_effector_positions))
+
+
+def through_unwrapped(env):
+    inner = env.unwrapped
+    return Still(act=lambda: inner.task.motion())
+
+
+def through_the_spaces(env):
+    env.single_action_space.high[:] = 1e6
+    return Still()
+
+
+def says_so_too_late(env):
+    return Still(sees="state")
+
+
+class TakesTheLiveWorld:
+    def __init__(self, env):
+        self.task = env.task
+
+    def act(self, observation):
+        return observation[3:9]
+
+
+@pytest.mark.parametrize(
+    ("cheat", "says"),
+    [
+        (through_unwrapped, r'env.unwrapped is not for .* sees the observation\..*@armctl.sees\("state"\)'),
+        (TakesTheLiveWorld, r'env.task is not for .*@armctl.sees\("state"\)'),
+        (
+            says_so_too_late,
+            r'a policy that sees the true state.*declared before it is made: put @armctl.sees\("state"\)',
+        ),
+    ],
+)
+def test_what_was_not_declared_is_not_given(cheat, says):
+    with pytest.raises(ConfigurationError, match=says):
+        make_policy(cheat, make_worlds(REACH, 2))
+
+
+def test_a_cheat_that_reaches_for_the_world_only_when_it_acts_fails_too():
+    failure = armctl.compare([moves_the_target], episodes=2).failures["moves_the_target"]
+    assert "env.task is not for a policy that sees the observation" in failure
+
+
+def test_an_interface_is_a_copy():
+    worlds = make_worlds(REACH, 1)
+    make_policy(through_the_spaces, worlds)
+    assert worlds.single_action_space.high.max() < 10
+    told = []
+    make_policy(armctl.sees("model")(lambda env: told.append(env) or Still()), worlds)
+    told[0].robot.limits.velocity[:] = 1e6
+    told[0].options.reward["goal"] = None
+    assert worlds.task.arm.description.limits.velocity.max() < 10
+    assert worlds.task.options.reward["goal"] is not None
+    with pytest.raises(TypeError):
+        told[0].interface["robot"] = "another"
+    with pytest.raises(AttributeError):
+        told[0].num_envs = 5
+
+
+def reachable_from(thing, depth=12):
+    """Everything inside an object, its closures and bound methods included."""
+    seen, waiting = {}, [(thing, depth)]
+    while waiting:
+        one, left = waiting.pop()
+        if id(one) in seen or not left or isinstance(one, type):
+            continue
+        seen[id(one)] = one
+        inside = list(getattr(one, "__dict__", {}).values())
+        inside += one.values() if isinstance(one, dict) else one if isinstance(one, (list, tuple)) else ()
+        inside += [cell.cell_contents for cell in getattr(one, "__closure__", None) or ()]
+        inside += [part for name in ("__self__", "base") if (part := getattr(one, name, None)) is not None]
+        waiting += [(part, left - 1) for part in inside]
+    return seen.values()
+
+
+@pytest.mark.parametrize("env", [REACH, OBSTACLES, BRIDGE, "Pendulum-v1"])
+@pytest.mark.parametrize("sees", INTERFACES)
+def test_nothing_in_an_interface_leads_to_the_simulation(env, sees):
+    worlds, told = make_worlds(env, 2, SMALL if env == BRIDGE else None), []
+    worlds.reset(seed=0)
+    with pytest.raises(ConfigurationError, match="needs act"):
+        make_policy(armctl.sees(sees)(lambda env: told.append(env)), worlds)
+    inside = reachable_from(told[0])
+    assert not any(one is worlds or one is worlds.task for one in inside)
+    worlds.on_begin.clear()  # through which the environment tells, and is not told
+    arrays = [one for one in reachable_from([worlds, worlds.task]) if isinstance(one, np.ndarray) and one.size]
+    for one in inside:
+        assert not isinstance(one, np.ndarray) or not any(np.shares_memory(one, array) for array in arrays)
+
+
+def test_each_privilege_has_what_the_ones_before_have_and_says_what_is_missing():
+    worlds, given = make_worlds(OBSTACLES, 2), {}
+    worlds.reset(seed=0)
+    for sees in SEES:
+        factory = armctl.sees(sees)(lambda env, sees=sees: given.setdefault(sees, env) and Still())
+        assert make_policy(factory, worlds).sees == sees
+    assert given["state"] is worlds
+    assert given["model"].robot.dof == 6
+    assert given["model"].options.tolerance == worlds.task.options.tolerance
+    np.testing.assert_array_equal(given["map"].map(1).centres, worlds.task.boxes(1).centres)
+    before = given["map"].map(1)
+    worlds.reset(seed=5)
+    np.testing.assert_array_equal(given["map"].map(1).centres, worlds.task.boxes(1).centres)
+    assert before is not given["map"].map(1)
+    for sees, name, needed in (
+        ("observation", "robot", "model"), ("observation", "map", "map"), ("model", "map", "map"),
+        ("map", "task", "state"), ("model", "episodes", "state"), ("observation", "seeds", "state"),
+    ):  # fmt: skip
+        with pytest.raises(AttributeError, match=rf'env.{name} is not .*@armctl.sees\("{needed}"\)'):
+            getattr(given[sees], name)
+    with pytest.raises(AttributeError, match="Did you mean 'num_envs'"):
+        _ = given["observation"].num_env
+
+
+def test_the_map_of_a_bridge_has_no_people():
+    worlds, told = make_worlds(BRIDGE, 1, SMALL), []
+    worlds.reset(seed=0)
+    with pytest.raises(ConfigurationError):
+        make_policy(armctl.sees("map")(lambda env: told.append(env)), worlds)
+    np.testing.assert_array_equal(told[0].map().blocks, worlds.task.map(0).blocks)
+    assert len(told[0].map().pedestrians.speed) == 0 < len(worlds.task.map(0).pedestrians.speed)
+
+
+def test_all_worlds_or_one_have_the_spaces_that_the_environment_has():
+    told = []
+
+    class Plain:
+        def __init__(self, env):
+            told.append(env)
+
+        def act(self, observation):
+            return observation[3:9]
+
+    worlds = make_worlds(REACH, 3)
+    make_policy(Plain, worlds)
+    make_policy(lambda env: told.append(env) or Still(), worlds)
+    assert [env.action_space.shape for env in told] == [(6,)] * 3 + [(3, 6)]
+    assert told[-1].observation_space == worlds.observation_space
+    assert (told[-1].control_period, told[-1].max_episode_steps) == (0.04, 100)
+    np.testing.assert_array_equal(told[-1].idle_action, worlds.task.idle_action)
+
+
+def test_random_choices_are_the_episodes_own_and_tell_no_seed():
+    def drawn(worlds, seed):
+        told = []
+        env = make_worlds(REACH, worlds)
+        make_policy(lambda env: told.append(env) or Still(), env)
+        env.reset(seed=seed)
+        return told[0], [told[0].rng(i).random() for i in range(worlds)]
+
+    env, numbers = drawn(2, 7)
+    assert drawn(1, 8)[1] == numbers[1:]
+    assert env.rng(0).bit_generator.seed_seq.entropy == 0
+
+
+def test_a_policy_made_of_another_declares_as_much():
+    def borrowing(env):
+        return make_policy("reach_ik", env)
+
+    worlds = make_worlds(REACH, 1)
+    with pytest.raises(ConfigurationError, match=r'reach_ik sees the observation \+ robot model.*sees\("model"\)'):
+        make_policy(borrowing, worlds)
+    assert make_policy(armctl.sees("model")(borrowing), worlds).sees == "model"
+    assert make_policy(armctl.sees("state")(borrowing), worlds).sees == "state"
+    partial = functools.partial(armctl.sees("model")(lambda env, name: make_policy(name, env)), name="reach_ik")
+    assert make_policy(partial, worlds).sees == "model"
+
+
+def test_a_misspelt_privilege_is_named():
+    with pytest.raises(ConfigurationError, match="Did you mean 'state'"):
+        armctl.sees("stat")
+    with pytest.raises(ConfigurationError, match="no privilege 'pixels'"):
+        make_policy(Still(sees="pixels"), make_worlds(REACH, 1))
+    with pytest.raises(ConfigurationError, match="no privilege 'everything'"):
+        make_policy(lambda env: PerWorld([], "everything"), make_worlds(REACH, 1))
+
+
+def test_installed_policies_declare_what_they_see():
+    declared = {name: declared_sees(name) for name in policy_names()}
+    assert {name for name, sees in declared.items() if sees == "state"} == {"bridge_mpc", "bridge_ompl"}
+    assert {name for name, sees in declared.items() if sees == "model"} == {"reach_ik", "reach_mpc", "reach_ompl"}
+    assert "map" not in declared.values()
+
+
+# Writing to the world. All of these may see the state.
+
+
+def writes(name, index=Ellipsis, value=0.3, when="act"):
+    """A policy that writes into an array of the task, by its path."""
+
+    @armctl.sees("state")
+    def cheat(env):
+        def write():
+            functools.reduce(getattr, name.split("."), env)[index] = value
+
+        return Still("state", **{when: write})
+
+    return cheat
+
+
+def sets(path, value):
+    @armctl.sees("state")
+    def cheat(env):
+        *holder, name = path.split(".")
+        return Still("state", act=lambda: setattr(functools.reduce(getattr, holder, env), name, value))
+
+    return cheat
+
+
+@armctl.sees("state")
+def moves_boxes(env):
+    return Still("state", act=lambda: env.task.simulation.per_world("body_pos").__setitem__(Ellipsis, -9.0))
+
+
+CHEATS = [
+    (REACH, writes("task._targets"), "simulation.state|task._targets"),
+    (REACH, writes("task.arm.joint_positions"), "task.arm.joint_positions"),
+    (REACH, writes("task.arm.joint_velocities", when="reset"), "task.arm.joint_velocities"),
+    (REACH, writes("task.state.distance", value=9.0), "task.state.distance"),
+    (REACH, writes("_steps", value=0), "env._steps"),
+    (REACH, writes("_episodes", value=3), "env._episodes"),
+    (REACH, sets("max_episode_steps", 10**9), "env.max_episode_steps"),
+    ("ArmReachMoving-v0", writes("task._within_for", value=9.0), "task._within_for"),
+    ("ArmReachMoving-v0", writes("task._amplitudes", value=0.0), "task._amplitudes"),
+    (OBSTACLES, writes("task._touches._noted", value=0.5), "task._touches._noted"),
+    (OBSTACLES, moves_boxes, "simulation.body_pos"),
+]
+
+
+@pytest.mark.parametrize(("env", "cheat", "changed"), CHEATS, ids=[f"{env} {name}" for env, _, name in CHEATS])
+def test_whoever_writes_to_the_world_is_disqualified(env, cheat, changed):
+    worlds = make_worlds(env, 2)
+    with pytest.raises(PolicyDisqualified, match=rf"cheat is disqualified: in episode 0, .*({changed})"):
+        list(rollouts(make_policy(cheat, worlds), worlds, 2, 0, "cheat"))
+
+
+def test_a_drivers_writing_is_noticed():
+    @armctl.sees("state")
+    def cheat(env):
+        def act(observations):
+            env.task._pedestrians.speed[:] = 0.0
+            return np.zeros((env.num_envs, 2))
+
+        policy = Still("state")
+        policy.act = act
+        return policy
+
+    failure = armctl.compare([cheat], BRIDGE, episodes=1, env_options=SMALL).failures["cheat"]
+    assert "task._pedestrians.speed" in failure
+
+
+@pytest.mark.parametrize("env", ["Pendulum-v1", "Reacher-v5"])
+def test_environments_of_others_are_watched_too(env):
+    class Cheat:
+        sees = "state"
+
+        def __init__(self, env):
+            self.inner = env.unwrapped
+            self.action = np.zeros(env.action_space.shape)
+
+        def act(self, observation):
+            if env == "Pendulum-v1":
+                self.inner.state = np.zeros(2)
+            else:
+                self.inner.data.qvel[:] = 0.0
+            return self.action
+
+    comparison = armctl.compare([Cheat, "random"], env, episodes=2)
+    assert re.search(r"Cheat is disqualified.*world 0\.(state|data.qvel)", comparison.failures["Cheat"])
+    assert [policy.policy for policy in comparison.policies] == ["random"]
+
+
+def test_a_planner_may_try_actions_if_it_puts_the_world_back():
+    @armctl.sees("state")
+    def trying(env):
+        q = env.task.arm.joint_positions
+
+        def act():
+            before = q.copy()
+            q[:] += 0.1
+            assert env.task.least_time(0) >= 0
+            q[:] = before
+
+        return Still("state", act=act)
+
+    assert not armctl.compare([trying], episodes=2, env_options={"max_episode_steps": 5}).failures
+
+
+def test_none_of_its_episodes_count_and_everything_says_why(tmp_path):
+    @armctl.sees("state")
+    def late(env):
+        return Still("state", act=lambda: env.episodes[0] == 2 and env.task._targets.fill(0.3))
+
+    options = {"max_episode_steps": 4}
+    for _ in range(2):  # the second time, in the same folder
+        comparison = armctl.compare([late, "reach_ik", "random"], episodes=6, out=tmp_path, env_options=options)
+        assert comparison.failures["late"].startswith("late is disqualified: in episode 2, it wrote to the world")
+        assert [policy.policy for policy in comparison.policies] == ["reach_ik", "random"]
+        assert "late" not in comparison.episodes.policy.tolist()
+        assert any("late is disqualified" in getattr(part, "text", "") for part in comparison.document().parts)
+    assert "late is disqualified" in write_report(tmp_path, video=False).read_text()
+    workers = armctl.compare([late, "random"], episodes=4, workers=2, env_options=options)
+    assert "late is disqualified" in workers.failures["late"]
+    assert [policy.policy for policy in workers.policies] == ["random"]
+
+
+@pytest.mark.parametrize("env", [REACH, "ArmReachMoving-v0", OBSTACLES, BRIDGE])
+def test_what_is_watched_holds_the_whole_state(env):
+    worlds = make_worlds(env, 1, SMALL if env == BRIDGE else None)
+    worlds.reset(seed=0)
+    watch = Watch(worlds)
+    for field in ("qpos", "qvel", "ctrl", "act", "mocap_pos", "xfrc_applied", "qfrc_applied", "time"):
+        array = worlds.task.simulation.array(field)
+        if array.size:
+            with pytest.raises(Disqualified, match=r"simulation.state|task"), watch.untouched(new_episode=True):
+                array += 0.01
+
+
+def test_privileges_are_named_where_they_differ():
+    assert privileges({"a": "observation", "b": "observation"}) == ""
+    assert privileges({"a": "model", "b": "observation", "c": "pixels"}) == (
+        "Their privileges differ: a (observation + robot model), b (observation), c (pixels)."
+    )
+    comparison = armctl.compare(["reach_ik", "random"], episodes=2, env_options={"max_episode_steps": 3})
+    assert "reach_ik (observation + robot model), random (observation)" in repr(comparison)
+    assert "observation + robot model" in comparison._repr_html_()
