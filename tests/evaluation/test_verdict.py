@@ -1,0 +1,128 @@
+"""What the verdict says, and of whom."""
+
+import dataclasses
+import re
+
+import numpy as np
+import pytest
+
+import armctl
+from armctl.errors import ConfigurationError, ResultsError
+from armctl.evaluation.paired import paired_difference
+from armctl.evaluation.sample_size import plan_comparison
+from armctl.evaluation.statistics import success_rate
+from armctl.evaluation.summary import PolicySummary
+from armctl.evaluation.verdict import verdict
+
+TRAINED = {"reach_ppo": 1_500_000, "mine.json": 20_000}
+
+
+def summary_of(name, won):
+    values = {field.name: None for field in dataclasses.fields(PolicySummary)}
+    known = {
+        "policy": name, "sees": "observation" if name in TRAINED else "model", "training_steps": TRAINED.get(name, 0),
+        "training_minutes": 12.0 if name in TRAINED else 0.0, "planned": len(won), "episodes": len(won),
+        "outcomes": {}, "success": success_rate(won), "decision_ms_p50": 0.25,
+    }  # fmt: skip
+    return PolicySummary(**values | known)
+
+
+def said(wins, episodes=400, **options):
+    """The verdict on policies that won the episodes whose numbers are in `wins`."""
+    won = {name: np.isin(np.arange(episodes), list(numbers)) for name, numbers in wins.items()}
+    names = list(won)
+    pairs = [
+        paired_difference(a, b, (won[a], won[b]), (won[a] * 1.0, won[b] * 1.0), None, (0.0, 1.0))
+        for i, a in enumerate(names)
+        for b in names[i + 1 :]
+    ]
+    return verdict([summary_of(name, of) for name, of in won.items()], pairs, **options)
+
+
+def test_it_is_about_the_best_planner_and_the_best_agent():
+    text = said({"random": [], "reach_ppo": range(300), "reach_ik": range(380), "reach_mpc": range(400)})
+    assert text.startswith("reach_mpc is better than reach_ppo: success +25.0 points [")
+    assert "after Holm's correction for 6 pairs" in text
+    assert "reach_ppo was trained for 1,500,000 steps (12.0 minutes)" in text
+    assert "a decision takes reach_mpc 0.25 ms and reach_ppo 0.25 ms" in text
+    assert "Their privileges differ: reach_mpc (observation + robot model), reach_ppo (observation)." in text
+
+
+def test_without_a_learned_policy_it_is_about_the_two_best():
+    text = said({"random": range(10), "reach_ik": range(300), "reach_mpc": range(400)})
+    assert text.startswith("reach_mpc is better than reach_ik")
+    assert "trained" not in text
+
+
+@pytest.mark.parametrize("order", [["reach_ik", "reach_ppo"], ["reach_ppo", "reach_ik"]])
+def test_the_better_one_comes_first_whatever_the_order(order):
+    wins = {"reach_ik": range(400), "reach_ppo": range(300)}
+    assert said({name: wins[name] for name in order}).startswith("reach_ik is better than reach_ppo: success +25.0")
+
+
+def test_equivalence_is_a_claim_of_its_own():
+    alike = {"reach_ik": range(398), "reach_ppo": range(397)}
+    assert said(alike).startswith("reach_ik and reach_ppo are equivalent within 2 points: success +0.2 points [")
+    assert said(alike, margin=0.001).startswith("Undecided between reach_ik and reach_ppo")
+    assert "is better than reach_ppo, though by less than 10 points" in said(
+        {"reach_ik": range(400), "reach_ppo": range(390)}, margin=0.1
+    )
+
+
+def test_an_undecided_verdict_says_how_many_episodes_would_tell():
+    text = said({"reach_ik": range(50), "reach_ppo": range(48)}, episodes=50)
+    assert text.startswith("Undecided between reach_ik and reach_ppo: success +4.0 points [")
+    more = int(re.search(r"about ([\d,]+) more episodes would tell 2 points", text)[1].replace(",", ""))
+    assert 500 < more < 5000
+
+
+def test_a_baseline_is_held_against_all_others():
+    wins = {"reach_ik": range(400), "reach_ppo": range(300), "random": []}
+    text = said(wins, baseline="random")
+    assert "reach_ik is better than random" in text
+    assert "reach_ppo is better than random" in text
+    assert "correction for 2 pairs" in text
+    assert "reach_ik is better than reach_ppo" not in text
+
+
+def test_a_policy_of_ones_own_is_always_named():
+    wins = {"reach_ik": range(400), "reach_ppo": range(300), "mine.py:pd": range(200), "mine.json": range(100)}
+    text = said(wins)
+    assert text.startswith("reach_ik is better than reach_ppo")
+    assert "reach_ik is better than mine.py:pd" in text
+    assert "reach_ik is better than mine.json" in text
+
+
+def test_a_baseline_must_take_part():
+    with pytest.raises(ConfigurationError, match=r"no baseline among the compared policies 'reach_ki'.*reach_ik"):
+        armctl.compare(["reach_ik"], episodes=1, baseline="reach_ki")
+    with pytest.raises(ConfigurationError, match="margin"):
+        armctl.compare(["reach_ik"], episodes=1, margin=2)
+
+
+def test_baseline_and_margin_survive_in_the_folder(tmp_path):
+    from armctl.evaluation.results import read_results
+
+    made = armctl.compare(["reach_ik", "random"], episodes=10, worlds=10, out=tmp_path, baseline="random", margin=0.1)
+    read = read_results(tmp_path).comparison
+    assert (read.baseline, read.margin, read.verdict) == ("random", 0.1, made.verdict)
+
+
+def test_a_plan_from_a_pilot_has_a_row_for_each_pair(tmp_path):
+    armctl.compare(["reach_ik", "random"], episodes=10, worlds=10, out=tmp_path)
+    (pair,) = plan_comparison(0.05, pilot=tmp_path).tables[0].records
+    assert pair["discordant"] == 11 / 12
+    assert pair["episodes_to_detect"] > 2000
+    rows = plan_comparison(0.05).tables[0].records
+    assert [row["episodes_to_detect"] for row in rows] == sorted(row["episodes_to_detect"] for row in rows)
+
+
+@pytest.mark.parametrize(("difference", "power"), [(0.0, 0.8), (1.5, 0.8), (0.02, 0.0), (0.02, 1.0)])
+def test_a_plan_needs_a_difference_and_a_power(difference, power):
+    with pytest.raises(ConfigurationError, match=r"between 0 and 1"):
+        plan_comparison(difference, power)
+
+
+def test_a_plan_needs_results(tmp_path):
+    with pytest.raises(ResultsError):
+        plan_comparison(0.02, pilot=tmp_path)
