@@ -49,7 +49,7 @@ def test_the_example_is_short_and_outside_the_package():
 
 def test_compare_goes_on_and_reports(folder, run):
     once = ["compare", "hover:Expert", "random", "--out", "results"]
-    assert "hover:Expert wins more episodes" in run(*once, "--episodes", "10")
+    assert "hover:Expert is better than random" in run(*once, "--episodes", "10")
     assert "20 episodes were finished by an earlier run" in run(*once, "--episodes", "11", "--report")
     rows = list(csv.DictReader((folder / "results" / "episodes.csv").open()))
     assert len(rows) == 22

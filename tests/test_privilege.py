@@ -365,6 +365,6 @@ def test_privileges_are_named_where_they_differ():
     assert privileges({"a": "model", "b": "observation", "c": "pixels"}) == (
         "Their privileges differ: a (observation + robot model), b (observation), c (pixels)."
     )
-    comparison = armctl.compare(["reach_ik", "random"], episodes=2, env_options={"max_episode_steps": 3})
+    comparison = armctl.compare(["reach_ik", "random"], episodes=10, worlds=10, env_options={"max_episode_steps": 3})
     assert "reach_ik (observation + robot model), random (observation)" in repr(comparison)
     assert "observation + robot model" in comparison._repr_html_()

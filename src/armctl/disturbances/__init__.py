@@ -23,7 +23,7 @@ ON_TOP = (0.0, 0.0, 0.22)
 """m above the rover's axles."""
 
 Share = functools.partial(DisturbanceSpec, highest=1.0)
-LARGEST_MISMATCH = 0.5
+LARGEST_MISMATCH = 0.3
 """Share: with 1, there would be links and wheels of no size and no mass."""
 LARGEST_PUSH = 100.0
 """N s: a person of 70 kg who runs into the robot has some 200 with his whole weight, and passes on less than half."""
