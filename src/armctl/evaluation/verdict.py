@@ -90,13 +90,14 @@ def _sentence(contest: Contest, margin: float) -> str:
         return f"{by_return or f'The returns of {first} and {second} cannot be told apart'}."
     difference, points = _difference(contest), f"{100 * margin:g} points"
     family = f" after Holm's correction for {contest.pairs} pairs" if contest.pairs > 1 else ""
+    p = f", p = {contest.p:.1g}{family}"
     if contest.p < SIGNIFICANT:
         within = f", though by less than {points}" if pair.equivalent(margin) else ""
-        said = f"{first} is better than {second}{within}: success {difference}, p = {contest.p:.1g}{family}"
+        said = f"{first} is better than {second}{within}: success {difference}{p}"
     elif pair.equivalent(margin):
         said = f"{first} and {second} are equivalent within {points}: success {difference}"
     else:
-        said = f"Undecided between {first} and {second}: success {difference}; {_more(pair, margin, points)}"
+        said = f"Undecided between {first} and {second}: success {difference}{p}; {_more(pair, margin, points)}"
     return f"{said}. {by_return}{'.' if by_return else ''}".rstrip()
 
 
@@ -130,7 +131,7 @@ def _cost(contest: Contest) -> str:
         if one.learned
     ]
     times = " and ".join(f"{one.policy} {one.decision_ms_p50:.2g} ms" for one in (contest.first, contest.second))
-    return f"{'; '.join((*trained, f'a decision takes {times}'))}."
+    return f"{'; '.join((*trained, f'a decision takes {times}'))}." if trained else f"A decision takes {times}."
 
 
 def _privileges(contest: Contest) -> str:
