@@ -72,7 +72,7 @@ def test_equivalence_is_a_claim_of_its_own():
 def test_an_undecided_verdict_says_how_many_episodes_would_tell():
     text = said({"reach_ik": range(50), "reach_ppo": range(48)}, episodes=50)
     assert text.startswith("Undecided between reach_ik and reach_ppo: success +4.0 points [")
-    more = int(re.search(r"about ([\d,]+) more episodes would tell 2 points", text)[1].replace(",", ""))
+    more = int(re.search(r"About ([\d,]+) more episodes would tell 2 points", text)[1].replace(",", ""))
     assert 500 < more < 5000
 
 

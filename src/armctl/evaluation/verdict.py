@@ -97,7 +97,7 @@ def _sentence(contest: Contest, margin: float) -> str:
     elif pair.equivalent(margin):
         said = f"{first} and {second} are equivalent within {points}: success {difference}"
     else:
-        said = f"Undecided between {first} and {second}: success {difference}{p}; {_more(pair, margin, points)}"
+        said = f"Undecided between {first} and {second}: success {difference}. {_more(pair, margin, points)} ({p[2:]})"
     return f"{said}. {by_return}{'.' if by_return else ''}".rstrip()
 
 
@@ -119,7 +119,7 @@ def _more(pair: PairedDifference, margin: float, points: str) -> str:
     needed = max(episodes_to_detect(margin, discordant), episodes_to_show_equivalence(margin, discordant))
     more = max(needed - pair.episodes, pair.episodes // 2)
     rounded = round(more, 1 - len(str(more)))
-    return f"about {rounded:,} more episodes would tell {points}"
+    return f"About {rounded:,} more episodes would tell {points}"
 
 
 def _cost(contest: Contest) -> str:
