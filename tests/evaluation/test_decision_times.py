@@ -8,26 +8,12 @@ import pandas as pd
 import pytest
 
 from armctl.envs import make_worlds
-from armctl.evaluation import compare, decision_times
+from armctl.evaluation import compare
 from armctl.evaluation.decision_times import TimedPolicy, timing_notes
 from armctl.evaluation.rollouts import rollouts
 from armctl.report import write_report
 
 OPTIONS = {"max_episode_steps": 3}
-
-
-class Clock:
-    now = 0.0
-
-    def __call__(self):
-        return self.now
-
-
-@pytest.fixture
-def clock(monkeypatch):
-    made = Clock()
-    monkeypatch.setattr(decision_times, "perf_counter", made)
-    return made
 
 
 class Slow:

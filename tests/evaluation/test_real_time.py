@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from armctl.errors import ConfigurationError, ResultsError
-from armctl.evaluation import compare, decision_times, sweep
+from armctl.evaluation import compare, sweep
 from armctl.evaluation.real_time import RealTime, RealTimePolicy, RecordedTimes, check_real_time
 from armctl.evaluation.results import read_results
 from armctl.report import write_report
@@ -19,20 +19,6 @@ from ..command_line import program
 BRIDGE = "armctl/BridgeCross-v0"
 SHORT = {"observation": "state", "max_episode_steps": 9}
 PERIOD_MS = 100
-
-
-class Clock:
-    now = 0.0
-
-    def __call__(self):
-        return self.now
-
-
-@pytest.fixture
-def clock(monkeypatch):
-    made = Clock()
-    monkeypatch.setattr(decision_times, "perf_counter", made)
-    return made
 
 
 class Echo:

@@ -211,7 +211,7 @@ def check_measurable(worlds: int, workers: int) -> None:
     if (worlds, workers) != (1, 1):
         raise ConfigurationError(
             f"measured real time needs one world and one worker, not {worlds} and {workers}: give recorded times, "
-            "a results folder of one world and one worker (--real-time DIR), to play in more"
+            "a results folder of one world and one worker (--real-time DIR), to play with more workers"
         )
 
 

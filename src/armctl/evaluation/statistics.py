@@ -15,7 +15,7 @@ Bounds = tuple[float, float]
 FEWEST = 10
 """Least number of values for a confidence interval of a mean: returns and lengths are skewed."""
 DRAWS = 4000
-"""Of random weights: a limit's standard error is about a twentieth of the interval's half width."""
+"""Of random weights. Where means are normal, a limit's standard error is 2 % of the interval's half width."""
 LARGEST_BATCH = 4_000_000
 """Weights that are drawn at once."""
 RESAMPLES = 2000

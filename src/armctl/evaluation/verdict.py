@@ -90,14 +90,14 @@ def _sentence(contest: Contest, margin: float) -> str:
         return f"{by_return or f'The returns of {first} and {second} cannot be told apart'}."
     difference, points = _difference(contest), f"{100 * margin:g} points"
     family = f" after Holm's correction for {contest.pairs} pairs" if contest.pairs > 1 else ""
-    p = f", p = {contest.p:.1g}{family}"
+    p = f"p = {contest.p:.1g}{family}"
     if contest.p < SIGNIFICANT:
         within = f", though by less than {points}" if pair.equivalent(margin) else ""
-        said = f"{first} is better than {second}{within}: success {difference}{p}"
+        said = f"{first} is better than {second}{within}: success {difference}, {p}"
     elif pair.equivalent(margin):
         said = f"{first} and {second} are equivalent within {points}: success {difference}"
     else:
-        said = f"Undecided between {first} and {second}: success {difference}. {_more(pair, margin, points)} ({p[2:]})"
+        said = f"Undecided between {first} and {second}: success {difference}. {_more(pair, margin, points)} ({p})"
     return f"{said}. {by_return}{'.' if by_return else ''}".rstrip()
 
 

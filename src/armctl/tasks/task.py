@@ -1,5 +1,6 @@
 """The base class of tasks: everything that environments, experts, learners and reports need to know about a task."""
 
+import functools
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
@@ -258,7 +259,7 @@ class Task(TaskFacts):
         """Simulate until the next control step, in worlds `ids` or in all."""
         self.simulation.step(self.substeps, ids)
 
-    @property
+    @functools.cached_property
     def paid_once(self) -> frozenset[str]:
         """Names of the reward terms that are paid once an episode."""
         return frozenset(name for name, term in self.reward_functions.items() if isinstance(term, Once))
