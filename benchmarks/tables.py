@@ -1,11 +1,15 @@
-"""The tables of benchmarks in the pages are made by the benchmarks.
+"""The published tables are made by the commands below them.
 
     python benchmarks/tables.py                  # all of them: hours, on a machine that does nothing else
     python benchmarks/tables.py ik optimality    # those of the commands that contain one of these words
 
-A page names the command between two comments. What lies between them is replaced by what the command prints:
+A page names the command between two comments. What lies between them is replaced by what the command prints: the tables
+of a benchmark, or the results and the verdict of a comparison, without the table of pairs:
 
     <!-- python benchmarks/ik.py -->
+    <!-- end -->
+
+    <!-- armctl compare reach_ik reach_ppo --seed 2026 -->
     <!-- end -->
 """
 
@@ -18,11 +22,12 @@ import subprocess
 import sys
 from collections.abc import Collection
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import armctl
 
 ROOT = Path(__file__).parents[1]
-BLOCK = re.compile(r"^<!-- python (benchmarks/.*?) -->$.*?^<!-- end -->$", re.MULTILINE | re.DOTALL)
+BLOCK = re.compile(r"^<!-- ((?:python benchmarks/|armctl ).*?) -->$.*?^<!-- end -->$", re.MULTILINE | re.DOTALL)
 WIDTH = "400"
 """Characters of the terminal that a benchmark gets, so that no cell is wrapped."""
 
@@ -37,18 +42,29 @@ def _is_asked(command: str, words: Collection[str]) -> bool:
 
 
 def _run(command: str) -> str:
-    print(f"python {command} ...", flush=True)
-    done = subprocess.run(
-        [sys.executable, *shlex.split(command)], cwd=ROOT, env=os.environ | {"COLUMNS": WIDTH},
-        stdout=subprocess.PIPE, text=True, check=True,
-    )  # fmt: skip
+    print(f"{command} ...", flush=True)
+    program, *words = shlex.split(command)
+    with TemporaryDirectory() as folder:
+        started = ["-m", "armctl", *words, "--format", "markdown", "--out", f"{folder}/results"]
+        done = subprocess.run(
+            [sys.executable, *(started if program == "armctl" else words)], cwd=ROOT,
+            env=os.environ | {"COLUMNS": WIDTH}, stdout=subprocess.PIPE, text=True, check=True,
+        )  # fmt: skip
     parts = (
-        f"<!-- python {command} -->",
-        *tables(done.stdout),
-        f"`python {command}`, {datetime.date.today()}, armctl {armctl.__version__}",
+        f"<!-- {command} -->",
+        *(results(done.stdout) if program == "armctl" else tables(done.stdout)),
+        f"`{command}`, {datetime.date.today()}, armctl {armctl.__version__}",
         "<!-- end -->",
     )
     return "\n\n".join(parts)
+
+
+def results(printed: str) -> list[str]:
+    """The paragraphs of a comparison in Markdown, apart from the titles and the table of pairs."""
+    paragraphs = [part.strip() for part in printed.split("\n\n")]
+    return [
+        part for part in paragraphs if not re.match(r"\*\*[^\n]*episodes of seed|\*\*Paired|\| a - b|p: McNemar", part)
+    ]
 
 
 def tables(printed: str) -> list[str]:

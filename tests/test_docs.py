@@ -301,11 +301,22 @@ Console().print("Python", table, sep="\\n")
     assert renewed(once) == once
 
 
+def test_tables_are_what_a_comparison_prints():
+    renewed = runpy.run_path(str(ROOT / "benchmarks/tables.py"))["renewed"]
+    command = "armctl compare reach_ik random --episodes 3"
+    once = renewed(f"Before\n<!-- {command} -->\nold\n<!-- end -->\nAfter\n")
+    assert "| reach\\_ik, untrained | 100.0 % " in once
+    assert "random: 3 timeout" in once
+    assert f"**No verdict from 3 episodes: it takes 10.**\n\n`{command}`, 20" in once
+    assert "old" not in once
+    assert "reach\\_ik - random" not in once
+
+
 def test_every_table_of_benchmarks_has_its_command():
     block = runpy.run_path(str(ROOT / "benchmarks/tables.py"))["BLOCK"]
     for page in PAGES:
         for command in block.findall(page.read_text()):
-            assert (ROOT / command.split()[0]).exists(), command
+            assert command.startswith("armctl ") or (ROOT / command.split()[1]).exists(), command
     assert not re.search(r"^\|", block.sub("", (ROOT / "docs/performance.md").read_text()), re.MULTILINE)
 
 
