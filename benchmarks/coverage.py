@@ -134,8 +134,8 @@ def _wrong_sign(found: list[Estimate], truth: float) -> str:
 
 
 SPREADS = (
-    (0.5, 0.0), (0.5, 0.1), (0.5, 0.3), (0.8, 0.05), (0.8, 0.2), (0.95, 0.0), (0.95, 0.01), (0.95, 0.03), (0.95, 0.06),
-    (0.95, 0.2), (0.99, 0.0), (0.99, 0.005), (0.99, 0.01), (0.99, 0.05), (0.85, None),
+    (0.5, 0.1), (0.8, 0.2), (0.95, 0.0), (0.95, 0.03), (0.95, 0.06), (0.95, 0.2), (0.99, 0.01), (0.99, 0.05),
+    (0.85, None),
 )  # fmt: skip
 """Mean success, and its standard deviation between trainings; None: one training in ten fails altogether."""
 EXPERT = 0.98
@@ -162,7 +162,7 @@ def trained(rng: np.random.Generator, k: int, n: int, rate: float, spread: float
 def trainings(runs: int) -> Iterator[tuple[str, ...]]:
     """Success over trainings that all played the same episodes, and their difference from an expert's."""
     for k in (3, 5, 10):
-        for n in (50, 200, 1000):
+        for n in (200,):
             for rate, spread in SPREADS:
                 rng = np.random.default_rng(0)
                 data = [trained(rng, k, n, rate, spread) for _ in range(runs // 10)]

@@ -1,7 +1,8 @@
 """The table of all trained agents, from their cards: `python -m armctl.rl.zoo` writes `rl/README.md`.
 
 Shipped agents have their cards in `rl/agents/`, those of other training seeds theirs in `rl/agents/seeds/`. With
-`--evaluate`, the shipped agents play the episodes on their cards again, and the cards get the new results, as after new physics.
+`--evaluate`, the shipped agents play the episodes on their cards again, and the cards get the new results, as after
+new physics.
 """
 
 import sys

@@ -23,6 +23,7 @@ from armctl.evaluation.real_time import (
     real_time_of,
 )
 from armctl.evaluation.record import COLUMNS, EpisodeResult
+from armctl.evaluation.results import earlier_looks
 from armctl.evaluation.rollouts import check_counts, wrap_environment_errors
 from armctl.evaluation.seeding import seed_notes
 from armctl.evaluation.store import EpisodeLog
@@ -32,6 +33,7 @@ from armctl.registration import bare_id, remember_named
 
 UNTOLD = "{env} is not made of a task of armctl's: least times, feasibility, contacts and clearances are unknown."
 UNSCORED = "{env} does not say what a success is: the verdict goes by return. --success-return says which is one."
+LOOKED = "This comparison was judged before, after {looks} episodes: p-values and intervals are those of a single look."
 ONE_TRAINING = "{group} is a single training, which says nothing of others by the same recipe."
 UNBOUNDED = "The possible returns are unknown: their intervals assume that none lies beyond those seen here."
 
@@ -128,8 +130,12 @@ def compare(
         if out is not None:
             late = None if paced is None else paced.identity(by_name)
             own = identity(env, comparison.env_options, seed, by_name, made, made_env, late)
+            looks = [] if overwrite else earlier_looks(Path(out), episodes)
             log = stack.enter_context(EpisodeLog(Path(out), own, episodes, overwrite))
             results += log.kept
+            comparison.looks = [*looks, episodes]
+            if looks:
+                comparison.notes.append(LOOKED.format(looks=", ".join(f"{look:,}" for look in looks)))
         comparison.resumed = len(results)
         for result in results:
             if progress is not None:

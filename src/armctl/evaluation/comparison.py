@@ -46,6 +46,8 @@ class Comparison(Displayed):
     interrupted: bool = False
     resumed: int = 0
     """Number of episodes that an earlier run had finished."""
+    looks: list[int] = field(default_factory=list)
+    """After how many episodes it has been judged, if they were written to a folder."""
 
     @property
     def verdict(self) -> str:
@@ -95,6 +97,7 @@ def summary(comparison: Comparison) -> dict[str, Any]:
         "notes": comparison.notes,
         "baseline": comparison.baseline,
         "margin": comparison.margin,
+        "looks": comparison.looks,
         "groups": comparison.groups,
         "disqualified": comparison.disqualified,
         "policies": [dataclasses.asdict(policy) for policy in comparison.policies],

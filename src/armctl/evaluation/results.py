@@ -67,6 +67,13 @@ class _Summary:
 
 
 @dataclass(frozen=True)
+class _Looks:
+    """The part of `summary.json` that tells when it was written before."""
+
+    looks: list[int] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
 class Results:
     """A comparison, and each of its episodes."""
 
@@ -125,6 +132,15 @@ def read_results(folder: Path) -> Results:
         summary.versions,
         summary.machine,
     )
+
+
+def earlier_looks(folder: Path, episodes: int) -> list[int]:
+    """After how many episodes, other than so many, a folder's comparison was judged before; none if it does not say."""
+    try:
+        _, found = _read(folder / SUMMARY, _Looks)
+    except ResultsError:
+        return []
+    return [look for look in dict.fromkeys(found.looks) if look != episodes]
 
 
 def _options(folder: Path, summary: _Summary) -> dict[str, Any]:

@@ -102,16 +102,14 @@ def expanded(policies: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, lis
     players: dict[str, Any] = {}
     groups: dict[str, list[str]] = {}
     for name, given in policies.items():
-        if not is_group(given):
-            players.setdefault(name, given)
-            continue
-        recipe = str(given).rpartition("[")[0]
-        trainings = trainings_of(recipe)
-        members = {_named(name.removesuffix("[*]"), seed): _named(recipe, seed) for seed in trainings}
+        members = {name: given}
+        if is_group(given):
+            recipe = str(given).rpartition("[")[0]
+            members = {_named(name.removesuffix("[*]"), seed): _named(recipe, seed) for seed in trainings_of(recipe)}
         if len(members) > 1:
             groups[name] = list(members)
         if twice := players.keys() & members.keys():
-            raise ConfigurationError(f"{twice.pop()} is one of {name}: name one of both")
+            raise ConfigurationError(f"{min(twice)} is named, and is one of a group that is named too: leave one out")
         players |= members
     if any(map(is_group, policies.values())):
         _check_once(players)
