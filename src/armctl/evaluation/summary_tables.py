@@ -77,14 +77,11 @@ def details(policy: PolicySummary) -> Remark:
 
 
 def trainings_in_words(policy: PolicySummary) -> str:
-    """The scores of a group's trainings, and how much they vary."""
+    """The scores of a group's trainings, and their standard deviation without the part due to episodes."""
     scale, unit, points = (100, " %", " points") if policy.success else (1, "", "")
     each = ", ".join(f"{scale * score:.1f}" for score in policy.trainings.values())
     what = "success" if policy.success else "return"
-    return (
-        f"{what} by training {each}{unit}, with a standard deviation of {scale * (policy.between or 0):.1f}{points} "
-        "besides that of their episodes"
-    )
+    return f"{what} by training {each}{unit}, standard deviation {scale * (policy.between or 0):.1f}{points}"
 
 
 def paired_table(pairs: Sequence[PairedDifference]) -> Table:
