@@ -20,9 +20,9 @@ from rich.table import Table
 from scipy import stats
 
 import armctl
-from armctl.evaluation.paired import mcnemar, tango
+from armctl.evaluation.paired import mcnemar, mover
 from armctl.evaluation.statistics import Estimate, bounded_mean, mean, success_rate, worst_decile
-from armctl.evaluation.trainings import mean_over_trainings
+from armctl.evaluation.trainings import difference_over_trainings, mean_over_trainings
 
 Array = NDArray[np.float64]
 
@@ -108,7 +108,7 @@ def pairs(runs: int) -> Iterator[tuple[str, ...]]:
         for only_a, only_b in ((0.0, 0.0), (0.005, 0.005), (0.01, 0.0), (0.02, 0.0), (0.05, 0.03), (0.2, 0.2)):
             rng = np.random.default_rng(0)
             counts = rng.multinomial(n, [only_a, only_b, 1 - only_a - only_b], size=runs)
-            found = [tango(int(a), int(b), n) for a, b, _ in counts]
+            found = [mover(int(a), int(b), n) for a, b, _ in counts]
             wrong = np.mean([b > a and mcnemar(int(a), int(b)) < 0.05 for a, b, _ in counts])
             truth = (only_a - only_b) * (WIN - LOSS) - (1 - only_a - only_b)
             gains = [_gain(a, b, n) for a, b, _ in counts[: runs // 2]]
@@ -133,21 +133,53 @@ def _wrong_sign(found: list[Estimate], truth: float) -> str:
     return f"{100 * float(np.mean(wrong)):.1f} %"
 
 
+SPREADS = (
+    (0.5, 0.1), (0.8, 0.2), (0.95, 0.0), (0.95, 0.03), (0.95, 0.06), (0.95, 0.2), (0.99, 0.01), (0.99, 0.05),
+    (0.85, None),
+)  # fmt: skip
+"""Mean success, and its standard deviation between trainings; None: one training in ten fails altogether."""
+EXPERT = 0.98
+"""Success of the policy that the group is held against."""
+
+
+def trained(rng: np.random.Generator, k: int, n: int, rate: float, spread: float | None) -> tuple[Array, Array]:
+    """Successes (k, n) of trainings, whose rates are beta-distributed, and (1, n) of an expert.
+
+    Episodes are hard or easy for all alike.
+    """
+    if spread is None:
+        rates = np.where(rng.random(k) < 0.1, 0.0, rate / 0.9)
+    elif spread == 0:
+        rates = np.full(k, rate)
+    else:
+        both = rate * (1 - rate) / spread**2 - 1
+        rates = rng.beta(rate * both, (1 - rate) * both, k)
+    ease = rng.normal(size=(1, n)) + rng.normal(size=(k + 1, n))
+    won = ease / 2**0.5 < stats.norm.ppf(np.append(rates, EXPERT))[:, None]
+    return won[:-1].astype(float), won[-1:].astype(float)
+
+
 def trainings(runs: int) -> Iterator[tuple[str, ...]]:
-    """Means over trainings that all played the same 200 episodes, which are hard or easy for all alike."""
+    """Success over trainings that all played the same episodes, and their difference from an expert's."""
     for k in (3, 5, 10):
-        for spread in (0.0, 0.1, 0.3, 1.0):
-            for rate, name in ((None, "returns"), (0.5, "success 50 %"), (0.95, "success 95 %")):
+        for n in (200,):
+            for rate, spread in SPREADS:
                 rng = np.random.default_rng(0)
-                found, pooled = [], []
-                for _ in range(runs):
-                    scores = spread * rng.normal(size=(k, 1)) + rng.normal(size=(1, 200)) + rng.normal(size=(k, 200))
-                    if rate is not None:
-                        scores = (scores < stats.norm.ppf(rate) * (2 + spread**2) ** 0.5).astype(float)
-                    found.append(mean_over_trainings(scores).mean)
-                    pooled.append(_known(mean(scores.ravel())))
-                truth = rate or 0.0
-                yield str(k), name, f"{spread:g}", *sides(found, truth), sides(pooled, truth)[0]
+                data = [trained(rng, k, n, rate, spread) for _ in range(runs // 10)]
+                found = [mean_over_trainings(group, (0.0, 1.0)).mean for group, _ in data]
+                students = [mean_over_trainings(group).mean for group, _ in data]
+                against = [difference_over_trainings(group, expert, (0.0, 1.0)) for group, expert in data]
+                wrong = [one.p < 0.05 and one.estimate.value * (rate - EXPERT) < 0 for one in against]
+                yield (
+                    str(k), f"{n:,}", f"{100 * rate:g} %", "1 in 10 fails" if spread is None else f"{100 * spread:g}",
+                    *sides(found, rate), _width(found), sides(students, rate)[0], _width(students),
+                    sides([one.estimate for one in against], rate - EXPERT)[0], f"{100 * float(np.mean(wrong)):.1f} %",
+                )  # fmt: skip
+
+
+def _width(found: list[Estimate]) -> str:
+    """Median, in points."""
+    return f"{100 * float(np.median([one.high - one.low for one in found])):.0f}"  # type: ignore[operator]
 
 
 def _known(estimate: Estimate | None) -> Estimate:
@@ -167,13 +199,16 @@ TABLES = {
     "pairs": (
         pairs,
         (
-            "episodes", "only a wins", "only b wins", "Tango", "too low", "too high", "wrong sign, McNemar",
+            "episodes", "only a wins", "only b wins", "success: MOVER", "too low", "too high", "wrong sign, McNemar",
             "return: bounded mean", "wrong sign", "wrong sign, Student's t",
         ),
     ),
     "trainings": (
         trainings,
-        ("trainings", "scores", "spread between them", "crossed", "too low", "too high", "episodes pooled"),
+        (
+            "trainings", "episodes", "success", "spread, points", "crossed", "too low", "too high", "points wide",
+            "Student's t", "points wide", "difference", "wrong sign",
+        ),
     ),
 }  # fmt: skip
 

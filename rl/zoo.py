@@ -1,7 +1,8 @@
 """The table of all trained agents, from their cards: `python -m armctl.rl.zoo` writes `rl/README.md`.
 
-Shipped agents have their cards in `rl/agents/`. Cards of other training seeds are in `rl/cards/`. With `--evaluate`,
-the shipped agents play the episodes on their cards again, and the cards get the new results, as after new physics.
+Shipped agents have their cards in `rl/agents/`, those of other training seeds theirs in `rl/agents/seeds/`. With
+`--evaluate`, the shipped agents play the episodes on their cards again, and the cards get the new results, as after
+new physics.
 """
 
 import sys
@@ -19,8 +20,9 @@ HEAD = """<!-- Made by `python -m armctl.rl.zoo` from the agents' cards: change 
 `armctl compare reach_ik NAME` compares an agent with an expert. `armctl train NAME` trains it again by its recipe in
 `rl/recipes/`. `armctl reproduce NAME` repeats the evaluation on its card, which uses held-out episodes of the
 unmodified task. Minutes are wall time on one core of a busy machine, two or three times those of an idle one. Agents in
-bold come with armctl, and were evaluated with the present physics; the other seeds were evaluated after their training,
-when impacts were softer.
+bold come with armctl, and were evaluated with the present physics. The other seeds were evaluated after their training,
+that of `reach_dagger` when impacts were softer. Those of `reach_bc` come with armctl as well: `reach_bc[*]` is all
+three, of which seeds 1 and 2 were trained by a later version.
 
 """
 COLUMNS = (
@@ -32,7 +34,9 @@ COLUMNS = (
 def table() -> str:
     """All agents as a Markdown table: one row per training seed, the shipped one first."""
     shipped = {path.stem: read_card(path) for path in sorted((HOME / "agents").glob("*.json"))}
-    others = [(path.stem.rpartition("-")[0], read_card(path)) for path in sorted((HOME / "cards").glob("*.json"))]
+    others = [
+        (path.stem.rpartition("-")[0], read_card(path)) for path in sorted((HOME / "agents" / "seeds").glob("*.json"))
+    ]
     by_name = {name: [card for _, card in cards] for name, cards in groupby(others, key=lambda pair: pair[0])}
     rows = [COLUMNS, ("---",) * len(COLUMNS)]
     for name, card in sorted(shipped.items(), key=lambda item: (item[1].env, item[0])):

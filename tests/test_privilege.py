@@ -342,9 +342,15 @@ def test_none_of_its_episodes_count_and_everything_says_why(tmp_path):
         assert [policy.policy for policy in comparison.policies] == ["reach_ik", "random"]
         assert "late" not in comparison.episodes.policy.tolist()
         assert any("late is disqualified" in getattr(part, "text", "") for part in comparison.document().parts)
-    assert "late is disqualified" in write_report(tmp_path, video=False).read_text()
+        assert comparison.disqualified == ["late"]
+        (table,) = (one for one in comparison.document().tables if one.key == "policies")
+        assert [(row[0].text, row[0].small) for row in table.rows][-1] == ("late", "disqualified")
+        assert table.records[-1] == {"policy": "late", "disqualified": True}
+    page = write_report(tmp_path, video=False).read_text()
+    assert "late is disqualified" in page
+    assert re.search(r"<b>late</b></td><td colspan=.8.>disqualified", page)
     workers = armctl.compare([late, "random"], episodes=4, workers=2, env_options=options)
-    assert "late is disqualified" in workers.failures["late"]
+    assert "late is disqualified" in workers.failures.get("late", ""), workers.failures
     assert [policy.policy for policy in workers.policies] == ["random"]
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from armctl.evaluation.paired import mcnemar, tango
+from armctl.evaluation.paired import mcnemar, mover
 from armctl.evaluation.statistics import bounded_mean, mean, worst_decile
 
 RUNS = 400
@@ -52,7 +52,7 @@ def test_a_faster_policy_that_fails_is_not_declared_better(n):
 @pytest.mark.parametrize(("only_a", "only_b"), [(0.005, 0.005), (0.02, 0.01), (0.2, 0.2)])
 def test_verdicts_on_success_rarely_have_the_wrong_sign(only_a, only_b):
     counts = np.random.default_rng(0).multinomial(200, [only_a, only_b, 1 - only_a - only_b], size=2000)
-    found = {(a, b): (tango(int(a), int(b), 200), mcnemar(int(a), int(b))) for a, b, _ in counts}
+    found = {(a, b): (mover(int(a), int(b), 200), mcnemar(int(a), int(b))) for a, b, _ in counts}
     both = [found[a, b] for a, b, _ in counts]
     assert np.mean([one.low <= only_a - only_b <= one.high for one, _ in both]) >= 0.93
     assert np.mean([one.value < 0 and p < 0.05 for one, p in both]) <= 0.025

@@ -4,14 +4,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import stats
 
 from armctl.evaluation.paired import (
     episodes_to_detect,
     episodes_to_show_equivalence,
     holm,
     mcnemar,
+    mover,
     paired_difference,
-    tango,
 )
 
 
@@ -48,34 +49,45 @@ def test_mcnemar_against_agresti():
 @pytest.mark.parametrize(
     ("only_a", "only_b", "episodes", "confidence", "low", "high"),
     [
-        # Fagerland, Lydersen and Laake (2014), "Recommended tests and confidence intervals for paired binomial
-        # proportions", Statistics in Medicine 33, table V: airway hyper-responsiveness.
-        (1, 7, 21, 0.95, -0.517, -0.026),
-        (48, 41, 549, 0.90, -0.0157, 0.0414),  # scoreci.mp of the R package PropCIs, in percent with two decimals
+        # R, binom.test: 1 of 21, 0.0012 to 0.2382; 7 of 21, 0.1459 to 0.5697; correlation -sqrt(1 * 7 / (20 * 14)).
+        (1, 7, 21, 0.95, -0.5337, 0.0019),
+        (0, 0, 200, 0.95, -0.018275, 0.018275),  # 0 of 200: 1 - 0.025 ** (1 / 200)
+        (5, 0, 5, 0.95, 0.2620, 1.0),  # 1 - sqrt((1 - 0.4782)^2 + 0.5218^2) and 5 of 5: 0.025 ** (1 / 5) = 0.4782
     ],
 )
-def test_tango_against_others(only_a, only_b, episodes, confidence, low, high):
-    found = tango(only_a, only_b, episodes, confidence)
+def test_limits_of_a_difference_from_those_of_both_shares(only_a, only_b, episodes, confidence, low, high):
+    found = mover(only_a, only_b, episodes, confidence)
     assert found.value == pytest.approx((only_a - only_b) / episodes)
     assert (found.low, found.high) == pytest.approx((low, high), abs=5e-4)
 
 
 @given(st.integers(0, 30), st.integers(0, 30), st.integers(1, 1000))
 @settings(deadline=None)
-def test_tango_holds_the_difference_and_is_the_same_for_either(only_a, only_b, others):
+def test_limits_hold_the_difference_and_are_the_same_for_either(only_a, only_b, others):
     episodes = only_a + only_b + others
-    found, turned = tango(only_a, only_b, episodes), tango(only_b, only_a, episodes)
+    found, turned = mover(only_a, only_b, episodes), mover(only_b, only_a, episodes)
     assert -1 <= found.low <= found.value <= found.high <= 1
-    assert (found.low, found.high) == pytest.approx((-turned.high, -turned.low), abs=1e-6)
-    wider = tango(only_a, only_b, episodes, 0.99)
+    assert (found.low, found.high) == pytest.approx((-turned.high, -turned.low), abs=1e-9)
+    wider = mover(only_a, only_b, episodes, 0.99)
     assert wider.low <= found.low + 1e-9
     assert wider.high >= found.high - 1e-9
 
 
-def test_without_disagreement_tango_is_wide_as_wilson():
-    z = 1.959964
-    assert tango(0, 0, 200).high == pytest.approx(z**2 / (200 + z**2), abs=1e-6)
-    assert tango(5, 0, 5).high == pytest.approx(1)
+@pytest.mark.parametrize(
+    ("n", "shares"), [(20, (0.3, 0.1)), (50, (0.2, 0.01)), (100, (0.05, 0.01)), (200, (0.02, 0.0))]
+)
+def test_exact_coverage_where_tangos_interval_missed_on_one_side(n, shares):
+    # Tango's: 94.7, 93.7, 93.3 and 93.3 %, and up to 5.0 % on one side. Added up over all outcomes.
+    truth, too_high, too_low = shares[0] - shares[1], 0.0, 0.0
+    chances = stats.binom.pmf(np.arange(n + 1), n, shares[0])
+    for only_a in np.flatnonzero(chances > 1e-7):
+        given_a = stats.binom.pmf(np.arange(n + 1), n - only_a, shares[1] / (1 - shares[0]))
+        for only_b in np.flatnonzero(given_a > 1e-7):
+            found = mover(int(only_a), int(only_b), n)
+            too_high += chances[only_a] * given_a[only_b] * (found.low > truth + 1e-12)
+            too_low += chances[only_a] * given_a[only_b] * (found.high < truth - 1e-12)
+    assert too_high <= 0.025
+    assert too_low <= 0.025
 
 
 def pair_of(only_a, only_b, episodes):
@@ -112,5 +124,13 @@ def test_planned_episodes_have_the_power_that_was_asked_for(difference, discorda
 def test_planned_episodes_show_equivalence_as_often_as_was_asked_for(discordant):
     episodes = episodes_to_show_equivalence(0.03, discordant)
     counts = np.random.default_rng(0).multinomial(episodes, [discordant / 2, discordant / 2, 1 - discordant], size=500)
-    told = np.mean([(found := tango(a, b, episodes, 0.9)).low > -0.03 and found.high < 0.03 for a, b, _ in counts])
+    told = np.mean([(found := mover(a, b, episodes, 0.9)).low > -0.03 and found.high < 0.03 for a, b, _ in counts])
     assert told >= 0.75
+
+
+def test_more_claims_take_more_episodes():
+    assert pair_of(0, 0, 200).equivalent(0.02, claims=2)
+    assert not pair_of(0, 0, 200).equivalent(0.02, claims=6)
+    needed = episodes_to_show_equivalence(0.02, 0.0, claims=6)
+    assert pair_of(0, 0, needed).equivalent(0.02, claims=6)
+    assert not pair_of(0, 0, needed - 1).equivalent(0.02, claims=6)

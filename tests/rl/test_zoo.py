@@ -12,4 +12,4 @@ def test_every_shipped_agent_is_in_it_with_its_success():
     for card in cards:
         assert f"**`{card.stem}`**" in table
         assert card.with_suffix(".onnx").exists()
-    assert table.count("\n") == 2 + len(cards) + len(list((zoo.HOME / "cards").glob("*.json")))
+    assert table.count("\n") == 2 + len(cards) + len(list((zoo.HOME / "agents" / "seeds").glob("*.json")))

@@ -68,16 +68,21 @@ def compare(
 ) -> None:
     """Let policies play the same episodes, and print which is better, and by how much.
 
+    `"reach_bc[*]"` is all trainings of a recipe as one learner: the shipped one and its other training seeds, or for a
+    path, `"runs/reach_ppo[*]"`, those that `armctl train` has made. `"reach_bc[1]"` is the one of training seed 1.
+
     Every episode is written as it ends. After Ctrl-C, the same command with the same `--out` resumes the comparison.
     """
     from armctl.evaluation import EpisodeResult
     from armctl.evaluation import compare as run_comparison
     from armctl.evaluation.compare import default_policies
+    from armctl.policies import expanded, named_policies
 
     names = policies or default_policies(env)
+    players, _ = expanded(named_policies(names))
     folder = out or new_folder()
     with progress_bar() as bar:
-        bars = {name: bar.add_task(name, total=episodes) for name in names}
+        bars = {name: bar.add_task(name, total=episodes) for name in players}
 
         def progress(result: EpisodeResult) -> None:
             bar.advance(bars[result.policy])
@@ -252,14 +257,16 @@ def sweep(
     from armctl.evaluation.compare import default_policies
     from armctl.evaluation.real_time import SLOWER
     from armctl.evaluation.sweep import sweep_levels
+    from armctl.policies import expanded, named_policies
 
     names, options = policies or default_policies(env), options_of(env_options, success_return=success_return)
     given = (disturbances or []) + ([f"{SLOWER}={slow_down}"] if slow_down else [])
     asked = levels_of(given) if given else None
+    players, _ = expanded(named_policies(names))
     settings = 1 + sum(len(levels) - 1 for levels in sweep_levels(env, asked, options).values())
     folder = out or new_folder()
     with progress_bar() as bar:
-        shown = bar.add_task("", total=settings * len(names) * episodes)
+        shown = bar.add_task("", total=settings * len(players) * episodes)
 
         def progress(setting: str, result: EpisodeResult) -> None:
             bar.update(shown, description=setting, advance=1)

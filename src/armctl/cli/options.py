@@ -58,7 +58,7 @@ Workers = Annotated[
 Policies = Annotated[
     list[str] | None,
     typer.Argument(
-        help="Policies: names, agents' files, or `file.py:NAME` of functions or classes of yours.",
+        help='Policies: names, agents\' files, `"NAME[*]"` for all trainings of a recipe, or `file.py:NAME` of yours.',
         show_default="those of the environment",
         autocompletion=completion.policies,
     ),

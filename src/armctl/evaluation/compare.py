@@ -23,15 +23,18 @@ from armctl.evaluation.real_time import (
     real_time_of,
 )
 from armctl.evaluation.record import COLUMNS, EpisodeResult
+from armctl.evaluation.results import earlier_looks
 from armctl.evaluation.rollouts import check_counts, wrap_environment_errors
 from armctl.evaluation.seeding import seed_notes
 from armctl.evaluation.store import EpisodeLog
 from armctl.evaluation.summary import counted_results, summarise
-from armctl.policies import make_policy, named_policies
+from armctl.policies import expanded, is_group, learners, make_policy, named_policies
 from armctl.registration import bare_id, remember_named
 
 UNTOLD = "{env} is not made of a task of armctl's: least times, feasibility, contacts and clearances are unknown."
 UNSCORED = "{env} does not say what a success is: the verdict goes by return. --success-return says which is one."
+LOOKED = "This comparison was judged before, after {looks} episodes: p-values and intervals are those of a single look."
+ONE_TRAINING = "{group} is a single training, which says nothing of others by the same recipe."
 UNBOUNDED = "The possible returns are unknown: their intervals assume that none lies beyond those seen here."
 
 
@@ -73,7 +76,8 @@ def compare(
     Decisions take `slow_down` times as long as they were measured.
 
     `policies` is a list, or a mapping from names in the results, of any of the forms that `make_policy` takes: names,
-    files, functions, classes, models; by default, it is what the task of `env` declares. `least_lengths` are shared as
+    files, functions, classes, models; by default, it is what the task of `env` declares. `NAME[*]` is all trainings of
+    a recipe as one learner (see `armctl.policies.trainings`). `least_lengths` are shared as
     in `rollouts`; `seeding` are the remarks of `seed_notes`, where these are known. `progress` is called with every
     finished episode, first with those of an earlier run.
 
@@ -87,10 +91,11 @@ def compare(
     remember_named(env)
     if policies is None:
         policies = default_policies(env)
-    by_name = named_policies(policies)
+    asked = named_policies(policies)
+    by_name, groups = expanded(asked)
     check_counts(episodes=episodes, worlds=worlds, workers=workers)
-    if baseline is not None and baseline not in by_name:
-        raise unknown_name("baseline among the compared policies", baseline, by_name)
+    if baseline is not None and baseline not in (compared := learners(list(by_name), groups)):
+        raise unknown_name("baseline among the compared policies", baseline, compared)
     if not 0 < margin < 1:
         raise ConfigurationError(f"the margin is a difference in success between 0 and 1, not {margin:g}")
     paced = real_time_of(real_time, slow_down, env, seed)
@@ -100,10 +105,12 @@ def compare(
         check_recorded(paced, by_name, episodes)
         worlds = 1
     comparison = Comparison(env, seed, dict(env_options or {}), pd.DataFrame(columns=list(COLUMNS)))
-    comparison.baseline, comparison.margin = baseline, margin
+    comparison.baseline, comparison.margin, comparison.groups = baseline, margin, groups
+    comparison.notes += [
+        ONE_TRAINING.format(group=name) for name in asked if is_group(asked[name]) and name not in groups
+    ]
     worlds = min(worlds, episodes)
     results: list[EpisodeResult] = []
-    disqualified: set[str] = set()
     with ExitStack() as stack:
         made_env = make_worlds(env, worlds if workers == 1 else 1, env_options)
         stack.callback(made_env.close)
@@ -123,8 +130,12 @@ def compare(
         if out is not None:
             late = None if paced is None else paced.identity(by_name)
             own = identity(env, comparison.env_options, seed, by_name, made, made_env, late)
+            looks = [] if overwrite else earlier_looks(Path(out), episodes)
             log = stack.enter_context(EpisodeLog(Path(out), own, episodes, overwrite))
             results += log.kept
+            comparison.looks = [*looks, episodes]
+            if looks:
+                comparison.notes.append(LOOKED.format(looks=", ".join(f"{look:,}" for look in looks)))
         comparison.resumed = len(results)
         for result in results:
             if progress is not None:
@@ -145,7 +156,7 @@ def compare(
                         comparison.failures[played.policy] = played.failure
                         comparison.tracebacks[played.policy] = played.traceback
                     if played.disqualified:
-                        disqualified.add(played.policy)
+                        comparison.disqualified.append(played.policy)
                     for result in played.results:
                         results.append(result)
                         if log is not None:
@@ -157,14 +168,14 @@ def compare(
         except KeyboardInterrupt:
             comparison.interrupted = True
         order = list(made)
-        results = [result for result in results if result.policy not in disqualified]
+        results = [result for result in results if result.policy not in comparison.disqualified]
         results.sort(key=lambda result: (order.index(result.policy), result.episode))
         if results:
             comparison.episodes = pd.DataFrame([result.row() for result in results])
             steps = made_env.max_episode_steps
             if (bounds := made_env.task.return_bounds(steps)) is None:
                 comparison.notes.append(UNBOUNDED)
-            comparison.policies, comparison.paired = summarise(results, made, episodes, bounds, steps)
+            comparison.policies, comparison.paired = summarise(results, made, episodes, bounds, steps, groups)
             counted, _ = counted_results(results)
             comparison.notes += timing_notes((name, played) for name, played in counted.items() if played)
             if comparison.policies and comparison.policies[0].success is None:

@@ -39,9 +39,15 @@ class Comparison(Displayed):
     """Remarks about the environment: what it does not tell, and whether it obeys its seed."""
     real_time: dict[str, Any] | None = None
     """The `latency` (`measured`, or the folder of recorded times) and `slow_down`, if the world did not wait."""
+    groups: dict[str, list[str]] = field(default_factory=dict)
+    """The trainings that count as one learner: their names in `episodes`, by the group's name."""
+    disqualified: list[str] = field(default_factory=list)
+    """Policies that wrote to the world, so that none of their episodes count."""
     interrupted: bool = False
     resumed: int = 0
     """Number of episodes that an earlier run had finished."""
+    looks: list[int] = field(default_factory=list)
+    """After how many episodes it has been judged, if they were written to a folder."""
 
     @property
     def verdict(self) -> str:
@@ -52,7 +58,7 @@ class Comparison(Displayed):
         """The tables, the verdict, and what else there is to say."""
         parts: list[Table | Remark] = []
         if self.policies:
-            parts.append(policy_table(self.env, self.seed, self.policies))
+            parts.append(policy_table(self.env, self.seed, self.policies, self.disqualified))
         parts += [details(policy) for policy in self.policies]
         if self.paired:
             parts += [paired_table(self.paired), Remark(self.verdict, "verdict")]
@@ -91,6 +97,9 @@ def summary(comparison: Comparison) -> dict[str, Any]:
         "notes": comparison.notes,
         "baseline": comparison.baseline,
         "margin": comparison.margin,
+        "looks": comparison.looks,
+        "groups": comparison.groups,
+        "disqualified": comparison.disqualified,
         "policies": [dataclasses.asdict(policy) for policy in comparison.policies],
         "paired": [dataclasses.asdict(difference) for difference in comparison.paired],
         "versions": versions(),

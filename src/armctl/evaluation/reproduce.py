@@ -1,7 +1,6 @@
 """Checks whether a learned agent performs as its card says."""
 
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,7 @@ from armctl.envs import check_from_file, full_id
 from armctl.errors import AgentFileError, ConfigurationError, unknown_name
 from armctl.evaluation.rollouts import evaluate
 from armctl.evaluation.statistics import success_rate
-from armctl.policies import GROUP
+from armctl.policies import GROUP, agent_cards, training_card
 from armctl.registration import installed, remember_named
 
 
@@ -67,13 +66,13 @@ def reproduce(agent: str | Path, *, seed: int | None = None, worlds: int = 64, e
 
 
 def card_path(agent: str | Path) -> Path:
-    """The path of an agent's card, given the path of its card or graph, or the name of an installed agent."""
+    """The path of an agent's card: of its card or graph, of an installed agent's name, or of `NAME[SEED]`."""
     path = Path(agent)
     if path.suffix in (".json", ".onnx"):
         return path.with_suffix(".json")
-    homes = {entry.name: find_spec(entry.module) for entry in installed(GROUP)}
-    beside = {name: Path(home.origin).with_name(f"{name}.json") for name, home in homes.items() if home and home.origin}
-    cards = {name: card for name, card in beside.items() if card.exists()}
+    if (card := training_card(str(agent))) is not None:
+        return card
+    cards = agent_cards()
     if str(agent) in installed(GROUP).names - cards.keys():
         raise ConfigurationError(
             f"{agent} is not a learned agent: it has no card, and so nothing to reproduce. Agents are "

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -13,10 +14,12 @@ from armctl.errors import ResultsError
 from armctl.evaluation.comparison import Comparison
 from armctl.evaluation.paired import MARGIN, PairedDifference
 from armctl.evaluation.record import EpisodeResult
+from armctl.evaluation.scores import by_learner
 from armctl.evaluation.store import COMPARISON, SUMMARY, read_episodes
 from armctl.evaluation.summary import PolicySummary, counted_results
 from armctl.files import bounded_text, digest, unsealed
 from armctl.options import option_value
+from armctl.policies import learners
 
 Kind = TypeVar("Kind")
 LONGEST_OPTION = 1_000
@@ -59,6 +62,15 @@ class _Summary:
     baseline: str | None = None
     margin: float = MARGIN
     real_time: _RealTime | None = None
+    groups: dict[str, list[str]] = field(default_factory=dict)
+    disqualified: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class _Looks:
+    """The part of `summary.json` that tells when it was written before."""
+
+    looks: list[int] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -67,9 +79,9 @@ class Results:
 
     comparison: Comparison
     names: list[str]
-    """Names of all compared policies, in order."""
+    """Names of all compared policies, in order; a group of trainings counts as one."""
     episodes: Mapping[str, list[EpisodeResult]]
-    """The episodes that count, by policy; policies without any are left out."""
+    """The episodes that count, by policy; policies without any are left out. Those of a group: of all its trainings."""
     versions: Mapping[str, str]
     machine: Mapping[str, Any]
 
@@ -88,9 +100,13 @@ def read_results(folder: Path) -> Results:
     results = read_episodes(folder, own)
     results.sort(key=lambda result: (identity.policies.index(result.policy), result.episode))
     counted, _ = counted_results(results)
-    played = {name for name, episodes in counted.items() if episodes}
+    members = [member for group in summary.groups.values() for member in group]
+    groups_fit = all(summary.groups.values()) and len(set(members) & set(identity.policies)) == len(members)
+    trained = by_learner(counted, identity.policies, summary.groups)
+    played = set(trained)
     paired = {name for pair in summary.paired for name in (pair.a, pair.b)}
-    if played != {one.policy for one in summary.policies} or not paired <= played or summary.comparison != digest(own):
+    fits = groups_fit and played == {one.policy for one in summary.policies} and paired <= played
+    if not fits or summary.comparison != digest(own):
         raise ResultsError(f"{folder / SUMMARY} does not belong to the episodes beside it: run the comparison again")
     comparison = Comparison(
         summary.env,
@@ -104,16 +120,27 @@ def read_results(folder: Path) -> Results:
         margin=summary.margin,
         notes=summary.notes,
         real_time=dict(summary.real_time) if summary.real_time else None,
+        groups=summary.groups,
+        disqualified=summary.disqualified,
         interrupted=summary.interrupted,
         resumed=summary.resumed,
     )
     return Results(
         comparison,
-        identity.policies,
-        {policy.policy: counted[policy.policy] for policy in summary.policies},
+        learners(identity.policies, summary.groups),
+        {policy.policy: list(chain(*trained[policy.policy].values())) for policy in summary.policies},
         summary.versions,
         summary.machine,
     )
+
+
+def earlier_looks(folder: Path, episodes: int) -> list[int]:
+    """After how many episodes, other than so many, a folder's comparison was judged before; none if it does not say."""
+    try:
+        _, found = _read(folder / SUMMARY, _Looks)
+    except ResultsError:
+        return []
+    return [look for look in dict.fromkeys(found.looks) if look != episodes]
 
 
 def _options(folder: Path, summary: _Summary) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Statistics of finitely many episodes: intervals that hold when disasters are rare, probability of superiority."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -40,6 +40,24 @@ def success_rate(successes: NDArray[np.bool_]) -> Estimate | None:
     return Estimate(float(successes.mean()), float(interval.low), float(interval.high))
 
 
+@dataclass(frozen=True)
+class RandomWeights:
+    """Draws of a statistic under random weights: of its lower limit and of its upper one, both (draws,)."""
+
+    low: Array
+    high: Array
+
+    def limits(self, confidence: float = 0.95) -> Bounds:
+        """The confidence interval."""
+        tail = (1 - confidence) / 2
+        return float(np.quantile(self.low, tail)), float(np.quantile(self.high, 1 - tail))
+
+    def p(self) -> float:
+        """Two-sided p-value for a value of 0, of at least 2 / (draws + 1)."""
+        beyond = min(int((self.low <= 0).sum()), int((self.high >= 0).sum()))
+        return min(1.0, 2 * (beyond + 1) / (len(self.low) + 1))
+
+
 def bounded_mean(values: Array, bounds: Bounds) -> Estimate | None:
     """Mean of values (k,) that cannot lie outside `bounds`; None without values.
 
@@ -48,6 +66,12 @@ def bounded_mean(values: Array, bounds: Bounds) -> Estimate | None:
     97.5 % quantiles of the mean under random weights, with a value at the bound in addition. For values of 0 and 1, it
     is Clopper and Pearson's; for many values and no rare ones, Student's. `benchmarks/coverage.py` simulates it.
     """
+    found = bounded_difference(values, bounds)
+    return None if found is None else found[0]
+
+
+def bounded_difference(values: Array, bounds: Bounds) -> tuple[Estimate, float] | None:
+    """The same for paired differences (k,), and the two-sided p-value for a mean of 0."""
     return _bounded(values, bounds, lambda ordered, weights: weights @ ordered)
 
 
@@ -58,31 +82,42 @@ def worst_decile(values: Array, bounds: Bounds) -> Estimate | None:
         reached = np.minimum(np.cumsum(weights, axis=1), 0.1)
         return np.asarray(np.diff(reached, axis=1, prepend=0.0) @ ordered / 0.1)
 
-    return _bounded(values, bounds, statistic)
+    found = _bounded(values, bounds, statistic)
+    return None if found is None else found[0]
 
 
-def _bounded(values: Array, bounds: Bounds, statistic: Callable[[Array, Array], Array]) -> Estimate | None:
+def _bounded(
+    values: Array, bounds: Bounds, statistic: Callable[[Array, Array], Array]
+) -> tuple[Estimate, float] | None:
     """`statistic` maps ordered values (m,) and weights (r, m), each row of which adds up to 1, to (r,)."""
     if not len(values):
         return None
     ordered, counts = np.unique(values, return_counts=True)
     lowest, highest = min(bounds[0], ordered[0]), max(bounds[1], ordered[-1])
-    rng, draws = np.random.default_rng(0), []
-    rows = max(1, LARGEST_BATCH // len(ordered))
-    for first in range(0, DRAWS, rows):
-        weights = rng.standard_gamma(counts, size=(min(rows, DRAWS - first), len(ordered)))
-        at_bound = rng.standard_exponential((len(weights), 1))
-        weights, at_bound = weights / (total := weights.sum(axis=1, keepdims=True) + at_bound), at_bound / total
-        draws.append(
-            (
-                statistic(np.concatenate(([lowest], ordered)), np.hstack((at_bound, weights))),
-                statistic(np.concatenate((ordered, [highest])), np.hstack((weights, at_bound))),
-            )
+    draws = [
+        (
+            statistic(np.concatenate(([lowest], ordered)), np.hstack((at_bound, weights))),
+            statistic(np.concatenate((ordered, [highest])), np.hstack((weights, at_bound))),
         )
-    low, high = np.concatenate(draws, axis=1)
+        for weights, at_bound in random_weights(counts, np.random.default_rng(0))
+    ]
+    found = RandomWeights(*np.concatenate(draws, axis=1))
     value = float(np.clip(statistic(ordered, counts[None] / counts.sum())[0], ordered[0], ordered[-1]))
-    low, high = np.clip((np.quantile(low, 0.025), np.quantile(high, 0.975)), (lowest, value), (value, highest))
-    return Estimate(value, float(low), float(high))
+    low, high = np.clip(found.limits(), (lowest, value), (value, highest))
+    return Estimate(value, float(low), float(high)), found.p()
+
+
+def random_weights(counts: NDArray[np.intp], rng: np.random.Generator) -> Iterator[tuple[Array, Array]]:
+    """Weights (r, m) of m values that were seen so often, and (r, 1) of one at the bound, in batches; `DRAWS` rows.
+
+    Each row adds up to 1.
+    """
+    rows = max(1, LARGEST_BATCH // len(counts))
+    for first in range(0, DRAWS, rows):
+        weights = rng.standard_gamma(counts, size=(min(rows, DRAWS - first), len(counts)))
+        at_bound = rng.standard_exponential((len(weights), 1))
+        total = weights.sum(axis=1, keepdims=True) + at_bound
+        yield weights / total, at_bound / total
 
 
 def mean(values: Array) -> Estimate | None:

@@ -2,8 +2,8 @@
 
 import itertools
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from armctl.envs import SEES
 from armctl.envs.vector import UNSTABLE
 from armctl.evaluation.decision_times import comparable_times, setting_in_words
-from armctl.evaluation.paired import PairedDifference, paired_difference
+from armctl.evaluation.paired import PairedDifference
 from armctl.evaluation.record import EpisodeResult
+from armctl.evaluation.scores import Limits, by_learner, clean, pairs_of, scores_of
 from armctl.evaluation.statistics import Bounds, Estimate, bounded_mean, mean, median, success_rate, worst_decile
+from armctl.evaluation.trainings import mean_over_trainings
 from armctl.policies import Policy
 
-WITHIN_RANGE, WITHIN_SPEED = 1.01, 1.2
-"""Largest use of a joint's range, and of its speed limit, in a clean episode: servos overshoot a little."""
 METRICS = (
     "path_length", "smoothness", "range_use", "speed_use", "torque_use", "energy", "clearance", "contacts",
 )  # fmt: skip
@@ -36,7 +36,7 @@ class PolicySummary:
     planned: int
     """Number of episodes asked for."""
     episodes: int
-    """Number of episodes that count: feasible ones, up to the first that was not finished."""
+    """Number of episodes that count: feasible ones, up to the first that was not finished; of each training."""
     infeasible: int
     """Number of infeasible episodes, which no policy won: they are left out of all figures."""
     outcomes: dict[str, int]
@@ -76,6 +76,12 @@ class PolicySummary:
     """How many worlds shared the policy's calls in the episodes from which the decision times are."""
     workers: int = 1
     """How many processes played at a time in these."""
+    trainings: dict[str, float] = field(default_factory=dict)
+    """Of a group: each training's success rate, or return if success is unknown, by its name in `episodes.csv`.
+
+    The group's means have intervals over trainings and episodes, its other figures are of all episodes together."""
+    between: float | None = None
+    """Standard deviation of these between trainings, without the part due to their episodes."""
 
     @property
     def learned(self) -> bool:
@@ -105,48 +111,26 @@ def summarise(
     planned: int,
     return_bounds: Bounds | None = None,
     time_limit: int | None = None,
+    groups: Mapping[str, Sequence[str]] | None = None,
 ) -> tuple[list[PolicySummary], list[PairedDifference]]:
     """Summaries of policies and of pairs. `results` are sorted by policy and episode.
 
-    `return_bounds` are the least and largest possible return; if they are unknown, those of all results take their
-    place. `time_limit` is the largest number of control steps of an episode.
+    Each of the `groups`, several trainings by their names, counts as one policy; a group of which one has not finished
+    an episode has no figures. `return_bounds` are the least and largest possible return; if they are unknown, those of
+    all results take their place. `time_limit` is the largest number of control steps of an episode.
     """
     counted, infeasible = counted_results(results)
     scored = any(result.success is not None for result in results)
     returns = [result.total_reward for result in results]
     limits = Limits(return_bounds or (min(returns), max(returns)), time_limit)
-    found = [
-        _summary(name, policy, planned, infeasible, counted[name], scored, limits)
-        for name, policy in policies.items()
-        if counted.get(name)
-    ]
-    return found, _paired(counted, scored, limits)
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Between which numbers returns and times lie."""
-
-    returns: Bounds
-    steps: int | None
-
-    def restricted(self, results: Iterable[EpisodeResult]) -> NDArray[np.float64] | None:
-        """Steps to the goal (k,), failures counting as the time limit; None without a limit."""
-        if self.steps is None:
-            return None
-        return np.array([float(result.length if result.success else self.steps) for result in results])
-
-
-def clean(result: EpisodeResult) -> bool | None:
-    """Whether an episode was won without a forbidden contact, and within the joints' ranges and speed limits.
-
-    `WITHIN_RANGE` and `WITHIN_SPEED` allow for what servos overshoot. None if contacts are unknown.
-    """
-    use = result.metrics
-    if use.contacts is None:
-        return None
-    beyond = use.range_use > WITHIN_RANGE or use.speed_use > WITHIN_SPEED
-    return bool(result.success) and not use.contacts and not beyond
+    trained = by_learner(counted, policies, groups or {})
+    found = []
+    for name, trainings in trained.items():
+        policy = policies[name if name in policies else next(iter(trainings))]
+        together = list(itertools.chain(*trainings.values()))
+        summary = _summary(name, policy, planned, infeasible, together, scored, limits)
+        found.append(summary if len(trainings) < 2 else _of_group(summary, trainings, scored, limits))
+    return found, pairs_of({name: list(one.values()) for name, one in trained.items()}, scored, limits)
 
 
 def counted_results(results: Sequence[EpisodeResult]) -> tuple[dict[str, list[EpisodeResult]], int]:
@@ -174,7 +158,7 @@ def _summary(
     missed = [result.metrics.missed_deadlines for result in timed]
     returns = np.array([result.total_reward for result in results])
     cleanly = [clean(result) for result in results]
-    restricted = limits.restricted(results) if scored else None
+    restricted = scores_of("restricted_steps", [results], limits)[0] if scored and limits.steps else None
     lengths = np.array([float(result.length) for result in results])
     least = np.array([result.least_length for result in results])
     efficiency = np.array([bool(result.success) for result in results]) * least / np.maximum(lengths, least)
@@ -209,6 +193,35 @@ def _summary(
     )
 
 
+def _of_group(
+    pooled: PolicySummary, trainings: Mapping[str, list[EpisodeResult]], scored: bool, limits: Limits
+) -> PolicySummary:
+    """The summary of several trainings, from that of all their episodes: intervals are over trainings as well."""
+    steps = float(limits.steps or 1)
+    bounds = {
+        "success": (0.0, 1.0),
+        "clean_success": (0.0, 1.0),
+        "efficiency": (0.0, 1.0),
+        "episode_return": limits.returns,
+        "restricted_steps": (1.0, steps),
+        "length": (1.0, steps),
+    }
+    changes: dict[str, Any] = {
+        name: replace(value, low=None, high=None) for name, value in vars(pooled).items() if isinstance(value, Estimate)
+    }
+    for name, possible in bounds.items():
+        if getattr(pooled, name) is not None and (name != "length" or limits.steps is not None):
+            values = scores_of(name, list(trainings.values()), limits)
+            changes[name] = mean_over_trainings(values, possible).mean
+    main = "success" if scored else "episode_return"
+    values = scores_of(main, list(trainings.values()), limits)
+    rates = dict(zip(trainings, values.mean(axis=1).tolist(), strict=True))
+    metrics = {name: value and replace(value, low=None, high=None) for name, value in pooled.metrics.items()}
+    changes |= {"metrics": metrics, "trainings": rates, "between": mean_over_trainings(values).between}
+    changes["episodes"] = values.shape[1]
+    return replace(pooled, **changes)
+
+
 def _mean_metric(name: str, results: Sequence[EpisodeResult]) -> Estimate | None:
     values = [getattr(result.metrics, name) for result in results]
     return mean(_known(float(value) for value in values if value is not None))
@@ -216,35 +229,3 @@ def _mean_metric(name: str, results: Sequence[EpisodeResult]) -> Estimate | None
 
 def _known(values: Iterable[float]) -> NDArray[np.float64]:
     return np.array([value for value in values if not np.isnan(value)])
-
-
-def _paired(counted: dict[str, list[EpisodeResult]], scored: bool, limits: Limits) -> list[PairedDifference]:
-    return [
-        paired_difference(
-            a,
-            b,
-            _both(counted[a], counted[b], lambda result: bool(result.success)) if scored else None,
-            _both(counted[a], counted[b], lambda result: result.total_reward),
-            _restricted(counted[a], counted[b], limits) if scored else None,
-            limits.returns,
-            limits.steps,
-        )
-        for a, b in itertools.combinations(counted, 2)
-        if counted[a] and counted[b]
-    ]
-
-
-def _restricted(
-    a: list[EpisodeResult], b: list[EpisodeResult], limits: Limits
-) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    fewest = min(len(a), len(b))
-    first, second = limits.restricted(a[:fewest]), limits.restricted(b[:fewest])
-    return None if first is None or second is None else (first, second)
-
-
-def _both(
-    a: list[EpisodeResult], b: list[EpisodeResult], value: Callable[[EpisodeResult], float]
-) -> tuple[NDArray[Any], NDArray[Any]]:
-    """A value of the episodes that both played, which are the first ones, since neither has gaps."""
-    pairs = list(zip(a, b, strict=False))
-    return np.array([value(first) for first, _ in pairs]), np.array([value(second) for _, second in pairs])

@@ -12,15 +12,17 @@ from armctl.evaluation.statistics import Estimate
 from armctl.evaluation.summary import PolicySummary
 from armctl.evaluation.tables import AGAINST, UNKNOWN, Cell, Column, Remark, Table, p_value, percent, plain
 
+DISQUALIFIED = "disqualified"
 
-def policy_table(env: str, seed: int, policies: Sequence[PolicySummary]) -> Table:
+
+def policy_table(env: str, seed: int, policies: Sequence[PolicySummary], disqualified: Sequence[str] = ()) -> Table:
     """A row for each policy. An environment that knows no success has no columns of it."""
     by_success = any(policy.success for policy in policies)
     columns = [Column("policy"), Column("success"), Column("return"), Column("steps"), Column("length")]
     columns += [Column(name, optional=True) for name in ("decision ms", "sees", "clean", "worst 10 %")]
     rows = [
         [
-            Cell(policy.policy, f"{policy.training_steps:,}" if policy.training_steps else "untrained"),
+            Cell(policy.policy, _training(policy)),
             percent(policy.success),
             plain(policy.episode_return),
             plain(policy.restricted_steps),
@@ -32,21 +34,35 @@ def policy_table(env: str, seed: int, policies: Sequence[PolicySummary]) -> Tabl
         ]
         for policy in policies
     ]
+    rows += [[Cell(name, DISQUALIFIED), *[Cell(UNKNOWN)] * (len(columns) - 1)] for name in disqualified]
     caption = "With training steps, 95 % intervals, and the 99th percentile of decision times."
+    if any(policy.trainings for policy in policies):
+        caption += " [*]: the intervals of means are for other trainings and other episodes."
+    if disqualified:
+        caption += " Disqualified: wrote to the world."
     if by_success:
         caption += " Clean: without contacts and beyond no limit. Steps: to the goal; failures count as the time limit."
     else:
         caption += " Length: steps of an episode."
     columns, rows = _without(("length",) if by_success else ("success", "clean", "steps"), columns, rows)
     records = [dataclasses.asdict(policy) for policy in policies]
+    records += [{"policy": name, "disqualified": True} for name in disqualified]
     title = f"{env}: {policies[0].planned} episodes of seed {seed}"
     return Table("policies", title, columns, rows, records, caption)
+
+
+def _training(policy: PolicySummary) -> str:
+    if policy.trainings:
+        return f"{len(policy.trainings)} x {policy.training_steps:,}"
+    return f"{policy.training_steps:,}" if policy.training_steps else "untrained"
 
 
 def details(policy: PolicySummary) -> Remark:
     """How a policy's episodes ended, and what else there is to know of them."""
     ends = ", ".join(f"{count} {outcome}" for outcome, count in policy.outcomes.items())
     said = [f"{policy.policy}: {ends}"]
+    if policy.trainings:
+        said.append(trainings_in_words(policy))
     if policy.unstable:
         said.append(f"the physics failed in {policy.unstable}, which count as failures")
     if gap := policy.optimality_gap:
@@ -60,12 +76,20 @@ def details(policy: PolicySummary) -> Remark:
     return Remark("; ".join(said))
 
 
+def trainings_in_words(policy: PolicySummary) -> str:
+    """The scores of a group's trainings, and their standard deviation without the part due to episodes."""
+    scale, unit, points = (100, " %", " points") if policy.success else (1, "", "")
+    each = ", ".join(f"{scale * score:.1f}" for score in policy.trainings.values())
+    what = "success" if policy.success else "return"
+    return f"{what} by training {each}{unit}, standard deviation {scale * (policy.between or 0):.1f}{points}"
+
+
 def paired_table(pairs: Sequence[PairedDifference]) -> Table:
     """A row for each pair of policies. If success is unknown, the probability of a higher return takes its place."""
     by_success = any(pair.mcnemar_p is not None for pair in pairs)
     name, gain = Column("a - b"), Column("return")
     columns = [name, Column("success"), Column("only a / only b", optional=True), Column("p"), gain, Column("steps")]
-    corrected = iter(holm([pair.mcnemar_p for pair in pairs if pair.mcnemar_p is not None]))
+    corrected = iter(holm([pair.superiority.p if pair.mcnemar_p is None else pair.mcnemar_p for pair in pairs]))
     rows = []
     for pair in pairs:
         names, difference = Cell(pair.a, AGAINST + pair.b), plain(pair.return_difference, "+")
@@ -74,12 +98,16 @@ def paired_table(pairs: Sequence[PairedDifference]) -> Table:
             success, steps = percent(pair.success_difference, "+"), plain(pair.steps_difference, "+")
             rows.append([names, success, counts, p, difference, steps])
         else:
-            rows.append([names, difference, percent(pair.superiority.probability), Cell(p_value(pair.superiority.p))])
+            p = Cell(p_value(next(corrected)))
+            rows.append([names, difference, percent(pair.superiority.probability), p])
     if by_success:
         caption = "p: McNemar's exact test for equal success, after Holm's correction for all pairs. Intervals: 95 %."
+        if any(pair.crossed for pair in pairs):
+            caption += " [*]: over trainings and episodes, p and intervals are those of a crossed analysis."
     else:
         columns = [name, gain, Column("a is better"), Column("p")]
-        caption = "a is better: share of episodes in which a has the higher return; a tie counts half. p: sign test."
+        caption = "a is better: share of episodes in which a has the higher return; a tie counts half. "
+        caption += "p: sign test, after Holm's correction."
     records = [dataclasses.asdict(pair) for pair in pairs]
     return Table("paired", "Paired differences, on the same episodes", columns, rows, records, caption)
 

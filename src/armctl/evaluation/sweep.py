@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from armctl import DEFAULT_ENV
@@ -36,8 +37,9 @@ from armctl.evaluation.statistics import Estimate, paired_superiority
 from armctl.evaluation.summary import PolicySummary
 from armctl.evaluation.summary_tables import sweep_parts
 from armctl.evaluation.tables import Document, Remark
+from armctl.evaluation.trainings import difference_over_trainings
 from armctl.files import digest, one_writer, sealed, write_atomically
-from armctl.policies import named_policies
+from armctl.policies import expanded, learners, named_policies
 from armctl.registration import bare_id
 
 COLUMNS = (
@@ -121,6 +123,7 @@ def sweep(
     specs = _specs(env, options)
     levels = _levels(specs, disturbances)
     by_name = named_policies(default_policies(env) if policies is None else policies)
+    players, groups = expanded(by_name)
     found = Sweep(env, seed, levels)
     recorded = None if real_time is None else read_recording(Path(real_time), 1.0, env, seed)
     if SLOWER in levels:
@@ -130,7 +133,7 @@ def sweep(
             check_measurable(worlds, workers)
             found.recorded = "the undisturbed comparison"
         else:
-            check_recorded(recorded, by_name, episodes)
+            check_recorded(recorded, players, episodes)
             found.recorded = recorded.latency
     elif recorded is not None:
         raise ConfigurationError(f"real_time is for the levels of {SLOWER}, of which none is asked for (--slow-down)")
@@ -155,8 +158,9 @@ def sweep(
             if slower is not None:
                 late = recorded or RealTime(latency=found.recorded, recorded=recorded_times(undisturbed))
                 late = replace(late, slow_down=slower)
-                lacking = late.lacking(by_name, episodes)
-                playing = {policy: given for policy, given in by_name.items() if policy not in lacking}
+                lacking = late.lacking(players, episodes)
+                without = learners(list(lacking), groups)
+                playing = {policy: given for policy, given in by_name.items() if policy not in without}
                 found.failures |= {
                     f"{name}: {policy}": f"no decision times of episode {k}" for policy, k in lacking.items()
                 }
@@ -287,13 +291,27 @@ def _numbers(estimate: Estimate | None) -> tuple[float, float, float]:
 
 def _against_undisturbed(found: Sweep, comparison: Comparison | None, policy: PolicySummary) -> float:
     before, after = (
-        one.episodes[one.episodes.policy == policy.policy].set_index("episode")
+        one.episodes[one.episodes.policy.isin(policy.trainings or [policy.policy])]
         for one in (found.comparisons[UNDISTURBED], comparison)
         if one is not None
     )
+    if policy.trainings:
+        return _p_of_group(before, after, "return" if policy.success is None else "success")
+    before, after = before.set_index("episode"), after.set_index("episode")
     both = before.index.intersection(after.index)
     before, after = before.loc[both], after.loc[both]
     if policy.success is None:
         return paired_superiority(before["return"].to_numpy(), after["return"].to_numpy()).p
     won, won_after = before.success.astype(bool), after.success.astype(bool)
     return mcnemar(int((won & ~won_after).sum()), int((~won & won_after).sum()))
+
+
+def _p_of_group(before: pd.DataFrame, after: pd.DataFrame, score: str) -> float:
+    """The p-value of a group's mean change, over trainings and episodes; 1 if there is nothing to compare."""
+    tables = (one.pivot(index="policy", columns="episode", values=score).astype(float) for one in (before, after))
+    first, second = tables
+    changes = (second - first).dropna(axis=1).to_numpy()
+    if 0 in changes.shape:
+        return 1.0
+    bounds = (-1.0, 1.0) if score == "success" else (changes.min(), changes.max())
+    return difference_over_trainings(changes, np.zeros((1, changes.shape[1])), bounds).p

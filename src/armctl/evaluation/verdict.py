@@ -1,5 +1,6 @@
 """The verdict of a comparison: whether a planner or a learned agent is better, by how much, and at what cost."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -15,6 +16,7 @@ from armctl.evaluation.summary import PolicySummary
 from armctl.policies import policy_names, privileges
 
 SIGNIFICANT = 0.05
+P_VALUES = ("mcnemar_p", "return_p")
 
 
 @dataclass(frozen=True)
@@ -26,8 +28,20 @@ class Contest:
     pair: PairedDifference
     p: float | None
     """McNemar's p-value after Holm's correction for all pairs of the comparison; None if success is unknown."""
+    return_p: float | None
+    """Of equal returns, corrected likewise; None in results of older versions."""
     pairs: int
     """Number of pairs."""
+    claims: int
+    """Number of pairs from which this one was chosen after they had been seen, or which are told beside it."""
+
+    @property
+    def first_ahead(self) -> Estimate | None:
+        """Success of the first minus that of the second; None if it is unknown."""
+        found = self.pair.success_difference
+        if found is None or found.low is None or found.high is None or self.first.policy == self.pair.a:
+            return found
+        return Estimate(-found.value + 0.0, -found.high + 0.0, -found.low + 0.0)
 
 
 def verdict(
@@ -46,9 +60,11 @@ def verdict(
     if fewest < FEWEST:
         said = [f"No verdict from {fewest} episode{'s' if fewest > 1 else ''}: it takes {FEWEST}."]
     else:
-        contests = [_contest(policies, paired, names, baseline) for names in _pairs_to_tell(policies, baseline)]
+        told = _pairs_to_tell(policies, baseline)
+        claims = _claims(policies, len(told), baseline)
+        contests = [_contest(policies, paired, names, baseline, claims) for names in told]
         said = [_sentence(contest, margin) for contest in contests]
-        said += [_cost(contests[0]), _privileges(contests[0])] if contests else []
+        said += [_cost(contests[0]), _privileges(contests[0]), _networks(contests)] if contests else []
     return " ".join(filter(None, (*said, *map(_physics_failed, policies))))
 
 
@@ -64,23 +80,35 @@ def _pairs_to_tell(policies: Sequence[PolicySummary], baseline: str | None) -> l
     return [best, *((name, best[names.index(best[1]) < names.index(best[0])]) for name in own)]
 
 
+def _claims(policies: Sequence[PolicySummary], told: int, baseline: str | None) -> int:
+    """The number of pairs among which the best two were chosen, or of those that are told, if that is larger."""
+    learned = sum(policy.learned for policy in policies)
+    between = learned * (len(policies) - learned)
+    return told if baseline else max(told, between or math.comb(len(policies), 2))
+
+
 def _contest(
     policies: Sequence[PolicySummary],
     paired: Sequence[PairedDifference],
     names: tuple[str, str],
     baseline: str | None,
+    claims: int,
 ) -> Contest:
     by_name = {policy.policy: policy for policy in policies}
     family = [pair for pair in paired if baseline is None or baseline in (pair.a, pair.b)]
     pair = next(pair for pair in paired if {pair.a, pair.b} == set(names))
-    p = None
-    if pair.mcnemar_p is not None:
-        p = holm([one.mcnemar_p for one in family if one.mcnemar_p is not None])[family.index(pair)]
+    p, return_p = (_corrected([getattr(one, name) for one in family], family.index(pair)) for name in P_VALUES)
     first, second = sorted((by_name[pair.a], by_name[pair.b]), key=lambda one: names.index(one.policy))
-    gain = pair.return_difference.value if p is None or pair.only_a == pair.only_b else pair.only_a - pair.only_b
+    ahead = pair.success_difference
+    gain = ahead.value if ahead and ahead.value else pair.return_difference.value
     if gain and (first.policy == pair.a) != (gain > 0):
         first, second = second, first
-    return Contest(first, second, pair, p, len(family))
+    return Contest(first, second, pair, p, return_p, len(family), claims)
+
+
+def _corrected(p_values: Sequence[float | None], index: int) -> float | None:
+    known = [p for p in p_values if p is not None]
+    return holm(known)[index] if known and len(known) == len(p_values) else None
 
 
 def _sentence(contest: Contest, margin: float) -> str:
@@ -91,32 +119,35 @@ def _sentence(contest: Contest, margin: float) -> str:
     difference, points = _difference(contest), f"{100 * margin:g} points"
     family = f" after Holm's correction for {contest.pairs} pairs" if contest.pairs > 1 else ""
     p = f"p = {contest.p:.1g}{family}"
+    equivalent = pair.equivalent(margin, contest.claims)
     if contest.p < SIGNIFICANT:
-        within = f", though by less than {points}" if pair.equivalent(margin) else ""
+        within = f", though by less than {points}" if equivalent else ""
         said = f"{first} is better than {second}{within}: success {difference}, {p}"
-    elif pair.equivalent(margin):
+    elif equivalent:
         said = f"{first} and {second} are equivalent within {points}: success {difference}"
     else:
-        said = f"Undecided between {first} and {second}: success {difference}. {_more(pair, margin, points)} ({p})"
+        said = f"Undecided between {first} and {second}: success {difference}. {_more(contest, margin, points)} ({p})"
     return f"{said}. {by_return}{'.' if by_return else ''}".rstrip()
 
 
 def _difference(contest: Contest) -> str:
     """In points, of the first over the second, with its interval."""
-    found = contest.pair.success_difference
+    found = contest.first_ahead
     assert found is not None
     assert found.low is not None
     assert found.high is not None
-    values = [found.value, found.low, found.high]
-    if contest.first.policy != contest.pair.a:
-        values = [-found.value, -found.high, -found.low]
-    value, low, high = (100 * one + 0.0 for one in values)
+    value, low, high = (100 * one for one in (found.value, found.low, found.high))
     return f"{value:+.1f} points [{low:.1f}, {high:.1f}]"
 
 
-def _more(pair: PairedDifference, margin: float, points: str) -> str:
+def _more(contest: Contest, margin: float, points: str) -> str:
+    pair = contest.pair
+    if pair.crossed is not None:
+        return "More trainings would tell more than more episodes"
     discordant = (pair.only_a + pair.only_b + 1) / (pair.episodes + 2)
-    needed = max(episodes_to_detect(margin, discordant), episodes_to_show_equivalence(margin, discordant))
+    needed = max(
+        episodes_to_detect(margin, discordant), episodes_to_show_equivalence(margin, discordant, claims=contest.claims)
+    )
     more = max(needed - pair.episodes, pair.episodes // 2)
     rounded = round(more, 1 - len(str(more)))
     return f"About {rounded:,} more episodes would tell {points}"
@@ -138,10 +169,22 @@ def _privileges(contest: Contest) -> str:
     return privileges({one.policy: one.sees for one in (contest.first, contest.second)})
 
 
+def _networks(contests: Sequence[Contest]) -> str:
+    """Which learned policies are one network, and which are a recipe."""
+    told = {one.policy: one for contest in contests for one in (contest.first, contest.second) if one.learned}
+    said = [
+        f"{name} is this recipe, by {len(one.trainings)} trainings" if one.trainings else f"{name} is this network"
+        for name, one in told.items()
+    ]
+    return f"{'; '.join(said)}." if said else ""
+
+
 def _by_return(contest: Contest) -> str:
     """Which of two policies earns more; empty if that is not significant."""
     gain = contest.pair.return_difference
     if gain.low is None or gain.high is None or gain.low <= 0 <= gain.high:
+        return ""
+    if contest.return_p is not None and contest.return_p >= SIGNIFICANT:
         return ""
     better, other = (contest.pair.a, contest.pair.b) if gain.value > 0 else (contest.pair.b, contest.pair.a)
     low, high = sorted((abs(gain.low), abs(gain.high)))
@@ -151,7 +194,7 @@ def _by_return(contest: Contest) -> str:
 def _physics_failed(policy: PolicySummary) -> str:
     if not policy.unstable:
         return ""
-    share = f"{policy.unstable} of {policy.episodes} episodes"
+    share = f"{policy.unstable} of {sum(policy.outcomes.values())} episodes"
     return f"{policy.policy} counts {share} as failures because their physics became unstable."
 
 

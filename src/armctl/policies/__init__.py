@@ -1,7 +1,6 @@
 """Policies, which map observations to actions, classical or learned; and how they are found."""
 
 from armctl.policies.find import (
-    GROUP,
     declared_sees,
     describe_policy,
     make_policy,
@@ -11,8 +10,10 @@ from armctl.policies.find import (
 )
 from armctl.policies.policy import Actions, Controller, PerWorld, Plans, Policy, PolicyFactory
 from armctl.policies.privilege import privileges, sees
+from armctl.policies.trainings import GROUP, agent_cards, expanded, is_group, learners, training_card
 
 __all__ = [
-    "GROUP", "Actions", "Controller", "PerWorld", "Plans", "Policy", "PolicyFactory", "declared_sees",
-    "describe_policy", "make_policy", "named_policies", "policy_name", "policy_names", "privileges", "sees",
+    "GROUP", "Actions", "Controller", "PerWorld", "Plans", "Policy", "PolicyFactory", "agent_cards", "declared_sees",
+    "describe_policy", "expanded", "is_group", "learners", "make_policy", "named_policies", "policy_name",
+    "policy_names", "privileges", "sees", "training_card",
 ]  # fmt: skip

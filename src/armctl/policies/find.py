@@ -16,9 +16,8 @@ from armctl.errors import FAILURES, ArmctlError, ConfigurationError, described, 
 from armctl.policies.plain import adapted
 from armctl.policies.policy import Policy
 from armctl.policies.privilege import declared
+from armctl.policies.trainings import GROUP, training_card
 from armctl.registration import import_attribute, installed
-
-GROUP = "armctl.policies"
 
 
 def policy_names() -> list[str]:
@@ -68,6 +67,7 @@ def make_policy(policy: Any, env: gymnasium.Env[Any, Any] | EpisodeVectorEnv | I
 
     - the name of an installed policy;
     - the path of a learned agent's `.json` card or `.onnx` graph;
+    - `NAME[SEED]`, one training of a recipe (see `armctl.policies.trainings`);
     - a function of one world's observation that returns an action;
     - a class with `act(observation)`, and `reset()` if it has memory. Each world gets an instance, made without
       arguments, or with `env` if the constructor has a parameter of that name;
@@ -104,6 +104,8 @@ def _made(policy: Any, worlds: EpisodeVectorEnv | Interface) -> Policy:
     name = str(policy)
     if Path(name).suffix in FILES:
         return load_agent(Path(name), worlds)
+    if (card := training_card(name)) is not None:
+        return load_agent(card, worlds)
     if Path(name).suffix == ".zip":
         raise ConfigurationError(
             f"{name} may be a model of Stable-Baselines3's, which holds pickles: "

@@ -4,7 +4,7 @@ A policy looks the same in all figures. Further policies have the same colours w
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 import pandas as pd
@@ -90,7 +90,7 @@ def paired(pair: PairedDifference, episodes: Mapping[str, Sequence[EpisodeResult
     points = pd.DataFrame(
         [
             (one.total_reward, other.total_reward, one.episode)
-            for one, other in zip(episodes[pair.a], episodes[pair.b], strict=False)
+            for one, other in _together(episodes[pair.a], episodes[pair.b])
         ],
         columns=["a", "b", "episode"],
     )
@@ -120,6 +120,14 @@ def paired(pair: PairedDifference, episodes: Mapping[str, Sequence[EpisodeResult
     )
     axis = {"range": span, "nticks": 5}
     return framed(figure, f"return of {escaped(b.label)}", f"return of {escaped(a.label)}", x=axis, y=axis, height=300)
+
+
+def _together(a: Sequence[EpisodeResult], b: Sequence[EpisodeResult]) -> Iterator[tuple[EpisodeResult, EpisodeResult]]:
+    """The results of the same episode; each training of one learner with each of the other's."""
+    others: dict[int, list[EpisodeResult]] = {}
+    for other in b:
+        others.setdefault(other.episode, []).append(other)
+    return ((one, other) for one in a for other in others.get(one.episode, []))
 
 
 def learning(curves: Mapping[str, pd.DataFrame], policies: Sequence[PolicySummary], look: Looks) -> go.Figure:

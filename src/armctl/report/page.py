@@ -4,6 +4,7 @@ import base64
 import os.path
 import shlex
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.results import Results, read_results
 from armctl.evaluation.store import COMPARISON
 from armctl.evaluation.summary import PolicySummary
+from armctl.evaluation.summary_tables import trainings_in_words
 from armctl.evaluation.sweep import UNDISTURBED
 from armctl.files import write_atomically
 from armctl.registration import import_attribute, remember_named
@@ -65,6 +67,8 @@ def write_report(
     if sweep is not None:
         names += [name for name in sweep.policy.unique() if name not in names]
     look = style.looks(names)
+    groups = results.comparison.groups if results else {}
+    look |= {member: replace(look[name], label=member) for name in groups for member in groups[name]}
     page: dict[str, Any] = {
         "look": look,
         "written": datetime.now().strftime("%Y-%m-%d %H:%M"),
@@ -102,6 +106,7 @@ def write_report(
         "spread": spread,
         "base64": _base64,
         "on_both": on_both,
+        "trainings": trainings_in_words,
     }
     text = environment.get_template("page.html.j2").render(page, dark=DARK, plotly=Markup(get_plotlyjs()))
     try:
@@ -127,7 +132,7 @@ def _comparison(results: Results, look: style.Looks) -> dict[str, Any]:
         "planned": planned,
         "extent": extent,
         "command": _command("compare", results, extent, results.names),
-        "missing": [name for name in results.names if name not in episodes],
+        "missing": [name for name in results.names if name not in episodes and name not in comparison.disqualified],
     }
     return page | (comparison_plots(results, look) if policies else {})
 

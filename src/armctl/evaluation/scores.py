@@ -1,0 +1,93 @@
+"""Scores of the episodes of each learner: of a policy, or of several trainings that count as one."""
+
+import itertools
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.evaluation.paired import PairedDifference, difference_of_groups, paired_difference
+from armctl.evaluation.record import EpisodeResult
+from armctl.evaluation.statistics import Bounds
+from armctl.policies import learners
+
+WITHIN_RANGE, WITHIN_SPEED = 1.01, 1.2
+"""Largest use of a joint's range, and of its speed limit, in a clean episode: servos overshoot a little."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Between which numbers returns and times lie."""
+
+    returns: Bounds
+    steps: int | None
+
+
+def clean(result: EpisodeResult) -> bool | None:
+    """Whether an episode was won without a forbidden contact, and within the joints' ranges and speed limits.
+
+    `WITHIN_RANGE` and `WITHIN_SPEED` allow for what servos overshoot. None if contacts are unknown.
+    """
+    use = result.metrics
+    if use.contacts is None:
+        return None
+    beyond = use.range_use > WITHIN_RANGE or use.speed_use > WITHIN_SPEED
+    return bool(result.success) and not use.contacts and not beyond
+
+
+def by_learner(
+    counted: Mapping[str, list[EpisodeResult]], policies: Iterable[str], groups: Mapping[str, Sequence[str]]
+) -> dict[str, dict[str, list[EpisodeResult]]]:
+    """The results that count of each training of each learner: of one, unless it is a group.
+
+    Of a group, those episodes count that all its trainings have finished. A learner without any is left out.
+    """
+    found = {}
+    for name in learners(list(policies), groups):
+        members = groups.get(name, [name])
+        fewest = min(len(counted.get(member, [])) for member in members)
+        if fewest:
+            found[name] = {member: counted[member][: fewest if name in groups else None] for member in members}
+    return found
+
+
+def scores_of(name: str, trainings: Sequence[list[EpisodeResult]], limits: Limits) -> NDArray[np.float64]:
+    """A field of `PolicySummary`, (trainings, episodes), whose mean it is."""
+    most = limits.steps or 0
+    values: dict[str, Callable[[EpisodeResult], float]] = {
+        "success": lambda result: bool(result.success),
+        "clean_success": lambda result: bool(clean(result)),
+        "efficiency": lambda result: (
+            bool(result.success) * result.least_length / max(result.length, result.least_length)
+        ),
+        "episode_return": lambda result: result.total_reward,
+        "restricted_steps": lambda result: result.length if result.success else most,
+        "length": lambda result: result.length,
+    }
+    return np.array([[float(values[name](result)) for result in one] for one in trainings])
+
+
+def pairs_of(trained: Mapping[str, list[list[EpisodeResult]]], scored: bool, limits: Limits) -> list[PairedDifference]:
+    """The difference of each two learners, whose trainings' results are given, on the episodes that both played."""
+    found = []
+    for a, b in itertools.combinations(trained, 2):
+        fewest = min(len(trained[a][0]), len(trained[b][0]))
+        both = [[one[:fewest] for one in trained[name]] for name in (a, b)]
+
+        def of(score: str, both: list[list[list[EpisodeResult]]] = both) -> tuple[Any, Any]:
+            return scores_of(score, both[0], limits), scores_of(score, both[1], limits)
+
+        success = of("success") if scored else None
+        steps = of("restricted_steps") if scored and limits.steps is not None else None
+        returns = of("episode_return")
+        if max(map(len, both)) > 1:
+            claims = math.comb(len(trained), 2)
+            found.append(difference_of_groups(a, b, success, returns, steps, limits.returns, limits.steps, claims))
+            continue
+        won = None if success is None else (success[0][0] > 0, success[1][0] > 0)
+        late = None if steps is None else (steps[0][0], steps[1][0])
+        found.append(paired_difference(a, b, won, (returns[0][0], returns[1][0]), late, limits.returns, limits.steps))
+    return found
