@@ -26,7 +26,7 @@ from armctl.evaluation.record import COLUMNS, EpisodeResult
 from armctl.evaluation.rollouts import check_counts, wrap_environment_errors
 from armctl.evaluation.seeding import seed_notes
 from armctl.evaluation.store import EpisodeLog
-from armctl.evaluation.summary import counted_results, summarise
+from armctl.evaluation.summary import certificate_notes, counted_results, summarise
 from armctl.policies import make_policy, named_policies
 from armctl.registration import bare_id, remember_named
 
@@ -165,6 +165,7 @@ def compare(
             if (bounds := made_env.task.return_bounds(steps)) is None:
                 comparison.notes.append(UNBOUNDED)
             comparison.policies, comparison.paired = summarise(results, made, episodes, bounds, steps)
+            comparison.notes += certificate_notes(results)
             counted, _ = counted_results(results)
             comparison.notes += timing_notes((name, played) for name, played in counted.items() if played)
             if comparison.policies and comparison.policies[0].success is None:
