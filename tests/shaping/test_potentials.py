@@ -51,7 +51,7 @@ def test_a_potential_is_one_function_of_the_state_for_an_episode(env, name, expe
 def test_an_expert_climbs_its_potential(env, name, expert):
     worlds = make(env)
     potential, actor = make_potential(name, worlds), make_policy(expert, worlds)
-    observations, _ = worlds.reset(seed=3)
+    observations, _ = worlds.reset(seed=5)
     ids = np.arange(4, dtype=np.int32)
     actor.reset(ids)
     potential.begin(ids)

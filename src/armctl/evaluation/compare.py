@@ -25,6 +25,7 @@ from armctl.evaluation.real_time import (
 from armctl.evaluation.record import COLUMNS, EpisodeResult
 from armctl.evaluation.rollouts import check_counts, wrap_environment_errors
 from armctl.evaluation.seeding import seed_notes
+from armctl.evaluation.seeds import check_evaluation_seed
 from armctl.evaluation.store import EpisodeLog
 from armctl.evaluation.summary import certificate_notes, counted_results, summarise
 from armctl.policies import make_policy, named_policies
@@ -80,7 +81,8 @@ def compare(
     The verdict is about the best classical and the best learned policy, or about `baseline` against all others. Success
     that differs by less than `margin` counts as equivalent.
 
-    Raises `ConfigurationError`, `AgentFileError`, and `ResultsError` if `out` cannot be written, is damaged, or holds
+    Raises `ConfigurationError` (also for a seed of training, see `armctl.evaluation.seeds`), `AgentFileError`, and
+    `ResultsError` if `out` cannot be written, is damaged, or holds
     the results of another comparison (unless `overwrite`).
     """
     env = full_id(env)
@@ -89,6 +91,7 @@ def compare(
         policies = default_policies(env)
     by_name = named_policies(policies)
     check_counts(episodes=episodes, worlds=worlds, workers=workers)
+    check_evaluation_seed(seed)
     if baseline is not None and baseline not in by_name:
         raise unknown_name("baseline among the compared policies", baseline, by_name)
     if not 0 < margin < 1:

@@ -1,6 +1,7 @@
 """Reach around obstacles: boxes, posts and shelves between home and target, different ones in each episode.
 
-A contact of the arm with an obstacle, the floor or itself ends the episode. Every layout has a path, by a certificate that is no policy's planner.
+A contact of the arm with an obstacle, the floor or itself ends the episode. A planner that no policy uses
+has found a path in every layout.
 """
 
 import functools

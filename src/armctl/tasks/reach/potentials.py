@@ -103,8 +103,9 @@ class PathCostToGo(Potential):
     def begin(self, ids: Ids) -> None:
         """Plan from home, and distribute waypoints evenly over the paths."""
         targets, tolerance = self.task.state.target_position, self.task.options.tolerance
+        home = self._model.home.astype(np.float32).astype(float)  # as observed: then it is the path of `reach_ompl`
         for i in ids:
-            path = self._planner.plan(self._model.home, targets[i], tolerance, self.task.boxes(int(i))).path
+            path = self._planner.plan(home, targets[i], tolerance, self.task.boxes(int(i))).path
             self._known[i] = len(path) > 0
             if len(path):
                 self._points[i], self._to_go[i] = self._waypoints(path)
