@@ -39,7 +39,7 @@ def test_other_seeds_are_for_evaluation(seed):
 
 def test_the_command_line_says_so(tmp_path):
     ran = program("compare", "random", "--episodes", "1", "--seed", "1000000000", cwd=tmp_path, check=False)
-    assert ran.returncode == 1
+    assert ran.returncode != 0
     assert "are for training" in " ".join(ran.stderr.split())
 
 
