@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +12,11 @@ from armctl import DEFAULT_ENV
 from armctl.envs import ThirdPartyVectorEnv, full_id, make_worlds, task_of
 from armctl.errors import ConfigurationError, ResultsError, unknown_name
 from armctl.evaluation.comparison import Comparison, summary
-from armctl.evaluation.decision_times import timing_notes
+from armctl.evaluation.decision_times import load_notes, timing_notes, unjudged
 from armctl.evaluation.identity import identity
 from armctl.evaluation.paired import MARGIN
 from armctl.evaluation.parallel import WorkerConfig, WorkersFailed, check_sendable, play_here, play_in_workers
+from armctl.evaluation.provenance import RunMeter
 from armctl.evaluation.real_time import (
     RealTime,
     check_measurable,
@@ -123,10 +125,13 @@ def compare(
         if isinstance(made_env, ThirdPartyVectorEnv):
             comparison.notes.append(UNTOLD.format(env=bare_id(env)))
         log: EpisodeLog | None = None
+        own: Mapping[str, Any] = {}
         if out is not None:
             late = None if paced is None else paced.identity(by_name)
             own = identity(env, comparison.env_options, seed, by_name, made, made_env, late)
-            log = stack.enter_context(EpisodeLog(Path(out), own, episodes, overwrite))
+        meter = RunMeter(own, worlds, workers)
+        if out is not None:
+            log = stack.enter_context(EpisodeLog(Path(out), own, episodes, overwrite, meter.run))
             results += log.kept
         comparison.resumed = len(results)
         for result in results:
@@ -149,7 +154,8 @@ def compare(
                         comparison.tracebacks[played.policy] = played.traceback
                     if played.disqualified:
                         disqualified.add(played.policy)
-                    for result in played.results:
+                    meter.look()
+                    for result in (replace(one, run=meter.run.id) for one in played.results):
                         results.append(result)
                         if log is not None:
                             log.write(result)
@@ -162,6 +168,10 @@ def compare(
         order = list(made)
         results = [result for result in results if result.policy not in disqualified]
         results.sort(key=lambda result: (order.index(result.policy), result.episode))
+        runs = [*(log.runs if log is not None else []), meter.ended()]
+        if paced is None or paced.recorded is None:
+            results = unjudged(results, runs)
+            comparison.notes += load_notes(results, runs)
         if results:
             comparison.episodes = pd.DataFrame([result.row() for result in results])
             steps = made_env.max_episode_steps
@@ -175,7 +185,7 @@ def compare(
                 comparison.notes.append(UNSCORED.format(env=bare_id(env)))
         if log is not None:
             try:
-                log.finish(results, summary(comparison))
+                log.finish(results, summary(comparison), runs)
             except ResultsError as error:
                 comparison.failures["results"] = str(error)
     return comparison

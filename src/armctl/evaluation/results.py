@@ -12,6 +12,7 @@ from typing_extensions import TypedDict
 from armctl.errors import ResultsError
 from armctl.evaluation.comparison import Comparison
 from armctl.evaluation.paired import MARGIN, PairedDifference
+from armctl.evaluation.provenance import Run
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.store import COMPARISON, SUMMARY, read_episodes
 from armctl.evaluation.summary import PolicySummary, counted_results
@@ -59,6 +60,7 @@ class _Summary:
     baseline: str | None = None
     margin: float = MARGIN
     real_time: _RealTime | None = None
+    runs: list[Run] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,8 @@ class Results:
     """The episodes that count, by policy; policies without any are left out."""
     versions: Mapping[str, str]
     machine: Mapping[str, Any]
+    runs: list[Run] = field(default_factory=list)
+    """Those that played the episodes; none in results of older versions."""
 
 
 def read_results(folder: Path) -> Results:
@@ -113,6 +117,7 @@ def read_results(folder: Path) -> Results:
         {policy.policy: counted[policy.policy] for policy in summary.policies},
         summary.versions,
         summary.machine,
+        summary.runs,
     )
 
 
