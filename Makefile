@@ -1,4 +1,4 @@
-# make compare: set up, then let the IK expert, the PPO agent and random actions meet the same 200 episodes.
+# make compare: set up, then let the IK expert, the PPO agent and random actions meet the same 200 episodes, of the test seed.
 # make test:    set up with everything, then run the quick tests; make test-all: the slow ones too; make test-thorough: thousands of trials.
 # make check:   lint, format, types. make lock: after a change of dependencies. make dist: sdist and wheel.
 # make docs:    the documentation as a site, in site/; make docs-serve: the same in the browser, while you write.
@@ -16,7 +16,7 @@ EXPORT := $(UV) export --frozen --all-extras --no-emit-project --no-hashes --no-
 .PHONY: compare test test-all test-thorough check docs docs-serve lock check-lock dist benchmarks clean
 
 compare: $(VENV)/core
-	$(BIN)/armctl compare
+	$(BIN)/armctl compare --seed 2026
 
 test: $(VENV)/full
 	$(PYTEST) $(ARGS)

@@ -30,6 +30,7 @@ from armctl.evaluation.identity import checksums
 from armctl.evaluation.provenance import versions
 from armctl.evaluation.reproduce import evaluation_of
 from armctl.evaluation.rollouts import rollouts
+from armctl.evaluation.seeds import TEST_SEED, TRAINING_SEEDS, VALIDATION_SEED
 from armctl.evaluation.statistics import success_rate
 from armctl.files import one_writer, write_atomically
 from armctl.learners import Recipe
@@ -42,12 +43,6 @@ from armctl.shaping import Shaped
 
 LOG = logging.getLogger(__name__)
 
-TRAINING_SEEDS = 10**9
-"""Training seed k plays the seeds from (k + 1) * 10^9 on. Episodes of smaller seeds are held out."""
-VALIDATION_SEED = 10**8
-"""Seed of the held-out episodes that select the best agent of a training."""
-EVALUATION_SEED = 0
-"""Seed of the held-out episodes on the agent's card."""
 VALIDATION_WORLDS = 50
 SETTINGS = "settings.json"
 
@@ -263,12 +258,12 @@ class Training:
             self.out / "agent.json",
             self.recipe.env,
             episodes=self.options.evaluation_episodes,
-            seed=EVALUATION_SEED,
+            seed=TEST_SEED,
             worlds=64,
             env_options=self.recipe.env_options,
             least_lengths=False,
         )
-        return evaluation_of(episodes, EVALUATION_SEED)
+        return evaluation_of(episodes, TEST_SEED)
 
     def _write(self, card: AgentCard) -> None:
         write_atomically(self.out / "agent.json", card.model_dump_json(indent=2) + "\n")

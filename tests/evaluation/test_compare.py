@@ -11,7 +11,10 @@ from armctl.errors import ConfigurationError, ResultsError
 from armctl.evaluation import PolicyFailed, compare, evaluate
 from armctl.evaluation.record import COLUMNS, TIME_COLUMNS
 from armctl.evaluation.verdict import verdict
+from armctl.kinematics import ArmModel
+from armctl.planning import PathCertificate, PathCertificateOptions
 from armctl.report.terminal import tables
+from armctl.tasks import ReachObstaclesTask
 
 from ..command_line import program
 
@@ -200,7 +203,23 @@ def test_infeasible_episodes_are_told_apart():
     assert 0 < summary.infeasible < 12
     assert summary.episodes == 12 - summary.infeasible
     assert summary.success.value == 1
-    assert f"{summary.infeasible} episodes have a target out of reach" in text_of(comparison)
+    assert f"{summary.infeasible} episodes are labelled infeasible" in text_of(comparison)
+
+
+def test_labels_do_not_depend_on_the_line_up(monkeypatch):
+    """An episode that the certificate gave up counts for nobody, though the expert wins it; a remark tells so."""
+    starved = PathCertificate(ArmModel("ur5"), PathCertificateOptions(checks=60))
+    monkeypatch.setattr(ReachObstaclesTask, "_certificate", starved)
+    env, unsolved = "ArmReachObstacles-v0", {"solvable": False, "max_episode_steps": 60}
+    alone = compare(["random"], env, episodes=6, worlds=6, env_options=unsolved)
+    both = compare(["reach_ompl", "random"], env, episodes=6, worlds=6, env_options=unsolved)
+    assert 0 < alone.policies[0].infeasible < 6
+    assert {one.infeasible for one in both.policies} == {alone.policies[0].infeasible}
+    assert alone.policies[0].episodes == both.policies[1].episodes == 6 - alone.policies[0].infeasible
+    won = both.episodes.query("success and not feasible")
+    assert len(won) > 0
+    assert f"certificate was too strict: {len(won)} ({len(won)} by reach_ompl)" in " ".join(both.notes)
+    assert "too strict" not in " ".join(alone.notes)
 
 
 def test_all_figures_are_over_the_same_feasible_episodes():

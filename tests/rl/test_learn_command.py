@@ -1,12 +1,15 @@
 """The verb `train`, seen from the terminal. The verb `export` is tested in `test_sb3_export.py`."""
 
+import json
 import re
 import shlex
 
 import pytest
 
+from armctl.agents import read_card
 from armctl.cli.learn import _settings
 from armctl.cli.options import options_of
+from armctl.evaluation.trials import read_trials
 from tests.command_line import armctl
 
 QUICK = ["--steps", "300", "--option", "worlds=8", "--option", "batch_size=64", "--option", "evaluation_every=100",
@@ -32,6 +35,16 @@ def test_the_follow_up_command_can_be_pasted(trained):
     ]  # fmt: skip
     text = armctl(*command[1:], "--episodes", "2", cwd=folder).stdout
     assert "ur10" in text or "agent" in text
+
+
+def test_the_training_is_recorded_with_what_was_changed(trained):
+    _, folder = trained
+    (row,) = read_trials(folder / "my runs" / "trials.csv")
+    assert (row["recipe"], row["ended"], row["episodes"]) == ("reach_ppo", "finished", "2")
+    assert row["sha256"] == read_card(folder / "my runs/first/agent.json").sha256
+    changed = json.loads(row["changed"])
+    assert changed["env_options"] == {"robot": "ur10", "max_episode_steps": 9, "disturbances": {"noise": 0.01}}
+    assert changed["options"]["worlds"] == 8
 
 
 def test_a_log_gets_a_line_for_each_evaluation_and_no_bars(trained):

@@ -13,12 +13,13 @@ from armctl.agents import load_agent
 from armctl.envs import TaskVectorEnv, make_worlds
 from armctl.errors import ConfigurationError
 from armctl.evaluation.rollouts import rollouts
+from armctl.evaluation.seeds import VALIDATION_SEED
 from armctl.learners import load_recipe
 from armctl.rl import training as module
 from armctl.rl.actor import Actor
 from armctl.rl.ppo import PpoOptions
 from armctl.rl.threads import MOST_THREADS
-from armctl.rl.training import VALIDATION_SEED, Training, TrainingOptions, bar_fits
+from armctl.rl.training import Training, TrainingOptions, bar_fits
 from armctl.tasks import ReachTask
 
 OPTIONS = TrainingOptions(worlds=2, validation_episodes=4, evaluation_episodes=3, evaluation_every=100)

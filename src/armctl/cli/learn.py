@@ -13,6 +13,7 @@ import typer
 from armctl.cli import completion
 from armctl.cli.app import app
 from armctl.cli.options import EnvOptions, options_of
+from armctl.errors import ConfigurationError, ResultsError
 
 
 @app.command()
@@ -74,9 +75,10 @@ def train(
     During training, the agent is evaluated on held-out episodes (`curve.csv`), and the best version is kept. Ctrl-C
     leaves a checkpoint, and the same command with `--resume` resumes from it. Checkpoints are pickles, which can run
     any code when they are loaded: resume only trainings of your own. Watch the training with
-    `tensorboard --logdir FOLDER`.
+    `tensorboard --logdir FOLDER`. Each training, also one that fails, gets a row in `trials.csv` beside its folder.
     """
     from armctl.envs import task_of
+    from armctl.evaluation.trials import TRIALS, add_trial, progress_of, results_of, trial
     from armctl.learners import load_learner, load_recipe
 
     chosen = load_recipe(recipe, env, teacher)
@@ -94,14 +96,32 @@ def train(
     folder = out or Path("runs") / f"{chosen.name}-{seed}"
     if resume and (folder / "settings.json").exists():
         _say(f"Resuming {folder}. Its checkpoints are pickles, which can run code: go on only if it is your own.", True)
+    changed = given | {"options": learner_options, "env_options": options_of(env_options), "teacher": teacher}
+    started = trial(chosen.name, chosen.learner, chosen.env, seed, changed, "finished")
+
+    def record(ended: str, why: str, results: dict[str, Any]) -> None:
+        add_trial(folder.parent / TRIALS, started | {"ended": ended, "note": why} | results)
+
     try:
         with _evaluations_logged():
             card = load_learner(chosen.learner)(chosen, out=folder, seed=seed, resume=resume)
     except KeyboardInterrupt:
         begun = (folder / "settings.json").exists()
+        if begun:
+            record("interrupted", "", progress_of(folder))
         how = f"with --resume {_words('--out', folder)} resumes the training" if begun else "starts it again"
         _say(f"Interrupted. The same command {how}.")
         raise typer.Exit(130) from None
+    except ConfigurationError:  # it was refused, and is no training
+        raise
+    except Exception as error:
+        if (folder / "settings.json").exists():
+            try:
+                record("failed", str(error), progress_of(folder))
+            except ResultsError as untold:
+                error.add_note(str(untold))
+        raise
+    record("finished", "", results_of(card))
     assert card.evaluation is not None
     low, high = card.evaluation.success_interval
     _say(

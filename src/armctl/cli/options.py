@@ -29,7 +29,7 @@ PolicyName = Annotated[
         autocompletion=completion.policies,
     ),
 ]
-Seed = Annotated[int, typer.Option(min=0, help="Seed of the episodes: the same seed, the same episodes.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of the episodes: tune on any but 2026, publish with 2026.")]
 EnvOptions = Annotated[
     list[str] | None,
     typer.Option(

@@ -30,6 +30,7 @@ from armctl.errors import EnvironmentFailed, ResultsError
 from armctl.evaluation.identity import identity
 from armctl.evaluation.provenance import versions
 from armctl.evaluation.rollouts import PolicyFailed, check_counts
+from armctl.evaluation.seeds import check_training_data_seed
 from armctl.files import LOCK, one_writer
 from armctl.policies import PolicyFactory, make_policy, policy_name
 
@@ -74,6 +75,7 @@ def collect(
     """
     require_minari()
     check_counts(episodes=episodes, worlds=worlds)
+    check_training_data_seed(seed)
     folder, name, options = Path(out).absolute(), policy_name(policy), dict(env_options or {})
     with contextlib.closing(make_worlds(env, min(worlds, episodes), options)) as made_env:
         made_env.reset(seed=seed)  # raises for an invalid seed, before anything is written

@@ -120,6 +120,16 @@ def disturb(
     return {name: usable[name].make(task, level) for name, level in checked.items() if level != usable[name].neutral}
 
 
+def episode_entropy(seed: int, episode: int) -> tuple[int, ...]:
+    """An episode's entropy for `numpy.random.SeedSequence`, which is no other episode's.
+
+    NumPy cuts seeds into words of 32 bits, and fills up with zeros: without the 1, episode 0 of seed 2^32 + s would be
+    episode 1 of seed s.
+    """
+    return (seed, episode) if seed < 2**32 else (seed, episode, 1)
+
+
 def episode_rng(name: str, seed: int, episode: int) -> np.random.Generator:
     """The random generator of a disturbance in an episode, independent of the task's and of other disturbances'."""
-    return np.random.default_rng(np.random.SeedSequence((seed, episode), spawn_key=(zlib.crc32(name.encode()),)))
+    sequence = np.random.SeedSequence(episode_entropy(seed, episode), spawn_key=(zlib.crc32(name.encode()),))
+    return np.random.default_rng(sequence)

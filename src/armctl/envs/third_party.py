@@ -15,7 +15,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
-from armctl.disturbances import GENERIC, DisturbanceSpec, disturb
+from armctl.disturbances import GENERIC, DisturbanceSpec, disturb, episode_entropy
 from armctl.envs.episodes import LARGEST_REWARD, Array, EpisodeVectorEnv, Infos
 from armctl.envs.observations import stacked
 from armctl.errors import FAILURES, ConfigurationError, EnvironmentFailed, InvalidAction, defined_at, described
@@ -31,7 +31,7 @@ ENDLESS = 100_000
 
 def episode_seed(seed: int, episode: int) -> int:
     """The seed that starts an episode in an environment of others."""
-    return int(np.random.SeedSequence((seed, episode)).generate_state(1)[0])
+    return int(np.random.SeedSequence(episode_entropy(seed, episode)).generate_state(1)[0])
 
 
 class ThirdPartyTask(TaskFacts):

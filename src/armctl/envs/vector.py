@@ -14,7 +14,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from armctl.disturbances import disturb
+from armctl.disturbances import disturb, episode_entropy
 from armctl.envs.episodes import LARGEST_REWARD, Array, EpisodeVectorEnv, Infos
 from armctl.envs.observations import with_replaced
 from armctl.errors import ConfigurationError, EnvironmentFailed, unknown_name
@@ -182,7 +182,8 @@ class TaskVectorEnv(EpisodeVectorEnv):
             self._viewer = None
 
     def _begin(self, ids: NDArray[np.int32]) -> None:
-        rngs = [np.random.default_rng((seed, k)) for seed, k in zip(self._seeds[ids], self._episodes[ids], strict=True)]
+        numbers = zip(self._seeds[ids].tolist(), self._episodes[ids].tolist(), strict=True)
+        rngs = [np.random.default_rng(episode_entropy(seed, episode)) for seed, episode in numbers]
         for paid in self._paid_before.values():
             paid[ids] = False
         self.task.reset(ids, rngs)

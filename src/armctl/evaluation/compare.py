@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +12,11 @@ from armctl import DEFAULT_ENV
 from armctl.envs import ThirdPartyVectorEnv, full_id, make_worlds, task_of
 from armctl.errors import ConfigurationError, ResultsError, unknown_name
 from armctl.evaluation.comparison import Comparison, summary
-from armctl.evaluation.decision_times import timing_notes
+from armctl.evaluation.decision_times import load_notes, timing_notes, unjudged
 from armctl.evaluation.identity import identity
 from armctl.evaluation.paired import MARGIN
 from armctl.evaluation.parallel import WorkerConfig, WorkersFailed, check_sendable, play_here, play_in_workers
+from armctl.evaluation.provenance import RunMeter
 from armctl.evaluation.real_time import (
     RealTime,
     check_measurable,
@@ -26,8 +28,9 @@ from armctl.evaluation.record import COLUMNS, EpisodeResult
 from armctl.evaluation.results import earlier_looks
 from armctl.evaluation.rollouts import check_counts, wrap_environment_errors
 from armctl.evaluation.seeding import seed_notes
+from armctl.evaluation.seeds import check_evaluation_seed
 from armctl.evaluation.store import EpisodeLog
-from armctl.evaluation.summary import counted_results, summarise
+from armctl.evaluation.summary import certificate_notes, counted_results, summarise
 from armctl.policies import expanded, is_group, learners, make_policy, named_policies
 from armctl.registration import bare_id, remember_named
 
@@ -84,7 +87,8 @@ def compare(
     The verdict is about the best classical and the best learned policy, or about `baseline` against all others. Success
     that differs by less than `margin` counts as equivalent.
 
-    Raises `ConfigurationError`, `AgentFileError`, and `ResultsError` if `out` cannot be written, is damaged, or holds
+    Raises `ConfigurationError` (also for a seed of training, see `armctl.evaluation.seeds`), `AgentFileError`, and
+    `ResultsError` if `out` cannot be written, is damaged, or holds
     the results of another comparison (unless `overwrite`).
     """
     env = full_id(env)
@@ -94,6 +98,7 @@ def compare(
     asked = named_policies(policies)
     by_name, groups = expanded(asked)
     check_counts(episodes=episodes, worlds=worlds, workers=workers)
+    check_evaluation_seed(seed)
     if baseline is not None and baseline not in (compared := learners(list(by_name), groups)):
         raise unknown_name("baseline among the compared policies", baseline, compared)
     if not 0 < margin < 1:
@@ -127,11 +132,14 @@ def compare(
         if isinstance(made_env, ThirdPartyVectorEnv):
             comparison.notes.append(UNTOLD.format(env=bare_id(env)))
         log: EpisodeLog | None = None
+        own: Mapping[str, Any] = {}
         if out is not None:
             late = None if paced is None else paced.identity(by_name)
             own = identity(env, comparison.env_options, seed, by_name, made, made_env, late)
+        meter = RunMeter(own, worlds, workers)
+        if out is not None:
             looks = [] if overwrite else earlier_looks(Path(out), episodes)
-            log = stack.enter_context(EpisodeLog(Path(out), own, episodes, overwrite))
+            log = stack.enter_context(EpisodeLog(Path(out), own, episodes, overwrite, meter.run))
             results += log.kept
             comparison.looks = [*looks, episodes]
             if looks:
@@ -157,7 +165,8 @@ def compare(
                         comparison.tracebacks[played.policy] = played.traceback
                     if played.disqualified:
                         comparison.disqualified.append(played.policy)
-                    for result in played.results:
+                    meter.look()
+                    for result in (replace(one, run=meter.run.id) for one in played.results):
                         results.append(result)
                         if log is not None:
                             log.write(result)
@@ -170,19 +179,24 @@ def compare(
         order = list(made)
         results = [result for result in results if result.policy not in comparison.disqualified]
         results.sort(key=lambda result: (order.index(result.policy), result.episode))
+        runs = [*(log.runs if log is not None else []), meter.ended()]
+        if paced is None or paced.recorded is None:
+            results = unjudged(results, runs)
+            comparison.notes += load_notes(results, runs)
         if results:
             comparison.episodes = pd.DataFrame([result.row() for result in results])
             steps = made_env.max_episode_steps
             if (bounds := made_env.task.return_bounds(steps)) is None:
                 comparison.notes.append(UNBOUNDED)
             comparison.policies, comparison.paired = summarise(results, made, episodes, bounds, steps, groups)
+            comparison.notes += certificate_notes(results)
             counted, _ = counted_results(results)
             comparison.notes += timing_notes((name, played) for name, played in counted.items() if played)
             if comparison.policies and comparison.policies[0].success is None:
                 comparison.notes.append(UNSCORED.format(env=bare_id(env)))
         if log is not None:
             try:
-                log.finish(results, summary(comparison))
+                log.finish(results, summary(comparison), runs)
             except ResultsError as error:
                 comparison.failures["results"] = str(error)
     return comparison

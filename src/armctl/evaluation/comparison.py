@@ -63,7 +63,8 @@ class Comparison(Displayed):
         if self.paired:
             parts += [paired_table(self.paired), Remark(self.verdict, "verdict")]
         if self.policies and (infeasible := self.policies[0].infeasible):
-            parts.append(Remark(f"{infeasible} episodes have a target out of reach; they are left out of all figures."))
+            what = f"{infeasible} episodes are labelled infeasible"
+            parts.append(Remark(f"{what}; they are left out of all figures, whoever wins them."))
         parts += [Remark(note, "note") for note in self.notes]
         parts += [Remark(message, "problem") for message in self.failures.values()]
         if self.resumed:

@@ -2,11 +2,13 @@
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.evaluation.provenance import BUSY, Run
 from armctl.evaluation.record import EpisodeResult
 from armctl.policies import Actions, Policy
 from armctl.tasks import Observations
@@ -62,6 +64,26 @@ def setting_in_words(worlds: int, workers: int) -> str:
     said = [f"shares of a batch of {worlds} worlds"] if worlds > 1 else []
     said += [f"taken while up to {workers - 1} other workers computed"] if workers > 1 else []
     return ", ".join(said)
+
+
+def unjudged(results: Iterable[EpisodeResult], runs: Iterable[Run]) -> list[EpisodeResult]:
+    """The results, without missed deadlines where other processes kept the machine busy."""
+    busy = {run.id for run in runs if run.busy}
+    return [
+        replace(result, metrics=replace(result.metrics, missed_deadlines=None)) if result.run in busy else result
+        for result in results
+    ]
+
+
+def load_notes(results: Iterable[EpisodeResult], runs: Iterable[Run]) -> list[str]:
+    """A remark if decision times would be held against deadlines, had the machine been idle."""
+    latencies = {result.run for result in results if (result.worlds, result.workers) == (1, 1)}
+    if not any(run.busy for run in runs if run.id in latencies):
+        return []
+    return [
+        f"Deadlines are not judged: other processes kept more than {BUSY:.0%} of the processor's cores busy, so that "
+        "decision times are longer than those of an idle machine."
+    ]
 
 
 def timing_notes(timed: Iterable[tuple[str, Sequence[EpisodeResult]]]) -> list[str]:

@@ -1,11 +1,100 @@
-"""Provenance of results: versions of packages, and the machine."""
+"""Provenance of results: versions of packages, the machine, and the run that played an episode."""
 
+import contextlib
 import os
 import platform
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 from armctl import DISTRIBUTION
+from armctl.files import digest
+
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+"""Environment variables that say how many threads a process may use."""
+BUSY = 0.25
+"""Share of the cores that other processes may keep busy while decisions are held against deadlines."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """One call of `compare`: when, with what and where its episodes were played. Loads are one-minute averages."""
+
+    id: str
+    """Digest of the comparison's identity and of all that is known at the start."""
+    date: str
+    """UTC."""
+    versions: dict[str, str]
+    processor: str
+    cores: int | None
+    threads: dict[str, str]
+    """Those of `THREADS` that are set."""
+    worlds: int
+    workers: int
+    load_start: float | None = None
+    """None where the system does not tell."""
+    load_most: float | None = None
+    """At the end of any episode; this and the next are None if the run was killed."""
+    load_end: float | None = None
+    load_own: float | None = None
+    """Processor time of this process, over the time that passed."""
+
+    @property
+    def busy(self) -> bool:
+        """Whether other processes kept more than `BUSY` of the cores busy. A load that is not known is none."""
+        loads = [load for load in (self.load_start, self.load_most, self.load_end) if load is not None]
+        return max(loads, default=0.0) - max(1.0, self.load_own or 0.0) > BUSY * (self.cores or 1)
+
+
+class RunMeter:
+    """Notes the load while a run goes on."""
+
+    def __init__(self, identity: Mapping[str, Any], worlds: int, workers: int) -> None:
+        known: dict[str, Any] = {
+            "date": datetime.now(UTC).isoformat(timespec="seconds"),
+            "versions": versions(),
+            **machine(),
+            "threads": {name: os.environ[name] for name in THREADS if name in os.environ},
+            "worlds": worlds,
+            "workers": workers,
+            "load_start": load_average(),
+        }
+        self.run = Run(digest([identity, known]), **known)
+        self._most = self.run.load_start
+        self._wall, self._processor = time.perf_counter(), time.process_time()
+
+    def look(self) -> None:
+        """Note the load of this moment."""
+        if self._most is not None:
+            self._most = max(self._most, load_average() or 0.0)
+
+    def ended(self) -> Run:
+        """The run with its loads."""
+        self.look()
+        own = (time.process_time() - self._processor) / max(time.perf_counter() - self._wall, 1e-9)
+        return replace(self.run, load_most=self._most, load_end=load_average(), load_own=round(own, 2))
+
+
+def load_average() -> float | None:
+    """The mean number of processes that ran or waited in the last minute; None where the system does not tell."""
+    try:
+        return round(os.getloadavg()[0], 2)
+    except (AttributeError, OSError):
+        return None
+
+
+def processor_model() -> str:
+    """The processor's name, as far as the system tells it."""
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines():
+            name, _, value = line.partition(":")
+            if name.strip() in ("model name", "Model") and value.strip():
+                return value.strip()
+    return platform.processor() or platform.machine()
 
 
 def versions() -> dict[str, str]:
@@ -30,4 +119,4 @@ def versions() -> dict[str, str]:
 
 def machine() -> dict[str, Any]:
     """Properties of the machine on which decision times depend."""
-    return {"processor": platform.processor() or platform.machine(), "cores": os.cpu_count()}
+    return {"processor": processor_model(), "cores": os.cpu_count()}

@@ -17,11 +17,11 @@ from armctl.evaluation.metrics import Metrics, warm_times
 COLUMNS = (
     "policy", "env", "episode", "seed", "outcome", "success", "feasible", "return", "reward_terms", "length",
     "least_length", "optimality_gap", "tracking_error", *(field.name for field in fields(Metrics)),
-    "worlds", "workers",
+    "worlds", "workers", "run",
 )  # fmt: skip
 TIME_COLUMNS = (
     "missed_deadlines", "decision_ms_p50", "decision_ms_p99", "decision_ms_max", "decision_ms_cold", "worlds",
-    "workers",
+    "workers", "run",
 )  # fmt: skip
 """The columns that depend on the machine, and on how it was used. All others are the same whenever and wherever an
 episode is played."""
@@ -59,6 +59,8 @@ class EpisodeResult:
     """(length,) decision times: wall time of each call of the policy, to 0.1 us, the first with the policy's reset.
 
     NaN in control steps in which the policy was still computing (`RealTime`)."""
+    run: str = ""
+    """Id of the run that played it (see `Run`); empty if that is unknown."""
 
     @property
     def optimality_gap(self) -> float:
@@ -76,7 +78,7 @@ class EpisodeResult:
             self.policy, self.env, self.episode, self.seed, self.outcome, self.success, self.feasible,
             self.total_reward, json.dumps(self.reward_terms), self.length, self.least_length, self.optimality_gap,
             self.tracking_error,
-            *asdict(self.metrics).values(), self.worlds, self.workers,
+            *asdict(self.metrics).values(), self.worlds, self.workers, self.run,
         )  # fmt: skip
         return dict(zip(COLUMNS, values, strict=True))
 

@@ -13,6 +13,7 @@ from typing_extensions import TypedDict
 from armctl.errors import ResultsError
 from armctl.evaluation.comparison import Comparison
 from armctl.evaluation.paired import MARGIN, PairedDifference
+from armctl.evaluation.provenance import Run
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.scores import by_learner
 from armctl.evaluation.store import COMPARISON, SUMMARY, read_episodes
@@ -64,6 +65,7 @@ class _Summary:
     real_time: _RealTime | None = None
     groups: dict[str, list[str]] = field(default_factory=dict)
     disqualified: list[str] = field(default_factory=list)
+    runs: list[Run] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -84,6 +86,8 @@ class Results:
     """The episodes that count, by policy; policies without any are left out. Those of a group: of all its trainings."""
     versions: Mapping[str, str]
     machine: Mapping[str, Any]
+    runs: list[Run] = field(default_factory=list)
+    """Those that played the episodes; none in results of older versions."""
 
 
 def read_results(folder: Path) -> Results:
@@ -131,6 +135,7 @@ def read_results(folder: Path) -> Results:
         {policy.policy: list(chain(*trained[policy.policy].values())) for policy in summary.policies},
         summary.versions,
         summary.machine,
+        summary.runs,
     )
 
 

@@ -24,6 +24,7 @@ from armctl.errors import (
 from armctl.evaluation.decision_times import TimedPolicy
 from armctl.evaluation.metrics import metrics
 from armctl.evaluation.record import COLUMNS, EpisodeResult
+from armctl.evaluation.seeds import check_evaluation_seed
 from armctl.evaluation.tampering import Watch
 from armctl.policies import Policy, PolicyFactory, make_policy, policy_name
 from armctl.tasks import MotionSample
@@ -232,6 +233,7 @@ def evaluate(
     Raises `ConfigurationError`, `AgentFileError`, `PolicyFailed` or `EnvironmentFailed`.
     """
     check_counts(episodes=episodes, worlds=worlds)
+    check_evaluation_seed(seed)
     with closing(make_worlds(env, min(worlds, episodes), env_options)) as made_env:
         made = make_policy(policy, made_env)
         known = None if least_lengths else dict.fromkeys(range(episodes), math.nan)

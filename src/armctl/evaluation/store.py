@@ -5,14 +5,17 @@ import csv
 import io
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from armctl.errors import ResultsError
 from armctl.evaluation.identity import differences
+from armctl.evaluation.provenance import Run
 from armctl.evaluation.record import COLUMNS, EpisodeResult
 from armctl.files import (
     bounded_text,
@@ -26,9 +29,12 @@ from armctl.files import (
 from armctl.registration import bare_id
 
 COMPARISON, EPISODES, DECISIONS, SUMMARY = "comparison.json", "episodes.csv", "decisions.csv", "summary.json"
+RUNS = "runs.json"
+"""The runs that have played episodes (see `Run`), the present one included."""
 DECISION_COLUMNS = ("policy", "episode", "checksum", "decision_ms")
 """The last column holds the episode's decision times, ms, separated by spaces. The checksum is of these, of the row in
 `episodes.csv`, and of the comparison's identity."""
+_RUNS = TypeAdapter(list[Run])
 LARGEST_TABLE, LARGEST_FIELD = 4 * 2**30, 2**28
 """Bytes of a table, and of the decision times of one episode."""
 
@@ -44,8 +50,17 @@ class EpisodeLog:
     another comparison's results (unless `overwrite`).
     """
 
-    def __init__(self, folder: Path, comparison: Mapping[str, Any], episodes: int, overwrite: bool = False) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        comparison: Mapping[str, Any],
+        episodes: int,
+        overwrite: bool = False,
+        run: Run | None = None,
+    ) -> None:
         self._own = digest(comparison)
+        self.runs: list[Run] = []
+        """The runs of `kept`, as far as they are known."""
         self._folder = folder
         self._opened = contextlib.ExitStack()
         self._failure: OSError | None = None
@@ -53,11 +68,13 @@ class EpisodeLog:
             self._opened.enter_context(one_writer(folder))
             resuming = (folder / EPISODES).exists() and not overwrite
             self.kept = self._read(comparison, episodes) if resuming else []
+            self.runs = _of(self.kept, read_runs(folder)) if resuming else []
             (folder / SUMMARY).unlink(missing_ok=True)
             if not resuming:
                 for name in (EPISODES, DECISIONS):  # first, so that no row is ever beside another identity
                     (folder / name).unlink(missing_ok=True)
                 write_atomically(folder / COMPARISON, sealed(comparison))
+            self._write_runs([*self.runs, *([run] if run else [])])  # first, so that every row's run is known
             self._rewrite(self.kept)
             self._files = [self._opened.enter_context(_appended(folder / name)) for name in (DECISIONS, EPISODES)]
         except OSError as error:
@@ -86,16 +103,19 @@ class EpisodeLog:
         except OSError as error:
             self._failure = error
 
-    def finish(self, results: Iterable[EpisodeResult], summary: Mapping[str, Any]) -> None:
-        """Replace all rows by these, in this order, and write `summary.json`.
+    def finish(self, results: Sequence[EpisodeResult], summary: Mapping[str, Any], runs: Sequence[Run] = ()) -> None:
+        """Replace all rows by these, in this order, and write `summary.json`, and the `runs` that played them.
 
         Raises `ResultsError`, also if an episode could not be written; the folder then holds those before.
         """
         try:
             if self._failure is not None:
                 raise self._failure
+            played = _of(results, runs)
+            self._write_runs(played)
             self._rewrite(results)
-            write_atomically(self._folder / SUMMARY, sealed({**summary, "comparison": self._own}))
+            about = {**summary, "runs": [asdict(one) for one in played], "comparison": self._own}
+            write_atomically(self._folder / SUMMARY, sealed(about))
         except OSError as error:
             raise ResultsError(
                 f"{self._folder} could not be written any further ({error.strerror}): the same command resumes from "
@@ -110,6 +130,9 @@ class EpisodeLog:
         rows = [(DECISION_COLUMNS, COLUMNS), *map(self._rows, results)]
         for name, table in zip((DECISIONS, EPISODES), zip(*rows, strict=True), strict=True):
             write_atomically(self._folder / name, _lines(table))
+
+    def _write_runs(self, runs: Iterable[Run]) -> None:
+        write_atomically(self._folder / RUNS, sealed({RUNS: [asdict(one) for one in runs]}))
 
     def _rows(self, result: EpisodeResult) -> tuple[Sequence[Any], Sequence[Any]]:
         """An episode's rows in both tables."""
@@ -139,12 +162,30 @@ class EpisodeLog:
             raise ResultsError(f"{self._folder} holds results of another comparison ({what}): {otherwise}")
 
 
+def read_runs(folder: Path) -> list[Run]:
+    """The runs in a comparison's folder; none in one of an older version. Raises `ResultsError` for a damaged file."""
+    path = folder / RUNS
+    if not path.exists():
+        return []
+    try:
+        return _RUNS.validate_python(unsealed(bounded_text(path)).get(RUNS))
+    except (OSError, ValueError) as error:
+        raise ResultsError(f"{path} cannot be read ({error}): remove it, or overwrite all (--overwrite)") from error
+
+
+def _of(results: Iterable[EpisodeResult], runs: Iterable[Run]) -> list[Run]:
+    """The runs that have played any of the results."""
+    played = {result.run for result in results}
+    return [one for one in runs if one.id in played]
+
+
 def read_episodes(folder: Path, comparison: Mapping[str, Any]) -> list[EpisodeResult]:
     """The finished episodes in a comparison's folder, in file order. Raises `ResultsError` for damaged files."""
     own = digest(comparison)
+    unknown = {"run": ""}  # of episodes of an older version
     times = {(row["policy"], row["episode"]): row for _, row in _rows(folder / DECISIONS, DECISION_COLUMNS)}
     path, kept = folder / EPISODES, {}
-    for line, row in _rows(path, COLUMNS):
+    for line, row in _rows(path, COLUMNS, COLUMNS[:-1]):
         if (pair := (row["policy"], row["episode"])) not in times:
             continue
         with _damage(path, line):
@@ -153,7 +194,7 @@ def read_episodes(folder: Path, comparison: Mapping[str, Any]) -> list[EpisodeRe
             spent = times[pair]["decision_ms"]
             if times[pair]["checksum"] != _checksum(own, row.values(), spent):
                 raise ValueError("it, or its line in decisions.csv, was changed, or belongs to another comparison")
-            result = EpisodeResult.from_row(row, np.array(spent.split(), dtype=float))
+            result = EpisodeResult.from_row(unknown | row, np.array(spent.split(), dtype=float))
             expected = bare_id(comparison["env"]), comparison["seed"], len(result.decision_ms)
             if (result.env, result.seed, result.length) != expected or result.policy not in comparison["policies"]:
                 raise ValueError("not an episode of this comparison")
@@ -173,7 +214,7 @@ def _damage(path: Path, line: int) -> Iterator[None]:
         ) from error
 
 
-def _rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[int, dict[str, str]]]:
+def _rows(path: Path, columns: tuple[str, ...], older: tuple[str, ...] = ()) -> Iterator[tuple[int, dict[str, str]]]:
     """The lines of a table, by number, without an incomplete last one."""
     try:
         whole, newline, _ = bounded_text(path, LARGEST_TABLE).rpartition("\n")
@@ -183,6 +224,8 @@ def _rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[int, dict[str,
     lines = csv.reader(io.StringIO(whole + newline))
     try:
         for line, values in enumerate(lines, start=1):
+            if line == 1 and tuple(values) == older:
+                columns = older
             if len(values) != len(columns) or (line == 1 and tuple(values) != columns):
                 raise csv.Error(f"it does not have the columns {', '.join(columns)}")
             if line > 1:

@@ -38,7 +38,7 @@ class PolicySummary:
     episodes: int
     """Number of episodes that count: feasible ones, up to the first that was not finished; of each training."""
     infeasible: int
-    """Number of infeasible episodes, which no policy won: they are left out of all figures."""
+    """Number of episodes that are labelled infeasible: they are left out of all figures, whoever won them."""
     outcomes: dict[str, int]
     """How the episodes ended, most frequent first."""
     success: Estimate | None
@@ -139,13 +139,22 @@ def counted_results(results: Sequence[EpisodeResult]) -> tuple[dict[str, list[Ep
     Of a policy that was cut short, only the episodes before the first unfinished one count: with many worlds, short
     episodes end first, so that all finished ones would be a biased sample.
     """
-    won = {result.episode for result in results if result.success}
-    infeasible = {result.episode for result in results if not result.feasible} - won
+    infeasible = {result.episode for result in results if not result.feasible}
     counted = {}
     for name, played in itertools.groupby(results, key=lambda result: result.policy):
         unbroken = itertools.takewhile(lambda pair: pair[0] == pair[1].episode, enumerate(played))
         counted[name] = [result for _, result in unbroken if result.episode not in infeasible]
     return counted, len(infeasible)
+
+
+def certificate_notes(results: Sequence[EpisodeResult]) -> list[str]:
+    """A remark if policies won episodes that are labelled infeasible, which do not count for them."""
+    won = [result for result in results if result.success and not result.feasible]
+    if not won:
+        return []
+    by = ", ".join(f"{count} by {name}" for name, count in Counter(result.policy for result in won).items())
+    episodes = len({result.episode for result in won})
+    return [f"Episodes labelled infeasible that were won, so that the certificate was too strict: {episodes} ({by})."]
 
 
 def _summary(

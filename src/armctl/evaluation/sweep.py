@@ -33,6 +33,7 @@ from armctl.evaluation.real_time import (
 )
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.seeding import seed_notes
+from armctl.evaluation.seeds import check_evaluation_seed
 from armctl.evaluation.statistics import Estimate, paired_superiority
 from armctl.evaluation.summary import PolicySummary
 from armctl.evaluation.summary_tables import sweep_parts
@@ -120,6 +121,7 @@ def sweep(
     Raises `ConfigurationError`, `AgentFileError`, and `ResultsError` as `compare` does.
     """
     env, options = full_id(env), dict(env_options or {})
+    check_evaluation_seed(seed)
     specs = _specs(env, options)
     levels = _levels(specs, disturbances)
     by_name = named_policies(default_policies(env) if policies is None else policies)

@@ -3,12 +3,15 @@
 from armctl.planning.arm_planner import ArmPlan, ArmPlanner, ArmPlannerOptions
 from armctl.planning.bridge_planner import PathPlannerOptions, PlanResult, plan_path
 from armctl.planning.cost_to_go import Lattice
+from armctl.planning.path_certificate import PathCertificate, PathCertificateOptions
 
 __all__ = [
     "ArmPlan",
     "ArmPlanner",
     "ArmPlannerOptions",
     "Lattice",
+    "PathCertificate",
+    "PathCertificateOptions",
     "PathPlannerOptions",
     "PlanResult",
     "plan_path",

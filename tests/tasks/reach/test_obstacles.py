@@ -5,7 +5,7 @@ import pytest
 from armctl.envs import TaskVectorEnv
 from armctl.errors import ConfigurationError
 from armctl.kinematics import ArmModel
-from armctl.planning import ArmPlanner
+from armctl.planning import ArmPlanner, PathCertificate, PathCertificateOptions
 from armctl.scene import Boxes
 from armctl.tasks import ReachObstaclesTask
 from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES
@@ -98,22 +98,37 @@ def test_each_touch_ends_the_episode_and_is_told_from_the_others(what):
     assert infos["reward_terms"]["collision"][0] == -100
 
 
-def test_every_layout_is_solvable_by_the_planner_and_free_at_home():
+def test_every_layout_is_certified_free_at_home_and_mostly_solved_by_the_expert():
     env = TaskVectorEnv(20, task=ReachObstaclesTask)
     observations, _ = env.reset(seed=100)
     model = ArmModel("ur5")
-    planner = ArmPlanner(model)
-    straight = 0
+    certificate, planner = PathCertificate(model), ArmPlanner(model)
+    straight = solved = 0
     for i in range(20):
         boxes, target = env.task.boxes(i), observations[i, 9:12].astype(float)
         plan = planner.plan(model.home, target, 0.05, boxes)
-        assert plan.found
+        assert len(certificate.path(model.home, target, boxes))
         straight += not plan.searched
+        solved += plan.found
         assert model.among(boxes).is_free(model.home)
         assert boxes.distances(target).min(initial=np.inf) >= 0.05
     assert straight < 18
+    assert solved >= 19
     _, _, terminated, _, _ = env.step(hold_still(env))
     assert not terminated.any()
+
+
+def test_labels_are_the_certificates_whatever_policies_plan(monkeypatch):
+    """A starved certificate labels layouts infeasible that the expert solves; a starved expert changes no label."""
+    observations, infos = TaskVectorEnv(8, task=ReachObstaclesTask, solvable=False).reset(seed=100)
+    monkeypatch.setattr(ArmPlanner, "plan", None)
+    again, same = TaskVectorEnv(8, task=ReachObstaclesTask, solvable=False).reset(seed=100)
+    np.testing.assert_array_equal(observations, again)
+    np.testing.assert_array_equal(infos["feasible"], same["feasible"])
+    assert same["feasible"].all()
+    starved = PathCertificate(ArmModel("ur5"), PathCertificateOptions(checks=0))
+    monkeypatch.setattr(ReachObstaclesTask, "_certificate", starved)
+    assert not TaskVectorEnv(8, task=ReachObstaclesTask, solvable=False).reset(seed=100)[1]["feasible"].any()
 
 
 def test_worlds_are_those_of_single_environments():

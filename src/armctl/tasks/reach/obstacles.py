@@ -1,6 +1,7 @@
 """Reach around obstacles: boxes, posts and shelves between home and target, different ones in each episode.
 
-A contact of the arm with an obstacle, the floor or itself ends the episode. A planner has found a path in every layout.
+A contact of the arm with an obstacle, the floor or itself ends the episode. A planner that no policy uses
+has found a path in every layout.
 """
 
 import functools
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from armctl.errors import ConfigurationError
 from armctl.kinematics.clearance import Clearance
 from armctl.options import options
-from armctl.planning import ArmPlanner
+from armctl.planning import PathCertificate
 from armctl.robot_description import ArmDescription
 from armctl.robot_description.joint_profiles import TICK
 from armctl.robots.arm import PREFIX, add_collision_pair, build_arm_world, collision_geom
@@ -66,8 +67,8 @@ class ReachObstaclesOptions(ReachOptions):
     """Options of `armctl/ArmReachObstacles-v0`. Raises `ConfigurationError` for invalid values."""
 
     solvable: bool = True
-    """Sample layouts until the planner finds a path. If False, the first is taken, and `info["feasible"]` says whether
-    it has one."""
+    """Sample layouts until one is certified to have a path. If False, the first is taken, and `info["feasible"]` says
+    whether it is certified (see `PathCertificate`)."""
     target: Literal["reachable"] = "reachable"
     """The target is sampled within reach, together with the obstacles."""
     reward: Terms = field(default_factory=lambda: OBSTACLES_REWARD)
@@ -84,8 +85,6 @@ class ReachObstaclesTask(ReachTask):
 
     def __init__(self, n: int, options: ReachObstaclesOptions, threads: int = 0) -> None:
         self._boxes = np.zeros((n, MOST_OBSTACLES, BOX_NUMBERS))
-        self._planner: ArmPlanner | None = None
-        self._paths = [np.zeros((0, 0))] * n
         super().__init__(n, options, threads)
 
     def boxes(self, world: int) -> Boxes:
@@ -95,10 +94,6 @@ class ReachObstaclesTask(ReachTask):
     def static_map(self, world: int) -> Boxes:
         """A copy of a world's obstacles."""
         return read_boxes(self._boxes[world].copy())
-
-    def path(self, world: int) -> Array:
-        """Waypoints (m, dof) of the planner's path in a world; none, (0, dof), if it found no path."""
-        return self._paths[world]
 
     def least_clearance(self, world: int, configurations: Array) -> float:
         """Least distance of the arm's links from boxes, floor and each other, m; see `Clearance`."""
@@ -124,6 +119,10 @@ class ReachObstaclesTask(ReachTask):
     def _clearance(self) -> Clearance:
         return Clearance(self._workspace.model)
 
+    @functools.cached_property
+    def _certificate(self) -> PathCertificate:
+        return PathCertificate(self._workspace.model)
+
     def _build(self, description: ArmDescription) -> mujoco.MjModel:
         return build_arm_world(description, self.options.control, _furnish)
 
@@ -137,20 +136,18 @@ class ReachObstaclesTask(ReachTask):
         self._touches = ContactSensors(simulation, ("arm",), TOUCHED)
 
     def _sample_episode(self, world: int, rng: np.random.Generator) -> None:
-        if self._planner is None:
-            self._planner = ArmPlanner(self._workspace.model)
         self._touches.forget(np.array([world], dtype=np.int32))
         home = _as_observed(self._workspace.model.home)
         for _ in range(ATTEMPTS):
             layout = sample_layout(rng, self._workspace, self.options.tolerance)
             target, drawn = _as_observed(layout.target), layout.boxes
             boxes = Boxes(_as_observed(drawn.centres), _as_observed(drawn.half_sizes), _as_observed(drawn.yaws))
-            plan = self._planner.plan(home, target, self.options.tolerance, boxes)
-            if plan.found or not self.options.solvable:
+            feasible = len(self._certificate.path(home, target, boxes)) > 0
+            if feasible or not self.options.solvable:
                 break
         else:
-            raise ConfigurationError(f"the planner found no path in {ATTEMPTS} layouts")
-        self._targets[world], self._feasible[world], self._paths[world] = target, plan.found, plan.path
+            raise ConfigurationError(f"none of {ATTEMPTS} layouts is certified to have a path")
+        self._targets[world], self._feasible[world] = target, feasible
         self._place(world, boxes)
 
     def _contact(self) -> NDArray[np.bool_]:
@@ -190,7 +187,7 @@ def read_boxes(numbers: NDArray[np.floating[Any]]) -> Boxes:
 
 
 def _as_observed(numbers: Array) -> Array:
-    """Round numbers as in an observation, so that a policy plans on exactly the problem that was found solvable."""
+    """Round numbers as in an observation, so that a policy plans on exactly the problem that was certified."""
     return numbers.astype(np.float32).astype(float)
 
 

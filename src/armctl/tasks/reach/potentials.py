@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from armctl.control.reach_mpc import ReachMpc
 from armctl.kinematics import ArmModel, ReachabilityMap, ReachTimes, ReachTimesOptions
+from armctl.planning import ArmPlanner
 from armctl.tasks.task import Ids, Potential
 
 Array = NDArray[np.float64]
@@ -85,7 +86,7 @@ class MpcCost(Potential):
 
 
 class PathCostToGo(Potential):
-    """Minus the time to go along the planner's path around the obstacles, s, at the joints' velocity limits.
+    """Minus the time to go along `ArmPlanner`'s path around the obstacles, s, at the joints' velocity limits.
 
     Off the path, it is the time from the best waypoint plus `DETOUR` times the time to that waypoint. With a smaller
     weight, shortcuts through obstacles would look short. 0 if no path was found.
@@ -94,14 +95,17 @@ class PathCostToGo(Potential):
     def __init__(self, task: Any) -> None:
         super().__init__(task)
         self._model = ArmModel(task.arm.description)
+        self._planner = ArmPlanner(self._model)
         n = len(task.state.distance)
         self._points, self._to_go = np.zeros((n, WAYPOINTS, self._model.dof)), np.zeros((n, WAYPOINTS))
         self._known = np.zeros((n, 1))
 
     def begin(self, ids: Ids) -> None:
-        """Distribute waypoints evenly over the paths."""
+        """Plan from home, and distribute waypoints evenly over the paths."""
+        targets, tolerance = self.task.state.target_position, self.task.options.tolerance
+        home = self._model.home.astype(np.float32).astype(float)  # as observed: then it is the path of `reach_ompl`
         for i in ids:
-            path = self.task.path(int(i))
+            path = self._planner.plan(home, targets[i], tolerance, self.task.boxes(int(i))).path
             self._known[i] = len(path) > 0
             if len(path):
                 self._points[i], self._to_go[i] = self._waypoints(path)

@@ -1,0 +1,75 @@
+"""Certifies that an arm has a way around boxes, independently of `ArmPlanner`, whose paths policies follow.
+
+LBKPIECE (Sucan and Kavraki, "Kinodynamic motion planning by interior-exterior cell exploration", WAFR 2008; lazy and
+bidirectional) searches with another seed, other goals, half the clearance and five times the budget. The budget is a
+number of collision checks, never a time: a label is the same on every machine.
+"""
+
+import itertools
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from ompl import base, geometric, util
+from pydantic import Field
+
+from armctl.kinematics import ArmModel, ArmShapes, EdgeChecker, Ik
+from armctl.kinematics.edge_checker import MAX_CLEARANCE
+from armctl.options import options
+from armctl.planning.ompl_setup import OmplProblem
+from armctl.scene import Boxes
+
+Array = NDArray[np.float64]
+
+OMPL_SEED = 2
+"""Seed of each search: the same arguments give the same answer."""
+DETOUR = np.pi
+"""rad: margin of the search space beyond start and goals."""
+
+
+@options
+class PathCertificateOptions:
+    """Options of a `PathCertificate`."""
+
+    clearance: Annotated[float, Field(gt=0, le=MAX_CLEARANCE)] = 0.005
+    """m: distance from boxes, floor and the arm itself along the whole path."""
+    goals: Annotated[int, Field(ge=1)] = 64
+    """Number of configurations at the target from which the search starts."""
+    checks: Annotated[int, Field(ge=0)] = 30_000
+    """Collision checks after which the search gives up."""
+    stride: Annotated[float, Field(gt=0)] = 1.0
+    """rad: longest edge of a tree."""
+
+
+class PathCertificate:
+    """Certifies layouts for one arm. Not thread-safe."""
+
+    def __init__(self, model: ArmModel, options: PathCertificateOptions | None = None) -> None:
+        self.model, self.options = model, options or PathCertificateOptions()
+        self._ik, self._shapes = Ik(model), ArmShapes(model)
+
+    def path(self, start: Array, target: Array, boxes: Boxes) -> Array:
+        """Corners (m, dof) rad, from `start` (dof,) to a configuration with the end-effector at `target` (3,), m.
+
+        (0, dof) if none was found within the budget. The same arguments give the same path.
+        """
+        edges, dof = EdgeChecker(self._shapes, boxes, self.options.clearance, start), self.model.dof
+        free = filter(edges.is_free, self._ik.free_configurations(target))
+        goals = list(itertools.islice(free, self.options.goals))
+        if not goals or not edges.start_is_free:
+            return np.zeros((0, dof))
+        util.RNG.setSeed(OMPL_SEED)
+        ends, limits = np.vstack((start, goals)), self.model.limits
+        problem = OmplProblem(
+            np.maximum(limits.lower, ends.min(axis=0) - DETOUR),
+            np.minimum(limits.upper, ends.max(axis=0) + DETOUR),
+            lambda a, b: edges.is_edge_free(np.array(a[0:dof]), np.array(b[0:dof])),
+            start,
+        )
+        region = base.GoalStates(problem.information)
+        for goal in goals:
+            region.addState(problem.state(goal))
+        planner = geometric.LBKPIECE1(problem.information)
+        planner.setRange(self.options.stride)
+        last = edges.checks + self.options.checks
+        return problem.solve(planner, region, base.PlannerTerminationCondition(lambda: edges.checks >= last))

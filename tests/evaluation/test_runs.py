@@ -1,0 +1,145 @@
+import csv
+import dataclasses
+import io
+import json
+import os
+import zlib
+
+import pandas as pd
+import pytest
+
+import armctl
+from armctl.errors import ResultsError
+from armctl.evaluation import compare
+from armctl.evaluation.provenance import BUSY, Run, RunMeter, processor_model
+from armctl.evaluation.record import COLUMNS
+from armctl.evaluation.results import read_results
+from armctl.evaluation.store import RUNS, read_runs
+from armctl.files import digest, sealed, unsealed
+
+SHORT = {"max_episode_steps": 3}
+NOTE = "Deadlines are not judged"
+
+
+def play(folder, episodes=2, **options):
+    return compare(["random"], episodes=episodes, out=folder, env_options=SHORT, **options)
+
+
+def test_every_row_carries_the_run_that_made_it_and_a_resumed_comparison_has_both(tmp_path):
+    play(tmp_path)
+    play(tmp_path, episodes=5, worlds=3)
+    first, second = read_results(tmp_path).runs
+    assert pd.read_csv(tmp_path / "episodes.csv", dtype=str).run.tolist() == 2 * [first.id] + 3 * [second.id]
+    assert ((first.worlds, first.workers), (second.worlds, second.workers)) == ((1, 1), (3, 1))
+    assert (first.load_start, first.load_most, first.load_end) == (0, 0, 0)
+    assert first.versions["mujoco"]
+    assert first.processor == processor_model() != ""
+    assert json.loads((tmp_path / "summary.json").read_text())["runs"][0]["id"] == first.id
+
+
+def test_an_id_is_the_content_of_its_record():
+    run = RunMeter({"env": "a"}, 1, 1).run
+    known = dataclasses.asdict(run)
+    later = {name: known.pop(name) for name in ("id", "load_most", "load_end", "load_own")}
+    assert later["id"] == digest([{"env": "a"}, known])
+    assert digest([{"env": "b"}, known]) != run.id
+
+
+def test_threads_are_told(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
+    threads = RunMeter({}, 1, 1).run.threads
+    assert threads["OMP_NUM_THREADS"] == "7"
+    assert "MKL_NUM_THREADS" not in threads
+
+
+def test_a_run_that_was_killed_is_known(tmp_path, monkeypatch):
+    """Its record is on the disk before its first row, without the loads of the end."""
+
+    def seen(result):
+        (run,) = read_runs(tmp_path)
+        assert run.id == result.run
+        assert run.load_end is None
+
+    play(tmp_path, progress=seen)
+
+
+@pytest.mark.parametrize(
+    ("cores", "loads", "own", "busy"),
+    [
+        (2, (0.0, 1.0, 1.0), 1.0, False),
+        (2, (0.0, 1.5, 1.0), 1.0, False),
+        (2, (0.0, 1.6, 1.0), 1.0, True),
+        (2, (3.0, 0.0, 0.0), 1.0, True),
+        (2, (0.0, 1.0, 2.0), 1.0, True),
+        (2, (0.0, 2.0, 2.0), 1.9, False),
+        (64, (9.0, 9.0, 9.0), 1.0, False),
+        (2, (None, None, None), 1.0, False),
+        (None, (0.0, None, None), None, False),
+    ],
+)
+def test_a_machine_is_busy_by_what_others_do(cores, loads, own, busy):
+    run = Run("a", "", {}, "", cores, {}, 1, 1, *loads, own)
+    assert run.busy == busy
+    assert BUSY * 2 == 0.5
+
+
+def test_deadlines_on_a_busy_machine_are_blank_with_the_reason(tmp_path, monkeypatch):
+    idle = play(tmp_path / "idle")
+    assert idle.policies[0].missed_deadlines == 0
+    assert NOTE not in " ".join(idle.notes)
+    monkeypatch.setattr(os, "getloadavg", lambda: (1000.0, 0.0, 0.0), raising=False)
+    busy = play(tmp_path / "busy")
+    assert busy.policies[0].missed_deadlines is None
+    assert busy.episodes.missed_deadlines.isna().all()
+    assert NOTE in " ".join(busy.notes)
+    assert NOTE in " ".join(read_results(tmp_path / "busy").comparison.notes)
+    shares = compare(["random"], episodes=2, worlds=2, env_options=SHORT)
+    assert NOTE not in " ".join(shares.notes)
+
+
+def test_without_a_load_average_deadlines_are_judged(monkeypatch):
+    monkeypatch.delattr(os, "getloadavg")
+    comparison = compare(["random"], episodes=1, env_options=SHORT)
+    assert comparison.policies[0].missed_deadlines == 0
+
+
+def test_results_of_older_versions_have_no_runs(tmp_path):
+    play(tmp_path)
+    older(tmp_path)
+    results = read_results(tmp_path)
+    assert results.runs == []
+    assert {one.run for one in results.episodes["random"]} == {""}
+
+
+@pytest.mark.parametrize("runs", ["", "{}", "[]", sealed({RUNS: 3}), sealed({}), sealed({RUNS: [{"id": 1}]}), "\x00"])
+def test_a_damaged_record_of_runs_is_told(tmp_path, runs):
+    (tmp_path / RUNS).write_text(runs)
+    with pytest.raises(ResultsError, match=r"runs.json cannot be read"):
+        read_runs(tmp_path)
+
+
+def test_evaluate_plays_no_run():
+    assert set(armctl.evaluate("random", episodes=1, env_options=SHORT).run) == {""}
+
+
+def older(folder):
+    """Rewrite a folder as it was before rows had runs."""
+    own = digest(unsealed((folder / "comparison.json").read_text()))
+    rows = list(csv.reader(io.StringIO((folder / "episodes.csv").read_text())))
+    assert rows[0] == list(COLUMNS)
+    decisions = list(csv.reader(io.StringIO((folder / "decisions.csv").read_text())))
+    for row, decision in zip(rows[1:], decisions[1:], strict=True):
+        decision[2] = f"{zlib.crc32((own + lines([row[:-1]]) + decision[3]).encode()):08x}"
+    (folder / "episodes.csv").write_text(lines([row[:-1] for row in rows]))
+    (folder / "decisions.csv").write_text(lines(decisions))
+    summary = unsealed((folder / "summary.json").read_text())
+    del summary["runs"]
+    (folder / "summary.json").write_text(sealed(summary))
+    (folder / RUNS).unlink()
+
+
+def lines(rows):
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue()
