@@ -23,10 +23,11 @@ HEAD = """<!-- Made by `python -m armctl.rl.zoo` from the agents' cards: change 
 `armctl compare reach_ik NAME` compares an agent with an expert. `armctl train NAME` trains it again by its recipe in
 `rl/recipes/`. `armctl reproduce NAME` repeats the evaluation on its card, which uses held-out episodes of the
 unmodified task. Decisions are control steps in simulation, by the agent, a teacher or in demonstrations; queries are
-actions of a teacher; gradient steps are updates of the network. Minutes are wall time on one core of a busy machine, two
-or three times those of an idle one, and processor minutes those of all cores. A dash is unknown: these agents are older
-than the counters, and only what follows exactly from their options was filled in. Agents in bold come with armctl, and
-were evaluated with the present physics; the other seeds were evaluated after their training, when impacts were softer.
+actions of a teacher; gradient steps are updates of the network. Minutes are wall time on one core of a busy machine,
+two or three times those of an idle one; processor minutes are those of all cores. A dash is unknown: these agents are
+older than the counters, and only what follows exactly from their options was filled in. Agents in bold come with
+armctl, and were evaluated with the present physics; the other seeds were evaluated after their training, when impacts
+were softer.
 
 """
 COLUMNS = (

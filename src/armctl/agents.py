@@ -44,6 +44,12 @@ class TrainingCost:
     processor_seconds: Seconds | None = None
     """Of all cores and processes."""
 
+    @property
+    def brief(self) -> str:
+        """What the training took most, to go behind something else; empty for a policy that was not trained."""
+        counts = {"decisions": self.decisions, "gradient steps": self.gradient_steps, "steps": self.steps}
+        return next((f" after {rounded(count)} {what} of training" for what, count in counts.items() if count), "")
+
     def __str__(self) -> str:
         counts = {"decisions": self.decisions, "gradient steps": self.gradient_steps}
         if self.decisions is None and self.gradient_steps is None:

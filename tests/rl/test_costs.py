@@ -158,7 +158,7 @@ def test_a_card_without_costs_is_read():
     [
         (TrainingCost(20_000), "20,000 steps"),
         (TrainingCost(9, 13.59, 1_503_232, 0, 7_340), "1.5 million decisions and 7,340 gradient steps (13.6 minutes)"),
-        (TrainingCost(9, 2.0, 999_499, 0, 9, 90.0), "999,000 decisions and 9 gradient steps (1.5 minutes of processor)"),
+        (TrainingCost(9, 2, 499_499, 0, 9, 90), "499,000 decisions and 9 gradient steps (1.5 minutes of processor)"),
         (TrainingCost(12_000, None, None, None, 12_000), "12,000 gradient steps"),
         (TrainingCost(10, None, 999_500, 20, None), "1 million decisions and 20 teacher queries"),
     ],

@@ -46,10 +46,41 @@ def verdict(
     if fewest < FEWEST:
         said = [f"No verdict from {fewest} episode{'s' if fewest > 1 else ''}: it takes {FEWEST}."]
     else:
-        contests = [_contest(policies, paired, names, baseline) for names in _pairs_to_tell(policies, baseline)]
-        said = [_sentence(contest, margin) for contest in contests]
-        said += [_cost(contests[0]), _privileges(contests[0])] if contests else []
+        told = contests(policies, paired, baseline)
+        said = [_sentence(contest, margin) for contest in told]
+        said += [_cost(told[0]), _privileges(told[0])] if told else []
     return " ".join(filter(None, (*said, *map(_physics_failed, policies))))
+
+
+def headline(
+    policies: Sequence[PolicySummary],
+    paired: Sequence[PairedDifference],
+    baseline: str | None = None,
+    margin: float = MARGIN,
+) -> tuple[str, str]:
+    """The verdict's first pair in two short sentences: who wins by how much, and at what cost (empty without one)."""
+    told = contests(policies, paired, baseline)
+    if not told or min(pair.episodes for pair in paired) < FEWEST:
+        return verdict(policies, paired, baseline, margin).partition(". ")[0].rstrip(".") + ".", ""
+    contest = told[0]
+    first, second = contest.first, contest.second
+    if contest.p is None:
+        result = _sentence(contest, margin)
+    elif contest.p < SIGNIFICANT:
+        result = f"{first.policy} beats {second.policy} by {_difference(contest).removeprefix('+')} of success."
+    elif contest.pair.equivalent(margin):
+        result = f"{first.policy} and {second.policy} are equivalent within {100 * margin:g} points of success."
+    else:
+        result = f"Undecided between {first.policy} and {second.policy}: success {_difference(contest)}."
+    times = [f"{one.policy} {one.decision_ms:.2g} ms{one.training.brief}" for one in (first, second)]
+    return result, f"A decision takes {', and '.join(times)}."
+
+
+def contests(
+    policies: Sequence[PolicySummary], paired: Sequence[PairedDifference], baseline: str | None
+) -> list[Contest]:
+    """The pairs that a verdict tells, the most important one first."""
+    return [_contest(policies, paired, names, baseline) for names in _pairs_to_tell(policies, baseline)]
 
 
 def _pairs_to_tell(policies: Sequence[PolicySummary], baseline: str | None) -> list[tuple[str, str]]:
@@ -124,13 +155,9 @@ def _more(pair: PairedDifference, margin: float, points: str) -> str:
 
 def _cost(contest: Contest) -> str:
     """What the two policies need: training, and time for a decision."""
-    trained = [
-        f"{one.policy} was trained for {one.training_steps:,} steps"
-        + (f" ({one.training_minutes:.1f} minutes)" if one.training_minutes else "")
-        for one in (contest.first, contest.second)
-        if one.learned
-    ]
-    times = " and ".join(f"{one.policy} {one.decision_ms_p50:.2g} ms" for one in (contest.first, contest.second))
+    both = (contest.first, contest.second)
+    trained = [f"{one.policy} was trained for {one.training}" for one in both if one.learned]
+    times = " and ".join(f"{one.policy} {one.decision_ms:.2g} ms" for one in both)
     return f"{'; '.join((*trained, f'a decision takes {times}'))}." if trained else f"A decision takes {times}."
 
 
