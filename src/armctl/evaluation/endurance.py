@@ -58,7 +58,7 @@ def endurances(points: pd.DataFrame) -> list[Endurance]:
     score, low, high = SUCCESS if points.success.notna().any() else RETURN
     if not {score, low, high} <= set(points):
         return []
-    known = points[points[score].notna() & points.groupby("disturbance").level.transform("nunique").gt(1)]
+    known = points[points[score].notna() & points.groupby("disturbance")["level"].transform("nunique").gt(1)]
     p: dict[Pair, float] = {}
     for (disturbance, level), rows in known.groupby(["disturbance", "level"]):
         for a, b in itertools.combinations(rows.to_dict("records"), 2):
@@ -78,13 +78,12 @@ def endurance_headline(found: Sequence[Endurance]) -> str:
     """Who holds out against what, in a sentence; empty without any disturbance."""
     against: dict[tuple[str, ...], list[str]] = {}
     for one in found:
-        against.setdefault(tuple(one.leaders) if one.behind else (), []).append(one.disturbance)
+        against.setdefault(tuple(sorted(one.leaders)) if one.behind else (), []).append(one.disturbance)
     nobody = against.pop((), [])
     ranked = sorted(against.items(), key=lambda item: -len(item[1]))
     said = [f"{_named(names, 'holds', 'hold')} out longest against {_named(what)}" for names, what in ranked]
-    said += [f"nobody is shown to fall behind by {_named(nobody)}"] if nobody else []
-    text = "; ".join(said)
-    return f"{text[:1].upper() if not ranked else text[:1]}{text[1:]}." if text else ""
+    said += [f"{'under' if said else 'Under'} {_named(nobody)}, nobody is shown to fall behind"] if nobody else []
+    return f"{'; '.join(said)}." if said else ""
 
 
 def _endurance(

@@ -65,7 +65,7 @@ def details(policy: PolicySummary) -> Remark:
     if error := policy.tracking_error:
         said.append(f"tracking error {1e3 * error.value:.1f}{_bracketed(error, 1e3, 1)} mm")
     if seconds := policy.decision_seconds:
-        said.append(f"decides for {seconds.value:.2g} s an episode")
+        said.append(f"decisions take {seconds.value:.2g} s an episode")
     if policy.solver_failures:
         said.append(f"its solver failed {policy.solver_failures} times")
     if policy.missed_deadlines:

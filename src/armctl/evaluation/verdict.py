@@ -67,7 +67,8 @@ def headline(
     if contest.p is None:
         result = _sentence(contest, margin)
     elif contest.p < SIGNIFICANT:
-        result = f"{first.policy} beats {second.policy} by {_difference(contest).removeprefix('+')} of success."
+        gain, _, interval = _difference(contest).removeprefix("+").partition(" [")
+        result = f"{first.policy} beats {second.policy} by {gain} of success [{interval}."
     elif contest.pair.equivalent(margin):
         result = f"{first.policy} and {second.policy} are equivalent within {100 * margin:g} points of success."
     else:

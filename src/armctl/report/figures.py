@@ -33,6 +33,9 @@ from armctl.report.style import (
     with_rows,
 )
 
+MARGIN = {"range": [-0.05, 1.05]}
+"""Room for dots at 0 and 100 %."""
+
 
 def success_bars(policies: Sequence[PolicySummary], look: Looks) -> go.Figure:
     """Success of each policy, with its 95 % interval."""
@@ -154,7 +157,7 @@ def training_cost(
                 marker={"symbol": "circle-open", "size": 20, "color": look[one.agent].colour, "line": {"width": 2.5}},
             )  # fmt: skip
     x = {"type": "log", "range": [math.log10(end) for end in span], "tickformat": "~s", "nticks": 8}
-    return framed(figure, "decisions in simulation, for training", "success", x=x, y=SHARE_AXIS)
+    return framed(figure, "decisions in simulation, for training", "success", x=x, y=SHARE_AXIS | MARGIN)
 
 
 def trade_off(found: Sequence[Point], look: Looks, by_success: bool = True, height: int = 300) -> go.Figure:
@@ -182,7 +185,7 @@ def trade_off(found: Sequence[Point], look: Looks, by_success: bool = True, heig
         low, high = (one.score.value if end is None else end for end in (one.score.low, one.score.high))
         hover = f"{what}, %{{x:.3~r}} ms a decision"
         add_point(figure, [one.decision_ms], [one.score.value], [low], [high], style, hover)
-    y = SHARE_AXIS if by_success else {"nticks": 6}
+    y = SHARE_AXIS | MARGIN if by_success else {"nticks": 6}
     x = {"type": "log", "range": span, "dtick": 1, "tickformat": "~g"}
     return framed(figure, "decision time, ms", "success" if by_success else "return", x=x, y=y, height=height)
 
