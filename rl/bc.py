@@ -43,6 +43,7 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
         )  # fmt: skip
         try:
             for step in fitting:
+                training.meter.add(gradient_steps=1)
                 if step % options.evaluation_every == 0:
                     _save(training, actor, step)
                     training.evaluate(actor, step)

@@ -62,7 +62,7 @@ def clone(training: Training, model: PPO, examples: Examples, options: ClonedPpo
         actor, examples, options.cloning_steps, np.random.default_rng(training.seed),
         batch_size=options.cloning_batch_size, learning_rate=options.cloning_rate, progress=progress,
     ):  # fmt: skip
-        pass
+        training.meter.add(gradient_steps=1)
     training.evaluate(actor, 0)
 
 

@@ -141,6 +141,9 @@ def demonstrations(
             teacher.worlds.close()
     else:
         episodes, source = read_demonstrations(dataset, training.held_out), dataset
+    if training.newest_checkpoint() is None:  # a resumed training is shown the same episodes again
+        asked = sum(map(len, episodes))
+        training.meter.add(decisions=asked, teacher_queries=asked)
     won = [episode for episode in episodes if episode.success]
     if not won:
         raise ConfigurationError(

@@ -74,12 +74,14 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
                 share = max(0.0, 1 - i / options.mixed_rounds)
                 rng = np.random.default_rng((seed, i))
                 mixture = _mixture(actor, share, rng)
-                examples.add(teacher.show(each, training.first_seed(i), progress, acting=mixture))
+                shown = teacher.show(each, training.first_seed(i), progress, acting=mixture)
+                training.meter.add(decisions=sum(map(len, shown)), teacher_queries=sum(map(len, shown)))
+                examples.add(shown)
                 for _ in fit(
                     actor, examples, steps, rng,
                     batch_size=options.batch_size, learning_rate=options.learning_rate, progress=progress,
                 ):  # fmt: skip
-                    pass
+                    training.meter.add(gradient_steps=1)
                 _save(training, actor, examples, i + 1, steps)
                 training.evaluate(actor, (i + 1) * steps)
         finally:

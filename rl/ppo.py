@@ -55,7 +55,10 @@ def load_or_make(training: Training, options: PpoOptions) -> PPO:
     scale, weights = training.view.action_scale, training.recipe.reward_weights
     venv = StableBaselinesVectorEnv(training.worlds, scale, options.reward_scale, weights)
     newest = training.newest_checkpoint()
-    return new_model(venv, training.view, options, training.seed) if newest is None else PPO.load(newest, venv, "cpu")
+    new = newest is None
+    model = new_model(venv, training.view, options, training.seed) if new else PPO.load(newest, venv, "cpu")
+    training.meter.watch(model)
+    return model
 
 
 def new_model(venv: StableBaselinesVectorEnv, view: View, options: PpoOptions, seed: int) -> PPO:

@@ -67,6 +67,7 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
     venv = _vector_env(training, options)
     newest = training.newest_checkpoint()
     model = _new_model(venv, training, options) if newest is None else _load(newest, venv)
+    training.meter.watch(model)
     with training:
         dof = venv.dof if isinstance(venv, GoalVectorEnv) else None
         observed = training.held_out.single_observation_space

@@ -1,4 +1,4 @@
-"""Shared by all learners: a training's folder, clock, learning curve on held-out episodes, and best agent."""
+"""Shared by all learners: a training's folder, costs, learning curve on held-out episodes, and best agent."""
 
 import dataclasses
 import json
@@ -6,7 +6,6 @@ import logging
 import math
 import os
 import sys
-import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from importlib.metadata import version
@@ -37,6 +36,7 @@ from armctl.learners import Recipe
 from armctl.options import options
 from armctl.rl.actor import Actor
 from armctl.rl.disk import full_disk_told, save_torch
+from armctl.rl.meter import COUNTS, Meter, Metered
 from armctl.rl.threads import bounded_threads
 from armctl.rl.view import Features, view_of
 from armctl.shaping import Shaped
@@ -44,7 +44,7 @@ from armctl.shaping import Shaped
 LOG = logging.getLogger(__name__)
 
 VALIDATION_WORLDS = 50
-SETTINGS = "settings.json"
+SETTINGS, CLOCK = "settings.json", "clock.json"
 
 Count = Annotated[int, Field(ge=1)]
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -94,12 +94,11 @@ class Training:
             raise ConfigurationError(f"a training seed is a whole number from 0 to {2**32 - 1}, not {seed}")
         self.recipe, self.options, self.out, self.seed = recipe, options, out, seed
         self.held_out = make_worlds(recipe.env, min(VALIDATION_WORLDS, options.validation_episodes), recipe.env_options)
-        self.worlds = self._make_worlds()
+        worlds = self._make_worlds()
         self.view = view_of(self.held_out, features=options.features, relative=options.relative)
         self._check_folder(resume)
-        clock = out / "clock.json"
-        self._before = json.loads(clock.read_text())["seconds"] if clock.exists() else 0.0
-        self._start = time.perf_counter()
+        self.meter = Meter(out / CLOCK, resumed=self.newest_checkpoint() is not None)
+        self.worlds = Metered(worlds, self.meter)
         curve = self.curve()
         self._evaluated = curve[-1]["steps"] if curve else -math.inf
 
@@ -125,11 +124,6 @@ class Training:
     ) -> None:
         self._opened.__exit__(kind, error, trace)
 
-    @property
-    def seconds(self) -> float:
-        """Training time so far, including that before each resumption."""
-        return float(self._before + time.perf_counter() - self._start)
-
     def first_seed(self, steps: int = 0) -> int:
         """Seed of the first world after so many steps: a resumed training plays episodes that are new to it."""
         return (self.seed + 1) * TRAINING_SEEDS + steps
@@ -145,9 +139,9 @@ class Training:
         return max(found, key=lambda path: int(path.stem), default=None)
 
     def checkpoint(self, steps: int, save: Callable[[Path], Any]) -> None:
-        """Write a checkpoint, by a function that writes it to a path, and the training time."""
+        """Write a checkpoint, by a function that writes it to a path, and what the training has spent."""
         write_atomically(self.out / "checkpoints" / f"{steps}.zip", save)
-        write_atomically(self.out / "clock.json", json.dumps({"seconds": self.seconds}))
+        write_atomically(self.out / CLOCK, json.dumps(self.meter.read()))
 
     def due(self, steps: int) -> bool:
         """Whether a checkpoint and an evaluation are due."""
@@ -167,16 +161,17 @@ class Training:
         mean_return = float(np.mean([result.total_reward for result in results]))
         row = {
             "steps": steps,
-            "minutes": round(self.seconds / 60, 3),
+            "minutes": round(self.meter.seconds / 60, 3),
             "success": rate.value,
             "low": rate.low,
             "high": rate.high,
             "return": mean_return,
+            "decisions": self.meter.read()["decisions"],
         }
         best = self._best()
         if best is None or (rate.value, mean_return) > (best["success"], best["return"]):
             write_atomically(self.out / "best.pt", lambda path: save_torch({**row, "actor": actor.state_dict()}, path))
-        curve = pd.DataFrame([*self.curve(), row]).astype({"steps": int})
+        curve = pd.DataFrame([*self.curve(), row]).astype({"steps": int, "decisions": "Int64"})
         write_atomically(self.out / CURVE, curve.to_csv(index=False))
         LOG.info("%s steps: success %.1f%% of %s held-out episodes", f"{steps:,}", 100 * rate.value, episodes)
         for name in ("success", "return"):
@@ -191,7 +186,7 @@ class Training:
         actor.load_state_dict(best["actor"])
         graph = self.out / "agent.onnx"
         write_atomically(graph, actor.export)
-        recipe, worlds = self.recipe, self.held_out
+        recipe, worlds, spent = self.recipe, self.held_out, self.meter.read()
         card = AgentCard(
             name=self.out.name,
             learner=recipe.learner,
@@ -207,7 +202,8 @@ class Training:
             action_shape=list(worlds.single_action_space.shape or ()),
             training_steps=steps,
             best_after=best["steps"],
-            training_minutes=round(self.seconds / 60, 2),
+            training_minutes=round(spent["seconds"] / 60, 2),
+            **{name: spent[name] for name in (*COUNTS, "processor_seconds")},
             training_seed=self.seed,
             learner_options=dataclasses.asdict(self.options),
             versions=versions() | {name: version(name) for name in ("stable-baselines3", "torch", "onnx")},

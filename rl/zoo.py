@@ -2,16 +2,19 @@
 
 Shipped agents have their cards in `rl/agents/`, those of other training seeds theirs in `rl/agents/seeds/`. With
 `--evaluate`, the shipped agents play the episodes on their cards again, and the cards get the new results, as after
-new physics.
+new physics. With `--recount`, cards that are older than the counters get those costs of their training that are certain.
 """
 
 import sys
+from contextlib import closing
 from itertools import groupby
 from pathlib import Path
 
 from armctl.agents import AgentCard, read_card
+from armctl.envs import make_worlds
 from armctl.evaluation.reproduce import reproduce
 from armctl.files import write_atomically
+from armctl.rl.recount import recount
 
 HOME = Path(__file__).parent
 HEAD = """<!-- Made by `python -m armctl.rl.zoo` from the agents' cards: change those, or rl/zoo.py. -->
@@ -19,15 +22,18 @@ HEAD = """<!-- Made by `python -m armctl.rl.zoo` from the agents' cards: change 
 
 `armctl compare reach_ik NAME` compares an agent with an expert. `armctl train NAME` trains it again by its recipe in
 `rl/recipes/`. `armctl reproduce NAME` repeats the evaluation on its card, which uses held-out episodes of the
-unmodified task. Minutes are wall time on one core of a busy machine, two or three times those of an idle one. Agents in
-bold come with armctl, and were evaluated with the present physics. The other seeds were evaluated after their training,
-that of `reach_dagger` when impacts were softer. Those of `reach_bc` come with armctl as well: `reach_bc[*]` is all
-three, of which seeds 1 and 2 were trained by a later version.
+unmodified task. Decisions are control steps in simulation, by the agent, a teacher or in demonstrations; queries are
+actions of a teacher; gradient steps are updates of the network. Minutes are wall time on one core of a busy machine,
+two or three times those of an idle one; processor minutes are those of all cores. A dash is unknown: these agents are
+older than the counters, and only what follows exactly from their options was filled in. Agents in bold come with
+armctl, and were evaluated with the present physics. The other seeds were evaluated after their training, that of
+`reach_dagger` when impacts were softer. Those of `reach_bc` come with armctl as well: `reach_bc[*]` is all three, of
+which seeds 1 and 2 were trained by a later version.
 
 """
 COLUMNS = (
-    "agent", "environment", "learner", "shaping", "teacher", "steps", "minutes", "seed", "success", "95 % interval",
-    "steps to goal",
+    "agent", "environment", "learner", "shaping", "teacher", "decisions", "queries", "gradient steps",
+    "processor minutes", "minutes", "seed", "success", "95 % interval", "steps to goal",
 )  # fmt: skip
 
 
@@ -55,7 +61,11 @@ def _row(name: str, card: AgentCard) -> tuple[str, ...]:
         card.learner,
         card.shaping or "-",
         card.teacher or "-",
-        f"{card.training_steps:,}",
+        *(
+            "-" if count is None else f"{count:,}"
+            for count in (card.decisions, card.teacher_queries, card.gradient_steps)
+        ),
+        "-" if card.processor_seconds is None else f"{card.processor_seconds / 60:.1f}",
         "-" if card.training_minutes is None else f"{card.training_minutes:.1f}",
         "-" if card.training_seed is None else str(card.training_seed),
         f"{evaluation.success_rate:.1%} of {evaluation.episodes:,}",
@@ -73,7 +83,18 @@ def evaluate() -> None:
         write_atomically(path, card.model_dump_json(indent=2) + "\n")
 
 
+def fill_in() -> None:
+    """Give the cards what is certain of their costs."""
+    for path in (*(HOME / "agents").glob("*.json"), *(HOME / "cards").glob("*.json")):
+        card = read_card(path)
+        with closing(make_worlds(card.env, 1, card.env_options)) as worlds:
+            certain = recount(card, worlds.max_episode_steps or 0)
+        write_atomically(path, card.model_copy(update=certain).model_dump_json(indent=2) + "\n")
+
+
 if __name__ == "__main__":
     if "--evaluate" in sys.argv:
         evaluate()
+    if "--recount" in sys.argv:
+        fill_in()
     (HOME / "README.md").write_text(HEAD + table())

@@ -130,7 +130,7 @@ def test_functions_and_classes_can_be_given_as_they_are():
     comparison = armctl.compare([pd, Constant, "random"], PENDULUM, episodes=12)
     assert [policy.policy for policy in comparison.policies] == ["pd", "Constant", "random"]
     assert [policy.sees for policy in comparison.policies] == ["observation", "state", "observation"]
-    assert comparison.policies[1].training_steps == 7
+    assert comparison.policies[1].training.decisions == 7
     named = armctl.compare({"strong": pd, "weak": lambda observation: [0.0]}, PENDULUM, episodes=3)
     assert [policy.policy for policy in named.policies] == ["strong", "weak"]
 

@@ -5,13 +5,14 @@ Nothing is unpickled, and neither file can run code: an agent from a stranger is
 
 import math
 import os.path
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from armctl.envs import EpisodeVectorEnv, Interface, Sees
 from armctl.errors import AgentFileError
@@ -22,6 +23,50 @@ FILES = (".onnx", ".json")
 """Suffixes of an agent's graph and card."""
 INPUT, OUTPUT, NEXT = "observation", "action", "next_"
 """Names in a graph: of its input if the observation is one array, of its first output, and before a new memory's."""
+Count = Annotated[int, Field(ge=0, le=10**15)]
+Seconds = Annotated[float, Field(ge=0, le=1e12)]
+
+
+@dataclass(frozen=True)
+class TrainingCost:
+    """What a training took, without its evaluations on held-out episodes but for their time. None: unknown."""
+
+    steps: Count = 0
+    """As the learner counts them: decisions, or gradient steps of a clone. 0 for a policy that was not trained."""
+    minutes: Annotated[float, Field(ge=0)] | None = None
+    """Wall time, of a machine that may have been busy."""
+    decisions: Count | None = None
+    """Control steps decided in simulation for it: by the agent, by a teacher, or in demonstrations."""
+    teacher_queries: Count | None = None
+    """How many actions a teacher was asked for, or demonstrations show."""
+    gradient_steps: Count | None = None
+    """Updates of the network, each on a batch."""
+    processor_seconds: Seconds | None = None
+    """Of all cores and processes."""
+
+    @property
+    def brief(self) -> str:
+        """What the training took most, to go behind something else; empty for a policy that was not trained."""
+        counts = {"decisions": self.decisions, "gradient steps": self.gradient_steps, "steps": self.steps}
+        return next((f" after {rounded(count)} {what} of training" for what, count in counts.items() if count), "")
+
+    def __str__(self) -> str:
+        counts = {"decisions": self.decisions, "gradient steps": self.gradient_steps}
+        if self.decisions is None and self.gradient_steps is None:
+            counts["steps"] = self.steps
+        if self.teacher_queries and self.teacher_queries != self.decisions:
+            counts["teacher queries"] = self.teacher_queries
+        said = " and ".join(f"{rounded(count)} {what}" for what, count in counts.items() if count is not None)
+        if self.processor_seconds is not None:
+            return f"{said} ({self.processor_seconds / 60:.1f} minutes of processor)"
+        return f"{said} ({self.minutes:.1f} minutes)" if self.minutes else said
+
+
+def rounded(count: int) -> str:
+    """A count in words, to three digits."""
+    if count >= 999_500:
+        return f"{count / 1e6:.3g} million" if count < 999_500_000 else f"{count / 1e6:,.0f} million"
+    return f"{float(f'{count:.3g}'):,.0f}"
 
 
 class Evaluation(BaseModel):
@@ -83,6 +128,11 @@ class AgentCard(BaseModel):
     memory: dict[str, list[int]] = {}
     """What the agent remembers from step to step: arrays of zeros at first, of these shapes for each world."""
     training_steps: int
+    """As the learner counts them: see `TrainingCost`, which has the next four too."""
+    decisions: Count | None = None
+    teacher_queries: Count | None = None
+    gradient_steps: Count | None = None
+    processor_seconds: Seconds | None = None
     best_after: int | None = None
     """Steps after which it performed best on validation episodes. The agent is the one after these steps."""
     training_minutes: float | None
@@ -96,6 +146,12 @@ class AgentCard(BaseModel):
     """None: armctl trained it."""
     evaluation: Evaluation | None = None
 
+    @property
+    def cost(self) -> TrainingCost:
+        """What the training took."""
+        counts = (self.decisions, self.teacher_queries, self.gradient_steps, self.processor_seconds)
+        return TrainingCost(self.training_steps, self.training_minutes, *counts)
+
 
 class OnnxPolicy:
     """A learned agent, run by onnxruntime. It sees only the observation, and what it remembers of earlier ones."""
@@ -106,9 +162,7 @@ class OnnxPolicy:
         from armctl.agent_graph import AgentGraph  # onnx takes longer to import than the rest, and few need it
 
         self.card = card
-        self.training_steps = card.training_steps
-        if card.training_minutes is not None:
-            self.training_minutes = card.training_minutes
+        self.training_steps, self.training_cost = card.training_steps, card.cost
         self._graph = AgentGraph(graph)
         observed = list(card.observation_shape) if isinstance(card.observation_shape, dict) else [INPUT]
         expected, outputs = [*observed, *card.memory], [OUTPUT, *(NEXT + name for name in card.memory)]

@@ -70,7 +70,7 @@ def test_every_policy_meets_the_same_episodes(tmp_path):
     pd.testing.assert_frame_equal(episodes, comparison.episodes)
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert [policy["policy"] for policy in summary["policies"]] == ["reach_ik", "reach_ppo", "random"]
-    assert summary["policies"][1]["training_steps"] > 0
+    assert summary["policies"][1]["training"]["decisions"] > 0
     assert {"mujoco", "pin", "armctl-suite", "python"} <= set(summary["versions"])
     assert len(summary["paired"]) == 3
 

@@ -235,3 +235,11 @@ def test_a_comparison_that_was_replaced_is_not_the_sweeps(tmp_path):
     compare("random", seed=9, episodes=2, out=tmp_path / "none", overwrite=True)
     with pytest.raises(ResultsError, match="holds another comparison by now"):
         write_report(tmp_path, video=False)
+
+
+def test_who_holds_out_is_the_verdict(finished):
+    found, _ = finished
+    *_, last = found.document().parts
+    assert last.kind == "verdict"
+    assert last.text.endswith("nobody is shown to fall behind.")  # four episodes show nothing
+    assert last.text in " ".join(printed(found).split())

@@ -9,29 +9,39 @@ import pytest
 from scipy import stats
 
 import armctl
+from armctl.agents import TrainingCost
 from armctl.errors import ConfigurationError, ResultsError
 from armctl.evaluation.paired import paired_difference
 from armctl.evaluation.sample_size import plan_comparison
 from armctl.evaluation.statistics import Estimate, success_rate
 from armctl.evaluation.summary import PolicySummary
-from armctl.evaluation.verdict import verdict
+from armctl.evaluation.verdict import headline, verdict
 
 AGENTS = ("reach_ppo", "reach_sac", "reach_bc", "reach_dagger", "moving_ppo")
 TRAINED = dict.fromkeys(AGENTS, 1_500_000) | {"mine.json": 20_000}
 
 
+def cost_of(name):
+    return TrainingCost(TRAINED[name], 12.0, TRAINED[name], 0, 940_321) if name in TRAINED else TrainingCost()
+
+
 def summary_of(name, won):
     values = {field.name: None for field in dataclasses.fields(PolicySummary)}
     known = {
-        "policy": name, "sees": "observation" if name in TRAINED else "model", "training_steps": TRAINED.get(name, 0),
-        "training_minutes": 12.0 if name in TRAINED else 0.0, "planned": len(won), "episodes": len(won),
-        "outcomes": {}, "success": success_rate(won), "decision_ms_p50": 0.25,
+        "policy": name, "sees": "observation" if name in TRAINED else "model", "training": cost_of(name),
+        "planned": len(won), "episodes": len(won),
+        "outcomes": {}, "success": success_rate(won), "decision_ms_p50": 0.25, "decision_ms_p99": 0.5,
+        "worlds": 1, "workers": 1,
     }  # fmt: skip
     return PolicySummary(**values | known)
 
 
 def said(wins, episodes=400, **options):
     """The verdict on policies that won the episodes whose numbers are in `wins`."""
+    return verdict(*played(wins, episodes), **options)
+
+
+def played(wins, episodes=400):
     won = {name: np.isin(np.arange(episodes), list(numbers)) for name, numbers in wins.items()}
     names = list(won)
     pairs = [
@@ -39,16 +49,40 @@ def said(wins, episodes=400, **options):
         for i, a in enumerate(names)
         for b in names[i + 1 :]
     ]
-    return verdict([summary_of(name, of) for name, of in won.items()], pairs, **options)
+    return [summary_of(name, of) for name, of in won.items()], pairs
 
 
 def test_it_is_about_the_best_planner_and_the_best_agent():
     text = said({"random": [], "reach_ppo": range(300), "reach_ik": range(380), "reach_mpc": range(400)})
     assert text.startswith("reach_mpc is better than reach_ppo: success +25.0 points [")
     assert "after Holm's correction for 6 pairs" in text
-    assert "reach_ppo was trained for 1,500,000 steps (12.0 minutes)" in text
+    assert "reach_ppo was trained for 1.5 million decisions and 940,000 gradient steps (12.0 minutes)" in text
     assert "a decision takes reach_mpc 0.25 ms and reach_ppo 0.25 ms" in text
     assert "Their privileges differ: reach_mpc (observation + robot model), reach_ppo (observation)." in text
+
+
+@pytest.mark.parametrize(
+    ("ppo", "says"),
+    [
+        (300, r"reach_ik beats reach_ppo by 25\.0 points of success \[21\.0, 29\.5\]\."),
+        (400, r"reach_ik and reach_ppo are equivalent within 2 points of success\."),
+        (396, r"Undecided between reach_ik and reach_ppo: success \+1\.0 points \[0\.\d, 2\.\d\]\."),
+    ],
+)
+def test_the_headline_is_winner_difference_and_cost(ppo, says):
+    result, cost = headline(*played({"reach_ik": range(400), "reach_ppo": range(ppo)}))
+    assert re.fullmatch(says, result), result
+    took = "reach_ppo 0.25 ms after 1.5 million decisions of training"
+    assert cost in (
+        f"A decision takes reach_ik 0.25 ms, and {took}.",
+        f"A decision takes {took}, and reach_ik 0.25 ms.",
+    )
+    assert len(f"{result} {cost}".split()) <= 32  # read in ten seconds
+
+
+def test_too_few_episodes_have_no_headline_but_that():
+    wins = {"reach_ik": range(5), "reach_ppo": range(4)}
+    assert headline(*played(wins, episodes=5)) == ("No verdict from 5 episodes: it takes 10.", "")
 
 
 def test_without_a_learned_policy_it_is_about_the_two_best():

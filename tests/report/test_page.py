@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from armctl.agents import TrainingCost
 from armctl.envs import TaskVectorEnv
 from armctl.errors import ConfigurationError, ResultsError
 from armctl.evaluation import compare
@@ -133,11 +134,34 @@ def test_figures_hold_the_numbers_of_the_summary(folder):
 def test_verdict_and_how_to_do_it_again(folder):
     text = text_of(write_report(folder, video=False))
     assert "Undecided between" in text
-    assert "was trained for 1,503,232 steps" in text
+    assert "was trained for 1.5 million decisions and 7,340 gradient steps (13.6 minutes)" in text
+    assert "1.5 M decisions 7,340 gradient steps 13.6 minutes" in " ".join(text.split())
     command = "armctl compare reach_ik reach_ppo random --env armctl/ArmReach-v0 --set max_episode_steps=15 --seed 0"
     assert f"{command} --episodes 12" in text
     assert json.loads((folder / "summary.json").read_text())["versions"]["mujoco"] in text
     assert "There are no videos. They were left out" in text
+
+
+def test_a_summary_of_an_older_version_is_read(folder):
+    summary = unsealed((folder / "summary.json").read_text())
+    for policy in summary["policies"]:
+        trained = policy.pop("training")
+        policy |= {"training_steps": trained["steps"], "training_minutes": trained["minutes"] or 0.0}
+        del policy["decision_ms_mean"], policy["decision_seconds"]
+    (folder / "summary.json").write_text(sealed(summary))
+    ik, ppo, _ = read_results(folder).comparison.policies
+    assert (ik.learned, ppo.training) == (False, TrainingCost(1_503_232, 13.59))
+    assert "was trained for 1,5" not in text_of(write_report(folder, video=False))
+    assert "was trained for 1.5 million steps (13.6 minutes)" in text_of(folder / "report.html")
+
+
+def test_the_headline_is_short_and_has_a_picture_beside_it(folder):
+    report = write_report(folder, video=False)
+    html = report.read_text()
+    head = html[html.index('<div class="told">') : html.index("</header>")]
+    assert head.index("<h1>") < head.index('class="cost"') < head.index("Success against decision time")
+    dots = {one["name"]: one["y"] for one in plot_of(report, "decision time")["data"] if one.get("name")}
+    assert dots["reach_ik"] == [1.0]
 
 
 def test_nothing_on_the_page_points_elsewhere(folder):
@@ -277,8 +301,9 @@ def test_learning_curves_of_agents_beside_the_others(tmp_path):
     agent = str(mine / "agent.json")
     compare(["reach_ik", agent], episodes=2, out=tmp_path / "results")
     report = write_report(tmp_path / "results", video=False)
-    ik, curve = (one for one in plot_of(report, "during training")["data"] if one.get("name"))
+    ik, curve = (one for one in plot_of(report, "decisions of training")["data"] if one.get("name"))
     assert (curve["name"], curve["x"], curve["y"]) == ("mine-0", [1000, 9000], [0.25, 0.875])
+    assert "mine-0 never reaches the 100.0 % of reach_ik: at most 87.5 %" in text_of(report)
     assert (ik["name"], ik["y"], ik["line"]["dash"]) == ("reach_ik", [1, 1], "dot")
     (mine / "curve.csv").write_text("steps\n1\n")
     assert "curve.csv cannot be read: it has no column minutes" in text_of(
@@ -299,6 +324,9 @@ def test_a_sweep_with_and_without_its_undisturbed_comparison(folder, tmp_path):
     shutil.copytree(folder, sweep / "none")
     again = write_report(sweep, video=False)
     assert "--disturbance noise=0,0.1,0.3 --disturbance delay=0,0.1,0.3" in again.read_text()
+    html = again.read_text()
+    assert re.search(r"<h1>(.*)</h1>", html)[1] == "Under noise and delay, nobody is shown to fall behind."
+    assert html.index("<h2>Under disturbances</h2>") < html.index("<h2>Undisturbed</h2>") < html.index("<h2>Results")
     both = plots_of(again)
     assert len(both) == len(plots_of(write_report(folder, video=False))) + 2
 

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
-from armctl.agents import Evaluation
+from armctl.agents import Evaluation, TrainingCost
 from armctl.evaluation import Comparison, Sweep
 from armctl.evaluation.notebook import html_of
 from armctl.evaluation.paired import PairedDifference
@@ -34,7 +34,7 @@ HOSTILE = ["<script>a_b</script>", "50% & $1 | #{2}~^\\", "[red]no[/] *so*"]
 def summary_of(policy, success):
     values = {field.name: None for field in dataclasses.fields(PolicySummary)}
     known = {
-        "policy": policy, "sees": "observation", "training_steps": 1_503_232, "training_minutes": 13.6, "planned": 200,
+        "policy": policy, "sees": "observation", "training": TrainingCost(1_503_232, 13.6, 1_503_232), "planned": 200,
         "episodes": 200, "infeasible": 0, "outcomes": {"reached": 199, "timeout": 1}, "success": success,
         "episode_return": Estimate(-1234.5, -2345.6, -123.4), "steps_to_goal": success and Estimate(14.4, 12.4, 16.3),
         "metrics": {"energy": Estimate(1.0, None, None)}, "decision_ms_p50": 0.054, "decision_ms_p99": 15.854,

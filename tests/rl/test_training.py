@@ -93,10 +93,10 @@ def test_curve_and_best_survive_a_resumption(tmp_path, graded, unexported):
         for steps, value in ((0, 0.25), (100, 0.75)):
             training.evaluate(constant_actor(training, value), steps)
         training.checkpoint(150, lambda path: path.write_text("a model"))
-        before = training.seconds
+        before = training.meter.seconds
     with Training(recipe(), OPTIONS, out, 0, True) as training:
         assert training.newest_checkpoint() == out / "checkpoints" / "150.zip"
-        assert training.seconds > 0.9 * before
+        assert training.meter.seconds > 0.9 * before
         assert not training.due(199)
         assert training.due(200)
         training.evaluate(constant_actor(training, 0.5), 200)
@@ -113,7 +113,7 @@ def test_the_curve_is_a_table_of_held_out_episodes(tmp_path):
         training.evaluate(actor, 0)
     with (out / "curve.csv").open() as lines:
         (row,) = csv.DictReader(lines)
-    assert list(row) == ["steps", "minutes", "success", "low", "high", "return"]
+    assert list(row) == ["steps", "minutes", "success", "low", "high", "return", "decisions"]
     worlds = make_worlds("armctl/ArmReach-v0", 4)
     played = list(rollouts(actor, worlds, 4, VALIDATION_SEED))
     assert float(row["return"]) == pytest.approx(np.mean([episode.total_reward for episode in played]))

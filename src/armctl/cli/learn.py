@@ -125,7 +125,7 @@ def train(
     assert card.evaluation is not None
     low, high = card.evaluation.success_interval
     _say(
-        f"{card.training_steps:,} steps in {card.training_minutes} minutes, best after {card.best_after:,}: "
+        f"Trained for {card.cost}, in {card.training_minutes} minutes; best after {card.best_after:,} steps: "
         f"success {card.evaluation.success_rate:.1%} [{low:.1%}, {high:.1%}] "
         f"on {card.evaluation.episodes} held-out episodes"
     )

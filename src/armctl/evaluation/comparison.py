@@ -13,7 +13,7 @@ from armctl.evaluation.provenance import machine, versions
 from armctl.evaluation.summary import PolicySummary
 from armctl.evaluation.summary_tables import details, paired_table, policy_table
 from armctl.evaluation.tables import Document, Remark, Table
-from armctl.evaluation.verdict import verdict
+from armctl.evaluation.verdict import headline, verdict
 
 
 @dataclass(repr=False)
@@ -53,6 +53,11 @@ class Comparison(Displayed):
     def verdict(self) -> str:
         """Which policy is better, by how much, at what cost; empty for a single policy."""
         return verdict(self.policies, self.paired, self.baseline, self.margin) if self.paired else ""
+
+    @property
+    def headline(self) -> tuple[str, str]:
+        """The verdict in short: who is better by how much, and at what cost; empty for a single policy."""
+        return headline(self.policies, self.paired, self.baseline, self.margin) if self.paired else ("", "")
 
     def document(self) -> Document:
         """The tables, the verdict, and what else there is to say."""

@@ -1,6 +1,7 @@
 """Reads curves from CSV files: success during a training (`curve.csv`) and under disturbances (`sweep.csv`)."""
 
 import io
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -42,8 +43,13 @@ def training_curves(policies: Sequence[str]) -> tuple[dict[str, pd.DataFrame], l
 
 
 def read_curve(path: Path) -> pd.DataFrame:
-    """A learning curve: a row per evaluation, with `CURVE_COLUMNS`. Raises `ResultsError`."""
-    return _table(path, CURVE_COLUMNS, CURVE_COLUMNS)
+    """A learning curve: a row per evaluation, with `CURVE_COLUMNS` and `decisions`. Raises `ResultsError`.
+
+    `decisions`, the control steps in simulation so far, are NaN in curves of older versions.
+    """
+    table = _table(path, CURVE_COLUMNS, CURVE_COLUMNS)
+    counted = table["decisions"] if "decisions" in table else pd.Series(math.nan, table.index)
+    return table.assign(decisions=pd.to_numeric(counted, errors="coerce").astype(float))
 
 
 def read_sweep(folder: Path) -> pd.DataFrame:

@@ -4,10 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import pandas as pd
-from pydantic import TypeAdapter, ValidationError
+from pydantic import BeforeValidator, TypeAdapter, ValidationError
 from typing_extensions import TypedDict
 
 from armctl.errors import ResultsError
@@ -43,6 +43,13 @@ class _RealTime(TypedDict):
     slow_down: float
 
 
+def _with_training(policy: Any) -> Any:
+    """A policy's summary, which older versions wrote with two numbers in place of its `TrainingCost`."""
+    if not isinstance(policy, dict) or "training" in policy:
+        return policy
+    return policy | {"training": {"steps": policy.get("training_steps"), "minutes": policy.get("training_minutes")}}
+
+
 @dataclass(frozen=True)
 class _Summary:
     """`summary.json`, as `EpisodeLog.finish` writes it."""
@@ -55,7 +62,7 @@ class _Summary:
     interrupted: bool
     resumed: int
     failures: dict[str, str]
-    policies: list[PolicySummary]
+    policies: list[Annotated[PolicySummary, BeforeValidator(_with_training)]]
     paired: list[PairedDifference]
     versions: dict[str, str]
     machine: dict[str, Any]

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.agents import TrainingCost
 from armctl.envs import SEES
 from armctl.envs.vector import UNSTABLE
 from armctl.evaluation.decision_times import comparable_times, setting_in_words
@@ -31,8 +32,7 @@ class PolicySummary:
 
     policy: str
     sees: str
-    training_steps: int
-    training_minutes: float
+    training: TrainingCost
     planned: int
     """Number of episodes asked for."""
     episodes: int
@@ -76,6 +76,10 @@ class PolicySummary:
     """How many worlds shared the policy's calls in the episodes from which the decision times are."""
     workers: int = 1
     """How many processes played at a time in these."""
+    decision_ms_mean: float | None = None
+    """Of warm decisions, like the median; None in results of older versions, like the next one."""
+    decision_seconds: Estimate | None = None
+    """Mean over episodes of the time of all their decisions, the cold one included."""
     trainings: dict[str, float] = field(default_factory=dict)
     """Of a group: each training's success rate, or return if success is unknown, by its name in `episodes.csv`.
 
@@ -86,7 +90,12 @@ class PolicySummary:
     @property
     def learned(self) -> bool:
         """Whether it was trained."""
-        return self.training_steps > 0
+        return self.training.steps > 0
+
+    @property
+    def decision_ms(self) -> float:
+        """Mean time of a warm decision, or the median in results of older versions."""
+        return self.decision_ms_p50 if self.decision_ms_mean is None else self.decision_ms_mean
 
     @property
     def timing(self) -> str:
@@ -174,8 +183,7 @@ def _summary(
     return PolicySummary(
         name,
         policy.sees,
-        policy.training_steps,
-        getattr(policy, "training_minutes", None) or 0.0,
+        _training_cost(policy),
         planned,
         len(results),
         infeasible,
@@ -199,6 +207,8 @@ def _summary(
         float(cold.max()) if len(cold) else None,
         timed[0].worlds,
         timed[0].workers,
+        float(decisions.mean()),
+        mean(np.array([np.nansum(result.decision_ms) / 1e3 for result in timed])),
     )
 
 
@@ -229,6 +239,13 @@ def _of_group(
     changes |= {"metrics": metrics, "trainings": rates, "between": mean_over_trainings(values).between}
     changes["episodes"] = values.shape[1]
     return replace(pooled, **changes)
+
+
+def _training_cost(policy: Policy) -> TrainingCost:
+    """What a policy's training took: the steps that it tells are decisions, unless its card knows better."""
+    steps, minutes = policy.training_steps, getattr(policy, "training_minutes", None)
+    known = getattr(policy, "training_cost", None)
+    return known if isinstance(known, TrainingCost) else TrainingCost(steps, minutes, steps or None)
 
 
 def _mean_metric(name: str, results: Sequence[EpisodeResult]) -> Estimate | None:

@@ -6,7 +6,9 @@ from collections.abc import Sequence
 
 import pandas as pd
 
+from armctl.agents import TrainingCost
 from armctl.evaluation.degradation import FALSE_DISCOVERY_RATE, Degradation, degradations
+from armctl.evaluation.endurance import endurance_headline, endurances
 from armctl.evaluation.paired import PairedDifference, holm
 from armctl.evaluation.statistics import Estimate
 from armctl.evaluation.summary import PolicySummary
@@ -35,7 +37,7 @@ def policy_table(env: str, seed: int, policies: Sequence[PolicySummary], disqual
         for policy in policies
     ]
     rows += [[Cell(name, DISQUALIFIED), *[Cell(UNKNOWN)] * (len(columns) - 1)] for name in disqualified]
-    caption = "With training steps, 95 % intervals, and the 99th percentile of decision times."
+    caption = "With decisions in training (M: million), 95 % intervals, and the 99th percentile of decision times."
     if any(policy.trainings for policy in policies):
         caption += " [*]: the intervals of means are for other trainings and other episodes."
     if disqualified:
@@ -52,9 +54,16 @@ def policy_table(env: str, seed: int, policies: Sequence[PolicySummary], disqual
 
 
 def _training(policy: PolicySummary) -> str:
-    if policy.trainings:
-        return f"{len(policy.trainings)} x {policy.training_steps:,}"
-    return f"{policy.training_steps:,}" if policy.training_steps else "untrained"
+    return f"{len(policy.trainings)} x {trained(policy.training)}" if policy.trainings else trained(policy.training)
+
+
+def trained(cost: TrainingCost) -> str:
+    """What a policy's training took, in a few characters."""
+    if not cost.steps:
+        return "untrained"
+    count = cost.decisions or cost.gradient_steps or cost.steps
+    short = f"{count / 1e6:.3g} M" if count >= 999_500 else f"{count:,}"
+    return short if cost.decisions else f"{short} {'updates' if cost.gradient_steps else 'steps'}"
 
 
 def details(policy: PolicySummary) -> Remark:
@@ -69,6 +78,8 @@ def details(policy: PolicySummary) -> Remark:
         said.append(f"{100 * gap.value:.0f}{_bracketed(gap, 100, 0)} % over the least time (median)")
     if error := policy.tracking_error:
         said.append(f"tracking error {1e3 * error.value:.1f}{_bracketed(error, 1e3, 1)} mm")
+    if seconds := policy.decision_seconds:
+        said.append(f"decisions take {seconds.value:.2g} s an episode")
     if policy.solver_failures:
         said.append(f"its solver failed {policy.solver_failures} times")
     if policy.missed_deadlines:
@@ -115,8 +126,8 @@ def paired_table(pairs: Sequence[PairedDifference]) -> Table:
 def sweep_parts(points: pd.DataFrame) -> list[Table | Remark]:
     """A table for each disturbance, of all policies at all levels, and from which level each policy gets worse."""
     parts: list[Table | Remark] = []
-    by_success = bool(points.success.notna().any())
-    found = degradations(points)
+    by_success, policies = bool(points.success.notna().any()), points.policy.nunique()
+    found, enduring = degradations(points), endurances(points)
     for name, rows in points.groupby("disturbance", sort=False):
         levels = list(dict.fromkeys(rows.level))
         if len(levels) == 1:  # the undisturbed one: cut short
@@ -137,10 +148,13 @@ def sweep_parts(points: pd.DataFrame) -> list[Table | Remark]:
             )
         )
         parts.append(Remark(_degradation_text([one for one in found if one.disturbance == name])))
+        parts += [Remark(str(one)) for one in enduring if one.disturbance == name and policies > 1]
     test, rate = "McNemar's exact test" if by_success else "sign test", f"{100 * FALSE_DISCOVERY_RATE:g} %"
     parts.append(
         Remark(f"Worse: than without disturbance, on the same episodes ({test}, false discovery rate {rate}).")
     )
+    if enduring and policies > 1:
+        parts.append(Remark(endurance_headline(enduring), "verdict"))
     return parts
 
 

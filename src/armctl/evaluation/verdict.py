@@ -60,12 +60,44 @@ def verdict(
     if fewest < FEWEST:
         said = [f"No verdict from {fewest} episode{'s' if fewest > 1 else ''}: it takes {FEWEST}."]
     else:
-        told = _pairs_to_tell(policies, baseline)
-        claims = _claims(policies, len(told), baseline)
-        contests = [_contest(policies, paired, names, baseline, claims) for names in told]
-        said = [_sentence(contest, margin) for contest in contests]
-        said += [_cost(contests[0]), _privileges(contests[0]), _networks(contests)] if contests else []
+        told = contests(policies, paired, baseline)
+        said = [_sentence(contest, margin) for contest in told]
+        said += [_cost(told[0]), _privileges(told[0]), _networks(told)] if told else []
     return " ".join(filter(None, (*said, *map(_physics_failed, policies))))
+
+
+def headline(
+    policies: Sequence[PolicySummary],
+    paired: Sequence[PairedDifference],
+    baseline: str | None = None,
+    margin: float = MARGIN,
+) -> tuple[str, str]:
+    """The verdict's first pair in two short sentences: who wins by how much, and at what cost (empty without one)."""
+    told = contests(policies, paired, baseline)
+    if not told or min(pair.episodes for pair in paired) < FEWEST:
+        return verdict(policies, paired, baseline, margin).partition(". ")[0].rstrip(".") + ".", ""
+    contest = told[0]
+    first, second = contest.first, contest.second
+    if contest.p is None:
+        result = _sentence(contest, margin)
+    elif contest.p < SIGNIFICANT:
+        gain, _, interval = _difference(contest).removeprefix("+").partition(" [")
+        result = f"{first.policy} beats {second.policy} by {gain} of success [{interval}."
+    elif contest.pair.equivalent(margin, contest.claims):
+        result = f"{first.policy} and {second.policy} are equivalent within {100 * margin:g} points of success."
+    else:
+        result = f"Undecided between {first.policy} and {second.policy}: success {_difference(contest)}."
+    times = [f"{one.policy} {one.decision_ms:.2g} ms{one.training.brief}" for one in (first, second)]
+    return result, f"A decision takes {', and '.join(times)}."
+
+
+def contests(
+    policies: Sequence[PolicySummary], paired: Sequence[PairedDifference], baseline: str | None
+) -> list[Contest]:
+    """The pairs that a verdict tells, the most important one first."""
+    told = _pairs_to_tell(policies, baseline)
+    claims = _claims(policies, len(told), baseline)
+    return [_contest(policies, paired, names, baseline, claims) for names in told]
 
 
 def _pairs_to_tell(policies: Sequence[PolicySummary], baseline: str | None) -> list[tuple[str, str]]:
@@ -155,13 +187,11 @@ def _more(contest: Contest, margin: float, points: str) -> str:
 
 def _cost(contest: Contest) -> str:
     """What the two policies need: training, and time for a decision."""
+    both = (contest.first, contest.second)
     trained = [
-        f"{one.policy} was trained for {one.training_steps:,} steps"
-        + (f" ({one.training_minutes:.1f} minutes)" if one.training_minutes else "")
-        for one in (contest.first, contest.second)
-        if one.learned
+        f"{one.policy} was trained for {one.training}{' each' * bool(one.trainings)}" for one in both if one.learned
     ]
-    times = " and ".join(f"{one.policy} {one.decision_ms_p50:.2g} ms" for one in (contest.first, contest.second))
+    times = " and ".join(f"{one.policy} {one.decision_ms:.2g} ms" for one in both)
     return f"{'; '.join((*trained, f'a decision takes {times}'))}." if trained else f"A decision takes {times}."
 
 

@@ -16,8 +16,8 @@ Actions = NDArray[np.floating[Any]]
 class Policy(Protocol):
     """Acts in n worlds at once.
 
-    Two attributes are optional, and go into the results: `failures` (n,), the number of times that its solver has
-    failed in each world, and `training_minutes`.
+    Three attributes are optional, and go into the results: `failures` (n,), the number of times that its solver has
+    failed in each world, `training_minutes`, and `training_cost`, an `armctl.agents.TrainingCost`.
     """
 
     sees: Sees

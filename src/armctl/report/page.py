@@ -14,20 +14,22 @@ import pandas as pd
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
+from armctl.agents import TrainingCost, rounded
 from armctl.envs import full_id
 from armctl.errors import ResultsError
 from armctl.evaluation.curves import POINTS, RECORDED, read_sweep
+from armctl.evaluation.endurance import endurance_headline, endurances
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.results import Results, read_results
 from armctl.evaluation.store import COMPARISON
 from armctl.evaluation.summary import PolicySummary
-from armctl.evaluation.summary_tables import trainings_in_words
+from armctl.evaluation.summary_tables import trained, trainings_in_words
 from armctl.evaluation.sweep import UNDISTURBED
 from armctl.files import write_atomically
 from armctl.registration import import_attribute, remember_named
 from armctl.report import style
 from armctl.report.colours import DARK, on_both
-from armctl.report.plots import comparison_plots, mean, percent, spread, sweep_plots
+from armctl.report.plots import comparison_plots, mean, percent, renamed, spread, sweep_plots
 from armctl.report.videos import film, most_different, worst
 
 REPORT = "report.html"
@@ -69,11 +71,13 @@ def write_report(
     look = style.looks(names)
     groups = results.comparison.groups if results else {}
     look |= {member: replace(look[name], label=member) for name in groups for member in groups[name]}
+    enduring = [] if sweep is None or sweep.policy.nunique() < 2 else endurances(sweep)
     page: dict[str, Any] = {
         "look": look,
         "written": datetime.now().strftime("%Y-%m-%d %H:%M"),
         "folder": folder.resolve().name,
-        "robustness": [] if sweep is None else sweep_plots(sweep, look),
+        "robustness": [] if sweep is None else sweep_plots(sweep, enduring, look),
+        "endurance": renamed(endurance_headline(enduring), look),
         "swept_by_success": sweep is not None and bool(sweep.success.notna().any()),
         "swept": [] if sweep is None else [look[name] for name in sweep.policy.unique()],
         "results": results,
@@ -107,6 +111,8 @@ def write_report(
         "base64": _base64,
         "on_both": on_both,
         "trainings": trainings_in_words,
+        "training": trained,
+        "training_more": _training_more,
     }
     text = environment.get_template("page.html.j2").render(page, dark=DARK, plotly=Markup(get_plotlyjs()))
     try:
@@ -122,13 +128,11 @@ def _comparison(results: Results, look: style.Looks) -> dict[str, Any]:
     policies = comparison.policies
     planned = policies[0].planned if policies else 0
     extent = f"--episodes {planned}{_parallel(policies)}{_late(results)}" if planned else ""
-    sentence = _verdict(results)
-    for name in sorted(look, key=len, reverse=True):
-        sentence = sentence.replace(name, look[name].label)
-    headline, _, rest = sentence.partition(". ")
+    result, cost = comparison.headline
     page: dict[str, Any] = {
-        "headline": headline,
-        "lead": rest,
+        "headline": renamed(result or _single(results), look),
+        "cost": renamed(cost, look),
+        "verdict": renamed(comparison.verdict, look),
         "planned": planned,
         "extent": extent,
         "command": _command("compare", results, extent, results.names),
@@ -137,10 +141,9 @@ def _comparison(results: Results, look: style.Looks) -> dict[str, Any]:
     return page | (comparison_plots(results, look) if policies else {})
 
 
-def _verdict(results: Results) -> str:
+def _single(results: Results) -> str:
+    """What there is to say without a pair of policies."""
     policies = results.comparison.policies
-    if results.comparison.paired:
-        return results.comparison.verdict
     if not policies:
         return "No episode was finished."
     only, success = policies[0], policies[0].success
@@ -203,6 +206,18 @@ def _disturbances(sweep: pd.DataFrame) -> str:
     recorded = sweep.attrs.get(RECORDED)
     late = f" --real-time {shlex.quote(str(recorded))}" if recorded else ""
     return "".join(f" --disturbance {shlex.quote(one)}" for one in asked) + late
+
+
+def _training_more(cost: TrainingCost) -> str:
+    """The small print about a training: what it took, each on a line."""
+    counts = {"gradient steps": cost.gradient_steps, "teacher queries": cost.teacher_queries or None}
+    told = ["decisions"] if cost.decisions else []
+    told += [f"{rounded(count)} {what}" for what, count in counts.items() if count is not None]
+    if cost.processor_seconds is not None:
+        told.append(f"{cost.processor_seconds / 60:.1f} processor minutes")
+    if cost.minutes:
+        told.append(f"{cost.minutes:.1f} minutes")
+    return "\n".join(told)
 
 
 def _base64(data: bytes) -> str:

@@ -1,7 +1,7 @@
 """The figures of a comparison with their texts, as the report's page shows them."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
@@ -13,10 +13,13 @@ from markupsafe import Markup
 from armctl.envs import check_from_file, make_worlds
 from armctl.errors import ArmctlError
 from armctl.evaluation.curves import training_curves
+from armctl.evaluation.endurance import Endurance
 from armctl.evaluation.paired import PairedDifference
 from armctl.evaluation.results import Results
 from armctl.evaluation.statistics import Estimate
+from armctl.evaluation.summary import PolicySummary
 from armctl.evaluation.tables import p_value
+from armctl.evaluation.trade_off import break_evens, cost_curve, pareto_front, points
 from armctl.report import figures, style
 from armctl.report.colours import TERM_COLOURS
 from armctl.report.profile import profile, profile_start
@@ -87,16 +90,56 @@ def comparison_plots(results: Results, look: style.Looks) -> dict[str, Any]:
                 for policy in policies
             ),
         ),
-        "learning": Plot(figures.learning(curves, policies, look), "Success during training") if curves else None,
+        "trade_off": trade_off_plot(policies, look),
+        "training_cost": _training_cost(policies, curves, look),
         "curve_problems": problems,
     }
 
 
-def sweep_plots(sweep: pd.DataFrame, look: style.Looks) -> list[Plot]:
-    """A figure for each disturbance of a sweep."""
+def trade_off_plot(policies: Sequence[PolicySummary], look: style.Looks) -> Plot | None:
+    """Success or return against decision time; None if the times cannot be compared, or there is one policy."""
+    found = points(policies)
+    if len(found) < 2:
+        return None
+    front = ", ".join(look[one.label].label for one in pareto_front(found))
+    by_success = any(policy.success for policy in policies)
+    times = f" Times are {policies[0].timing}." if policies[0].timing else ""
+    return Plot(
+        figures.trade_off(found, look, by_success),
+        f"{'Success' if by_success else 'Return'} against decision time",
+        note=f"Dots: mean time of a decision; lines: up to the 99th percentile. Pareto front: {front}.{times}",
+    )
+
+
+def _training_cost(
+    policies: Sequence[PolicySummary], curves: Mapping[str, pd.DataFrame], look: style.Looks
+) -> Plot | None:
+    """Success against decisions of training, and the break-even points in words; None if no decisions are known."""
+    costs = {one.policy: cost_curve(one, curves.get(one.policy)) for one in policies if one.learned}
+    known = {name: curve for name, curve in costs.items() if not curve.empty}
+    if not known:
+        return None
+    found = break_evens(policies, curves)
+    said = [str(one) for one in found]
+    if unknown := [name for name in costs if name not in known]:
+        said.append(f"How many decisions it took to train {', '.join(unknown)} is unknown.")
+    figure = figures.training_cost(known, policies, found, look)
+    return Plot(figure, "Success against decisions of training", note=renamed(" ".join(said), look))
+
+
+def renamed(text: str, look: style.Looks) -> str:
+    """A text with the labels of policies in place of their names."""
+    for name in sorted(look, key=len, reverse=True):
+        text = text.replace(name, look[name].label)
+    return text
+
+
+def sweep_plots(sweep: pd.DataFrame, found: Sequence[Endurance], look: style.Looks) -> list[Plot]:
+    """A figure for each disturbance of a sweep, and who holds out longest."""
     what = "Success" if sweep.success.notna().any() else "Return"
+    said = {one.disturbance: renamed(str(one), look) for one in found}
     return [
-        Plot(figures.robustness(rows, look), f"{what} against the level of {name}", str(name))
+        Plot(figures.robustness(rows, look), f"{what} against the level of {name}", str(name), said.get(str(name), ""))
         for name, rows in sweep.groupby("disturbance", sort=False)
         if rows.level.nunique() > 1
     ]

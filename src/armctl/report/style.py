@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from armctl.report.colours import COLOURS, GRID, INK, LINE, PALE, PAPER, faint
 
 DASHES = ("solid", "dash", "dot", "dashdot")
+SYMBOLS = dict(zip(DASHES, ("circle", "square", "diamond", "cross"), strict=True))
 FONT = "'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
 LONGEST_LABEL = 20
 MOST_DOTS, CELLS = 1000, 80
@@ -135,6 +136,23 @@ def add_line(
         customdata=customdata,
         hovertemplate=f"{escaped(style.label)}: {hover}<extra></extra>",
     )
+
+
+def add_point(figure: go.Figure, x: Any, y: Any, low: Any, high: Any, style: Look, hover: str) -> None:
+    """Add a policy's points with vertical intervals. `hover` is the text at one, in Plotly's template language."""
+    y, low, high = (np.asarray(values, dtype=float) for values in (y, low, high))
+    figure.add_scatter(
+        x=listed(x),
+        y=listed(y),
+        name=escaped(style.label),
+        mode="markers",
+        marker={"color": style.colour, "size": 11, "symbol": SYMBOLS[style.dash], "line": {"color": PAPER, "width": 1}},
+        error_y={
+            "type": "data", "symmetric": False, "array": listed(high - y), "arrayminus": listed(y - low),
+            "color": style.colour, "thickness": 1.6, "width": 4,
+        },
+        hovertemplate=f"{escaped(style.label)}: {hover}<extra></extra>",
+    )  # fmt: skip
 
 
 def add_band(figure: go.Figure, x: Any, low: Any, high: Any, style: Look, shape: str = "linear") -> None:
