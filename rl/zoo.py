@@ -2,7 +2,8 @@
 
 Shipped agents have their cards in `rl/agents/`, those of other training seeds theirs in `rl/agents/seeds/`. With
 `--evaluate`, the shipped agents play the episodes on their cards again, and the cards get the new results, as after
-new physics. With `--recount`, cards that are older than the counters get those costs of their training that are certain.
+new physics. With `--recount`, cards that are older than the counters get those costs of their training that are
+certain.
 """
 
 import sys
