@@ -104,10 +104,10 @@ def compare(
         console.print(
             f"{folder / 'episodes.csv'} has every episode, {folder / 'summary.json'} the tables.", soft_wrap=True
         )
-    _exit_if_interrupted(comparison.interrupted, folder, console)
+    exit_if_interrupted(comparison.interrupted, folder, console)
     if report and written:
-        _write_report(folder, None, console)
-    _print_tracebacks(comparison.tracebacks)
+        make_report(folder, None, console)
+    print_tracebacks(comparison.tracebacks)
     if comparison.failures:
         raise typer.Exit(1)
 
@@ -153,10 +153,11 @@ def report(
     """
     from armctl.console import PlainConsole
 
-    _write_report(folder, out, PlainConsole(), video=video, env=env, policies=policies or ())
+    make_report(folder, out, PlainConsole(), video=video, env=env, policies=policies or ())
 
 
-def _print_tracebacks(tracebacks: Mapping[str, str]) -> None:
+def print_tracebacks(tracebacks: Mapping[str, str]) -> None:
+    """Print tracebacks on standard error, if asked for."""
     from armctl.console import printable
 
     if settings.traceback:
@@ -164,13 +165,14 @@ def _print_tracebacks(tracebacks: Mapping[str, str]) -> None:
             print(printable(f"{name}:\n{text}"), file=sys.stderr)
 
 
-def _exit_if_interrupted(interrupted: bool, folder: Path, console: "Console") -> None:
+def exit_if_interrupted(interrupted: bool, folder: Path, console: "Console") -> None:
+    """After an interrupt, say how to resume, and exit with status 130."""
     if interrupted:
         console.print(f"The same command with --out {folder} resumes from there.", soft_wrap=True)
         raise typer.Exit(130)
 
 
-def _write_report(
+def make_report(
     folder: Path,
     out: Path | None,
     console: "Console",
@@ -179,6 +181,7 @@ def _write_report(
     env: str | None = None,
     policies: Sequence[str] = (),
 ) -> None:
+    """Write a report, and say where it is."""
     from rich.text import Text
 
     from armctl.console import PlainConsole
@@ -281,9 +284,9 @@ def sweep(
     console = print_document(found.document(), table_format)
     if "results" not in found.failures:
         console.print(f"{folder / 'sweep.csv'} has the curves; each comparison has a folder beside it.", soft_wrap=True)
-    _exit_if_interrupted(found.interrupted, folder, console)
+    exit_if_interrupted(found.interrupted, folder, console)
     for one in found.comparisons.values():
-        _print_tracebacks(one.tracebacks)
+        print_tracebacks(one.tracebacks)
     if found.failures:
         raise typer.Exit(1)
 
