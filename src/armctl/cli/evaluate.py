@@ -133,11 +133,18 @@ def plan(
 
 @app.command()
 def report(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a comparison's or a sweep's results.")],
+    folder: Annotated[
+        Path, typer.Argument(metavar="DIR", help="Folder of the results of a comparison, a sweep or a suite.")
+    ],
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="HTML file to write.", show_default="DIR/report.html")
     ] = None,
-    video: Annotated[bool, typer.Option("--video/--no-video", help="Play some episodes again for videos.")] = True,
+    video: Annotated[
+        bool | None,
+        typer.Option(
+            "--video/--no-video", help="Play some episodes again for videos.", show_default="unless a suite's"
+        ),
+    ] = None,
     env: Annotated[
         str | None, typer.Option("--env", help="Environment of your own that the results name, such as mine:Maze.")
     ] = None,
@@ -146,7 +153,7 @@ def report(
         typer.Option("--policy", metavar="POLICY", help="Policy of your own that they name; can be repeated."),
     ] = None,
 ) -> None:
-    """Write the report of a comparison: one HTML file that works offline, on a phone and in print.
+    """Write the report of a comparison, a sweep or a suite: one HTML file, for offline, phone and print.
 
     A results folder never runs code. If its environment or policies are modules of your own, the videos need their
     names on the command line too, as `--env` and `--policy`.
@@ -177,7 +184,7 @@ def make_report(
     out: Path | None,
     console: "Console",
     *,
-    video: bool = True,
+    video: bool | None = None,
     env: str | None = None,
     policies: Sequence[str] = (),
 ) -> None:

@@ -10,8 +10,6 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
-
 from armctl.envs import full_id, make_worlds
 from armctl.errors import ArmctlError, ConfigurationError, ResultsError
 from armctl.evaluation.across_tasks import family, mean_over_tasks, rank

@@ -1,17 +1,12 @@
 """Writes the report of a results folder: one HTML file that makes no network requests."""
 
-import base64
 import os.path
 import shlex
 from collections.abc import Callable, Sequence
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import pandas as pd
-from markupsafe import Markup
-from plotly.offline import get_plotlyjs
 
 from armctl.envs import full_id
 from armctl.errors import ResultsError
@@ -19,13 +14,15 @@ from armctl.evaluation.curves import POINTS, RECORDED, read_sweep
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.results import Results, read_results
 from armctl.evaluation.store import COMPARISON
+from armctl.evaluation.suite import SUITE
+from armctl.evaluation.suite_results import read_suite
 from armctl.evaluation.summary import PolicySummary
 from armctl.evaluation.sweep import UNDISTURBED
-from armctl.files import write_atomically
 from armctl.registration import import_attribute, remember_named
 from armctl.report import style
-from armctl.report.colours import DARK, on_both
 from armctl.report.plots import comparison_plots, mean, percent, spread, sweep_plots
+from armctl.report.render import write_page
+from armctl.report.suite_page import task_folders, write_suite_page
 from armctl.report.videos import film, most_different, worst
 
 REPORT = "report.html"
@@ -35,14 +32,15 @@ def write_report(
     folder: str | Path,
     out: str | Path | None = None,
     *,
-    video: bool = True,
+    video: bool | None = None,
     env: str | None = None,
     policies: Sequence[str] = (),
     progress: Callable[[str], None] = lambda doing: None,
 ) -> Path:
-    """Write the report of a comparison's or a sweep's folder to `out` (`folder/report.html`), and return its path.
+    """Write the report of a comparison's, sweep's or suite's folder to `out` (`folder/report.html`); return its path.
 
-    With `video`, some episodes are played again; if that is impossible, the report says why. A folder runs no code:
+    With `video`, some episodes are played again; if that is impossible, the report says why. By default, it is so but
+    for suites, whose tasks get reports of their own. A folder runs no code:
     what it names as `module:name` is imported only if it is `env` or one of `policies`, or was named in this process
     before. `progress` is called with what is being done.
 
@@ -56,6 +54,8 @@ def write_report(
     if not os.path.isdir(folder):  # also for a name that no folder can have
         raise ResultsError(f"there is no folder {folder}: armctl compare --out {shlex.quote(str(folder))} makes one")
     out = folder / REPORT if out is None else Path(out)
+    if (folder / SUITE).exists():
+        return _suite(folder, out, bool(video), progress)
     sweep = read_sweep(folder) if (folder / POINTS).exists() else None
     home = folder if sweep is None or (folder / COMPARISON).exists() else folder / UNDISTURBED
     if sweep is None and not (home / COMPARISON).exists():
@@ -67,7 +67,6 @@ def write_report(
     look = style.looks(names)
     page: dict[str, Any] = {
         "look": look,
-        "written": datetime.now().strftime("%Y-%m-%d %H:%M"),
         "folder": folder.resolve().name,
         "robustness": [] if sweep is None else sweep_plots(sweep, look),
         "swept_by_success": sweep is not None and bool(sweep.success.notna().any()),
@@ -81,33 +80,28 @@ def write_report(
         page |= _comparison(results, look)
         if sweep is not None:
             page["command"] = f"{_command('sweep', results, page['extent'], results.names)}{_disturbances(sweep)}"
-        if not video:
+        if video is False:
             page["no_videos"] = "They were left out (--no-video)."
         elif results.comparison.real_time:
             page["no_videos"] = "Episodes in real time cannot be played again for them."
         else:
             page |= _videos(results, progress)
     progress("writing")
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("armctl.report", "."),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {
-        "percent": percent,
-        "mean": mean,
-        "number": style.number,
-        "spread": spread,
-        "base64": _base64,
-        "on_both": on_both,
-    }
-    text = environment.get_template("page.html.j2").render(page, dark=DARK, plotly=Markup(get_plotlyjs()))
-    try:
-        write_atomically(out, text)
-    except OSError as error:
-        raise ResultsError(f"the report {out} cannot be written: {error.strerror}") from error
+    write_page(out, "page.html.j2", page)
+    return out
+
+
+def _suite(folder: Path, out: Path, video: bool, progress: Callable[[str], None]) -> Path:
+    """Write the page of a suite, and beside it, the reports of its tasks."""
+    found, reports = read_suite(folder), dict[str, str]()
+    for env, name in task_folders(found).items():
+        if (folder / name).is_symlink():
+            raise ResultsError(f"{folder / name} is a symbolic link, through which nothing is written")
+        if found.tasks[env].comparisons:
+            progress(name)
+            write_report(folder / name, video=video)
+            reports[env] = os.path.relpath(folder / name / REPORT, out.parent)
+    write_suite_page(found, folder, out, reports)
     return out
 
 
@@ -198,7 +192,3 @@ def _disturbances(sweep: pd.DataFrame) -> str:
     recorded = sweep.attrs.get(RECORDED)
     late = f" --real-time {shlex.quote(str(recorded))}" if recorded else ""
     return "".join(f" --disturbance {shlex.quote(one)}" for one in asked) + late
-
-
-def _base64(data: bytes) -> str:
-    return base64.b64encode(data).decode("ascii")
