@@ -83,8 +83,8 @@ class Answer:
         if before.better and (lost := [self.labels[name] for name, one in disturbed.items() if not one.better]):
             said.append(f"undecided with {', '.join(lost)}")
         if not said:
-            same = "the order stays" if before.better else "neither is shown to be better"
-            said.append(f"{same} with all {len(disturbed)} disturbances")
+            count = f"{len(disturbed)} disturbances"
+            said.append(f"the order stays with all {count}" if before.better else f"undecided with all {count}")
         return "; ".join(said)
 
     @property

@@ -17,6 +17,8 @@ SYMBOLS = {
     "circle": "●", "square": "■", "diamond": "◆", "triangle-up": "▲", "triangle-down": "▼", "star": "★", "hexagon": "⬢",
 }  # fmt: skip
 """Of tasks, and how they look in a text."""
+HALVES = (0.1, 0.2, 0.3, 0.4, 0.5)
+"""How far an axis may reach to both sides of one half."""
 LEAST_MS, LEAST_MINUTES = 1e-3, 0.1
 """Where a logarithmic axis begins; below it, a cost is shown there."""
 
@@ -35,7 +37,7 @@ class CostPoint:
 
 
 def intervals(rows: Mapping[str, Estimate], colours: Mapping[str, str]) -> go.Figure:
-    """A row for each share between 0 and 1, with its 95 % interval, and a line at one half."""
+    """A row for each share between 0 and 1, with its 95 % interval; dotted: one half, in the middle."""
     figure = go.Figure()
     for name, one in rows.items():
         label, colour = escaped(name), colours[name]
@@ -53,7 +55,10 @@ def intervals(rows: Mapping[str, Estimate], colours: Mapping[str, str]) -> go.Fi
         )
         add_label(figure, name, f"<b>{100 * one.value:.1f} %</b>", f"{100 * low:.1f} to {100 * high:.1f}")
     figure.add_vline(x=0.5, line={"color": PALE, "width": 1, "dash": "dot"})
-    x = SHARE_AXIS | {"tickvals": [0, 0.5, 1], "ticktext": ["0 %", "50 %", "100 %"]}
+    farthest = max((abs(end - 0.5) for trace in figure.data for end in trace.x), default=0.5)
+    half = next(half for half in HALVES if half >= min(farthest, 0.5))
+    ends = [0.5 - half, 0.5 + half]
+    x = {"range": [ends[0] - 0.02, ends[1] + 0.02], "tickvals": ends, "tickformat": ".0%"}
     return with_rows(figure, len(rows), x, right=100)
 
 
