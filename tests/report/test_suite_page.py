@@ -87,6 +87,13 @@ def test_a_suite_without_a_finished_task_is_a_page_too(folder):
     assert "its sweep is unfinished" in text_of(write_report(folder))
 
 
+def test_a_task_that_knows_no_disturbance_is_reported_undisturbed(tmp_path):
+    suite(["FrozenLake-v1"], episodes=2, out=tmp_path)
+    page = write_report(tmp_path)
+    assert 'href="FrozenLake-v1/none/report.html"' in page.read_text()
+    assert "FrozenLake-v1 the environment does not say what a success is." in text_of(page)
+
+
 def test_nothing_is_written_through_a_link(folder, tmp_path):
     (folder / "ArmReach-v0").rename(tmp_path / "elsewhere")
     (folder / "ArmReach-v0").symlink_to(tmp_path / "elsewhere")

@@ -63,7 +63,8 @@ def _read_task(home: Path, env: str, seed: int) -> Sweep:
     if (told.env, told.seed) != (env, seed):
         raise ResultsError(f"{home} holds a sweep of {told.env}, seed {told.seed}, not one of {env}, seed {seed}")
     found = Sweep(env, seed, told.disturbances, failures=told.failures, interrupted=told.interrupted)
-    found.points = read_sweep(home)
+    if told.disturbances:
+        found.points = read_sweep(home)
     named = [folder_name(name, level) for name, levels in told.disturbances.items() for level in levels[1:]]
     for name in (UNDISTURBED, *named):
         try:

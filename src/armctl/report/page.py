@@ -95,12 +95,14 @@ def _suite(folder: Path, out: Path, video: bool, progress: Callable[[str], None]
     """Write the page of a suite, and beside it, the reports of its tasks."""
     found, reports = read_suite(folder), dict[str, str]()
     for env, name in task_folders(found).items():
-        if (folder / name).is_symlink():
-            raise ResultsError(f"{folder / name} is a symbolic link, through which nothing is written")
-        if found.tasks[env].comparisons:
+        home = Path(name) if found.tasks[env].levels else Path(name, UNDISTURBED)  # which knows no disturbance
+        for part in (folder / name, folder / home):
+            if part.is_symlink():
+                raise ResultsError(f"{part} is a symbolic link, through which nothing is written")
+        if UNDISTURBED in found.tasks[env].comparisons:
             progress(name)
-            write_report(folder / name, video=video)
-            reports[env] = os.path.relpath(folder / name / REPORT, out.parent)
+            write_report(folder / home, video=video)
+            reports[env] = os.path.relpath(folder / home / REPORT, out.parent)
     write_suite_page(found, folder, out, reports)
     return out
 
