@@ -123,12 +123,21 @@ def test_a_task_that_fails_is_told_and_stops_no_other(tmp_path, monkeypatch):
 def test_unusable_arguments_say_so(folder):
     with pytest.raises(ConfigurationError, match="Did you mean"):
         suite(["ArmReach-v1"])
+    with pytest.raises(ConfigurationError, match="workers"):
+        suite([REACH], workers=0)
     with pytest.raises(ConfigurationError, match="needs environments"):
         suite([])
     with pytest.raises(ResultsError, match="another seed \\(0 there, 5 here\\)"):
         suite([REACH], seed=5, out=folder)
     with pytest.raises(ConfigurationError, match="cannot be the name"):
         folder_of("../escape")
+
+
+def test_nothing_is_played_through_a_link(folder, tmp_path):
+    (folder / "ArmReach-v0").rename(tmp_path / "elsewhere")
+    (folder / "ArmReach-v0").symlink_to(tmp_path / "elsewhere")
+    found = suite([REACH], episodes=3, out=folder)
+    assert "symbolic link" in found.failures[REACH]
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from armctl.evaluation.answers import Answer, answer, chosen
 from armctl.evaluation.compare import default_policies
 from armctl.evaluation.notebook import Displayed
 from armctl.evaluation.record import EpisodeResult
+from armctl.evaluation.rollouts import check_counts
 from armctl.evaluation.statistics import Estimate
 from armctl.evaluation.sweep import Sweep, sweep, sweep_levels
 from armctl.evaluation.tables import UNKNOWN, Cell, Column, Document, Remark, Table, p_value, percent
@@ -150,6 +151,7 @@ def suite(
     """
     size = QUICK if quick else FULL
     episodes = size.episodes if episodes is None else episodes
+    check_counts(episodes=episodes, worlds=worlds, workers=workers)
     found = Suite(seed, episodes)
     names = [name for env in envs for name in (environment_names() if env == ALL else [env])]
     wanted = {folder_of(name): name for name in dict.fromkeys(map(full_id, names))}
@@ -172,7 +174,7 @@ def suite(
                 try:
                     swept = sweep(
                         plan.policies, plan.env, disturbances=plan.disturbances, episodes=episodes, seed=seed,
-                        out=folder and folder / name, overwrite=overwrite, worlds=worlds, workers=workers,
+                        out=folder and _inside(folder, name), overwrite=overwrite, worlds=worlds, workers=workers,
                         progress=functools.partial(_told, progress, name, total),
                     )  # fmt: skip
                 except ArmctlError as error:
@@ -186,6 +188,13 @@ def suite(
             found.interrupted = True
         _write(folder, found, list(wanted.values()))
     return found
+
+
+def _inside(folder: Path, name: str) -> Path:
+    """A task's folder in a suite's, which must not lead elsewhere."""
+    if (folder / name).is_symlink():
+        raise ResultsError(f"{folder / name} is a symbolic link, through which nothing is written")
+    return folder / name
 
 
 def _told(progress: Callable[[str, int], None] | None, task: str, total: int, setting: str, _: EpisodeResult) -> None:

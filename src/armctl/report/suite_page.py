@@ -81,7 +81,7 @@ def _command(found: Suite) -> str:
 
 
 def _heads(found: Suite) -> list[tuple[str, int]]:
-    """The columns of the heat map after the undisturbed one: a disturbance, and the how manieth of its levels."""
+    """The columns of the heat map after the undisturbed one: a disturbance, and which of its levels."""
     columns: dict[str, int] = {}
     for swept in found.tasks.values():
         for name, levels in swept.levels.items():
