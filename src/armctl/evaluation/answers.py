@@ -55,7 +55,7 @@ class Answer:
         names = f"{chosen(self.classical)} against {chosen(self.learned)}"
         difference = f"success {points(found.difference)}"
         if found.episodes < FEWEST:
-            return f"No verdict from {found.episodes} episodes: {names}, {difference}"
+            return f"No verdict from {found.episodes} episode{'s' * (found.episodes > 1)}: {names}, {difference}"
         if found.better:
             kind, p = ("Classical", "Learned")[found.better < 0], f"p = {found.p:.1g}"
             return f"{kind} is better: {names}, {difference}, {p}"
