@@ -17,7 +17,7 @@ from armctl.registration import environment_names
 from .command_line import ARMCTL, armctl, program
 
 
-@pytest.mark.parametrize("verb", ["list", "compare", "sweep", "run", "view", "collect", "train"])
+@pytest.mark.parametrize("verb", ["list", "compare", "sweep", "suite", "run", "view", "collect", "train"])
 def test_help_teaches_each_verb(verb, tmp_path):
     assert verb in armctl("--help", cwd=tmp_path).stdout
     assert "Usage: armctl" in armctl(verb, "--help", cwd=tmp_path).stdout
@@ -350,3 +350,29 @@ def test_run_starts_at_any_episode(tmp_path):
     both = armctl("run", "random", "--steps", "1", "--episodes", "3", cwd=tmp_path).stdout
     assert first in both
     assert third in both
+
+
+def test_a_suite_is_played_and_reported_and_one_task_that_fails_stops_no_other(tmp_path):
+    words = ("suite", "--quick", "--episodes", "1", "--out", "here", "--env", "Pendulum-v1")
+    done = armctl(*words, cwd=tmp_path)
+    assert "Pendulum-v1: the environment does not say what a success is." in done.stdout
+    assert (tmp_path / "here" / "report.html").is_file()
+    assert (tmp_path / "here" / "Pendulum-v1" / "report.html").is_file()
+    (tmp_path / "bad.py").write_text("def Maze():\n    raise OSError('no maze')\n")
+    again = armctl(*words, "--env", "bad.py:Maze", "--format", "json", cwd=tmp_path, check=False)
+    assert again.returncode == 1
+    assert [task["env"] for task in json.loads(again.stdout)["tasks"]] == ["Pendulum-v1"]
+    assert any("no maze" in remark for remark in json.loads(again.stdout)["remarks"])
+    other = armctl(*words, "--seed", "4", cwd=tmp_path, check=False)
+    assert other.returncode == 2
+    assert "another seed" in other.stderr
+
+
+def test_an_interrupted_suite_says_how_to_resume(tmp_path, monkeypatch):
+    def interrupt(*arguments, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("armctl.evaluation.parallel.rollouts", interrupt)
+    done = armctl("suite", "--env", "Pendulum-v1", "--episodes", "1", "--out", "here", cwd=tmp_path, check=False)
+    assert done.returncode == 130
+    assert "The same command with --out here resumes from there." in done.stdout

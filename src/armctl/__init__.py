@@ -31,6 +31,7 @@ _HOMES = {
     "evaluate": "armctl.evaluation",
     "compare": "armctl.evaluation",
     "sweep": "armctl.evaluation",
+    "suite": "armctl.evaluation",
 }
 __all__ = list(_HOMES)
 

@@ -109,10 +109,10 @@ def compare(
         console.print(
             f"{folder / 'episodes.csv'} has every episode, {folder / 'summary.json'} the tables.", soft_wrap=True
         )
-    _exit_if_interrupted(comparison.interrupted, folder, console)
+    exit_if_interrupted(comparison.interrupted, folder, console)
     if report and written:
-        _write_report(folder, None, console)
-    _print_tracebacks(comparison.tracebacks)
+        make_report(folder, None, console)
+    print_tracebacks(comparison.tracebacks)
     if comparison.failures:
         raise typer.Exit(1)
 
@@ -138,11 +138,18 @@ def plan(
 
 @app.command()
 def report(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a comparison's or a sweep's results.")],
+    folder: Annotated[
+        Path, typer.Argument(metavar="DIR", help="Folder of the results of a comparison, a sweep or a suite.")
+    ],
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="HTML file to write.", show_default="DIR/report.html")
     ] = None,
-    video: Annotated[bool, typer.Option("--video/--no-video", help="Play some episodes again for videos.")] = True,
+    video: Annotated[
+        bool | None,
+        typer.Option(
+            "--video/--no-video", help="Play some episodes again for videos.", show_default="unless a suite's"
+        ),
+    ] = None,
     env: Annotated[
         str | None, typer.Option("--env", help="Environment of your own that the results name, such as mine:Maze.")
     ] = None,
@@ -151,17 +158,18 @@ def report(
         typer.Option("--policy", metavar="POLICY", help="Policy of your own that they name; can be repeated."),
     ] = None,
 ) -> None:
-    """Write the report of a comparison: one HTML file that works offline, on a phone and in print.
+    """Write the report of a comparison, a sweep or a suite: one HTML file, for offline, phone and print.
 
     A results folder never runs code. If its environment or policies are modules of your own, the videos need their
     names on the command line too, as `--env` and `--policy`.
     """
     from armctl.console import PlainConsole
 
-    _write_report(folder, out, PlainConsole(), video=video, env=env, policies=policies or ())
+    make_report(folder, out, PlainConsole(), video=video, env=env, policies=policies or ())
 
 
-def _print_tracebacks(tracebacks: Mapping[str, str]) -> None:
+def print_tracebacks(tracebacks: Mapping[str, str]) -> None:
+    """Print tracebacks on standard error, if asked for."""
     from armctl.console import printable
 
     if settings.traceback:
@@ -169,21 +177,23 @@ def _print_tracebacks(tracebacks: Mapping[str, str]) -> None:
             print(printable(f"{name}:\n{text}"), file=sys.stderr)
 
 
-def _exit_if_interrupted(interrupted: bool, folder: Path, console: "Console") -> None:
+def exit_if_interrupted(interrupted: bool, folder: Path, console: "Console") -> None:
+    """After an interrupt, say how to resume, and exit with status 130."""
     if interrupted:
         console.print(f"The same command with --out {folder} resumes from there.", soft_wrap=True)
         raise typer.Exit(130)
 
 
-def _write_report(
+def make_report(
     folder: Path,
     out: Path | None,
     console: "Console",
     *,
-    video: bool = True,
+    video: bool | None = None,
     env: str | None = None,
     policies: Sequence[str] = (),
 ) -> None:
+    """Write a report, and say where it is."""
     from rich.text import Text
 
     from armctl.console import PlainConsole
@@ -288,9 +298,9 @@ def sweep(
     console = print_document(found.document(), table_format)
     if "results" not in found.failures:
         console.print(f"{folder / 'sweep.csv'} has the curves; each comparison has a folder beside it.", soft_wrap=True)
-    _exit_if_interrupted(found.interrupted, folder, console)
+    exit_if_interrupted(found.interrupted, folder, console)
     for one in found.comparisons.values():
-        _print_tracebacks(one.tracebacks)
+        print_tracebacks(one.tracebacks)
     if found.failures:
         raise typer.Exit(1)
 

@@ -4,8 +4,10 @@ from armctl.evaluation.compare import compare
 from armctl.evaluation.comparison import Comparison
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.rollouts import PolicyFailed, evaluate, rollouts
+from armctl.evaluation.suite import Suite, suite
 from armctl.evaluation.sweep import Sweep, sweep
 
 __all__ = [
-    "Comparison", "EpisodeResult", "PolicyFailed", "Sweep", "compare", "evaluate", "rollouts", "sweep",
+    "Comparison", "EpisodeResult", "PolicyFailed", "Suite", "Sweep", "compare", "evaluate", "rollouts", "suite",
+    "sweep",
 ]  # fmt: skip

@@ -1,20 +1,14 @@
 """Writes the report of a results folder: one HTML file that makes no network requests."""
 
-import base64
 import os.path
 import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import pandas as pd
-from markupsafe import Markup
-from plotly.offline import get_plotlyjs
 
-from armctl.agents import TrainingCost, rounded
 from armctl.envs import full_id
 from armctl.errors import ResultsError
 from armctl.evaluation.curves import POINTS, RECORDED, read_sweep
@@ -22,14 +16,15 @@ from armctl.evaluation.endurance import endurance_headline, endurances
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.results import Results, read_results
 from armctl.evaluation.store import COMPARISON
+from armctl.evaluation.suite import SUITE
+from armctl.evaluation.suite_results import read_suite
 from armctl.evaluation.summary import PolicySummary
-from armctl.evaluation.summary_tables import trained, trainings_in_words
 from armctl.evaluation.sweep import UNDISTURBED
-from armctl.files import write_atomically
 from armctl.registration import import_attribute, remember_named
 from armctl.report import style
-from armctl.report.colours import DARK, on_both
 from armctl.report.plots import comparison_plots, mean, percent, renamed, spread, sweep_plots
+from armctl.report.render import write_page
+from armctl.report.suite_page import task_folders, write_suite_page
 from armctl.report.videos import film, most_different, worst
 
 REPORT = "report.html"
@@ -39,14 +34,15 @@ def write_report(
     folder: str | Path,
     out: str | Path | None = None,
     *,
-    video: bool = True,
+    video: bool | None = None,
     env: str | None = None,
     policies: Sequence[str] = (),
     progress: Callable[[str], None] = lambda doing: None,
 ) -> Path:
-    """Write the report of a comparison's or a sweep's folder to `out` (`folder/report.html`), and return its path.
+    """Write the report of a comparison's, sweep's or suite's folder to `out` (`folder/report.html`); return its path.
 
-    With `video`, some episodes are played again; if that is impossible, the report says why. A folder runs no code:
+    With `video`, some episodes are played again; if that is impossible, the report says why. By default, it is so but
+    for suites, whose tasks get reports of their own. A folder runs no code:
     what it names as `module:name` is imported only if it is `env` or one of `policies`, or was named in this process
     before. `progress` is called with what is being done.
 
@@ -60,6 +56,8 @@ def write_report(
     if not os.path.isdir(folder):  # also for a name that no folder can have
         raise ResultsError(f"there is no folder {folder}: armctl compare --out {shlex.quote(str(folder))} makes one")
     out = folder / REPORT if out is None else Path(out)
+    if (folder / SUITE).exists():
+        return _suite(folder, out, bool(video), progress)
     sweep = read_sweep(folder) if (folder / POINTS).exists() else None
     home = folder if sweep is None or (folder / COMPARISON).exists() else folder / UNDISTURBED
     if sweep is None and not (home / COMPARISON).exists():
@@ -74,7 +72,6 @@ def write_report(
     enduring = [] if sweep is None or sweep.policy.nunique() < 2 else endurances(sweep)
     page: dict[str, Any] = {
         "look": look,
-        "written": datetime.now().strftime("%Y-%m-%d %H:%M"),
         "folder": folder.resolve().name,
         "robustness": [] if sweep is None else sweep_plots(sweep, enduring, look),
         "endurance": renamed(endurance_headline(enduring), look),
@@ -89,36 +86,30 @@ def write_report(
         page |= _comparison(results, look)
         if sweep is not None:
             page["command"] = f"{_command('sweep', results, page['extent'], results.names)}{_disturbances(sweep)}"
-        if not video:
+        if video is False:
             page["no_videos"] = "They were left out (--no-video)."
         elif results.comparison.real_time:
             page["no_videos"] = "Episodes in real time cannot be played again for them."
         else:
             page |= _videos(results, progress)
     progress("writing")
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("armctl.report", "."),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {
-        "percent": percent,
-        "mean": mean,
-        "number": style.number,
-        "spread": spread,
-        "base64": _base64,
-        "on_both": on_both,
-        "trainings": trainings_in_words,
-        "training": trained,
-        "training_more": _training_more,
-    }
-    text = environment.get_template("page.html.j2").render(page, dark=DARK, plotly=Markup(get_plotlyjs()))
-    try:
-        write_atomically(out, text)
-    except OSError as error:
-        raise ResultsError(f"the report {out} cannot be written: {error.strerror}") from error
+    write_page(out, "page.html.j2", page)
+    return out
+
+
+def _suite(folder: Path, out: Path, video: bool, progress: Callable[[str], None]) -> Path:
+    """Write the page of a suite, and beside it, the reports of its tasks."""
+    found, reports = read_suite(folder), dict[str, str]()
+    for env, name in task_folders(found).items():
+        home = Path(name) if found.tasks[env].levels else Path(name, UNDISTURBED)  # which knows no disturbance
+        for part in (folder / name, folder / home):
+            if part.is_symlink():
+                raise ResultsError(f"{part} is a symbolic link, through which nothing is written")
+        if UNDISTURBED in found.tasks[env].comparisons:
+            progress(name)
+            write_report(folder / home, video=video)
+            reports[env] = os.path.relpath(folder / home / REPORT, out.parent)
+    write_suite_page(found, folder, out, reports)
     return out
 
 
@@ -206,19 +197,3 @@ def _disturbances(sweep: pd.DataFrame) -> str:
     recorded = sweep.attrs.get(RECORDED)
     late = f" --real-time {shlex.quote(str(recorded))}" if recorded else ""
     return "".join(f" --disturbance {shlex.quote(one)}" for one in asked) + late
-
-
-def _training_more(cost: TrainingCost) -> str:
-    """The small print about a training: what it took, each on a line."""
-    counts = {"gradient steps": cost.gradient_steps, "teacher queries": cost.teacher_queries or None}
-    told = ["decisions"] if cost.decisions else []
-    told += [f"{rounded(count)} {what}" for what, count in counts.items() if count is not None]
-    if cost.processor_seconds is not None:
-        told.append(f"{cost.processor_seconds / 60:.1f} processor minutes")
-    if cost.minutes:
-        told.append(f"{cost.minutes:.1f} minutes")
-    return "\n".join(told)
-
-
-def _base64(data: bytes) -> str:
-    return base64.b64encode(data).decode("ascii")

@@ -1,0 +1,162 @@
+"""The suite's answer for each task: classical or learned, by how much, at what cost, and where the order turns."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import pandas as pd
+
+from armctl.evaluation.across_tasks import Choice, HeadToHead, choose, heads_to_head, rate_of
+from armctl.evaluation.comparison import Comparison
+from armctl.evaluation.paired import MARGIN
+from armctl.evaluation.statistics import FEWEST, Estimate
+from armctl.evaluation.summary import PolicySummary
+from armctl.evaluation.sweep import UNDISTURBED, Sweep, folder_name
+from armctl.policies import privileges
+from armctl.registration import bare_id
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What is known of one task."""
+
+    env: str
+    policies: Sequence[PolicySummary]
+    """Undisturbed; empty if no episode was finished."""
+    cells: dict[str, pd.DataFrame]
+    """Success by setting, as `armctl.evaluation.across_tasks` takes it; empty if success is unknown."""
+    labels: dict[str, str]
+    """What settings are called: `noise 0.02`."""
+    classical: Choice | None = None
+    """Who stands for the best classical policy; None without any."""
+    learned: Choice | None = None
+    heads: dict[str, HeadToHead] = field(default_factory=dict)
+    """Classical against learned, by setting."""
+
+    @property
+    def task(self) -> str:
+        """The task's name, as tables say it."""
+        return bare_id(self.env)
+
+    @property
+    def undisturbed(self) -> HeadToHead | None:
+        """Classical against learned without disturbance; None unless both have played."""
+        return self.heads.get(UNDISTURBED)
+
+    def rate(self, choice: Choice | None, setting: str = UNDISTURBED) -> Estimate | None:
+        """The success rate of a choice, each episode by the policy that stands for it there."""
+        return None if choice is None or setting not in self.cells else rate_of(self.cells[setting], choice)
+
+    @property
+    def verdict(self) -> str:
+        """Which kind is better without disturbance, by how much: in a few words."""
+        found = self.undisturbed
+        if found is None:
+            return _nothing(self)
+        names = f"{chosen(self.classical)} against {chosen(self.learned)}"
+        difference = f"success {points(found.difference)}"
+        if found.episodes < FEWEST:
+            return f"No verdict from {found.episodes} episode{'s' * (found.episodes > 1)}: {names}, {difference}"
+        if found.better:
+            kind, p = ("Classical", "Learned")[found.better < 0], f"p = {found.p:.1g}"
+            return f"{kind} is better: {names}, {difference}, {p}"
+        if found.equivalent(MARGIN):
+            return f"Equivalent within {100 * MARGIN:g} points: {names}, {difference}"
+        return f"Undecided: {names}, {difference}"
+
+    @property
+    def turns(self) -> str:
+        """Under which disturbances the order turns, or the lead is lost: significantly, after Holm's correction."""
+        before = self.undisturbed
+        disturbed = {name: one for name, one in self.heads.items() if name != UNDISTURBED}
+        if before is None or not disturbed:
+            return ""
+        said = []
+        for better, words in ((1, "classical is better"), (-1, "learned is better")):
+            where = [
+                f"{self.labels[name]} ({points(one.difference)})"
+                for name, one in disturbed.items()
+                if one.better == better != before.better
+            ]
+            if where:
+                turned = "the order turns: " if before.better else ""
+                said.append(f"{turned}{words} with {', '.join(where)}")
+        if before.better and (lost := [self.labels[name] for name, one in disturbed.items() if not one.better]):
+            said.append(f"undecided with {', '.join(lost)}")
+        if not said:
+            count = f"{len(disturbed)} disturbances"
+            said.append(f"the order stays with all {count}" if before.better else f"undecided with all {count}")
+        return "; ".join(said)
+
+    @property
+    def costs(self) -> str:
+        """Training, decision times and privileges of those who stand for the two kinds."""
+        by_name = {policy.policy: policy for policy in self.policies}
+        ours = [by_name[name] for name in dict.fromkeys((*(self.classical or ()), *(self.learned or ())))]
+        said = [f"{one.policy} was trained for {one.training}" for one in ours if one.learned]
+        times = ", ".join(f"{one.policy} {one.decision_ms:.2g} ms" for one in ours)
+        said.append(f"a decision takes {times}{_measured(ours)}")
+        return " ".join(filter(None, ("; ".join(said) + ".", privileges({one.policy: one.sees for one in ours}))))
+
+    @property
+    def sentence(self) -> str:
+        """All of it."""
+        if self.undisturbed is None:
+            return f"{self.task}: {self.verdict}."
+        turns = f"{self.turns[:1].upper()}{self.turns[1:]}." if self.turns else ""
+        return " ".join(filter(None, (f"{self.task}: {self.verdict}.", turns, self.costs)))
+
+
+def answer(swept: Sweep) -> Answer:
+    """The answer for the task of a sweep."""
+    tables = {name: table for name, one in swept.comparisons.items() if (table := success_table(one)) is not None}
+    named = {folder_name(name, level): f"{name} {level:g}" for name, levels in swept.levels.items() for level in levels}
+    labels = {name: named.get(name, name) for name in swept.comparisons} | {UNDISTURBED: "undisturbed"}
+    plain = swept.comparisons.get(UNDISTURBED)
+    if plain is None or UNDISTURBED not in tables:
+        return Answer(swept.env, plain.policies if plain else [], {}, labels)
+    played = plain.episodes
+    returns = played.pivot(index="episode", columns="policy", values="return").reindex(tables[UNDISTURBED].index)
+    kinds: list[Choice | None] = []
+    for learned in (False, True):
+        names = [one.policy for one in plain.policies if one.learned == learned]
+        kinds.append(choose(tables[UNDISTURBED], returns, names) if names else None)
+    classical, trained = kinds
+    heads = heads_to_head(tables, UNDISTURBED, classical, trained) if classical and trained else {}
+    return Answer(swept.env, plain.policies, tables, labels, classical, trained, heads)
+
+
+def success_table(comparison: Comparison) -> pd.DataFrame | None:
+    """Success by episode and policy; None if it is unknown. Which episodes count is as in `counted_results`."""
+    played = comparison.episodes.sort_values("episode")
+    if not len(played) or not comparison.policies or played.success.isna().any():
+        return None
+    played = played.assign(success=played.success.astype(float))
+    unbroken = played[played.episode == played.groupby("policy").cumcount()]
+    counted = unbroken[~unbroken.episode.isin(played.episode[~played.feasible.astype(bool)])]
+    names = [one.policy for one in comparison.policies]
+    return counted.pivot(index="episode", columns="policy", values="success").reindex(columns=names)
+
+
+def chosen(choice: Choice | None) -> str:
+    """Who stands for a kind, in words."""
+    return " or ".join(dict.fromkeys(choice)) if choice else "nobody"
+
+
+def points(difference: Estimate) -> str:
+    """A difference in success in points, with its interval."""
+    value, low, high = (100 * (one or 0.0) + 0.0 for one in (difference.value, difference.low, difference.high))
+    return f"{value:+.1f} points [{low:.1f}, {high:.1f}]"
+
+
+def _nothing(found: Answer) -> str:
+    if not found.policies:
+        return "no episode was finished undisturbed"
+    if not found.cells:
+        return "the environment does not say what a success is"
+    kind = "learned" if found.learned is None else "classical"
+    return f"no {kind} policy has played"
+
+
+def _measured(policies: Sequence[PolicySummary]) -> str:
+    timing = {one.timing for one in policies} - {""}
+    return f" ({timing.pop()})" if len(timing) == 1 else ""

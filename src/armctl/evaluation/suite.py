@@ -1,0 +1,304 @@
+"""The suite: all tasks with all their policies, undisturbed and under the main disturbances, in one folder.
+
+Each task is a sweep in a folder of its own; `suite.json` says which there are.
+"""
+
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing, nullcontext
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from armctl.envs import full_id, make_worlds
+from armctl.errors import ArmctlError, ConfigurationError, ResultsError
+from armctl.evaluation.across_tasks import family, mean_over_tasks, rank
+from armctl.evaluation.answers import Answer, answer, chosen
+from armctl.evaluation.compare import default_policies
+from armctl.evaluation.notebook import Displayed
+from armctl.evaluation.record import EpisodeResult
+from armctl.evaluation.rollouts import check_counts
+from armctl.evaluation.statistics import Estimate
+from armctl.evaluation.sweep import Sweep, sweep, sweep_levels
+from armctl.evaluation.tables import UNKNOWN, Cell, Column, Document, Remark, Table, p_value, percent
+from armctl.files import bounded_text, checked_name, one_writer, sealed, unsealed, write_atomically
+from armctl.policies import make_policy, policy_names
+from armctl.registration import bare_id, environment_names
+
+SUITE = "suite.json"
+ALL = "all"
+"""As an environment: those of all installed packages."""
+UNSKILLED = {"random"}
+"""Policies that are left out unless a task has no others."""
+HOME = "armctl/"
+"""The namespace that is left out of the names of folders."""
+
+
+@dataclass(frozen=True)
+class Size:
+    """How much a suite plays."""
+
+    episodes: int
+    """Of each policy in each setting."""
+    disturbances: tuple[str, ...]
+    """Those that a task has of these, or all of its own if it has none of these."""
+    levels: tuple[float, ...]
+    """Which of a disturbance's default levels: 0 is the one without effect, 1 the strongest."""
+
+
+FULL = Size(50, ("noise", "delay", "payload", "friction", "pushes", "mismatch"), (0.5, 1.0))
+"""Two levels of each: on two cores, less than an hour."""
+QUICK = Size(20, ("delay", "mismatch"), (0.75,))
+"""On two cores, about five minutes."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a suite plays in one task."""
+
+    env: str
+    policies: tuple[str, ...]
+    disturbances: Mapping[str, Sequence[float]]
+
+    @property
+    def runs(self) -> int:
+        """Number of policies in all settings."""
+        return len(self.policies) * (1 + sum(map(len, self.disturbances.values())))
+
+
+@dataclass(repr=False)
+class Suite(Displayed):
+    """The result of a suite. After an interrupt or a failure, it covers the finished episodes."""
+
+    seed: int
+    episodes: int
+    tasks: dict[str, Sweep] = field(default_factory=dict)
+    """By environment."""
+    failures: dict[str, str] = field(default_factory=dict)
+    """Error messages: by environment, or under `results` if `suite.json` could not be written."""
+    interrupted: bool = False
+
+    @functools.cached_property
+    def answers(self) -> list[Answer]:
+        """The answer for each task. For a suite that is finished: it is worked out once."""
+        return [answer(swept) for swept in self.tasks.values()]
+
+    @functools.cached_property
+    def ranks(self) -> dict[str, tuple[Estimate, int]]:
+        """The mean rank of each family, best first, and in how many tasks it has played (see `across_tasks.rank`)."""
+        found: dict[str, list[Estimate]] = {}
+        for one in self.answers:
+            members: dict[str, list[str]] = {}
+            for policy in one.policies:
+                members.setdefault(family(policy.policy), []).append(policy.policy)
+            for name, policies in members.items():
+                if (its := rank(one.cells, policies)) is not None:
+                    found.setdefault(name, []).append(its)
+        means = {name: (mean_over_tasks(its), len(its)) for name, its in found.items()}
+        known = {name: (mean, tasks) for name, (mean, tasks) in means.items() if mean is not None}
+        return dict(sorted(known.items(), key=lambda item: -item[1][0].value))
+
+    @property
+    def problems(self) -> list[str]:
+        """All that failed, in words."""
+        said = [f"{bare_id(env)}: {why}" for env, why in self.failures.items()]
+        for env, swept in self.tasks.items():
+            said += [f"{bare_id(env)}, {what}: {why}" for what, why in swept.failures.items()]
+        return said
+
+    def document(self) -> Document:
+        """A table of the tasks, the answer for each, and the ranks of families."""
+        parts: list[Table | Remark] = []
+        if self.answers:
+            parts.append(_task_table(self))
+            parts += [Remark(one.sentence, "verdict") for one in self.answers]
+        if self.ranks:
+            parts.append(_rank_table(self.ranks))
+        parts += [Remark(problem, "problem") for problem in self.problems]
+        if self.interrupted:
+            parts.append(Remark("Interrupted.", "note"))
+        return Document(parts, {"seed": self.seed, "episodes": self.episodes})
+
+    def __repr__(self) -> str:
+        return f"<Suite of {', '.join(map(bare_id, self.tasks)) or 'no task'}, seed {self.seed}>"
+
+
+def suite(
+    envs: Sequence[str] = (ALL,),
+    *,
+    quick: bool = False,
+    episodes: int | None = None,
+    seed: int = 0,
+    out: str | Path | None = None,
+    overwrite: bool = False,
+    worlds: int = 1,
+    workers: int = 1,
+    progress: Callable[[str, int], None] | None = None,
+) -> Suite:
+    """Let all policies of all tasks play, undisturbed and under the main disturbances.
+
+    `envs` are environments; `all`, the default, stands for those of all installed packages. Of each, the task's default
+    line-up plays, every installed expert that fits, and every installed agent whose card names the environment; random
+    actions play only where there is nothing else. `quick` plays less (`QUICK` instead of `FULL`); `episodes` is the
+    number of episodes in each setting.
+
+    `out` gets `suite.json` and a sweep's folder for each task. After an interrupt, the same call resumes. A task that
+    cannot be played is in `failures`, and keeps none of the others from being played. The other arguments are those of
+    `compare`. `progress` is called for each episode, with the setting and the number of all episodes.
+
+    Raises `ConfigurationError` for unusable arguments, and `ResultsError` if `out` cannot be written to, or holds a
+    suite of another seed (unless `overwrite`).
+    """
+    size = QUICK if quick else FULL
+    episodes = size.episodes if episodes is None else episodes
+    check_counts(episodes=episodes, worlds=worlds, workers=workers)
+    found = Suite(seed, episodes)
+    names = [name for env in envs for name in (environment_names() if env == ALL else [env])]
+    wanted = {folder_of(name): name for name in dict.fromkeys(map(full_id, names))}
+    if not wanted or len(wanted) < len(set(map(full_id, names))):
+        raise ConfigurationError(f"a suite needs environments of different names, not {', '.join(names) or 'none'}")
+    folder = None if out is None else Path(out)
+    with nullcontext() if folder is None else one_writer(folder):
+        if folder is not None and not overwrite:
+            _check_same_seed(folder, seed)
+        plans: dict[str, Plan] = {}
+        _write(folder, found, list(wanted.values()))
+        try:
+            for name, env in wanted.items():
+                try:
+                    plans[name] = plan_task(env, size)
+                except ArmctlError as error:
+                    found.failures[env] = str(error)
+            total = episodes * sum(plan.runs for plan in plans.values())
+            for name, plan in plans.items():
+                try:
+                    swept = sweep(
+                        plan.policies, plan.env, disturbances=plan.disturbances, episodes=episodes, seed=seed,
+                        out=folder and _inside(folder, name), overwrite=overwrite, worlds=worlds, workers=workers,
+                        progress=functools.partial(_told, progress, name, total),
+                    )  # fmt: skip
+                except ArmctlError as error:
+                    found.failures[plan.env] = str(error)
+                    continue
+                found.tasks[plan.env] = swept
+                if swept.interrupted:
+                    found.interrupted = True
+                    break
+        except KeyboardInterrupt:  # between two sweeps
+            found.interrupted = True
+        _write(folder, found, list(wanted.values()))
+    return found
+
+
+def _inside(folder: Path, name: str) -> Path:
+    """A task's folder in a suite's, which must not lead elsewhere."""
+    if (folder / name).is_symlink():
+        raise ResultsError(f"{folder / name} is a symbolic link, through which nothing is written")
+    return folder / name
+
+
+def _told(progress: Callable[[str, int], None] | None, task: str, total: int, setting: str, _: EpisodeResult) -> None:
+    if progress is not None:
+        progress(f"{task} {setting}", total)
+
+
+def plan_task(env: str, size: Size) -> Plan:
+    """Who plays in a task, and under which disturbances. Raises `ConfigurationError`."""
+    possible = sweep_levels(env)
+    main = {name: levels for name, levels in possible.items() if name in size.disturbances} or possible
+    levels = {name: sorted({_level(levels, share) for share in size.levels}) for name, levels in main.items()}
+    return Plan(env, line_up(env), levels)
+
+
+def _level(levels: Sequence[float], share: float) -> float:
+    """The level at a share of the way from the first, which has no effect, to the last; never the first."""
+    return levels[max(1, round(share * (len(levels) - 1)))]
+
+
+def line_up(env: str) -> tuple[str, ...]:
+    """The policies of a task's suite: its default ones, experts that fit, and agents made for it.
+
+    Raises `ConfigurationError`.
+    """
+    with closing(make_worlds(env, 1)) as worlds:
+        worlds.reset(seed=0)
+        names = dict.fromkeys((*default_policies(env), *(name for name in policy_names() if _fits(name, env, worlds))))
+    return tuple(name for name in names if name not in UNSKILLED) or tuple(names)
+
+
+def _fits(name: str, env: str, worlds: Any) -> bool:
+    """Whether an installed policy can act in an environment and, if it is an agent, was made for it."""
+    try:
+        card = getattr(make_policy(name, worlds), "card", None)
+    except ArmctlError:
+        return False
+    return card is None or bare_id(card.env) == bare_id(env)
+
+
+def folder_of(env: str) -> str:
+    """The folder of a task's sweep. Raises `ConfigurationError` for an id that no folder should be called by."""
+    return checked_name("task's folder", bare_id(env).removeprefix(HOME).replace("/", "_"))
+
+
+def _check_same_seed(folder: Path, seed: int) -> None:
+    if not (folder / SUITE).exists():
+        return
+    try:
+        there = unsealed(bounded_text(folder / SUITE)).get("seed")
+    except (OSError, ValueError) as error:
+        raise ResultsError(f"{folder / SUITE} cannot be read: {error}; overwrite all (--overwrite)") from error
+    if there != seed:
+        raise ResultsError(
+            f"{folder} holds a suite of another seed ({there} there, {seed} here): choose another folder, or overwrite "
+            "it (--overwrite)"
+        )
+
+
+def _write(folder: Path | None, found: Suite, envs: Sequence[str]) -> None:
+    if folder is None:
+        return
+    told = {
+        "seed": found.seed, "episodes": found.episodes, "envs": envs, "failures": found.failures,
+        "interrupted": found.interrupted,
+    }  # fmt: skip
+    try:
+        write_atomically(folder / SUITE, sealed(told))
+    except OSError as error:
+        found.failures["results"] = f"{folder / SUITE} could not be written: {error.strerror}"
+
+
+def _task_table(found: Suite) -> Table:
+    columns = [Column("task"), Column("classical"), Column("learned"), Column("difference"), Column("p", optional=True)]
+    rows, records = [], []
+    for one in found.answers:
+        head = one.undisturbed
+        rates = [one.rate(one.classical), one.rate(one.learned)]
+        rows.append(
+            [
+                Cell(one.task),
+                *(Cell(percent(rate).text, chosen(choice)) if choice else Cell(UNKNOWN)
+                  for rate, choice in zip(rates, (one.classical, one.learned), strict=True)),
+                percent(head.difference, "+") if head else Cell(UNKNOWN),
+                Cell(p_value(head.p) if head else UNKNOWN),
+            ]
+        )  # fmt: skip
+        records.append(
+            {
+                "env": one.env, "classical": chosen(one.classical), "learned": chosen(one.learned),
+                **({"difference": asdict(head.difference), **asdict(head)} if head else {}), "turns": one.turns,
+            }
+        )  # fmt: skip
+    caption = (
+        "The best classical and the best learned policy, undisturbed: the best on odd episodes plays for its kind in "
+        "even ones, and vice versa. Difference with Tango's 95 % interval; p: McNemar's exact test."
+    )
+    title = f"{len(rows)} tasks: {found.episodes} episodes of seed {found.seed} in each setting"
+    return Table("tasks", title, columns, rows, records, caption)
+
+
+def _rank_table(ranks: Mapping[str, tuple[Estimate, int]]) -> Table:
+    rows = [[Cell(name), percent(mean), Cell(str(tasks))] for name, (mean, tasks) in ranks.items()]
+    records = [{"family": name, "rank": asdict(mean), "tasks": tasks} for name, (mean, tasks) in ranks.items()]
+    caption = "Rivals beaten in an episode, ties counting half: the mean over settings and tasks, with 95 % intervals."
+    title = "Ranks of families"
+    return Table("ranks", title, [Column("family"), Column("rivals beaten"), Column("tasks")], rows, records, caption)

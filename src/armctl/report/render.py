@@ -1,0 +1,63 @@
+"""Renders pages: one HTML file that makes no network requests."""
+
+import base64
+from collections.abc import Mapping
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import jinja2
+from markupsafe import Markup
+from plotly.offline import get_plotlyjs
+
+from armctl.agents import TrainingCost, rounded
+from armctl.errors import ResultsError
+from armctl.evaluation.summary_tables import trained, trainings_in_words
+from armctl.files import write_atomically
+from armctl.report import style
+from armctl.report.colours import DARK, on_both
+from armctl.report.plots import mean, percent, spread
+
+
+def write_page(out: Path, template: str, page: Mapping[str, Any]) -> None:
+    """Write a page, everything in which is escaped. Raises `ResultsError` if it cannot be written."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("armctl.report", "."),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {
+        "percent": percent,
+        "mean": mean,
+        "number": style.number,
+        "spread": spread,
+        "base64": _base64,
+        "on_both": on_both,
+        "trainings": trainings_in_words,
+        "training": trained,
+        "training_more": _training_more,
+    }
+    written = datetime.now().strftime("%Y-%m-%d %H:%M")
+    text = environment.get_template(template).render(page, written=written, dark=DARK, plotly=Markup(get_plotlyjs()))
+    try:
+        write_atomically(out, text)
+    except OSError as error:
+        raise ResultsError(f"the report {out} cannot be written: {error.strerror}") from error
+
+
+def _training_more(cost: TrainingCost) -> str:
+    """The small print about a training: what it took, each on a line."""
+    counts = {"gradient steps": cost.gradient_steps, "teacher queries": cost.teacher_queries or None}
+    told = ["decisions"] if cost.decisions else []
+    told += [f"{rounded(count)} {what}" for what, count in counts.items() if count is not None]
+    if cost.processor_seconds is not None:
+        told.append(f"{cost.processor_seconds / 60:.1f} processor minutes")
+    if cost.minutes:
+        told.append(f"{cost.minutes:.1f} minutes")
+    return "\n".join(told)
+
+
+def _base64(data: bytes) -> str:
+    return base64.b64encode(data).decode("ascii")

@@ -1,0 +1,139 @@
+"""The page of a suite: what it says, that names are shown and not obeyed, and its form in headless Chromium."""
+
+import importlib
+import re
+import shutil
+from html import unescape
+
+import numpy as np
+import pytest
+
+from armctl.errors import ResultsError
+from armctl.evaluation.statistics import Estimate
+from armctl.evaluation.suite import Size, suite
+from armctl.evaluation.suite_results import read_suite
+from armctl.files import sealed, unsealed
+from armctl.report import suite_figures, write_report
+from armctl.report.style import Look
+from armctl.report.suite_page import headline
+
+from ..forgery import forge
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+REACH = "armctl/ArmReach-v0"
+HOSTILE = "<img src=x onerror=alert(1)>_ppo"
+LOOK = Look("PPO", "#0072b2")
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    module = importlib.import_module("armctl.evaluation.suite")
+    folder = tmp_path_factory.mktemp("suite")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "FULL", Size(2, ("delay",), (0.25,)))
+        patch.setattr(module, "line_up", lambda env: ("reach_ik", "reach_ppo"))
+        suite([REACH], out=folder)
+    return folder
+
+
+@pytest.fixture
+def folder(finished, tmp_path):
+    return shutil.copytree(finished, tmp_path / "suite")
+
+
+def text_of(page):
+    html = re.sub(r"<(script|style)\b.*?</\1>", "", page.read_text(), flags=re.DOTALL)
+    return re.sub(r"\s+", " ", unescape(re.sub(r"<[^>]*>", " ", html)))
+
+
+def change(path, **values):
+    path.write_text(sealed(unsealed(path.read_text()) | values))
+
+
+def test_the_page_has_the_answer_the_map_and_the_links(folder):
+    page = write_report(folder)
+    assert page == folder / "report.html"
+    text = text_of(page)
+    for words in (
+        "Of 1 task, classical is better in 0, learned in 0, neither is shown to be in 1",
+        "No verdict from 2 episodes: reach_ik against reach_ppo, success +0.0 points",
+        "ArmReach-v0 none delay 1 reach_ik 100 100 reach_ppo 100 100",
+        "Probability of improvement", "Ranks of families", "Performance profiles", "What success costs",
+        f"armctl suite --env {REACH} --quick --episodes 2 --seed 0",
+    ):  # fmt: skip
+        assert words in text
+    assert 'href="ArmReach-v0/report.html"' in page.read_text()
+    assert "Under disturbances" in (folder / "ArmReach-v0" / "report.html").read_text()
+
+
+def test_links_lead_from_where_the_page_is(folder, tmp_path):
+    page = write_report(folder, tmp_path / "other.html")
+    assert 'href="suite/ArmReach-v0/report.html"' in page.read_text()
+
+
+def test_names_and_messages_are_shown_and_not_obeyed(folder):
+    for name in ("none", "delay-1.0"):
+        forge(folder / "ArmReach-v0" / name, "reach_ppo", HOSTILE)
+    change(folder / "ArmReach-v0" / "sweep.json", comparisons={}, failures={"delay": HOSTILE})
+    change(folder / "suite.json", failures={"mine/Other-v0": HOSTILE})
+    page = write_report(folder)
+    assert HOSTILE not in page.read_text()
+    assert text_of(page).count(HOSTILE) >= 5  # in sentences, map, families and notices
+    assert f"mine/Other-v0: {HOSTILE}" in text_of(page)
+
+
+def test_a_suite_without_a_finished_task_is_a_page_too(folder):
+    (folder / "ArmReach-v0" / "sweep.json").unlink()
+    assert "its sweep is unfinished" in text_of(write_report(folder))
+
+
+def test_a_task_that_knows_no_disturbance_is_reported_undisturbed(tmp_path):
+    suite(["FrozenLake-v1"], episodes=2, out=tmp_path)
+    page = write_report(tmp_path)
+    assert 'href="FrozenLake-v1/none/report.html"' in page.read_text()
+    assert "FrozenLake-v1 the environment does not say what a success is." in text_of(page)
+
+
+def test_nothing_is_written_through_a_link(folder, tmp_path):
+    (folder / "ArmReach-v0").rename(tmp_path / "elsewhere")
+    (folder / "ArmReach-v0").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(ResultsError, match="symbolic link"):
+        write_report(folder)
+    assert not (tmp_path / "elsewhere" / "report.html").exists()
+
+
+def test_the_headline_counts_tasks(finished):
+    assert headline([]) == "No task has both classical and learned results"
+    assert headline(read_suite(finished).answers * 3).startswith("Of 3 tasks, classical is better in 0")
+
+
+def test_figures_hold_their_numbers():
+    points = [suite_figures.CostPoint("p", "t", LOOK, "circle", 0.5, cost) for cost in (0.0, 20.0)]
+    plane = suite_figures.cost_plane(points, "minutes", "minutes", 0.1)
+    assert [trace.x[0] for trace in plane.data] == [0.1, 20.0]  # what costs nothing is at the axis's beginning
+    low, high = plane.layout.xaxis.range
+    assert low < np.log10(0.1) < np.log10(20) < high
+    rows = suite_figures.intervals(
+        {"<b>": Estimate(0.5, 0.25, 0.75), "c": Estimate(0.5, None, None)}, {"<b>": "#000000", "c": "#000000"}
+    )
+    assert rows.data[0].x == (0.25, 0.75)
+    assert rows.data[0].y[0] == "&lt;b&gt;"
+    assert suite_figures.cost_plane([], "ms", "ms", 0.1).data == ()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
+@pytest.mark.parametrize("width", [1280, 390])
+def test_the_page_in_a_browser(folder, width):
+    playwright = pytest.importorskip("playwright.sync_api", reason="no Playwright here: pip install playwright")
+    page, complaints = write_report(folder), []
+    with playwright.sync_playwright() as p:
+        browser = p.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        tab = browser.new_page(viewport={"width": width, "height": 844})
+        tab.on("console", lambda message: complaints.append(message.text))
+        tab.on("pageerror", lambda error: complaints.append(str(error)))
+        tab.goto(page.as_uri(), timeout=120_000)
+        tab.wait_for_function("() => document.querySelectorAll('.canvas .trace').length > 8", timeout=120_000)
+        assert tab.evaluate("document.documentElement.scrollWidth") <= width
+        browser.close()
+    assert complaints == []
