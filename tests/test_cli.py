@@ -41,7 +41,16 @@ def test_comparing_needs_no_torch():
 
 
 def test_training_without_the_extra_says_what_to_install(tmp_path):
-    code = "import sys; sys.modules['torch'] = None; from armctl.cli import main; main()"
+    code = """
+import sys
+class NoTorch:
+    def find_spec(name, path, target=None):
+        if name == "torch":
+            raise ModuleNotFoundError("No module named 'torch'", name=name)
+sys.meta_path.insert(0, NoTorch)
+from armctl.cli import main
+main()
+"""
     command = [sys.executable, "-c", code, "train", "ppo"]
     done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
     assert done.returncode == 2

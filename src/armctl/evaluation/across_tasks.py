@@ -69,7 +69,7 @@ class HeadToHead:
 
     @property
     def difference(self) -> Estimate:
-        """Success of the classical minus that of the learned policy, with Tango's 95 % interval."""
+        """Success of the classical minus that of the learned policy, with MOVER's 95 % interval."""
         return mover(self.only_classical, self.only_learned, self.episodes)
 
     @property

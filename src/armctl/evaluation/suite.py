@@ -290,7 +290,7 @@ def _task_table(found: Suite) -> Table:
         )  # fmt: skip
     caption = (
         "The best classical and the best learned policy, undisturbed: the best on odd episodes plays for its kind in "
-        "even ones, and vice versa. Difference with Tango's 95 % interval; p: McNemar's exact test."
+        "even ones, and vice versa. Difference with MOVER's 95 % interval; p: McNemar's exact test."
     )
     title = f"{len(rows)} tasks: {found.episodes} episodes of seed {found.seed} in each setting"
     return Table("tasks", title, columns, rows, records, caption)
