@@ -86,7 +86,7 @@ def evaluate() -> None:
 
 def fill_in() -> None:
     """Give the cards what is certain of their costs."""
-    for path in (*(HOME / "agents").glob("*.json"), *(HOME / "cards").glob("*.json")):
+    for path in (*(HOME / "agents").glob("*.json"), *(HOME / "agents" / "seeds").glob("*.json")):
         card = read_card(path)
         with closing(make_worlds(card.env, 1, card.env_options)) as worlds:
             certain = recount(card, worlds.max_episode_steps or 0)

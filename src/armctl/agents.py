@@ -5,7 +5,8 @@ Nothing is unpickled, and neither file can run code: an agent from a stranger is
 
 import math
 import os.path
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -60,6 +61,16 @@ class TrainingCost:
         if self.processor_seconds is not None:
             return f"{said} ({self.processor_seconds / 60:.1f} minutes of processor)"
         return f"{said} ({self.minutes:.1f} minutes)" if self.minutes else said
+
+
+def mean_cost(costs: Sequence[TrainingCost]) -> TrainingCost:
+    """What one of several trainings took in the mean; unknown is what is unknown of any."""
+    means: dict[str, Any] = {}
+    for name in (one.name for one in fields(TrainingCost)):
+        known = [value for cost in costs if (value := getattr(cost, name)) is not None]
+        mean = sum(known) / len(costs)
+        means[name] = None if len(known) < len(costs) else round(mean) if isinstance(known[0], int) else mean
+    return TrainingCost(**means)
 
 
 def rounded(count: int) -> str:

@@ -3,6 +3,8 @@ import dataclasses
 import io
 import json
 import os
+import subprocess
+import sys
 import zlib
 
 import pandas as pd
@@ -40,7 +42,7 @@ def test_every_row_carries_the_run_that_made_it_and_a_resumed_comparison_has_bot
 def test_an_id_is_the_content_of_its_record():
     run = RunMeter({"env": "a"}, 1, 1).run
     known = dataclasses.asdict(run)
-    later = {name: known.pop(name) for name in ("id", "load_most", "load_end", "load_own")}
+    later = {name: known.pop(name) for name in ("id", "load_most", "load_end", "load_own", "judged")}
     assert later["id"] == digest([{"env": "a"}, known])
     assert digest([{"env": "b"}, known]) != run.id
 
@@ -53,15 +55,22 @@ def test_threads_are_told(monkeypatch):
     assert "MKL_NUM_THREADS" not in threads
 
 
-def test_a_run_that_was_killed_is_known(tmp_path, monkeypatch):
-    """Its record is on the disk before its first row, without the loads of the end."""
-
-    def seen(result):
-        (run,) = read_runs(tmp_path)
-        assert run.id == result.run
-        assert run.load_end is None
-
-    play(tmp_path, progress=seen)
+def test_a_run_that_was_killed_is_known_and_what_was_judged_before_it_too(tmp_path):
+    both = {"policies": ["random", "reach_ik"], "out": tmp_path, "env_options": SHORT}
+    compare(**both, episodes=10)
+    code = f"""
+import os, armctl
+def end(result):
+    if result.episode == 11:
+        os._exit(1)
+armctl.compare(["random", "reach_ik"], episodes=40, out={str(tmp_path)!r}, env_options={SHORT!r}, progress=end)
+"""
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 1
+    first, killed = read_runs(tmp_path)
+    assert (first.judged, killed.judged, killed.load_end) == (10, None, None)
+    resumed = compare(**both, episodes=40)
+    assert [note for note in resumed.notes if "judged before, after 10 episodes" in note]
+    assert [run.judged for run in read_runs(tmp_path)] == [10, None, 40]
 
 
 @pytest.mark.parametrize(

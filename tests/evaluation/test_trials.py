@@ -71,7 +71,7 @@ def test_an_unfinished_training_tells_how_far_it_got(tmp_path):
 
 def test_every_shipped_card_has_its_row():
     known = {one["sha256"]: one for one in read_trials(RL / TRIALS)}
-    for path in (*(RL / "agents").glob("*.json"), *(RL / "cards").glob("*.json")):
+    for path in (*(RL / "agents").glob("*.json"), *(RL / "agents" / "seeds").glob("*.json")):
         card = read_card(path)
         told = known[card.sha256]
         assert (told["recipe"], told["learner"], told["env"]) == (card.recipe, card.learner, card.env)

@@ -32,7 +32,7 @@ RECIPES = {
     "reach_cloned_ppo": {**PPO, "worlds": 1, "steps": 64, "critic_steps": 16, "demonstrations": 6, "cloning_steps": 5},
 }
 SHIPPED = Path(str(resources.files("armctl.rl.agents")))
-CARDS = [*SHIPPED.glob("*.json"), *(SHIPPED.parent / "cards").glob("*.json")]
+CARDS = [*SHIPPED.glob("*.json"), *(SHIPPED / "seeds").glob("*.json")]
 
 
 def tiny(name, **options):

@@ -1,5 +1,6 @@
 """Compares several policies on the same episodes."""
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import replace
@@ -15,7 +16,14 @@ from armctl.evaluation.comparison import Comparison, summary
 from armctl.evaluation.decision_times import load_notes, timing_notes, unjudged
 from armctl.evaluation.identity import identity
 from armctl.evaluation.paired import MARGIN
-from armctl.evaluation.parallel import WorkerConfig, WorkersFailed, check_sendable, play_here, play_in_workers
+from armctl.evaluation.parallel import (
+    RolloutBatch,
+    WorkerConfig,
+    WorkersFailed,
+    check_sendable,
+    play_here,
+    play_in_workers,
+)
 from armctl.evaluation.provenance import RunMeter
 from armctl.evaluation.real_time import (
     RealTime,
@@ -25,13 +33,12 @@ from armctl.evaluation.real_time import (
     real_time_of,
 )
 from armctl.evaluation.record import COLUMNS, EpisodeResult
-from armctl.evaluation.results import earlier_looks
 from armctl.evaluation.rollouts import check_counts, wrap_environment_errors
 from armctl.evaluation.seeding import seed_notes
 from armctl.evaluation.seeds import check_evaluation_seed
 from armctl.evaluation.store import EpisodeLog
 from armctl.evaluation.summary import certificate_notes, counted_results, summarise
-from armctl.policies import expanded, is_group, learners, make_policy, named_policies
+from armctl.policies import Policy, expanded, is_group, learners, make_policy, named_policies
 from armctl.registration import bare_id, remember_named
 
 UNTOLD = "{env} is not made of a task of armctl's: least times, feasibility, contacts and clearances are unknown."
@@ -80,16 +87,16 @@ def compare(
 
     `policies` is a list, or a mapping from names in the results, of any of the forms that `make_policy` takes: names,
     files, functions, classes, models; by default, it is what the task of `env` declares. `NAME[*]` is all trainings of
-    a recipe as one learner (see `armctl.policies.trainings`). `least_lengths` are shared as
-    in `rollouts`; `seeding` are the remarks of `seed_notes`, where these are known. `progress` is called with every
-    finished episode, first with those of an earlier run.
+    a recipe as one learner (see `armctl.policies.trainings`). `least_lengths` are shared as in `rollouts`; `seeding`
+    are the remarks of `seed_notes`, where these are known. `progress` is called with every finished episode, first with
+    those of an earlier run.
 
     The verdict is about the best classical and the best learned policy, or about `baseline` against all others. Success
     that differs by less than `margin` counts as equivalent.
 
     Raises `ConfigurationError` (also for a seed of training, see `armctl.evaluation.seeds`), `AgentFileError`, and
-    `ResultsError` if `out` cannot be written, is damaged, or holds
-    the results of another comparison (unless `overwrite`).
+    `ResultsError` if `out` cannot be written, is damaged, or holds the results of another comparison (unless
+    `overwrite`).
     """
     env = full_id(env)
     remember_named(env)
@@ -116,6 +123,12 @@ def compare(
     ]
     worlds = min(worlds, episodes)
     results: list[EpisodeResult] = []
+
+    def keep(result: EpisodeResult) -> None:
+        results.append(result)
+        if progress is not None:
+            progress(result)
+
     with ExitStack() as stack:
         made_env = make_worlds(env, worlds if workers == 1 else 1, env_options)
         stack.callback(made_env.close)
@@ -131,23 +144,16 @@ def compare(
         comparison.notes += seed_notes(env, env_options) if seeding is None else seeding
         if isinstance(made_env, ThirdPartyVectorEnv):
             comparison.notes.append(UNTOLD.format(env=bare_id(env)))
-        log: EpisodeLog | None = None
         own: Mapping[str, Any] = {}
         if out is not None:
             late = None if paced is None else paced.identity(by_name)
             own = identity(env, comparison.env_options, seed, by_name, made, made_env, late)
-        meter = RunMeter(own, worlds, workers)
+        meter, log = RunMeter(own, worlds, workers), None
         if out is not None:
-            looks = [] if overwrite else earlier_looks(Path(out), episodes)
             log = stack.enter_context(EpisodeLog(Path(out), own, episodes, overwrite, meter.run))
-            results += log.kept
-            comparison.looks = [*looks, episodes]
-            if looks:
-                comparison.notes.append(LOOKED.format(looks=", ".join(f"{look:,}" for look in looks)))
+            for result in log.kept:
+                keep(result)
         comparison.resumed = len(results)
-        for result in results:
-            if progress is not None:
-                progress(result)
         finished = {(result.policy, result.episode) for result in results}
         waiting = {name: [k for k in range(episodes) if (name, k) not in finished] for name in made}
         least = {} if least_lengths is None else least_lengths
@@ -160,18 +166,12 @@ def compare(
         try:
             with closing(stream):
                 for played in stream:
-                    if played.failure:
-                        comparison.failures[played.policy] = played.failure
-                        comparison.tracebacks[played.policy] = played.traceback
-                    if played.disqualified:
-                        comparison.disqualified.append(played.policy)
+                    _note_failures(comparison, played)
                     meter.look()
                     for result in (replace(one, run=meter.run.id) for one in played.results):
-                        results.append(result)
+                        keep(result)
                         if log is not None:
                             log.write(result)
-                        if progress is not None:
-                            progress(result)
         except WorkersFailed as failure:
             comparison.failures["workers"] = str(failure)
         except KeyboardInterrupt:
@@ -179,27 +179,46 @@ def compare(
         order = list(made)
         results = [result for result in results if result.policy not in comparison.disqualified]
         results.sort(key=lambda result: (order.index(result.policy), result.episode))
-        runs = [*(log.runs if log is not None else []), meter.ended()]
+        judged = min(Counter(result.policy for result in results).values(), default=0)
+        runs = [*(log.runs if log is not None else []), meter.ended(judged)]
         if paced is None or paced.recorded is None:
             results = unjudged(results, runs)
             comparison.notes += load_notes(results, runs)
         if results:
-            comparison.episodes = pd.DataFrame([result.row() for result in results])
-            steps = made_env.max_episode_steps
-            if (bounds := made_env.task.return_bounds(steps)) is None:
-                comparison.notes.append(UNBOUNDED)
-            comparison.policies, comparison.paired = summarise(results, made, episodes, bounds, steps, groups)
-            comparison.notes += certificate_notes(results)
-            counted, _ = counted_results(results)
-            comparison.notes += timing_notes((name, played) for name, played in counted.items() if played)
-            if comparison.policies and comparison.policies[0].success is None:
-                comparison.notes.append(UNSCORED.format(env=bare_id(env)))
+            _judge(comparison, results, made, made_env, episodes)
+            looks = [f"{run.judged:,}" for run in runs[:-1] if run.judged not in (None, 0, judged)]
+            if comparison.paired and looks:
+                comparison.notes.append(LOOKED.format(looks=", ".join(looks)))
         if log is not None:
             try:
                 log.finish(results, summary(comparison), runs)
             except ResultsError as error:
                 comparison.failures["results"] = str(error)
     return comparison
+
+
+def _note_failures(comparison: Comparison, played: RolloutBatch) -> None:
+    if played.failure:
+        comparison.failures[played.policy] = played.failure
+        comparison.tracebacks[played.policy] = played.traceback
+    if played.disqualified:
+        comparison.disqualified.append(played.policy)
+
+
+def _judge(
+    comparison: Comparison, results: list[EpisodeResult], made: Mapping[str, Policy], env: Any, episodes: int
+) -> None:
+    """Summarise the results, and note what is to be known of them."""
+    comparison.episodes = pd.DataFrame([result.row() for result in results])
+    steps = env.max_episode_steps
+    if (bounds := env.task.return_bounds(steps)) is None:
+        comparison.notes.append(UNBOUNDED)
+    comparison.policies, comparison.paired = summarise(results, made, episodes, bounds, steps, comparison.groups)
+    comparison.notes += certificate_notes(results)
+    counted, _ = counted_results(results)
+    comparison.notes += timing_notes((name, played) for name, played in counted.items() if played)
+    if comparison.policies and comparison.policies[0].success is None:
+        comparison.notes.append(UNSCORED.format(env=bare_id(comparison.env)))
 
 
 def default_policies(env: str) -> tuple[str, ...]:

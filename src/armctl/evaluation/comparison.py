@@ -46,8 +46,6 @@ class Comparison(Displayed):
     interrupted: bool = False
     resumed: int = 0
     """Number of episodes that an earlier run had finished."""
-    looks: list[int] = field(default_factory=list)
-    """After how many episodes it has been judged, if they were written to a folder."""
 
     @property
     def verdict(self) -> str:
@@ -66,7 +64,7 @@ class Comparison(Displayed):
             parts.append(policy_table(self.env, self.seed, self.policies, self.disqualified))
         parts += [details(policy) for policy in self.policies]
         if self.paired:
-            parts += [paired_table(self.paired), Remark(self.verdict, "verdict")]
+            parts += [paired_table(self.paired, self.baseline), Remark(self.verdict, "verdict")]
         if self.policies and (infeasible := self.policies[0].infeasible):
             what = f"{infeasible} episodes are labelled infeasible"
             parts.append(Remark(f"{what}; they are left out of all figures, whoever wins them."))
@@ -103,7 +101,6 @@ def summary(comparison: Comparison) -> dict[str, Any]:
         "notes": comparison.notes,
         "baseline": comparison.baseline,
         "margin": comparison.margin,
-        "looks": comparison.looks,
         "groups": comparison.groups,
         "disqualified": comparison.disqualified,
         "policies": [dataclasses.asdict(policy) for policy in comparison.policies],

@@ -75,14 +75,17 @@ def unjudged(results: Iterable[EpisodeResult], runs: Iterable[Run]) -> list[Epis
     ]
 
 
-def load_notes(results: Iterable[EpisodeResult], runs: Iterable[Run]) -> list[str]:
+def load_notes(results: Sequence[EpisodeResult], runs: Iterable[Run]) -> list[str]:
     """A remark if decision times would be held against deadlines, had the machine been idle."""
     latencies = {result.run for result in results if (result.worlds, result.workers) == (1, 1)}
-    if not any(run.busy for run in runs if run.id in latencies):
+    busy = {run.id for run in runs if run.busy and run.id in latencies}
+    if not busy:
         return []
+    count = sum(result.run in busy for result in results)
+    where = "" if count == len(results) else f" in {count} of {len(results)} episodes"
     return [
-        f"Deadlines are not judged: other processes kept more than {BUSY:.0%} of the processor's cores busy, so that "
-        "decision times are longer than those of an idle machine."
+        f"Deadlines are not judged{where}: other processes kept more than {BUSY:.0%} of the processor's cores busy, so "
+        "that decision times are longer than those of an idle machine."
     ]
 
 

@@ -72,6 +72,16 @@ class PairedDifference:
         return -margin < found.low and found.high < margin
 
 
+def corrected(pairs: Sequence[PairedDifference], baseline: str | None = None) -> list[float]:
+    """The p-value of each pair, of equal success, or of equal chances for the higher return, after Holm's correction.
+
+    With a `baseline`, the pairs against it are a family of their own; otherwise, and for all others, it is all pairs.
+    """
+    p = [pair.superiority.p if pair.mcnemar_p is None else pair.mcnemar_p for pair in pairs]
+    own = [i for i, pair in enumerate(pairs) if baseline in (pair.a, pair.b)]
+    return list((dict(enumerate(holm(p))) | dict(zip(own, holm([p[i] for i in own]), strict=True))).values())
+
+
 def mcnemar(only_a: int, only_b: int) -> float:
     """Exact two-sided p-value for equal success, from how many episodes only a and only b won (McNemar 1947)."""
     return float(stats.binomtest(only_a, only_a + only_b).pvalue) if only_a + only_b else 1.0
@@ -215,8 +225,8 @@ def difference_of_groups(
         crossed = difference_over_trainings(*success, (0.0, 1.0), 1 - 2 * EQUIVALENCE / claims)
         won, other = success[0][:, None], success[1]
         shares = [float(one.mean()) for one in (won * other, won * (1 - other), (1 - won) * other)]
-        both, only_a, only_b = (round(share * won.shape[-1]) for share in shares)
-        neither = won.shape[-1] - both - only_a - only_b
+        ends = np.rint(np.cumsum([0.0, *shares, 1.0 - sum(shares)]) * won.shape[-1])
+        both, only_a, only_b, neither = np.diff(ends).astype(int).tolist()
     return PairedDifference(
         a,
         b,

@@ -42,6 +42,8 @@ class Run:
     load_end: float | None = None
     load_own: float | None = None
     """Processor time of this process, over the time that passed."""
+    judged: int | None = None
+    """After how many episodes of every policy it told a verdict; None if it was killed before."""
 
     @property
     def busy(self) -> bool:
@@ -72,11 +74,11 @@ class RunMeter:
         if self._most is not None:
             self._most = max(self._most, load_average() or 0.0)
 
-    def ended(self) -> Run:
-        """The run with its loads."""
+    def ended(self, judged: int) -> Run:
+        """The run with its loads, at the end of which so many episodes of every policy were judged."""
         self.look()
         own = (time.process_time() - self._processor) / max(time.perf_counter() - self._wall, 1e-9)
-        return replace(self.run, load_most=self._most, load_end=load_average(), load_own=round(own, 2))
+        return replace(self.run, load_most=self._most, load_end=load_average(), load_own=round(own, 2), judged=judged)
 
 
 def load_average() -> float | None:

@@ -76,13 +76,6 @@ class _Summary:
 
 
 @dataclass(frozen=True)
-class _Looks:
-    """The part of `summary.json` that tells when it was written before."""
-
-    looks: list[int] = field(default_factory=list)
-
-
-@dataclass(frozen=True)
 class Results:
     """A comparison, and each of its episodes."""
 
@@ -116,7 +109,12 @@ def read_results(folder: Path) -> Results:
     trained = by_learner(counted, identity.policies, summary.groups)
     played = set(trained)
     paired = {name for pair in summary.paired for name in (pair.a, pair.b)}
-    fits = groups_fit and played == {one.policy for one in summary.policies} and paired <= played
+    fits = (
+        groups_fit
+        and all(map(_is_possible, summary.paired))
+        and played == {one.policy for one in summary.policies}
+        and paired <= played
+    )
     if not fits or summary.comparison != digest(own):
         raise ResultsError(f"{folder / SUMMARY} does not belong to the episodes beside it: run the comparison again")
     comparison = Comparison(
@@ -146,13 +144,14 @@ def read_results(folder: Path) -> Results:
     )
 
 
-def earlier_looks(folder: Path, episodes: int) -> list[int]:
-    """After how many episodes, other than so many, a folder's comparison was judged before; none if it does not say."""
-    try:
-        _, found = _read(folder / SUMMARY, _Looks)
-    except ResultsError:
-        return []
-    return [look for look in dict.fromkeys(found.looks) if look != episodes]
+def _is_possible(pair: PairedDifference) -> bool:
+    counts = (pair.both, pair.only_a, pair.only_b, pair.neither)
+    ends = (
+        [end for one in (pair.crossed.estimate, pair.crossed.narrow) for end in (one.low, one.high)]
+        if pair.crossed
+        else []
+    )
+    return pair.episodes > 0 and min(counts) >= 0 and sum(counts) <= pair.episodes and None not in ends
 
 
 def _options(folder: Path, summary: _Summary) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.agents import TrainingCost
+from armctl.agents import TrainingCost, mean_cost
 from armctl.envs import SEES
 from armctl.envs.vector import UNSTABLE
 from armctl.evaluation.decision_times import comparable_times, setting_in_words
@@ -138,7 +138,10 @@ def summarise(
         policy = policies[name if name in policies else next(iter(trainings))]
         together = list(itertools.chain(*trainings.values()))
         summary = _summary(name, policy, planned, infeasible, together, scored, limits)
-        found.append(summary if len(trainings) < 2 else _of_group(summary, trainings, scored, limits))
+        if len(trainings) > 1:
+            summary = _of_group(summary, trainings, scored, limits)
+            summary = replace(summary, training=mean_cost([_training_cost(policies[one]) for one in trainings]))
+        found.append(summary)
     return found, pairs_of({name: list(one.values()) for name, one in trained.items()}, scored, limits)
 
 

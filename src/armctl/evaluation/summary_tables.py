@@ -9,7 +9,7 @@ import pandas as pd
 from armctl.agents import TrainingCost
 from armctl.evaluation.degradation import FALSE_DISCOVERY_RATE, Degradation, degradations
 from armctl.evaluation.endurance import endurance_headline, endurances
-from armctl.evaluation.paired import PairedDifference, holm
+from armctl.evaluation.paired import PairedDifference, corrected
 from armctl.evaluation.statistics import Estimate
 from armctl.evaluation.summary import PolicySummary
 from armctl.evaluation.tables import AGAINST, UNKNOWN, Cell, Column, Remark, Table, p_value, percent, plain
@@ -37,7 +37,9 @@ def policy_table(env: str, seed: int, policies: Sequence[PolicySummary], disqual
         for policy in policies
     ]
     rows += [[Cell(name, DISQUALIFIED), *[Cell(UNKNOWN)] * (len(columns) - 1)] for name in disqualified]
-    caption = "With decisions in training (M: million), 95 % intervals, and the 99th percentile of decision times."
+    caption = (
+        "With decisions in training (M: million), 95 % intervals, and median and 99th percentile of decision times."
+    )
     if any(policy.trainings for policy in policies):
         caption += " [*]: the intervals of means are for other trainings and other episodes."
     if disqualified:
@@ -95,31 +97,31 @@ def trainings_in_words(policy: PolicySummary) -> str:
     return f"{what} by training {each}{unit}, standard deviation {scale * (policy.between or 0):.1f}{points}"
 
 
-def paired_table(pairs: Sequence[PairedDifference]) -> Table:
+def paired_table(pairs: Sequence[PairedDifference], baseline: str | None = None) -> Table:
     """A row for each pair of policies. If success is unknown, the probability of a higher return takes its place."""
     by_success = any(pair.mcnemar_p is not None for pair in pairs)
     name, gain = Column("a - b"), Column("return")
     columns = [name, Column("success"), Column("only a / only b", optional=True), Column("p"), gain, Column("steps")]
-    corrected = iter(holm([pair.superiority.p if pair.mcnemar_p is None else pair.mcnemar_p for pair in pairs]))
+    p_values = corrected(pairs, baseline)
+    family = f"the pairs of {baseline}, and of all others for all pairs" if baseline else "all pairs"
     rows = []
-    for pair in pairs:
+    for pair, p in zip(pairs, map(p_value, p_values), strict=True):
         names, difference = Cell(pair.a, AGAINST + pair.b), plain(pair.return_difference, "+")
         if by_success:
-            counts, p = Cell(f"{pair.only_a} / {pair.only_b}"), Cell(p_value(next(corrected)))
+            counts = Cell(f"{pair.only_a} / {pair.only_b}")
             success, steps = percent(pair.success_difference, "+"), plain(pair.steps_difference, "+")
-            rows.append([names, success, counts, p, difference, steps])
+            rows.append([names, success, counts, Cell(p), difference, steps])
         else:
-            p = Cell(p_value(next(corrected)))
-            rows.append([names, difference, percent(pair.superiority.probability), p])
+            rows.append([names, difference, percent(pair.superiority.probability), Cell(p)])
     if by_success:
-        caption = "p: McNemar's exact test for equal success, after Holm's correction for all pairs. Intervals: 95 %."
+        caption = f"p: McNemar's exact test for equal success, after Holm's correction for {family}. Intervals: 95 %."
         if any(pair.crossed for pair in pairs):
             caption += " [*]: over trainings and episodes, p and intervals are those of a crossed analysis."
     else:
         columns = [name, gain, Column("a is better"), Column("p")]
         caption = "a is better: share of episodes in which a has the higher return; a tie counts half. "
-        caption += "p: sign test, after Holm's correction."
-    records = [dataclasses.asdict(pair) for pair in pairs]
+        caption += f"p: sign test, after Holm's correction for {family}."
+    records = [{**dataclasses.asdict(pair), "p_corrected": p} for pair, p in zip(pairs, p_values, strict=True)]
     return Table("paired", "Paired differences, on the same episodes", columns, rows, records, caption)
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from armctl.evaluation.paired import (
     MARGIN,
     PairedDifference,
+    corrected,
     episodes_to_detect,
     episodes_to_show_equivalence,
     holm,
@@ -16,7 +17,6 @@ from armctl.evaluation.summary import PolicySummary
 from armctl.policies import policy_names, privileges
 
 SIGNIFICANT = 0.05
-P_VALUES = ("mcnemar_p", "return_p")
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def headline(
     else:
         result = f"Undecided between {first.policy} and {second.policy}: success {_difference(contest)}."
     times = [f"{one.policy} {one.decision_ms:.2g} ms{one.training.brief}" for one in (first, second)]
-    return result, f"A decision takes {', and '.join(times)}."
+    return result, f"On average, a decision takes {', and '.join(times)}{_timing(contest)}."
 
 
 def contests(
@@ -127,9 +127,11 @@ def _contest(
     claims: int,
 ) -> Contest:
     by_name = {policy.policy: policy for policy in policies}
-    family = [pair for pair in paired if baseline is None or baseline in (pair.a, pair.b)]
     pair = next(pair for pair in paired if {pair.a, pair.b} == set(names))
-    p, return_p = (_corrected([getattr(one, name) for one in family], family.index(pair)) for name in P_VALUES)
+    p = None if pair.mcnemar_p is None else corrected(paired, baseline)[paired.index(pair)]
+    family = [one for one in paired if baseline in (None, one.a, one.b)]
+    earned = [one.return_p for one in family if one.return_p is not None]
+    return_p = holm(earned)[family.index(pair)] if len(earned) == len(family) else None
     first, second = sorted((by_name[pair.a], by_name[pair.b]), key=lambda one: names.index(one.policy))
     ahead = pair.success_difference
     gain = ahead.value if ahead and ahead.value else pair.return_difference.value
@@ -138,19 +140,14 @@ def _contest(
     return Contest(first, second, pair, p, return_p, len(family), claims)
 
 
-def _corrected(p_values: Sequence[float | None], index: int) -> float | None:
-    known = [p for p in p_values if p is not None]
-    return holm(known)[index] if known and len(known) == len(p_values) else None
-
-
 def _sentence(contest: Contest, margin: float) -> str:
     first, second, pair = contest.first.policy, contest.second.policy, contest.pair
     by_return = _by_return(contest)
     if contest.p is None:
-        return f"{by_return or f'The returns of {first} and {second} cannot be told apart'}."
+        return f"{by_return or f'The returns of {first} and {second} are not shown to differ'}."
     difference, points = _difference(contest), f"{100 * margin:g} points"
     family = f" after Holm's correction for {contest.pairs} pairs" if contest.pairs > 1 else ""
-    p = f"p = {contest.p:.1g}{family}"
+    p = f"p = {contest.p:.2g}{family}"
     equivalent = pair.equivalent(margin, contest.claims)
     if contest.p < SIGNIFICANT:
         within = f", though by less than {points}" if equivalent else ""
@@ -191,8 +188,15 @@ def _cost(contest: Contest) -> str:
     trained = [
         f"{one.policy} was trained for {one.training}{' each' * bool(one.trainings)}" for one in both if one.learned
     ]
-    times = " and ".join(f"{one.policy} {one.decision_ms:.2g} ms" for one in both)
-    return f"{'; '.join((*trained, f'a decision takes {times}'))}." if trained else f"A decision takes {times}."
+    times = " and ".join(f"{one.policy} {one.decision_ms:.2g} ms" for one in both) + _timing(contest)
+    said = "; ".join((*trained, f"on average, a decision takes {times}"))
+    return f"{said[0].upper() if not trained else said[0]}{said[1:]}."
+
+
+def _timing(contest: Contest) -> str:
+    """What these times are, unless they are latencies."""
+    kinds = dict.fromkeys(one.timing for one in (contest.first, contest.second))
+    return f" ({', '.join(kind or 'latencies' for kind in kinds)})" if any(kinds) else ""
 
 
 def _privileges(contest: Contest) -> str:

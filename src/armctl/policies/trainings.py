@@ -4,6 +4,7 @@ They are shipped agents and what is in `seeds/` beside them, or for a path such 
 train` has written into `runs/reach_ppo-0`, `runs/reach_ppo-1` and so on.
 """
 
+import contextlib
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.util import find_spec
@@ -69,8 +70,10 @@ def trainings_of(recipe: str) -> dict[int, Path]:
     else:
         home = Path(recipe)
         own = re.compile(re.escape(home.name) + r"-\d+")
-        folders = (one for one in home.parent.glob("*") if own.fullmatch(one.name)) if home.name else ()
-        paths = [path for folder in sorted(folders) if (path := folder / "agent.json").is_file()]
+        paths = []
+        with contextlib.suppress(OSError, ValueError):  # a name that no file can have
+            folders = (one for one in home.parent.glob("*") if own.fullmatch(one.name)) if home.name else ()
+            paths = [path for folder in sorted(folders) if (path := folder / "agent.json").is_file()]
     if not paths:
         raise ConfigurationError(
             f"there are no trainings {recipe}[*]: neither is {recipe} a shipped agent, nor are there folders "

@@ -176,7 +176,7 @@ def trade_off(found: Sequence[Point], look: Looks, by_success: bool = True, heig
     figure = go.Figure()
     slowest = max(max(one.slow_ms, one.decision_ms) for one in found)
     fastest = min(one.decision_ms for one in found)
-    span = [math.log10(fastest) - 0.35, math.log10(slowest) + 0.35]
+    span = [math.log10(fastest) - 0.35, min(math.log10(slowest) + 0.35, 300.0)]
     front = pareto_front(found)
     figure.add_scatter(
         x=[*(one.decision_ms for one in front), 10 ** span[1]],

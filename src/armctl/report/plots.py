@@ -14,7 +14,7 @@ from armctl.envs import check_from_file, make_worlds
 from armctl.errors import ArmctlError
 from armctl.evaluation.curves import training_curves
 from armctl.evaluation.endurance import Endurance
-from armctl.evaluation.paired import PairedDifference
+from armctl.evaluation.paired import PairedDifference, corrected
 from armctl.evaluation.results import Results
 from armctl.evaluation.statistics import Estimate
 from armctl.evaluation.summary import PolicySummary
@@ -163,22 +163,23 @@ def _profile(results: Results, look: style.Looks) -> Plot:
 
 
 def _paired(results: Results, look: style.Looks) -> list[Plot]:
-    pairs = results.comparison.paired
+    comparison = results.comparison
+    pairs = list(zip(comparison.paired, corrected(comparison.paired, comparison.baseline), strict=True))
     if len(pairs) > MOST_PAIRS:
-        best = max(results.comparison.policies, key=lambda policy: _score(policy.success or policy.episode_return))
-        pairs = [pair for pair in pairs if best.policy in (pair.a, pair.b)]
+        best = max(comparison.policies, key=lambda policy: _score(policy.success or policy.episode_return))
+        pairs = [(pair, p) for pair, p in pairs if best.policy in (pair.a, pair.b)]
     return [
         Plot(
             figures.paired(pair, results.episodes, look),
             f"Returns of {pair.a} against those of {pair.b}",
             f"{look[pair.a].label} against {look[pair.b].label}",
-            _difference(pair),
+            _difference(pair, p),
         )
-        for pair in pairs
+        for pair, p in pairs
     ]
 
 
-def _difference(pair: PairedDifference) -> str:
+def _difference(pair: PairedDifference, p: float) -> str:
     """What a pair's figure means, in numbers."""
     gain = pair.return_difference
     earns = f"Return {gain.value:+.1f} ({spread(gain, sign='+')})."
@@ -188,8 +189,8 @@ def _difference(pair: PairedDifference) -> str:
     success = pair.success_difference
     return (
         f"Success {100 * (success.value if success else 0):+.1f} % ({spread(success, 100, '+')}): "
-        f"{pair.only_a} won only by the first, {pair.only_b} only by the second, p = {p_value(pair.mcnemar_p)}. "
-        + style.signed(earns)
+        f"{pair.only_a} won only by the first, {pair.only_b} only by the second, "
+        f"p = {p_value(p)} after Holm's correction. " + style.signed(earns)
     )
 
 

@@ -33,7 +33,7 @@ class CostPoint:
     symbol: str
     success: float
     cost: float
-    """ms, or minutes of training."""
+    """ms, or decisions of training."""
 
 
 def intervals(rows: Mapping[str, Estimate], colours: Mapping[str, str]) -> go.Figure:

@@ -59,7 +59,8 @@ def most_different(episodes: Mapping[str, Sequence[EpisodeResult]]) -> list[Epis
     The criterion is the sum of the logarithms of the gaps between neighbouring returns, so that one policy that always
     fails does not dominate it.
     """
-    played = list(zip(*episodes.values(), strict=False))
+    together = zip(*episodes.values(), strict=False)
+    played = [results for results in together if len({result.episode for result in results}) == 1]
     if len(episodes) < 2 or not played:
         return []
     returns = np.array([[result.total_reward for result in results] for results in played])
