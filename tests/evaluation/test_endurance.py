@@ -80,7 +80,7 @@ def test_whoever_gets_worse_does_not_hold_out(wins, told, headline):
 
 
 def test_the_same_episodes_decide_where_they_are_known():
-    """25 against 20 of 50 is a tie for Fisher's test, but not if the one wins whatever the other wins, and more."""
+    """25 against 17 of 50 is chance for Fisher's test, but not if the one wins all that the other wins, and 8 more."""
     table = points({"noise": {"a": (50, 25), "b": (50, 17)}}, levels=(0.0, 1.0))
     both = frozenset(("a", "b"))
     assert endurances(table)[0].behind == {}

@@ -78,6 +78,18 @@ def test_the_points_are_those_of_the_comparisons(finished):
     assert undisturbed[:2].reset_index(drop=True).equals(undisturbed[2:].reset_index(drop=True))
 
 
+def test_the_pairs_of_a_sweep_are_kept(finished):
+    found, folder = finished
+    both = frozenset(POLICIES)
+    pairs = {name: one.paired[0].mcnemar_p for name, one in found.comparisons.items()}
+    assert found.pairs == {
+        (*NEUTRAL, both): pairs["none"],
+        ("noise", 0.05, both): pairs["noise-0.05"],
+        ("delay", 2.0, both): pairs["delay-2.0"],
+    }
+    assert read_pairs(folder) == found.pairs
+
+
 def test_p_is_mcnemars_on_the_same_episodes():
     found = run(policies=["reach_ik"], disturbances={"mismatch": [0.2]}, episodes=12, worlds=6)
     before, after = (found.comparisons[name].episodes.set_index("episode").success for name in ("none", "mismatch-0.2"))
@@ -261,18 +273,6 @@ def test_only_what_counts_is_held_against_the_undisturbed():
         }
         only = replace(found, comparisons=comparisons)
         assert _against_undisturbed(only, comparisons["x"], comparisons["x"].policies[0]) == mcnemar(4, 0)
-
-
-def test_the_pairs_of_a_sweep_are_kept(finished):
-    found, folder = finished
-    both = frozenset(POLICIES)
-    pairs = {name: one.paired[0].mcnemar_p for name, one in found.comparisons.items()}
-    assert found.pairs == {
-        (*NEUTRAL, both): pairs["none"],
-        ("noise", 0.05, both): pairs["noise-0.05"],
-        ("delay", 2.0, both): pairs["delay-2.0"],
-    }
-    assert read_pairs(folder) == found.pairs
 
 
 @pytest.mark.parametrize(
