@@ -307,7 +307,6 @@ def test_learning_curves_of_agents_beside_the_others(tmp_path):
     assert (ik["name"], ik["y"], ik["line"]["dash"]) == ("reach_ik", [1, 1], "dot")
     harder = {"disturbances": {"noise": 0.02}}
     compare(["reach_ik", agent], episodes=2, out=tmp_path / "harder", env_options=harder)  # no curve is of this
-    assert "0.875" not in (tmp_path / "harder" / "summary.json").read_text()
     assert "87.5 %" not in text_of(write_report(tmp_path / "harder", video=False))
     (mine / "curve.csv").write_text("steps\n1\n")
     assert "curve.csv cannot be read: it has no column minutes" in text_of(
