@@ -106,7 +106,7 @@ def test_the_undisturbed_level_counts_once():
     table.loc[(table.disturbance == names[0]) & (table.policy == "c") & (table.level == 1), "success"] = 0.9
     pairs = {(name, 1.0, frozenset(two)): 1.0 for name in names for two in ("ab", "ac", "bc")}
     pairs |= {(*NEUTRAL, frozenset(two)): 0.0 if "b" in two else 1.0 for two in ("ab", "ac", "bc")}
-    pairs[names[0], 1.0, frozenset("ac")] = 0.02
+    pairs[names[0], 1.0, frozenset("ac")] = 0.01
     found = endurances(table, pairs)
     assert all("c" in one.leaders and one.behind == {} for one in found)
     assert all("b" in one.behind or "b" in one.from_the_start for one in found)
