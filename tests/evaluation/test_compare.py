@@ -343,6 +343,16 @@ def test_gap_is_to_the_least_length_that_all_policies_share(tmp_path):
     assert "% over the least time" in console.file.getvalue()
 
 
+def test_zeros_are_no_proof_of_none():
+    """What has no bounds has no interval; contacts have the time limit as one."""
+    found = compare(["random", "reach_ik"], episodes=12, worlds=12, env_options={"max_episode_steps": 9})
+    for one in found.policies:
+        contacts = one.metrics["contacts"]
+        assert contacts is None or 0 <= contacts.low <= contacts.value < contacts.high <= 9
+        assert one.metrics["energy"] is None or one.metrics["energy"].low is None
+        assert one.decision_seconds.low is None
+
+
 def test_failures_have_no_gap():
     episodes = evaluate("random", episodes=3, env_options={"max_episode_steps": 5})
     assert episodes.optimality_gap.isna().all()

@@ -1,5 +1,6 @@
 import io
 import json
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -9,10 +10,14 @@ from rich.console import Console
 import armctl
 from armctl.errors import ConfigurationError, ResultsError
 from armctl.evaluation import compare
-from armctl.evaluation.degradation import degradations
+from armctl.evaluation.curves import read_pairs
+from armctl.evaluation.degradation import Onset, degradations
+from armctl.evaluation.endurance import NEUTRAL
 from armctl.evaluation.paired import mcnemar
 from armctl.evaluation.record import TIME_COLUMNS
-from armctl.evaluation.sweep import COLUMNS, sweep, sweep_levels
+from armctl.evaluation.summary_tables import sweep_parts
+from armctl.evaluation.sweep import COLUMNS, _against_undisturbed, sweep, sweep_levels
+from armctl.files import sealed, unsealed
 from armctl.report import write_report
 from armctl.report.terminal import tables
 
@@ -71,6 +76,18 @@ def test_the_points_are_those_of_the_comparisons(finished):
             np.testing.assert_allclose(rows["return"], policy.episode_return.value)
     undisturbed = points[points.level == 0].drop(columns=["disturbance", "unit"])
     assert undisturbed[:2].reset_index(drop=True).equals(undisturbed[2:].reset_index(drop=True))
+
+
+def test_the_pairs_of_a_sweep_are_kept(finished):
+    found, folder = finished
+    both = frozenset(POLICIES)
+    pairs = {name: one.paired[0].mcnemar_p for name, one in found.comparisons.items()}
+    assert found.pairs == {
+        (*NEUTRAL, both): pairs["none"],
+        ("noise", 0.05, both): pairs["noise-0.05"],
+        ("delay", 2.0, both): pairs["delay-2.0"],
+    }
+    assert read_pairs(folder) == found.pairs
 
 
 def test_p_is_mcnemars_on_the_same_episodes():
@@ -218,7 +235,11 @@ def test_what_is_said_of_a_curve_minds_chance():
         better=[(0.4, 1.0), (0.9, 1e-6), (1.0, 1e-9)],
     )
     found = {one.policy: (one.drops, one.below_half) for one in degradations(frame)}
-    assert found == {"steady": (None, None), "failing": (1.0, 2.0), "better": (None, 0.0)}
+    assert found == {
+        "steady": (None, None),
+        "failing": (Onset(1.0), Onset(2.0)),
+        "better": (None, Onset(0.0, lasts=False)),
+    }
     unlucky = points(**{f"p{i}": [(1.0, 1.0), (0.9, 0.5 if i else 0.04)] for i in range(20)})
     assert all(one.drops is None for one in degradations(unlucky))  # one of 20 is below 0.05 by chance
 
@@ -227,6 +248,43 @@ def test_the_tables_tell_levels_and_failures(finished):
     text = printed(finished[0])
     assert "noise, m, rad, m/s" in text
     assert "random: below half from 0 on." in text
+
+
+def test_whoever_recovers_is_not_worse_from_there_on():
+    frame = points(
+        a=[(1.0, 1.0), (0.8, 1e-4), (0.99, 1.0), (1.0, 1.0)], b=[(0.9, 1.0), (0.4, 1e-9), (0.7, 1e-3), (0.6, 1e-4)]
+    )
+    text = "\n".join(getattr(part, "text", "") for part in sweep_parts(frame, {}))
+    assert "a: worse at 1. b: worse from 1 on, below half at 1." in text
+    assert "crossed" not in text
+    group = frame.replace({"policy": {"b": "b[*]"}})
+    assert "McNemar's exact test; [*]: a crossed analysis" in sweep_parts(group, {})[-2].text
+
+
+def test_only_what_counts_is_held_against_the_undisturbed():
+    """An infeasible episode, and one that was finished after an unfinished one, are left out of p as of all figures."""
+    found = run(policies=["reach_ik"], disturbances=["delay"], episodes=2)
+    rows = found.comparisons["none"].episodes.iloc[[0] * 12].assign(episode=range(12), success=True, feasible=True)
+    after = rows.assign(success=False, feasible=[True] * 4 + [False] * 8)
+    for spoilt in (after, after.assign(feasible=True, episode=[*range(4), *range(5, 13)])):
+        comparisons = {
+            "none": replace(found.comparisons["none"], episodes=rows),
+            "x": replace(found.comparisons["none"], episodes=spoilt),
+        }
+        only = replace(found, comparisons=comparisons)
+        assert _against_undisturbed(only, comparisons["x"], comparisons["x"].policies[0]) == mcnemar(4, 0)
+
+
+@pytest.mark.parametrize(
+    "pairs", ["x", [["noise", 0.05, "a", "b", 7]], [["noise", 0.05, "a", "b", None]], [[]], {"a": 1}]
+)
+def test_hostile_pairs_are_an_error(pairs, finished, tmp_path):
+    told = unsealed((finished[1] / "sweep.json").read_text())
+    (tmp_path / "sweep.json").write_text(sealed(told | {"pairs": pairs}))
+    with pytest.raises(ResultsError, match="cannot be read"):
+        read_pairs(tmp_path)
+    (tmp_path / "sweep.json").write_text(sealed({name: value for name, value in told.items() if name != "pairs"}))
+    assert read_pairs(tmp_path) == {}  # an older version's
 
 
 def test_a_comparison_that_was_replaced_is_not_the_sweeps(tmp_path):
@@ -239,7 +297,6 @@ def test_a_comparison_that_was_replaced_is_not_the_sweeps(tmp_path):
 
 def test_who_holds_out_is_the_verdict(finished):
     found, _ = finished
-    *_, last = found.document().parts
-    assert last.kind == "verdict"
+    *_, last = (part for part in found.document().parts if getattr(part, "kind", "") == "verdict")
     assert last.text.endswith("nobody is shown to fall behind.")  # four episodes show nothing
     assert last.text in " ".join(printed(found).split())

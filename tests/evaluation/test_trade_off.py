@@ -66,10 +66,13 @@ PPO = TrainingCost(400, None, 400)
 @pytest.mark.parametrize(
     ("successes", "says"),
     [
-        ((0.0, 0.5, 0.9, 0.85), "ppo breaks even with the 90.0 % of ik after 200 decisions: 90.0 % [80.0, 100.0]."),
+        (
+            (0.0, 0.5, 0.9, 0.85),
+            "ppo is first measured at or above the 90.0 % of ik after 200 decisions: 90.0 % [80.0, 100.0].",
+        ),
         (
             (0.0, 0.5, 0.8, 0.7),
-            "ppo never reaches the 90.0 % of ik: at most 80.0 % [70.0, 90.0] in 300 decisions of training.",
+            "ppo is not seen to reach the 90.0 % of ik: 80.0 % [70.0, 90.0] at best in 300 decisions of training.",
         ),
     ],
 )

@@ -2,12 +2,17 @@
 
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Annotated, Any
 
 import pandas as pd
+from pydantic import Field, TypeAdapter
 
+from armctl.agents import read_card
+from armctl.envs import full_id
 from armctl.errors import ArmctlError, ResultsError
+from armctl.evaluation.endurance import Pair
 from armctl.evaluation.reproduce import card_path
 from armctl.evaluation.store import COMPARISON
 from armctl.files import bounded_text, digest, unsealed
@@ -19,11 +24,17 @@ SWEEP, POINTS, COMPARISONS = "sweep.json", "sweep.csv", "comparisons"
 """Files of a sweep, and the first's key for the identities of its comparisons."""
 RECORDED = "real_time"
 """The key, in the first of them and in its table's attributes, of the folder whose decision times were repeated."""
+PAIRS = "pairs"
+"""The key of the p-values of each two policies: `[disturbance, level, policy, policy, p]`, as in `Sweep.pairs`."""
 SWEEP_COLUMNS = ("disturbance", "level", "policy", "success", "low", "high")
 
 
-def training_curves(policies: Sequence[str]) -> tuple[dict[str, pd.DataFrame], list[str]]:
+def training_curves(
+    policies: Sequence[str], env: str, env_options: Mapping[str, Any]
+) -> tuple[dict[str, pd.DataFrame], list[str]]:
     """The learning curve of each agent that has one beside its card, and error messages for unreadable curves.
+
+    It is of the card's environment and options: where these are others than `env` and `env_options`, it is left out.
 
     The curve is `curve.csv` in a training's folder, beside its `agent.json`; for a card `name.json`, it is `name.csv`.
     """
@@ -36,8 +47,10 @@ def training_curves(policies: Sequence[str]) -> tuple[dict[str, pd.DataFrame], l
         beside = card.with_name(CURVE) if card.name == "agent.json" else card.with_suffix(".csv")
         if beside.is_file():
             try:
-                curves[policy] = read_curve(beside)
-            except ResultsError as error:
+                trained = read_card(card)
+                if (full_id(trained.env), trained.env_options) == (full_id(env), dict(env_options)):
+                    curves[policy] = read_curve(beside)
+            except ArmctlError as error:
                 problems.append(str(error))
     return curves, problems
 
@@ -67,6 +80,16 @@ def read_sweep(folder: Path) -> pd.DataFrame:
     table = _table(path, SWEEP_COLUMNS, ("level", "success", "low", "high")).astype({"policy": str, "disturbance": str})
     table.attrs[RECORDED] = told.get(RECORDED)
     return table
+
+
+def read_pairs(folder: Path) -> dict[Pair, float]:
+    """The p-values of each two policies of a sweep; none in sweeps of older versions. Raises `ResultsError`."""
+    kind = TypeAdapter(list[tuple[str, float, str, str, Annotated[float, Field(ge=0, le=1)]]])
+    try:
+        found = kind.validate_python(unsealed(bounded_text(folder / SWEEP)).get(PAIRS, []))
+    except (OSError, ValueError) as error:
+        raise ResultsError(f"{folder / SWEEP} cannot be read: {error}") from error
+    return {(name, level, frozenset((a, b))): p for name, level, a, b, p in found}
 
 
 def comparison_in(folder: Path) -> str:

@@ -1,5 +1,6 @@
 """From which level of a disturbance a policy gets worse, and from which it fails."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import pandas as pd
@@ -10,15 +11,27 @@ FALSE_DISCOVERY_RATE = 0.05
 
 
 @dataclass(frozen=True)
+class Onset:
+    """A level at which something is shown."""
+
+    level: float
+    lasts: bool = True
+    """Whether figures agree at all later levels."""
+
+    def __str__(self) -> str:
+        return f"from {self.level:g} on" if self.lasts else f"at {self.level:g}"
+
+
+@dataclass(frozen=True)
 class Degradation:
     """The effect of one disturbance on one policy."""
 
     disturbance: str
     policy: str
     sees: str
-    drops: float | None
-    """The first level with a significant drop in success, or in return if success is unknown; None if there is none."""
-    below_half: float | None
+    drops: Onset | None
+    """The first significant drop in success, or in return if it is unknown; it lasts until figures are as before."""
+    below_half: Onset | None
     """The first level with a success rate below one half; None if there is none."""
 
 
@@ -31,18 +44,24 @@ def degradations(points: pd.DataFrame) -> list[Degradation]:
         significant[levels.index] = stats.false_discovery_control(levels.p) < FALSE_DISCOVERY_RATE
     score = "success" if points.success.notna().any() else "return"
     fell = points[score] < points.groupby(["disturbance", "policy"])[score].transform("first")
-    points = points.assign(drops=significant & fell)
+    points = points.assign(fell=fell, drops=significant & fell, below_half=points.success < 0.5)
     return [
         Degradation(
             str(disturbance),
             str(policy),
             str(rows.sees.iloc[0]),
-            _first(rows.level[rows.drops]),
-            _first(rows.level[rows.success < 0.5]),
+            next(iter(onsets(rows.level, rows.drops, rows.fell)), None),
+            next(iter(onsets(rows.level, rows.below_half, rows.below_half)), None),
         )
         for (disturbance, policy), rows in points.groupby(["disturbance", "policy"], sort=False)
     ]
 
 
-def _first(levels: "pd.Series[float]") -> float | None:
-    return float(levels.iloc[0]) if len(levels) else None
+def onsets(levels: Iterable[float], shown: Iterable[bool], holds: Iterable[bool]) -> list[Onset]:
+    """The levels at which something is shown. It lasts if it `holds`, shown or not, at all later ones."""
+    later = list(holds)
+    return [
+        Onset(float(level), all(later[i + 1 :]))
+        for i, (level, one) in enumerate(zip(levels, shown, strict=True))
+        if one
+    ]

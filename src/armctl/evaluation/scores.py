@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from armctl.evaluation.paired import PairedDifference, difference_of_groups, paired_difference
@@ -36,6 +37,13 @@ def clean(result: EpisodeResult) -> bool | None:
         return None
     beyond = use.range_use > WITHIN_RANGE or use.speed_use > WITHIN_SPEED
     return bool(result.success) and not use.contacts and not beyond
+
+
+def counted_rows(episodes: pd.DataFrame) -> pd.DataFrame:
+    """The rows of `episodes.csv` that count, by episode; which do is as in `counted_results`."""
+    played = episodes.sort_values("episode")
+    unbroken = played[played.episode == played.groupby("policy").cumcount()]
+    return unbroken[~unbroken.episode.isin(played.episode[~played.feasible.astype(bool)])]
 
 
 def by_learner(

@@ -123,7 +123,8 @@ def random_weights(counts: NDArray[np.intp], rng: np.random.Generator) -> Iterat
 def mean(values: Array) -> Estimate | None:
     """Mean with Student's t interval (1908), unknown for fewer than `FEWEST` values; None without values.
 
-    For values without bounds. It is far too narrow where disasters are rare: see `bounded_mean`.
+    No figure of a comparison has it: it is far too narrow where disasters are rare, as `benchmarks/coverage.py` shows
+    next to `bounded_mean`.
     """
     if not len(values):
         return None

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from armctl.agents import TrainingCost, mean_cost
 from armctl.envs import SEES
@@ -16,7 +16,7 @@ from armctl.evaluation.decision_times import comparable_times, setting_in_words
 from armctl.evaluation.paired import PairedDifference
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.scores import Limits, by_learner, clean, pairs_of, scores_of
-from armctl.evaluation.statistics import Bounds, Estimate, bounded_mean, mean, median, success_rate, worst_decile
+from armctl.evaluation.statistics import Bounds, Estimate, bounded_mean, median, success_rate, worst_decile
 from armctl.evaluation.trainings import mean_over_trainings
 from armctl.policies import Policy
 
@@ -51,7 +51,8 @@ class PolicySummary:
     tracking_error: Estimate | None
     """m, mean distance to a moving target after it was first reached."""
     metrics: dict[str, Estimate | None]
-    """Means of `METRICS` over successful episodes, or over all if success is unknown."""
+    """Means of `METRICS` over successful episodes, or over all if success is unknown; without intervals but for
+    `contacts`, since the others have no bounds."""
     decision_ms_p50: float
     """Of warm decisions, like the next two, in the episodes that `worlds` and `workers` tell."""
     decision_ms_p99: float
@@ -178,6 +179,7 @@ def _summary(
     won = [result for result in results if result.success]
     missed = [result.metrics.missed_deadlines for result in timed]
     returns = np.array([result.total_reward for result in results])
+    steps = (1.0, float(limits.steps)) if limits.steps else None
     cleanly = [clean(result) for result in results]
     restricted = scores_of("restricted_steps", [results], limits)[0] if scored and limits.steps else None
     lengths = np.array([float(result.length) for result in results])
@@ -193,25 +195,25 @@ def _summary(
         dict(Counter(result.outcome for result in results).most_common()),
         success_rate(np.array([bool(result.success) for result in results])) if scored else None,
         bounded_mean(returns, limits.returns),
-        mean(np.array([float(result.length) for result in won])),
+        _mean([float(result.length) for result in won], steps),
         median(_known(result.optimality_gap for result in results)),
-        mean(_known(result.tracking_error for result in results)),
-        {name: _mean_metric(name, won if scored else results) for name in METRICS},
+        _mean(_known(result.tracking_error for result in results)),
+        {name: _mean_metric(name, won if scored else results, limits.steps) for name in METRICS},
         float(np.quantile(decisions, 0.5)),
         float(np.quantile(decisions, 0.99)),
         float(decisions.max()),
         None if None in missed else sum(one for one in missed if one) / len(decisions),
         sum(result.metrics.solver_failures for result in results),
-        mean(lengths) if limits.steps is None else bounded_mean(lengths, (1.0, limits.steps)),
+        _mean(lengths, steps),
         success_rate(np.array(cleanly)) if scored and None not in cleanly else None,
         worst_decile(returns, limits.returns),
-        None if restricted is None else bounded_mean(restricted, (1.0, float(limits.steps or 1))),
+        None if restricted is None else _mean(restricted, steps),
         bounded_mean(efficiency, (0.0, 1.0)) if scored and np.isfinite(efficiency).all() else None,
         float(cold.max()) if len(cold) else None,
         timed[0].worlds,
         timed[0].workers,
         float(decisions.mean()),
-        mean(np.array([np.nansum(result.decision_ms) / 1e3 for result in timed])),
+        _mean([float(np.nansum(result.decision_ms)) / 1e3 for result in timed]),
     )
 
 
@@ -251,9 +253,18 @@ def _training_cost(policy: Policy) -> TrainingCost:
     return known if isinstance(known, TrainingCost) else TrainingCost(steps, minutes, steps or None)
 
 
-def _mean_metric(name: str, results: Sequence[EpisodeResult]) -> Estimate | None:
+def _mean_metric(name: str, results: Sequence[EpisodeResult], steps: int | None) -> Estimate | None:
     values = [getattr(result.metrics, name) for result in results]
-    return mean(_known(float(value) for value in values if value is not None))
+    bounds = (0.0, float(steps)) if name == "contacts" and steps else None
+    return _mean(_known(float(value) for value in values if value is not None), bounds)
+
+
+def _mean(values: ArrayLike, bounds: Bounds | None = None) -> Estimate | None:
+    """A mean, without an interval if the values have no bounds: nobody knows what was too rare to be seen."""
+    values = np.asarray(values, dtype=float)
+    if bounds is not None:
+        return bounded_mean(values, bounds)
+    return Estimate(float(values.mean()), None, None) if len(values) else None
 
 
 def _known(values: Iterable[float]) -> NDArray[np.float64]:

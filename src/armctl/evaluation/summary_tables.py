@@ -2,13 +2,13 @@
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import pandas as pd
 
 from armctl.agents import TrainingCost
 from armctl.evaluation.degradation import FALSE_DISCOVERY_RATE, Degradation, degradations
-from armctl.evaluation.endurance import endurance_headline, endurances
+from armctl.evaluation.endurance import GROUP, Pair, endurance_headline, endurances
 from armctl.evaluation.paired import PairedDifference, corrected
 from armctl.evaluation.statistics import Estimate
 from armctl.evaluation.summary import PolicySummary
@@ -125,11 +125,14 @@ def paired_table(pairs: Sequence[PairedDifference], baseline: str | None = None)
     return Table("paired", "Paired differences, on the same episodes", columns, rows, records, caption)
 
 
-def sweep_parts(points: pd.DataFrame) -> list[Table | Remark]:
-    """A table for each disturbance, of all policies at all levels, and from which level each policy gets worse."""
+def sweep_parts(points: pd.DataFrame, pairs: Mapping[Pair, float]) -> list[Table | Remark]:
+    """A table for each disturbance, of all policies at all levels, and from which level each policy gets worse.
+
+    `pairs` are the p-values of each two policies, as `Sweep.pairs` has them.
+    """
     parts: list[Table | Remark] = []
     by_success, policies = bool(points.success.notna().any()), points.policy.nunique()
-    found, enduring = degradations(points), endurances(points)
+    found, enduring = degradations(points), endurances(points, pairs)
     for name, rows in points.groupby("disturbance", sort=False):
         levels = list(dict.fromkeys(rows.level))
         if len(levels) == 1:  # the undisturbed one: cut short
@@ -152,6 +155,8 @@ def sweep_parts(points: pd.DataFrame) -> list[Table | Remark]:
         parts.append(Remark(_degradation_text([one for one in found if one.disturbance == name])))
         parts += [Remark(str(one)) for one in enduring if one.disturbance == name and policies > 1]
     test, rate = "McNemar's exact test" if by_success else "sign test", f"{100 * FALSE_DISCOVERY_RATE:g} %"
+    if points.policy.str.endswith(GROUP).any():
+        test += f"; {GROUP}: a crossed analysis of trainings and episodes"
     parts.append(
         Remark(f"Worse: than without disturbance, on the same episodes ({test}, false discovery rate {rate}).")
     )
@@ -171,8 +176,8 @@ def _degradation_text(found: Sequence[Degradation]) -> str:
     sentences, unharmed = [], []
     for one in found:
         name = f"{one.policy} (sees the state)" if one.sees == "state" else one.policy
-        steps = [] if one.drops is None else [f"worse from {one.drops:g} on"]
-        steps += [] if one.below_half is None else [f"below half from {one.below_half:g} on"]
+        steps = [] if one.drops is None else [f"worse {one.drops}"]
+        steps += [] if one.below_half is None else [f"below half {one.below_half}"]
         if steps:
             sentences.append(f"{name}: {', '.join(steps)}.")
         else:

@@ -18,7 +18,8 @@ from armctl.envs import full_id, make_worlds
 from armctl.errors import ConfigurationError, ResultsError, unknown_name
 from armctl.evaluation.compare import compare, default_policies
 from armctl.evaluation.comparison import Comparison
-from armctl.evaluation.curves import COMPARISONS, POINTS, RECORDED, SWEEP, comparison_in
+from armctl.evaluation.curves import COMPARISONS, PAIRS, POINTS, RECORDED, SWEEP, comparison_in
+from armctl.evaluation.endurance import NEUTRAL, Pair
 from armctl.evaluation.notebook import Displayed
 from armctl.evaluation.paired import mcnemar
 from armctl.evaluation.real_time import (
@@ -32,6 +33,7 @@ from armctl.evaluation.real_time import (
     recorded_times,
 )
 from armctl.evaluation.record import EpisodeResult
+from armctl.evaluation.scores import counted_rows
 from armctl.evaluation.seeding import seed_notes
 from armctl.evaluation.seeds import check_evaluation_seed
 from armctl.evaluation.statistics import Estimate, paired_superiority
@@ -48,7 +50,8 @@ COLUMNS = (
     "steps_to_goal", "steps_low", "steps_high", "p", "unit", "sees",
 )  # fmt: skip
 """Of `sweep.csv`: one row per disturbance, level and policy, with 95 % intervals. `p` is McNemar's p-value for equal
-success in the same episodes without the disturbance, or the sign test's for equal return if success is unknown."""
+success in the same episodes without the disturbance, or the sign test's for equal return if success is unknown; for a
+group of trainings, that of a crossed analysis over trainings and episodes."""
 UNDISTURBED = "none"
 Asked = Mapping[str, Sequence[float] | None] | Sequence[str] | None
 
@@ -73,7 +76,7 @@ class Sweep(Displayed):
 
     def document(self) -> Document:
         """A table for each disturbance, and from which level each policy gets worse."""
-        parts = sweep_parts(self.points)
+        parts = sweep_parts(self.points, self.pairs)
         waiting = (comparison for comparison in self.comparisons.values() if comparison.real_time is None)
         notes = itertools.chain.from_iterable(comparison.notes for comparison in waiting)
         parts += [Remark(note, "note") for note in dict.fromkeys(notes)]
@@ -84,6 +87,18 @@ class Sweep(Displayed):
         if self.interrupted:
             parts.append(Remark("Interrupted.", "note"))
         return Document(parts, {"env": self.env, "seed": self.seed})
+
+    @property
+    def pairs(self) -> dict[Pair, float]:
+        """The p-value of each two policies in the same episodes: of equal success, or equal return if it is unknown."""
+        where = {folder_name(name, level): (name, level) for name, levels in self.levels.items() for level in levels}
+        where[UNDISTURBED] = NEUTRAL
+        return {
+            (*where[name], frozenset((pair.a, pair.b))): p
+            for name, comparison in self.comparisons.items()
+            for pair in comparison.paired
+            if (p := pair.return_p if pair.mcnemar_p is None else pair.mcnemar_p) is not None
+        }
 
     def __repr__(self) -> str:
         names = ", ".join(dict.fromkeys(self.points.policy)) or "no policy"
@@ -213,6 +228,7 @@ def _write(folder: Path, found: Sweep, asked: Mapping[str, Any]) -> None:
         told = {
             "env": found.env, "seed": found.seed, **asked, "disturbances": found.levels,
             "interrupted": found.interrupted, "failures": found.failures, POINTS: digest(points),
+            PAIRS: [(*where, *sorted(both), p) for (*where, both), p in found.pairs.items()],
             COMPARISONS: {name: comparison_in(folder / name) for name in found.comparisons},
         }  # fmt: skip
         write_atomically(folder / POINTS, points)
@@ -292,15 +308,14 @@ def _numbers(estimate: Estimate | None) -> tuple[float, float, float]:
 
 
 def _against_undisturbed(found: Sweep, comparison: Comparison | None, policy: PolicySummary) -> float:
-    before, after = (
-        one.episodes[one.episodes.policy.isin(policy.trainings or [policy.policy])]
-        for one in (found.comparisons[UNDISTURBED], comparison)
-        if one is not None
-    )
+    played = [counted_rows(one.episodes) for one in (found.comparisons[UNDISTURBED], comparison) if one is not None]
+    before, after = (rows[rows.policy.isin(policy.trainings or [policy.policy])] for rows in played)
     if policy.trainings:
         return _p_of_group(before, after, "return" if policy.success is None else "success")
     before, after = before.set_index("episode"), after.set_index("episode")
     both = before.index.intersection(after.index)
+    if both.empty:
+        return 1.0
     before, after = before.loc[both], after.loc[both]
     if policy.success is None:
         return paired_superiority(before["return"].to_numpy(), after["return"].to_numpy()).p

@@ -69,9 +69,10 @@ class BreakEven:
             share += f" [{100 * self.success.low:.1f}, {100 * self.success.high:.1f}]"
         target = f"the {100 * self.target:.1f} % of {self.expert}"
         if self.decisions is None:
-            least = f"at most {share} in {rounded(int(self.trained))} decisions of training"
-            return f"{self.agent} never reaches {target}: {least}."
-        return f"{self.agent} breaks even with {target} after {rounded(int(self.decisions))} decisions: {share}."
+            best = f"{share} at best in {rounded(int(self.trained))} decisions of training"
+            return f"{self.agent} is not seen to reach {target}: {best}."
+        after = f"after {rounded(int(self.decisions))} decisions"
+        return f"{self.agent} is first measured at or above {target} {after}: {share}."
 
 
 def break_evens(policies: Sequence[PolicySummary], curves: Mapping[str, pd.DataFrame]) -> list[BreakEven]:

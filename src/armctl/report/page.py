@@ -11,7 +11,7 @@ import pandas as pd
 
 from armctl.envs import full_id
 from armctl.errors import ResultsError
-from armctl.evaluation.curves import POINTS, RECORDED, read_sweep
+from armctl.evaluation.curves import POINTS, RECORDED, read_pairs, read_sweep
 from armctl.evaluation.endurance import endurance_headline, endurances
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.results import Results, read_results
@@ -69,7 +69,7 @@ def write_report(
     look = style.looks(names)
     groups = results.comparison.groups if results else {}
     look |= {member: replace(look[name], label=member) for name in groups for member in groups[name]}
-    enduring = [] if sweep is None or sweep.policy.nunique() < 2 else endurances(sweep)
+    enduring = [] if sweep is None or sweep.policy.nunique() < 2 else endurances(sweep, read_pairs(folder))
     page: dict[str, Any] = {
         "look": look,
         "folder": folder.resolve().name,

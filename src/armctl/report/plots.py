@@ -55,7 +55,9 @@ def comparison_plots(results: Results, look: style.Looks) -> dict[str, Any]:
         term: style.Look(term, TERM_COLOURS[i % len(TERM_COLOURS)])
         for i, term in enumerate(dict.fromkeys(itertools.chain(*terms.values())))
     }
-    curves, problems = training_curves([policy.policy for policy in policies])
+    curves, problems = training_curves(
+        [policy.policy for policy in policies], results.comparison.env, results.comparison.env_options
+    )
     period = None if any(policy.timing for policy in policies) else _period(results)
     by_success = any(policy.success for policy in policies)
     return {
