@@ -133,8 +133,8 @@ def plan(
     """Tell how many episodes a comparison needs to show a difference in success, or that there is none.
 
     That depends on the episodes that exactly one of two policies wins. A pilot, such as 50 episodes with
-    `armctl compare --out pilot`, gives their share for each pair; without one, the table has common shares.
-    With several pairs, the tests are corrected as a comparison's verdict is, and need more episodes.
+    `armctl compare --out pilot`, gives their share for each pair; without one, the table has common shares. With
+    several pairs, tests are corrected as a verdict's are.
     """
     from armctl.evaluation.sample_size import plan_comparison
 
@@ -330,8 +330,7 @@ def reproduce(
 ) -> None:
     """Evaluate learned agents again, and compare the results with their cards.
 
-    An agent agrees unless its success rate differs from the one on its card by Fisher's exact test at 5 %. If one does
-    not agree, the exit status is 1.
+    An agent agrees unless Fisher's exact test at 5 % tells its success rate from its card's; else the exit status is 1.
     """
     from rich.text import Text
 
