@@ -12,7 +12,9 @@ from armctl.agents import read_card
 from armctl.errors import ConfigurationError, ResultsError
 from armctl.evaluation.reproduce import card_path
 from armctl.evaluation.results import read_results
+from armctl.evaluation.sample_size import plan_comparison
 from armctl.evaluation.store import SUMMARY
+from armctl.evaluation.tables import Remark
 from armctl.evaluation.trainings import difference_over_trainings, mean_over_trainings
 from armctl.files import sealed, unsealed
 from armctl.policies import expanded, policy_names, training_card
@@ -195,3 +197,13 @@ def test_groups_that_do_not_belong_to_the_episodes_are_noticed(folder, tmp_path,
     path.write_text(sealed({**unsealed(path.read_text()), "groups": groups}))
     with pytest.raises(ResultsError):
         read_results(tmp_path / "forged")
+
+
+def test_a_plan_leaves_out_groups(folder, tmp_path):
+    with pytest.raises(ResultsError, match="more trainings tell more"):
+        plan_comparison(0.02, pilot=folder)
+    armctl.compare(["reach_ik", "random", "reach_bc[*]"], episodes=10, worlds=10, out=tmp_path)
+    document = plan_comparison(0.02, pilot=tmp_path)
+    assert [record["pair"] for record in document.tables[0].records] == ["reach_ik - random"]
+    said = " ".join(part.text for part in document.parts if isinstance(part, Remark))
+    assert "Left out: reach_ik - reach_bc[*], random - reach_bc[*]." in said

@@ -8,7 +8,7 @@ import pytest
 import armctl
 from armctl.errors import ConfigurationError, ResultsError
 from armctl.evaluation.record import TIME_COLUMNS
-from armctl.evaluation.suite import FULL, QUICK, Size, folder_of, line_up, plan_task, suite
+from armctl.evaluation.suite import FULL, QUICK, Size, folder_of, line_up, plan_task, suite, unusable_agents
 from armctl.evaluation.suite_results import read_suite
 from armctl.evaluation.tables import Table
 from armctl.files import sealed, unsealed
@@ -120,6 +120,24 @@ def test_a_task_that_fails_is_told_and_stops_no_other(tmp_path, monkeypatch):
     assert any("agent reach_ppo" in problem for problem in read_suite(tmp_path).problems)
 
 
+def test_an_agent_whose_file_is_damaged_is_told(tmp_path, monkeypatch):
+    (tmp_path / "mine.json").write_text("{")
+    monkeypatch.setattr(module, "agent_cards", lambda: {"mine_ppo": tmp_path / "mine.json"})
+    found = suite([REACH], out=tmp_path / "suite")
+    assert list(found.tasks) == list(found.failures) == [REACH]
+    for told in (found, read_suite(tmp_path / "suite")):
+        assert any("mine_ppo was left out" in problem and "not an agent's card" in problem for problem in told.problems)
+
+
+def test_only_agents_made_for_a_task_are_missed_in_it(monkeypatch):
+    assert unusable_agents(REACH) == {}
+    monkeypatch.setattr("armctl.agents.sha256", lambda *_: "other")
+    told = unusable_agents(REACH)
+    assert "reach_ppo" in told
+    assert "bridge_ppo" not in told
+    assert "damaged" in told["reach_ppo"]
+
+
 def test_unusable_arguments_say_so(folder):
     with pytest.raises(ConfigurationError, match="Did you mean"):
         suite(["ArmReach-v1"])
@@ -129,6 +147,8 @@ def test_unusable_arguments_say_so(folder):
         suite([])
     with pytest.raises(ResultsError, match="another seed \\(0 there, 5 here\\)"):
         suite([REACH], seed=5, out=folder)
+    with pytest.raises(ResultsError, match=f"further tasks \\({MOVING}\\): name these too"):
+        suite([REACH], out=folder)
     with pytest.raises(ConfigurationError, match="cannot be the name"):
         folder_of("../escape")
 
@@ -136,7 +156,7 @@ def test_unusable_arguments_say_so(folder):
 def test_nothing_is_played_through_a_link(folder, tmp_path):
     (folder / "ArmReach-v0").rename(tmp_path / "elsewhere")
     (folder / "ArmReach-v0").symlink_to(tmp_path / "elsewhere")
-    found = suite([REACH], episodes=3, out=folder)
+    found = suite([REACH, MOVING], episodes=3, out=folder)
     assert "symbolic link" in found.failures[REACH]
 
 

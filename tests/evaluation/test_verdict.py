@@ -11,7 +11,7 @@ from scipy import stats
 import armctl
 from armctl.agents import TrainingCost
 from armctl.errors import ConfigurationError, ResultsError
-from armctl.evaluation.paired import paired_difference
+from armctl.evaluation.paired import episodes_to_detect, episodes_to_show_equivalence, mcnemar, paired_difference
 from armctl.evaluation.sample_size import plan_comparison
 from armctl.evaluation.statistics import Estimate, success_rate
 from armctl.evaluation.summary import PolicySummary
@@ -189,6 +189,35 @@ def test_a_plan_from_a_pilot_has_a_row_for_each_pair(tmp_path):
     assert pair["episodes_to_detect"] > 2000
     rows = plan_comparison(0.05).tables[0].records
     assert [row["episodes_to_detect"] for row in rows] == sorted(row["episodes_to_detect"] for row in rows)
+
+
+def test_a_plan_has_its_power_after_the_corrections_of_the_verdict(tmp_path):
+    armctl.compare(["reach_ik", "reach_ppo", "reach_bc", "random"], episodes=10, worlds=10, out=tmp_path)
+    document = plan_comparison(0.02, pilot=tmp_path)
+    assert "Bonferroni's correction (to detect, for 6 pairs; to show equivalence, for 4)" in document.tables[0].caption
+    for record in document.tables[0].records:
+        share = record["discordant"]
+        assert record["episodes_to_detect"] == episodes_to_detect(0.02, share, pairs=6)
+        assert record["episodes_to_show_equivalence"] == episodes_to_show_equivalence(0.02, share, claims=4)
+
+
+@pytest.mark.parametrize("pairs", [1, 6])
+@pytest.mark.parametrize(("share", "difference"), [(0.02, 0.02), (0.1, 0.02)])
+def test_the_planned_episodes_detect_with_their_power_after_correction(pairs, share, difference):
+    episodes, rng = episodes_to_detect(difference, share, pairs=pairs), np.random.default_rng(0)
+    only_a, only_b = (share + difference) / 2, (share - difference) / 2
+    played = rng.multinomial(episodes, (only_a, only_b, 1 - share), 1000)
+    found = [a > b and pairs * mcnemar(int(a), int(b)) < 0.05 for a, b, _ in played]
+    assert np.mean(found) > 0.74  # an exact test has a little less than the normal one that is planned with
+
+
+def test_a_plan_without_a_pilot_is_for_a_single_pair_or_those_that_are_named():
+    assert "for a single pair" in plan_comparison(0.02).tables[0].caption
+    one, six = (plan_comparison(0.02, pairs=pairs).tables[0].records for pairs in (None, 6))
+    for name in ("episodes_to_detect", "episodes_to_show_equivalence"):
+        assert all(more[name] > few[name] for few, more in zip(one, six, strict=True))
+    with pytest.raises(ConfigurationError, match="at least one pair"):
+        plan_comparison(0.02, pairs=0)
 
 
 @pytest.mark.parametrize(("difference", "power"), [(0.0, 0.8), (1.5, 0.8), (0.02, 0.0), (0.02, 1.0)])

@@ -10,6 +10,7 @@ from armctl.evaluation import compare
 from armctl.evaluation.curves import read_curve, read_sweep
 from armctl.evaluation.reproduce import reproduce
 from armctl.evaluation.results import read_results
+from armctl.evaluation.suite_results import read_suite
 from armctl.learners import load_recipe
 from armctl.report import write_report
 
@@ -23,7 +24,10 @@ def check(path):
     """Do with a file or folder what its parent folder is named after."""
     match path.parent.name:
         case "read":
-            read_sweep(path) if (path / "sweep.csv").exists() else read_results(path)
+            if (path / "suite.json").exists():
+                read_suite(path).document()
+            else:
+                read_sweep(path) if (path / "sweep.csv").exists() else read_results(path)
         case "report":
             write_report(path, path / "report.html", video=False)
         case "resume":

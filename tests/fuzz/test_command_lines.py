@@ -15,7 +15,7 @@ from ..command_line import armctl
 from .child import Child
 from .mutation import outcomes_of
 
-VERBS = ["compare", "sweep", "report", "reproduce", "run", "view", "collect", "train", "export", "list"]
+VERBS = ["compare", "sweep", "suite", "report", "reproduce", "run", "view", "collect", "train", "export", "list"]
 HOSTILE = [
     "", " ", "[red]", "[/]", "[/red]x[", "[bold](x)[link=x]", "x" * 300, "x" * 5_000, "\x1b[2J\x1b]0;x\x07",
     "a\nb\r\tc", "\u202etxt", "\udcff\udcfe", "ÄÖ工", "-", "--", "-x", "--nope", "--help", "..", "../../..", "/",
@@ -44,6 +44,8 @@ ENVS = [
     "armctl/BridgeCross-v0", "armctl/BridgeCrossMoving-v0", "Pendulum-v1", "CartPole-v1", "FrozenLake-v1",
     "odd.py:Still", "armctl/ArmReech-v0",
 ]  # fmt: skip
+SMALL = ["CartPole-v1", "FrozenLake-v1", "odd.py:Still", "armctl/ArmReech-v0"]
+"""Environments of few and short episodes."""
 POLICIES = ["random", "reach_ik", "reach_ppo", "bridge_ppo", "moving_ppo", "agent.json", "odd.py:still", "rndom"]
 DISTURBANCES = ["noise", "delay", "payload", "friction", "strength", "pushes", "mismatch", "dropout"]
 LEVELS = [
@@ -176,6 +178,7 @@ def words_of(verb, port, rng):
     options = {
         "compare": [*shared, out, flag("--overwrite"), worlds, workers, formats],
         "sweep": [*shared, out, level, level, flag("--overwrite"), worlds, formats],
+        "suite": [seed, out, flag("--overwrite"), flag("--quick"), worlds, workers, formats],
         "report": [out, env, lambda: ("--policy", policies()), flag("--no-video")],
         "reproduce": [env, seed, worlds, formats],
         "run": [*shared, lambda: ("--episode", number("0", "7")), lambda: ("--video", one(OUTS))],
@@ -197,6 +200,7 @@ def words_of(verb, port, rng):
         "reproduce": lambda: [one(["agent.json", "agent.onnx", "nope", "random", "reach_ik"])],
         "train": lambda: [one(["ppo", "sac", "bc", "reach_ppo", "recipe.toml", "bad.toml"])],
         "export": lambda: [one(["model.zip", "agent.onnx", "file"])],
+        "suite": list,
         "list": list,
     }.get(verb, lambda: [policies() for _ in range(rng.choice([1, 1, 2]) if verb in ("compare", "sweep") else 1)])()
     for _ in range(rng.randint(0, 4)):
@@ -206,6 +210,7 @@ def words_of(verb, port, rng):
     ending = {
         "compare": ["--episodes", number("1", "2"), *SHORT],
         "sweep": ["--episodes", number("1"), "--disturbance", "delay=1", *SHORT],
+        "suite": ["--env", one(SMALL, [*CODE, *HOSTILE], 0.6), "--episodes", number("1")],
         "report": ["--no-video"],
         "run": ["--episodes", one(["2"], ["0", "x"]), "--steps", one(["1", "2"], ["0", "nan"])],
         "view": ["--port", one([port], ["-1", "65536", "x", ""])],

@@ -2,6 +2,7 @@
 
 import copy
 import csv
+import importlib
 import io
 import itertools
 import json
@@ -77,10 +78,15 @@ def text_of(values):
 
 @pytest.fixture(scope="module")
 def originals(tmp_path_factory):
-    """Folders of a comparison, a sweep, an agent, a recipe and a curve."""
+    """Folders of a comparison, a sweep, a suite, an agent, a recipe and a curve."""
     home = tmp_path_factory.mktemp("originals")
     compare(["random", "reach_ppo"], episodes=3, out=home / "results", env_options=OPTIONS)
     sweep(["random"], disturbances={"delay": [1]}, episodes=2, out=home / "swept", env_options=OPTIONS)
+    with pytest.MonkeyPatch.context() as patch:
+        suites = importlib.import_module("armctl.evaluation.suite")
+        patch.setattr(suites, "FULL", suites.Size(2, ("delay",), (0.25,)))
+        patch.setattr(suites, "line_up", lambda env: ("reach_ik", "reach_ppo"))
+        suites.suite(["armctl/ArmReach-v0"], out=home / "suite")
     card = card_path("reach_ppo")
     for name in ("agent", "recipe", "curve"):
         (home / name).mkdir()
@@ -186,6 +192,17 @@ def sweep_cells(load, rng):
     return load("swept", entry(rng, "report"), change)
 
 
+SUITE = ["suite.json", "ArmReach-v0/sweep.json", "ArmReach-v0/none/summary.json"]
+
+
+def suite_bytes(load, rng):
+    return load("suite", entry(rng, "report"), one_file(rng, [*SUITE, "ArmReach-v0/sweep.csv"]))
+
+
+def suite_values(load, rng):
+    return load("suite", entry(rng, "report"), resealed(rng, rng.choice(SUITE)))
+
+
 def agent_card(load, rng):
     """A mutated card of a small evaluation."""
 
@@ -285,10 +302,11 @@ def curve(load, rng):
 
 
 KINDS = {
-    results_bytes: 300, results_summary: 400, results_forged: 400, sweep_bytes: 400, sweep_cells: 600, agent_card: 1000,
+    results_bytes: 300, results_summary: 400, results_forged: 400, sweep_bytes: 400, sweep_cells: 600,
+    suite_bytes: 400, suite_values: 600, agent_card: 1000,
     agent_graph: 1000, recipe: 1000, curve: 1000,
 }  # fmt: skip
-"""How often each is tried: 1,000 times or more for results, sweeps, cards, graphs, recipes and curves."""
+"""How often each is tried: 1,000 times or more for results, sweeps, suites, cards, graphs, recipes and curves."""
 
 
 @pytest.mark.parametrize(
@@ -297,6 +315,7 @@ KINDS = {
         ("results", "report"),
         ("results", "resume"),
         ("swept", "report"),
+        ("suite", "report"),
         ("agent", "agent"),
         ("recipe", "recipe"),
         ("curve", "curve"),

@@ -124,16 +124,21 @@ def plan(
     pilot: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Results of an earlier comparison, whose pairs are planned for.")
     ] = None,
+    pairs: Annotated[
+        int | None,
+        typer.Option(min=1, help="Pairs that the tests are corrected for.", show_default="the pilot's, or 1"),
+    ] = None,
     table_format: Format = TableFormat.TABLE,
 ) -> None:
     """Tell how many episodes a comparison needs to show a difference in success, or that there is none.
 
     That depends on the episodes that exactly one of two policies wins. A pilot, such as 50 episodes with
-    `armctl compare --out pilot`, gives their share for each pair; without one, the table has common shares.
+    `armctl compare --out pilot`, gives their share for each pair; without one, the table has common shares. With
+    several pairs, tests are corrected as a verdict's are.
     """
     from armctl.evaluation.sample_size import plan_comparison
 
-    print_document(plan_comparison(detect / 100, power, pilot), table_format)
+    print_document(plan_comparison(detect / 100, power, pilot, pairs), table_format)
 
 
 @app.command()
@@ -325,7 +330,7 @@ def reproduce(
 ) -> None:
     """Evaluate learned agents again, and compare the results with their cards.
 
-    An agent agrees if its success rate is within the 95 % interval on its card. If one does not, the exit status is 1.
+    An agent agrees unless Fisher's exact test at 5 % tells its success rate from its card's; else the exit status is 1.
     """
     from rich.text import Text
 

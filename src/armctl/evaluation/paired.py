@@ -122,13 +122,14 @@ def holm(p_values: Sequence[float]) -> list[float]:
     return [float(p) for p in result]
 
 
-def episodes_to_detect(difference: float, discordant: float, power: float = 0.8) -> int:
+def episodes_to_detect(difference: float, discordant: float, power: float = 0.8, pairs: int = 1) -> int:
     """How many episodes show a difference in success, with a two-sided test at 5 % (Connor, Biometrics 43, 1987).
 
-    `discordant` is the share of episodes that exactly one of the two wins; it is at least the difference.
+    `discordant` is the share of episodes that exactly one of the two wins; it is at least the difference. With several
+    `pairs`, the test is at 5 % / `pairs` (Bonferroni); Holm's correction needs no more.
     """
     discordant = max(discordant, difference)
-    z_level, z_power = (float(stats.norm.ppf(one)) for one in (0.975, power))
+    z_level, z_power = (float(stats.norm.ppf(one)) for one in (1 - 0.025 / pairs, power))
     spread = z_level * math.sqrt(discordant) + z_power * math.sqrt(discordant - difference**2)
     return math.ceil((spread / difference) ** 2)
 

@@ -1,21 +1,41 @@
 """How many episodes a comparison needs."""
 
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from armctl.errors import ConfigurationError, ResultsError
 from armctl.evaluation.paired import episodes_to_detect, episodes_to_show_equivalence
 from armctl.evaluation.results import read_results
 from armctl.evaluation.tables import AGAINST, Cell, Column, Document, Remark, Table
+from armctl.evaluation.verdict import contests
 
 SHARES = (0.01, 0.02, 0.05, 0.1, 0.2, 0.4)
 """Of episodes that exactly one of two policies wins."""
+TRAININGS = "For groups of trainings, more trainings tell more than more episodes"
 
 
-def plan_comparison(difference: float, power: float = 0.8, pilot: Path | None = None) -> Document:
+@dataclass(frozen=True)
+class _Planned:
+    """What is planned for."""
+
+    shares: dict[Cell, float]
+    """Of discordant episodes, by the name of a row."""
+    pairs: int = 1
+    """For how many the verdict corrects a difference."""
+    claims: int = 1
+    """For how many it corrects equivalence."""
+    left_out: list[str] = field(default_factory=list)
+    """Pairs that more episodes alone do not decide."""
+
+
+def plan_comparison(
+    difference: float, power: float = 0.8, pilot: Path | None = None, pairs: int | None = None
+) -> Document:
     """How many episodes tell a difference in success, or that there is none as large.
 
     `power` is the probability of telling it. With the results folder of a pilot, there is a row for each pair of its
-    policies, whose share of discordant episodes is estimated with one more of either kind (Laplace's rule).
+    policies, whose share of discordant episodes is estimated with one more of either kind (Laplace's rule). Tests are
+    at 5 % / `pairs` (Bonferroni); by default, they are corrected as the pilot's verdict is, or not at all without one.
 
     Raises `ConfigurationError`, and `ResultsError` for a folder without results of success.
     """
@@ -23,39 +43,56 @@ def plan_comparison(difference: float, power: float = 0.8, pilot: Path | None = 
         raise ConfigurationError(f"the difference to detect is between 0 and 100 %, not {100 * difference:g} %")
     if not 0 < power < 1:
         raise ConfigurationError(f"the power is a probability between 0 and 1, such as 0.8, not {power:g}")
-    shares = {Cell(f"{100 * share:g} %"): share for share in SHARES} if pilot is None else _shares(pilot)
+    if pairs is not None and pairs < 1:
+        raise ConfigurationError(f"a comparison has at least one pair, not {pairs}")
+    plan = _Planned({Cell(f"{100 * share:g} %"): share for share in SHARES}) if pilot is None else _planned(pilot)
+    corrected, claims = pairs or plan.pairs, pairs or plan.claims
     records = [
         {
             "pair": f"{name.text} {name.small}".strip(),
             "discordant": share,
-            "episodes_to_detect": episodes_to_detect(difference, share, power),
-            "episodes_to_show_equivalence": episodes_to_show_equivalence(difference, share, power),
+            "episodes_to_detect": episodes_to_detect(difference, share, power, corrected),
+            "episodes_to_show_equivalence": episodes_to_show_equivalence(difference, share, power, claims),
         }
-        for name, share in shares.items()
+        for name, share in plan.shares.items()
     ]
     rows = [
         [name, *([] if pilot is None else [Cell(f"{100 * share:.1f} %")])]
         + [Cell(f"{record[key]:,}") for key in ("episodes_to_detect", "episodes_to_show_equivalence")]
-        for (name, share), record in zip(shares.items(), records, strict=True)
+        for (name, share), record in zip(plan.shares.items(), records, strict=True)
     ]
     points = f"{100 * difference:g} points"
     headings = ["won by exactly one"] if pilot is None else ["a - b", "won by exactly one"]
     columns = [*map(Column, headings), Column("to detect"), Column("to show equivalence")]
     title = f"Episodes that tell {points} of success, with a power of {100 * power:g} %"
-    return Document(
-        [
-            Table("plan", title, columns, rows, records, "Tests at 5 %, on the same episodes for both policies."),
-            Remark("Two policies of 95 and 97 % whose failures are independent differ in 7.7 % of their episodes.")
-            if pilot is None
-            else Remark("Play them with another seed, or with the pilot's, which resumes it."),
-        ],
-        {"difference": difference, "power": power},
-    )
+    remarks = [
+        "Two policies of 95 and 97 % whose failures are independent differ in 7.7 % of their episodes."
+        if pilot is None
+        else "Play them with another seed, or with the pilot's, which resumes it."
+    ]
+    if plan.left_out:
+        remarks.append(f"Left out: {', '.join(plan.left_out)}. {TRAININGS}.")
+    table = Table("plan", title, columns, rows, records, _caption(corrected, claims))
+    return Document([table, *map(Remark, remarks)], {"difference": difference, "power": power})
 
 
-def _shares(pilot: Path) -> dict[Cell, float]:
-    paired = read_results(pilot).comparison.paired
-    known = [pair for pair in paired if pair.mcnemar_p is not None]
-    if not known:
-        raise ResultsError(f"{pilot} has no pair of policies whose success is known, and so nothing to plan by")
-    return {Cell(pair.a, AGAINST + pair.b): (pair.only_a + pair.only_b + 1) / (pair.episodes + 2) for pair in known}
+def _caption(pairs: int, claims: int) -> str:
+    """How the tests are corrected."""
+    same = "on the same episodes for both policies"
+    if pairs == claims == 1:
+        return f"Tests at 5 % for a single pair, {same}."
+    corrections = f"to detect, for {pairs} pair{'s' * (pairs > 1)}; to show equivalence, for {claims}"
+    return f"Tests at 5 % after Bonferroni's correction ({corrections}), {same}."
+
+
+def _planned(pilot: Path) -> _Planned:
+    found = read_results(pilot).comparison
+    known = [pair for pair in found.paired if pair.mcnemar_p is not None and found.baseline in (None, pair.a, pair.b)]
+    left_out = [f"{pair.a} {AGAINST}{pair.b}" for pair in known if pair.crossed is not None]
+    alone = {Cell(pair.a, AGAINST + pair.b): pair for pair in known if pair.crossed is None}
+    if not alone:
+        why = f": {TRAININGS}" if left_out else ""
+        raise ResultsError(f"{pilot} has no pair of policies whose success is known, and so nothing to plan by{why}")
+    shares = {name: (pair.only_a + pair.only_b + 1) / (pair.episodes + 2) for name, pair in alone.items()}
+    told = contests(found.policies, found.paired, found.baseline)[0]
+    return _Planned(shares, told.pairs, told.claims, left_out)

@@ -10,10 +10,11 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from armctl.agents import read_card
 from armctl.envs import full_id, make_worlds
 from armctl.errors import ArmctlError, ConfigurationError, ResultsError
 from armctl.evaluation.across_tasks import family, mean_over_tasks, rank
-from armctl.evaluation.answers import Answer, answer, chosen
+from armctl.evaluation.answers import CHOSEN, Answer, answer, chosen, corrected
 from armctl.evaluation.compare import default_policies
 from armctl.evaluation.notebook import Displayed
 from armctl.evaluation.record import EpisodeResult
@@ -22,7 +23,7 @@ from armctl.evaluation.statistics import Estimate
 from armctl.evaluation.sweep import Sweep, sweep, sweep_levels
 from armctl.evaluation.tables import UNKNOWN, Cell, Column, Document, Remark, Table, p_value, percent
 from armctl.files import bounded_text, checked_name, one_writer, sealed, unsealed, write_atomically
-from armctl.policies import make_policy, policy_names
+from armctl.policies import agent_cards, make_policy, policy_names
 from armctl.registration import bare_id, environment_names
 
 SUITE = "suite.json"
@@ -59,6 +60,8 @@ class Plan:
     env: str
     policies: tuple[str, ...]
     disturbances: Mapping[str, Sequence[float]]
+    unusable: Mapping[str, str] = field(default_factory=dict)
+    """Why agents made for the task cannot play, by name."""
 
     @property
     def runs(self) -> int:
@@ -75,13 +78,15 @@ class Suite(Displayed):
     tasks: dict[str, Sweep] = field(default_factory=dict)
     """By environment."""
     failures: dict[str, str] = field(default_factory=dict)
-    """Error messages: by environment, or under `results` if `suite.json` could not be written."""
+    """Error messages: by environment, or under `results` if `suite.json` could not be written.
+
+    A task that was played without a damaged agent is in both."""
     interrupted: bool = False
 
     @functools.cached_property
     def answers(self) -> list[Answer]:
-        """The answer for each task. For a suite that is finished: it is worked out once."""
-        return [answer(swept) for swept in self.tasks.values()]
+        """The answer for each task, after Holm's correction for all. For a finished suite: it is worked out once."""
+        return corrected([answer(swept) for swept in self.tasks.values()])
 
     @functools.cached_property
     def ranks(self) -> dict[str, tuple[Estimate, int]]:
@@ -143,11 +148,12 @@ def suite(
     number of episodes in each setting.
 
     `out` gets `suite.json` and a sweep's folder for each task. After an interrupt, the same call resumes. A task that
-    cannot be played is in `failures`, and keeps none of the others from being played. The other arguments are those of
-    `compare`. `progress` is called for each episode, with the setting and the number of all episodes.
+    cannot be played is in `failures`, and keeps none of the others from being played; so is an agent whose files are
+    damaged. The other arguments are those of `compare`. `progress` is called for each episode, with the setting and the
+    number of all episodes.
 
     Raises `ConfigurationError` for unusable arguments, and `ResultsError` if `out` cannot be written to, or holds a
-    suite of another seed (unless `overwrite`).
+    suite of another seed or of further tasks (unless `overwrite`).
     """
     size = QUICK if quick else FULL
     episodes = size.episodes if episodes is None else episodes
@@ -160,7 +166,7 @@ def suite(
     folder = None if out is None else Path(out)
     with nullcontext() if folder is None else one_writer(folder):
         if folder is not None and not overwrite:
-            _check_same_seed(folder, seed)
+            _check_continues(folder, seed, list(wanted.values()))
         plans: dict[str, Plan] = {}
         _write(folder, found, list(wanted.values()))
         try:
@@ -169,6 +175,11 @@ def suite(
                     plans[name] = plan_task(env, size)
                 except ArmctlError as error:
                     found.failures[env] = str(error)
+                    continue
+                if plans[name].unusable:
+                    found.failures[env] = "; ".join(
+                        f"{agent} was left out: {why}" for agent, why in plans[name].unusable.items()
+                    )
             total = episodes * sum(plan.runs for plan in plans.values())
             for name, plan in plans.items():
                 try:
@@ -178,7 +189,7 @@ def suite(
                         progress=functools.partial(_told, progress, name, total),
                     )  # fmt: skip
                 except ArmctlError as error:
-                    found.failures[plan.env] = str(error)
+                    found.failures[plan.env] = "; ".join(filter(None, (found.failures.get(plan.env), str(error))))
                     continue
                 found.tasks[plan.env] = swept
                 if swept.interrupted:
@@ -207,7 +218,7 @@ def plan_task(env: str, size: Size) -> Plan:
     possible = sweep_levels(env)
     main = {name: levels for name, levels in possible.items() if name in size.disturbances} or possible
     levels = {name: sorted({_level(levels, share) for share in size.levels}) for name, levels in main.items()}
-    return Plan(env, line_up(env), levels)
+    return Plan(env, line_up(env), levels, unusable_agents(env))
 
 
 def _level(levels: Sequence[float], share: float) -> float:
@@ -235,22 +246,42 @@ def _fits(name: str, env: str, worlds: Any) -> bool:
     return card is None or bare_id(card.env) == bare_id(env)
 
 
+def unusable_agents(env: str) -> dict[str, str]:
+    """Why installed agents cannot play the task that they were made for, by name; also those of unreadable cards."""
+    told = {}
+    with closing(make_worlds(env, 1)) as worlds:
+        for name, card in agent_cards().items():
+            try:
+                if bare_id(read_card(card).env) == bare_id(env):
+                    make_policy(name, worlds)
+            except ArmctlError as error:
+                told[name] = str(error)
+    return told
+
+
 def folder_of(env: str) -> str:
     """The folder of a task's sweep. Raises `ConfigurationError` for an id that no folder should be called by."""
     return checked_name("task's folder", bare_id(env).removeprefix(HOME).replace("/", "_"))
 
 
-def _check_same_seed(folder: Path, seed: int) -> None:
+def _check_continues(folder: Path, seed: int, envs: Sequence[str]) -> None:
+    """A folder is resumed with its own seed, and with all its tasks: `suite.json` would forget those left out."""
     if not (folder / SUITE).exists():
         return
     try:
-        there = unsealed(bounded_text(folder / SUITE)).get("seed")
+        told = unsealed(bounded_text(folder / SUITE))
     except (OSError, ValueError) as error:
         raise ResultsError(f"{folder / SUITE} cannot be read: {error}; overwrite all (--overwrite)") from error
+    there, tasks = told.get("seed"), told.get("envs")
     if there != seed:
         raise ResultsError(
             f"{folder} holds a suite of another seed ({there} there, {seed} here): choose another folder, or overwrite "
             "it (--overwrite)"
+        )
+    if further := [str(env) for env in (tasks if isinstance(tasks, list) else []) if env not in envs]:
+        raise ResultsError(
+            f"{folder} holds a suite of further tasks ({', '.join(further)}): name these too, choose another folder, "
+            "or overwrite it (--overwrite)"
         )
 
 
@@ -290,7 +321,8 @@ def _task_table(found: Suite) -> Table:
         )  # fmt: skip
     caption = (
         "The best classical and the best learned policy, undisturbed: the best on odd episodes plays for its kind in "
-        "even ones, and vice versa. Difference with MOVER's 95 % interval; p: McNemar's exact test."
+        "even ones, and vice versa. Difference with MOVER's 95 % interval; p: McNemar's exact test, after Holm's "
+        f"correction for all tasks. {CHOSEN}"
     )
     title = f"{len(rows)} tasks: {found.episodes} episodes of seed {found.seed} in each setting"
     return Table("tasks", title, columns, rows, records, caption)

@@ -15,7 +15,7 @@ from armctl.evaluation.across_tasks import (
     mean_over_tasks,
     success_profile,
 )
-from armctl.evaluation.answers import Answer
+from armctl.evaluation.answers import CHOSEN, Answer
 from armctl.evaluation.statistics import Estimate
 from armctl.evaluation.suite import Suite, folder_of
 from armctl.evaluation.summary import PolicySummary
@@ -42,6 +42,7 @@ def write_suite_page(found: Suite, folder: Path, out: Path, reports: Mapping[str
     page: dict[str, Any] = {
         "headline": headline(answers),
         "suite": found,
+        "chosen": CHOSEN,
         "folder": folder.resolve().name,
         "command": _command(found),
         "tasks": [{"answer": one, "short": _short(one.env), "link": reports.get(one.env)} for one in answers],
@@ -60,7 +61,7 @@ def write_suite_page(found: Suite, folder: Path, out: Path, reports: Mapping[str
 
 
 def headline(answers: Sequence[Answer]) -> str:
-    """In how many tasks which kind is better."""
+    """In how many tasks which kind is better. `answers` are corrected for all tasks, as `Suite.answers` is."""
     heads = [head for one in answers if (head := one.undisturbed)]
     if not heads:
         return "No task has both classical and learned results"
