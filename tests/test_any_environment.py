@@ -11,6 +11,8 @@ import gymnasium
 import pandas as pd
 import pytest
 
+from armctl.evaluation.record import TIME_COLUMNS
+
 from .command_line import ARMCTL, armctl, program
 
 HERE = Path(__file__).parent
@@ -60,7 +62,7 @@ def test_compare_resume_and_report(home, env):
     (home / "results" / "summary.json").unlink()
     again = armctl(*arguments, cwd=home)
     assert "were finished by an earlier run" in " ".join(again.stdout.split())
-    same = [column for column in rows if not column.startswith(("decision", "missed"))]
+    same = [column for column in rows if column not in TIME_COLUMNS]
     pd.testing.assert_frame_equal(pd.read_csv(episodes)[same], rows[same])
     armctl("report", "results", "--no-video", cwd=home)
 

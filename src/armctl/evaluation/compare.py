@@ -181,11 +181,10 @@ def compare(
         results.sort(key=lambda result: (order.index(result.policy), result.episode))
         judged = min(Counter(result.policy for result in results).values(), default=0)
         runs = [*(log.runs if log is not None else []), meter.ended(judged)]
-        if paced is None or paced.recorded is None:
-            results = unjudged(results, runs)
-            comparison.notes += load_notes(results, runs)
         if results:
-            _judge(comparison, results, made, made_env, episodes)
+            latencies = paced is None or paced.recorded is None
+            _judge(comparison, unjudged(results, runs) if latencies else results, made, made_env, episodes)
+            comparison.notes += load_notes(results, runs) if latencies else []
             looks = [f"{run.judged:,}" for run in runs[:-1] if run.judged not in (None, 0, judged)]
             if comparison.paired and looks:
                 comparison.notes.append(LOOKED.format(looks=", ".join(looks)))
