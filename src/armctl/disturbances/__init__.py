@@ -24,7 +24,7 @@ ON_TOP = (0.0, 0.0, 0.22)
 
 Share = functools.partial(DisturbanceSpec, highest=1.0)
 LARGEST_MISMATCH = 0.2
-"""Share: with 0.3, the base of some arms is so short that they stand in the floor."""
+"""Share: the largest default level. With 1, there would be links and wheels of no size and no mass."""
 LARGEST_PUSH, LARGEST_ROVER_PUSH = 100.0, 40.0
 """N s: a person of 70 kg who runs into an arm has some 200 with his whole weight, and passes on less than half. 100
 throw a rover about at 8 m/s, four times as fast as it drives."""

@@ -78,13 +78,15 @@ class Strength(Disturbance):
 class LinkMismatch(Disturbance):
     """Scales each link's mass and length by random factors from 1 - `level` to 1 + `level`, new in each episode.
 
-    The drives compensate for the weight of the nominal links.
+    The first joint stays where it is mounted: lower down, some arms would stand in the floor. The drives compensate for
+    the weight of the nominal links.
     """
 
     def __init__(self, task: Disturbable, level: float) -> None:
         super().__init__(task, level)
         model, simulation = task.simulation.model, task.simulation
         self._links = [i for i in range(model.nbody) if model.body(i).name.startswith(ARM)]
+        self._mounted = np.array(self._links) <= min(model.jnt_bodyid)
         self._masses, self._inertias, self._held, self._places = (
             simulation.per_world(f"body_{name}") for name in ("mass", "inertia", "gravcomp", "pos")
         )
@@ -101,7 +103,7 @@ class LinkMismatch(Disturbance):
         self._masses[rows, self._links] = heavier * mass
         self._inertias[rows, self._links] = heavier[..., None] * inertia
         self._held[rows, self._links] = held / heavier
-        self._places[rows, self._links] = longer[..., None] * place
+        self._places[rows, self._links] = np.where(self._mounted, 1.0, longer)[..., None] * place
         self.task.simulation.derive(ids)
 
 
