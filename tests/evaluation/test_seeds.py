@@ -19,6 +19,7 @@ VERBS = {
     "compare": lambda seed, tmp: compare(["random"], episodes=1, seed=seed, out=tmp / "out"),
     "sweep": lambda seed, tmp: sweep(["random"], disturbances=["noise"], episodes=1, seed=seed, out=tmp / "out"),
     "evaluate": lambda seed, tmp: armctl.evaluate("random", episodes=1, seed=seed),
+    "suite": lambda seed, tmp: armctl.suite(quick=True, seed=seed, out=tmp / "out"),
     "reproduce": lambda seed, tmp: reproduce("reach_ppo", seed=seed),
 }
 

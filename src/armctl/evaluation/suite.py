@@ -19,6 +19,7 @@ from armctl.evaluation.compare import default_policies
 from armctl.evaluation.notebook import Displayed
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.rollouts import check_counts
+from armctl.evaluation.seeds import check_evaluation_seed
 from armctl.evaluation.statistics import Estimate
 from armctl.evaluation.sweep import Sweep, sweep, sweep_levels
 from armctl.evaluation.tables import UNKNOWN, Cell, Column, Document, Remark, Table, p_value, percent
@@ -75,6 +76,9 @@ class Suite(Displayed):
 
     seed: int
     episodes: int
+    envs: list[str] = field(default_factory=list)
+    """All environments that were asked for."""
+    quick: bool = False
     tasks: dict[str, Sweep] = field(default_factory=dict)
     """By environment."""
     failures: dict[str, str] = field(default_factory=dict)
@@ -158,17 +162,18 @@ def suite(
     size = QUICK if quick else FULL
     episodes = size.episodes if episodes is None else episodes
     check_counts(episodes=episodes, worlds=worlds, workers=workers)
-    found = Suite(seed, episodes)
+    check_evaluation_seed(seed)
     names = [name for env in envs for name in (environment_names() if env == ALL else [env])]
     wanted = {folder_of(name): name for name in dict.fromkeys(map(full_id, names))}
     if not wanted or len(wanted) < len(set(map(full_id, names))):
         raise ConfigurationError(f"a suite needs environments of different names, not {', '.join(names) or 'none'}")
+    found = Suite(seed, episodes, list(wanted.values()), quick)
     folder = None if out is None else Path(out)
     with nullcontext() if folder is None else one_writer(folder):
         if folder is not None and not overwrite:
-            _check_continues(folder, seed, list(wanted.values()))
+            _check_continues(folder, seed, found.envs)
         plans: dict[str, Plan] = {}
-        _write(folder, found, list(wanted.values()))
+        _write(folder, found)
         try:
             for name, env in wanted.items():
                 try:
@@ -197,7 +202,7 @@ def suite(
                     break
         except KeyboardInterrupt:  # between two sweeps
             found.interrupted = True
-        _write(folder, found, list(wanted.values()))
+        _write(folder, found)
     return found
 
 
@@ -285,12 +290,12 @@ def _check_continues(folder: Path, seed: int, envs: Sequence[str]) -> None:
         )
 
 
-def _write(folder: Path | None, found: Suite, envs: Sequence[str]) -> None:
+def _write(folder: Path | None, found: Suite) -> None:
     if folder is None:
         return
     told = {
-        "seed": found.seed, "episodes": found.episodes, "envs": envs, "failures": found.failures,
-        "interrupted": found.interrupted,
+        "seed": found.seed, "episodes": found.episodes, "envs": found.envs, "quick": found.quick,
+        "failures": found.failures, "interrupted": found.interrupted,
     }  # fmt: skip
     try:
         write_atomically(folder / SUITE, sealed(told))

@@ -26,6 +26,7 @@ class _Suite:
     envs: list[str]
     failures: dict[str, str]
     interrupted: bool
+    quick: bool = False
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,9 @@ def read_suite(folder: Path) -> Suite:
     Raises `ResultsError` if a file is missing or damaged.
     """
     told = _read(folder / SUITE, _Suite)
-    found = Suite(told.seed, told.episodes, failures=dict(told.failures), interrupted=told.interrupted)
+    found = Suite(
+        told.seed, told.episodes, told.envs, told.quick, failures=dict(told.failures), interrupted=told.interrupted
+    )
     for env in told.envs:
         try:
             home = folder / folder_of(env)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import pandas as pd
 
@@ -108,7 +109,7 @@ def _suite(folder: Path, out: Path, video: bool, progress: Callable[[str], None]
         if UNDISTURBED in found.tasks[env].comparisons:
             progress(name)
             write_report(folder / home, video=video)
-            reports[env] = os.path.relpath(folder / home / REPORT, out.parent)
+            reports[env] = quote(Path(os.path.relpath(folder / home / REPORT, out.parent)).as_posix())
     write_suite_page(found, folder, out, reports)
     return out
 

@@ -20,7 +20,6 @@ from armctl.evaluation.statistics import Estimate
 from armctl.evaluation.suite import Suite, folder_of
 from armctl.evaluation.summary import PolicySummary
 from armctl.evaluation.sweep import UNDISTURBED, folder_name
-from armctl.registration import bare_id
 from armctl.report import style, suite_figures
 from armctl.report.colours import INK
 from armctl.report.plots import Plot
@@ -45,7 +44,7 @@ def write_suite_page(found: Suite, folder: Path, out: Path, reports: Mapping[str
         "chosen": CHOSEN,
         "folder": folder.resolve().name,
         "command": _command(found),
-        "tasks": [{"answer": one, "short": _short(one.env), "link": reports.get(one.env)} for one in answers],
+        "tasks": [{"answer": one, "short": folder_of(one.env), "link": reports.get(one.env)} for one in answers],
         "heads": _heads(found),
         "heat": [_heat(found, one, reports.get(one.env)) for one in answers if one.cells],
         "families": _families(answers, names),
@@ -55,7 +54,7 @@ def write_suite_page(found: Suite, folder: Path, out: Path, reports: Mapping[str
         "profile_looks": [CLASSICAL, LEARNED],
         "costs": _costs(answers, look),
         "looks": list(look.values()),
-        "symbols": dict(zip((_short(one.env) for one in answers), _symbols(answers, SYMBOLS.values()), strict=True)),
+        "symbols": dict(zip((folder_of(one.env) for one in answers), _symbols(answers, SYMBOLS.values()), strict=True)),
     }
     write_page(out, "suite.html.j2", page)
 
@@ -71,14 +70,9 @@ def headline(answers: Sequence[Answer]) -> str:
     return f"Of {len(heads)} task{'s' * (len(heads) > 1)}, {', '.join(parts)}"
 
 
-def _short(env: str) -> str:
-    return bare_id(env).rpartition("/")[2]
-
-
 def _command(found: Suite) -> str:
-    envs = " ".join(f"--env {shlex.quote(env)}" for env in dict.fromkeys((*found.tasks, *found.failures)))
-    levels = max((len(levels) for swept in found.tasks.values() for levels in swept.levels.values()), default=0)
-    return f"armctl suite {envs} {'--quick ' if levels == 2 else ''}--episodes {found.episodes} --seed {found.seed}"
+    envs = " ".join(f"--env {shlex.quote(env)}" for env in found.envs)
+    return f"armctl suite {envs} {'--quick ' if found.quick else ''}--episodes {found.episodes} --seed {found.seed}"
 
 
 def _heads(found: Suite) -> list[tuple[str, int]]:
@@ -102,7 +96,7 @@ def _heat(found: Suite, one: Answer, link: str | None) -> dict[str, Any]:
         for policy in sorted(one.policies, key=lambda policy: policy.learned)
     ]
     shown = [None if at is None else at[1] for at in settings]
-    return {"task": _short(one.env), "link": link, "levels": shown[1:], "rows": rows}
+    return {"task": folder_of(one.env), "link": link, "levels": shown[1:], "rows": rows}
 
 
 def _percent(one: Answer, policy: str, setting: str) -> float | None:
@@ -135,7 +129,7 @@ def _improvement(answers: Sequence[Answer]) -> Plot | None:
     rows: dict[str, Estimate] = {}
     for one, classical, learned in _both(answers):
         if (found := improvement(one.cells, classical, learned)) is not None:
-            rows[_short(one.env)] = found
+            rows[folder_of(one.env)] = found
     mean = mean_over_tasks(list(rows.values()))
     if mean is None:
         return None
@@ -175,7 +169,7 @@ def _costs(answers: Sequence[Answer], look: style.Looks) -> list[Plot]:
     def points(cost: Any) -> list[CostPoint]:
         return [
             CostPoint(
-                policy.policy, _short(one.env), look[family(policy.policy)], symbols[one.env], success / 100,
+                policy.policy, folder_of(one.env), look[family(policy.policy)], symbols[one.env], success / 100,
                 float(known),
             )
             for one in answers
