@@ -35,6 +35,12 @@ class Echo:
         return observations
 
 
+def assert_same_episodes(one, other):
+    """All columns, decision times too, but for the run that played them."""
+    one, other = (comparison.episodes.drop(columns="run") for comparison in (one, other))
+    pd.testing.assert_frame_equal(one, other, check_exact=True)
+
+
 def schedule(times, steps, slow_down=1.0, cold=False):
     """The commands of control steps whose observations are 1, 2, 3 and so on, and the times of decisions."""
     real_time = RealTime(slow_down, "here", {"echo": {0: RecordedTimes(tuple(times), cold)}})
@@ -123,16 +129,16 @@ def test_recorded_times_repeat_a_measured_run_exactly_in_any_number_of_worlds(cl
     assert (lengths["late"]["random"] == lengths["waiting"]["random"]).all()
     for worlds in (1, 3, 7):
         again = compare(**arguments, worlds=worlds, real_time=tmp_path / "late", slow_down=2)
-        pd.testing.assert_frame_equal(again.episodes, late.episodes, check_exact=True)
+        assert_same_episodes(again, late)
     recorded = compare(**arguments, real_time=tmp_path / "waiting" / "decisions.csv", slow_down=2)
-    pd.testing.assert_frame_equal(recorded.episodes, late.episodes, check_exact=True)
+    assert_same_episodes(recorded, late)
 
 
 def test_real_time_in_processes_is_the_same(tmp_path):
     arguments = {"policies": ["random"], "env": BRIDGE, "episodes": 3, "env_options": SHORT, "seeding": []}
     compare(**arguments, out=tmp_path)
     here, there = (compare(**arguments, real_time=tmp_path, slow_down=9e3, workers=n) for n in (1, 2))
-    pd.testing.assert_frame_equal(here.episodes, there.episodes, check_exact=True)
+    assert_same_episodes(here, there)
 
 
 def test_late_decisions_are_missed_deadlines_and_results_say_how_they_came(clock, tmp_path):
@@ -212,7 +218,7 @@ def test_success_against_slow_down_has_the_same_times_at_every_level(clock, tmp_
     assert times["slow-down-1.0"] != times["none"]  # late decisions are fewer
     for level in (1.0, 5.0):
         alone = compare(**arguments, real_time=tmp_path / "none", slow_down=level, seeding=[])
-        pd.testing.assert_frame_equal(alone.episodes, found.comparisons[f"slow-down-{level}"].episodes)
+        assert_same_episodes(alone, found.comparisons[f"slow-down-{level}"])
     said = repr(found.document())
     assert "slow-down: in real time, with the decision times of the undisturbed comparison" in said
     assert "takes effect when it is ready" not in said  # once, and not for each level

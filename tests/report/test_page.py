@@ -571,7 +571,7 @@ def test_the_page_in_a_browser(folder, tmp_path, width):
             "() => [...document.querySelectorAll('.canvas')].every(canvas => canvas.querySelector('.trace, .point'))"
         )
         tab.wait_for_function(drawn, timeout=120_000)
-        assert tab.locator(".canvas").count() == len(plots_of(report)) == 10
+        assert tab.locator(".canvas").count() == len(plots_of(report)) == 11
         assert tab.evaluate("document.documentElement.scrollWidth") <= width
         clips = tab.locator("video")
         if clips.count():

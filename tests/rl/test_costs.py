@@ -127,7 +127,7 @@ def test_what_an_old_training_did_not_count_stays_unknown(counted, tmp_path):
     card = train("reach_ppo", tmp_path / "run", resume=True, steps=256)
     assert counts(card) == dict.fromkeys(COUNTS)
     assert card.processor_seconds is None
-    assert card.training_minutes > 1
+    assert card.training_minutes >= 1
 
 
 @pytest.mark.parametrize("name", ["reach_ppo", "reach_sac", "reach_bc", "reach_dagger"])

@@ -82,6 +82,9 @@ def suite(
             progress=progress,
         )
     console = print_document(found.document(), table_format)
+    if table_format is TableFormat.CSV:  # has no place for them
+        for problem in found.problems:
+            console.print(problem, soft_wrap=True)
     exit_if_interrupted(found.interrupted, folder, console)
     if found.tasks and "results" not in found.failures:
         make_report(folder, None, console, video=video)
