@@ -94,6 +94,13 @@ def open_without_links(path: str, flags: int) -> int:
     return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
 
 
+def inside(folder: Path, name: str) -> Path:
+    """A folder in another one. Raises `ResultsError` if it is a symbolic link, which may lead elsewhere."""
+    if (folder / name).is_symlink():
+        raise ResultsError(f"{folder / name} is a symbolic link, through which nothing is written")
+    return folder / name
+
+
 @contextlib.contextmanager
 def one_writer(folder: Path) -> Iterator[None]:
     """Make a folder, and keep other processes from writing to it. A process that dies releases it.

@@ -9,7 +9,7 @@ from armctl.evaluation.across_tasks import (
     improvement,
     mean_over_tasks,
     rank,
-    scores_of,
+    success_of,
     success_profile,
 )
 from armctl.evaluation.paired import holm, mcnemar
@@ -52,7 +52,7 @@ def test_nobody_is_judged_by_the_episodes_that_he_was_chosen_for():
     success = table(a=[1, 0, 1, 0, 1, 0], b=[0, 1, 0, 1, 0, 1])  # each is best in one half, and loses all of the other
     choice = choose(success, success, ["a", "b"])
     assert choice == ("b", "a")
-    assert scores_of(success, choice).tolist() == [0] * 6
+    assert success_of(success, choice).tolist() == [0] * 6
 
 
 def test_equal_success_is_decided_by_return_and_then_by_order():
@@ -96,7 +96,6 @@ def test_heads_to_head_are_mirror_images_and_corrected():
     for name in cells:
         assert one[name].difference.value == -other[name].difference.value
         assert (one[name].better, one[name].p) == (-other[name].better, other[name].p)
-        assert one[name].improvement.value == pytest.approx(1 - other[name].improvement.value)
     raw = {name: mcnemar(found.only_classical, found.only_learned) for name, found in one.items()}
     assert one["0"].p == raw.pop("0")
     assert [one[name].p for name in raw] == holm(list(raw.values()))

@@ -40,8 +40,8 @@ def test_the_leader_and_from_where_others_fall_behind(counted):
     )
     assert (delay.leaders, delay.behind, delay.from_the_start) == (["planner"], {"agent": Onset(2.0)}, ["random"])
     assert str(delay) == (
-        "Against delay, planner holds out longest: at 2 (steps), planner 92 % [81, 98], agent 20 % [10, 34]. "
-        "agent falls behind from 2 on; random is behind undisturbed already."
+        "Against delay, planner holds out longest: at 2 (steps), planner 92 % [81, 98], agent 20 % [10, 34], "
+        "random 0 % [0, 7]. agent falls behind from 2 on; random is behind undisturbed already."
     )
 
 

@@ -42,7 +42,9 @@ def test_every_row_carries_the_run_that_made_it_and_a_resumed_comparison_has_bot
 def test_an_id_is_the_content_of_its_record():
     run = RunMeter({"env": "a"}, 1, 1).run
     known = dataclasses.asdict(run)
-    later = {name: known.pop(name) for name in ("id", "load_most", "load_end", "load_own", "judged")}
+    later = {
+        name: known.pop(name) for name in ("id", "load_most", "load_end", "load_own", "judged", "baseline", "margin")
+    }
     assert later["id"] == digest([{"env": "a"}, known])
     assert digest([{"env": "b"}, known]) != run.id
 
@@ -71,6 +73,20 @@ armctl.compare(["random", "reach_ik"], episodes=40, out={str(tmp_path)!r}, env_o
     resumed = compare(**both, episodes=40)
     assert [note for note in resumed.notes if "judged before, after 10 episodes" in note]
     assert [run.judged for run in read_runs(tmp_path)] == [10, None, 40]
+
+
+def test_another_baseline_or_margin_is_told_forever(tmp_path):
+    both = {"policies": ["random", "reach_ik"], "out": tmp_path, "env_options": SHORT, "episodes": 10}
+    assert not told_before(compare(**both))
+    assert told_before(compare(**both, baseline="random")) == ["no baseline, margin 0.02"]
+    again = compare(**both, margin=0.1)
+    assert told_before(again) == ["baseline random, margin 0.02; no baseline, margin 0.02"]
+    assert not [note for note in again.notes if "judged before" in note]
+
+
+def told_before(comparison):
+    prefix = "A verdict was told before by other arguments: "
+    return [note.removeprefix(prefix).rstrip(".") for note in comparison.notes if note.startswith(prefix)]
 
 
 @pytest.mark.parametrize(

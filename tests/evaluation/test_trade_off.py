@@ -9,10 +9,11 @@ import pandas as pd
 import pytest
 
 from armctl.agents import TrainingCost
+from armctl.evaluation.curves import CURVE_COLUMNS, read_curve
 from armctl.evaluation.statistics import Estimate
 from armctl.evaluation.summary import PolicySummary
 from armctl.evaluation.trade_off import Point, break_evens, cost_curve, pareto_front, points
-from armctl.report.figures import trade_off, training_cost
+from armctl.report.cost_figures import trade_off, training_cost
 from armctl.report.style import looks
 
 
@@ -101,6 +102,12 @@ def test_odd_numbers_of_decisions_are_not_drawn(spoilt):
     assert known.decisions.tolist() == [10, 30]
     figure = training_cost({"ppo": known}, [agent], [], looks(["ppo"]))
     assert all(math.isfinite(end) for end in figure.layout.xaxis.range)
+
+
+@pytest.mark.parametrize("cell", ["1" + "0" * 400, "1e999"])
+def test_a_number_that_is_too_large_is_infinite(tmp_path, cell):
+    (tmp_path / "curve.csv").write_text(f"{','.join(CURVE_COLUMNS)},decisions\n{','.join([cell] * 6)},{cell}\n")
+    assert np.isinf(read_curve(tmp_path / "curve.csv").to_numpy()).all()
 
 
 def test_the_picture_holds_the_points_and_their_front():

@@ -174,6 +174,27 @@ def test_a_baseline_must_take_part():
         armctl.compare(["reach_ik"], episodes=1, margin=2)
 
 
+class FailsAtOnce:
+    sees, training_steps = "observation", 0
+
+    def __init__(self, env):
+        pass
+
+    def reset(self, ids):
+        pass
+
+    def act(self, observations):
+        raise ArithmeticError("no luck")
+
+
+def test_a_baseline_that_failed_leaves_the_verdict_to_the_others():
+    failing = f"{__name__}:FailsAtOnce"
+    made = armctl.compare(["reach_ik", "random", failing], episodes=10, worlds=10, baseline=failing)
+    assert "no luck" in made.failures[failing]
+    assert made.verdict.startswith("reach_ik is better than random")
+    assert made.headline[0].startswith("reach_ik beats random")
+
+
 def test_baseline_and_margin_survive_in_the_folder(tmp_path):
     from armctl.evaluation.results import read_results
 

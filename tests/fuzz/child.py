@@ -19,8 +19,12 @@ HANGS = 120
 
 class Child:
     def __init__(self, script):
+        self._script = script
+        self._start()
+
+    def _start(self):
         self._process = subprocess.Popen(
-            [sys.executable, script],
+            [sys.executable, self._script],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -28,6 +32,8 @@ class Child:
         )
 
     def __call__(self, path):
+        if self._process.poll() is not None:  # it died of the file before
+            self._start()
         print(path, file=self._process.stdin, flush=True)
         answer = self._process.stdout.readline()
         assert answer, f"died with {self._process.wait()} on {path}"

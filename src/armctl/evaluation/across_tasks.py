@@ -17,10 +17,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from armctl.evaluation.paired import holm, mcnemar, mover
+from armctl.evaluation.paired import SIGNIFICANT, holm, mcnemar, mover, within
 from armctl.evaluation.statistics import FEWEST, Estimate, bounded_mean, success_rate
 
-SIGNIFICANT = 0.05
 FAMILIES = {"ik": "IK", "mpc": "MPC", "ompl": "OMPL", "ppo": "PPO", "sac": "SAC", "bc": "BC", "dagger": "DAgger"}
 """By the last word of a policy's name."""
 Choice = tuple[str, str]
@@ -50,7 +49,7 @@ def choose(success: pd.DataFrame, returns: pd.DataFrame, candidates: Sequence[st
     return best(1), best(0)
 
 
-def scores_of(success: pd.DataFrame, choice: Choice) -> "pd.Series[float]":
+def success_of(success: pd.DataFrame, choice: Choice) -> "pd.Series[float]":
     """The success of a choice in each episode; NaN where its policy did not play."""
     even, odd = (success[name] if name in success else pd.Series(math.nan, success.index) for name in choice)
     return even.where(success.index % 2 == 0, odd)
@@ -75,12 +74,6 @@ class HeadToHead:
         return mover(self.only_classical, self.only_learned, self.episodes)
 
     @property
-    def improvement(self) -> Estimate:
-        """Probability that the classical policy does better in an episode; a tie counts half (Agarwal et al. 2021)."""
-        low, high = (0.5 + one / 2 for one in _bounds(self.difference))
-        return Estimate(0.5 + self.difference.value / 2, low, high)
-
-    @property
     def better(self) -> int:
         """1 if the classical policy is significantly better, -1 if the learned one is, else 0; 0 for few episodes."""
         shown = self.p < SIGNIFICANT and self.episodes >= FEWEST
@@ -88,8 +81,7 @@ class HeadToHead:
 
     def equivalent(self, margin: float) -> bool:
         """Whether success differs by less than `margin`: two one-sided tests at 5 %."""
-        low, high = _bounds(mover(self.only_classical, self.only_learned, self.episodes, 0.90))
-        return -margin < low and high < margin
+        return within(mover(self.only_classical, self.only_learned, self.episodes, 0.90), margin)
 
 
 def heads_to_head(
@@ -98,7 +90,7 @@ def heads_to_head(
     """Both choices in each setting of a task where both have played."""
     found: dict[str, HeadToHead] = {}
     for setting, success in cells.items():
-        gains = (scores_of(success, classical) - scores_of(success, learned)).dropna()
+        gains = (success_of(success, classical) - success_of(success, learned)).dropna()
         if len(gains):
             only_a, only_b = int((gains > 0).sum()), int((gains < 0).sum())
             found[setting] = HeadToHead(len(gains), only_a, only_b, mcnemar(only_a, only_b))
@@ -114,7 +106,7 @@ def improvement(cells: Mapping[str, pd.DataFrame], classical: Choice, learned: C
 
     A tie counts half. An episode is a sample with all its settings, as these begin alike.
     """
-    gains = [scores_of(success, classical) - scores_of(success, learned) for success in cells.values()]
+    gains = [success_of(success, classical) - success_of(success, learned) for success in cells.values()]
     return _mean_of_episodes([0.5 + gain / 2 for gain in gains])
 
 
@@ -152,7 +144,7 @@ def mean_over_tasks(estimates: Sequence[Estimate | None]) -> Estimate | None:
     value = math.fsum(one.value for one in known) / len(known)
     if any(one.low is None or one.high is None for one in known):
         return Estimate(value, None, None)
-    low, high = np.array([_bounds(one) for one in known]).T
+    low, high = np.array([one.bounds for one in known]).T
     values = np.array([one.value for one in known])
     down, up = (float(np.linalg.norm(values - bound)) / len(known) for bound in (low, high))
     return Estimate(value, value - down, value + up)
@@ -163,7 +155,7 @@ def success_profile(cells: Sequence[Estimate], thresholds: NDArray[np.float64]) 
 
     The band is the same share of the cells' lower and of their upper limits.
     """
-    values = np.array([(one.value, *_bounds(one)) for one in cells])
+    values = np.array([(one.value, *one.bounds) for one in cells])
     return [Estimate(*map(float, (values >= threshold).mean(axis=0))) for threshold in thresholds]
 
 
@@ -175,10 +167,4 @@ def cell_rates(cells: Mapping[str, pd.DataFrame], choice: Choice) -> list[Estima
 
 def rate_of(success: pd.DataFrame, choice: Choice) -> Estimate | None:
     """The success rate of a choice in one setting; None if it has not played."""
-    return success_rate(scores_of(success, choice).dropna().to_numpy() == 1)
-
-
-def _bounds(estimate: Estimate) -> tuple[float, float]:
-    assert estimate.low is not None
-    assert estimate.high is not None
-    return estimate.low, estimate.high
+    return success_rate(success_of(success, choice).dropna().to_numpy() == 1)

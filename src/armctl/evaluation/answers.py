@@ -8,9 +8,11 @@ import pandas as pd
 from armctl.evaluation.across_tasks import Choice, HeadToHead, choose, heads_to_head, rate_of
 from armctl.evaluation.comparison import Comparison
 from armctl.evaluation.paired import MARGIN, holm
+from armctl.evaluation.scores import counted_rows
 from armctl.evaluation.statistics import FEWEST, Estimate
 from armctl.evaluation.summary import PolicySummary
 from armctl.evaluation.sweep import UNDISTURBED, Sweep, folder_name
+from armctl.evaluation.tables import points
 from armctl.policies import privileges
 from armctl.registration import bare_id
 
@@ -48,9 +50,9 @@ class Answer:
         """Classical against learned without disturbance; None unless both have played."""
         return self.heads.get(UNDISTURBED)
 
-    def rate(self, choice: Choice | None, setting: str = UNDISTURBED) -> Estimate | None:
-        """The success rate of a choice, each episode by the policy that stands for it there."""
-        return None if choice is None or setting not in self.cells else rate_of(self.cells[setting], choice)
+    def rate(self, choice: Choice | None) -> Estimate | None:
+        """The undisturbed success rate of a choice, each episode by the policy that stands for it there."""
+        return rate_of(self.cells[UNDISTURBED], choice) if choice and self.cells else None
 
     @property
     def verdict(self) -> str:
@@ -147,25 +149,16 @@ def corrected(answers: Sequence[Answer]) -> list[Answer]:
 
 def success_table(comparison: Comparison) -> pd.DataFrame | None:
     """Success by episode and policy; None if it is unknown. Which episodes count is as in `counted_results`."""
-    played = comparison.episodes.sort_values("episode")
+    played = comparison.episodes
     if not len(played) or not comparison.policies or played.success.isna().any():
         return None
-    played = played.assign(success=played.success.astype(float))
-    unbroken = played[played.episode == played.groupby("policy").cumcount()]
-    counted = unbroken[~unbroken.episode.isin(played.episode[~played.feasible.astype(bool)])]
-    names = [one.policy for one in comparison.policies]
-    return counted.pivot(index="episode", columns="policy", values="success").reindex(columns=names)
+    won = counted_rows(played).pivot(index="episode", columns="policy", values="success").astype(float)
+    return won.reindex(columns=[one.policy for one in comparison.policies])
 
 
 def chosen(choice: Choice | None) -> str:
     """Who stands for a kind, in words."""
     return " or ".join(dict.fromkeys(choice)) if choice else "nobody"
-
-
-def points(difference: Estimate) -> str:
-    """A difference in success in points, with its interval."""
-    value, low, high = (100 * (one or 0.0) + 0.0 for one in (difference.value, difference.low, difference.high))
-    return f"{value:+.1f} points [{low:.1f}, {high:.1f}]"
 
 
 def _nothing(found: Answer) -> str:

@@ -24,7 +24,7 @@ from armctl.evaluation.parallel import (
     play_here,
     play_in_workers,
 )
-from armctl.evaluation.provenance import RunMeter
+from armctl.evaluation.provenance import RunMeter, look_notes
 from armctl.evaluation.real_time import (
     RealTime,
     check_measurable,
@@ -43,7 +43,6 @@ from armctl.registration import bare_id, remember_named
 
 UNTOLD = "{env} is not made of a task of armctl's: least times, feasibility, contacts and clearances are unknown."
 UNSCORED = "{env} does not say what a success is: the verdict goes by return. --success-return says which is one."
-LOOKED = "This comparison was judged before, after {looks} episodes: p-values and intervals are those of a single look."
 ONE_TRAINING = "{group} is a single training, which says nothing of others by the same recipe."
 UNBOUNDED = "The possible returns are unknown: their intervals assume that none lies beyond those seen here."
 
@@ -180,14 +179,15 @@ def compare(
         results = [result for result in results if result.policy not in comparison.disqualified]
         results.sort(key=lambda result: (order.index(result.policy), result.episode))
         judged = min(Counter(result.policy for result in results).values(), default=0)
-        runs = [*(log.runs if log is not None else []), meter.ended(judged)]
+        runs = [
+            *(log.runs if log is not None else []),
+            meter.ended(judged=judged, baseline=baseline, margin=margin),
+        ]
         if results:
             latencies = paced is None or paced.recorded is None
             _judge(comparison, unjudged(results, runs) if latencies else results, made, made_env, episodes)
             comparison.notes += load_notes(results, runs) if latencies else []
-            looks = [f"{run.judged:,}" for run in runs[:-1] if run.judged not in (None, 0, judged)]
-            if comparison.paired and looks:
-                comparison.notes.append(LOOKED.format(looks=", ".join(looks)))
+            comparison.notes += look_notes(runs) if comparison.paired else []
         if log is not None:
             try:
                 log.finish(results, summary(comparison), runs)

@@ -60,9 +60,8 @@ def read_curve(path: Path) -> pd.DataFrame:
 
     `decisions`, the control steps in simulation so far, are NaN in curves of older versions.
     """
-    table = _table(path, CURVE_COLUMNS, CURVE_COLUMNS)
-    counted = table["decisions"] if "decisions" in table else pd.Series(math.nan, table.index)
-    return table.assign(decisions=pd.to_numeric(counted, errors="coerce").astype(float))
+    table = _table(path, CURVE_COLUMNS, (*CURVE_COLUMNS, "decisions"))
+    return table if "decisions" in table else table.assign(decisions=math.nan)
 
 
 def read_sweep(folder: Path) -> pd.DataFrame:
@@ -100,13 +99,13 @@ def comparison_in(folder: Path) -> str:
 def _table(path: Path, columns: Sequence[str], numbers: Sequence[str]) -> pd.DataFrame:
     """A CSV file with these `columns` and at least one row; the `numbers` columns as floats. Raises `ResultsError`."""
     try:
-        table = pd.read_csv(io.StringIO(bounded_text(path)))
+        table = pd.read_csv(io.StringIO(bounded_text(path)), dtype=dict.fromkeys(numbers, float))
         if missing := [column for column in columns if column not in table]:
             raise ValueError(f"it has no column {missing[0]}")
         if table.empty:
             raise ValueError("it has no row")
         if table[[column for column in columns if column not in numbers]].isna().any(axis=None):
             raise ValueError("it has a row without a name")
-        return table.astype(dict.fromkeys(numbers, float))
+        return table
     except (OSError, ValueError) as error:
         raise ResultsError(f"{path} cannot be read: {error}") from error

@@ -54,7 +54,8 @@ class Endurance:
             told += f"no difference is shown between {_named(self.leaders)}"
         else:
             told += f"only {self.leaders[0]} has played"
-        at = ", ".join(f"{name} {self.scores[name]}" for name in (*self.leaders, *self.behind) if name in self.scores)
+        shown = (*self.leaders, *self.behind, *self.from_the_start)
+        at = ", ".join(f"{name} {self.scores[name]}" for name in shown if name in self.scores)
         after = [f"{name} falls behind {onset}" for name, onset in self.behind.items()]
         if self.from_the_start:
             after.append(f"{_named(self.from_the_start, 'is', 'are')} behind undisturbed already")

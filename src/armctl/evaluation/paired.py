@@ -24,6 +24,8 @@ from armctl.evaluation.trainings import CrossedDifference, difference_over_train
 
 EQUIVALENCE = 0.05
 """Level of each of the two tests that show equivalence."""
+SIGNIFICANT = 0.05
+"""Largest p-value of a difference that is told."""
 MARGIN = 0.02
 """Largest difference in success of policies that count as equivalent, unless another one is given."""
 
@@ -67,9 +69,13 @@ class PairedDifference:
             return False
         level = 1 - 2 * EQUIVALENCE / claims
         found = self.crossed.narrow if self.crossed else mover(self.only_a, self.only_b, self.episodes, level)
-        assert found.low is not None
-        assert found.high is not None
-        return -margin < found.low and found.high < margin
+        return within(found, margin)
+
+
+def within(difference: Estimate, margin: float) -> bool:
+    """Whether the whole interval of a difference is smaller than `margin`."""
+    low, high = difference.bounds
+    return -margin < low and high < margin
 
 
 def corrected(pairs: Sequence[PairedDifference], baseline: str | None = None) -> list[float]:

@@ -4,7 +4,7 @@ import contextlib
 import os
 import platform
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -44,6 +44,10 @@ class Run:
     """Processor time of this process, over the time that passed."""
     judged: int | None = None
     """After how many episodes of every policy it told a verdict; None if it was killed before."""
+    baseline: str | None = None
+    """That of the verdict, like the next one."""
+    margin: float | None = None
+    """None if it was killed before, and in results of older versions."""
 
     @property
     def busy(self) -> bool:
@@ -74,11 +78,27 @@ class RunMeter:
         if self._most is not None:
             self._most = max(self._most, load_average() or 0.0)
 
-    def ended(self, judged: int) -> Run:
-        """The run with its loads, at the end of which so many episodes of every policy were judged."""
+    def ended(self, **verdict: Any) -> Run:
+        """The run with its loads, and what it has to say of its verdict: `judged`, `baseline`, `margin`."""
         self.look()
         own = (time.process_time() - self._processor) / max(time.perf_counter() - self._wall, 1e-9)
-        return replace(self.run, load_most=self._most, load_end=load_average(), load_own=round(own, 2), judged=judged)
+        return replace(self.run, load_most=self._most, load_end=load_average(), load_own=round(own, 2), **verdict)
+
+
+def look_notes(runs: Sequence[Run]) -> list[str]:
+    """Remarks on verdicts that were told before the last run's: of fewer episodes, or by other arguments."""
+    told, last = [run for run in runs[:-1] if run.judged], runs[-1]
+    notes = []
+    if looks := [f"{run.judged:,}" for run in told if run.judged != last.judged]:
+        notes.append(
+            f"This comparison was judged before, after {', '.join(looks)} episodes: p-values and intervals are those "
+            "of a single look."
+        )
+    others = {(run.baseline, run.margin) for run in told if run.margin is not None} - {(last.baseline, last.margin)}
+    if others:
+        said = sorted(f"{f'baseline {name}' if name else 'no baseline'}, margin {margin:g}" for name, margin in others)
+        notes.append(f"A verdict was told before by other arguments: {'; '.join(said)}.")
+    return notes
 
 
 def load_average() -> float | None:

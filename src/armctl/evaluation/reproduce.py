@@ -87,14 +87,12 @@ def evaluation_of(episodes: pd.DataFrame, seed: int) -> Evaluation:
     """The figures on a card, from episodes (rows of `armctl.evaluate`) of one seed."""
     rate = success_rate(episodes.success.to_numpy(bool))
     assert rate is not None
-    assert rate.low is not None
-    assert rate.high is not None
     steps = episodes.length[episodes.success]
     return Evaluation(
         episodes=len(episodes),
         seed=seed,
         success_rate=rate.value,
-        success_interval=(rate.low, rate.high),
+        success_interval=rate.bounds,
         mean_return=float(episodes["return"].mean()),
         mean_steps_to_goal=float(steps.mean()) if len(steps) else None,
     )

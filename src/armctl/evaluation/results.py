@@ -95,12 +95,12 @@ def read_results(folder: Path) -> Results:
 
     Raises `ResultsError` if a file is missing or damaged.
     """
-    own, identity = _read(folder / COMPARISON, _Identity)
+    own, identity = read_sealed(folder / COMPARISON, _Identity)
     if not (folder / SUMMARY).exists():
         raise ResultsError(
             f"{folder} has no {SUMMARY}: its comparison is unfinished; the same command with --out {folder} resumes it"
         )
-    _, summary = _read(folder / SUMMARY, _Summary)
+    _, summary = read_sealed(folder / SUMMARY, _Summary)
     results = read_episodes(folder, own)
     results.sort(key=lambda result: (identity.policies.index(result.policy), result.episode))
     counted, _ = counted_results(results)
@@ -164,11 +164,11 @@ def _options(folder: Path, summary: _Summary) -> dict[str, Any]:
     return {name: option_value(text) for name, text in summary.env_options.items()}
 
 
-def _read(path: Path, kind: type[Kind]) -> tuple[dict[str, Any], Kind]:
-    """All values of a file that `sealed` made, and those that `kind` has."""
+def read_sealed(path: Path, kind: type[Kind], what: str = "a comparison") -> tuple[dict[str, Any], Kind]:
+    """All values of a file that `sealed` made, and those that `kind` has. Raises `ResultsError`, which names `what`."""
     try:
         values = unsealed(bounded_text(path))
         return values, TypeAdapter(kind).validate_python(values)
     except (OSError, ValueError) as error:
         why = error.errors()[0]["msg"] if isinstance(error, ValidationError) else error
-        raise ResultsError(f"{path} cannot be read as results of a comparison: {why}") from error
+        raise ResultsError(f"{path} cannot be read as results of {what}: {why}") from error

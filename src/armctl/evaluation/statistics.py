@@ -1,5 +1,6 @@
 """Statistics of finitely many episodes: intervals that hold when disasters are rare, probability of superiority."""
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -30,6 +31,11 @@ class Estimate:
     low: float | None
     """None, like `high`, if the interval is unknown."""
     high: float | None
+
+    @property
+    def bounds(self) -> Bounds:
+        """The interval; NaN where it is unknown."""
+        return (math.nan if self.low is None else self.low), (math.nan if self.high is None else self.high)
 
 
 def success_rate(successes: NDArray[np.bool_]) -> Estimate | None:

@@ -30,7 +30,7 @@ from armctl.registration import bare_id
 
 COMPARISON, EPISODES, DECISIONS, SUMMARY = "comparison.json", "episodes.csv", "decisions.csv", "summary.json"
 RUNS = "runs.json"
-"""The runs that have played episodes (see `Run`), the present one included."""
+"""The runs that have played episodes (see `Run`) or told another verdict, the present one included."""
 DECISION_COLUMNS = ("policy", "episode", "checksum", "decision_ms")
 """The last column holds the episode's decision times, ms, separated by spaces. The checksum is of these, of the row in
 `episodes.csv`, and of the comparison's identity."""
@@ -174,9 +174,14 @@ def read_runs(folder: Path) -> list[Run]:
 
 
 def _of(results: Iterable[EpisodeResult], runs: Iterable[Run]) -> list[Run]:
-    """The runs that have played any of the results."""
+    """The runs that have played any of the results, or told a verdict by other arguments than all before."""
     played = {result.run for result in results}
-    return [one for one in runs if one.id in played]
+    kept: list[Run] = []
+    for one in runs:
+        told = {(other.baseline, other.margin) for other in kept if other.judged}
+        if one.id in played or (one.judged and (one.baseline, one.margin) not in told):
+            kept.append(one)
+    return kept
 
 
 def read_episodes(folder: Path, comparison: Mapping[str, Any]) -> list[EpisodeResult]:

@@ -6,7 +6,7 @@ Each task is a sweep in a folder of its own; `suite.json` says which there are.
 import functools
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, nullcontext
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,16 +14,17 @@ from armctl.agents import read_card
 from armctl.envs import full_id, make_worlds
 from armctl.errors import ArmctlError, ConfigurationError, ResultsError
 from armctl.evaluation.across_tasks import family, mean_over_tasks, rank
-from armctl.evaluation.answers import CHOSEN, Answer, answer, chosen, corrected
+from armctl.evaluation.answers import Answer, answer, corrected
 from armctl.evaluation.compare import default_policies
 from armctl.evaluation.notebook import Displayed
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.rollouts import check_counts
 from armctl.evaluation.seeds import check_evaluation_seed
 from armctl.evaluation.statistics import Estimate
+from armctl.evaluation.suite_tables import rank_table, task_table
 from armctl.evaluation.sweep import Sweep, sweep, sweep_levels
-from armctl.evaluation.tables import UNKNOWN, Cell, Column, Document, Remark, Table, p_value, percent
-from armctl.files import bounded_text, checked_name, one_writer, sealed, unsealed, write_atomically
+from armctl.evaluation.tables import Document, Remark, Table
+from armctl.files import bounded_text, checked_name, inside, one_writer, sealed, unsealed, write_atomically
 from armctl.policies import agent_cards, make_policy, policy_names
 from armctl.registration import bare_id, environment_names
 
@@ -119,10 +120,10 @@ class Suite(Displayed):
         """A table of the tasks, the answer for each, and the ranks of families."""
         parts: list[Table | Remark] = []
         if self.answers:
-            parts.append(_task_table(self))
+            parts.append(task_table(self.answers, self.episodes, self.seed))
             parts += [Remark(one.sentence, "verdict") for one in self.answers]
         if self.ranks:
-            parts.append(_rank_table(self.ranks))
+            parts.append(rank_table(self.ranks))
         parts += [Remark(problem, "problem") for problem in self.problems]
         if self.interrupted:
             parts.append(Remark("Interrupted.", "note"))
@@ -190,7 +191,7 @@ def suite(
                 try:
                     swept = sweep(
                         plan.policies, plan.env, disturbances=plan.disturbances, episodes=episodes, seed=seed,
-                        out=folder and _inside(folder, name), overwrite=overwrite, worlds=worlds, workers=workers,
+                        out=folder and inside(folder, name), overwrite=overwrite, worlds=worlds, workers=workers,
                         progress=functools.partial(_told, progress, name, total),
                     )  # fmt: skip
                 except ArmctlError as error:
@@ -204,13 +205,6 @@ def suite(
             found.interrupted = True
         _write(folder, found)
     return found
-
-
-def _inside(folder: Path, name: str) -> Path:
-    """A task's folder in a suite's, which must not lead elsewhere."""
-    if (folder / name).is_symlink():
-        raise ResultsError(f"{folder / name} is a symbolic link, through which nothing is written")
-    return folder / name
 
 
 def _told(progress: Callable[[str, int], None] | None, task: str, total: int, setting: str, _: EpisodeResult) -> None:
@@ -301,41 +295,3 @@ def _write(folder: Path | None, found: Suite) -> None:
         write_atomically(folder / SUITE, sealed(told))
     except OSError as error:
         found.failures["results"] = f"{folder / SUITE} could not be written: {error.strerror}"
-
-
-def _task_table(found: Suite) -> Table:
-    columns = [Column("task"), Column("classical"), Column("learned"), Column("difference"), Column("p", optional=True)]
-    rows, records = [], []
-    for one in found.answers:
-        head = one.undisturbed
-        rates = [one.rate(one.classical), one.rate(one.learned)]
-        rows.append(
-            [
-                Cell(one.task),
-                *(Cell(percent(rate).text, chosen(choice)) if choice else Cell(UNKNOWN)
-                  for rate, choice in zip(rates, (one.classical, one.learned), strict=True)),
-                percent(head.difference, "+") if head else Cell(UNKNOWN),
-                Cell(p_value(head.p) if head else UNKNOWN),
-            ]
-        )  # fmt: skip
-        records.append(
-            {
-                "env": one.env, "classical": chosen(one.classical), "learned": chosen(one.learned),
-                **({"difference": asdict(head.difference), **asdict(head)} if head else {}), "turns": one.turns,
-            }
-        )  # fmt: skip
-    caption = (
-        "The best classical and the best learned policy, undisturbed: the best on odd episodes plays for its kind in "
-        "even ones, and vice versa. Difference with MOVER's 95 % interval; p: McNemar's exact test, after Holm's "
-        f"correction for all tasks. {CHOSEN}"
-    )
-    title = f"{len(rows)} tasks: {found.episodes} episodes of seed {found.seed} in each setting"
-    return Table("tasks", title, columns, rows, records, caption)
-
-
-def _rank_table(ranks: Mapping[str, tuple[Estimate, int]]) -> Table:
-    rows = [[Cell(name), percent(mean), Cell(str(tasks))] for name, (mean, tasks) in ranks.items()]
-    records = [{"family": name, "rank": asdict(mean), "tasks": tasks} for name, (mean, tasks) in ranks.items()]
-    caption = "Rivals beaten in an episode, ties counting half: the mean over settings and tasks, with 95 % intervals."
-    title = "Ranks of families"
-    return Table("ranks", title, [Column("family"), Column("rivals beaten"), Column("tasks")], rows, records, caption)

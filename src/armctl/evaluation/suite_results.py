@@ -2,18 +2,14 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
-
-from pydantic import TypeAdapter, ValidationError
 
 from armctl.errors import ConfigurationError, ResultsError
 from armctl.evaluation.curves import SWEEP, read_sweep
-from armctl.evaluation.results import Results, read_results
+from armctl.evaluation.results import read_results, read_sealed
 from armctl.evaluation.suite import SUITE, Suite, folder_of
 from armctl.evaluation.sweep import UNDISTURBED, Sweep, folder_name
-from armctl.files import bounded_text, checked_name, unsealed
+from armctl.files import checked_name
 
-Kind = TypeVar("Kind")
 UNFINISHED = "its sweep is unfinished: the same command resumes it"
 
 
@@ -45,7 +41,7 @@ def read_suite(folder: Path) -> Suite:
 
     Raises `ResultsError` if a file is missing or damaged.
     """
-    told = _read(folder / SUITE, _Suite)
+    _, told = read_sealed(folder / SUITE, _Suite, "a suite")
     found = Suite(
         told.seed, told.episodes, told.envs, told.quick, failures=dict(told.failures), interrupted=told.interrupted
     )
@@ -62,7 +58,7 @@ def read_suite(folder: Path) -> Suite:
 
 
 def _read_task(home: Path, env: str, seed: int) -> Sweep:
-    told = _read(home / SWEEP, _Sweep)
+    _, told = read_sealed(home / SWEEP, _Sweep, "a suite")
     if (told.env, told.seed) != (env, seed):
         raise ResultsError(f"{home} holds a sweep of {told.env}, seed {told.seed}, not one of {env}, seed {seed}")
     found = Sweep(env, seed, told.disturbances, failures=told.failures, interrupted=told.interrupted)
@@ -75,19 +71,7 @@ def _read_task(home: Path, env: str, seed: int) -> Sweep:
         except ConfigurationError as error:
             raise ResultsError(f"{home / SWEEP} cannot be read as results of a sweep: {error}") from error
         if part.exists():
-            found.comparisons[name] = _of_suite(part, read_results(part), env, seed).comparison
+            found.comparisons[name] = played = read_results(part).comparison
+            if (played.env, played.seed) != (env, seed):
+                raise ResultsError(f"{part} holds a comparison of another environment or seed: run the suite again")
     return found
-
-
-def _of_suite(part: Path, results: Results, env: str, seed: int) -> Results:
-    if (results.comparison.env, results.comparison.seed) != (env, seed):
-        raise ResultsError(f"{part} holds a comparison of another environment or seed: run the suite again")
-    return results
-
-
-def _read(path: Path, kind: type[Kind]) -> Kind:
-    try:
-        return TypeAdapter(kind).validate_python(unsealed(bounded_text(path)))
-    except (OSError, ValueError) as error:
-        why = error.errors()[0]["msg"] if isinstance(error, ValidationError) else error
-        raise ResultsError(f"{path} cannot be read as results of a suite: {why}") from error

@@ -15,7 +15,7 @@ from armctl.envs.vector import UNSTABLE
 from armctl.evaluation.decision_times import comparable_times, setting_in_words
 from armctl.evaluation.paired import PairedDifference
 from armctl.evaluation.record import EpisodeResult
-from armctl.evaluation.scores import Limits, by_learner, clean, pairs_of, scores_of
+from armctl.evaluation.scores import Limits, by_learner, pairs_of, scores_of
 from armctl.evaluation.statistics import Bounds, Estimate, bounded_mean, median, success_rate, worst_decile
 from armctl.evaluation.trainings import mean_over_trainings
 from armctl.policies import Policy
@@ -173,18 +173,19 @@ def certificate_notes(results: Sequence[EpisodeResult]) -> list[str]:
 def _summary(
     name: str, policy: Policy, planned: int, infeasible: int, results: list[EpisodeResult], scored: bool, limits: Limits
 ) -> PolicySummary:
+    def scores(score: str) -> NDArray[np.float64]:
+        found: NDArray[np.float64] = scores_of(score, [results], limits)[0]
+        return found
+
     timed = comparable_times(results)
     decisions = np.concatenate([result.warm_ms for result in timed])
     cold = _known(result.metrics.decision_ms_cold for result in timed)
     won = [result for result in results if result.success]
     missed = [result.metrics.missed_deadlines for result in timed]
-    returns = np.array([result.total_reward for result in results])
+    returns = scores("episode_return")
     steps = (1.0, float(limits.steps)) if limits.steps else None
-    cleanly = [clean(result) for result in results]
-    restricted = scores_of("restricted_steps", [results], limits)[0] if scored and limits.steps else None
-    lengths = np.array([float(result.length) for result in results])
-    least = np.array([result.least_length for result in results])
-    efficiency = np.array([bool(result.success) for result in results]) * least / np.maximum(lengths, least)
+    unknown_contacts = any(result.metrics.contacts is None for result in results)
+    efficiency = scores("efficiency")
     return PolicySummary(
         name,
         policy.sees,
@@ -193,7 +194,7 @@ def _summary(
         len(results),
         infeasible,
         dict(Counter(result.outcome for result in results).most_common()),
-        success_rate(np.array([bool(result.success) for result in results])) if scored else None,
+        success_rate(scores("success") == 1) if scored else None,
         bounded_mean(returns, limits.returns),
         _mean([float(result.length) for result in won], steps),
         median(_known(result.optimality_gap for result in results)),
@@ -204,10 +205,10 @@ def _summary(
         float(decisions.max()),
         None if None in missed else sum(one for one in missed if one) / len(decisions),
         sum(result.metrics.solver_failures for result in results),
-        _mean(lengths, steps),
-        success_rate(np.array(cleanly)) if scored and None not in cleanly else None,
+        _mean(scores("length"), steps),
+        success_rate(scores("clean_success") == 1) if scored and not unknown_contacts else None,
         worst_decile(returns, limits.returns),
-        None if restricted is None else _mean(restricted, steps),
+        _mean(scores("restricted_steps"), steps) if scored and limits.steps else None,
         bounded_mean(efficiency, (0.0, 1.0)) if scored and np.isfinite(efficiency).all() else None,
         float(cold.max()) if len(cold) else None,
         timed[0].worlds,

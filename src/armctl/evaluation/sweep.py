@@ -41,7 +41,7 @@ from armctl.evaluation.summary import PolicySummary
 from armctl.evaluation.summary_tables import sweep_parts
 from armctl.evaluation.tables import Document, Remark
 from armctl.evaluation.trainings import difference_over_trainings
-from armctl.files import digest, one_writer, sealed, write_atomically
+from armctl.files import digest, inside, one_writer, sealed, write_atomically
 from armctl.policies import expanded, learners, named_policies
 from armctl.registration import bare_id
 
@@ -186,7 +186,7 @@ def sweep(
             disturbing = {"disturbances": constant | added} if constant | added else {}
             try:
                 comparison = compare(
-                    playing, env, episodes=episodes, seed=seed, out=folder and _inside(folder, name),
+                    playing, env, episodes=episodes, seed=seed, out=folder and inside(folder, name),
                     overwrite=overwrite, worlds=worlds, workers=workers, env_options=options | disturbing,
                     least_lengths=least, seeding=seeding, real_time=late, progress=functools.partial(told, name),
                 )  # fmt: skip
@@ -213,13 +213,6 @@ def sweep(
             }  # fmt: skip
             _write(folder, found, asked)
     return found
-
-
-def _inside(folder: Path, name: str) -> Path:
-    """A comparison's folder in a sweep's, which must not lead elsewhere."""
-    if (folder / name).is_symlink():
-        raise ResultsError(f"{folder / name} is a symbolic link, through which nothing is written")
-    return folder / name
 
 
 def _write(folder: Path, found: Sweep, asked: Mapping[str, Any]) -> None:

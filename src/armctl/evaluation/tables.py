@@ -100,6 +100,12 @@ def percent(estimate: Estimate | None, sign: str = "") -> Cell:
     return Cell(f"{100 * estimate.value:{sign}.1f} %", _interval(low, high, 1, sign))
 
 
+def points(difference: Estimate) -> str:
+    """A difference in success in points, with its interval."""
+    value, low, high = (100 * one + 0.0 for one in (difference.value, *difference.bounds))
+    return f"{value:+.1f} points [{low:.1f}, {high:.1f}]"
+
+
 def p_value(p: float | None) -> str:
     """A p-value with two digits, and as many leading zeros as it takes in its exponent."""
     if p is None:

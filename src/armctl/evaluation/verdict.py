@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from armctl.evaluation.paired import (
     MARGIN,
+    SIGNIFICANT,
     PairedDifference,
     corrected,
     episodes_to_detect,
@@ -14,9 +15,8 @@ from armctl.evaluation.paired import (
 )
 from armctl.evaluation.statistics import FEWEST, Estimate
 from armctl.evaluation.summary import PolicySummary
+from armctl.evaluation.tables import UNKNOWN, points
 from armctl.policies import policy_names, privileges
-
-SIGNIFICANT = 0.05
 
 
 @dataclass(frozen=True)
@@ -39,9 +39,10 @@ class Contest:
     def first_ahead(self) -> Estimate | None:
         """Success of the first minus that of the second; None if it is unknown."""
         found = self.pair.success_difference
-        if found is None or found.low is None or found.high is None or self.first.policy == self.pair.a:
+        if found is None or self.first.policy == self.pair.a:
             return found
-        return Estimate(-found.value + 0.0, -found.high + 0.0, -found.low + 0.0)
+        low, high = found.bounds
+        return Estimate(-found.value, -high, -low)
 
 
 def verdict(
@@ -94,7 +95,8 @@ def headline(
 def contests(
     policies: Sequence[PolicySummary], paired: Sequence[PairedDifference], baseline: str | None
 ) -> list[Contest]:
-    """The pairs that a verdict tells, the most important one first."""
+    """The pairs that a verdict tells, the most important one first. A `baseline` that has not played is none."""
+    baseline = next((one.policy for one in policies if one.policy == baseline), None)
     told = _pairs_to_tell(policies, baseline)
     claims = _claims(policies, len(told), baseline)
     return [_contest(policies, paired, names, baseline, claims) for names in told]
@@ -103,7 +105,7 @@ def contests(
 def _pairs_to_tell(policies: Sequence[PolicySummary], baseline: str | None) -> list[tuple[str, str]]:
     ranked = sorted(policies, key=lambda policy: _rank(policy.success, policy.episode_return), reverse=True)
     names = [policy.policy for policy in ranked]
-    if baseline in names:
+    if baseline:
         return [(baseline, name) for name in names if name != baseline]
     classical = [policy.policy for policy in ranked if not policy.learned]
     learned = [policy.policy for policy in ranked if policy.learned]
@@ -145,31 +147,27 @@ def _sentence(contest: Contest, margin: float) -> str:
     by_return = _by_return(contest)
     if contest.p is None:
         return f"{by_return or f'The returns of {first} and {second} are not shown to differ'}."
-    difference, points = _difference(contest), f"{100 * margin:g} points"
+    difference, least = _difference(contest), f"{100 * margin:g} points"
     family = f" after Holm's correction for {contest.pairs} pairs" if contest.pairs > 1 else ""
     p = f"p = {contest.p:.2g}{family}"
     equivalent = pair.equivalent(margin, contest.claims)
     if contest.p < SIGNIFICANT:
-        within = f", though by less than {points}" if equivalent else ""
+        within = f", though by less than {least}" if equivalent else ""
         said = f"{first} is better than {second}{within}: success {difference}, {p}"
     elif equivalent:
-        said = f"{first} and {second} are equivalent within {points}: success {difference}"
+        said = f"{first} and {second} are equivalent within {least}: success {difference}"
     else:
-        said = f"Undecided between {first} and {second}: success {difference}. {_more(contest, margin, points)} ({p})"
+        said = f"Undecided between {first} and {second}: success {difference}. {_more(contest, margin, least)} ({p})"
     return f"{said}. {by_return}{'.' if by_return else ''}".rstrip()
 
 
 def _difference(contest: Contest) -> str:
     """In points, of the first over the second, with its interval."""
     found = contest.first_ahead
-    assert found is not None
-    assert found.low is not None
-    assert found.high is not None
-    value, low, high = (100 * one for one in (found.value, found.low, found.high))
-    return f"{value:+.1f} points [{low:.1f}, {high:.1f}]"
+    return UNKNOWN if found is None else points(found)
 
 
-def _more(contest: Contest, margin: float, points: str) -> str:
+def _more(contest: Contest, margin: float, least: str) -> str:
     pair = contest.pair
     if pair.crossed is not None:
         return "More trainings would tell more than more episodes"
@@ -179,7 +177,7 @@ def _more(contest: Contest, margin: float, points: str) -> str:
     )
     more = max(needed - pair.episodes, pair.episodes // 2)
     rounded = round(more, 1 - len(str(more)))
-    return f"About {rounded:,} more episodes would tell {points}"
+    return f"About {rounded:,} more episodes would tell {least}"
 
 
 def _cost(contest: Contest) -> str:
@@ -216,12 +214,13 @@ def _networks(contests: Sequence[Contest]) -> str:
 def _by_return(contest: Contest) -> str:
     """Which of two policies earns more; empty if that is not significant."""
     gain = contest.pair.return_difference
-    if gain.low is None or gain.high is None or gain.low <= 0 <= gain.high:
+    low, high = gain.bounds
+    if not (low > 0 or high < 0):
         return ""
     if contest.return_p is not None and contest.return_p >= SIGNIFICANT:
         return ""
     better, other = (contest.pair.a, contest.pair.b) if gain.value > 0 else (contest.pair.b, contest.pair.a)
-    low, high = sorted((abs(gain.low), abs(gain.high)))
+    low, high = sorted((abs(low), abs(high)))
     return f"{better} earns {abs(gain.value):.1f} [{low:.1f}, {high:.1f}] more an episode than {other}"
 
 

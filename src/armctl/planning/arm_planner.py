@@ -13,20 +13,20 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from ompl import base, geometric, util
+from ompl import geometric
 from pydantic import Field
 
 from armctl.errors import ConfigurationError
 from armctl.kinematics import ArmModel, ArmShapes, EdgeChecker, MinimumTimeReach
 from armctl.kinematics.edge_checker import MAX_CLEARANCE
 from armctl.options import options
-from armctl.planning.ompl_setup import OmplProblem
+from armctl.planning.arm_search import ArmSearch
 from armctl.scene import Boxes
 
 Array = NDArray[np.float64]
 
-OMPL_SEED = 1
-"""Seed of each search: the same arguments give the same path."""
+SEED = 1
+"""Of each search."""
 DETOUR = 2.0
 """rad: margin of the search space beyond start and goals."""
 INSIDE = 0.8
@@ -144,21 +144,9 @@ class ArmPlanner:
 
     def _search(self, edges: EdgeChecker, start: Array, goals: Array) -> Array:
         """The path that RRT-Connect finds, (m, dof), or (0, dof)."""
-        util.RNG.setSeed(OMPL_SEED)
-        dof, limits, ends = self.model.dof, self.model.limits, np.vstack((start, goals))
-        problem = OmplProblem(
-            np.maximum(limits.lower, ends.min(axis=0) - DETOUR),
-            np.minimum(limits.upper, ends.max(axis=0) + DETOUR),
-            lambda a, b: edges.is_edge_free(np.array(a[0:dof]), np.array(b[0:dof])),
-            start,
-        )
-        region = base.GoalStates(problem.information)
-        for goal in goals:
-            region.addState(problem.state(goal))
-        planner = geometric.RRTConnect(problem.information)
-        planner.setRange(self.options.stride)
-        last = edges.checks + self.options.checks
-        return problem.solve(planner, region, base.PlannerTerminationCondition(lambda: edges.checks >= last))
+        asked = self.options
+        search = ArmSearch(geometric.RRTConnect, SEED, DETOUR, asked.stride, asked.checks)
+        return search.path(edges, self.model.limits, start, goals)
 
     def _shortened(self, edges: EdgeChecker, path: Array, centre: Array, radius: float) -> Array:
         """The path with random shortcuts and another end, where they save time."""

@@ -10,19 +10,19 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from ompl import base, geometric, util
+from ompl import geometric
 from pydantic import Field
 
 from armctl.kinematics import ArmModel, ArmShapes, EdgeChecker, Ik
 from armctl.kinematics.edge_checker import MAX_CLEARANCE
 from armctl.options import options
-from armctl.planning.ompl_setup import OmplProblem
+from armctl.planning.arm_search import ArmSearch
 from armctl.scene import Boxes
 
 Array = NDArray[np.float64]
 
-OMPL_SEED = 2
-"""Seed of each search: the same arguments give the same answer."""
+SEED = 2
+"""Of each search: not the one of `ArmPlanner`."""
 DETOUR = np.pi
 """rad: margin of the search space beyond start and goals."""
 
@@ -53,23 +53,11 @@ class PathCertificate:
 
         (0, dof) if none was found within the budget. The same arguments give the same path.
         """
-        edges, dof = EdgeChecker(self._shapes, boxes, self.options.clearance, start), self.model.dof
+        edges = EdgeChecker(self._shapes, boxes, self.options.clearance, start)
         free = filter(edges.is_free, self._ik.free_configurations(target))
         goals = list(itertools.islice(free, self.options.goals))
         if not goals or not edges.start_is_free:
-            return np.zeros((0, dof))
-        util.RNG.setSeed(OMPL_SEED)
-        ends, limits = np.vstack((start, goals)), self.model.limits
-        problem = OmplProblem(
-            np.maximum(limits.lower, ends.min(axis=0) - DETOUR),
-            np.minimum(limits.upper, ends.max(axis=0) + DETOUR),
-            lambda a, b: edges.is_edge_free(np.array(a[0:dof]), np.array(b[0:dof])),
-            start,
-        )
-        region = base.GoalStates(problem.information)
-        for goal in goals:
-            region.addState(problem.state(goal))
-        planner = geometric.LBKPIECE1(problem.information)
-        planner.setRange(self.options.stride)
-        last = edges.checks + self.options.checks
-        return problem.solve(planner, region, base.PlannerTerminationCondition(lambda: edges.checks >= last))
+            return np.zeros((0, self.model.dof))
+        asked = self.options
+        search = ArmSearch(geometric.LBKPIECE1, SEED, DETOUR, asked.stride, asked.checks)
+        return search.path(edges, self.model.limits, start, np.array(goals))

@@ -21,6 +21,7 @@ from armctl.evaluation.suite import SUITE
 from armctl.evaluation.suite_results import read_suite
 from armctl.evaluation.summary import PolicySummary
 from armctl.evaluation.sweep import UNDISTURBED
+from armctl.files import inside
 from armctl.registration import import_attribute, remember_named
 from armctl.report import style
 from armctl.report.plots import comparison_plots, mean, percent, renamed, spread, sweep_plots
@@ -102,14 +103,13 @@ def _suite(folder: Path, out: Path, video: bool, progress: Callable[[str], None]
     """Write the page of a suite, and beside it, the reports of its tasks."""
     found, reports = read_suite(folder), dict[str, str]()
     for env, name in task_folders(found).items():
-        home = Path(name) if found.tasks[env].levels else Path(name, UNDISTURBED)  # which knows no disturbance
-        for part in (folder / name, folder / home):
-            if part.is_symlink():
-                raise ResultsError(f"{part} is a symbolic link, through which nothing is written")
+        home = inside(folder, name)
+        if not found.tasks[env].levels:  # it knows no disturbance
+            home = inside(home, UNDISTURBED)
         if UNDISTURBED in found.tasks[env].comparisons:
             progress(name)
-            write_report(folder / home, video=video)
-            reports[env] = quote(Path(os.path.relpath(folder / home / REPORT, out.parent)).as_posix())
+            write_report(home, video=video)
+            reports[env] = quote(Path(os.path.relpath(home / REPORT, out.parent)).as_posix())
     write_suite_page(found, folder, out, reports)
     return out
 

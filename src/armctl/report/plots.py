@@ -20,7 +20,7 @@ from armctl.evaluation.statistics import Estimate
 from armctl.evaluation.summary import PolicySummary
 from armctl.evaluation.tables import p_value
 from armctl.evaluation.trade_off import break_evens, cost_curve, pareto_front, points
-from armctl.report import figures, style
+from armctl.report import cost_figures, figures, style
 from armctl.report.colours import TERM_COLOURS
 from armctl.report.profile import profile, profile_start
 
@@ -107,7 +107,7 @@ def trade_off_plot(policies: Sequence[PolicySummary], look: style.Looks) -> Plot
     by_success = any(policy.success for policy in policies)
     times = f" Times are {policies[0].timing}." if policies[0].timing else ""
     return Plot(
-        figures.trade_off(found, look, by_success),
+        cost_figures.trade_off(found, look, by_success),
         f"{'Success' if by_success else 'Return'} against decision time",
         note=f"Dots: mean time of a decision; lines: up to the 99th percentile. Pareto front: {front}.{times}",
     )
@@ -125,7 +125,7 @@ def _training_cost(
     said = [str(one) for one in found]
     if unknown := [name for name in costs if name not in known]:
         said.append(f"How many decisions it took to train {', '.join(unknown)} is unknown.")
-    figure = figures.training_cost(known, policies, found, look)
+    figure = cost_figures.training_cost(known, policies, found, look)
     return Plot(figure, "Success against decisions of training", note=renamed(" ".join(said), look))
 
 

@@ -2,6 +2,7 @@
 
 import shlex
 from collections.abc import Mapping, Sequence
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +38,7 @@ def write_suite_page(found: Suite, folder: Path, out: Path, reports: Mapping[str
     """
     answers = found.answers
     names = list(dict.fromkeys(family(policy.policy) for one in answers for policy in one.policies))
-    look = suite_figures.family_looks(names)
+    look, heads = suite_figures.family_looks(names), _heads(found)
     page: dict[str, Any] = {
         "headline": headline(answers),
         "suite": found,
@@ -45,8 +46,8 @@ def write_suite_page(found: Suite, folder: Path, out: Path, reports: Mapping[str
         "folder": folder.resolve().name,
         "command": _command(found),
         "tasks": [{"answer": one, "short": folder_of(one.env), "link": reports.get(one.env)} for one in answers],
-        "heads": _heads(found),
-        "heat": [_heat(found, one, reports.get(one.env)) for one in answers if one.cells],
+        "heads": heads,
+        "heat": [_heat(found, one, heads, reports.get(one.env)) for one in answers if one.cells],
         "families": _families(answers, names),
         "improvement": _improvement(answers),
         "ranks": _ranks(found, look),
@@ -84,11 +85,11 @@ def _heads(found: Suite) -> list[tuple[str, int]]:
     return [(name, i) for name, count in columns.items() for i in range(1, count + 1)]
 
 
-def _heat(found: Suite, one: Answer, link: str | None) -> dict[str, Any]:
+def _heat(found: Suite, one: Answer, heads: Sequence[tuple[str, int]], link: str | None) -> dict[str, Any]:
     """A task's rows of the heat map: for each policy, its success in percent in each column, None where unknown."""
     levels = found.tasks[one.env].levels
     settings: list[tuple[str, str] | None] = [(UNDISTURBED, "")]
-    for name, i in _heads(found):
+    for name, i in heads:
         known = i < len(levels.get(name, ()))
         settings.append((folder_name(name, levels[name][i]), f"{levels[name][i]:g}") if known else None)
     rows = [
@@ -178,7 +179,7 @@ def _costs(answers: Sequence[Answer], look: style.Looks) -> list[Plot]:
             and (known := cost(policy)) is not None
         ]  # fmt: skip
 
-    timed, trained = points(_decision_ms), points(_decisions)
+    timed, trained = points(attrgetter("decision_ms")), points(_decisions)
     if not timed:
         return []
     ms, least = suite_figures.LEAST_MS, suite_figures.LEAST_DECISIONS
@@ -190,10 +191,6 @@ def _costs(answers: Sequence[Answer], look: style.Looks) -> list[Plot]:
         Plot(suite_figures.cost_plane(trained, "decisions in simulation, for training", "decisions", least),
              "Success against training", "Training", f"Without training: on the left.{left_out}"),
     ]  # fmt: skip
-
-
-def _decision_ms(policy: PolicySummary) -> float:
-    return policy.decision_ms
 
 
 def _decisions(policy: PolicySummary) -> int | None:

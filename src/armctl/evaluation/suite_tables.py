@@ -1,0 +1,48 @@
+"""The tables of a suite, from its answers."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+
+from armctl.evaluation.answers import CHOSEN, Answer, chosen
+from armctl.evaluation.statistics import Estimate
+from armctl.evaluation.tables import UNKNOWN, Cell, Column, Table, p_value, percent
+
+
+def task_table(answers: Sequence[Answer], episodes: int, seed: int) -> Table:
+    """A row for each task: who stands for the two kinds, and how they differ."""
+    columns = [Column("task"), Column("classical"), Column("learned"), Column("difference"), Column("p", optional=True)]
+    rows, records = [], []
+    for one in answers:
+        head = one.undisturbed
+        rates = [one.rate(one.classical), one.rate(one.learned)]
+        rows.append(
+            [
+                Cell(one.task),
+                *(Cell(percent(rate).text, chosen(choice)) if choice else Cell(UNKNOWN)
+                  for rate, choice in zip(rates, (one.classical, one.learned), strict=True)),
+                percent(head.difference, "+") if head else Cell(UNKNOWN),
+                Cell(p_value(head.p) if head else UNKNOWN),
+            ]
+        )  # fmt: skip
+        records.append(
+            {
+                "env": one.env, "classical": chosen(one.classical), "learned": chosen(one.learned),
+                **({"difference": asdict(head.difference), **asdict(head)} if head else {}), "turns": one.turns,
+            }
+        )  # fmt: skip
+    caption = (
+        "The best classical and the best learned policy, undisturbed: the best on odd episodes plays for its kind in "
+        "even ones, and vice versa. Difference with MOVER's 95 % interval; p: McNemar's exact test, after Holm's "
+        f"correction for all tasks. {CHOSEN}"
+    )
+    title = f"{len(rows)} tasks: {episodes} episodes of seed {seed} in each setting"
+    return Table("tasks", title, columns, rows, records, caption)
+
+
+def rank_table(ranks: Mapping[str, tuple[Estimate, int]]) -> Table:
+    """A row for each family, and in how many tasks it has played."""
+    rows = [[Cell(name), percent(mean), Cell(str(tasks))] for name, (mean, tasks) in ranks.items()]
+    records = [{"family": name, "rank": asdict(mean), "tasks": tasks} for name, (mean, tasks) in ranks.items()]
+    caption = "Rivals beaten in an episode, ties counting half: the mean over settings and tasks, with 95 % intervals."
+    title = "Ranks of families"
+    return Table("ranks", title, [Column("family"), Column("rivals beaten"), Column("tasks")], rows, records, caption)

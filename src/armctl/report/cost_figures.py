@@ -1,0 +1,78 @@
+"""The figures of what success costs: from numbers to `plotly.graph_objects.Figure`, without I/O."""
+
+import math
+from collections.abc import Mapping, Sequence
+
+import pandas as pd
+import plotly.graph_objects as go
+
+from armctl.evaluation.summary import PolicySummary
+from armctl.evaluation.trade_off import BreakEven, Point, pareto_front
+from armctl.report.colours import PALE
+from armctl.report.style import SHARE_AXIS, Look, Looks, add_band, add_line, add_point, framed
+
+MARGIN = {"range": [-0.05, 1.05]}
+"""Room for dots at 0 and 100 %."""
+
+
+def training_cost(
+    curves: Mapping[str, pd.DataFrame], policies: Sequence[PolicySummary], found: Sequence[BreakEven], look: Looks
+) -> go.Figure:
+    """Success against decisions of training, with 95 % intervals: a line for each agent's curve, or a point.
+
+    `curves` are those of `armctl.evaluation.trade_off.cost_curve`. Dotted: policies that were not trained. Rings: where
+    an agent breaks even with the best of these.
+    """
+    figure = go.Figure()
+    ends = [end for curve in curves.values() for end in (curve.decisions.min(), curve.decisions.max())]
+    span = [float(min(ends)) / 1.3, float(max(ends)) * 1.3]
+    for policy in policies:
+        style = look[policy.policy]
+        if (curve := curves.get(policy.policy)) is not None and not curve.empty:
+            hover = "%{y:.1%} after %{x:,} decisions"
+            if len(curve) == 1:
+                add_point(figure, curve.decisions, curve.success, curve.low, curve.high, style, hover)
+            else:
+                add_band(figure, curve.decisions, curve.low, curve.high, style)
+                add_line(figure, curve.decisions, curve.success, style, "linear", hover, markers=True)
+        elif policy.success and not policy.learned:
+            level = Look(style.label, style.colour, "dot")
+            add_line(figure, span, [policy.success.value] * 2, level, "linear", "%{y:.1%}, without training")
+    for one in found:
+        if one.decisions is not None:
+            figure.add_scatter(
+                x=[one.decisions], y=[one.success.value], mode="markers", hoverinfo="skip",
+                marker={"symbol": "circle-open", "size": 20, "color": look[one.agent].colour, "line": {"width": 2.5}},
+            )  # fmt: skip
+    x = {"type": "log", "range": [math.log10(end) for end in span], "tickformat": "~s", "nticks": 8}
+    return framed(figure, "decisions in simulation, for training", "success", x=x, y=SHARE_AXIS | MARGIN)
+
+
+def trade_off(found: Sequence[Point], look: Looks, by_success: bool = True) -> go.Figure:
+    """Success, or return, against decision time: a dot at the mean for each policy, a line to the 99th percentile.
+
+    Vertical: 95 % intervals. The stairs are the Pareto front: whatever lies on or above them, no policy here does.
+    """
+    figure = go.Figure()
+    slowest = max(max(one.slow_ms, one.decision_ms) for one in found)
+    fastest = min(one.decision_ms for one in found)
+    span = [math.log10(fastest) - 0.35, min(math.log10(slowest) + 0.35, 300.0)]
+    front = pareto_front(found)
+    figure.add_scatter(
+        x=[*(one.decision_ms for one in front), 10 ** span[1]],
+        y=[*(one.score.value for one in front), front[-1].score.value],
+        mode="lines", line={"shape": "hv", "color": PALE, "width": 1.5, "dash": "dash"}, hoverinfo="skip",
+    )  # fmt: skip
+    what = "%{y:.1%}" if by_success else "%{y:.4~r}"
+    for one in found:
+        style = look[one.label]
+        figure.add_scatter(
+            x=[one.decision_ms, one.slow_ms], y=[one.score.value] * 2, mode="lines", hoverinfo="skip",
+            line={"color": style.colour, "width": 2}, opacity=0.5,
+        )  # fmt: skip
+        low, high = (one.score.value if end is None else end for end in (one.score.low, one.score.high))
+        hover = f"{what}, %{{x:.3~r}} ms a decision"
+        add_point(figure, [one.decision_ms], [one.score.value], [low], [high], style, hover)
+    y = SHARE_AXIS | MARGIN if by_success else {"nticks": 6}
+    x = {"type": "log", "range": span, "dtick": 1, "tickformat": "~g"}
+    return framed(figure, "decision time, ms", "success" if by_success else "return", x=x, y=y, height=300)
