@@ -60,11 +60,10 @@ def _run(command: str) -> str:
 
 
 def results(printed: str) -> list[str]:
-    """The paragraphs of a comparison in Markdown, apart from the titles and the table of pairs."""
+    """A comparison in Markdown, without titles and the table of pairs; how episodes ended is a list."""
     paragraphs = [part.strip() for part in printed.split("\n\n")]
-    return [
-        part for part in paragraphs if not re.match(r"\*\*[^\n]*episodes of seed|\*\*Paired|\| a - b|p: McNemar", part)
-    ]
+    dropped = re.compile(r"\*\*[^\n]*episodes of seed|\*\*Paired|\| a - b|p: McNemar")
+    return [re.sub(r"^(\S+: \d)", r"- \1", part) for part in paragraphs if not dropped.match(part)]
 
 
 def tables(printed: str) -> list[str]:

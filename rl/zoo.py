@@ -1,9 +1,8 @@
 """The table of all trained agents, from their cards: `python -m armctl.rl.zoo` writes `rl/README.md`.
 
 Shipped agents have their cards in `rl/agents/`, those of other training seeds theirs in `rl/agents/seeds/`. With
-`--evaluate`, the shipped agents play the episodes on their cards again, and the cards get the new results, as after
-new physics. With `--recount`, cards that are older than the counters get those costs of their training that are
-certain.
+`--evaluate`, all agents that are there play the test's episodes, and the cards get the results, as after new physics.
+With `--recount`, cards that are older than the counters get those costs of their training that are certain.
 """
 
 import sys
@@ -14,6 +13,7 @@ from pathlib import Path
 from armctl.agents import AgentCard, read_card
 from armctl.envs import make_worlds
 from armctl.evaluation.reproduce import reproduce
+from armctl.evaluation.seeds import TEST_SEED
 from armctl.files import write_atomically
 from armctl.rl.recount import recount
 
@@ -27,9 +27,9 @@ unmodified task. Decisions are control steps in simulation, by the agent, a teac
 actions of a teacher; gradient steps are updates of the network. Minutes are wall time on one core of a busy machine,
 two or three times those of an idle one; processor minutes are those of all cores. A dash is unknown: these agents are
 older than the counters, and only what follows exactly from their options was filled in. Agents in bold come with
-armctl, and were evaluated with the present physics. The other seeds were evaluated after their training, that of
-`reach_dagger` when impacts were softer. Those of `reach_bc` come with armctl as well: `reach_bc[*]` is all three, of
-which seeds 1 and 2 were trained by a later version.
+armctl, and so do those of `reach_bc`'s other seeds: `reach_bc[*]` is all three, of which seeds 1 and 2 were trained by
+a later version. All of them were evaluated with the present physics, on episodes of the test's seed; the other seed of
+`reach_dagger` after its training, on those of seed 0, when impacts were softer.
 
 """
 COLUMNS = (
@@ -76,9 +76,10 @@ def _row(name: str, card: AgentCard) -> tuple[str, ...]:
 
 
 def evaluate() -> None:
-    """Evaluate the shipped agents again, and print what has changed."""
-    for path in sorted((HOME / "agents").glob("*.json")):
-        again = reproduce(path)
+    """Evaluate all agents with a graph on the test's episodes, and print what has changed."""
+    for path in sorted((HOME / "agents").rglob("*.onnx")):
+        path = path.with_suffix(".json")
+        again = reproduce(path, seed=TEST_SEED)
         print(f"{path.stem}: {again.claimed.success_rate:.1%} -> {again.found.success_rate:.1%}", flush=True)
         card = again.card.model_copy(update={"evaluation": again.found})
         write_atomically(path, card.model_dump_json(indent=2) + "\n")

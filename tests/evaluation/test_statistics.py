@@ -150,11 +150,12 @@ def test_pairs_tell_more_than_their_parts():
     assert superiority(a, b).p > 0.5
 
 
-def test_a_tie_counts_half_and_certainty_has_no_interval():
+def test_a_tie_counts_half_and_certainty_has_an_interval():
     found = paired_superiority(np.array([1.0, 2, 3, 4]), np.array([0.0, 2, 4, 4]))
     assert (found.probability.value, found.p) == (0.5, 1)
     always = paired_superiority(np.ones(20), np.zeros(20)).probability
-    assert (always.value, always.low, always.high) == (1, None, None)
+    assert (always.value, always.high) == (1, 1)
+    assert always.low == pytest.approx(success_rate(np.ones(20, dtype=bool)).low, abs=0.01)
     assert superiority(np.ones(20), np.ones(20)).p == 1
 
 

@@ -25,6 +25,7 @@ from armctl.report.profile import profile_start
 
 from ..command_line import armctl
 from ..forgery import forge, write_sweep
+from .pages import text_of
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 POLICIES = ["reach_ik", "reach_ppo", "random"]
@@ -49,12 +50,6 @@ def finished(tmp_path_factory):
 @pytest.fixture
 def folder(finished, tmp_path):
     return shutil.copytree(finished, tmp_path / "results")
-
-
-def text_of(report):
-    """What a reader sees, without scripts, styles and tags."""
-    html = re.sub(r"<(script|style)\b.*?</\1>", "", report.read_text(), flags=re.DOTALL)
-    return re.sub(r"\s+", " ", unescape(re.sub(r"<[^>]*>", " ", html)))
 
 
 def plots_of(report):

@@ -1,9 +1,7 @@
 """The page of a suite: what it says, that names are shown and not obeyed, and its form in headless Chromium."""
 
 import importlib
-import re
 import shutil
-from html import unescape
 
 import numpy as np
 import pytest
@@ -18,6 +16,7 @@ from armctl.report.style import Look
 from armctl.report.suite_page import headline
 
 from ..forgery import forge
+from .pages import text_of
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 REACH = "armctl/ArmReach-v0"
@@ -39,11 +38,6 @@ def finished(tmp_path_factory):
 @pytest.fixture
 def folder(finished, tmp_path):
     return shutil.copytree(finished, tmp_path / "suite")
-
-
-def text_of(page):
-    html = re.sub(r"<(script|style)\b.*?</\1>", "", page.read_text(), flags=re.DOTALL)
-    return re.sub(r"\s+", " ", unescape(re.sub(r"<[^>]*>", " ", html)))
 
 
 def change(path, **values):

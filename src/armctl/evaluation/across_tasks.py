@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from armctl.evaluation.paired import SIGNIFICANT, holm, mcnemar, mover, within
+from armctl.evaluation.paired import EQUIVALENCE, SIGNIFICANT, holm, mcnemar, mover, within
 from armctl.evaluation.statistics import FEWEST, Estimate, bounded_mean, success_rate
 
 FAMILIES = {"ik": "IK", "mpc": "MPC", "ompl": "OMPL", "ppo": "PPO", "sac": "SAC", "bc": "BC", "dagger": "DAgger"}
@@ -67,6 +67,8 @@ class HeadToHead:
     """McNemar's exact p-value; of a disturbed setting after Holm's correction for all of the task.
 
     In `Suite.answers`, the undisturbed one is after Holm's correction for all tasks."""
+    claims: int = 1
+    """Number of tasks that are told beside it, for which the tests of equivalence are corrected (Bonferroni)."""
 
     @property
     def difference(self) -> Estimate:
@@ -80,8 +82,9 @@ class HeadToHead:
         return int(np.sign(self.only_classical - self.only_learned)) if shown else 0
 
     def equivalent(self, margin: float) -> bool:
-        """Whether success differs by less than `margin`: two one-sided tests at 5 %."""
-        return within(mover(self.only_classical, self.only_learned, self.episodes, 0.90), margin)
+        """Whether success differs by less than `margin`: two one-sided tests at 5 % / `claims`."""
+        confidence = 1 - 2 * EQUIVALENCE / self.claims
+        return within(mover(self.only_classical, self.only_learned, self.episodes, confidence), margin)
 
 
 def heads_to_head(

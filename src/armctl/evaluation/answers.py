@@ -136,11 +136,11 @@ def answer(swept: Sweep) -> Answer:
 
 
 def corrected(answers: Sequence[Answer]) -> list[Answer]:
-    """The same answers, the undisturbed p-values after Holm's correction for all tasks."""
+    """The same answers, the undisturbed tests corrected for all tasks: p-values by Holm, equivalence by Bonferroni."""
     heads = {one.env: head for one in answers if (head := one.undisturbed)}
     p_values = dict(zip(heads, holm([head.p for head in heads.values()]), strict=True))
     return [
-        replace(one, heads={**one.heads, UNDISTURBED: replace(heads[one.env], p=p_values[one.env])})
+        replace(one, heads={**one.heads, UNDISTURBED: replace(heads[one.env], p=p_values[one.env], claims=len(heads))})
         if one.env in heads
         else one
         for one in answers

@@ -62,7 +62,8 @@ def comparable_times(results: Sequence[EpisodeResult]) -> list[EpisodeResult]:
 def setting_in_words(worlds: int, workers: int) -> str:
     """What decision times are if they are not latencies; empty if they are."""
     said = [f"shares of a batch of {worlds} worlds"] if worlds > 1 else []
-    said += [f"taken while up to {workers - 1} other workers computed"] if workers > 1 else []
+    others = "another worker" if workers == 2 else f"up to {workers - 1} other workers"
+    said += [f"taken while {others} computed"] if workers > 1 else []
     return ", ".join(said)
 
 

@@ -174,14 +174,16 @@ def superiority(a: Array, b: Array) -> Superiority:
 
 
 def paired_superiority(a: Array, b: Array) -> Superiority:
-    """Superiority of scores a (k,) over scores b (k,) of the *same* episodes, which the bootstrap resamples.
+    """Superiority of scores a (k,) over scores b (k,) of the *same* episodes, with the interval of `bounded_mean`.
 
     The p-value is that of the sign test, which leaves out ties (Conover 1999, section 3.4).
     """
     wins = (np.sign(a - b) + 1) / 2
     decided = int((wins != 0.5).sum())
     p = float(stats.binomtest(int((wins == 1).sum()), decided).pvalue) if decided else 1.0
-    return Superiority(bootstrapped(float(wins.mean()), [wins], np.mean), p)
+    probability = bounded_mean(wins, (0.0, 1.0))
+    assert probability is not None
+    return Superiority(probability, p)
 
 
 def bootstrapped(value: float, samples: Sequence[Array], statistic: Any) -> Estimate:

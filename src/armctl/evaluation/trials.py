@@ -64,7 +64,7 @@ def results_of(card: AgentCard) -> dict[str, Any]:
 
 def progress_of(folder: Path) -> dict[str, Any]:
     """What the learning curve of an unfinished training adds to its row."""
-    with contextlib.suppress(OSError, ValueError, ArmctlError, IndexError):
+    with contextlib.suppress(OSError, ValueError, ArmctlError, IndexError, OverflowError):
         last = read_curve(folder / CURVE).iloc[-1]
         return {"steps": int(last["steps"]), "minutes": float(last["minutes"])}
     return {}

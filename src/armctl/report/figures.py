@@ -21,6 +21,7 @@ from armctl.report.style import (
     SHARE_AXIS,
     Looks,
     add_band,
+    add_interval,
     add_label,
     add_line,
     escaped,
@@ -62,19 +63,10 @@ def return_points(policies: Sequence[PolicySummary], look: Looks) -> go.Figure:
     for policy in policies:
         if (earned := policy.episode_return) is None:
             continue
-        style, label = look[policy.policy], escaped(look[policy.policy].label)
+        style = look[policy.policy]
         low, high = (earned.value if bound is None else bound for bound in (earned.low, earned.high))
-        figure.add_scatter(
-            x=[low, high], y=[label] * 2, mode="lines", line={"color": style.colour, "width": 6}, opacity=0.4,
-            hoverinfo="skip",
-        )  # fmt: skip
-        figure.add_scatter(
-            x=[earned.value],
-            y=[label],
-            mode="markers",
-            marker={"color": style.colour, "size": 12},
-            hovertemplate=f"{label}: {earned.value:.4g} [{low:.4g}, {high:.4g}]<extra></extra>",
-        )
+        said = f"{earned.value:.4g} [{low:.4g}, {high:.4g}]"
+        add_interval(figure, style.label, low, earned.value, high, style.colour, said)
         bounds = "" if earned.low is None else f"{number(low)} to {number(high)}"
         add_label(figure, style.label, f"<b>{number(earned.value)}</b>", bounds)
     ends = [float(end) for trace in figure.data for end in trace.x]

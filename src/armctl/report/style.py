@@ -115,6 +115,21 @@ def add_label(figure: go.Figure, label: str, text: str, small: str = "") -> None
     )
 
 
+def add_interval(figure: go.Figure, label: str, low: float, value: float, high: float, colour: str, said: str) -> None:
+    """Add a dot on a thick line to the row of a label. `said` is the text at the dot."""
+    row = escaped(label)
+    figure.add_scatter(
+        x=[low, high], y=[row] * 2, mode="lines", line={"color": colour, "width": 6}, opacity=0.4, hoverinfo="skip"
+    )
+    figure.add_scatter(
+        x=[value],
+        y=[row],
+        mode="markers",
+        marker={"color": colour, "size": 12},
+        hovertemplate=f"{row}: {said}<extra></extra>",
+    )
+
+
 def add_line(
     figure: go.Figure,
     x: Any,

@@ -10,7 +10,18 @@ from numpy.typing import NDArray
 
 from armctl.evaluation.statistics import Estimate
 from armctl.report.colours import COLOURS, INK, PALE, PAPER
-from armctl.report.style import SHARE_AXIS, Look, Looks, add_band, add_label, add_line, escaped, framed, with_rows
+from armctl.report.style import (
+    SHARE_AXIS,
+    Look,
+    Looks,
+    add_band,
+    add_interval,
+    add_label,
+    add_line,
+    escaped,
+    framed,
+    with_rows,
+)
 
 CLASSICAL, LEARNED = Look("best classical", COLOURS[0]), Look("best learned", COLOURS[1])
 SYMBOLS = {
@@ -40,19 +51,9 @@ def intervals(rows: Mapping[str, Estimate], colours: Mapping[str, str]) -> go.Fi
     """A row for each share between 0 and 1, with its 95 % interval; dotted: one half, in the middle."""
     figure = go.Figure()
     for name, one in rows.items():
-        label, colour = escaped(name), colours[name]
         low, high = (one.value if bound is None else bound for bound in (one.low, one.high))
-        figure.add_scatter(
-            x=[low, high], y=[label] * 2, mode="lines", line={"color": colour, "width": 6}, opacity=0.4,
-            hoverinfo="skip",
-        )  # fmt: skip
-        figure.add_scatter(
-            x=[one.value],
-            y=[label],
-            mode="markers",
-            marker={"color": colour, "size": 12},
-            hovertemplate=f"{label}: {one.value:.1%} [{low:.1%}, {high:.1%}]<extra></extra>",
-        )
+        said = f"{one.value:.1%} [{low:.1%}, {high:.1%}]"
+        add_interval(figure, name, low, one.value, high, colours[name], said)
         add_label(figure, name, f"<b>{100 * one.value:.1f} %</b>", f"{100 * low:.1f} to {100 * high:.1f}")
     figure.add_vline(x=0.5, line={"color": PALE, "width": 1, "dash": "dot"})
     farthest = max((abs(end - 0.5) for trace in figure.data for end in trace.x), default=0.5)
@@ -89,7 +90,7 @@ def cost_plane(points: Sequence[CostPoint], x_title: str, unit: str, least: floa
             hovertemplate=f"{name}: %{{y:.1%}}, {point.cost:.3g} {escaped(unit)}<extra></extra>",
         )  # fmt: skip
     low, high = math.log10(min(costs, default=least)), math.log10(max(costs, default=least))
-    x = {"type": "log", "dtick": 1, "tickformat": "~g", "range": [low - 0.3, high + 0.3]}
+    x = {"type": "log", "dtick": 1, "tickformat": "~s" if least >= 1 else "~g", "range": [low - 0.3, high + 0.3]}
     return framed(figure, x_title, "mean success", x=x, y=SHARE_AXIS, height=330)
 
 
