@@ -1,30 +1,43 @@
 """A picture of a page in headless Chromium: python docs/make_screenshots.py REPORT.html PICTURE.png.
 
 `docs/report.png` is of `armctl compare reach_ik reach_mpc reach_ppo random --seed 2026 --report`, `docs/suite.png` of
-`armctl suite --workers 2 --seed 2026`.
+`armctl suite --workers 2 --seed 2026`, and `docs/sweep_reach.png` the section "Under disturbances" of
+`armctl sweep reach_ik reach_mpc reach_ppo --seed 2026 --episodes 50`.
 """
 
 import shutil
 from pathlib import Path
+from typing import Annotated
 
 import typer
+from PIL import Image
 from playwright.sync_api import sync_playwright
 
 WIDTH = 1280
+COLOURS = 128
+"""Of the picture, which makes it a third as large."""
+PATIENCE = 120_000
+"""ms"""
 
 
-def main(report: Path, picture: Path, height: int = 1480, top: int = 0) -> None:
-    """Render a page in headless Chromium, from `top` on, and write what `height` pixels show."""
+def main(
+    report: Path,
+    picture: Path,
+    height: Annotated[int, typer.Option(help="How much of the page, in pixels.")] = 1480,
+    section: Annotated[str, typer.Option(help="The heading of the only section to show.")] = "",
+) -> None:
+    """Render a page, and write the picture of its head or of one section."""
     with sync_playwright() as playwright:
         chromium = shutil.which("chromium") or shutil.which("chromium-browser")
-        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"], timeout=PATIENCE)
         page = browser.new_page(viewport={"width": WIDTH, "height": height})
-        page.goto(report.resolve().as_uri())
-        page.wait_for_selector(".js-plotly-plot")
-        page.evaluate("top => window.scrollTo(0, top)", top)
-        page.wait_for_timeout(1000)
-        page.screenshot(path=picture)
+        page.goto(report.resolve().as_uri(), timeout=PATIENCE)
+        page.wait_for_selector(".js-plotly-plot", timeout=PATIENCE)
+        shown = page.locator("section", has=page.get_by_role("heading", name=section)).first if section else page
+        shown.screenshot(path=picture, timeout=PATIENCE)
         browser.close()
+    with Image.open(picture) as image:
+        image.convert("RGB").quantize(COLOURS).save(picture, optimize=True)
 
 
 if __name__ == "__main__":

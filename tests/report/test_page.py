@@ -568,6 +568,10 @@ def test_the_page_in_a_browser(folder, tmp_path, width):
         tab.wait_for_function(drawn, timeout=120_000)
         assert tab.locator(".canvas").count() == len(plots_of(report)) == 11
         assert tab.evaluate("document.documentElement.scrollWidth") <= width
+        beyond = (
+            "[...document.querySelectorAll('section, .wide')].filter(one => one.scrollWidth > one.clientWidth).length"
+        )
+        assert tab.evaluate(f"{beyond}.length") == 0
         clips = tab.locator("video")
         if clips.count():
             tab.wait_for_function("() => [...document.querySelectorAll('video')].every(clip => clip.duration > 0.5)")
