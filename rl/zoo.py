@@ -14,6 +14,7 @@ from armctl.agents import AgentCard, read_card
 from armctl.envs import make_worlds
 from armctl.evaluation.reproduce import reproduce
 from armctl.evaluation.seeds import TEST_SEED
+from armctl.evaluation.trials import TRIALS, read_trials, results_of, write_trials
 from armctl.files import write_atomically
 from armctl.rl.recount import recount
 
@@ -76,13 +77,22 @@ def _row(name: str, card: AgentCard) -> tuple[str, ...]:
 
 
 def evaluate() -> None:
-    """Evaluate all agents with a graph on the test's episodes, and print what has changed."""
+    """Evaluate all agents with a graph on the test's episodes; cards and the record of trials get the results."""
     for path in sorted((HOME / "agents").rglob("*.onnx")):
         path = path.with_suffix(".json")
         again = reproduce(path, seed=TEST_SEED)
         print(f"{path.stem}: {again.claimed.success_rate:.1%} -> {again.found.success_rate:.1%}", flush=True)
         card = again.card.model_copy(update={"evaluation": again.found})
         write_atomically(path, card.model_dump_json(indent=2) + "\n")
+        record()
+
+
+def record() -> None:
+    """Give the trials of which there are cards the results on these."""
+    cards = [read_card(path) for path in (HOME / "agents").rglob("*.json")]
+    results = {card.sha256: results_of(card) for card in cards}
+    rows = read_trials(HOME / TRIALS)
+    write_trials(HOME / TRIALS, [{**row, **results.get(row["sha256"], {})} for row in rows])
 
 
 def fill_in() -> None:

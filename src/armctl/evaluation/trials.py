@@ -7,7 +7,7 @@ import contextlib
 import csv
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -79,16 +79,21 @@ def add_trial(file: Path, row: Mapping[str, Any]) -> None:
         file.parent.mkdir(parents=True, exist_ok=True)
         with filelock.FileLock(file.with_name(f".{file.name}.lock"), timeout=PATIENCE):
             rows = read_trials(file) if file.exists() else []
-            columns = list(dict.fromkeys((*COLUMNS, *(rows[0] if rows else ()))))
-            table = io.StringIO()
-            writer = csv.DictWriter(table, columns, restval="", lineterminator="\n")
-            writer.writeheader()
-            writer.writerows([*rows, {name: row.get(name) for name in columns}])
-            write_atomically(file, table.getvalue())
+            write_trials(file, [*rows, row])
     except (OSError, ValueError, csv.Error) as error:  # a lock's Timeout is an OSError
         why = getattr(error, "strerror", None) or error
         said = json.dumps({name: value for name, value in row.items() if value not in (None, "")}, default=str)
         raise ResultsError(f"the training cannot be recorded in {file} ({why}); its row is {said}") from error
+
+
+def write_trials(file: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Replace all rows. Columns are `COLUMNS` and further ones of the first row. Raises `OSError`."""
+    columns = list(dict.fromkeys((*COLUMNS, *(rows[0] if rows else ()))))
+    table = io.StringIO()
+    writer = csv.DictWriter(table, columns, extrasaction="ignore", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_atomically(file, table.getvalue())
 
 
 def read_trials(file: Path) -> list[dict[str, str]]:
