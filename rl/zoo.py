@@ -84,7 +84,7 @@ def evaluate() -> None:
         print(f"{path.stem}: {again.claimed.success_rate:.1%} -> {again.found.success_rate:.1%}", flush=True)
         card = again.card.model_copy(update={"evaluation": again.found})
         write_atomically(path, card.model_dump_json(indent=2) + "\n")
-        record()
+    record()
 
 
 def record() -> None:

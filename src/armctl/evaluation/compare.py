@@ -179,10 +179,7 @@ def compare(
         results = [result for result in results if result.policy not in comparison.disqualified]
         results.sort(key=lambda result: (order.index(result.policy), result.episode))
         judged = min(Counter(result.policy for result in results).values(), default=0)
-        runs = [
-            *(log.runs if log is not None else []),
-            meter.ended(judged=judged, baseline=baseline, margin=margin),
-        ]
+        runs = [*(log.runs if log is not None else []), meter.ended(judged, baseline, margin)]
         if results:
             latencies = paced is None or paced.recorded is None
             _judge(comparison, unjudged(results, runs) if latencies else results, made, made_env, episodes)

@@ -61,7 +61,7 @@ class RunMeter:
 
     def __init__(self, identity: Mapping[str, Any], worlds: int, workers: int) -> None:
         known: dict[str, Any] = {
-            "date": datetime.now(UTC).isoformat(timespec="seconds"),
+            "date": datetime.now(UTC).isoformat(timespec="milliseconds"),
             "versions": versions(),
             **machine(),
             "threads": {name: os.environ[name] for name in THREADS if name in os.environ},
@@ -78,11 +78,14 @@ class RunMeter:
         if self._most is not None:
             self._most = max(self._most, load_average() or 0.0)
 
-    def ended(self, **verdict: Any) -> Run:
-        """The run with its loads, and what it has to say of its verdict: `judged`, `baseline`, `margin`."""
+    def ended(self, judged: int, baseline: str | None, margin: float) -> Run:
+        """The run with its loads, at the end of which so many episodes of every policy were judged like this."""
         self.look()
         own = (time.process_time() - self._processor) / max(time.perf_counter() - self._wall, 1e-9)
-        return replace(self.run, load_most=self._most, load_end=load_average(), load_own=round(own, 2), **verdict)
+        return replace(
+            self.run, load_most=self._most, load_end=load_average(), load_own=round(own, 2), judged=judged,
+            baseline=baseline, margin=margin,
+        )  # fmt: skip
 
 
 def look_notes(runs: Sequence[Run]) -> list[str]:
