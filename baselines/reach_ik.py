@@ -28,7 +28,7 @@ PATIENCE = 5
 @sees("model")
 def make(env: ModelInterface) -> PerWorld:
     """Pinocchio IK: the minimum-time collision-free configuration that reaches the target."""
-    controls = ("position", "delta", "velocity")
+    controls = ("position", "relative", "delta", "velocity")
     options = checked_options("reach_ik", env, ReachOptions, "armctl/ArmReach-v0", OBSERVATION, controls)
     search = MinimumTimeReach(ArmModel(env.robot))
     make_one = ReachIkTracking if isinstance(options, ReachMovingOptions) else ReachIk
@@ -68,7 +68,8 @@ class ReachIk:
 
     def _towards(self, goal: Array, q: Array) -> Array:
         velocity = towards(goal, q, self._search.model.limits, self._period)
-        return {"position": goal, "delta": velocity * self._period, "velocity": velocity}[self._control]
+        actions = {"position": goal, "relative": goal - q, "delta": velocity * self._period, "velocity": velocity}
+        return actions[self._control]
 
 
 class ReachIkTracking(ReachIk):

@@ -32,7 +32,7 @@ MARGIN, INFLUENCE = 0.01, 0.06
 def make(env: ModelInterface) -> PerWorld:
     """MPC with OSQP on Pinocchio's kinematics: keeps joint limits and predicts the target's motion."""
     options = checked_options("reach_mpc", env, ReachOptions, "armctl/ArmReach-v0", OBSERVATION, ["position"])
-    configurations, parts = ReachabilityMap(ArmModel(env.robot)), list(options.observation)
+    configurations, parts = ReachabilityMap(ArmModel(env.robot)), list(options.parts)
     return PerWorld([ReachWithMpc(configurations, options.tolerance, parts) for _ in range(env.num_envs)])
 
 

@@ -25,7 +25,7 @@ def checked_options(
     if not isinstance(env.options, options):
         raise ConfigurationError(f"{name} cannot play this task: use it with {env_id}")
     expected = list(observation)
-    if (found := list(env.options.observation))[: len(expected)] != expected:
+    if (found := list(env.options.parts))[: len(expected)] != expected or env.options.goal:
         raise ConfigurationError(f"{name} reads the observation {', '.join(expected)}, not {', '.join(found)}")
     if env.options.control not in controls:
         wanted = " or ".join(map(repr, controls))

@@ -100,7 +100,7 @@ def played(env: str, options: dict[str, Any], policy: str, worlds: int, steps: i
         returns += rewards * ~finished
         lengths += ~finished
         for i in np.flatnonzero((terminated | truncated) & ~finished):
-            outcomes[i] = str(infos["outcome"][i])
+            outcomes[i] = made.outcomes[infos["outcome_id"][i]]
         ended = terminated | truncated
         finished |= ended
         if finished.all():

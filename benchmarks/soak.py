@@ -236,7 +236,7 @@ def soak(
             finite &= np.isfinite(part).reshape(worlds, -1).all(axis=1)
         not_finite += ~finite
         final = infos.get("final_info", infos)
-        unstable += (np.asarray(final["outcome"]) == "unstable") & (terminated | truncated)
+        unstable += (final["outcome_id"] == made.outcomes.index("unstable")) & (terminated | truncated)
         episodes += terminated | truncated
         if turn == turns // 4:
             memory = _memory()

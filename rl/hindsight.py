@@ -43,7 +43,7 @@ class GoalVectorEnv(StableBaselinesVectorEnv):
         low, high = split(plain.low, self.dof), split(plain.high, self.dof)
         self.observation_space = spaces.Dict({name: spaces.Box(low[name], high[name]) for name in low})
 
-    def shown(self, observations: Any) -> Any:
+    def _shown(self, observations: Any) -> Any:
         """Observations (..., 6 + dof) by name."""
         return split(observations, self.dof)
 

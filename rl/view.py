@@ -44,7 +44,7 @@ def view_of(worlds: TaskVectorEnv, *, features: Features = "plain", relative: bo
         largest = np.full(worlds.single_action_space.shape, declared.largest_move)
         scale = ActionScale(-largest, largest, declared.relative_to)
     else:
-        scale = ActionScale(declared.action_low, declared.action_high)
+        scale = ActionScale(*worlds.task.action_range)
     return View(scale, extractor, dict(chosen.options) if chosen else {})
 
 

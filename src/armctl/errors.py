@@ -22,6 +22,10 @@ class ConfigurationError(ArmctlError, ValueError):
     """An option, a name or a file that armctl cannot work with."""
 
 
+class UnknownOption(ConfigurationError, TypeError):
+    """An option that there is not. It is a `TypeError` too, as for any function's unexpected keyword argument."""
+
+
 class InvalidAction(ArmctlError, ValueError):
     """An action of the wrong shape, or with numbers that are not finite. The world was not stepped."""
 

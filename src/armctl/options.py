@@ -10,7 +10,7 @@ from typing import Any, TypeVar, dataclass_transform
 import pydantic
 from pydantic import ConfigDict, ValidationError
 
-from armctl.errors import ConfigurationError, unknown_name
+from armctl.errors import ConfigurationError, UnknownOption, unknown_name
 
 Options = TypeVar("Options")
 
@@ -41,13 +41,14 @@ def make_options(
 ) -> Options:
     """Options from values by name.
 
-    Raises `ConfigurationError`, also for an unknown name. Its message names the valid ones, and `others`, which are
-    options in another place.
+    Raises `ConfigurationError`, and `UnknownOption` for an unknown name. Its message names the valid ones, and
+    `others`, which are options in another place.
     """
     names = [field.name for field in dataclasses.fields(options_type)]  # type: ignore[arg-type]
     for name in values:
         if name not in names:
-            raise unknown_name(kind, name, [*names, *others])
+            unknown = unknown_name(kind, name, [*names, *others])
+            raise UnknownOption(f"{unknown} (unexpected keyword argument {name!r})")
     return options_type(**values)
 
 

@@ -86,7 +86,7 @@ def test_a_typo_in_a_reward_is_shown_with_its_place():
     [
         ("ArmReach-v0", (-100.0, 99.0)),
         ("ArmReachMoving-v0", (-300.0, 100.0)),
-        ("ArmReachObstacles-v0", (-300.0, 99.0)),
+        ("ArmReachObstacles-v0", (-400.0, 99.0)),
         ("BridgeCross-v0", (-230.0, 99.9)),
         ("BridgeCrossMoving-v0", (-260.0, 99.9)),
     ],

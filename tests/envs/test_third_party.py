@@ -188,7 +188,7 @@ def test_success_is_what_the_last_info_says(name, told):
     while len(ended) < 2:
         _, _, terminated, truncated, infos = worlds.step([[0.2], [-0.2]])
         for i in np.flatnonzero(terminated | truncated):
-            ended[int(i)] = infos["is_success"][i], infos["outcome"][i]
+            ended[int(i)] = infos["is_success"][i], worlds.outcomes[infos["outcome_id"][i]]
     assert ended[0] == (told, "success" if told else "terminated")
     assert ended[1] == (False if name == "Line" else None, "truncated")
 

@@ -28,7 +28,7 @@ def test_adapter_tells_of_ended_episodes():
     assert (rewards == -1).all()
     for world, info in enumerate(infos):
         assert info["TimeLimit.truncated"]
-        assert info["episode"] == {"r": -3.0, "l": 3}
+        assert (info["episode"]["r"], info["episode"]["l"]) == (-3.0, 3)
         assert not info["is_success"]
         np.testing.assert_allclose(info["terminal_observation"][9:], start[world, 9:])
     assert not np.allclose(observations[:, 9:], start[:, 9:])

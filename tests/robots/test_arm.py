@@ -101,6 +101,7 @@ def test_action_bounds_are_the_limits(robot, control):
     limits = rig.limits
     high = {
         "position": limits.upper,
+        "relative": np.full(6, 0.5),
         "delta": limits.velocity * PERIOD,
         "velocity": limits.velocity,
         "torque": limits.effort,
@@ -242,7 +243,7 @@ def test_worlds_do_not_influence_each_other():
 
 @pytest.mark.parametrize(("wrong", "nearest"), [("torqe", "torque"), ("Position", "position"), ("", ""), (None, "")])
 def test_unknown_control_is_told_the_names_there_are(wrong, nearest):
-    with pytest.raises(ConfigurationError, match="delta, position, torque, velocity") as error:
+    with pytest.raises(ConfigurationError, match="delta, position, relative, torque, velocity") as error:
         build_arm_world(load_arm("ur5"), wrong)
     assert nearest in str(error.value)
     assert repr(wrong) in str(error.value)

@@ -58,7 +58,7 @@ class Recorder(gymnasium.vector.VectorWrapper[Any, Any, Any, Any, Any]):
         self.finished: dict[int, Demonstration] = {}
         self.labels: NDArray[np.floating[Any]] | None = None
         """(n, ...) recorded as the next actions, instead of those that are executed."""
-        self._worlds, self.task = env, env.task
+        self._worlds, self.task, self.outcomes = env, env.task, env.outcomes
         self._seen: list[list[Any]] = [[] for _ in range(env.num_envs)]
         self._done: list[list[Any]] = [[] for _ in range(env.num_envs)]
         self._open = np.zeros(env.num_envs, dtype=bool)
@@ -74,7 +74,9 @@ class Recorder(gymnasium.vector.VectorWrapper[Any, Any, Any, Any, Any]):
 
     def step(self, actions: ArrayLike) -> tuple[Any, Any, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Make one control step in every world, and record it."""
-        labels = np.array(actions if self.labels is None else self.labels)
+        dtype = self._worlds.single_action_space.dtype
+        actions = np.asarray(actions, dtype=dtype)  # what is recorded is what is executed
+        labels = actions if self.labels is None else np.asarray(self.labels, dtype=dtype)
         observations, rewards, terminated, truncated, infos = self.env.step(actions)
         for i in np.flatnonzero(self._open):
             self._seen[i].append(_copy(one_of(observations, int(i))))

@@ -16,6 +16,8 @@ from armctl.tasks import Observations
 
 Array = NDArray[np.float64]
 Infos = dict[str, Any]
+RUNNING = -1
+"""`outcome_id` while an episode runs: the last of `outcomes`."""
 LARGEST_REWARD = 1e90
 """Largest reward, or reward term, of a control step: statistics square the sum of those of an episode."""
 
@@ -24,12 +26,14 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     """n worlds in which seed and episode number determine an episode.
 
     `reset(options={"episode": k})` starts at episode k of the seed instead of 0; k is an int, or one int per world.
-    `infos` of a step hold `outcome` (n,) as text, `is_success` (n,) with None where that is unknown, and
-    `reward_terms`, (n,) each.
+    `infos` have the same keys after `reset` and `step`, all of numbers: `outcome_id` (n,), an index into `outcomes` or
+    `RUNNING`, `is_success` (n,) with None where that is unknown, and `reward_terms`, (n,) each.
     """
 
     task: Any
     """A `Task`, or what stands for one in the environments of others (`ThirdPartyTask`)."""
+    outcomes: tuple[str, ...]
+    """How an episode can end, by `outcome_id`; the last one is `running`."""
     max_episode_steps: int | None
     autoreset_mode: AutoresetMode
     disturbances: dict[str, Disturbance]
@@ -68,7 +72,7 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         if numbers is not None:
             self._episodes[mask] = numbers[mask] - 1
         self._begin_next(np.flatnonzero(mask))
-        return self._observe(), self.task.info()
+        return self._observe(), self._infos()
 
     @abstractmethod
     def step(self, actions: ArrayLike) -> tuple[Observations, Array, NDArray[np.bool_], NDArray[np.bool_], Infos]:
@@ -79,6 +83,11 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         """Images (height, width, 3) of all worlds, as a tuple."""
 
     @property
+    def idle_action(self) -> Array:
+        """The action that leaves the robot where it starts."""
+        return np.asarray(self.task.idle_action)
+
+    @property
     def seeds(self) -> NDArray[np.int64]:
         """Seed of each world's current episode, (n,)."""
         return self._seeds.copy()
@@ -87,6 +96,10 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     def episodes(self) -> NDArray[np.int64]:
         """Number of each world's current episode under its seed, (n,)."""
         return self._episodes.copy()
+
+    @abstractmethod
+    def _infos(self) -> Infos:
+        """What `reset` tells of the new episodes."""
 
     @abstractmethod
     def _begin(self, ids: NDArray[np.int32]) -> None:

@@ -9,15 +9,16 @@ from numpy.typing import ArrayLike
 
 from armctl.envs.episodes import EpisodeVectorEnv, Infos
 from armctl.envs.observations import action_numbers, one_of
-from armctl.envs.vector import RENDER_MODES, TaskVectorEnv
+from armctl.envs.pickling import MadeAgain
+from armctl.envs.vector import GOAL_METHODS, RENDER_MODES, TaskVectorEnv
 from armctl.errors import InvalidAction
 from armctl.tasks import Observations, Task
 
 
-class TaskEnv(gymnasium.Env[Any, Any]):
-    """One world: the n = 1 view of a `TaskVectorEnv`, with the same options.
+class TaskEnv(MadeAgain, gymnasium.Env[Any, Any]):
+    """One world: the n = 1 view of a `TaskVectorEnv`, with the same options. Its infos have `outcome` as text, too.
 
-    Give `max_episode_steps` to `gym.make`, whose `TimeLimit` wrapper truncates episodes.
+    Give `max_episode_steps` to `gym.make`, whose `TimeLimit` wrapper truncates episodes; `outcome` is `running` then.
     """
 
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES)}
@@ -30,6 +31,9 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         self.render_mode = render_mode
         self.observation_space = self.worlds.single_observation_space
         self.action_space = self.worlds.single_action_space
+        for name in GOAL_METHODS:
+            if hasattr(self.worlds, name):
+                setattr(self, name, getattr(self.worlds, name))
 
     @property
     def task(self) -> Any:
@@ -42,7 +46,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         observations, infos = self.worlds.reset(seed=seed, options=options)
         if self.render_mode == "human":
             self.render()
-        return one_of(observations, 0), _first(infos)
+        return one_of(observations, 0), self._info(infos)
 
     def step(self, action: ArrayLike) -> tuple[Observations, float, bool, bool, Infos]:
         """Make one control step. If the action is invalid, raises `InvalidAction` and steps nothing."""
@@ -54,7 +58,8 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         observations, rewards, terminated, truncated, infos = self.worlds.step(given[None])
         if self.render_mode == "human":
             self.render()
-        return one_of(observations, 0), float(rewards[0]), bool(terminated[0]), bool(truncated[0]), _first(infos)
+        ended = bool(terminated[0]), bool(truncated[0])
+        return one_of(observations, 0), float(rewards[0]), *ended, self._info(infos)
 
     def render(self) -> Any:
         """Image (height, width, 3), or None in the mode `human`."""
@@ -64,6 +69,9 @@ class TaskEnv(gymnasium.Env[Any, Any]):
     def close(self) -> None:
         """Close the window and free graphics memory."""
         self.worlds.close()
+
+    def _info(self, infos: Infos) -> Infos:
+        return {"outcome": self.worlds.outcomes[infos["outcome_id"][0]], **_first(infos)}
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
 from armctl.disturbances import GENERIC, DisturbanceSpec, disturb, episode_entropy
-from armctl.envs.episodes import LARGEST_REWARD, Array, EpisodeVectorEnv, Infos
+from armctl.envs.episodes import LARGEST_REWARD, RUNNING, Array, EpisodeVectorEnv, Infos
 from armctl.envs.observations import stacked
 from armctl.errors import FAILURES, ConfigurationError, EnvironmentFailed, InvalidAction, defined_at, described
 from armctl.tasks import MotionSample, Observations
@@ -76,6 +76,7 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "autoreset_mode": AutoresetMode.DISABLED}
     autoreset_mode = AutoresetMode.DISABLED
+    outcomes = ("truncated", "terminated", "success", "running")
 
     def __init__(
         self,
@@ -105,7 +106,7 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
         self._check_seeded()
         commands: Any = self._disturbed_commands(self._checked(actions))
         n = self.num_envs
-        rewards, outcome = np.zeros(n), np.full(n, "", dtype=object)
+        rewards, outcome = np.zeros(n), np.full(n, RUNNING)
         terminated, truncated = np.zeros((2, n), dtype=bool)
         success: NDArray[np.object_] = np.full(n, None)
         terms: dict[str, Array] = {}
@@ -124,10 +125,15 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
                 terms.setdefault(name, np.zeros(n))[i] = earned
             if terminated[i] or truncated[i]:
                 success[i] = self._success(int(i), info)
-                outcome[i] = "success" if success[i] else "terminated" if terminated[i] else "truncated"
+                ending = "success" if success[i] else "terminated" if terminated[i] else "truncated"
+                outcome[i] = self.outcomes.index(ending)
         self._finished |= terminated | truncated
-        infos: Infos = {"is_success": success, "outcome": outcome, "reward_terms": terms}
+        infos: Infos = {"is_success": success, "outcome_id": outcome, "reward_terms": terms}
         return self._observe(), rewards, terminated, truncated, infos
+
+    def _infos(self) -> Infos:
+        n = self.num_envs
+        return {"is_success": np.full(n, None), "outcome_id": np.full(n, RUNNING), "reward_terms": {}}
 
     def render(self) -> tuple[NDArray[np.uint8], ...]:
         """Images (height, width, 3) of all worlds. Raises `EnvironmentFailed`."""

@@ -15,8 +15,9 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from armctl.disturbances import disturb, episode_entropy
-from armctl.envs.episodes import LARGEST_REWARD, Array, EpisodeVectorEnv, Infos
+from armctl.envs.episodes import LARGEST_REWARD, RUNNING, Array, EpisodeVectorEnv, Infos
 from armctl.envs.observations import with_replaced
+from armctl.envs.pickling import MadeAgain
 from armctl.errors import ConfigurationError, EnvironmentFailed, unknown_name
 from armctl.options import make_options
 from armctl.registration import load_task
@@ -26,6 +27,11 @@ from armctl.tasks import Observations, RewardTerms, Task
 RENDER_MODES = ("rgb_array", "human")
 TIMEOUT = 0
 """The value of every task's `TIMEOUT` outcome."""
+ACTIONS = ("physical", "normalized")
+GOAL_METHODS = ("compute_reward", "compute_terminated", "compute_truncated")
+"""What goal-conditioned learners ask for: functions of achieved goals, desired goals and infos."""
+ENVIRONMENT_OPTIONS = ("actions", "disturbances", "max_episode_steps", "reward_scale")
+"""Options of every environment, besides its task's."""
 UNSTABLE = "unstable"
 """The outcome of an episode whose physics has failed (see `armctl.simulation.Simulation.unstable`)."""
 
@@ -40,7 +46,7 @@ class Observer(Protocol):
         """The worlds in the mask `awake` (n,) have made a control step; none has been reset yet."""
 
 
-class TaskVectorEnv(EpisodeVectorEnv):
+class TaskVectorEnv(MadeAgain, EpisodeVectorEnv):
     """n worlds of one task.
 
     An episode whose physics fails (infinite numbers, or none) terminates with the outcome `unstable`, which is no
@@ -56,6 +62,8 @@ class TaskVectorEnv(EpisodeVectorEnv):
             stands still until a `reset` whose `options["reset_mask"]` includes it).
         threads: threads to step the worlds on; 0 for all cores.
         disturbances: levels by name, such as `{"noise": 0.01, "payload": 2.0}`; see `armctl.disturbances`.
+        actions: `physical`, in the task's units, or `normalized`: -1 and 1 stand for the task's `action_range`.
+        reward_scale: factor of the rewards that `step` returns, for learners; `infos["reward_terms"]` are without it.
         **options: the task's options; those of `armctl/ArmReach-v0` are `armctl.tasks.ReachOptions`.
 
     """
@@ -77,9 +85,16 @@ class TaskVectorEnv(EpisodeVectorEnv):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         threads: int = 0,
         disturbances: Mapping[str, float] = MappingProxyType({}),
+        actions: str = "physical",
+        reward_scale: float = 1.0,
         **options: Any,
     ) -> None:
         super().__init__(_at_least_one("num_envs", num_envs))
+        if actions not in ACTIONS:
+            raise unknown_name("actions", actions, ACTIONS)
+        if not (isinstance(reward_scale, (int, float)) and 0 < reward_scale < LARGEST_REWARD):
+            raise ConfigurationError(f"reward_scale is a number above 0, not {reward_scale!r}")
+        self.reward_scale = reward_scale
         self.max_episode_steps = (
             None if max_episode_steps is None else _at_least_one("max_episode_steps", max_episode_steps)
         )
@@ -93,23 +108,53 @@ class TaskVectorEnv(EpisodeVectorEnv):
         _check_complete(task_type)
         self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode, "render_fps": task_type.render_fps}
         make_task: Any = task_type
-        task_options = make_options(task_type.options_type, options, others=("disturbances", "max_episode_steps"))
+        task_options = make_options(task_type.options_type, options, others=ENVIRONMENT_OPTIONS)
         self.task = make_task(self.num_envs, task_options, threads)
-        self._outcome_labels = np.array([*(outcome.label for outcome in task_type.outcomes), UNSTABLE])
-        self._successes = np.array([*(outcome.success for outcome in task_type.outcomes), False])
+        self.outcomes = (*(outcome.label for outcome in task_type.outcomes), UNSTABLE, "running")
+        self._successes = np.array([*(outcome.success for outcome in task_type.outcomes), False, False])
         self.disturbances = disturb(self.task, task_type.disturbances, disturbances)
         self.single_observation_space = self.task.observation_space
         self.single_action_space = self.task.action_space
+        self._normalized = actions == "normalized"
+        if self._normalized:
+            self._lowest, self._highest = (np.asarray(bound, dtype=float) for bound in self.task.action_range)
+            if not (np.isfinite(self._lowest).all() and np.isfinite(self._highest).all()):
+                raise ConfigurationError("actions of this task cannot be normalized: they have no finite action_range")
+            self.single_action_space = gymnasium.spaces.Box(-1, 1, self.task.action_space.shape, dtype=np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._paid_before: dict[str, NDArray[np.bool_]] = {}
         self._viewer: Camera | Window | None = None
         self.observers: list[Observer] = []
+        self._earned_names = tuple(self.task.reward_functions)
+        if getattr(task_options, "goal", False):
+            for name in GOAL_METHODS:
+                setattr(self, name, getattr(self.task, name))
+            self.compute_reward = lambda *goals: self.reward_scale * self.task.compute_reward(*goals)
+
+    @property
+    def idle_action(self) -> Array:
+        """The action that leaves the robot where it starts, or the nearest that there is."""
+        idle = super().idle_action
+        if not self._normalized:
+            return idle
+        middle, span = (self._lowest + self._highest) / 2, (self._highest - self._lowest) / 2
+        return np.asarray(np.clip((idle - middle) / span, -1, 1))
+
+    def reset(
+        self, *, seed: int | list[int] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observations, Infos]:
+        """Start new episodes, as in `EpisodeVectorEnv.reset`."""
+        if not self._earned_names:  # only the task's own code knows them, and it may have none before a reset
+            everywhere = np.arange(self.num_envs, dtype=np.int32)
+            self.task.reset(everywhere, [np.random.default_rng(0) for _ in everywhere])
+            self._earned_names = tuple(self.task.reward_terms())
+        return super().reset(seed=seed, options=options)
 
     def step(self, actions: ArrayLike) -> tuple[Observations, Array, NDArray[np.bool_], NDArray[np.bool_], Infos]:
         """Make one control step in every world. If an action is invalid, raises `InvalidAction` and steps nothing."""
         self._check_seeded()
-        commands = self._disturbed_commands(self._checked_numbers(actions))
+        commands = self._disturbed_commands(self._physical(self._checked_numbers(actions)))
         idle = self._finished
         restart = np.flatnonzero(idle) if idle.any() else None
         awake = None if restart is None else np.flatnonzero(~idle).astype(np.int32)
@@ -119,7 +164,7 @@ class TaskVectorEnv(EpisodeVectorEnv):
         terms, outcome = self.task.reward_terms(), np.array(self.task.outcome(), dtype=np.int8)
         if (unstable := self.task.simulation.unstable).any():
             terms = {name: np.where(unstable, 0.0, earned) for name, earned in terms.items()}
-            outcome[unstable] = len(self._outcome_labels) - 1
+            outcome[unstable] = self.outcomes.index(UNSTABLE)
         terms = self._paid(terms)
         if restart is not None:
             outcome[restart] = TIMEOUT
@@ -132,14 +177,9 @@ class TaskVectorEnv(EpisodeVectorEnv):
             for earned in terms.values():
                 earned[restart] = 0.0
         self._check_terms(terms)
-        rewards = sum(terms.values(), start=np.zeros(self.num_envs))
+        rewards = self.reward_scale * sum(terms.values(), start=np.zeros(self.num_envs))
         finished = terminated | truncated
-        infos: Infos = {
-            "is_success": self._successes[outcome],
-            "outcome": self._outcome_labels[outcome],
-            "reward_terms": terms,
-            **self.task.info(),
-        }
+        infos = self._infos(np.where(finished, outcome, RUNNING), terms)
         for observer in self.observers:
             observer.stepped(~idle)
         self._finished = finished
@@ -180,6 +220,22 @@ class TaskVectorEnv(EpisodeVectorEnv):
         if self._viewer is not None:
             self._viewer.close()
             self._viewer = None
+
+    def _infos(self, outcome: NDArray[np.integer[Any]] | None = None, terms: RewardTerms | None = None) -> Infos:
+        ended = np.full(self.num_envs, RUNNING) if outcome is None else outcome
+        nothing = {name: np.zeros(self.num_envs) for name in self._earned_names}
+        return {
+            "is_success": self._successes[ended],
+            "outcome_id": ended.astype(np.int64),
+            "reward_terms": nothing if terms is None else terms,
+            **self.task.info(),
+        }
+
+    def _physical(self, actions: Array) -> Array:
+        """Actions in the task's units."""
+        if not self._normalized:
+            return actions
+        return np.asarray(self._lowest + (np.clip(actions, -1, 1) + 1) / 2 * (self._highest - self._lowest))
 
     def _begin(self, ids: NDArray[np.int32]) -> None:
         numbers = zip(self._seeds[ids].tolist(), self._episodes[ids].tolist(), strict=True)

@@ -10,7 +10,7 @@ from typing import Any
 import pandas as pd
 
 from armctl import DEFAULT_ENV
-from armctl.envs import ThirdPartyVectorEnv, full_id, make_worlds, task_of
+from armctl.envs import ThirdPartyVectorEnv, full_id, task_of
 from armctl.errors import ConfigurationError, ResultsError, unknown_name
 from armctl.evaluation.comparison import Comparison, summary
 from armctl.evaluation.decision_times import load_notes, timing_notes, unjudged
@@ -38,7 +38,7 @@ from armctl.evaluation.seeding import seed_notes
 from armctl.evaluation.seeds import check_evaluation_seed
 from armctl.evaluation.store import EpisodeLog
 from armctl.evaluation.summary import certificate_notes, counted_results, summarise
-from armctl.policies import Policy, expanded, is_group, learners, make_policy, named_policies
+from armctl.policies import Policy, WorldsByInterface, expanded, is_group, learners, make_policy, named_policies
 from armctl.registration import bare_id, remember_named
 
 UNTOLD = "{env} is not made of a task of armctl's: least times, feasibility, contacts and clearances are unknown."
@@ -129,11 +129,12 @@ def compare(
             progress(result)
 
     with ExitStack() as stack:
-        made_env = make_worlds(env, worlds if workers == 1 else 1, env_options)
-        stack.callback(made_env.close)
+        interfaces = WorldsByInterface(env, worlds if workers == 1 else 1, env_options)
+        stack.callback(interfaces.close)
+        made_env = interfaces.asked
         with wrap_environment_errors("a trial", 0):
             made_env.reset(seed=seed)  # raises for an invalid seed, before anything is written
-        made = {name: make_policy(policy, made_env) for name, policy in by_name.items()}
+        made = {name: make_policy(policy, interfaces.of(policy)) for name, policy in by_name.items()}
         if paced is not None:
             check_real_time(bare_id(env), made_env)
             comparison.real_time = {"latency": paced.latency, "slow_down": paced.slow_down}
@@ -158,7 +159,8 @@ def compare(
         least = {} if least_lengths is None else least_lengths
         least.update((result.episode, result.least_length) for result in results)
         if workers == 1:
-            stream = play_here(made, made_env, seed, waiting, least, paced)
+            played_in = {name: interfaces.of(policy) for name, policy in by_name.items()}
+            stream = play_here(made, played_in, seed, waiting, least, paced)
         else:
             config = WorkerConfig(env, worlds, comparison.env_options, seed, workers)
             stream = play_in_workers(by_name, config, waiting, least, workers, paced)

@@ -58,6 +58,9 @@ def identity(
         "policies": list(policies),
         "sees": {name: policy.sees for name, policy in policies.items()},
         "agents": {name: policy.card.sha256 for name, policy in policies.items() if isinstance(policy, OnnxPolicy)},
+        "interfaces": {
+            name: policy.card.env_options for name, policy in policies.items() if isinstance(policy, OnnxPolicy)
+        },
         "objects": {name: fingerprint(given) for name, given in definitions.items() if given is not None},
         **checksums(env, worlds, env_options, definitions.values()),
         "versions": versions(),

@@ -21,13 +21,13 @@ import cloudpickle
 import joblib
 from joblib.parallel import LokyBackend, get_active_backend
 
-from armctl.envs import EpisodeVectorEnv, make_worlds
+from armctl.envs import EpisodeVectorEnv
 from armctl.errors import ArmctlError, ConfigurationError, EnvironmentFailed, format_cause
 from armctl.evaluation.decision_times import TimedPolicy
 from armctl.evaluation.real_time import RealTime, RealTimePolicy
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.rollouts import PolicyDisqualified, PolicyFailed, rollouts
-from armctl.policies import Policy, PolicyFactory, make_policy
+from armctl.policies import Policy, PolicyFactory, WorldsByInterface, make_policy
 
 ROUNDS = 4
 """Episodes per world in a block. With so many, little time is lost waiting for the last episodes of a block."""
@@ -69,20 +69,21 @@ class RolloutBatch:
 
 def play_here(
     policies: Mapping[str, Policy],
-    env: EpisodeVectorEnv,
+    worlds: Mapping[str, EpisodeVectorEnv],
     seed: int,
     waiting: Mapping[str, Sequence[int]],
     least_lengths: dict[int, float],
     real_time: RealTime | None = None,
 ) -> Generator[RolloutBatch, None, None]:
-    """Play each policy's `waiting` episodes, and yield each as it ends. `least_lengths` is as in `rollouts`.
+    """Play each policy's `waiting` episodes in its `worlds`, and yield each as it ends.
 
-    In real time, `env` has one world.
+    `least_lengths` is as in `rollouts`. In real time, policies have one world each.
     """
     for name, policy in policies.items():
         if not waiting[name]:
             continue
         try:
+            env = worlds[name]
             timed = RealTimePolicy(policy, env.task, real_time, name) if real_time else policy
             for result in rollouts(timed, env, waiting[name], seed, name, least_lengths):
                 yield RolloutBatch(name, [result])
@@ -174,7 +175,7 @@ def _play(
     if os.getpid() != config.home:
         with contextlib.suppress(ValueError):  # threads of a cluster's worker get no signals
             signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the process that waits
-    worlds, timed = _worlds(config), _made(config, name, policy)
+    worlds, timed = _worlds(config).of(policy), _made(config, name, policy)
     if real_time:
         timed = RealTimePolicy(timed.policy, worlds.task, real_time, name)
     results: list[EpisodeResult] = []
@@ -194,13 +195,13 @@ _policies: dict[tuple[WorkerConfig, str], TimedPolicy] = {}
 
 
 @functools.lru_cache(maxsize=1)
-def _worlds(config: WorkerConfig) -> EpisodeVectorEnv:
+def _worlds(config: WorkerConfig) -> WorldsByInterface:
     _policies.clear()
-    return make_worlds(config.env, config.worlds, config.env_options, threads=1)
+    return WorldsByInterface(config.env, config.worlds, config.env_options, threads=1)
 
 
 def _made(config: WorkerConfig, name: str, policy: str | PolicyFactory) -> TimedPolicy:
-    worlds = _worlds(config)
+    worlds = _worlds(config).of(policy)
     if (config, name) not in _policies:
         _policies[config, name] = TimedPolicy(make_policy(policy, worlds), worlds.num_envs, config.workers)
     return _policies[config, name]

@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from armctl import DEFAULT_ENV
-from armctl.envs import EpisodeVectorEnv, make_worlds
+from armctl.envs import EpisodeVectorEnv
 from armctl.errors import (
     FAILURES,
     ArmctlError,
@@ -26,7 +26,7 @@ from armctl.evaluation.metrics import metrics
 from armctl.evaluation.record import COLUMNS, EpisodeResult
 from armctl.evaluation.seeds import check_evaluation_seed
 from armctl.evaluation.tampering import Watch
-from armctl.policies import Policy, PolicyFactory, make_policy, policy_name
+from armctl.policies import Policy, PolicyFactory, WorldsByInterface, make_policy, policy_name
 from armctl.tasks import MotionSample
 
 MOST = {"episodes": 10_000_000, "worlds": 100_000, "workers": 1_000}
@@ -108,7 +108,7 @@ class _EpisodeRecorder:
     ) -> None:
         n = env.num_envs
         self._timed, self._task, self._seed, self._name, self._least = timed, env.task, seed, name, least_lengths
-        self._env_id = env.spec.id if env.spec else type(env).__name__
+        self._env_id, self._outcomes = env.spec.id if env.spec else type(env).__name__, env.outcomes
         self._numbers, self._first_step = np.zeros((2, n), dtype=np.int64)
         self._starts = np.zeros((n, 3))
         self._feasible = np.ones(n, dtype=bool)
@@ -150,14 +150,14 @@ class _EpisodeRecorder:
             self._env_id,
             int(self._numbers[i]),
             self._seed,
-            str(infos["outcome"][i]),
+            self._outcomes[infos["outcome_id"][i]],
             None if (success := infos["is_success"][i]) is None else bool(success),
             bool(self._feasible[i]),
             float(self._returns[i]),
             {name: float(sums[i]) for name, sums in self._earned.items()},
             len(motions),
             self._least[int(self._numbers[i])],
-            float(infos["tracking_error"][i]) if "tracking_error" in infos else math.nan,
+            float(infos["tracking_error"][i]) if "tracking" in infos and infos["tracking"][i] else math.nan,
             metrics(
                 self._task,
                 i,
@@ -234,7 +234,8 @@ def evaluate(
     """
     check_counts(episodes=episodes, worlds=worlds)
     check_evaluation_seed(seed)
-    with closing(make_worlds(env, min(worlds, episodes), env_options)) as made_env:
+    with closing(WorldsByInterface(env, min(worlds, episodes), env_options)) as interfaces:
+        made_env = interfaces.of(policy)
         made = make_policy(policy, made_env)
         known = None if least_lengths else dict.fromkeys(range(episodes), math.nan)
         played = rollouts(made, made_env, episodes, seed, policy_name(policy), known)

@@ -8,10 +8,9 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from armctl.agents import read_card
-from armctl.envs import full_id, make_worlds
+from armctl.envs import full_id
 from armctl.errors import ArmctlError, ConfigurationError, ResultsError
 from armctl.evaluation.across_tasks import family, mean_over_tasks, rank
 from armctl.evaluation.answers import Answer, answer, corrected
@@ -25,7 +24,7 @@ from armctl.evaluation.suite_tables import rank_table, task_table
 from armctl.evaluation.sweep import Sweep, sweep, sweep_levels
 from armctl.evaluation.tables import Document, Remark, Table
 from armctl.files import bounded_text, checked_name, inside, one_writer, sealed, unsealed, write_atomically
-from armctl.policies import agent_cards, make_policy, policy_names
+from armctl.policies import WorldsByInterface, agent_cards, make_policy, policy_names
 from armctl.registration import bare_id, environment_names
 
 SUITE = "suite.json"
@@ -230,16 +229,16 @@ def line_up(env: str) -> tuple[str, ...]:
 
     Raises `ConfigurationError`.
     """
-    with closing(make_worlds(env, 1)) as worlds:
-        worlds.reset(seed=0)
+    with closing(WorldsByInterface(env, 1)) as worlds:
+        worlds.asked.reset(seed=0)
         names = dict.fromkeys((*default_policies(env), *(name for name in policy_names() if _fits(name, env, worlds))))
     return tuple(name for name in names if name not in UNSKILLED) or tuple(names)
 
 
-def _fits(name: str, env: str, worlds: Any) -> bool:
+def _fits(name: str, env: str, worlds: WorldsByInterface) -> bool:
     """Whether an installed policy can act in an environment and, if it is an agent, was made for it."""
     try:
-        card = getattr(make_policy(name, worlds), "card", None)
+        card = getattr(make_policy(name, worlds.of(name)), "card", None)
     except ArmctlError:
         return False
     return card is None or bare_id(card.env) == bare_id(env)
@@ -248,11 +247,11 @@ def _fits(name: str, env: str, worlds: Any) -> bool:
 def unusable_agents(env: str) -> dict[str, str]:
     """Why installed agents cannot play the task that they were made for, by name; also those of unreadable cards."""
     told = {}
-    with closing(make_worlds(env, 1)) as worlds:
+    with closing(WorldsByInterface(env, 1)) as worlds:
         for name, card in agent_cards().items():
             try:
                 if bare_id(read_card(card).env) == bare_id(env):
-                    make_policy(name, worlds)
+                    make_policy(name, worlds.of(name))
             except ArmctlError as error:
                 told[name] = str(error)
     return told

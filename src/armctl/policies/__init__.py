@@ -11,9 +11,10 @@ from armctl.policies.find import (
 from armctl.policies.policy import Actions, Controller, PerWorld, Plans, Policy, PolicyFactory
 from armctl.policies.privilege import privileges, sees
 from armctl.policies.trainings import GROUP, agent_cards, expanded, is_group, learners, training_card
+from armctl.policies.worlds import WorldsByInterface
 
 __all__ = [
-    "GROUP", "Actions", "Controller", "PerWorld", "Plans", "Policy", "PolicyFactory", "agent_cards", "declared_sees",
-    "describe_policy", "expanded", "is_group", "learners", "make_policy", "named_policies", "policy_name",
-    "policy_names", "privileges", "sees", "training_card",
+    "GROUP", "Actions", "Controller", "PerWorld", "Plans", "Policy", "PolicyFactory", "WorldsByInterface",
+    "agent_cards", "declared_sees", "describe_policy", "expanded", "is_group", "learners", "make_policy",
+    "named_policies", "policy_name", "policy_names", "privileges", "sees", "training_card",
 ]  # fmt: skip

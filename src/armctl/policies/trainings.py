@@ -122,7 +122,7 @@ def expanded(policies: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, lis
 def _check_once(players: Mapping[str, Any]) -> None:
     seen: dict[str, str] = {}
     for name, given in players.items():
-        card = _card_of(given)
+        card = card_of(given)
         if card is None:
             continue
         if card.sha256 in seen:
@@ -132,7 +132,8 @@ def _check_once(players: Mapping[str, Any]) -> None:
         seen[card.sha256] = name
 
 
-def _card_of(given: Any) -> AgentCard | None:
+def card_of(given: Any) -> AgentCard | None:
+    """The card of a policy, if it is a learned agent's name or file. Raises `AgentFileError`."""
     if not isinstance(given, (str, Path)):
         return None
     path = training_card(str(given)) or agent_cards().get(str(given))

@@ -21,7 +21,11 @@ from armctl.simulation.worlds import world_path
 
 Array = NDArray[np.float64]
 
-CONTROLS = ("position", "delta", "velocity", "torque")
+CONTROLS = ("position", "relative", "delta", "velocity", "torque")
+
+LARGEST_RELATIVE_MOVE = 0.5
+"""rad: a relative command moves a joint by at most this from its present position. At its speed limit, a UR5 joint
+travels 0.126 rad in a control step of 0.04 s, and 0.33 rad until it stops."""
 
 SERVO_BANDWIDTH = 60.0
 """rad/s: natural frequency of the critically damped joint servos, which settle within a tenth of a second"""
@@ -48,6 +52,7 @@ class Arm:
     `control` defines the meaning of an action (n, dof):
 
     - `position`: joint positions to move to and stop at, within the position limits;
+    - `relative`: the same, relative to the present joint positions, by at most `LARGEST_RELATIVE_MOVE`;
     - `delta`: joint displacements until the next control step;
     - `velocity`: joint velocities, within the velocity limits;
     - `torque`: joint torques on top of gravity compensation, within the effort limits.
@@ -71,8 +76,10 @@ class Arm:
         limits = description.limits
         actuators = ActuatorLimits(limits.velocity, limits.effort, (limits.lower, limits.upper))
         self.joints = JointSamples(simulation, slice(description.dof), actuators, round(period / TICK), period)
+        move = np.full(description.dof, LARGEST_RELATIVE_MOVE)
         bounds = {
             "position": (limits.lower, limits.upper),
+            "relative": (-move, move),
             "delta": (-limits.velocity * period, limits.velocity * period),
             "velocity": (-limits.velocity, limits.velocity),
             "torque": (-limits.effort, limits.effort),
@@ -84,6 +91,13 @@ class Arm:
         """Positions of the end-effectors, (n, 3) m."""
         return self._body_positions[:, self._tip]
 
+    @property
+    def commands(self) -> Array:
+        """Positions (rad) and velocities (rad/s) that the drives command now, (n, 2 dof); (n, 0) for torques."""
+        if self.control == "torque":
+            return self._command
+        return np.concatenate((self._command, self._ctrl[:, : self.description.dof]), axis=1)
+
     def command(self, actions: Array) -> None:
         """Set actions (n, dof), clipped to their bounds."""
         self._wanted = np.clip(actions, self.action_low, self.action_high)
@@ -91,6 +105,9 @@ class Arm:
             self._ctrl[:, : self.description.dof] = self._wanted
         elif self.control == "delta":
             self._wanted /= self.period
+        elif self.control == "relative":
+            limits = self.description.limits
+            self._wanted = np.clip(self.joint_positions + self._wanted, limits.lower, limits.upper)
 
     def drive(self) -> None:
         """Set the command's velocity until the next tick."""
@@ -100,7 +117,8 @@ class Arm:
         position = self.joint_positions
         if np.abs(self._command - position).max() > FOLLOWING_ERROR:
             np.clip(self._command, position - FOLLOWING_ERROR, position + FOLLOWING_ERROR, out=self._command)
-        wanted = towards(self._wanted, self._command, limits) if self.control == "position" else self._wanted
+        to_positions = self.control in ("position", "relative")
+        wanted = towards(self._wanted, self._command, limits) if to_positions else self._wanted
         velocity = limited(wanted, self._command, self._ctrl[:, :dof], limits)
         self._ctrl[:, :dof] = velocity
         self._ctrl[:, dof:] = velocity

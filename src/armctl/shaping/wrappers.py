@@ -36,7 +36,7 @@ class Shaped(gymnasium.vector.VectorWrapper[Any, Any, Any, Any, Any]):
         env: vector environment of armctl, in any autoreset mode, before its first reset.
         potential: name of a potential (see `potential_names`), or a function from the vector environment to one.
         gamma: discount factor of the learner.
-        scale: reward per unit of the potential.
+        scale: reward per unit of the potential, before the environment's `reward_scale`.
 
     Raises `ConfigurationError` for a potential that this environment does not have, and for values out of range.
 
@@ -58,7 +58,13 @@ class Shaped(gymnasium.vector.VectorWrapper[Any, Any, Any, Any, Any]):
         observations, rewards, terminated, truncated, infos = self.env.step(actions)
         shaping = self._difference.of(terminated)
         infos["reward_terms"][TERM] = shaping
-        return observations, rewards + shaping, terminated, truncated, infos
+        return observations, rewards + self._difference.reward_scale * shaping, terminated, truncated, infos
+
+    def reset(self, **arguments: Any) -> tuple[Any, dict[str, Any]]:
+        """Start new episodes."""
+        observations, infos = self.env.reset(**arguments)
+        infos["reward_terms"][TERM] = np.zeros(self.num_envs)
+        return observations, infos
 
 
 class ShapedEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
@@ -76,7 +82,13 @@ class ShapedEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         observation, reward, terminated, truncated, info = self.env.step(action)
         shaping = float(self._difference.of(np.array([terminated]))[0])
         info["reward_terms"][TERM] = shaping
-        return observation, float(reward) + shaping, terminated, truncated, info
+        return observation, float(reward) + self._difference.reward_scale * shaping, terminated, truncated, info
+
+    def reset(self, **arguments: Any) -> tuple[Any, dict[str, Any]]:
+        """Start an episode."""
+        observation, info = self.env.reset(**arguments)
+        info["reward_terms"][TERM] = 0.0
+        return observation, info
 
 
 class _Difference:
@@ -93,6 +105,7 @@ class _Difference:
             raise ConfigurationError(f"scale is a finite number, not {scale!r}")
         self._potential, self._gamma, self._scale = make_potential(potential, worlds), gamma, scale
         self._now, self._before, self._after = np.full((3, worlds.num_envs), np.nan)
+        self.reward_scale = worlds.reward_scale
         self._awake = np.zeros(worlds.num_envs, dtype=bool)
         worlds.observers.append(self)
 

@@ -28,7 +28,8 @@ class Scenery:
     """What to show of one world of `simulation`, at first from the MJCF's `camera`."""
 
     def __init__(self, simulation: Simulation, camera: str, world: int = 0) -> None:
-        self._simulation, self._world = simulation, world
+        self.simulation, self._world = simulation, world
+        """What is shown; it can be changed for another simulation of the same model."""
         model = simulation.model
         robots = np.isin(model.body_rootid, model.body_rootid[model.body_weldid > 0])
         placed = simulation.worlds_differ & ~robots & (np.arange(model.nbody) > 0)
@@ -42,7 +43,7 @@ class Scenery:
 
     def now(self) -> tuple[Array, list[mujoco.MjvGeom]]:
         """The world's state, for `mj_setState` with `STATE`, and the geoms to draw besides `model`."""
-        model, data = self._simulation.model, self._simulation.data(self._world)
+        model, data = self.simulation.model, self.simulation.data(self._world)
         state = np.empty(mujoco.mj_stateSize(model, STATE))
         mujoco.mj_getState(model, data, state, STATE)
         everything, anywhere = mujoco.mjtCatBit.mjCAT_ALL, mujoco.MjvCamera()
@@ -58,7 +59,7 @@ class Scenery:
 
     def _look_from(self, camera: str) -> None:
         """Place the viewer's free camera at the MJCF's, orbiting the point of its axis nearest to the robot."""
-        data = self._simulation.data(self._world)
+        data = self.simulation.data(self._world)
         robot = self.model.body_weldid > 0
         ahead = -data.camera(camera).xmat.reshape(3, 3)[:, 2]
         position = data.camera(camera).xpos

@@ -69,12 +69,8 @@ class FeatureSpec:
 
 @dataclass(frozen=True)
 class LearnerView:
-    """Features and action scaling for learners, as plain values from which they build networks."""
+    """Features and relative actions for learners, as plain values from which they build networks."""
 
-    action_low: NDArray[Any]
-    """The environment's action that corresponds to -1 of a network's output."""
-    action_high: NDArray[Any]
-    """The action that corresponds to 1."""
     relative_to: slice | None = None
     """The part of the observation that actions may be relative to, if any."""
     largest_move: float = 0.0
@@ -143,6 +139,8 @@ class NoOptions:
 class TaskFacts(ABC):
     """What evaluation and viewers ask about n worlds; here, the answers where nothing is known."""
 
+    interface_options: ClassVar[frozenset[str]] = frozenset()
+    """Options that say how a policy sees and commands the robot. A learned agent brings its own."""
     n: int
 
     @property
@@ -206,6 +204,7 @@ class Task(TaskFacts):
     """Disturbances that apply to the task, by name."""
     potentials: ClassVar[Mapping[str, Callable[[Any], Potential]]] = {"distance": GoalDistance}
     """Potentials for reward shaping, by name: functions from the task to a `Potential`."""
+    interface_options = frozenset({"actions", "reward_scale"})
     camera: ClassVar[str] = "overview"
     """The MJCF camera of videos and images."""
     render_fps: ClassVar[int] = 25
@@ -297,8 +296,13 @@ class Task(TaskFacts):
 
     @property
     def learner_view(self) -> LearnerView:
-        """Features and action scaling for learners: by default the bare observation, and the whole action space."""
-        return LearnerView(self.action_space.low, self.action_space.high)
+        """Features and relative actions for learners: by default the bare observation, and none."""
+        return LearnerView()
+
+    @property
+    def action_range(self) -> tuple[NDArray[Any], NDArray[Any]]:
+        """The actions that -1 and 1 of a learner's normalized actions stand for: by default, the space's bounds."""
+        return self.action_space.low, self.action_space.high
 
     def motion(self) -> MotionSample:
         """The present motion, in new arrays. Positions are NaN unless a subclass overrides this."""

@@ -132,6 +132,7 @@ class Player(plugin.SimPlugin):
         return True
 
     def _begin(self) -> None:
+        self.scenery.simulation = self.stage.task.simulation
         self._after, geoms = self.scenery.now()
         self._before = self._after
         self._stepped = self._due = time.perf_counter()

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.envs import make_worlds
 from armctl.evaluation.rollouts import wrap_environment_errors, wrap_policy_errors
-from armctl.policies import Plans, Policy, make_policy
+from armctl.policies import Plans, Policy, WorldsByInterface, make_policy
 
 Array = NDArray[np.float64]
 
@@ -56,7 +55,8 @@ class Stage:
         render_mode: str | None = None,
     ) -> None:
         self.env_id = env
-        self.worlds = make_worlds(env, 1, env_options, render_mode=render_mode)
+        self._interfaces = WorldsByInterface(env, 1, env_options, render_mode=render_mode)
+        self.worlds = self._interfaces.asked
         self.task = self.worlds.task
         self.longest = self.worlds.max_episode_steps
         """Control steps until an episode is truncated; None: never."""
@@ -68,7 +68,9 @@ class Stage:
     def play(self, policy: str, seed: int, episode: int) -> None:
         """Start an episode. If it raises `ConfigurationError` or `AgentFileError`, the current episode continues."""
         if policy != self.status.policy:
-            self._actor: Policy = make_policy(policy, self.worlds)
+            worlds = self._interfaces.of(policy)
+            self._actor: Policy = make_policy(policy, worlds)
+            self.worlds, self.task = worlds, worlds.task
         self._observations, infos = self.worlds.reset(seed=[seed], options={"episode": [episode]})
         with wrap_policy_errors(policy, episode):
             self._actor.reset(np.zeros(1, dtype=np.int32))
@@ -93,7 +95,7 @@ class Stage:
             distance=self._distance(),
             rewards=earned,
             contacts=_touched(infos),
-            outcome=str(infos["outcome"][0]) if terminated[0] or truncated[0] else None,
+            outcome=self.worlds.outcomes[infos["outcome_id"][0]] if terminated[0] or truncated[0] else None,
         )
 
     def plans(self) -> Mapping[str, Array]:
@@ -102,7 +104,7 @@ class Stage:
 
     def close(self) -> None:
         """Close the environment."""
-        self.worlds.close()
+        self._interfaces.close()
 
     def _distance(self) -> float:
         return float(self.task.goal_distances()[0])

@@ -10,10 +10,9 @@ import numpy as np
 from rich.text import Text
 
 from armctl.console import PlainConsole
-from armctl.envs import EpisodeVectorEnv, make_worlds
 from armctl.errors import ConfigurationError
 from armctl.evaluation.rollouts import wrap_environment_errors, wrap_policy_errors
-from armctl.policies import Policy, make_policy
+from armctl.policies import Policy, WorldsByInterface, make_policy
 from armctl.viewer.recording import Film, check_video, recording
 
 MOST_NUMBERS = 200
@@ -40,8 +39,9 @@ def run_episodes(
     if video:
         check_video(video)
     console = PlainConsole()
-    worlds = _make(env, steps, "human" if watch else "rgb_array" if video else None, env_options)
+    interfaces = _make(env, steps, "human" if watch else "rgb_array" if video else None, env_options)
     try:
+        worlds = interfaces.of(policy)
         actor = make_policy(policy, worlds)
         with _film(video, worlds.metadata["render_fps"], console) as film:
             for episode in range(first, first + episodes):
@@ -51,7 +51,7 @@ def run_episodes(
         console.print("Interrupted.")
         return False
     finally:
-        worlds.close()
+        interfaces.close()
     return True
 
 
@@ -93,7 +93,8 @@ def _play(
         for _ in range(worlds.metadata["render_fps"] // 2):
             show()
     stopped = truncated[0] and not terminated[0] and step == asked  # the environment itself would have gone on
-    ending = f"stopped after {_steps(step)}, as asked" if stopped else f"{infos['outcome'][0]} after {_steps(step)}"
+    ending = worlds.outcomes[infos["outcome_id"][0]]
+    ending = f"stopped after {_steps(step)}, as asked" if stopped else f"{ending} after {_steps(step)}"
     console.print(Text(f"{ending}, return {total:g}", "bold"), end="\n\n")
 
 
@@ -101,9 +102,9 @@ def _steps(count: int) -> str:
     return "1 step" if count == 1 else f"{count} steps"
 
 
-def _make(env: str, steps: int | None, render_mode: str | None, env_options: Mapping[str, Any]) -> EpisodeVectorEnv:
+def _make(env: str, steps: int | None, render_mode: str | None, env_options: Mapping[str, Any]) -> WorldsByInterface:
     options: dict[str, Any] = {**env_options, **({} if steps is None else {"max_episode_steps": steps})}
-    return make_worlds(env, 1, options, render_mode=render_mode)
+    return WorldsByInterface(env, 1, options, render_mode=render_mode)
 
 
 def _print_step(

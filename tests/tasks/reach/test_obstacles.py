@@ -92,10 +92,10 @@ def test_each_touch_ends_the_episode_and_is_told_from_the_others(what):
     set_arm(task, 0, q)
     _, reward, terminated, _, infos = env.step(q[None])
     assert terminated[0]
-    assert infos["outcome"][0] == "collided"
+    assert env.outcomes[infos["outcome_id"][0]] == "collided"
     assert infos["contacts"][what][0]
-    assert reward[0] == pytest.approx(-101 + 100 * infos["reward_terms"]["goal"][0] / 100)
-    assert infos["reward_terms"]["collision"][0] == -100
+    assert reward[0] == pytest.approx(-201 + infos["reward_terms"]["goal"][0])
+    assert infos["reward_terms"]["collision"][0] == -200
 
 
 def test_every_layout_is_certified_free_at_home_and_mostly_solved_by_the_expert():

@@ -1,13 +1,7 @@
 """Bridge crossing: a rover drives to the far end of a bridge without touching anything."""
 
-from armctl.tasks.bridge.bridge import (
-    CONTROL_PERIOD,
-    BridgeMovingOptions,
-    BridgeMovingTask,
-    BridgeOptions,
-    BridgeOutcome,
-    BridgeTask,
-)
+from armctl.tasks.bridge.bridge import BridgeMovingTask, BridgeOutcome, BridgeTask
+from armctl.tasks.bridge.options import CONTROL_PERIOD, BridgeMovingOptions, BridgeOptions
 from armctl.tasks.bridge.state import REWARD, BridgeState
 
 __all__ = [

@@ -4,25 +4,22 @@ To change the reward, see `REWARD` and `BridgeOptions`.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import field
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, Strict
 
 from armctl.disturbances import ROVER
-from armctl.errors import ConfigurationError
-from armctl.options import options
 from armctl.robots.joints import JointSamples
 from armctl.robots.rover import MAX_VELOCITY, PARTS, PREFIX, RADIUS, SPEED_LIMITS, WHEEL_RADIUS, Rover
 from armctl.scene import BridgeMap, PedestrianTrajectories
 from armctl.simulation import ContactSensors, Simulation
 from armctl.tasks.bridge.layout import Layout, sample_layout
-from armctl.tasks.bridge.observation import full_state, make_camera, make_observation_space
+from armctl.tasks.bridge.observation import FASTEST_MOTION, full_state, make_camera, observation_space
+from armctl.tasks.bridge.options import CONTROL_PERIOD, WALKER_PERIOD, BridgeMovingOptions, BridgeOptions
 from armctl.tasks.bridge.potentials import CrossingCostToGo
-from armctl.tasks.bridge.state import REWARD, BridgeState, Term
+from armctl.tasks.bridge.state import BridgeState
 from armctl.tasks.bridge.world import (
     CONTACT_CLASSES,
     GOAL_MARGIN,
@@ -48,18 +45,10 @@ from armctl.tasks.task import (
 
 Array = NDArray[np.float64]
 
-CONTROL_PERIOD = 0.1
-"""s between two control steps."""
-WALKER_PERIOD = 0.02
-"""s between two moves of the walkers, who walk at most 24 mm in it."""
 MOVES = round(CONTROL_PERIOD / WALKER_PERIOD)
 """Moves of the walkers per control step. Wheel speeds and torques are sampled as often."""
 LEARNER_VELOCITY = np.array([[-0.3, -2.0], [1.6, 2.0]], dtype=np.float32)
 """Lowest and highest linear (m/s) and angular velocity (rad/s) of a learner's actions."""
-
-Blocks = Annotated[int, Field(ge=0, le=50)]
-Walkers = Annotated[int, Field(ge=0, le=20)]
-Side = Annotated[int, Field(ge=4, le=1024)]
 
 
 class BridgeOutcome(Outcome):
@@ -71,53 +60,6 @@ class BridgeOutcome(Outcome):
     FELL = 3
 
 
-@options
-class BridgeOptions:
-    """Options of the bridge environments."""
-
-    deck_length: Annotated[float, Field(ge=8, le=200)] = 20.0
-    """m."""
-    deck_width: Annotated[float, Field(ge=3, le=20)] = 4.0
-    """m; the barriers take 1.22 m of it."""
-    blocks: Blocks = 7
-    """Barrier blocks on the deck, at new places in each episode."""
-    walkers: Walkers = 0
-    """Person-sized obstacles that walk across and along the bridge."""
-    missing_barriers: Annotated[int, Field(ge=0, le=100)] = 1
-    """Jersey barriers that are missing, different ones in each episode: there, the deck has an open edge."""
-    observation: Literal["camera", "state"] = "camera"
-    """`camera`: a dict of `image` and own `motion`. `state`: pose, velocity and surroundings."""
-    camera: Literal["depth", "classes", "rgb"] = "depth"
-    """`depth` (m, along the optical axis), `classes` (an index into `PIXEL_CLASSES`) or `rgb` (needs OpenGL)."""
-    resolution: Annotated[tuple[Side, Side], Strict(False)] = (48, 32)
-    """Width and height of the camera image, pixels."""
-    field_of_view: Annotated[float, Field(ge=20, le=150)] = 110.0
-    """Horizontal field of view of the camera, degrees."""
-    camera_range: Annotated[float, Field(ge=0.5, le=1000)] = 10.0
-    """Largest depth that the camera measures, m."""
-    timestep: Annotated[float, Field(ge=1e-5, le=0.02)] = 0.005
-    """Physics time step, s; see `benchmarks/physics_step.py`."""
-    progress: Annotated[float, Field(ge=-1e6, le=1e6)] = 0.0
-    """Reward per metre of progress towards the goal line, as an additional reward term."""
-    reward: Mapping[str, Term] = field(default_factory=lambda: REWARD)
-    """Named reward terms."""
-
-    def __post_init__(self) -> None:
-        chunks = WALKER_PERIOD / self.timestep
-        if abs(chunks - round(chunks)) > 1e-6:
-            raise ConfigurationError(
-                f"timestep must divide {WALKER_PERIOD} s without remainder, which {self.timestep} does not"
-            )
-
-
-@options
-class BridgeMovingOptions(BridgeOptions):
-    """Options of `armctl/BridgeCrossMoving-v0`: the same, with fewer blocks, and walkers."""
-
-    blocks: Blocks = 3
-    walkers: Walkers = 3
-
-
 class BridgeTask(Task):
     """n bridges, each with a rover."""
 
@@ -125,6 +67,9 @@ class BridgeTask(Task):
     outcomes = BridgeOutcome
     default_policies: ClassVar[tuple[str, ...]] = ("bridge_ompl", "bridge_ppo", "random")
     disturbances = ROVER
+    interface_options = Task.interface_options | {
+        "observation", "camera", "resolution", "field_of_view", "camera_range", "image_format",
+    }  # fmt: skip
     potentials: ClassVar[Mapping[str, Callable[[Any], Potential]]] = {**Task.potentials, "ompl": CrossingCostToGo}
     render_fps = round(1 / CONTROL_PERIOD)
     joints: JointSamples
@@ -134,7 +79,7 @@ class BridgeTask(Task):
         memory = round(CONTROL_PERIOD / options.timestep)
         model = build_bridge_world(
             options.deck_length, options.deck_width, options.blocks, options.walkers, options.timestep, memory,
-            options.resolution, options.field_of_view,
+            options.size, options.field_of_view,
         )  # fmt: skip
         super().__init__(Simulation(model, n, threads, SPEED_LIMITS), CONTROL_PERIOD)
         self.rover = Rover(self.simulation)
@@ -153,9 +98,7 @@ class BridgeTask(Task):
                 segment_names(options.deck_length), block_names(options.blocks), walker_names(options.walkers),
             )
         )  # fmt: skip
-        self._see = make_camera(
-            self.simulation, options.camera, options.resolution, options.field_of_view, options.camera_range
-        )
+        self._see = make_camera(self.simulation, options) if options.view != "state" else None
         walkers = (n, options.walkers)
         self._pedestrians = PedestrianTrajectories(
             np.zeros((*walkers, 2)), np.zeros((*walkers, 2)), np.zeros(walkers), np.zeros(walkers), WALKER_RADIUS
@@ -166,21 +109,21 @@ class BridgeTask(Task):
         check_reward_terms(self.reward_terms(), n)
         limits = np.float32(MAX_VELOCITY)
         self.action_space = gymnasium.spaces.Box(-limits, limits, dtype=np.float32)
-        self.observation_space = make_observation_space(self.observe(), options.camera, options.camera_range)
+        self.observation_space = observation_space(options)
 
     @property
     def interface(self) -> dict[str, str]:
         """Robot and observation."""
-        if self.options.observation == "state":
+        if self.options.view == "state":
             return {
                 "robot": "rover",
                 "observation": f"state of {self.options.blocks} blocks, {self.options.walkers} walkers",
             }
-        width, height = self.options.resolution
+        width, height = self.options.size
         seen = f", to {self.options.camera_range:g} m" if self.options.camera == "depth" else ""
         return {
             "robot": "rover",
-            "observation": "camera and motion",
+            "observation": {"camera": "camera and motion"}.get(self.options.view, self.options.view),
             "camera": f"{self.options.camera} {width} x {height}, {self.options.field_of_view:g} degrees{seen}",
         }
 
@@ -191,10 +134,14 @@ class BridgeTask(Task):
 
     @property
     def learner_view(self) -> LearnerView:
-        """Features: inverse depths. Actions: the velocities in `LEARNER_VELOCITY`, mostly forwards."""
-        depth = self.options.observation == "camera" and self.options.camera == "depth"
-        low, high = LEARNER_VELOCITY
-        return LearnerView(low, high, features=FeatureSpec("inverse_depth") if depth else None)
+        """Features: inverse depths."""
+        depth = self.options.view == "camera" and self.options.camera == "depth"
+        return LearnerView(features=FeatureSpec("inverse_depth") if depth else None)
+
+    @property
+    def action_range(self) -> tuple[NDArray[Any], NDArray[Any]]:
+        """The velocities in `LEARNER_VELOCITY`, mostly forwards."""
+        return LEARNER_VELOCITY[0], LEARNER_VELOCITY[1]
 
     def map(self, world: int) -> BridgeMap:
         """The map of a world's bridge, which is privileged knowledge."""
@@ -243,9 +190,11 @@ class BridgeTask(Task):
     def observe(self, ids: Ids | None = None) -> Observations:
         """Images `image` (n, height, width) and odometry `motion` (n, 3), or states (n, k)."""
         worlds = slice(None) if ids is None else ids
-        if self.options.observation == "state":
+        if self._see is None:
             blocks = np.array([layout.map.blocks for layout in self._layouts])
             return full_state(self.state, blocks, self._pedestrians)[worlds]
+        if self.options.view == "image":
+            return self._see(ids)
         return {"image": self._see(ids), "motion": self._motion().astype(np.float32)[worlds]}
 
     def reward_terms(self) -> RewardTerms:
@@ -339,7 +288,7 @@ class BridgeTask(Task):
 
     def _motion(self) -> Array:
         """Odometry (m/s, rad/s) and the gyro's yaw rate (rad/s), (n, 3)."""
-        return np.column_stack((self.rover.odometry, self.rover.gyro[:, 2]))
+        return np.clip(np.column_stack((self.rover.odometry, self.rover.gyro[:, 2])), -FASTEST_MOTION, FASTEST_MOTION)
 
 
 class BridgeMovingTask(BridgeTask):

@@ -12,58 +12,106 @@ from armctl.errors import ConfigurationError
 from armctl.robots.rover import CAMERA, GEOM_GROUP
 from armctl.scene import PedestrianTrajectories
 from armctl.simulation import Camera, RayCamera, Simulation
+from armctl.tasks.bridge.layout import MAX_BLOCK_YAW, WALKER_SPEEDS
+from armctl.tasks.bridge.options import BridgeOptions
 from armctl.tasks.bridge.state import BridgeState
-from armctl.tasks.bridge.world import CONTACT_CLASSES, LOOKS
-from armctl.tasks.task import Ids, Observations
+from armctl.tasks.bridge.world import BLOCK_SIZES, CONTACT_CLASSES, LOOKS
+from armctl.tasks.task import Ids
 
 Array = NDArray[np.float64]
 
 PIXEL_CLASSES = ("sky", *CONTACT_CLASSES)
 """Pixels of the camera `classes` are indices into these."""
 
+NEAR = np.float32(0.5)
+"""m: depth whose nearness is a half."""
+OFF_DECK = 10.0
+"""m beside the deck within which a rover is, wherever it was thrown; its episode ends as soon as it is off the deck."""
+FASTEST = np.array([20.0, 35.0])
+"""Forward velocity (m/s) and yaw rate (rad/s) beyond which sensors do not measure: a gyro's range of 2000 degrees/s."""
+FASTEST_MOTION = FASTEST[[0, 1, 1]].astype(np.float32)
+
 See = Callable[[Ids | None], NDArray[Any]]
 """Images (n, height, width, ...) of some worlds, or of all."""
 
 
-def make_camera(
-    simulation: Simulation, kind: str, resolution: tuple[int, int], field_of_view: float, camera_range: float
-) -> See:
-    """The camera of `BridgeOptions`. Raises `ConfigurationError` for `rgb` without OpenGL."""
-    if kind == "rgb":
+def make_camera(simulation: Simulation, options: BridgeOptions) -> See:
+    """The camera of `options`. Raises `ConfigurationError` for `rgb` without OpenGL."""
+    see = _make_sensor(simulation, options)
+    if options.camera == "rgb":
+        return see
+    shown = _nearness if options.view == "features" else _same
+    highest = {"classes": len(PIXEL_CLASSES) - 1, "depth": options.camera_range}[options.camera]
+    if options.view == "features":
+        highest = 1.0
+    if options.image_format == "float":
+        return lambda ids: shown(see(ids))
+    return lambda ids: np.rint(shown(see(ids)) * np.float32(255 / highest)).astype(np.uint8)[..., None]
+
+
+def _make_sensor(simulation: Simulation, options: BridgeOptions) -> See:
+    if options.camera == "rgb":
         try:
-            pictures = Camera(simulation.model, CAMERA, *resolution)
+            pictures = Camera(simulation.model, CAMERA, *options.size)
         except ConfigurationError as error:
             raise ConfigurationError(f"{error}. Without it, camera='depth' and camera='classes' work") from error
         return lambda ids: np.stack(
             [pictures.picture(simulation.data(i)) for i in (range(simulation.n) if ids is None else ids.tolist())]
         )
-    rays = RayCamera(simulation, CAMERA, resolution, field_of_view, (GEOM_GROUP, LOOKS))
-    if kind == "depth":
-        return lambda ids: rays.depth(camera_range, ids)
+    rays = RayCamera(simulation, CAMERA, options.size, options.field_of_view, (GEOM_GROUP, LOOKS))
+    if options.camera == "depth":
+        return lambda ids: rays.depth(options.camera_range, ids)
     classes = pixel_classes(simulation.model)
     return lambda ids: rays.classes(classes, PIXEL_CLASSES.index("sky"), ids)
+
+
+def _same(images: NDArray[Any]) -> NDArray[Any]:
+    return images
+
+
+def _nearness(depths: NDArray[np.float32]) -> NDArray[np.float32]:
+    """From 1 at the camera, a half at `NEAR`, to 0 at infinity."""
+    return NEAR / (NEAR + depths)
 
 
 def full_state(state: BridgeState, blocks: Array, pedestrians: PedestrianTrajectories) -> NDArray[np.float32]:
     """Pose (x, y, cos yaw, sin yaw), velocities, blocks (5 each) and pedestrians (position and velocity), (n, k)."""
     n, (x, y, yaw) = len(blocks), state.poses.T
-    own = np.column_stack((x, y, np.cos(yaw), np.sin(yaw), state.velocities))
+    velocities = np.clip(state.velocities, -FASTEST, FASTEST)
+    own = np.column_stack((x, y, np.cos(yaw), np.sin(yaw), velocities))
     people = np.concatenate((pedestrians.positions(state.time), pedestrians.velocities(state.time)), axis=-1)
     return np.concatenate((own, blocks.reshape(n, -1), people.reshape(n, -1)), axis=1, dtype=np.float32)
 
 
-def make_observation_space(seen: Observations, kind: str, camera_range: float) -> gymnasium.spaces.Space[Any]:
-    """The observation space of one world, from the observations of all worlds."""
-    if isinstance(seen, np.ndarray):
-        return gymnasium.spaces.Box(-np.inf, np.inf, seen.shape[1:], dtype=np.float32)
-    shape = seen["image"].shape[1:]
-    images: dict[str, gymnasium.spaces.Space[Any]] = {
-        "depth": gymnasium.spaces.Box(0, np.float32(camera_range), shape, dtype=np.float32),
-        "classes": gymnasium.spaces.Box(0, len(PIXEL_CLASSES) - 1, shape, dtype=np.uint8),
-        "rgb": gymnasium.spaces.Box(0, 255, shape, dtype=np.uint8),
-    }
-    motion = gymnasium.spaces.Box(-np.inf, np.inf, (3,), dtype=np.float32)
-    return gymnasium.spaces.Dict({"image": images[kind], "motion": motion})
+def observation_space(options: BridgeOptions) -> gymnasium.spaces.Space[Any]:
+    """The observation space of one world."""
+    if options.view == "state":
+        return gymnasium.spaces.Box(*_state_bounds(options), dtype=np.float32)
+    image = _image_space(options)
+    motion = gymnasium.spaces.Box(-FASTEST_MOTION, FASTEST_MOTION, dtype=np.float32)
+    return image if options.view == "image" else gymnasium.spaces.Dict({"image": image, "motion": motion})
+
+
+def _image_space(options: BridgeOptions) -> gymnasium.spaces.Box:
+    width, height = options.size
+    if options.camera == "rgb":
+        return gymnasium.spaces.Box(0, 255, (height, width, 3), dtype=np.uint8)
+    if options.image_format == "uint8":
+        return gymnasium.spaces.Box(0, 255, (height, width, 1), dtype=np.uint8)
+    if options.camera == "classes":
+        return gymnasium.spaces.Box(0, len(PIXEL_CLASSES) - 1, (height, width), dtype=np.uint8)
+    highest = 1.0 if options.view == "features" else options.camera_range
+    return gymnasium.spaces.Box(0, np.float32(highest), (height, width), dtype=np.float32)
+
+
+def _state_bounds(options: BridgeOptions) -> NDArray[np.float32]:
+    """Lowest and highest of each number of `full_state`, (2, k)."""
+    length, width = options.deck_length, options.deck_width / 2
+    own = [length + OFF_DECK, width + OFF_DECK, 1.0, 1.0, *FASTEST]
+    block = [length, width, MAX_BLOCK_YAW, *np.max(BLOCK_SIZES, axis=0)]
+    walker = [length, width, max(WALKER_SPEEDS), max(WALKER_SPEEDS)]
+    highest = np.array([*own, *block * options.blocks, *walker * options.walkers], dtype=np.float32)
+    return np.stack((-highest, highest))
 
 
 def pixel_classes(model: mujoco.MjModel) -> NDArray[np.uint8]:

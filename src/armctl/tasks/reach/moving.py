@@ -14,9 +14,11 @@ from pydantic import Field
 from armctl.errors import ConfigurationError
 from armctl.options import options
 from armctl.robot_description.joint_profiles import TICK
+from armctl.tasks.reach.observation import FEATURES, HIDDEN, OBSERVATION, Bounds, rotated
+from armctl.tasks.reach.options import ReachOptions, Terms
 from armctl.tasks.reach.potentials import MinimumTimeToMovingTarget
-from armctl.tasks.reach.reach import ReachOptions, ReachOutcome, ReachTask, Terms, Worlds
-from armctl.tasks.reach.state import GOAL_REWARD, OBSERVATION, STEP_REWARD, ReachState, Term
+from armctl.tasks.reach.reach import CONTROL_PERIOD, ReachOutcome, ReachTask, Worlds
+from armctl.tasks.reach.state import GOAL_REWARD, STEP_REWARD, ReachState, Term
 from armctl.tasks.task import EachStep, Ids, Once, Potential
 
 Array = NDArray[np.float64]
@@ -30,11 +32,17 @@ PROBES = np.linspace(0.0, 15.0, 76)
 ATTEMPTS = 1000
 """Positions of a curve that are tried, at most."""
 
-MOVING_OBSERVATION: Mapping[str, Term] = {
-    **OBSERVATION,
-    "target_velocity": lambda state: state.target_velocity,
+TARGET_VELOCITY: Term = lambda state: state.target_velocity  # noqa: E731
+VELOCITY_AHEAD: Term = lambda state: rotated(state.target_velocity, -state.base_yaw)  # noqa: E731
+HELD_FOR: Term = lambda state: state.held_for[:, None]  # noqa: E731
+
+MOVING_OBSERVATION: Mapping[str, Term] = {**OBSERVATION, "target_velocity": TARGET_VELOCITY}
+MOVING_OBSERVATIONS: Mapping[str, Mapping[str, Term]] = {
+    "paper": MOVING_OBSERVATION,
+    "features": {**FEATURES, "velocity_ahead": VELOCITY_AHEAD},
+    "full": {**MOVING_OBSERVATION, **HIDDEN, "held_for": HELD_FOR},
 }
-"""The parts of an observation, in order."""
+"""The parts of each named observation, in order."""
 
 MOVING_REWARD: Mapping[str, Term] = {
     "away": EachStep(lambda state: np.where(state.within, 0.0, STEP_REWARD), (STEP_REWARD, 0.0)),
@@ -49,6 +57,8 @@ class MovingReachState(ReachState):
 
     within: NDArray[np.bool_]
     """(n,) whether the end-effector is within the tolerance now."""
+    held_for: Array
+    """(n,) s since when it has been there."""
     held: NDArray[np.bool_]
     """(n,) whether it has stayed there for the whole hold time."""
 
@@ -64,7 +74,9 @@ class ReachMovingOptions(ReachOptions):
     target: Literal["reachable"] = "reachable"
     """A moving target is always sampled within reach."""
     reward: Terms = field(default_factory=lambda: MOVING_REWARD)
-    observation: Terms = field(default_factory=lambda: MOVING_OBSERVATION)
+
+    observations: ClassVar[Mapping[str, Mapping[str, Term]]] = MOVING_OBSERVATIONS
+    has_goals: ClassVar[bool] = False
 
 
 class ReachMovingTask(ReachTask):
@@ -73,6 +85,7 @@ class ReachMovingTask(ReachTask):
     options: ReachMovingOptions
     options_type: ClassVar[type[Any]] = ReachMovingOptions
     default_policies = ("reach_mpc", "reach_ik", "moving_ppo", "random")
+    stops_at_target = False
     potentials: ClassVar[Mapping[str, Callable[[Any], Potential]]] = {
         **ReachTask.potentials,
         "ik": MinimumTimeToMovingTarget,
@@ -97,10 +110,13 @@ class ReachMovingTask(ReachTask):
         return self.state.held * np.int8(ReachOutcome.HELD)
 
     def info(self) -> dict[str, NDArray[Any]]:
-        """Also `tracking_error`: mean distance (m) over all control steps since the target was first reached."""
+        """Also `tracking_error`: mean distance (m) over all control steps since the target was first reached.
+
+        `tracking` says whether there are such steps. Before them, the error is the present distance.
+        """
         tracked = np.maximum(self._steps - 1, 0)
-        error = np.divide(self._errors, tracked, out=np.full(len(tracked), np.nan), where=tracked > 0)
-        return super().info() | {"tracking_error": error}
+        error = np.divide(self._errors, tracked, out=self._distances(), where=tracked > 0)
+        return super().info() | {"tracking": tracked > 0, "tracking_error": error}
 
     def least_time(self, world: int) -> float:
         """The hold time. The earliest time at which the moving target can be reached is unknown."""
@@ -148,5 +164,14 @@ class ReachMovingTask(ReachTask):
     def _update_state(self, action: Array) -> None:
         super()._update_state(action)
         within = self.state.distance <= self.options.tolerance
-        held = self._within_for >= self.options.hold_time - TICK / 2
-        self.state: MovingReachState = MovingReachState(**vars(self.state), within=within, held=held)
+        held_for = self._within_for.copy()
+        held = held_for >= self.options.hold_time - TICK / 2
+        self.state: MovingReachState = MovingReachState(**vars(self.state), within=within, held_for=held_for, held=held)
+
+    def _part_bounds(self) -> dict[Term, Bounds]:
+        fastest = self.options.amplitude * RATES[1] * (1 / np.arange(1, WAVES + 1)).sum()
+        return super()._part_bounds() | {
+            TARGET_VELOCITY: (-fastest, fastest),
+            VELOCITY_AHEAD: (-2 * fastest, 2 * fastest),
+            HELD_FOR: (0.0, self.options.hold_time + CONTROL_PERIOD),
+        }

@@ -22,10 +22,20 @@ from armctl.robot_description.joint_profiles import TICK
 from armctl.robots.arm import PREFIX, add_collision_pair, build_arm_world, collision_geom
 from armctl.scene import Boxes
 from armctl.simulation.contacts import ContactSensors, add_contact_sensors
+from armctl.tasks.reach.observation import (
+    FEATURES,
+    HIDDEN,
+    LENGTH_MARGIN,
+    LENGTH_SCALE,
+    OBSERVATION,
+    Bounds,
+    rotated,
+)
 from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES, sample_layout
+from armctl.tasks.reach.options import ReachOptions, Terms
 from armctl.tasks.reach.potentials import PathCostToGo
-from armctl.tasks.reach.reach import CONTROL_PERIOD, ReachOptions, ReachOutcome, ReachTask, Terms, Worlds
-from armctl.tasks.reach.state import GOAL_REWARD, OBSERVATION, REWARD, ReachState, Term
+from armctl.tasks.reach.reach import CONTROL_PERIOD, ReachOutcome, ReachTask, Worlds
+from armctl.tasks.reach.state import GOAL_REWARD, REWARD, STEP_REWARD, ReachState, Term
 from armctl.tasks.task import Ids, Once, Potential
 
 Array = NDArray[np.float64]
@@ -36,16 +46,38 @@ ATTEMPTS = 50
 """Layouts that are tried until one is solvable, at most."""
 TOUCHED = ("floor", "obstacle", "itself")
 """What the arm can touch."""
-HIDDEN = (0.0, 0.0, -9.0)
+FARTHEST_BOX = 2.0
+"""times the workspace's radius within which all obstacles are."""
+AWAY = (0.0, 0.0, -9.0)
 """m, position of unused boxes."""
 
-OBSTACLES_OBSERVATION: Mapping[str, Term] = {**OBSERVATION, "boxes": lambda state: state.boxes}
-"""The parts of an observation, in order."""
 
+def _boxes_ahead(state: "ObstaclesReachState") -> Array:
+    """Each box as its centre, its offset from the target, half sizes, and sine and cosine of twice its yaw."""
+    numbers = state.boxes.reshape(len(state.boxes), -1, BOX_NUMBERS)
+    centres, targets = numbers[..., :3], state.target_position[:, None]
+    places = [rotated(points, -state.base_yaw) for points in (centres, centres - targets)]
+    yaws = 2 * (numbers[..., 6:] - state.base_yaw[:, None, None])
+    ahead = np.concatenate((*places, numbers[..., 3:6], np.sin(yaws), np.cos(yaws)), axis=-1)
+    ahead[..., :-2] *= LENGTH_SCALE
+    return np.where((numbers[..., 3:6] > 0).all(axis=-1, keepdims=True), ahead, 0.0).reshape(len(numbers), -1)
+
+
+BOXES: Term = lambda state: state.boxes  # noqa: E731
+OBSTACLES_OBSERVATION: Mapping[str, Term] = {**OBSERVATION, "boxes": BOXES}
+OBSTACLES_OBSERVATIONS: Mapping[str, Mapping[str, Term]] = {
+    "paper": OBSTACLES_OBSERVATION,
+    "features": {**FEATURES, "boxes_ahead": _boxes_ahead},
+    "full": {**OBSTACLES_OBSERVATION, **HIDDEN},
+}
+"""The parts of each named observation, in order."""
+
+COLLISION_REWARD = 200 * STEP_REWARD
+"""As much as the 200 control steps that an episode has: a collision never pays, whatever the discount."""
 OBSTACLES_REWARD: Mapping[str, Term] = {
     **REWARD,
     "goal": Once(lambda state: GOAL_REWARD * (state.reached & ~state.collided), (0.0, GOAL_REWARD)),
-    "collision": Once(lambda state: np.where(state.collided, -100.0, 0.0), (-100.0, 0.0)),
+    "collision": Once(lambda state: np.where(state.collided, COLLISION_REWARD, 0.0), (COLLISION_REWARD, 0.0)),
 }
 """The terms of the reward, whose sum is the reward."""
 
@@ -72,7 +104,9 @@ class ReachObstaclesOptions(ReachOptions):
     target: Literal["reachable"] = "reachable"
     """The target is sampled within reach, together with the obstacles."""
     reward: Terms = field(default_factory=lambda: OBSTACLES_REWARD)
-    observation: Terms = field(default_factory=lambda: OBSTACLES_OBSERVATION)
+
+    observations: ClassVar[Mapping[str, Mapping[str, Term]]] = OBSTACLES_OBSERVATIONS
+    has_goals: ClassVar[bool] = False
 
 
 class ReachObstaclesTask(ReachTask):
@@ -162,13 +196,24 @@ class ReachObstaclesTask(ReachTask):
         self._boxes[world] = 0.0
         self._boxes[world, :count] = np.column_stack((boxes.centres, boxes.half_sizes, boxes.yaws))
         bodies, geoms = self._bodies[:count], self._geoms[:count]
-        self._positions[world, self._bodies] = HIDDEN
+        self._positions[world, self._bodies] = AWAY
         self._positions[world, bodies] = boxes.centres
         self._quaternions[world, bodies] = 0.0
         self._quaternions[world, bodies, 0] = np.cos(boxes.yaws / 2)
         self._quaternions[world, bodies, 3] = np.sin(boxes.yaws / 2)
         self._sizes[world, geoms] = self._bounds[world, geoms, 3:] = boxes.half_sizes
         self._radii[world, geoms] = np.linalg.norm(boxes.half_sizes, axis=1)
+
+    def _part_bounds(self) -> dict[Term, Bounds]:
+        far = FARTHEST_BOX * LENGTH_MARGIN * self._workspace.radius
+        highest = np.array([far] * 6 + [2 * np.pi])
+        lowest = -highest * ([1] * 3 + [0] * 3 + [1])
+        highest_ahead = np.array([3 * LENGTH_SCALE * far] * 9 + [1.0] * 2)
+        lowest_ahead = -highest_ahead * ([1] * 6 + [0] * 3 + [1] * 2)
+        return super()._part_bounds() | {
+            BOXES: np.tile((lowest, highest), MOST_OBSTACLES),
+            _boxes_ahead: np.tile((lowest_ahead, highest_ahead), MOST_OBSTACLES),
+        }
 
     def _update_state(self, action: Array) -> None:
         super()._update_state(action)
@@ -203,7 +248,7 @@ def _furnish(spec: Any, description: ArmDescription) -> None:
 def _add_boxes(spec: Any, description: ArmDescription) -> None:
     parent = spec.worldbody.add_body(name="obstacles")
     for i in range(MOST_OBSTACLES):
-        body = parent.add_body(name=_name(i), pos=HIDDEN)
+        body = parent.add_body(name=_name(i), pos=AWAY)
         body.add_geom(
             name=_name(i), type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.1] * 3, contype=0, conaffinity=0, material="obstacle"
         )

@@ -2,33 +2,38 @@
 
 import functools
 from collections.abc import Callable, Mapping
-from dataclasses import field
-from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import gymnasium
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, Field, Strict
 
 from armctl.disturbances import ARM
 from armctl.errors import ConfigurationError
 from armctl.kinematics import THOROUGH, ArmModel, MinimumTimeReach, Workspace
-from armctl.options import options
 from armctl.robot_description import ArmDescription, load_arm
 from armctl.robot_description.joint_profiles import TICK
 from armctl.robots import Arm, build_arm_world
-from armctl.robots.arm import PREFIX, speed_limits
+from armctl.robots.arm import LARGEST_RELATIVE_MOVE, PREFIX, speed_limits
 from armctl.robots.joints import JointSamples
 from armctl.simulation import Simulation
+from armctl.tasks.reach.observation import (
+    LENGTH_MARGIN,
+    OBSERVATION,
+    Bounds,
+    bounds_of_parts,
+    observation_slices,
+)
+from armctl.tasks.reach.options import ReachOptions
 from armctl.tasks.reach.potentials import MinimumTime, MpcCost
-from armctl.tasks.reach.state import OBSERVATION, REWARD, ReachState, Term, observation_slices
+from armctl.tasks.reach.state import GOAL_REWARD, STEP_REWARD, ReachState, Term
 from armctl.tasks.task import (
     FeatureSpec,
     Ids,
     LearnerView,
     MotionSample,
+    Observations,
     Outcome,
     Potential,
     RewardTerms,
@@ -40,22 +45,10 @@ Array = NDArray[np.float64]
 
 CONTROL_PERIOD = 0.04
 """Seconds between control steps: 25 Hz."""
-LARGEST_RELATIVE_MOVE = 0.5
-"""rad: a learner's action moves joints by at most this from their present positions. At its speed limit, a UR5 joint
-travels 0.126 rad in a control step, and 0.33 rad until it stops."""
+GOAL_SPACES = "achieved_goal", "desired_goal"
+"""End-effector and target, (3,) m each: what a goal-conditioned learner gets beside the observation."""
 
 Worlds = NDArray[np.int32] | slice
-
-
-def _ordered(box: "Box") -> "Box":
-    if not all(low <= high for low, high in zip(*box, strict=True)):
-        raise ValueError("a box is its lowest and highest corner (x, y, z)")
-    return box
-
-
-Corner = Annotated[tuple[float, float, float], Strict(False)]
-Box = Annotated[tuple[Corner, Corner], Strict(False)]
-Terms = Annotated[Mapping[str, Term], Field(min_length=1)]
 
 
 class ReachOutcome(Outcome):
@@ -65,29 +58,6 @@ class ReachOutcome(Outcome):
     REACHED = 1, True
     HELD = 2, True
     COLLIDED = 3
-
-
-@options
-class ReachOptions:
-    """Options of `armctl/ArmReach-v0`. Raises `ConfigurationError` for invalid values."""
-
-    robot: str | Path | ArmDescription = "ur5"
-    """`ur3`, `ur5`, `ur10`, the path of a URDF file, or the result of `armctl.load_arm`."""
-    tip: str | None = None
-    """The end-effector's link, for a URDF file in which several links could be it."""
-    control: Literal["position", "delta", "velocity", "torque"] = "position"
-    """Control mode: the meaning of an action (see `armctl.robots.Arm`)."""
-    tolerance: Annotated[float, Field(gt=0)] = 0.05
-    """Radius of the target sphere, m: within it, the target is reached."""
-    target: Literal["reachable", "box"] = "reachable"
-    """`reachable`: uniform over the arm's workspace. `box`: uniform in `target_box`, possibly out of reach (see
-    `info["feasible"]`)."""
-    target_box: Annotated[Box, AfterValidator(_ordered)] = ((-1.0, -1.0, 0.05), (1.0, 1.0, 1.0))
-    """Lowest and highest corner of the box, m."""
-    reward: Terms = field(default_factory=lambda: REWARD)
-    """Named reward terms."""
-    observation: Terms = field(default_factory=lambda: OBSERVATION)
-    """Named parts of the observation, in order."""
 
 
 class ReachTask(Task):
@@ -102,6 +72,9 @@ class ReachTask(Task):
         "ik": MinimumTime,
         "mpc": MpcCost,
     }
+    interface_options = Task.interface_options | {"control", "observation", "goal"}
+    stops_at_target: ClassVar[bool] = True
+    """Whether a world stands still from the tick on in which its end-effector enters the sphere."""
     joints: JointSamples
 
     def __init__(self, n: int, options: ReachOptions, threads: int = 0) -> None:
@@ -128,8 +101,7 @@ class ReachTask(Task):
         self._check_observation(n)
         low, high = np.float32(self.arm.action_low), np.float32(self.arm.action_high)
         self.action_space = gymnasium.spaces.Box(low, high, dtype=np.float32)
-        size = self.observe().shape[1:]
-        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, size, dtype=np.float32)
+        self.observation_space = self._make_observation_space()
 
     @property
     def interface(self) -> dict[str, str]:
@@ -137,7 +109,7 @@ class ReachTask(Task):
         return {
             "robot": self.arm.description.name,
             "control": self.arm.control,
-            "observation": ", ".join(self.options.observation),
+            "observation": ", ".join((*self.options.parts, *(GOAL_SPACES if self.options.goal else ()))),
         }
 
     @property
@@ -156,21 +128,26 @@ class ReachTask(Task):
         return PREFIX + self.arm.description.tip
 
     @property
+    def action_range(self) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Of joint positions, at most half a turn in each direction."""
+        low, high = super().action_range
+        positions = self.arm.control == "position"
+        return (np.maximum(low, -np.pi), np.minimum(high, np.pi)) if positions else (low, high)
+
+    @property
     def learner_view(self) -> LearnerView:
-        """Features: offsets, sines and cosines. Actions: relative to the present joint positions.
+        """Features: offsets, sines and cosines. Actions: may be relative to the present joint positions.
 
         Raises `ConfigurationError` for an observation that does not begin with the parts of `OBSERVATION`.
         """
-        if list(self.options.observation)[: len(OBSERVATION)] != list(OBSERVATION):
+        if list(self.options.parts)[: len(OBSERVATION)] != list(OBSERVATION):
             raise ConfigurationError(f"learners need an observation that begins with {', '.join(OBSERVATION)}")
-        low, high, dof = self.action_space.low, self.action_space.high, self.arm.description.dof
+        dof = self.arm.description.dof
         rest = list(self.observation_parts().items())[len(OBSERVATION) :]
         parts = {name: part.shape[1] for name, part in rest}
         invariant = FeatureSpec("base_yaw_invariant", {"dof": dof, "parts": parts})
         absolute = self.arm.control == "position"
         return LearnerView(
-            np.maximum(low, -np.pi) if absolute else low,
-            np.minimum(high, np.pi) if absolute else high,
             relative_to=observation_slices(dof)["joint_positions"] if absolute else None,
             largest_move=LARGEST_RELATIVE_MOVE,
             features=FeatureSpec("reach", {"dof": dof}),
@@ -202,20 +179,39 @@ class ReachTask(Task):
             self.simulation.step(self.substeps // ticks, ids)
             self.joints.take()
             self._on_tick(slice(None) if ids is None else ids)
+            if self.stops_at_target and (inside := self._nearest <= self.options.tolerance).any():
+                ids = np.flatnonzero(~inside).astype(np.int32) if ids is None else ids[~inside[ids]]
 
     def observation_parts(self) -> dict[str, NDArray[np.floating[Any]]]:
-        """The parts of `ReachOptions.observation`, (n, k) each."""
-        return {name: part(self.state) for name, part in self.options.observation.items()}
+        """The parts of `ReachOptions.parts`, (n, k) each."""
+        return {name: part(self.state) for name, part in self.options.parts.items()}
 
-    def observe(self, ids: Ids | None = None) -> NDArray[np.float32]:
-        """Observations (n, k): the parts side by side."""
-        observations = np.concatenate(list(self.observation_parts().values()), axis=1, dtype=np.float32)
-        return observations if ids is None else observations[ids]
+    def observe(self, ids: Ids | None = None) -> Observations:
+        """Observations (n, k): the parts side by side; with `goal`, a dict of these and both goals."""
+        worlds = slice(None) if ids is None else ids
+        seen = np.concatenate(list(self.observation_parts().values()), axis=1, dtype=np.float32)[worlds]
+        if not self.options.goal:
+            return seen
+        places = (self.state.end_effector_position, self.state.target_position)
+        goals = {name: place.astype(np.float32)[worlds] for name, place in zip(GOAL_SPACES, places, strict=True)}
+        return {"observation": seen, **goals}
 
     def reward_terms(self) -> RewardTerms:
         """The terms of `ReachOptions.reward`."""
         self._update_state(self._action)
         return {name: np.array(term(self.state), dtype=float) for name, term in self.options.reward.items()}
+
+    def compute_reward(self, achieved_goal: Array, desired_goal: Array, info: Any) -> Any:
+        """The reward, had the goal been another one; goals are (3,) or (n, 3) m. `info` is not used."""
+        return STEP_REWARD + GOAL_REWARD * self.compute_terminated(achieved_goal, desired_goal, info)
+
+    def compute_terminated(self, achieved_goal: Array, desired_goal: Array, info: Any) -> Any:
+        """Whether the episode would have ended: the end-effector is within the tolerance of the goal."""
+        return _distances(achieved_goal, desired_goal) <= self.options.tolerance
+
+    def compute_truncated(self, achieved_goal: Array, desired_goal: Array, info: Any) -> Any:
+        """Always False: the time limit has nothing to do with the goal."""
+        return np.zeros(np.shape(desired_goal)[:-1], dtype=bool)[()]
 
     def outcome(self) -> NDArray[np.int8]:
         """`REACHED`; `TIMEOUT` while the episode goes on."""
@@ -255,6 +251,28 @@ class ReachTask(Task):
             if part.ndim != 2 or len(part) != n:
                 raise ConfigurationError(f"the observation's {name!r} has shape ({n}, k), not {np.shape(part)}")
 
+    def _make_observation_space(self) -> gymnasium.spaces.Space[Any]:
+        known, parts = self._part_bounds(), self.options.parts
+        bounds = [
+            [np.broadcast_to(bound, shown.shape[1]) for bound in known.get(parts[name], (-np.inf, np.inf))]
+            for name, shown in self.observation_parts().items()
+        ]
+        seen = gymnasium.spaces.Box(*np.concatenate(bounds, axis=1, dtype=np.float32), dtype=np.float32)
+        if not self.options.goal:
+            return seen
+        places = [known[OBSERVATION[name]] for name in ("end_effector_position", "target_position")]
+        boxes = np.array(places, dtype=np.float32)
+        place = gymnasium.spaces.Box(boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0), dtype=np.float32)
+        return gymnasium.spaces.Dict({"observation": seen, **dict.fromkeys(GOAL_SPACES, place)})
+
+    def _part_bounds(self) -> dict[Term, Bounds]:
+        """Bounds of the parts that an observation may have."""
+        room, centre = LENGTH_MARGIN * self._workspace.radius, self._workspace.centre
+        around = centre - room, centre + room
+        return bounds_of_parts(
+            self.arm.description, around, self.options.target_box if self.options.target == "box" else around
+        )
+
     def _build(self, description: ArmDescription) -> mujoco.MjModel:
         return build_arm_world(description, self.options.control)
 
@@ -279,9 +297,10 @@ class ReachTask(Task):
         self._nearest = np.minimum(self._nearest, self._distances())
 
     def _update_state(self, action: Array) -> None:
+        joints, turns = self.arm.joint_positions, self._workspace.model.base_yaw_is_vertical
         self.state = ReachState(
             self.arm.end_effector_positions,
-            self.arm.joint_positions,
+            joints,
             self.arm.joint_velocities,
             self._targets,
             self._distances(),
@@ -289,8 +308,16 @@ class ReachTask(Task):
             self._nearest <= self.options.tolerance,
             self._target_velocities,
             action,
+            self.arm.commands,
+            joints[:, 0] if turns else np.zeros(len(joints)),
+            joints[:, 1:] if turns else joints,
         )
 
     def _distances(self) -> Array:
-        offset = self._targets - self.arm.end_effector_positions
-        return np.asarray(np.sqrt((offset * offset).sum(axis=1)))
+        return np.asarray(_distances(self.arm.end_effector_positions, self._targets))
+
+
+def _distances(positions: Array, targets: Array) -> Any:
+    """Distances (m) of positions from targets (..., 3), rounded as they are observed."""
+    offset = np.float32(targets).astype(float) - np.float32(positions)
+    return np.sqrt((offset * offset).sum(axis=-1))

@@ -1,6 +1,5 @@
 """The state of n reach worlds at a control step. Observation, reward and potentials are functions of it."""
 
-import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -35,17 +34,16 @@ class ReachState:
     """(n, 3) m/s."""
     action: Array
     """(n, dof) the policy's last action, before clipping."""
+    commands: Array
+    """(n, 2 dof) positions and velocities that the drives are commanded now; (n, 0) if they are given torques."""
+    base_yaw: Array
+    """(n,) angle of the first joint, if its axis is vertical; otherwise 0."""
+    posture: Array
+    """(n, k) joint positions, without the first joint's if its axis is vertical."""
 
 
 Term = Callable[[Any], NDArray[np.floating[Any]]]
 """A function of the state of n worlds."""
-
-OBSERVATION: Mapping[str, Term] = {
-    "end_effector_position": lambda state: state.end_effector_position,
-    "joint_positions": lambda state: state.joint_positions,
-    "target_position": lambda state: state.target_position,
-}
-"""The parts of an observation, in order."""
 
 STEP_REWARD, GOAL_REWARD = -1.0, 100.0
 """For each control step, and for success."""
@@ -55,15 +53,3 @@ REWARD: Mapping[str, Term] = {
     "goal": Once(lambda state: GOAL_REWARD * state.reached, (0.0, GOAL_REWARD)),
 }
 """The terms of the reward, whose sum is the reward."""
-
-
-def observation_sizes(dof: int) -> dict[str, int]:
-    """How many numbers each part of `OBSERVATION` has, in order, for an arm of `dof` joints."""
-    return {"end_effector_position": 3, "joint_positions": dof, "target_position": 3}
-
-
-def observation_slices(dof: int) -> dict[str, slice]:
-    """Where each part of `OBSERVATION` is within an observation."""
-    sizes = observation_sizes(dof)
-    ends = itertools.accumulate(sizes.values())
-    return {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}

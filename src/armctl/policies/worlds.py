@@ -1,0 +1,54 @@
+"""Worlds in which policies with different interfaces meet the same episodes.
+
+How a policy sees and commands the robot is its own affair (`Task.interface_options`): a learned agent plays with the
+interface that it was trained with, which its card names; everything else plays with the one that was asked for.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+from armctl.envs import EpisodeVectorEnv, make_worlds, task_of
+from armctl.policies.trainings import card_of
+from armctl.registration import bare_id
+
+LEARNERS_ONLY = "reward_scale"
+
+
+class WorldsByInterface:
+    """Vector environments of one task, one for each interface.
+
+    Returns are the task's: `reward_scale` is left out. Raises `ConfigurationError` as `make_worlds` does.
+    """
+
+    def __init__(
+        self, env: str, worlds: int, options: Mapping[str, Any] | None = None, threads: int = 0, **how: Any
+    ) -> None:
+        self._env, self._interface = env, frozenset(task_of(env).interface_options)
+        self._arguments: dict[str, Any] = {"worlds": worlds, "threads": threads, **how}
+        self._options = {name: value for name, value in (options or {}).items() if name != LEARNERS_ONLY}
+        self.asked: EpisodeVectorEnv = make_worlds(env, options=self._options, **self._arguments)
+        """With the interface that was asked for."""
+        self._made = [(self._options, self.asked)]
+
+    def of(self, policy: Any) -> EpisodeVectorEnv:
+        """Those in which a policy plays, of any of the forms that `make_policy` takes."""
+        options = self.options_of(policy)
+        for known, worlds in self._made:
+            if known == options:
+                return worlds
+        self._made.append((options, make_worlds(self._env, options=options, **self._arguments)))
+        return self._made[-1][1]
+
+    def options_of(self, policy: Any) -> dict[str, Any]:
+        """The environment's options for a policy."""
+        card = card_of(policy)
+        if card is None or bare_id(card.env) != bare_id(self._env):
+            return self._options
+        others = {name: value for name, value in self._options.items() if name not in self._interface}
+        own = self._interface - {LEARNERS_ONLY}
+        return others | {name: value for name, value in card.env_options.items() if name in own}
+
+    def close(self) -> None:
+        """Close all of them."""
+        for _, worlds in self._made:
+            worlds.close()
