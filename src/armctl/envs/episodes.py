@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 Infos = dict[str, Any]
 RUNNING = -1
 """`outcome_id` while an episode runs: the last of `outcomes`."""
+LARGEST_SEED = 2**62
 LARGEST_REWARD = 1e90
 """Largest reward, or reward term, of a control step: statistics square the sum of those of an episode."""
 
@@ -81,6 +82,11 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     @abstractmethod
     def render(self) -> Any:
         """Images (height, width, 3) of all worlds, as a tuple."""
+
+    @property
+    def control_period(self) -> float | None:
+        """Seconds between two control steps; None if the environment does not say."""
+        return self.task.control_period  # type: ignore[no-any-return]
 
     @property
     def idle_action(self) -> Array:
@@ -148,8 +154,16 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             raise gymnasium.error.ResetNeeded("call reset() before the first step()")
 
     def _whole_numbers(self, name: str, given: Any) -> NDArray[np.int64]:
-        numbers = np.asarray(given)
+        numbers = np.array([_folded(one) for one in given] if isinstance(given, list) else _folded(given))
         usable = numbers.shape in ((), (self.num_envs,)) and numbers.dtype.kind in "iu"
-        if not usable or (numbers < 0).any() or (numbers >= 2**62).any():
+        if not usable or (numbers < 0).any() or (numbers >= LARGEST_SEED).any():
             raise ConfigurationError(f"{name} is a whole number from 0 on, or {self.num_envs} of them, not {given!r}")
         return np.broadcast_to(numbers, self.num_envs).astype(np.int64)
+
+
+def _folded(number: Any) -> Any:
+    """A seed as it is, or mixed into the upper half of the seeds if it is too large, as some libraries draw them."""
+    if not isinstance(number, (int, np.integer)) or number < LARGEST_SEED:
+        return number
+    half = LARGEST_SEED // 2
+    return half + int(np.random.SeedSequence(int(number)).generate_state(1, np.uint64)[0]) % half

@@ -166,7 +166,7 @@ def interface_of(worlds: EpisodeVectorEnv, sees: str) -> Interface:
         control_period=task.control_period,
         max_episode_steps=worlds.max_episode_steps,
         interface=MappingProxyType(dict(task.interface)),
-        idle_action=np.array(task.idle_action) if boxed else None,
+        idle_action=np.array(worlds.idle_action) if boxed else None,
         _episodes=episodes,
         **more,
     )

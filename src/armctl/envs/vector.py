@@ -30,7 +30,7 @@ TIMEOUT = 0
 ACTIONS = ("physical", "normalized")
 GOAL_METHODS = ("compute_reward", "compute_terminated", "compute_truncated")
 """What goal-conditioned learners ask for: functions of achieved goals, desired goals and infos."""
-ENVIRONMENT_OPTIONS = ("actions", "disturbances", "max_episode_steps", "reward_scale")
+ENVIRONMENT_OPTIONS = ("actions", "disturbances", "flat_infos", "max_episode_steps", "reward_scale")
 """Options of every environment, besides its task's."""
 UNSTABLE = "unstable"
 """The outcome of an episode whose physics has failed (see `armctl.simulation.Simulation.unstable`)."""
@@ -46,7 +46,7 @@ class Observer(Protocol):
         """The worlds in the mask `awake` (n,) have made a control step; none has been reset yet."""
 
 
-class TaskVectorEnv(MadeAgain, EpisodeVectorEnv):
+class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any, Any, Any]):
     """n worlds of one task.
 
     An episode whose physics fails (infinite numbers, or none) terminates with the outcome `unstable`, which is no
@@ -63,6 +63,7 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv):
         threads: threads to step the worlds on; 0 for all cores.
         disturbances: levels by name, such as `{"noise": 0.01, "payload": 2.0}`; see `armctl.disturbances`.
         actions: `physical`, in the task's units, or `normalized`: -1 and 1 stand for the task's `action_range`.
+        flat_infos: no dicts within infos: `reward_terms/goal` in place of `goal` in `reward_terms`.
         reward_scale: factor of the rewards that `step` returns, for learners; `infos["reward_terms"]` are without it.
         **options: the task's options; those of `armctl/ArmReach-v0` are `armctl.tasks.ReachOptions`.
 
@@ -86,6 +87,7 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv):
         threads: int = 0,
         disturbances: Mapping[str, float] = MappingProxyType({}),
         actions: str = "physical",
+        flat_infos: bool = False,
         reward_scale: float = 1.0,
         **options: Any,
     ) -> None:
@@ -94,7 +96,7 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv):
             raise unknown_name("actions", actions, ACTIONS)
         if not (isinstance(reward_scale, (int, float)) and 0 < reward_scale < LARGEST_REWARD):
             raise ConfigurationError(f"reward_scale is a number above 0, not {reward_scale!r}")
-        self.reward_scale = reward_scale
+        self.reward_scale, self.flat_infos = reward_scale, flat_infos
         self.max_episode_steps = (
             None if max_episode_steps is None else _at_least_one("max_episode_steps", max_episode_steps)
         )
@@ -179,13 +181,13 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv):
         self._check_terms(terms)
         rewards = self.reward_scale * sum(terms.values(), start=np.zeros(self.num_envs))
         finished = terminated | truncated
-        infos = self._infos(np.where(finished, outcome, RUNNING), terms)
+        infos = self._infos(np.where(finished, outcome, RUNNING).astype(np.int64), terms)
         for observer in self.observers:
             observer.stepped(~idle)
         self._finished = finished
         if self.autoreset_mode is AutoresetMode.NEXT_STEP and restart is not None:
             self._begin_next(restart)
-            infos |= self.task.info()
+            infos |= self._task_info()
         elif self.autoreset_mode is AutoresetMode.DISABLED and restart is not None:
             self._finished = finished | idle
         observations = self._observe()
@@ -198,7 +200,7 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv):
             }
             ended = np.flatnonzero(finished).astype(np.int32)
             self._begin_next(ended)
-            infos |= self.task.info()
+            infos |= self._task_info()
             observations = with_replaced(observations, ended, self._observe(ended))
         return observations, rewards, terminated, truncated, infos
 
@@ -221,15 +223,21 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv):
             self._viewer.close()
             self._viewer = None
 
-    def _infos(self, outcome: NDArray[np.integer[Any]] | None = None, terms: RewardTerms | None = None) -> Infos:
-        ended = np.full(self.num_envs, RUNNING) if outcome is None else outcome
-        nothing = {name: np.zeros(self.num_envs) for name in self._earned_names}
+    def _infos(self, outcome: NDArray[np.int64] | None = None, terms: RewardTerms | None = None) -> Infos:
+        if outcome is None:
+            outcome = np.full(self.num_envs, RUNNING)
+        if terms is None:
+            terms = {name: np.zeros(self.num_envs) for name in self._earned_names}
+        earned = {"reward_terms": terms}
         return {
-            "is_success": self._successes[ended],
-            "outcome_id": ended.astype(np.int64),
-            "reward_terms": nothing if terms is None else terms,
-            **self.task.info(),
+            "is_success": self._successes[outcome],
+            "outcome_id": outcome,
+            **(_flat(earned) if self.flat_infos else earned),
+            **self._task_info(),
         }
+
+    def _task_info(self) -> Infos:
+        return _flat(self.task.info()) if self.flat_infos else self.task.info()
 
     def _physical(self, actions: Array) -> Array:
         """Actions in the task's units."""
@@ -264,6 +272,14 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv):
                 raise EnvironmentFailed(
                     f"the reward term {name!r} is {earned[i]} in step {self._steps[i]} of episode {self._episodes[i]}"
                 )
+
+
+def _flat(infos: Infos, before: str = "") -> Infos:
+    """Infos in which dicts are replaced by what they hold: `a/b` in place of `b` in `a`."""
+    flat: Infos = {}
+    for name, value in infos.items():
+        flat |= _flat(value, f"{before}{name}/") if isinstance(value, dict) else {f"{before}{name}": value}
+    return flat
 
 
 def _at_least_one(name: str, value: int) -> int:

@@ -84,7 +84,7 @@ def play_here(
             continue
         try:
             env = worlds[name]
-            timed = RealTimePolicy(policy, env.task, real_time, name) if real_time else policy
+            timed = RealTimePolicy(policy, env, real_time, name) if real_time else policy
             for result in rollouts(timed, env, waiting[name], seed, name, least_lengths):
                 yield RolloutBatch(name, [result])
         except (PolicyFailed, EnvironmentFailed) as failure:
@@ -177,7 +177,7 @@ def _play(
             signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the process that waits
     worlds, timed = _worlds(config).of(policy), _made(config, name, policy)
     if real_time:
-        timed = RealTimePolicy(timed.policy, worlds.task, real_time, name)
+        timed = RealTimePolicy(timed.policy, worlds, real_time, name)
     results: list[EpisodeResult] = []
     try:
         results.extend(rollouts(timed, worlds, episodes, config.seed, name, least_lengths))

@@ -102,12 +102,12 @@ class RealTimePolicy(TimedPolicy):
     Its first decision in a process is told apart, and takes effect at once.
     """
 
-    def __init__(self, policy: Policy, task: Any, real_time: RealTime, name: str) -> None:
+    def __init__(self, policy: Policy, worlds: Any, real_time: RealTime, name: str) -> None:
         super().__init__(policy, 1)
         self.slow_down = real_time.slow_down
         self._recorded = None if real_time.recorded is None else real_time.recorded[name]
-        self._period_ms = 1e3 * task.control_period
-        self._idle = np.array(task.idle_action)[None]
+        self._period_ms = 1e3 * worlds.control_period
+        self._idle = np.array(worlds.idle_action)[None]
         self._given: Iterator[float] | None = None
         self._decided: Any = None
         """The command that is still computed."""

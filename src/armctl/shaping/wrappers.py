@@ -97,6 +97,8 @@ class _Difference:
     def __init__(self, worlds: Any, potential: str | PotentialFactory, gamma: float, scale: float) -> None:
         if not isinstance(worlds, TaskVectorEnv):
             raise ConfigurationError(f"only armctl's own environments can be shaped; {worlds} is not one of them")
+        if worlds.flat_infos:
+            raise ConfigurationError("shaping adds to reward_terms, which flat_infos=True takes apart: leave that out")
         if worlds.observers:
             raise ConfigurationError("this environment is shaped already")
         if not (isinstance(gamma, (int, float)) and 0 <= gamma <= 1):

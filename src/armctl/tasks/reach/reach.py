@@ -19,6 +19,7 @@ from armctl.robots.arm import LARGEST_RELATIVE_MOVE, PREFIX, speed_limits
 from armctl.robots.joints import JointSamples
 from armctl.simulation import Simulation
 from armctl.tasks.reach.observation import (
+    HIDDEN,
     LENGTH_MARGIN,
     OBSERVATION,
     Bounds,
@@ -269,9 +270,9 @@ class ReachTask(Task):
         """Bounds of the parts that an observation may have."""
         room, centre = LENGTH_MARGIN * self._workspace.radius, self._workspace.centre
         around = centre - room, centre + room
-        return bounds_of_parts(
-            self.arm.description, around, self.options.target_box if self.options.target == "box" else around
-        )
+        targets = self.options.target_box if self.options.target == "box" else around
+        bounds = bounds_of_parts(self.arm.description, around, targets)
+        return bounds | {HIDDEN["commands"]: ((), ())} if self.arm.control == "torque" else bounds
 
     def _build(self, description: ArmDescription) -> mujoco.MjModel:
         return build_arm_world(description, self.options.control)
