@@ -12,7 +12,7 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, Combine
 from armctl.errors import unknown_name
 from armctl.registration import import_attribute
 from armctl.tasks.reach import observation_sizes
-from armctl.tasks.reach.obstacles import BOX_NUMBERS
+from armctl.tasks.reach.obstacle_layout import BOX_NUMBERS
 
 LENGTH_SCALE = 2.0
 """1/m: scales the lengths of an arm's workspace to the order of one."""

@@ -291,3 +291,13 @@ def test_human_mode_without_a_screen_says_so():
     done = subprocess.run([sys.executable, "-c", code], env=blind, capture_output=True, text=True)
     assert "ConfigurationError" in done.stderr
     assert "--video" in done.stderr
+
+
+@pytest.mark.parametrize("env", [ENV, "armctl/ArmReachObstacles-v0", "armctl/BridgeCross-v0"])
+def test_a_reset_of_no_world_changes_nothing(env):
+    worlds = gymnasium.make_vec(env, num_envs=2)
+    worlds.reset(seed=0)
+    arrays = {name: np.copy(array) for name, array in worlds.unwrapped.task.simulation.live_arrays.items()}
+    worlds.reset(options={"reset_mask": np.zeros(2, dtype=bool)})
+    for name, array in worlds.unwrapped.task.simulation.live_arrays.items():
+        np.testing.assert_array_equal(array, arrays[name])

@@ -210,6 +210,7 @@ def test_labels_do_not_depend_on_the_line_up(monkeypatch):
     """An episode that the certificate gave up counts for nobody, though the expert wins it; a remark tells so."""
     starved = PathCertificate(ArmModel("ur5"), PathCertificateOptions(checks=60))
     monkeypatch.setattr(ReachObstaclesTask, "_certificate", starved)
+    monkeypatch.setattr(ReachObstaclesTask, "_pool", None)
     env, unsolved = "ArmReachObstacles-v0", {"solvable": False, "max_episode_steps": 60}
     alone = compare(["random"], env, episodes=6, worlds=6, env_options=unsolved)
     both = compare(["reach_ompl", "random"], env, episodes=6, worlds=6, env_options=unsolved)

@@ -5,7 +5,6 @@ import pytest
 from armctl.envs import TaskVectorEnv
 from armctl.kinematics import THOROUGH, MinimumTimeReach
 from armctl.policies import make_policy
-from armctl.scene import Boxes
 from armctl.shaping import make_potential, potential_names
 from armctl.tasks import ReachTask
 
@@ -94,7 +93,7 @@ def test_ik_is_zero_in_the_sphere_only():
 def test_ompl_is_zero_without_a_path():
     worlds = make("armctl/ArmReachObstacles-v0", 2)
     worlds.reset(seed=0)
-    worlds.task._place(1, Boxes(worlds.task.state.target_position[1:], np.full((1, 3), 0.15), np.zeros(1)))
+    worlds.task._boxes[1, 0] = *worlds.task.state.target_position[1], 0.15, 0.15, 0.15, 0.0
     potential = make_potential("ompl", worlds)
     ids = np.arange(2, dtype=np.int32)
     potential.begin(ids)

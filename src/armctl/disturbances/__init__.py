@@ -129,6 +129,20 @@ def episode_entropy(seed: int, episode: int) -> tuple[int, ...]:
     return (seed, episode) if seed < 2**32 else (seed, episode, 1)
 
 
+def episode_of(rng: np.random.Generator) -> tuple[int, int] | None:
+    """Seed and episode of a generator that was made of their `episode_entropy`, and has drawn nothing yet.
+
+    None for any other generator.
+    """
+    sequence = rng.bit_generator.seed_seq
+    match sequence:
+        case np.random.SeedSequence(entropy=(int(seed), int(episode), *_) as entropy, spawn_key=()):
+            fresh = np.random.default_rng(sequence).bit_generator.state
+            known = tuple(entropy) == episode_entropy(seed, episode)
+            return (seed, episode) if known and rng.bit_generator.state == fresh else None
+    return None
+
+
 def episode_rng(name: str, seed: int, episode: int) -> np.random.Generator:
     """The random generator of a disturbance in an episode, independent of the task's and of other disturbances'."""
     sequence = np.random.SeedSequence(episode_entropy(seed, episode), spawn_key=(zlib.crc32(name.encode()),))

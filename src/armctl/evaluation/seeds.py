@@ -1,24 +1,13 @@
-"""Which seeds are for what, so that nobody is judged on episodes that it was made with.
-
-| seeds | episodes |
-|---|---|
-| 0, 1, ... | development: whatever is tuned, is tuned on these |
-| `TEST_SEED` | sealed: published tables and the evaluation on an agent's card; nothing is tuned on it |
-| from `VALIDATION_SEED` on | held-out episodes that select the best agent of a training |
-| from `TRAINING_SEEDS` on | training; training seed k begins at (k + 1) * `TRAINING_SEEDS` |
-
-No two of them share an episode (see `armctl.disturbances.episode_entropy`).
-"""
+"""Refuses seeds that are for something else: nobody is judged on episodes that it was made with (`armctl.seeds`)."""
 
 from typing import Any
 
 import numpy as np
 
 from armctl.errors import ConfigurationError
+from armctl.seeds import TEST_SEED, TRAINING_SEEDS, VALIDATION_SEED
 
-TEST_SEED = 2026
-VALIDATION_SEED = 10**8
-TRAINING_SEEDS = 10**9
+__all__ = ["TEST_SEED", "TRAINING_SEEDS", "VALIDATION_SEED", "check_evaluation_seed", "check_training_data_seed"]
 
 
 def check_evaluation_seed(seed: Any) -> None:

@@ -12,6 +12,7 @@ from stable_baselines3.common.env_checker import check_env as check_env_for_stab
 from armctl.envs import task_of
 from armctl.errors import ConfigurationError, InvalidAction
 from armctl.robots.rover import PARTS, RADIUS
+from armctl.tasks.bridge import bridge
 from armctl.tasks.bridge.layout import CLEARANCE, sample_layout
 from armctl.tasks.bridge.observation import PIXEL_CLASSES
 from armctl.tasks.bridge.world import CONTACT_CLASSES
@@ -362,3 +363,12 @@ def test_reward_is_replaceable():
 
 def test_policies_see_what_they_need():
     assert task_of(STATIC).default_policies == ("bridge_ompl", "bridge_ppo", "random")
+
+
+def test_one_layout_is_enough_to_make_worlds(monkeypatch):
+    drawn = []
+    monkeypatch.setattr(bridge, "sample_layout", lambda *given: drawn.append(given) or sample_layout(*given))
+    worlds = batch(16)
+    assert len(drawn) == 1
+    worlds.reset(seed=0)
+    assert len(drawn) == 17

@@ -15,21 +15,13 @@ from armctl.robots.joints import JointSamples
 from armctl.robots.rover import MAX_VELOCITY, PARTS, PREFIX, RADIUS, SPEED_LIMITS, WHEEL_RADIUS, Rover
 from armctl.scene import BridgeMap, PedestrianTrajectories
 from armctl.simulation import ContactSensors, Simulation
+from armctl.tasks.bridge.furniture import Furniture
 from armctl.tasks.bridge.layout import Layout, sample_layout
 from armctl.tasks.bridge.observation import FASTEST_MOTION, full_state, make_camera, observation_space
 from armctl.tasks.bridge.options import CONTROL_PERIOD, WALKER_PERIOD, BridgeMovingOptions, BridgeOptions
 from armctl.tasks.bridge.potentials import CrossingCostToGo
 from armctl.tasks.bridge.state import BridgeState
-from armctl.tasks.bridge.world import (
-    CONTACT_CLASSES,
-    GOAL_MARGIN,
-    HIDDEN,
-    WALKER_RADIUS,
-    block_names,
-    build_bridge_world,
-    segment_names,
-    walker_names,
-)
+from armctl.tasks.bridge.world import CONTACT_CLASSES, GOAL_MARGIN, WALKER_RADIUS, build_bridge_world
 from armctl.tasks.task import (
     FeatureSpec,
     Ids,
@@ -91,21 +83,16 @@ class BridgeTask(Task):
                 options.progress * (state.previous_distance - state.distance)
             )
         self._contacts = ContactSensors(self.simulation, PARTS, CONTACT_CLASSES)
-        self._positions, self._rotations = (self.simulation.per_world(name) for name in ("body_pos", "body_quat"))
-        self._barrier_bodies, self._block_bodies, self._walker_bodies = (
-            np.array([model.body(name).id for name in names], dtype=int)
-            for names in (
-                segment_names(options.deck_length), block_names(options.blocks), walker_names(options.walkers),
-            )
-        )  # fmt: skip
+        self._furniture = Furniture(self.simulation, options.deck_length, options.blocks, options.walkers)
         self._see = make_camera(self.simulation, options) if options.view != "state" else None
-        walkers = (n, options.walkers)
+        worlds, walkers = np.arange(n, dtype=np.int32), (n, options.walkers)
         self._pedestrians = PedestrianTrajectories(
             np.zeros((*walkers, 2)), np.zeros((*walkers, 2)), np.zeros(walkers), np.zeros(walkers), WALKER_RADIUS
         )
         self._layouts: list[Layout] = [self._sample_episode(np.random.default_rng(0))] * n
         self._time, self._action, self._distance = np.zeros(n), np.zeros((n, 2)), np.zeros(n)
-        self.reset(np.arange(n, dtype=np.int32), [np.random.default_rng(0)] * n)
+        self.simulation.reset()
+        self._begin(worlds)
         check_reward_terms(self.reward_terms(), n)
         limits = np.float32(MAX_VELOCITY)
         self.action_space = gymnasium.spaces.Box(-limits, limits, dtype=np.float32)
@@ -156,9 +143,18 @@ class BridgeTask(Task):
         """Place the rover at the start, and everything else at random."""
         self.simulation.reset(ids)
         self._contacts.forget(ids)
-        for i, rng in zip(ids, rngs, strict=True):
-            self._layouts[i] = self._sample_episode(rng)
-            self._furnish(i, self._layouts[i])
+        if rngs:
+            self._furnish(ids, [self._sample_episode(rng) for rng in rngs])
+        self._begin(ids)
+
+    def _furnish(self, ids: Ids, layouts: list[Layout]) -> None:
+        for i, layout in zip(ids, layouts, strict=True):
+            self._layouts[i] = layout
+        self._furniture.place(ids, layouts)
+        for name in ("start", "end", "speed", "phase"):
+            getattr(self._pedestrians, name)[ids] = [getattr(layout.map.pedestrians, name) for layout in layouts]
+
+    def _begin(self, ids: Ids) -> None:
         self._time[ids] = 0.0
         self._move_walkers(ids)
         self.simulation.refresh(ids)
@@ -249,21 +245,9 @@ class BridgeTask(Task):
             rng, options.deck_length, options.deck_width, options.blocks, options.walkers, options.missing_barriers
         )
 
-    def _furnish(self, world: int, layout: Layout) -> None:
-        positions, rotations = self._positions[world], self._rotations[world]
-        positions[self._barrier_bodies, 2] = 0.0
-        positions[self._barrier_bodies[layout.missing], 2] = HIDDEN
-        x, y, yaw, *_ = layout.map.blocks.T
-        positions[self._block_bodies] = np.column_stack((x, y, np.zeros_like(x)))
-        rotations[self._block_bodies] = np.column_stack((np.cos(yaw / 2), 0 * yaw, 0 * yaw, np.sin(yaw / 2)))
-        positions[self._walker_bodies, 2] = 0.0
-        for name in ("start", "end", "speed", "phase"):
-            getattr(self._pedestrians, name)[world] = getattr(layout.map.pedestrians, name)
-
     def _move_walkers(self, worlds: NDArray[np.int32]) -> None:
         if self.options.walkers:
-            places = self._pedestrians.positions(self._time)
-            self._positions[worlds[:, None], self._walker_bodies, :2] = places[worlds]
+            self._furniture.move_walkers(worlds, self._pedestrians.positions(self._time)[worlds])
 
     def _update_state(self, contacts: NDArray[np.bool_]) -> None:
         label = {name: i for i, name in enumerate(CONTACT_CLASSES)}

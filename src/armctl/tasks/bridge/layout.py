@@ -92,6 +92,8 @@ def _room_to_wait(drawn: BridgeMap) -> bool:
     """Whether the rover fits between each lane across the bridge and the obstacles before and behind it."""
     pedestrians, blocks = drawn.pedestrians, drawn.blocks
     across = pedestrians.start[:, 0] == pedestrians.end[:, 0]
+    if not across.any():
+        return True
     x, _, yaw, half_length, half_width = blocks.T
     extent = half_length * np.cos(yaw) + half_width * np.abs(np.sin(yaw))
     low = np.concatenate((x - extent, pedestrians.start[:, 0] - pedestrians.radius))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from armctl.errors import ConfigurationError
 from armctl.kinematics import Workspace
+from armctl.planning import PathCertificate
 from armctl.scene import Boxes
 
 Array = NDArray[np.float64]
@@ -21,6 +22,8 @@ Box = tuple[Array, Array, float]
 
 MOST_BOXES, MOST_POSTS, SHELF_PARTS = 5, 3, 3
 MOST_OBSTACLES = MOST_BOXES + MOST_POSTS + SHELF_PARTS
+BOX_NUMBERS = 7
+"""Numbers that describe a box in an observation: centre (3) and half sizes (3), m, and yaw, rad."""
 SHELVES = 0.3
 """Probability that a layout has a shelf."""
 HOME_MARGIN = 0.05
@@ -37,6 +40,8 @@ BOARD_HALF_THICKNESS = 0.01
 """m"""
 ATTEMPTS = 100
 """Layouts that are tried, at most."""
+CERTIFIED_ATTEMPTS = 50
+"""Layouts that are tried until one is certified to have a path, at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +68,30 @@ def sample_layout(rng: np.random.Generator, workspace: Workspace, tolerance: flo
         if any(among.is_free(q) for q in workspace.ik.free_configurations(layout.target)):
             return layout
     raise ConfigurationError(f"none of {ATTEMPTS} layouts leaves {workspace.model.description.name} room at its target")
+
+
+def sample_certified_layout(
+    rng: np.random.Generator, workspace: Workspace, certificate: PathCertificate, tolerance: float, solvable: bool
+) -> tuple[ReachLayout, bool]:
+    """Sample a layout, rounded as it is observed, and whether it is certified to have a path.
+
+    If `solvable`, layouts are sampled until one is certified. Raises `ConfigurationError` if none is in
+    `CERTIFIED_ATTEMPTS`.
+    """
+    home = _as_observed(workspace.model.home)
+    for _ in range(CERTIFIED_ATTEMPTS):
+        drawn = sample_layout(rng, workspace, tolerance)
+        numbers = (drawn.boxes.centres, drawn.boxes.half_sizes, drawn.boxes.yaws)
+        layout = ReachLayout(_as_observed(drawn.target), Boxes(*map(_as_observed, numbers)))
+        feasible = len(certificate.path(home, layout.target, layout.boxes)) > 0
+        if feasible or not solvable:
+            return layout, feasible
+    raise ConfigurationError(f"none of {CERTIFIED_ATTEMPTS} layouts is certified to have a path")
+
+
+def _as_observed(numbers: Array) -> Array:
+    """Round numbers as in an observation, so that a policy plans on exactly the problem that was certified."""
+    return numbers.astype(np.float32).astype(float)
 
 
 def _sample(rng: np.random.Generator, workspace: Workspace, tolerance: float) -> ReachLayout:

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.errors import ConfigurationError
+from armctl.disturbances import episode_of
 from armctl.kinematics.clearance import Clearance
 from armctl.options import options
 from armctl.planning import PathCertificate
@@ -22,6 +22,7 @@ from armctl.robot_description.joint_profiles import TICK
 from armctl.robots.arm import PREFIX, add_collision_pair, build_arm_world, collision_geom
 from armctl.scene import Boxes
 from armctl.simulation.contacts import ContactSensors, add_contact_sensors
+from armctl.tasks.reach.layout_pool import LayoutPool, pool_for
 from armctl.tasks.reach.observation import (
     FEATURES,
     HIDDEN,
@@ -31,7 +32,7 @@ from armctl.tasks.reach.observation import (
     Bounds,
     rotated,
 )
-from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES, sample_layout
+from armctl.tasks.reach.obstacle_layout import BOX_NUMBERS, MOST_OBSTACLES, sample_certified_layout
 from armctl.tasks.reach.options import ReachOptions, Terms
 from armctl.tasks.reach.potentials import PathCostToGo
 from armctl.tasks.reach.reach import CONTROL_PERIOD, ReachOutcome, ReachTask, Worlds
@@ -40,16 +41,14 @@ from armctl.tasks.task import Ids, Once, Potential
 
 Array = NDArray[np.float64]
 
-BOX_NUMBERS = 7
-"""Numbers that describe a box in an observation: centre (3) and half sizes (3), m, and yaw, rad."""
-ATTEMPTS = 50
-"""Layouts that are tried until one is solvable, at most."""
 TOUCHED = ("floor", "obstacle", "itself")
 """What the arm can touch."""
 FARTHEST_BOX = 2.0
 """times the workspace's radius within which all obstacles are."""
 AWAY = (0.0, 0.0, -9.0)
 """m, position of unused boxes."""
+AWAY_HALF_SIZE = 0.1
+"""m, of unused boxes."""
 
 
 def _boxes_ahead(state: "ObstaclesReachState") -> Array:
@@ -169,20 +168,34 @@ class ReachObstaclesTask(ReachTask):
         )
         self._touches = ContactSensors(simulation, ("arm",), TOUCHED)
 
+    @functools.cached_property
+    def _pool(self) -> LayoutPool | None:
+        return pool_for(self.arm.description, self.options.tolerance)
+
+    def _sample_episodes(self, ids: Ids, rngs: list[np.random.Generator]) -> None:
+        self._touches.forget(ids)
+        rows = np.array([self._row(rng) for rng in rngs], dtype=int)
+        if self._pool is not None and (pooled := rows >= 0).any():
+            worlds, drawn = ids[pooled], rows[pooled]
+            self._targets[worlds], self._boxes[worlds] = self._pool.targets[drawn], self._pool.boxes[drawn]
+            self._feasible[worlds] = self._pool.feasible[drawn]
+        for i in np.flatnonzero(rows < 0):
+            self._sample_episode(int(ids[i]), rngs[i])
+        self._place(ids)
+
+    def _row(self, rng: np.random.Generator) -> int:
+        """The row of the pool with the layout of a generator's episode; -1 if there is none."""
+        if self._pool is None or (episode := episode_of(rng)) is None:
+            return -1
+        return self._pool.row(*episode, self.options.solvable)
+
     def _sample_episode(self, world: int, rng: np.random.Generator) -> None:
-        self._touches.forget(np.array([world], dtype=np.int32))
-        home = _as_observed(self._workspace.model.home)
-        for _ in range(ATTEMPTS):
-            layout = sample_layout(rng, self._workspace, self.options.tolerance)
-            target, drawn = _as_observed(layout.target), layout.boxes
-            boxes = Boxes(_as_observed(drawn.centres), _as_observed(drawn.half_sizes), _as_observed(drawn.yaws))
-            feasible = len(self._certificate.path(home, target, boxes)) > 0
-            if feasible or not self.options.solvable:
-                break
-        else:
-            raise ConfigurationError(f"none of {ATTEMPTS} layouts is certified to have a path")
-        self._targets[world], self._feasible[world] = target, feasible
-        self._place(world, boxes)
+        layout, self._feasible[world] = sample_certified_layout(
+            rng, self._workspace, self._certificate, self.options.tolerance, self.options.solvable
+        )
+        self._targets[world], boxes = layout.target, layout.boxes
+        self._boxes[world] = 0.0
+        self._boxes[world, : len(boxes)] = np.column_stack((boxes.centres, boxes.half_sizes, boxes.yaws))
 
     def _contact(self) -> NDArray[np.bool_]:
         return self.state.collided
@@ -191,18 +204,16 @@ class ReachObstaclesTask(ReachTask):
         super()._on_tick(worlds)
         self._touches.note(TICK)
 
-    def _place(self, world: int, boxes: Boxes) -> None:
-        count = len(boxes)
-        self._boxes[world] = 0.0
-        self._boxes[world, :count] = np.column_stack((boxes.centres, boxes.half_sizes, boxes.yaws))
-        bodies, geoms = self._bodies[:count], self._geoms[:count]
-        self._positions[world, self._bodies] = AWAY
-        self._positions[world, bodies] = boxes.centres
-        self._quaternions[world, bodies] = 0.0
-        self._quaternions[world, bodies, 0] = np.cos(boxes.yaws / 2)
-        self._quaternions[world, bodies, 3] = np.sin(boxes.yaws / 2)
-        self._sizes[world, geoms] = self._bounds[world, geoms, 3:] = boxes.half_sizes
-        self._radii[world, geoms] = np.linalg.norm(boxes.half_sizes, axis=1)
+    def _place(self, ids: Ids) -> None:
+        """Put the simulated boxes of worlds `ids` where `_boxes` has them."""
+        boxes, worlds = self._boxes[ids], ids[:, None]
+        present = (boxes[..., 3:6] > 0).all(axis=-1, keepdims=True)
+        half_sizes, half_yaws = np.where(present, boxes[..., 3:6], AWAY_HALF_SIZE), boxes[..., 6] / 2
+        self._positions[worlds, self._bodies] = np.where(present, boxes[..., :3], AWAY)
+        self._quaternions[worlds, self._bodies, 0] = np.cos(half_yaws)
+        self._quaternions[worlds, self._bodies, 3] = np.sin(half_yaws)
+        self._sizes[worlds, self._geoms] = self._bounds[worlds, self._geoms, 3:] = half_sizes
+        self._radii[worlds, self._geoms] = np.linalg.norm(half_sizes, axis=-1)
 
     def _part_bounds(self) -> dict[Term, Bounds]:
         far = FARTHEST_BOX * LENGTH_MARGIN * self._workspace.radius
@@ -250,7 +261,12 @@ def _add_boxes(spec: Any, description: ArmDescription) -> None:
     for i in range(MOST_OBSTACLES):
         body = parent.add_body(name=_name(i), pos=AWAY)
         body.add_geom(
-            name=_name(i), type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.1] * 3, contype=0, conaffinity=0, material="obstacle"
+            name=_name(i),
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=[AWAY_HALF_SIZE] * 3,
+            contype=0,
+            conaffinity=0,
+            material="obstacle",
         )
         for capsule in description.capsules:
             add_collision_pair(spec, collision_geom(capsule.link), _name(i))

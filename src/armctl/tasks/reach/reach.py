@@ -158,8 +158,7 @@ class ReachTask(Task):
     def reset(self, ids: Ids, rngs: list[np.random.Generator]) -> None:
         """Move arms to home, and targets to random positions."""
         self.simulation.reset(ids)
-        for i, rng in zip(ids, rngs, strict=True):
-            self._sample_episode(int(i), rng)
+        self._sample_episodes(ids, rngs)
         self.simulation.refresh(ids)
         self._action[ids], self._nearest[ids] = 0.0, self._distances()[ids]
         self._update_state(self._action)
@@ -284,6 +283,11 @@ class ReachTask(Task):
     def _contact(self) -> NDArray[np.bool_]:
         """(n,) whether the arm has a forbidden contact."""
         return np.asarray(self._contacts > 0)
+
+    def _sample_episodes(self, ids: Ids, rngs: list[np.random.Generator]) -> None:
+        """Sample the random parts of the new episodes of worlds `ids`."""
+        for i, rng in zip(ids, rngs, strict=True):
+            self._sample_episode(int(i), rng)
 
     def _sample_episode(self, world: int, rng: np.random.Generator) -> None:
         """Sample the random part of a world's new episode."""

@@ -1,0 +1,39 @@
+"""What stands elsewhere in each episode on a bridge: its jersey barriers, blocks and walkers, in n worlds at once."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.simulation import Simulation
+from armctl.tasks.bridge.layout import Layout
+from armctl.tasks.bridge.world import HIDDEN, block_names, segment_names, walker_names
+from armctl.tasks.task import Ids
+
+Array = NDArray[np.float64]
+
+
+class Furniture:
+    """The bodies of barriers, blocks and walkers on bridges of `length` m."""
+
+    def __init__(self, simulation: Simulation, length: float, blocks: int, walkers: int) -> None:
+        self._positions, self._rotations = (simulation.per_world(name) for name in ("body_pos", "body_quat"))
+        self._barriers, self._blocks, self._walkers = (
+            np.array([simulation.model.body(name).id for name in names], dtype=int)
+            for names in (segment_names(length), block_names(blocks), walker_names(walkers))
+        )
+
+    def place(self, ids: Ids, layouts: Sequence[Layout]) -> None:
+        """Put barriers and blocks of worlds `ids` where their layouts have them, and walkers on the deck."""
+        worlds = ids[:, None]
+        x, y, yaw, *_ = np.moveaxis(np.array([layout.map.blocks for layout in layouts]), -1, 0)
+        self._positions[worlds, self._barriers, 2] = 0.0
+        self._positions[worlds, self._barriers[np.array([layout.missing for layout in layouts])], 2] = HIDDEN
+        self._positions[worlds, self._blocks] = np.stack((x, y, 0 * x), axis=-1)
+        turned = np.stack((np.cos(yaw / 2), 0 * yaw, 0 * yaw, np.sin(yaw / 2)), axis=-1)
+        self._rotations[worlds, self._blocks] = turned
+        self._positions[worlds, self._walkers, 2] = 0.0
+
+    def move_walkers(self, ids: Ids, places: Array) -> None:
+        """Put the walkers of worlds `ids` at `places` (len(ids), walkers, 2), m."""
+        self._positions[ids[:, None], self._walkers, :2] = places

@@ -1,0 +1,156 @@
+"""The layouts among obstacles that come with armctl, each with its certificate: resets need not search for paths.
+
+The pool is for one arm and one tolerance. Seeds for different uses draw from different parts of it, which share no
+layout: nobody is judged on layouts that it was trained on. `make_layout_pool` makes the file.
+"""
+
+import functools
+import io
+import math
+import zipfile
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armctl.errors import ConfigurationError
+from armctl.files import bounded_bytes, digest
+from armctl.robot_description import ArmDescription
+from armctl.seeds import TEST_SEED, TRAINING_SEEDS, VALIDATION_SEED
+from armctl.tasks.reach.obstacle_layout import BOX_NUMBERS, MOST_OBSTACLES
+
+POOL_FILE = Path(__file__).with_name("layout_pool.npz")
+FORMAT = 1
+"""Of the file."""
+LARGEST_POOL = 16 * 2**20
+"""Bytes of a pool's file, and of the arrays in it, that armctl reads."""
+PARTS = ("test", "development", "validation", "training")
+"""The parts, in the order in which they lie in the pool."""
+DECIMALS = 6
+"""Of m and rad: arms that differ by less are the same."""
+
+
+@dataclass(frozen=True, eq=False)
+class LayoutPool:
+    """k layouts for one arm. Raises `ConfigurationError` for arrays that do not fit together."""
+
+    robot: str
+    """The arm's `robot_digest`."""
+    tolerance: float
+    """m."""
+    sizes: NDArray[np.int64]
+    """(`PARTS`,) number of layouts in each part."""
+    targets: NDArray[np.float32]
+    """(k, 3) m."""
+    counts: NDArray[np.uint8]
+    """(k,) number of boxes."""
+    packed: NDArray[np.float32]
+    """(sum of `counts`, `BOX_NUMBERS`) the boxes of all layouts, one after the other."""
+    feasible: NDArray[np.bool_]
+    """(k,) whether a layout is certified to have a path."""
+
+    def __post_init__(self) -> None:
+        k = len(self.feasible)
+        for name, kind, shape in (
+            ("sizes", np.int64, (len(PARTS),)), ("targets", np.float32, (k, 3)), ("counts", np.uint8, (k,)),
+            ("packed", np.float32, (self.counts.sum(), BOX_NUMBERS)), ("feasible", np.bool_, (k,)),
+        ):  # fmt: skip
+            array = getattr(self, name)
+            if array.dtype != kind or array.shape != shape or not np.isfinite(array).all():
+                raise ConfigurationError(f"{name} should be finite numbers {shape}, not {array.dtype} {array.shape}")
+        if (self.sizes < 0).any() or self.sizes.sum() != k or self.counts.max(initial=0) > MOST_OBSTACLES:
+            raise ConfigurationError(f"parts of {self.sizes} are not {k} layouts of up to {MOST_OBSTACLES} boxes")
+        if (self.packed[:, 3:6] <= 0).any():
+            raise ConfigurationError("boxes should have half sizes above 0")
+        if not all(self.feasible[rows].any() for rows in self.parts.values()):
+            raise ConfigurationError("each part should have a feasible layout")
+
+    @functools.cached_property
+    def boxes(self) -> NDArray[np.float32]:
+        """(k, `MOST_OBSTACLES`, `BOX_NUMBERS`); zeros for absent boxes."""
+        boxes = np.zeros((len(self.counts), MOST_OBSTACLES, BOX_NUMBERS), dtype=np.float32)
+        boxes[np.arange(MOST_OBSTACLES) < self.counts[:, None]] = self.packed
+        return boxes
+
+    @functools.cached_property
+    def parts(self) -> dict[str, NDArray[np.intp]]:
+        """The rows of each part's layouts."""
+        return dict(zip(PARTS, np.split(np.arange(len(self.feasible)), self.sizes.cumsum()[:-1]), strict=True))
+
+    @functools.cached_property
+    def _certified(self) -> dict[str, NDArray[np.intp]]:
+        return {name: rows[self.feasible[rows]] for name, rows in self.parts.items()}
+
+    def row(self, seed: int, episode: int, solvable: bool) -> int:
+        """The row of an episode's layout, among those of the seed's part, or the feasible ones if `solvable`.
+
+        Each seed goes through them in an order of its own, and begins anew after the last. `TEST_SEED` has a layout of
+        its own in each episode: -1 for those that are not in the pool.
+        """
+        part = part_of(seed)
+        rows = (self._certified if solvable else self.parts)[part]
+        if part == "test":
+            return int(rows[episode]) if solvable and episode < len(rows) else -1
+        first, stride = np.random.SeedSequence(seed).generate_state(2).tolist()
+        while math.gcd(stride, len(rows)) > 1:
+            stride += 1
+        return int(rows[(first + stride * episode) % len(rows)])
+
+
+def part_of(seed: int) -> str:
+    """The name of the part that a seed's episodes draw from."""
+    if seed == TEST_SEED:
+        return "test"
+    if seed < VALIDATION_SEED:
+        return "development"
+    return "validation" if seed < TRAINING_SEEDS else "training"
+
+
+def pool_for(arm: ArmDescription, tolerance: float) -> LayoutPool | None:
+    """The pool that comes with armctl; None if it is for another arm or tolerance.
+
+    Raises `ConfigurationError` if its file is missing or damaged.
+    """
+    pool = _shipped_pool()
+    return pool if (pool.robot, pool.tolerance) == (robot_digest(arm), tolerance) else None
+
+
+def robot_digest(arm: ArmDescription) -> str:
+    """A checksum of all of an arm but its meshes, the same on machines whose arithmetic rounds otherwise."""
+    limits = {name: _rounded(values) for name, values in vars(arm.limits).items()}
+    capsules = [
+        (one.link, sorted((_rounded(one.start), _rounded(one.end))), _rounded(one.radius)) for one in arm.capsules
+    ]
+    return digest((arm.urdf, arm.joints, arm.tip, _rounded(arm.home), limits, capsules, arm.collision_pairs))
+
+
+def _rounded(numbers: ArrayLike) -> list[float]:
+    return [round(number, DECIMALS) + 0.0 for number in np.ravel(numbers).tolist()]  # + 0.0: without the sign of 0
+
+
+def write_pool(pool: LayoutPool, path: Path) -> None:
+    """Write a pool's file: the same bytes for the same pool."""
+    values = {field.name: getattr(pool, field.name) for field in fields(pool)}
+    np.savez(path, allow_pickle=False, format=FORMAT, **values)
+
+
+def read_pool(path: Path) -> LayoutPool:
+    """Read a pool's file. Raises `ConfigurationError` if it is missing or damaged."""
+    try:
+        content = io.BytesIO(bounded_bytes(path, LARGEST_POOL))
+        with zipfile.ZipFile(content) as archive:
+            if sum(member.file_size for member in archive.infolist()) > LARGEST_POOL:
+                raise ValueError("its arrays are too large")
+        with np.load(content, allow_pickle=False) as arrays:
+            values = dict(arrays)
+        if (found := values.pop("format")) != FORMAT:
+            raise ValueError(f"it has format {found}, not {FORMAT}")
+        return LayoutPool(**values | {"robot": str(values["robot"]), "tolerance": float(values["tolerance"])})
+    except Exception as error:  # what zipfile and numpy raise for damaged files is not documented
+        raise ConfigurationError(f"the layouts in {path} cannot be read ({error}): install armctl again") from error
+
+
+@functools.cache
+def _shipped_pool() -> LayoutPool:
+    return read_pool(POOL_FILE)
