@@ -40,7 +40,10 @@ def view_of(worlds: TaskVectorEnv, *, features: Features = "plain", relative: bo
         "invariant": declared.invariant_features or declared.features,
     }[features]
     extractor = features_by_name(chosen.name if chosen else None, worlds.single_observation_space)
-    if relative and declared.relative_to is not None:
+    if worlds.normalized:
+        unit = np.ones(worlds.single_action_space.shape)
+        scale = ActionScale(-unit, unit)
+    elif relative and declared.relative_to is not None:
         largest = np.full(worlds.single_action_space.shape, declared.largest_move)
         scale = ActionScale(-largest, largest, declared.relative_to)
     else:

@@ -12,6 +12,10 @@ from armctl.tasks.reach.reach import LARGEST_RELATIVE_MOVE
 CAMERA = {"resolution": (8, 6)}
 WORLDS = {
     "reach": lambda: TaskVectorEnv(5, task=ReachTask),
+    "features": lambda: TaskVectorEnv(
+        5, task=ReachTask, observation="features", control="relative", actions="normalized"
+    ),
+    "normalized": lambda: TaskVectorEnv(5, task=ReachTask, actions="normalized"),
     "panda": lambda: TaskVectorEnv(5, task=ReachTask, robot="panda"),
     "moving": lambda: TaskVectorEnv(5, task=ReachMovingTask),
     "obstacles": lambda: TaskVectorEnv(5, task=ReachObstaclesTask, solvable=False),

@@ -117,8 +117,8 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
         self.disturbances = disturb(self.task, task_type.disturbances, disturbances)
         self.single_observation_space = self.task.observation_space
         self.single_action_space = self.task.action_space
-        self._normalized = actions == "normalized"
-        if self._normalized:
+        self.normalized = actions == "normalized"
+        if self.normalized:
             self._lowest, self._highest = (np.asarray(bound, dtype=float) for bound in self.task.action_range)
             if not (np.isfinite(self._lowest).all() and np.isfinite(self._highest).all()):
                 raise ConfigurationError("actions of this task cannot be normalized: they have no finite action_range")
@@ -138,7 +138,7 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
     def idle_action(self) -> Array:
         """The action that leaves the robot where it starts, or the nearest that there is."""
         idle = super().idle_action
-        if not self._normalized:
+        if not self.normalized:
             return idle
         middle, span = (self._lowest + self._highest) / 2, (self._highest - self._lowest) / 2
         return np.asarray(np.clip((idle - middle) / span, -1, 1))
@@ -241,7 +241,7 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
 
     def _physical(self, actions: Array) -> Array:
         """Actions in the task's units."""
-        if not self._normalized:
+        if not self.normalized:
             return actions
         return np.asarray(self._lowest + (np.clip(actions, -1, 1) + 1) / 2 * (self._highest - self._lowest))
 

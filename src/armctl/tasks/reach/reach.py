@@ -137,10 +137,12 @@ class ReachTask(Task):
 
     @property
     def learner_view(self) -> LearnerView:
-        """Features: offsets, sines and cosines. Actions: may be relative to the present joint positions.
+        """Features: offsets, sines and cosines, unless they are observed. Actions: may be relative to joint positions.
 
         Raises `ConfigurationError` for an observation that does not begin with the parts of `OBSERVATION`.
         """
+        if self.options.observation == "features" and not self.options.goal:
+            return LearnerView()
         if list(self.options.parts)[: len(OBSERVATION)] != list(OBSERVATION):
             raise ConfigurationError(f"learners need an observation that begins with {', '.join(OBSERVATION)}")
         dof = self.arm.description.dof
