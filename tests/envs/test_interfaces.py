@@ -185,6 +185,8 @@ def test_rewards_are_scaled_and_their_terms_are_not():
         ({"reward_scale": np.nan}, "reward_scale"),
         ({"observation": "feature"}, "Did you mean 'features'"),
         ({"goal": True, "observation": {"x": lambda state: state.joint_positions}}, "paper, features and full"),
+        ({"goal_reward": 0}, "goal_reward"),
+        ({"goal_reward": 1.0, "reward": {"x": lambda state: state.distance}}, "the task's own reward"),
         ({"goal": True, "reward": {"x": lambda state: state.distance}}, "function of the goal"),
     ],
 )
@@ -251,6 +253,14 @@ class TestGoals:
         assert worlds.compute_reward(at, goals[0], {}) == STEP_REWARD + GOAL_REWARD
         assert worlds.compute_reward(np.tile(at, (2, 1)), goals, [{}, {}]).tolist() == [99.0, -1.0]
         assert vector(REACH[0], goal=True, reward_scale=0.1).compute_reward(at, goals[1], {}) == -0.1
+
+    def test_with_another_goal_reward_too(self):
+        made = vector(REACH[0], 64, goal=True, tolerance=0.3, goal_reward=1.0, autoreset_mode="same_step")
+        made.reset(seed=0)
+        for seen, rewards, terminated, _ in self.steps(made, 20):
+            np.testing.assert_array_equal(made.compute_reward(seen["achieved_goal"], seen["desired_goal"], {}), rewards)
+            np.testing.assert_array_equal(rewards, terminated - 1.0)
+        assert made.task.return_bounds(100) == (-100.0, 0.0)
 
     @pytest.mark.parametrize("name", ["paper", "features", "full"])
     def test_the_rest_of_the_observation_does_not_know_the_goal(self, name):

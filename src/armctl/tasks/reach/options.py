@@ -11,7 +11,8 @@ from armctl.errors import ConfigurationError
 from armctl.options import options
 from armctl.robot_description import ArmDescription
 from armctl.tasks.reach.observation import OBSERVATIONS, WITHOUT_GOAL
-from armctl.tasks.reach.state import REWARD, Term
+from armctl.tasks.reach.state import GOAL_REWARD, REWARD, Term
+from armctl.tasks.task import Once
 
 
 def _ordered(box: "Box") -> "Box":
@@ -44,6 +45,9 @@ class ReachOptions:
     """Lowest and highest corner of the box, m."""
     reward: Terms = field(default_factory=lambda: REWARD)
     """Named reward terms."""
+    goal_reward: Annotated[float, Field(gt=0, le=1e6)] = GOAL_REWARD
+    """What the task's own term `goal` pays. With 1, success is worth 0 and every other step -1: then hindsight replay,
+    which does not know that a success ends the episode, is right all the same."""
     observation: Literal["paper", "features", "full"] | Terms = "paper"
     """`paper`, `features`, `full` (see `armctl.tasks.reach.observation`), or named parts in order."""
     goal: bool = False
@@ -59,10 +63,21 @@ class ReachOptions:
             raise ConfigurationError("goal=True needs a reward that depends on the goal alone: use armctl/ArmReach-v0")
         if self.goal and not isinstance(self.observation, str):
             raise ConfigurationError("with goal=True, the observation is one of paper, features and full")
+        _ = self.reward_functions
         if self.goal and self.reward is not REWARD:
             raise ConfigurationError(
                 "with goal=True, the reward is the task's own: it has to be a function of the goal"
             )
+
+    @property
+    def reward_functions(self) -> Mapping[str, Term]:
+        """Named reward terms, with `goal_reward`."""
+        if self.goal_reward == GOAL_REWARD:
+            return self.reward
+        goal, share = self.reward.get("goal"), self.goal_reward / GOAL_REWARD
+        if not isinstance(goal, Once) or goal.bounds != (0.0, GOAL_REWARD):
+            raise ConfigurationError("goal_reward is for the task's own reward, not for named terms")
+        return {**self.reward, "goal": Once(lambda state: share * goal(state), (0.0, self.goal_reward))}
 
     @property
     def parts(self) -> Mapping[str, Term]:

@@ -28,7 +28,7 @@ from armctl.tasks.reach.observation import (
 )
 from armctl.tasks.reach.options import ReachOptions
 from armctl.tasks.reach.potentials import MinimumTime, MpcCost
-from armctl.tasks.reach.state import GOAL_REWARD, STEP_REWARD, ReachState, Term
+from armctl.tasks.reach.state import STEP_REWARD, ReachState, Term
 from armctl.tasks.task import (
     FeatureSpec,
     Ids,
@@ -97,8 +97,8 @@ class ReachTask(Task):
         self.simulation.reset()
         self.simulation.refresh()
         self._update_state(self._action)
+        self.reward_functions = self.options.reward_functions
         check_reward_terms(self.reward_terms(), n)
-        self.reward_functions = self.options.reward
         self._check_observation(n)
         low, high = np.float32(self.arm.action_low), np.float32(self.arm.action_high)
         self.action_space = gymnasium.spaces.Box(low, high, dtype=np.float32)
@@ -201,11 +201,12 @@ class ReachTask(Task):
     def reward_terms(self) -> RewardTerms:
         """The terms of `ReachOptions.reward`."""
         self._update_state(self._action)
-        return {name: np.array(term(self.state), dtype=float) for name, term in self.options.reward.items()}
+        return {name: np.array(term(self.state), dtype=float) for name, term in self.reward_functions.items()}
 
     def compute_reward(self, achieved_goal: Array, desired_goal: Array, info: Any) -> Any:
         """The reward, had the goal been another one; goals are (3,) or (n, 3) m. `info` is not used."""
-        return STEP_REWARD + GOAL_REWARD * self.compute_terminated(achieved_goal, desired_goal, info)
+        reached = self.compute_terminated(achieved_goal, desired_goal, info)
+        return STEP_REWARD + self.options.goal_reward * reached
 
     def compute_terminated(self, achieved_goal: Array, desired_goal: Array, info: Any) -> Any:
         """Whether the episode would have ended: the end-effector is within the tolerance of the goal."""
