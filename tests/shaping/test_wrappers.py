@@ -236,3 +236,10 @@ def test_the_best_policy_is_the_same_with_and_without_shaping():
 def test_a_potential_kept_at_termination_changes_the_best_policy():
     plain = best_actions(lambda gamma, before, after, terminated: 0.0)
     assert (best_actions(WRONG["kept at termination"], -1000.0) != plain).any()
+
+
+@pytest.mark.parametrize("mode", ["next_step", "same_step", "disabled"])
+def test_the_autoreset_mode_is_shown(mode):
+    """TorchRL asks for it, and Gymnasium's wrappers hand no attributes on."""
+    worlds = make("armctl/ArmReach-v0", mode=mode)
+    assert Shaped(worlds, "distance", gamma=GAMMA).autoreset_mode is worlds.autoreset_mode

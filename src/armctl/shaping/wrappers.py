@@ -12,6 +12,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
 from armctl.envs import TaskEnv, TaskVectorEnv
@@ -52,6 +53,12 @@ class Shaped(gymnasium.vector.VectorWrapper[Any, Any, Any, Any, Any]):
     ) -> None:
         super().__init__(env)
         self._difference = _Difference(env.unwrapped, potential, gamma, scale)
+
+    @property
+    def autoreset_mode(self) -> AutoresetMode:
+        """The environment's, for which learners ask; Gymnasium's wrappers do not hand such attributes on."""
+        mode: AutoresetMode = self.env.metadata["autoreset_mode"]
+        return mode
 
     def step(self, actions: ArrayLike) -> tuple[Any, Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Make one control step in every world."""
