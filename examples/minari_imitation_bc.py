@@ -1,0 +1,47 @@
+"""Behaviour cloning by imitation's `BC`, from a Minari dataset of 200 episodes of the IK expert.
+
+Library: minari and imitation. imitation asks for Gymnasium 0.29, but its `BC` works with this one:
+`pip install --no-deps imitation==1.0.1`.
+Autoreset: none; `--steps` are gradient steps.
+Options: actions relative to where the joints are; the observation is the task's default (`paper`), which the expert
+reads. `minari.DataCollector(gymnasium.make(ID), record_infos=True)` records a policy of your own.
+
+EXPECTED: to be measured
+
+`python examples/minari_imitation_bc.py`
+"""
+
+from pathlib import Path
+
+import gymnasium
+import minari
+import numpy as np
+from held_out import arguments, report
+from imitation.algorithms.bc import BC
+from imitation.data.rollout import flatten_trajectories
+from imitation.data.types import Trajectory
+
+from armctl.datasets.collect import collect
+
+ID = "armctl:armctl/ArmReach-v0"
+OPTIONS = {"control": "relative"}
+
+given = arguments(__doc__, steps=10_000)
+folder = Path(f"runs/reach_ik-{given.seed}-v0")
+collect("reach_ik", ID, episodes=200, worlds=50, seed=given.seed, env_options=OPTIONS, out=folder)  # once
+env = gymnasium.make(ID, **OPTIONS)
+low, high = env.action_space.low, env.action_space.high
+episodes = [
+    Trajectory(episode.observations, np.clip(episode.actions, low, high), infos=None, terminal=True)
+    for episode in minari.MinariDataset(folder / "data")
+]
+learner = BC(
+    observation_space=env.observation_space,
+    action_space=env.action_space,
+    demonstrations=flatten_trajectories(episodes),
+    rng=np.random.default_rng(given.seed),
+    batch_size=256,
+    device="cpu",
+)
+learner.train(n_batches=given.steps, log_interval=10**9, progress_bar=False)
+report(learner.policy, ID, given.episodes, **OPTIONS)

@@ -1,0 +1,38 @@
+"""RecurrentPPO of sb3-contrib: an LSTM that remembers what the default observation hides, which is velocity.
+
+Library: sb3-contrib, through `armctl.sb3.VecEnv`.
+Autoreset: `same_step`, as Stable-Baselines3 expects.
+Options: normalized actions, relative to where the joints are; the observation is the task's default (`paper`).
+
+EXPECTED: to be measured
+
+`python examples/sb3_contrib_recurrent_ppo.py`
+"""
+
+import gymnasium
+from held_out import arguments, report
+from sb3_contrib import RecurrentPPO
+
+import armctl.sb3
+from armctl.shaping import Shaped
+
+ID = "armctl:armctl/ArmReach-v0"
+OPTIONS = {"actions": "normalized", "control": "relative"}
+GAMMA = 0.99
+
+given = arguments(__doc__, steps=300_000)
+worlds = gymnasium.make_vec(ID, num_envs=16, autoreset_mode="same_step", reward_scale=0.02, **OPTIONS)
+shaped = Shaped(worlds, "ik", gamma=GAMMA, scale=150)  # per second nearer to the target
+model = RecurrentPPO(
+    "MlpLstmPolicy",
+    armctl.sb3.VecEnv(shaped),
+    n_steps=128,
+    batch_size=256,
+    gamma=GAMMA,
+    learning_rate=5e-4,
+    policy_kwargs={"lstm_hidden_size": 64, "log_std_init": -0.5},
+    seed=given.seed,
+    device="cpu",
+)
+model.learn(given.steps)
+report(model, ID, given.episodes, **OPTIONS)

@@ -1,0 +1,40 @@
+"""PPO of Stable-Baselines3 with its own convolutional network, on the bridge, from the rover's depth camera.
+
+Library: stable-baselines3, through `armctl.sb3.VecEnv`.
+Autoreset: `same_step`, as Stable-Baselines3 expects.
+Options: `observation="features"` shows depths as nearness, which tells what is close; `image_format="uint8"` makes them
+images (36, 48, 1) from 0 to 255, which `MultiInputPolicy` recognises and hands to its `NatureCNN`. `Shaped` adds what
+the planner knows of the way to the goal line.
+
+EXPECTED: to be measured
+
+`python examples/sb3_ppo_bridge_cnn.py`
+"""
+
+import gymnasium
+from held_out import arguments, report
+from stable_baselines3 import PPO
+
+import armctl.sb3
+from armctl.shaping import Shaped
+
+ID = "armctl:armctl/BridgeCross-v0"
+OPTIONS = {"actions": "normalized", "observation": "features", "image_format": "uint8"}
+GAMMA = 0.99
+
+given = arguments(__doc__, steps=500_000)
+worlds = gymnasium.make_vec(ID, num_envs=16, autoreset_mode="same_step", reward_scale=0.02, **OPTIONS)
+shaped = Shaped(worlds, "ompl", gamma=GAMMA, scale=5)  # per metre nearer to the goal line
+model = PPO(
+    "MultiInputPolicy",
+    armctl.sb3.VecEnv(shaped),
+    n_steps=128,
+    batch_size=256,
+    n_epochs=4,
+    gamma=GAMMA,
+    policy_kwargs={"log_std_init": -0.5},
+    seed=given.seed,
+    device="cpu",
+)
+model.learn(given.steps)
+report(model, ID, given.episodes, **OPTIONS)

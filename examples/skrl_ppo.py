@@ -1,0 +1,86 @@
+"""PPO of skrl on 16 worlds of the reach task that are stepped at once.
+
+Library: skrl, by `wrap_env`, which takes armctl's vector environments as they are.
+Autoreset: `same_step`. skrl takes every step for one of an episode; with `next_step` it would learn from those that
+only reset.
+Options: normalized actions, relative to where the joints are; features; rewards scaled to the order of one. `Shaped`
+adds what the IK expert knows of the time to the target.
+
+EXPECTED: to be measured
+
+`python examples/skrl_ppo.py`
+"""
+
+import gymnasium
+import torch
+from held_out import arguments, report
+from skrl.agents.torch.ppo import PPO, PPO_CFG
+from skrl.envs.wrappers.torch import wrap_env
+from skrl.memories.torch import RandomMemory
+from skrl.models.torch import DeterministicMixin, GaussianMixin, Model
+from skrl.trainers.torch import SequentialTrainer
+from skrl.utils import set_seed
+from torch import nn
+
+from armctl.shaping import Shaped
+
+ID = "armctl:armctl/ArmReach-v0"
+OPTIONS = {"actions": "normalized", "control": "relative", "observation": "features"}
+WORLDS, ROLLOUT, GAMMA = 16, 128, 0.99
+
+
+def network(inputs, outputs):
+    """Two hidden layers."""
+    return nn.Sequential(nn.Linear(inputs, 128), nn.Tanh(), nn.Linear(128, 128), nn.Tanh(), nn.Linear(128, outputs))
+
+
+class Actor(GaussianMixin, Model):
+    """Mean and logarithm of the standard deviation of the actions."""
+
+    def __init__(self, env):
+        Model.__init__(self, observation_space=env.observation_space, action_space=env.action_space, device=env.device)
+        GaussianMixin.__init__(self, clip_actions=True)
+        self.net = network(self.num_observations, self.num_actions)
+        self.log_std = nn.Parameter(torch.full((self.num_actions,), -0.5))
+
+    def compute(self, inputs, role=""):  # noqa: D102
+        return self.net(inputs["observations"]), {"log_std": self.log_std}
+
+
+class Critic(DeterministicMixin, Model):
+    """The value of an observation."""
+
+    def __init__(self, env):
+        Model.__init__(self, observation_space=env.observation_space, action_space=env.action_space, device=env.device)
+        DeterministicMixin.__init__(self)
+        self.net = network(self.num_observations, 1)
+
+    def compute(self, inputs, role=""):  # noqa: D102
+        return self.net(inputs["observations"]), {}
+
+
+given = arguments(__doc__, steps=300_000)
+set_seed(given.seed)
+worlds = gymnasium.make_vec(ID, num_envs=WORLDS, autoreset_mode="same_step", reward_scale=0.02, **OPTIONS)
+env = wrap_env(Shaped(worlds, "ik", gamma=GAMMA, scale=150))  # per second nearer to the target
+settings = PPO_CFG(
+    rollouts=ROLLOUT, learning_epochs=8, mini_batches=8, discount_factor=GAMMA, learning_rate=5e-4,
+    grad_norm_clip=0.5, ratio_clip=0.2, value_clip=0.2, time_limit_bootstrap=True,
+)  # fmt: skip
+settings.experiment.write_interval = settings.experiment.checkpoint_interval = 0
+actor, spaces = Actor(env), {"observation_space": env.observation_space, "action_space": env.action_space}
+agent = PPO(
+    models={"policy": actor, "value": Critic(env)}, memory=RandomMemory(memory_size=ROLLOUT, num_envs=WORLDS),
+    device=env.device, cfg=settings, **spaces,
+)  # fmt: skip
+timesteps = max(1, given.steps // WORLDS)
+SequentialTrainer(env=env, agents=agent, cfg={"timesteps": timesteps, "headless": True}).train()
+
+
+def policy(observation):
+    """The mean action."""
+    with torch.no_grad():
+        return actor.net(torch.as_tensor(observation, device=env.device)).clamp(-1, 1).cpu().numpy()
+
+
+report(policy, ID, given.episodes, **OPTIONS)

@@ -1,0 +1,77 @@
+"""PPO of TorchRL on 16 worlds of the reach task that are stepped at once.
+
+Library: torchrl, by `GymWrapper`.
+Autoreset: `disabled`, which TorchRL prefers: it resets worlds itself. `same_step` works too, with `flat_infos=True`.
+Options: normalized actions, relative to where the joints are; features; rewards scaled to the order of one. `Shaped`
+adds what the IK expert knows of the time to the target.
+
+EXPECTED: to be measured
+
+`python examples/torchrl_ppo.py`
+"""
+
+import gymnasium
+import torch
+from held_out import arguments, report
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModule
+from tensordict.nn.distributions import NormalParamExtractor
+from torch import nn
+from torchrl.collectors import Collector
+from torchrl.envs import ExplorationType, GymWrapper, set_exploration_type
+from torchrl.modules import ProbabilisticActor, TanhNormal, ValueOperator
+from torchrl.objectives import ClipPPOLoss
+from torchrl.objectives.value import GAE
+
+from armctl.shaping import Shaped
+
+ID = "armctl:armctl/ArmReach-v0"
+OPTIONS = {"actions": "normalized", "control": "relative", "observation": "features"}
+WORLDS, ROLLOUT, GAMMA = 16, 128, 0.99
+
+
+def network(outputs):
+    """Two hidden layers."""
+    return nn.Sequential(nn.LazyLinear(128), nn.Tanh(), nn.Linear(128, 128), nn.Tanh(), nn.Linear(128, outputs))
+
+
+given = arguments(__doc__, steps=300_000)
+torch.manual_seed(given.seed)
+worlds = gymnasium.make_vec(ID, num_envs=WORLDS, autoreset_mode="disabled", reward_scale=0.02, **OPTIONS)
+env = GymWrapper(Shaped(worlds, "ik", gamma=GAMMA, scale=150))  # per second nearer to the target
+env.set_seed(given.seed, static_seed=True)
+parameters = nn.Sequential(network(2 * worlds.single_action_space.shape[0]), NormalParamExtractor())
+actor = ProbabilisticActor(
+    TensorDictModule(parameters, in_keys=["observation"], out_keys=["loc", "scale"]),
+    in_keys=["loc", "scale"],
+    spec=env.action_spec_unbatched,
+    distribution_class=TanhNormal,
+    return_log_prob=True,
+)
+critic = ValueOperator(network(1), in_keys=["observation"])
+start = env.reset()
+actor(start), critic(start)  # the lazy layers take their sizes
+loss = ClipPPOLoss(actor, critic, entropy_bonus=False, critic_coeff=0.5)
+advantage = GAE(gamma=GAMMA, lmbda=0.95, value_network=critic)
+optimizer = torch.optim.Adam(loss.parameters(), lr=5e-4)
+rollout = WORLDS * ROLLOUT
+total = -(-given.steps // rollout) * rollout
+for data in Collector(env, actor, frames_per_batch=rollout, total_frames=total, auto_register_policy_transforms=True):
+    with torch.no_grad():
+        advantage(data)
+    for _ in range(8):
+        for index in torch.randperm(data.numel()).split(256):
+            losses = loss(data.reshape(-1)[index])
+            optimizer.zero_grad()
+            (losses["loss_objective"] + losses["loss_critic"]).backward()
+            nn.utils.clip_grad_norm_(loss.parameters(), 0.5)
+            optimizer.step()
+
+
+def policy(observation):
+    """The mean action."""
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        return actor(TensorDict({"observation": torch.as_tensor(observation)}))["action"].numpy()
+
+
+report(policy, ID, given.episodes, **OPTIONS)
