@@ -11,6 +11,8 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constr
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2 --dist worksteal
 MKDOCS := NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs
 UV := $(BIN)/uv --quiet
+# It asks for Gymnasium 0.29, and so cannot be resolved beside armctl; what examples/ use of it works with newer ones.
+IMITATION := imitation==1.0.1
 EXPORT := $(UV) export --frozen --all-extras --no-emit-project --no-hashes --no-annotate
 
 .PHONY: compare test test-all test-thorough check docs docs-serve lock check-lock dist benchmarks clean
@@ -61,6 +63,7 @@ benchmarks: $(VENV)/full
 	$(BIN)/python benchmarks/arm_planning.py
 	$(BIN)/python benchmarks/capsules.py
 	$(BIN)/python benchmarks/workers.py
+	$(BIN)/python benchmarks/learners.py
 
 clean:
 	rm -rf $(VENV) build dist site *.egg-info src/*.egg-info
@@ -79,7 +82,8 @@ $(VENV)/core: pyproject.toml constraints.txt | $(VENV)/python
 
 $(VENV)/full: pyproject.toml constraints.txt | $(VENV)/python
 	@echo "Installing armctl with all extras into $(VENV) ..."
-	@$(PIP) --editable '.[rl,dev]' || { echo "The installation failed: see above; it needs a package index and up to 7 GB."; exit 1; }
+	@$(PIP) --editable '.[rl,dev]' || { echo "The installation failed: see above; it needs a package index and up to 8 GB."; exit 1; }
+	@$(PIP) --no-deps $(IMITATION) || { echo "The installation of $(IMITATION) failed: see above."; exit 1; }
 	@touch $@ $(VENV)/core
 
 $(VENV)/uv: Makefile | $(VENV)/python

@@ -2,7 +2,8 @@
 
 Library: skrl, by `wrap_env`, which takes armctl's vector environments as they are.
 Autoreset: `same_step`. skrl takes every step for one of an episode; with `next_step` it would learn from those that
-only reset.
+only reset. It also takes the next episode's first observation for the last of an episode that was truncated, which
+`Agent` corrects.
 Options: normalized actions, relative to where the joints are; features; rewards scaled to the order of one. `Shaped`
 adds what the IK expert knows of the time to the target.
 
@@ -39,7 +40,7 @@ class Actor(GaussianMixin, Model):
 
     def __init__(self, env):
         Model.__init__(self, observation_space=env.observation_space, action_space=env.action_space, device=env.device)
-        GaussianMixin.__init__(self, clip_actions=True)
+        GaussianMixin.__init__(self)
         self.net = network(self.num_observations, self.num_actions)
         self.log_std = nn.Parameter(torch.full((self.num_actions,), -0.5))
 
@@ -59,17 +60,25 @@ class Critic(DeterministicMixin, Model):
         return self.net(inputs["observations"]), {}
 
 
+class Agent(PPO):
+    """Goes by the last observation of an episode where that was truncated."""
+
+    def record_transition(self, *, next_observations, infos, **transition):  # noqa: D102
+        last = torch.as_tensor(infos["final_obs"]) if "final_obs" in infos else next_observations
+        super().record_transition(next_observations=last, infos=infos, **transition)
+
+
 given = arguments(__doc__, steps=300_000)
 set_seed(given.seed)
 worlds = gymnasium.make_vec(ID, num_envs=WORLDS, autoreset_mode="same_step", reward_scale=0.02, **OPTIONS)
 env = wrap_env(Shaped(worlds, "ik", gamma=GAMMA, scale=150))  # per second nearer to the target
 settings = PPO_CFG(
     rollouts=ROLLOUT, learning_epochs=8, mini_batches=8, discount_factor=GAMMA, learning_rate=5e-4,
-    grad_norm_clip=0.5, ratio_clip=0.2, value_clip=0.2, time_limit_bootstrap=True,
+    value_clip=0, value_loss_scale=0.5, time_limit_bootstrap=True,
 )  # fmt: skip
 settings.experiment.write_interval = settings.experiment.checkpoint_interval = 0
 actor, spaces = Actor(env), {"observation_space": env.observation_space, "action_space": env.action_space}
-agent = PPO(
+agent = Agent(
     models={"policy": actor, "value": Critic(env)}, memory=RandomMemory(memory_size=ROLLOUT, num_envs=WORLDS),
     device=env.device, cfg=settings, **spaces,
 )  # fmt: skip

@@ -6,6 +6,7 @@ and `toml mine.toml` are files for the blocks after them. `python docs/examples/
 """
 
 import importlib
+import importlib.util
 import os
 import re
 import runpy
@@ -110,6 +111,8 @@ def test_every_command_is_one_that_there_is(page):
                     _check(verbs.commands[verb], arguments)
                 case ["make", *goals]:
                     assert set(goals) <= set(targets), goals
+                case ["python", "-m", module, *_]:
+                    assert importlib.util.find_spec(module), module
                 case ["python", script, *_]:
                     assert (ROOT / script).exists(), script
                 case [program, *_]:
