@@ -82,7 +82,7 @@ $(VENV)/core: pyproject.toml constraints.txt | $(VENV)/python
 
 $(VENV)/full: pyproject.toml constraints.txt | $(VENV)/python
 	@echo "Installing armctl with all extras into $(VENV) ..."
-	@$(PIP) --editable '.[rl,dev]' || { echo "The installation failed: see above; it needs a package index and up to 8 GB."; exit 1; }
+	@$(PIP) --editable '.[rl,dev]' || { echo "The installation failed: see above; it needs a package index and up to 9 GB."; exit 1; }
 	@$(PIP) --no-deps $(IMITATION) || { echo "The installation of $(IMITATION) failed: see above."; exit 1; }
 	@touch $@ $(VENV)/core
 

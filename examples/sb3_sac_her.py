@@ -3,7 +3,8 @@
 Library: stable-baselines3, through `armctl.sb3.VecEnv`.
 Autoreset: `same_step`, as Stable-Baselines3 expects.
 Options: `goal=True` observes `achieved_goal` and `desired_goal` beside the rest, and offers `compute_reward`, so that
-what was reached can count as what was wanted. No shaping: its reward would not be a function of the goal.
+what was reached can count as what was wanted. Hindsight does not know that success ends an episode, and with
+`goal_reward=1` it need not: success is worth 0 then, every other step -1. No shaping: it is no function of the goal.
 
 EXPECTED: to be measured
 
@@ -20,7 +21,8 @@ ID = "armctl:armctl/ArmReach-v0"
 OPTIONS = {"actions": "normalized", "control": "relative", "observation": "features", "goal": True}
 
 given = arguments(__doc__, steps=100_000)
-worlds = gymnasium.make_vec(ID, num_envs=16, autoreset_mode="same_step", reward_scale=0.1, **OPTIONS)
+rewards = {"goal_reward": 1, "reward_scale": 0.1}
+worlds = gymnasium.make_vec(ID, num_envs=16, autoreset_mode="same_step", **rewards, **OPTIONS)
 model = SAC(
     "MultiInputPolicy",
     armctl.sb3.VecEnv(worlds),
