@@ -24,9 +24,17 @@ OPTIONS = {"actions": "normalized", "control": "relative", "observation": "featu
 WORLDS, ROLLOUT, GAMMA, LAMBDA = 16, 128, 0.99, 0.95
 
 
-def network(inputs, outputs):
+def layer(inputs, outputs, gain=2**0.5):
+    """A linear layer, orthogonal at first, as is usual for PPO."""
+    made = nn.Linear(inputs, outputs)
+    nn.init.orthogonal_(made.weight, gain)
+    nn.init.zeros_(made.bias)
+    return made
+
+
+def network(inputs, outputs, gain):
     """Two hidden layers."""
-    return nn.Sequential(nn.Linear(inputs, 128), nn.Tanh(), nn.Linear(128, 128), nn.Tanh(), nn.Linear(128, outputs))
+    return nn.Sequential(layer(inputs, 128), nn.Tanh(), layer(128, 128), nn.Tanh(), layer(128, outputs, gain))
 
 
 given = arguments(__doc__, steps=300_000)
@@ -34,11 +42,8 @@ torch.manual_seed(given.seed)
 worlds = gymnasium.make_vec(ID, num_envs=WORLDS, autoreset_mode="next_step", reward_scale=0.02, **OPTIONS)
 worlds = Shaped(worlds, "ik", gamma=GAMMA, scale=150)  # per second nearer to the target
 seen_size, acted_size = worlds.single_observation_space.shape[0], worlds.single_action_space.shape[0]
-actor, critic, log_std = (
-    network(seen_size, acted_size),
-    network(seen_size, 1),
-    nn.Parameter(-torch.ones(acted_size) / 2),
-)
+actor, critic = network(seen_size, acted_size, gain=0.01), network(seen_size, 1, gain=1)
+log_std = nn.Parameter(-torch.ones(acted_size) / 2)
 parameters = [*actor.parameters(), *critic.parameters(), log_std]
 optimizer = torch.optim.Adam(parameters, lr=5e-4)
 

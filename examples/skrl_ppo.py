@@ -30,9 +30,17 @@ OPTIONS = {"actions": "normalized", "control": "relative", "observation": "featu
 WORLDS, ROLLOUT, GAMMA = 16, 128, 0.99
 
 
-def network(inputs, outputs):
+def layer(inputs, outputs, gain=2**0.5):
+    """A linear layer, orthogonal at first, as is usual for PPO."""
+    made = nn.Linear(inputs, outputs)
+    nn.init.orthogonal_(made.weight, gain)
+    nn.init.zeros_(made.bias)
+    return made
+
+
+def network(inputs, outputs, gain):
     """Two hidden layers."""
-    return nn.Sequential(nn.Linear(inputs, 128), nn.Tanh(), nn.Linear(128, 128), nn.Tanh(), nn.Linear(128, outputs))
+    return nn.Sequential(layer(inputs, 128), nn.Tanh(), layer(128, 128), nn.Tanh(), layer(128, outputs, gain))
 
 
 class Actor(GaussianMixin, Model):
@@ -41,7 +49,7 @@ class Actor(GaussianMixin, Model):
     def __init__(self, env):
         Model.__init__(self, observation_space=env.observation_space, action_space=env.action_space, device=env.device)
         GaussianMixin.__init__(self)
-        self.net = network(self.num_observations, self.num_actions)
+        self.net = network(self.num_observations, self.num_actions, gain=0.01)
         self.log_std = nn.Parameter(torch.full((self.num_actions,), -0.5))
 
     def compute(self, inputs, role=""):  # noqa: D102
@@ -54,7 +62,7 @@ class Critic(DeterministicMixin, Model):
     def __init__(self, env):
         Model.__init__(self, observation_space=env.observation_space, action_space=env.action_space, device=env.device)
         DeterministicMixin.__init__(self)
-        self.net = network(self.num_observations, 1)
+        self.net = network(self.num_observations, 1, gain=1)
 
     def compute(self, inputs, role=""):  # noqa: D102
         return self.net(inputs["observations"]), {}

@@ -30,9 +30,17 @@ OPTIONS = {"actions": "normalized", "control": "relative", "observation": "featu
 WORLDS, ROLLOUT, GAMMA = 16, 128, 0.99
 
 
-def network(outputs):
+def layer(inputs, outputs, gain=2**0.5):
+    """A linear layer, orthogonal at first, as is usual for PPO."""
+    made = nn.Linear(inputs, outputs)
+    nn.init.orthogonal_(made.weight, gain)
+    nn.init.zeros_(made.bias)
+    return made
+
+
+def network(inputs, outputs, gain):
     """Two hidden layers."""
-    return nn.Sequential(nn.LazyLinear(128), nn.Tanh(), nn.Linear(128, 128), nn.Tanh(), nn.Linear(128, outputs))
+    return nn.Sequential(layer(inputs, 128), nn.Tanh(), layer(128, 128), nn.Tanh(), layer(128, outputs, gain))
 
 
 given = arguments(__doc__, steps=300_000)
@@ -40,7 +48,8 @@ torch.manual_seed(given.seed)
 worlds = gymnasium.make_vec(ID, num_envs=WORLDS, autoreset_mode="disabled", reward_scale=0.02, **OPTIONS)
 env = GymWrapper(Shaped(worlds, "ik", gamma=GAMMA, scale=150))  # per second nearer to the target
 env.set_seed(given.seed, static_seed=True)
-parameters = nn.Sequential(network(2 * worlds.single_action_space.shape[0]), NormalParamExtractor())
+seen_size, acted_size = worlds.single_observation_space.shape[0], worlds.single_action_space.shape[0]
+parameters = nn.Sequential(network(seen_size, 2 * acted_size, gain=0.01), NormalParamExtractor())
 actor = ProbabilisticActor(
     TensorDictModule(parameters, in_keys=["observation"], out_keys=["loc", "scale"]),
     in_keys=["loc", "scale"],
@@ -48,9 +57,7 @@ actor = ProbabilisticActor(
     distribution_class=TanhNormal,
     return_log_prob=True,
 )
-critic = ValueOperator(network(1), in_keys=["observation"])
-start = env.reset()
-actor(start), critic(start)  # the lazy layers take their sizes
+critic = ValueOperator(network(seen_size, 1, gain=1), in_keys=["observation"])
 loss = ClipPPOLoss(actor, critic, entropy_bonus=False, critic_coeff=0.5)
 advantage = GAE(gamma=GAMMA, lmbda=0.95, value_network=critic)
 optimizer = torch.optim.Adam(loss.parameters(), lr=5e-4)
