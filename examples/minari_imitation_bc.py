@@ -1,10 +1,12 @@
-"""Behaviour cloning by imitation's `BC`, from a Minari dataset of 200 episodes of the IK expert.
+"""Behaviour cloning by imitation's `BC`, from a Minari dataset of 500 episodes of the IK expert.
 
 Library: minari and imitation. imitation asks for Gymnasium 0.29, but its `BC` works with this one:
 `pip install --no-deps imitation==1.0.1`.
 Autoreset: none; `--steps` are gradient steps.
-Options: actions relative to where the joints are; the observation is the task's default (`paper`), which the expert
-reads. `minari.DataCollector(gymnasium.make(ID), record_infos=True)` records a policy of your own.
+Options: actions relative to where the joints are; the observation is the task's default, which the expert reads, and
+behind it the features, from which networks learn more easily.
+
+`minari.DataCollector(gymnasium.make(ID), record_infos=True)` records a policy of your own.
 
 EXPECTED: to be measured
 
@@ -20,22 +22,26 @@ from held_out import arguments, report
 from imitation.algorithms.bc import BC
 from imitation.data.rollout import flatten_trajectories
 from imitation.data.types import Trajectory
+from stable_baselines3.common.policies import ActorCriticPolicy
 
 from armctl.datasets.collect import collect
+from armctl.tasks.reach.observation import FEATURES, OBSERVATION
 
 ID = "armctl:armctl/ArmReach-v0"
-OPTIONS = {"control": "relative"}
+OPTIONS = {"control": "relative", "observation": {**OBSERVATION, **FEATURES}}
 
 given = arguments(__doc__, steps=10_000)
 folder = Path(f"runs/reach_ik-{given.seed}-v0")
-collect("reach_ik", ID, episodes=200, worlds=50, seed=given.seed, env_options=OPTIONS, out=folder)  # once
+collect("reach_ik", ID, episodes=500, worlds=50, seed=given.seed, env_options=OPTIONS, out=folder, overwrite=True)
 env = gymnasium.make(ID, **OPTIONS)
 low, high = env.action_space.low, env.action_space.high
 episodes = [
     Trajectory(episode.observations, np.clip(episode.actions, low, high), infos=None, terminal=True)
     for episode in minari.MinariDataset(folder / "data")
 ]
+network = ActorCriticPolicy(env.observation_space, env.action_space, lambda _: 1e-3, net_arch=[256, 256])
 learner = BC(
+    policy=network,
     observation_space=env.observation_space,
     action_space=env.action_space,
     demonstrations=flatten_trajectories(episodes),

@@ -49,7 +49,7 @@ worlds = gymnasium.make_vec(ID, num_envs=WORLDS, autoreset_mode="disabled", rewa
 env = GymWrapper(Shaped(worlds, "ik", gamma=GAMMA, scale=150))  # per second nearer to the target
 env.set_seed(given.seed, static_seed=True)
 seen_size, acted_size = worlds.single_observation_space.shape[0], worlds.single_action_space.shape[0]
-parameters = nn.Sequential(network(seen_size, 2 * acted_size, gain=0.01), NormalParamExtractor())
+parameters = nn.Sequential(network(seen_size, 2 * acted_size, gain=0.01), NormalParamExtractor("biased_softplus_0.6"))
 actor = ProbabilisticActor(
     TensorDictModule(parameters, in_keys=["observation"], out_keys=["loc", "scale"]),
     in_keys=["loc", "scale"],
