@@ -68,7 +68,8 @@ def test_list_shows_what_there_is(tmp_path):
     ("env", "words"),
     [
         ("armctl/ArmReach-v0", ("joint_positions  6", "tolerance = 0.05  float > 0. Radius of the target sphere, m",
-                                "control = position  position | delta", "payload  a ball", "ik  Minus the least time",
+                                "control = position  position | relative", "payload  a ball",
+                                "ik  Minus the least time",
                                 "max_episode_steps = 100", "reach_ik, reach_ppo, random", "6 numbers: -6.")),
         ("armctl/BridgeCross-v0", ("image  32 x 48", "deck_length = 20.0  float >= 8 and <= 200. m.", "fell",
                                    "dropout  lost", "2 numbers")),

@@ -64,6 +64,7 @@ def test_seeds_and_options_hold_for_one_reset():
         (lambda: gymnasium.make_vec(REACH, num_envs=2), "same_step"),
         (lambda: gymnasium.make_vec(REACH, num_envs=2, vectorization_mode="sync"), "make_vec"),
         (lambda: gymnasium.make_vec("Pendulum-v1", num_envs=2), "make_vec"),
+        (lambda: worlds(flat_infos=True), "flat_infos"),
     ],
 )
 def test_other_environments_are_refused(env, message):
@@ -142,8 +143,21 @@ def test_an_agent_brings_the_interface_that_it_was_trained_with(tmp_path, monkey
     asked = WorldsByInterface(REACH, 1, {"observation": "full", "tolerance": 0.07, "reward_scale": 2.0})
     assert asked.of("reach_ppo").single_observation_space.shape == (12,)
     assert asked.of("reach_ppo").task.options.tolerance == 0.07
-    assert asked.of("reach_ik") is asked.asked
+    assert asked.of("reach_ik").single_observation_space.shape == (12,)
+    assert asked.of("random") is asked.asked
     assert asked.of(players["mine"]).single_action_space.high.max() == 1.0
     assert asked.of(players["mine"]).task.options.tolerance == 0.07
     with pytest.raises(armctl.errors.AgentFileError):
         armctl.make_policy(players["mine"], make_worlds(REACH, 1))
+
+
+def test_experts_act_in_physical_units_whatever_is_asked_for():
+    import armctl
+
+    options = {**LEARNER, "max_episode_steps": 60}
+    found = armctl.evaluate("reach_ik", episodes=5, worlds=5, env_options=options)
+    assert found.success.all()
+    with pytest.raises(ConfigurationError, match="physical units"):
+        armctl.make_policy("reach_ik", gymnasium.make(REACH, actions="normalized"))
+    followed = armctl.evaluate("reach_ik", episodes=2, env_options={"control": "velocity"})
+    assert followed.success.all()

@@ -41,6 +41,8 @@ class VecEnv(vec_env.VecEnv):  # type: ignore[misc]
             )
         if env.metadata["autoreset_mode"] is not AutoresetMode.SAME_STEP:
             raise ConfigurationError("Stable-Baselines3 needs autoreset_mode='same_step'")
+        if getattr(env.unwrapped, "flat_infos", False):
+            raise ConfigurationError("armctl.sb3.VecEnv reads reward_terms, which flat_infos=True takes apart")
         self.env: Any = env
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
         self._returns, self._lengths = np.zeros(self.num_envs), np.zeros(self.num_envs, dtype=np.int64)

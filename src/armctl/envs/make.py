@@ -30,8 +30,8 @@ from armctl.registration import (
 )
 
 RESERVED = {
-    "autoreset_mode", "id", "num_envs", "render_mode", "task", "threads", "vector_kwargs", "vectorization_mode",
-    "wrappers",
+    "autoreset_mode", "flat_infos", "id", "num_envs", "render_mode", "task", "threads", "vector_kwargs",
+    "vectorization_mode", "wrappers",
 }  # fmt: skip
 """Arguments that callers cannot set as options."""
 SCORING = {"success_return", "disturbances"}

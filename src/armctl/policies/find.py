@@ -16,7 +16,7 @@ from armctl.errors import FAILURES, ArmctlError, ConfigurationError, described, 
 from armctl.policies.plain import adapted
 from armctl.policies.policy import Policy
 from armctl.policies.privilege import declared
-from armctl.policies.trainings import GROUP, training_card
+from armctl.policies.trainings import GROUP, agent_cards, training_card
 from armctl.registration import import_attribute, installed
 
 
@@ -33,6 +33,12 @@ def describe_policy(name: str) -> str:
 def declared_sees(name: str) -> str:
     """What an installed policy declares to see: a key of `armctl.envs.SEES`."""
     return declared(installed(GROUP)[name].load())
+
+
+def is_expert(policy: Any) -> bool:
+    """Whether this names an installed policy that works with a model of the robot, a map or the state."""
+    name = str(policy) if isinstance(policy, (str, Path)) else ""
+    return name in policy_names() and name not in agent_cards() and declared_sees(name) != "observation"
 
 
 def policy_name(policy: Any) -> str:
@@ -112,6 +118,8 @@ def _made(policy: Any, worlds: EpisodeVectorEnv | Interface) -> Policy:
             f"`armctl export {name} --env ID --out agent.onnx --trust` makes an agent of it"
         )
     if name in policy_names():
+        if getattr(worlds, "normalized", False) and is_expert(name):
+            raise ConfigurationError(f"{name} acts in physical units, not in worlds with actions='normalized'")
         return adapted(installed(GROUP)[name].load(), worlds, name)
     if name.endswith(".py"):
         raise ConfigurationError(f"there is no policy {name!r}. Name a function or class in that file: {name}:NAME")

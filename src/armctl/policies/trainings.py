@@ -5,6 +5,7 @@ train` has written into `runs/reach_ppo-0`, `runs/reach_ppo-1` and so on.
 """
 
 import contextlib
+import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.util import find_spec
@@ -137,7 +138,7 @@ def card_of(given: Any) -> AgentCard | None:
     if not isinstance(given, (str, Path)):
         return None
     path = training_card(str(given)) or agent_cards().get(str(given))
-    if path is None and Path(given).suffix in FILES and Path(given).is_file():
+    if path is None and Path(given).suffix in FILES and os.path.isfile(given):  # also for a name that no file can have
         path = Path(given).with_suffix(".json")
     return None if path is None else read_card(path)
 

@@ -1,13 +1,15 @@
 """Worlds in which policies with different interfaces meet the same episodes.
 
 How a policy sees and commands the robot is its own affair (`Task.interface_options`): a learned agent plays with the
-interface that it was trained with, which its card names; everything else plays with the one that was asked for.
+interface that it was trained with, which its card names, and an installed expert with the task's own, but for `control`
+and named parts of the observation. Everything else plays with the one that was asked for.
 """
 
 from collections.abc import Mapping
 from typing import Any
 
 from armctl.envs import EpisodeVectorEnv, make_worlds, task_of
+from armctl.policies.find import is_expert
 from armctl.policies.trainings import card_of
 from armctl.registration import bare_id
 
@@ -42,13 +44,20 @@ class WorldsByInterface:
     def options_of(self, policy: Any) -> dict[str, Any]:
         """The environment's options for a policy."""
         card = card_of(policy)
-        if card is None or bare_id(card.env) != bare_id(self._env):
-            return self._options
         others = {name: value for name, value in self._options.items() if name not in self._interface}
-        own = self._interface - {LEARNERS_ONLY}
-        return others | {name: value for name, value in card.env_options.items() if name in own}
+        if card is not None and bare_id(card.env) == bare_id(self._env):
+            own = self._interface - {LEARNERS_ONLY}
+            return others | {name: value for name, value in card.env_options.items() if name in own}
+        if card is None and is_expert(policy):
+            kept = {name: value for name, value in self._options.items() if _is_for_experts(name, value)}
+            return others | kept
+        return self._options
 
     def close(self) -> None:
         """Close all of them."""
         for _, worlds in self._made:
             worlds.close()
+
+
+def _is_for_experts(name: str, value: Any) -> bool:
+    return name == "control" or (name == "observation" and not isinstance(value, str))

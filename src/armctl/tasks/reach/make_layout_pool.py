@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import typer
-from rich.console import Console
-from rich.progress import track
+from rich.progress import Progress
 
+from armctl.console import PlainConsole
 from armctl.disturbances import episode_entropy
 from armctl.files import write_atomically
 from armctl.kinematics import ArmModel, Workspace
@@ -56,8 +56,13 @@ def main(processes: int = os.cpu_count() or 1, out: Path = POOL_FILE) -> None:
     names = [(part, number) for part in PARTS for number in range(SIZES[part])]
     with multiprocessing.get_context("spawn").Pool(processes) as workers:
         drawn = workers.imap(_drawn, names, chunksize=20)
-        shown = track(drawn, "layouts", total=len(names), console=Console(stderr=True))
-        layouts, feasible = zip(*shown, strict=True)
+        found: list[tuple[ReachLayout, bool]] = []
+        with Progress(console=PlainConsole(stderr=True)) as progress:
+            bar = progress.add_task("layouts", total=len(names))
+            for one in drawn:
+                found.append(one)
+                progress.advance(bar)
+    layouts, feasible = zip(*found, strict=True)
     defaults = ReachOptions()
     boxes = [np.column_stack((one.boxes.centres, one.boxes.half_sizes, one.boxes.yaws)) for one in layouts]
     pool = LayoutPool(
