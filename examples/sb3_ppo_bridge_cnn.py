@@ -6,7 +6,7 @@ Options: `observation="features"` shows depths as nearness, which tells what is 
 images (36, 48, 1) from 0 to 255, which `MultiInputPolicy` recognises and hands to its `NatureCNN`. `Shaped` adds what
 the planner knows of the way to the goal line.
 
-EXPECTED: to be measured
+EXPECTED: not measured yet
 
 `python examples/sb3_ppo_bridge_cnn.py`
 """

@@ -6,7 +6,7 @@ Options: `goal=True` observes `achieved_goal` and `desired_goal` beside the rest
 what was reached can count as what was wanted. Hindsight does not know that success ends an episode, and with
 `goal_reward=1` it need not: success is worth 0 then, every other step -1. No shaping: it is no function of the goal.
 
-EXPECTED: to be measured
+EXPECTED: not measured to the end yet; with twice the gradient steps, 42 % of 200 episodes after 80,000 steps
 
 `python examples/sb3_sac_her.py`
 """

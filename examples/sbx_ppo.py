@@ -5,7 +5,7 @@ Autoreset: `same_step`, as Stable-Baselines3 expects.
 Options: normalized actions, relative to where the joints are; features; rewards scaled to the order of one. `Shaped`
 adds what the IK expert knows of the time to the target.
 
-EXPECTED: to be measured
+EXPECTED: not measured yet
 
 `python examples/sbx_ppo.py`, or `python examples/sbx_ppo.py --algorithm SAC --steps 50000`
 """
