@@ -161,3 +161,24 @@ def test_experts_act_in_physical_units_whatever_is_asked_for():
         armctl.make_policy("reach_ik", gymnasium.make(REACH, actions="normalized"))
     followed = armctl.evaluate("reach_ik", episodes=2, env_options={"control": "velocity"})
     assert followed.success.all()
+
+
+@pytest.mark.parametrize(
+    ("env", "options", "sees"),
+    [
+        (REACH, {"actions": "normalized"}, "observation"),
+        (REACH, {"actions": "normalized", "observation": "full"}, "observation + velocities"),
+        (BRIDGE, {"actions": "normalized", "observation": "full"}, "state"),
+    ],
+)
+def test_tables_say_what_an_agent_sees_and_other_units_are_refused(env, options, sees, tmp_path):
+    import armctl
+    from armctl.rl.sb3_export import export
+
+    PPO("MlpPolicy", VecEnv(worlds(env, **options)), device="cpu").save(tmp_path / "model.zip")
+    export(tmp_path / "model.zip", env=env, out=tmp_path / "agent.onnx", env_options=options, trust=True)
+    found = armctl.compare({"mine": tmp_path / "agent.json", "random": "random"}, env, episodes=2)
+    assert {one.policy: one.sees for one in found.policies} == {"mine": sees, "random": "observation"}
+    plain = make_worlds(env, 1, {**options, "actions": "physical"})
+    with pytest.raises(armctl.errors.AgentFileError, match="units"):
+        armctl.make_policy(tmp_path / "agent.json", plain)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from armctl.envs import EpisodeVectorEnv, Interface, Sees
+from armctl.envs import EpisodeVectorEnv, Interface
 from armctl.errors import AgentFileError
 from armctl.files import LARGEST_TEXT, bounded_bytes, file_checksum
 from armctl.tasks import Observations
@@ -167,12 +167,12 @@ class AgentCard(BaseModel):
 class OnnxPolicy:
     """A learned agent, run by onnxruntime. It sees only the observation, and what it remembers of earlier ones."""
 
-    sees: Sees = "observation"
+    sees: Any = "observation"
 
     def __init__(self, graph: Path, card: AgentCard) -> None:
         from armctl.agent_graph import AgentGraph  # onnx takes longer to import than the rest, and few need it
 
-        self.card = card
+        self.card, self.sees = card, _seen(card)
         self.training_steps, self.training_cost = card.training_steps, card.cost
         self._graph = AgentGraph(graph)
         observed = list(card.observation_shape) if isinstance(card.observation_shape, dict) else [INPUT]
@@ -249,6 +249,13 @@ def sha256(path: Path, largest: float = math.inf) -> str:
         raise AgentFileError(str(error)) from error
 
 
+def _seen(card: AgentCard) -> str:
+    """What an agent sees, for tables: the observation, unless it was trained with one that tells more."""
+    if card.env_options.get("observation") not in ("full", "state"):
+        return "observation"
+    return "state" if card.interface.get("observation", "").startswith("state") else "observation + velocities"
+
+
 def _check_made_for(card: AgentCard, worlds: EpisodeVectorEnv | Interface) -> None:
     trained = (card.observation_shape, card.action_shape)
     here = (shapes(worlds.single_observation_space), shapes(worlds.single_action_space))
@@ -257,6 +264,8 @@ def _check_made_for(card: AgentCard, worlds: EpisodeVectorEnv | Interface) -> No
             f"agent {card.name}, trained in {card.env}, maps observations {trained[0]} to actions {trained[1]}; "
             f"here they are {here[0]} and {here[1]}"
         )
+    if (card.env_options.get("actions") == "normalized") != worlds.normalized:
+        raise AgentFileError(f"agent {card.name} was trained with other units: give actions as in its training")
     interface = worlds.interface if isinstance(worlds, Interface) else worlds.task.interface
     for name, value in interface.items():
         if (trained_for := card.interface.get(name)) != value:

@@ -38,6 +38,8 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     max_episode_steps: int | None
     autoreset_mode: AutoresetMode
     disturbances: dict[str, Disturbance]
+    normalized = False
+    """Whether actions are from -1 to 1, and not in the task's units."""
 
     def __init__(self, num_envs: int) -> None:
         self.num_envs = num_envs

@@ -57,6 +57,8 @@ class Interface:
     """What a learned policy depends on, such as robot and control, by `Task.interface`."""
     idle_action: NDArray[Any] | None
     """The action that leaves the robot where it starts; None if actions are not boxes."""
+    normalized: bool = False
+    """Whether actions are from -1 to 1, and not in the task's units."""
     of_one_world: bool = False
     """Whether the policy acts in one world, without a batch axis."""
     _episodes: Sequence[CurrentEpisode] = ()
@@ -167,6 +169,7 @@ def interface_of(worlds: EpisodeVectorEnv, sees: str) -> Interface:
         max_episode_steps=worlds.max_episode_steps,
         interface=MappingProxyType(dict(task.interface)),
         idle_action=np.array(worlds.idle_action) if boxed else None,
+        normalized=worlds.normalized,
         _episodes=episodes,
         **more,
     )

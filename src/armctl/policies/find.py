@@ -118,7 +118,7 @@ def _made(policy: Any, worlds: EpisodeVectorEnv | Interface) -> Policy:
             f"`armctl export {name} --env ID --out agent.onnx --trust` makes an agent of it"
         )
     if name in policy_names():
-        if getattr(worlds, "normalized", False) and is_expert(name):
+        if worlds.normalized and is_expert(name):
             raise ConfigurationError(f"{name} acts in physical units, not in worlds with actions='normalized'")
         return adapted(installed(GROUP)[name].load(), worlds, name)
     if name.endswith(".py"):
