@@ -21,20 +21,17 @@ ID = "armctl:armctl/ArmReach-v0"
 OPTIONS = {"actions": "normalized", "control": "relative", "observation": "features"}
 GAMMA = 0.99
 
-given = arguments(__doc__, steps=300_000)
+given = arguments(__doc__, steps=150_000, settings=["tuned", "defaults"])
 worlds = gymnasium.make_vec(ID, num_envs=16, autoreset_mode="same_step", reward_scale=0.02, **OPTIONS)
 shaped = Shaped(worlds, "ik", gamma=GAMMA, scale=150)  # per second nearer to the target
-model = PPO(
-    "MlpPolicy",
-    armctl.sb3.VecEnv(shaped),
-    n_steps=128,
-    batch_size=256,
-    gamma=GAMMA,
-    learning_rate=5e-4,
-    policy_kwargs={"net_arch": [128, 128], "log_std_init": -0.5},
-    seed=given.seed,
-    device="cpu",
-)
+tuned = {
+    "n_steps": 128,
+    "batch_size": 256,
+    "learning_rate": 5e-4,
+    "policy_kwargs": {"net_arch": [128, 128], "log_std_init": -0.5},
+}
+settings = tuned if given.settings == "tuned" else {}
+model = PPO("MlpPolicy", armctl.sb3.VecEnv(shaped), gamma=GAMMA, seed=given.seed, device="cpu", **settings)
 model.learn(given.steps)
 model.save("runs/sb3_ppo.zip")
 report(model, ID, given.episodes, **OPTIONS)

@@ -23,15 +23,16 @@ OPTIONS = {"actions": "normalized", "observation": "features", "image_format": "
 GAMMA = 0.99
 
 given = arguments(__doc__, steps=500_000)
-worlds = gymnasium.make_vec(ID, num_envs=16, autoreset_mode="same_step", reward_scale=0.02, **OPTIONS)
+worlds = gymnasium.make_vec(ID, num_envs=32, autoreset_mode="same_step", reward_scale=0.02, **OPTIONS)
 shaped = Shaped(worlds, "ompl", gamma=GAMMA, scale=5)  # per metre nearer to the goal line
 model = PPO(
     "MultiInputPolicy",
     armctl.sb3.VecEnv(shaped),
-    n_steps=128,
+    n_steps=64,
     batch_size=256,
-    n_epochs=4,
+    n_epochs=5,
     gamma=GAMMA,
+    learning_rate=5e-4,
     policy_kwargs={"log_std_init": -0.5},
     seed=given.seed,
     device="cpu",

@@ -3,13 +3,14 @@
 import gymnasium
 import numpy as np
 import pytest
+import torch
 from stable_baselines3 import PPO, SAC, HerReplayBuffer
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecFrameStack, VecMonitor, VecNormalize
 
 from armctl.envs import make_worlds
 from armctl.errors import ConfigurationError
-from armctl.sb3 import VecEnv
+from armctl.sb3 import GoalFeatures, VecEnv
 from armctl.shaping import Shaped
 
 REACH, BRIDGE = "armctl/ArmReach-v0", "armctl/BridgeCross-v0"
@@ -108,10 +109,34 @@ def test_wrappers_and_evaluation_of_stable_baselines_work():
 def test_hindsight_runs_unmodified():
     venv = VecEnv(worlds(goal=True, max_episode_steps=10, **LEARNER))
     model = SAC(
-        "MultiInputPolicy", venv, replay_buffer_class=HerReplayBuffer, learning_starts=60, batch_size=16, device="cpu"
+        "MultiInputPolicy",
+        venv,
+        replay_buffer_class=HerReplayBuffer,
+        learning_starts=60,
+        batch_size=16,
+        policy_kwargs={"features_extractor_class": GoalFeatures},
+        device="cpu",
     )
     model.learn(150)
     assert model.replay_buffer.size() * venv.num_envs >= 120
+
+
+def test_features_of_goals_are_those_of_the_environment():
+    apart, together = VecEnv(worlds(goal=True, **LEARNER)), VecEnv(worlds(**LEARNER))
+    extractor = GoalFeatures(apart.observation_space)
+    for venv in (apart, together):
+        venv.seed(5)
+    seen, expected = apart.reset(), together.reset()
+    for action in np.random.default_rng(0).uniform(-1, 1, (20, 3, 6)):
+        given = {name: torch.as_tensor(part, dtype=torch.float32) for name, part in seen.items()}
+        np.testing.assert_allclose(extractor(given), expected, atol=1e-5)
+        seen, expected = apart.step(action)[0], together.step(action)[0]
+    assert extractor.features_dim == expected.shape[1]
+
+
+def test_features_of_goals_need_goals():
+    with pytest.raises(ConfigurationError, match="goal=True"):
+        GoalFeatures(VecEnv(worlds(**LEARNER)).observation_space)
 
 
 @pytest.mark.parametrize("policy", ["MultiInputPolicy", "CnnPolicy"])

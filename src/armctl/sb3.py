@@ -10,14 +10,17 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+import torch
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from stable_baselines3.common import vec_env
 from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from armctl.envs import EpisodeVectorEnv, one_of
 from armctl.errors import ConfigurationError
+from armctl.tasks.reach.observation import LENGTH_SCALE, NEARBY
 
 SHAPING = "shaping"
 """The reward term that is the learner's, and not the task's."""
@@ -120,3 +123,37 @@ class VecEnv(vec_env.VecEnv):  # type: ignore[misc]
     def _shown(self, observations: Any) -> Any:
         """Observations as the learner gets them, of all worlds or of one."""
         return observations
+
+
+class GoalFeatures(BaseFeaturesExtractor):  # type: ignore[misc]
+    """What `observation="features"` shows of the reach task, also where `goal=True` keeps the goal apart.
+
+    Hindsight changes the goal of what was observed, so here the network has to relate the arm to it. For arms whose
+    first joint is vertical, as those of armctl. To be given as `policy_kwargs={"features_extractor_class": ...}`.
+
+    Raises `ConfigurationError` for other observations than those of `observation="features"` with `goal=True`.
+    """
+
+    def __init__(self, observation_space: gymnasium.Space[Any]) -> None:
+        parts = observation_space.spaces if isinstance(observation_space, gymnasium.spaces.Dict) else {}
+        if set(parts) != {"observation", "achieved_goal", "desired_goal"}:
+            raise ConfigurationError("armctl.sb3.GoalFeatures takes observations of goal=True, observation='features'")
+        shape = parts["observation"].shape
+        assert shape is not None
+        self.dof = (shape[0] - 3) // 2
+        super().__init__(observation_space, 13 + 2 * (self.dof - 1))
+
+    def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
+        """Features (n, 11 + 2 dof) of observations by name."""
+        _, sines, cosines = observations["observation"].split([3, self.dof, self.dof], dim=1)
+        sine, cosine = sines[:, :1], cosines[:, :1]
+
+        def ahead(positions: torch.Tensor) -> torch.Tensor:
+            x, y, z = positions.split(1, dim=1)
+            return torch.cat((cosine * x + sine * y, cosine * y - sine * x, z), dim=1)
+
+        tip, target = ahead(observations["achieved_goal"]), ahead(observations["desired_goal"])
+        offset = target - tip
+        distance = offset.norm(dim=1, keepdim=True)
+        lengths = LENGTH_SCALE * torch.cat((tip, target, offset, distance), dim=1)
+        return torch.cat((lengths, offset / (distance + NEARBY), sines[:, 1:], cosines[:, 1:]), dim=1)

@@ -1,0 +1,196 @@
+"""What the examples' learners reach: trainings with several seeds, each judged on the same held-out episodes.
+
+    python benchmarks/examples.py --train [--only sb3_ppo]    # what is missing: hours; goes on where it was interrupted
+    python benchmarks/examples.py                             # the table of what was trained
+
+Each training is a row of `benchmarks/examples.csv`, also if it failed. The table has those of the present code, without
+counting comments. Each training gets one thread.
+"""
+
+import ast
+import datetime
+import hashlib
+import os
+import re
+import resource
+import shlex
+import subprocess
+import sys
+import time
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated
+
+import pandas as pd
+import typer
+from rich.box import MARKDOWN
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+import armctl
+from armctl.evaluation.statistics import success_rate
+
+ROOT = Path(__file__).parents[1]
+RESULTS = ROOT / "benchmarks" / "examples.csv"
+EPISODES = 200
+FIRST_SEED = 10**9
+"""The training seeds are multiples of it."""
+TRAININGS = {
+    "sb3_ppo.py": 3,
+    "sb3_ppo.py --settings defaults --steps 500000": 3,
+    "sb3_sac_her.py": 3,
+    "sb3_ppo_bridge_cnn.py": 3,
+    "cleanrl_ppo.py": 1,
+    "skrl_ppo.py": 1,
+    "torchrl_ppo.py": 1,
+    "sbx_ppo.py": 1,
+    "sb3_contrib_recurrent_ppo.py": 1,
+    "minari_imitation_bc.py": 1,
+    "ppo.yml": 1,
+    "sac.yml": 1,
+}
+"""Number of seeds of each: scripts of `examples/` with arguments, and settings of `rl/zoo/`."""
+
+
+def main(
+    train: Annotated[bool, typer.Option("--train", help="Train what is missing.")] = False,
+    only: Annotated[str, typer.Option(metavar="TEXT", help="Trainings whose command contains this.")] = "",
+) -> None:
+    """Train the examples, and print a table."""
+    chosen = {command: seeds for command, seeds in TRAININGS.items() if only in command}
+    missing = [
+        (command, FIRST_SEED * (1 + i))
+        for command, seeds in chosen.items()
+        for i in range(seeds)
+        if FIRST_SEED * (1 + i) not in set(trained(command).seed)
+    ]
+    if train:
+        for command, seed in track(missing, "training", console=Console(stderr=True)):
+            row = pd.DataFrame([_train(command, seed)])
+            row.to_csv(RESULTS, mode="a", header=not RESULTS.exists(), index=False)
+    Console().print(table(chosen))
+
+
+def trained(command: str) -> pd.DataFrame:
+    """The trainings by a command, with its present code."""
+    if not RESULTS.exists():
+        return pd.DataFrame(columns=["seed"])
+    rows = pd.read_csv(RESULTS, dtype={"code": str})
+    return rows[(rows.command == command) & (rows.code == _code(command))]
+
+
+def table(commands: dict[str, int]) -> Table:
+    """What was trained, by command."""
+    table = Table("training", "steps", "success, each seed", "all seeds, 95 %", "processor minutes", box=MARKDOWN)
+    for command in commands:
+        rows = trained(command)
+        if rows.empty:
+            continue
+        file, *words = shlex.split(command)
+        link = f"[{file}](../{_path(command).relative_to(ROOT)})"
+        won, n = int(rows.successes.fillna(0).sum()), EPISODES * len(rows)
+        pooled = success_rate(pd.Series([True] * won + [False] * (n - won)).to_numpy())
+        assert pooled is not None
+        table.add_row(
+            " ".join((link, *words)),
+            f"{rows.steps.iloc[0]:,}",
+            ", ".join("failed" if pd.isna(k) else f"{k / EPISODES:.1%}" for k in rows.successes),
+            f"{pooled.value:.1%} [{pooled.low:.1%}, {pooled.high:.1%}]",
+            f"{rows.processor_s.min() / 60:.0f} to {rows.processor_s.max() / 60:.0f}",
+        )
+    return table
+
+
+def _path(command: str) -> Path:
+    file = shlex.split(command)[0]
+    return ROOT / ("examples" if file.endswith(".py") else "rl/zoo") / file
+
+
+def _code(command: str) -> str:
+    """Fingerprint of what a command runs, without comments."""
+    text = _path(command).read_text()
+    if command.endswith(".yml"):
+        code = "\n".join(line for line in text.splitlines() if not line.startswith("#"))
+    else:
+        script = ast.parse(text)
+        script.body = [part for part in script.body if not _is_comment(part)]
+        code = ast.unparse(script)
+    return hashlib.sha256(code.encode()).hexdigest()[:12]
+
+
+def _is_comment(part: ast.stmt) -> bool:
+    return isinstance(part, ast.Expr) and isinstance(part.value, ast.Constant)
+
+
+def _train(command: str, seed: int) -> dict[str, object]:
+    wall, processor = time.monotonic(), _processor_seconds()
+    with TemporaryDirectory() as folder:
+        successes = (_script if shlex.split(command)[0].endswith(".py") else _zoo)(command, seed, Path(folder))
+    return {
+        "date": datetime.date.today(),
+        "command": command,
+        "code": _code(command),
+        "seed": seed,
+        "steps": _steps(command),
+        "successes": successes,
+        "processor_s": round(_processor_seconds() - processor),
+        "wall_s": round(time.monotonic() - wall),
+    }
+
+
+def _script(command: str, seed: int, folder: Path) -> int | None:
+    """Successes of a script's training, out of `EPISODES`; None if it failed."""
+    _, *words = shlex.split(command)
+    output = _output([_path(command), *words, "--seed", str(seed), "--episodes", str(EPISODES)], folder)
+    found = re.search(r"^success on \d+ held-out episodes: ([\d.]+)%", output or "", re.MULTILINE)
+    return round(float(found[1]) / 100 * EPISODES) if found else None
+
+
+def _zoo(command: str, seed: int, folder: Path) -> int | None:
+    """Successes of an agent that rl-zoo3 has trained, out of `EPISODES`; None if it failed."""
+    env, algorithm = "armctl/ArmReach-v0", _path(command).stem
+    learn = f"--algo {algorithm} --env {env} --gym-packages armctl --eval-freq -1 --seed {seed}"
+    if _output(["-m", "rl_zoo3.train", *learn.split(), "--conf-file", _path(command)], folder) is None:
+        return None
+    [model] = folder.glob(f"logs/{algorithm}/*/*.zip")
+    options = ["actions=normalized", "control=relative", "observation=features", *["goal=True"] * (algorithm == "sac")]
+    words = [word for option in options for word in ("--set", option)]
+    if (
+        _output(["-m", "armctl", "export", model, "--env", env, *words, "--out", "agent.onnx", "--trust"], folder)
+        is None
+    ):
+        return None
+    played = armctl.evaluate(folder / "agent.json", env, episodes=EPISODES, worlds=50, least_lengths=False)
+    return int(played.success.sum())
+
+
+def _output(words: list[str | Path], folder: Path) -> str | None:
+    """What Python prints with these arguments; None, and its errors shown, if it fails."""
+    environment = os.environ | {"OMP_NUM_THREADS": "1"}
+    done = subprocess.run([sys.executable, *words], cwd=folder, env=environment, capture_output=True, text=True)
+    if done.returncode:
+        print(done.stderr[-3000:], file=sys.stderr)
+        return None
+    return done.stdout
+
+
+def _steps(command: str) -> int:
+    if command.endswith(".yml"):
+        pattern, text = r"n_timesteps: !!float (\S+)", _path(command).read_text()
+    elif "--steps" in command:
+        pattern, text = r"--steps (\d+)", command
+    else:
+        pattern, text = r"arguments\(__doc__, steps=([\d_]+)", _path(command).read_text()
+    found = re.search(pattern, text)
+    assert found
+    return int(float(found[1]))
+
+
+def _processor_seconds() -> float:
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return children.ru_utime + children.ru_stime
+
+
+if __name__ == "__main__":
+    typer.run(main)
