@@ -3,8 +3,8 @@
     python benchmarks/examples.py --train [--only sb3_ppo]    # what is missing: hours; goes on where it was interrupted
     python benchmarks/examples.py                             # the table of what was trained
 
-Each training is a row of `benchmarks/examples.csv`, also if it failed. The table has those of the present code, without
-counting comments. Each training gets one thread.
+Each training is a row of `benchmarks/examples.csv`, also if it failed. What was trained before a script's code changed
+(its comments do not count) is missing, and marked in the table. Each training gets one thread.
 """
 
 import ast
@@ -21,6 +21,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
 
+import numpy as np
 import pandas as pd
 import typer
 from rich.box import MARKDOWN
@@ -60,10 +61,10 @@ def main(
     """Train the examples, and print a table."""
     chosen = {command: seeds for command, seeds in TRAININGS.items() if only in command}
     missing = [
-        (command, FIRST_SEED * (1 + i))
+        (command, seed)
         for command, seeds in chosen.items()
-        for i in range(seeds)
-        if FIRST_SEED * (1 + i) not in set(trained(command).seed)
+        for seed in range(FIRST_SEED, FIRST_SEED * (seeds + 1), FIRST_SEED)
+        if (seed, _code(command)) not in set(zip(trained(command).seed, trained(command).code, strict=True))
     ]
     if train:
         for command, seed in track(missing, "training", console=Console(stderr=True)):
@@ -73,33 +74,46 @@ def main(
 
 
 def trained(command: str) -> pd.DataFrame:
-    """The trainings by a command, with its present code."""
+    """The last trainings by a command that had the same code."""
     if not RESULTS.exists():
-        return pd.DataFrame(columns=["seed"])
+        return pd.DataFrame(columns=["seed", "code"])
     rows = pd.read_csv(RESULTS, dtype={"code": str})
-    return rows[(rows.command == command) & (rows.code == _code(command))]
+    rows = rows[rows.command == command]
+    return rows[rows.code == rows.code.tail(1).squeeze()] if len(rows) else rows
+
+
+def expected(command: str) -> str:
+    """What the head of a script says of its trainings."""
+    rows = trained(command)
+    rates = ", ".join("failed" if pd.isna(k) else f"{k / EPISODES:.1%}" for k in rows.successes)
+    minutes = max(1, round(rows.processor_s.max() / 60))
+    of = f"of {EPISODES} episodes after {rows.steps.iloc[0]:,} steps"
+    return f"{rates} {of}, in {minutes} {'minute' if minutes == 1 else 'minutes'} of one core"
 
 
 def table(commands: dict[str, int]) -> Table:
     """What was trained, by command."""
-    table = Table("training", "steps", "success, each seed", "all seeds, 95 %", "processor minutes", box=MARKDOWN)
+    table = Table("training", "steps", "success of each seed, 95 % interval", "processor minutes", box=MARKDOWN)
     for command in commands:
         rows = trained(command)
         if rows.empty:
             continue
         file, *words = shlex.split(command)
         link = f"[{file}](../{_path(command).relative_to(ROOT)})"
-        won, n = int(rows.successes.fillna(0).sum()), EPISODES * len(rows)
-        pooled = success_rate(pd.Series([True] * won + [False] * (n - won)).to_numpy())
-        assert pooled is not None
+        since = "" if rows.code.iloc[0] == _code(command) else " (before its last change)"
         table.add_row(
-            " ".join((link, *words)),
+            " ".join((link, *words)) + since,
             f"{rows.steps.iloc[0]:,}",
-            ", ".join("failed" if pd.isna(k) else f"{k / EPISODES:.1%}" for k in rows.successes),
-            f"{pooled.value:.1%} [{pooled.low:.1%}, {pooled.high:.1%}]",
+            ", ".join("failed" if pd.isna(k) else _rate(k) for k in rows.successes),
             f"{rows.processor_s.min() / 60:.0f} to {rows.processor_s.max() / 60:.0f}",
         )
     return table
+
+
+def _rate(successes: float) -> str:
+    rate = success_rate(np.arange(EPISODES) < successes)
+    assert rate is not None
+    return f"{rate.value:.1%} [{100 * rate.low:.1f}, {100 * rate.high:.1f}]"
 
 
 def _path(command: str) -> Path:

@@ -37,7 +37,7 @@ class GoalVectorEnv(StableBaselinesVectorEnv):
 
     def __init__(self, tolerance: float, *args: Any) -> None:
         super().__init__(*args)
-        self.tolerance = tolerance
+        self.tolerance, self.reward_scale = tolerance, self.env.unwrapped.reward_scale
         plain = self.env.single_observation_space
         self.dof = self.action_space.shape[0]
         low, high = split(plain.low, self.dof), split(plain.high, self.dof)

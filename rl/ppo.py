@@ -52,8 +52,7 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
 
 def load_or_make(training: Training, options: PpoOptions) -> PPO:
     """The model of the newest checkpoint, or an untrained one."""
-    scale, weights = training.view.action_scale, training.recipe.reward_weights
-    venv = StableBaselinesVectorEnv(training.worlds, scale, options.reward_scale, weights)
+    venv = StableBaselinesVectorEnv(training.worlds, training.view.action_scale)
     newest = training.newest_checkpoint()
     new = newest is None
     model = new_model(venv, training.view, options, training.seed) if new else PPO.load(newest, venv, "cpu")

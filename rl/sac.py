@@ -92,8 +92,7 @@ class SquashedMean(torch.nn.Module):
 
 
 def _vector_env(training: Training, options: SacOptions) -> StableBaselinesVectorEnv:
-    recipe, task = training.recipe, training.held_out.task
-    arguments = (training.worlds, training.view.action_scale, options.reward_scale, recipe.reward_weights)
+    task, arguments = training.held_out.task, (training.worlds, training.view.action_scale)
     if not (options.relabelled and type(task) is ReachTask):
         return StableBaselinesVectorEnv(*arguments)
     return GoalVectorEnv(task.options.tolerance, *arguments)

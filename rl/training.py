@@ -22,7 +22,7 @@ from stable_baselines3.common.logger import configure
 
 from armctl.agents import AgentCard, Evaluation, sha256, shapes
 from armctl.envs import make_worlds
-from armctl.errors import ConfigurationError, unknown_name
+from armctl.errors import ConfigurationError
 from armctl.evaluation import evaluate
 from armctl.evaluation.curves import CURVE, read_curve
 from armctl.evaluation.identity import checksums
@@ -216,11 +216,11 @@ class Training:
 
     def _make_worlds(self) -> gymnasium.vector.VectorEnv[Any, Any, Any]:
         recipe, options = self.recipe, self.options
-        worlds = make_worlds(recipe.env, options.worlds, recipe.env_options, autoreset_mode="same_step")
-        terms = worlds.task.reward_terms()
-        for name in recipe.reward_weights:
-            if name not in terms:
-                raise unknown_name("reward term", name, terms)
+        rewards = {
+            "reward_scale": getattr(options, "reward_scale", 1.0),
+            "reward_weights": recipe.reward_weights,
+        }
+        worlds = make_worlds(recipe.env, options.worlds, recipe.env_options | rewards, autoreset_mode="same_step")
         if recipe.shaping is None:
             return worlds
         return Shaped(worlds, recipe.shaping, gamma=options.gamma, scale=recipe.shaping_scale)

@@ -165,7 +165,9 @@ def test_an_agent_brings_the_interface_that_it_was_trained_with(tmp_path, monkey
         rows = found.episodes.set_index(["policy", "episode"])
         assert rows.loc["ik"].success.all()
         assert rows.loc["mine"]["return"].tolist() == alone["return"].tolist()
-    asked = WorldsByInterface(REACH, 1, {"observation": "full", "tolerance": 0.07, "reward_scale": 2.0})
+    asked = WorldsByInterface(
+        REACH, 1, {"observation": "full", "tolerance": 0.07, "reward_scale": 2.0, "reward_weights": {"goal": 0.0}}
+    )
     assert asked.of("reach_ppo").single_observation_space.shape == (12,)
     assert asked.of("reach_ppo").task.options.tolerance == 0.07
     assert asked.of("reach_ik").single_observation_space.shape == (12,)

@@ -83,7 +83,7 @@ class VecEnv(vec_env.VecEnv):  # type: ignore[misc]
             }
         self._returns[done] = 0.0
         self._lengths[done] = 0
-        return self._shown(self._observations), self._rewards(rewards, terms), done, world_infos
+        return self._shown(self._observations), np.asarray(rewards, dtype=np.float32), done, world_infos
 
     def close(self) -> None:
         """Close the environment."""
@@ -115,10 +115,6 @@ class VecEnv(vec_env.VecEnv):  # type: ignore[misc]
     def _commands(self, actions: NDArray[Any]) -> Any:
         """The environment's actions."""
         return actions
-
-    def _rewards(self, rewards: NDArray[Any], terms: dict[str, NDArray[Any]]) -> NDArray[Any]:
-        """What the learner earns (n,), from the environment's rewards and their terms."""
-        return np.asarray(rewards, dtype=np.float32)
 
     def _shown(self, observations: Any) -> Any:
         """Observations as the learner gets them, of all worlds or of one."""

@@ -167,8 +167,8 @@ def test_relative_commands_are_position_commands_from_where_the_arm_is():
         np.testing.assert_allclose(seen, expected, atol=1e-6)
 
 
-def test_rewards_are_scaled_and_their_terms_are_not():
-    scaled, plain = vector(REACH[0], reward_scale=0.02), vector(REACH[0])
+def test_rewards_are_scaled_and_weighted_and_their_terms_are_not():
+    scaled, plain = vector(REACH[0], reward_scale=0.04, reward_weights={"step": 0.5}), vector(REACH[0])
     for worlds in (scaled, plain):
         worlds.reset(seed=0)
     _, rewards, _, _, infos = scaled.step(np.zeros((3, 6)))
@@ -183,6 +183,10 @@ def test_rewards_are_scaled_and_their_terms_are_not():
         ({"actions": "normalised"}, "Did you mean 'normalized'"),
         ({"reward_scale": 0}, "reward_scale"),
         ({"reward_scale": np.nan}, "reward_scale"),
+        ({"reward_weights": [1.0]}, "reward_weights"),
+        ({"reward_weights": {"goal": np.nan}}, "'goal' is a finite number"),
+        ({"reward_weights": {"gaol": 1.0}}, "Did you mean 'goal'"),
+        ({"reward_weights": {"goal": 2.0}, "goal": True}, "leave reward_weights out"),
         ({"observation": "feature"}, "Did you mean 'features'"),
         ({"goal": True, "observation": {"x": lambda state: state.joint_positions}}, "paper, features and full"),
         ({"goal_reward": 0}, "goal_reward"),

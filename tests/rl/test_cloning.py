@@ -334,7 +334,7 @@ def test_while_the_critic_warms_up_the_clone_stays_as_it_is(tmp_path):
     options = ClonedPpoOptions(worlds=8, rollout_length=16, batch_size=64)
     recipe = small("reach_cloned_ppo")
     with Training(recipe, options, tmp_path / "run", 0, False) as training:
-        venv = StableBaselinesVectorEnv(training.worlds, training.view.action_scale, options.reward_scale)
+        venv = StableBaselinesVectorEnv(training.worlds, training.view.action_scale)
         model = new_model(venv, training.view, options, 0)
         before = {name: values.clone() for name, values in model.policy.state_dict().items()}
         warm_up(training, model, 256, progress=False)

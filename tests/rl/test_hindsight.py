@@ -30,8 +30,8 @@ def model():
 
 
 def goal_worlds(n):
-    env = TaskVectorEnv(n, task=ReachTask, autoreset_mode="same_step", max_episode_steps=30)
-    venv = GoalVectorEnv(TOLERANCE, env, view_of(env).action_scale, SCALE)
+    env = TaskVectorEnv(n, task=ReachTask, autoreset_mode="same_step", max_episode_steps=30, reward_scale=SCALE)
+    venv = GoalVectorEnv(TOLERANCE, env, view_of(env).action_scale)
     venv.seed(0)
     return venv
 

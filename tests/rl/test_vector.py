@@ -11,11 +11,11 @@ from armctl.tasks import BridgeTask, ReachTask
 CAMERA = {"resolution": (8, 6)}
 
 
-def adapter(worlds, *, reward_scale=1.0, weights=None, shaping=None, **options):
+def adapter(worlds, *, shaping=None, **options):
     env = TaskVectorEnv(worlds, task=ReachTask, autoreset_mode="same_step", **options)
     scale = view_of(env).action_scale
     shaped = Shaped(env, shaping, gamma=0.9, scale=50.0) if shaping else env
-    return StableBaselinesVectorEnv(shaped, scale, reward_scale, weights)
+    return StableBaselinesVectorEnv(shaped, scale)
 
 
 def test_adapter_tells_of_ended_episodes():
@@ -35,7 +35,7 @@ def test_adapter_tells_of_ended_episodes():
 
 
 def test_rewards_are_weighted_and_shaped_and_returns_are_not():
-    venv = adapter(8, reward_scale=0.1, weights={"step": 0.5}, shaping="distance", max_episode_steps=2)
+    venv = adapter(8, reward_scale=0.1, reward_weights={"step": 0.5}, shaping="distance", max_episode_steps=2)
     venv.seed(0)
     before = venv.reset()
     rng = np.random.default_rng(0)

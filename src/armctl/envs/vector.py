@@ -30,7 +30,9 @@ TIMEOUT = 0
 ACTIONS = ("physical", "normalized")
 GOAL_METHODS = ("compute_reward", "compute_terminated", "compute_truncated")
 """What goal-conditioned learners ask for: functions of achieved goals, desired goals and infos."""
-ENVIRONMENT_OPTIONS = ("actions", "disturbances", "flat_infos", "max_episode_steps", "reward_scale")
+ENVIRONMENT_OPTIONS = (
+    "actions", "disturbances", "flat_infos", "max_episode_steps", "reward_scale", "reward_weights",
+)  # fmt: skip
 """Options of every environment, besides its task's."""
 UNSTABLE = "unstable"
 """The outcome of an episode whose physics has failed (see `armctl.simulation.Simulation.unstable`)."""
@@ -65,6 +67,7 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
         actions: `physical`, in the task's units, or `normalized`: -1 and 1 stand for the task's `action_range`.
         flat_infos: no dicts within infos: `reward_terms/goal` in place of `goal` in `reward_terms`.
         reward_scale: factor of the rewards that `step` returns, for learners; `infos["reward_terms"]` are without it.
+        reward_weights: factors of single terms in these rewards, such as `{"collision": 0.2}`; 1 for others.
         **options: the task's options; those of `armctl/ArmReach-v0` are `armctl.tasks.ReachOptions`.
 
     """
@@ -89,6 +92,7 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
         actions: str = "physical",
         flat_infos: bool = False,
         reward_scale: float = 1.0,
+        reward_weights: Mapping[str, float] = MappingProxyType({}),
         **options: Any,
     ) -> None:
         super().__init__(_at_least_one("num_envs", num_envs))
@@ -96,7 +100,8 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
             raise unknown_name("actions", actions, ACTIONS)
         if not (isinstance(reward_scale, (int, float)) and 0 < reward_scale < LARGEST_REWARD):
             raise ConfigurationError(f"reward_scale is a number above 0, not {reward_scale!r}")
-        self.reward_scale, self.flat_infos = reward_scale, flat_infos
+        self.reward_scale, self.reward_weights = reward_scale, _checked_weights(reward_weights)
+        self.flat_infos = flat_infos
         self.max_episode_steps = (
             None if max_episode_steps is None else _at_least_one("max_episode_steps", max_episode_steps)
         )
@@ -129,7 +134,10 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
         self._viewer: Camera | Window | None = None
         self.observers: list[Observer] = []
         self._earned_names = tuple(self.task.reward_functions)
+        self._check_weighted_terms()
         if getattr(task_options, "goal", False):
+            if self.reward_weights:
+                raise ConfigurationError("with goal=True, the reward is the task's own: leave reward_weights out")
             for name in GOAL_METHODS:
                 setattr(self, name, getattr(self.task, name))
             self.compute_reward = lambda *goals: self.reward_scale * self.task.compute_reward(*goals)
@@ -151,6 +159,7 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
             everywhere = np.arange(self.num_envs, dtype=np.int32)
             self.task.reset(everywhere, [np.random.default_rng(0) for _ in everywhere])
             self._earned_names = tuple(self.task.reward_terms())
+            self._check_weighted_terms()
         return super().reset(seed=seed, options=options)
 
     def step(self, actions: ArrayLike) -> tuple[Observations, Array, NDArray[np.bool_], NDArray[np.bool_], Infos]:
@@ -179,7 +188,8 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
             for earned in terms.values():
                 earned[restart] = 0.0
         self._check_terms(terms)
-        rewards = self.reward_scale * sum(terms.values(), start=np.zeros(self.num_envs))
+        weighted = (self.reward_weights.get(name, 1.0) * earned for name, earned in terms.items())
+        rewards = self.reward_scale * sum(weighted, start=np.zeros(self.num_envs))
         finished = terminated | truncated
         infos = self._infos(np.where(finished, outcome, RUNNING).astype(np.int64), terms)
         for observer in self.observers:
@@ -265,6 +275,11 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
             before |= terms[name] != 0
         return terms
 
+    def _check_weighted_terms(self) -> None:
+        for name in self.reward_weights if self._earned_names else ():
+            if name not in self._earned_names:
+                raise unknown_name("reward term", name, self._earned_names)
+
     def _check_terms(self, terms: RewardTerms) -> None:
         for name, earned in terms.items():
             if not (fine := np.abs(earned) <= LARGEST_REWARD).all():
@@ -280,6 +295,15 @@ def _flat(infos: Infos, before: str = "") -> Infos:
     for name, value in infos.items():
         flat |= _flat(value, f"{before}{name}/") if isinstance(value, dict) else {f"{before}{name}": value}
     return flat
+
+
+def _checked_weights(weights: Mapping[str, float]) -> dict[str, float]:
+    if not isinstance(weights, Mapping):
+        raise ConfigurationError(f"reward_weights are numbers by the names of reward terms, not {weights!r}")
+    for name, weight in weights.items():
+        if not (isinstance(weight, (int, float)) and abs(weight) < LARGEST_REWARD):
+            raise ConfigurationError(f"the weight of the reward term {name!r} is a finite number, not {weight!r}")
+    return dict(weights)
 
 
 def _at_least_one(name: str, value: int) -> int:

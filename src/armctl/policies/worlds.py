@@ -13,13 +13,13 @@ from armctl.policies.find import is_expert
 from armctl.policies.trainings import card_of
 from armctl.registration import bare_id
 
-LEARNERS_ONLY = "reward_scale"
+LEARNERS_ONLY = frozenset({"reward_scale", "reward_weights"})
 
 
 class WorldsByInterface:
     """Vector environments of one task, one for each interface.
 
-    Returns are the task's: `reward_scale` is left out. Raises `ConfigurationError` as `make_worlds` does.
+    Returns are the task's: `LEARNERS_ONLY` are left out. Raises `ConfigurationError` as `make_worlds` does.
     """
 
     def __init__(
@@ -27,7 +27,7 @@ class WorldsByInterface:
     ) -> None:
         self._env, self._interface = env, frozenset(task_of(env).interface_options)
         self._arguments: dict[str, Any] = {"worlds": worlds, "threads": threads, **how}
-        self._options = {name: value for name, value in (options or {}).items() if name != LEARNERS_ONLY}
+        self._options = {name: value for name, value in (options or {}).items() if name not in LEARNERS_ONLY}
         self.asked: EpisodeVectorEnv = make_worlds(env, options=self._options, **self._arguments)
         """With the interface that was asked for."""
         self._made = [(self._options, self.asked)]
@@ -46,7 +46,7 @@ class WorldsByInterface:
         card = card_of(policy)
         others = {name: value for name, value in self._options.items() if name not in self._interface}
         if card is not None and bare_id(card.env) == bare_id(self._env):
-            own = self._interface - {LEARNERS_ONLY}
+            own = self._interface - LEARNERS_ONLY
             return others | {name: value for name, value in card.env_options.items() if name in own}
         if card is None and is_expert(policy):
             kept = {name: value for name, value in self._options.items() if _is_for_experts(name, value)}

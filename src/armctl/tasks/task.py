@@ -204,7 +204,7 @@ class Task(TaskFacts):
     """Disturbances that apply to the task, by name."""
     potentials: ClassVar[Mapping[str, Callable[[Any], Potential]]] = {"distance": GoalDistance}
     """Potentials for reward shaping, by name: functions from the task to a `Potential`."""
-    interface_options = frozenset({"actions", "reward_scale"})
+    interface_options = frozenset({"actions", "reward_scale", "reward_weights"})
     camera: ClassVar[str] = "overview"
     """The MJCF camera of videos and images."""
     render_fps: ClassVar[int] = 25
