@@ -32,7 +32,7 @@ from rich.table import Table
 import armctl
 from armctl.evaluation.statistics import success_rate
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "benchmarks" / "examples.csv"
 EPISODES = 200
 FIRST_SEED = 10**9

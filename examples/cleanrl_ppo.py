@@ -37,7 +37,7 @@ def network(inputs, outputs, gain):
     return nn.Sequential(layer(inputs, 128), nn.Tanh(), layer(128, 128), nn.Tanh(), layer(128, outputs, gain))
 
 
-given = arguments(__doc__, steps=300_000)
+given = arguments(__doc__, steps=150_000)
 torch.manual_seed(given.seed)
 worlds = gymnasium.make_vec(ID, num_envs=WORLDS, autoreset_mode="next_step", reward_scale=0.02, **OPTIONS)
 worlds = Shaped(worlds, "ik", gamma=GAMMA, scale=150)  # per second nearer to the target

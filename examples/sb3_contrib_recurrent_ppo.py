@@ -20,7 +20,7 @@ ID = "armctl:armctl/ArmReach-v0"
 OPTIONS = {"actions": "normalized", "control": "relative"}
 GAMMA = 0.99
 
-given = arguments(__doc__, steps=300_000)
+given = arguments(__doc__, steps=150_000)
 worlds = gymnasium.make_vec(ID, num_envs=16, autoreset_mode="same_step", reward_scale=0.02, **OPTIONS)
 shaped = Shaped(worlds, "ik", gamma=GAMMA, scale=150)  # per second nearer to the target
 model = RecurrentPPO(

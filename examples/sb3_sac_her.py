@@ -8,7 +8,7 @@ later, so it is the network's first layer, `GoalFeatures`, that relates the arm 
 success ends an episode, and with `goal_reward=1` it need not: success is worth 0 then, every other step -1. The
 exploration noise is correlated in time, so that it moves the arm around. No shaping.
 
-EXPECTED: not measured to the end yet; with twice the gradient steps, 42 % of 200 episodes after 80,000 steps
+EXPECTED: 91.0% of 200 episodes after 200,000 steps, in 12 minutes of one core
 
 `python examples/sb3_sac_her.py`
 """

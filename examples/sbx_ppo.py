@@ -27,7 +27,7 @@ GAMMA = 0.99
 OFF_POLICY = {"gradient_steps": 8, "learning_starts": 1_000}
 SETTINGS = {"PPO": {"n_steps": 128, "batch_size": 256}, "SAC": OFF_POLICY, "CrossQ": OFF_POLICY}
 
-given = arguments(__doc__, steps=300_000, algorithm=list(SETTINGS))
+given = arguments(__doc__, steps=150_000, algorithm=list(SETTINGS))
 worlds = gymnasium.make_vec(ID, num_envs=16, autoreset_mode="same_step", reward_scale=0.02, **OPTIONS)
 shaped = Shaped(worlds, "ik", gamma=GAMMA, scale=150)  # per second nearer to the target
 learner, settings = getattr(sbx, given.algorithm), SETTINGS[given.algorithm]

@@ -76,7 +76,7 @@ class Agent(PPO):
         super().record_transition(next_observations=last, infos=infos, **transition)
 
 
-given = arguments(__doc__, steps=300_000)
+given = arguments(__doc__, steps=150_000)
 set_seed(given.seed)
 worlds = gymnasium.make_vec(ID, num_envs=WORLDS, autoreset_mode="same_step", reward_scale=0.02, **OPTIONS)
 env = wrap_env(Shaped(worlds, "ik", gamma=GAMMA, scale=150))  # per second nearer to the target

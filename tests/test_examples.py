@@ -2,6 +2,7 @@
 
 import os
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -108,3 +109,15 @@ def test_the_matrix_tries_what_it_says():
     command = (ROOT / "benchmarks" / "learners.py", "--only", "Gymnasium", "--env", "armctl/ArmReach-v0")
     row = run(ROOT, *command).split("Gymnasium alone, as CleanRL")[1]
     assert row.count(" works ") == 4
+
+
+def test_what_is_expected_was_measured():
+    """`python benchmarks/examples.py --train` measures it; the heads of the scripts are written by hand."""
+    benchmark = runpy.run_path(str(ROOT / "benchmarks" / "examples.py"))
+    alone = [command for command in benchmark["TRAININGS"] if " " not in command]
+    assert {Path(command).stem for command in alone} == {*SCRIPTS, *ZOO}
+    for command in alone:
+        if benchmark["trained"](command).empty:
+            continue
+        head = " ".join(benchmark["_path"](command).read_text().replace("\n#", "\n").split())
+        assert f"EXPECTED: {benchmark['expected'](command)}" in head
