@@ -26,6 +26,7 @@ import pandas as pd
 import typer
 from rich.box import MARKDOWN
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import track
 from rich.table import Table
 
@@ -93,19 +94,19 @@ def expected(command: str) -> str:
 
 def table(commands: dict[str, int]) -> Table:
     """What was trained, by command."""
-    table = Table("training", "steps", "success of each seed, 95 % interval", "processor minutes", box=MARKDOWN)
+    table = Table("training", "steps", "success of each seed, 95 % interval", "processor minutes, mean", box=MARKDOWN)
     for command in commands:
         rows = trained(command)
         if rows.empty:
             continue
         file, *words = shlex.split(command)
-        link = f"[{file}](../{_path(command).relative_to(ROOT)})"
+        link = escape(f"[{file}](../{_path(command).relative_to(ROOT)})")
         since = "" if rows.code.iloc[0] == _code(command) else " (before its last change)"
         table.add_row(
             " ".join((link, *words)) + since,
             f"{rows.steps.iloc[0]:,}",
-            ", ".join("failed" if pd.isna(k) else _rate(k) for k in rows.successes),
-            f"{rows.processor_s.min() / 60:.0f} to {rows.processor_s.max() / 60:.0f}",
+            escape(", ".join("failed" if pd.isna(k) else _rate(k) for k in rows.successes)),
+            f"{rows.processor_s.mean() / 60:.0f}",
         )
     return table
 

@@ -120,7 +120,8 @@ def test_no_file_is_ever_unpickled():
     for file in Path(armctl.__file__).parent.rglob("*.py"):
         text = file.read_text()
         assert "import pickle" not in text, file
-        assert "torch" not in text.replace("torch than", ""), file
+        assert "torch.load" not in text, file
+        assert file.name == "sb3.py" or "torch" not in text.replace("torch than", ""), file
 
 
 @pytest.mark.parametrize("path", sorted(SHIPPED.glob("*.json")), ids=lambda path: path.stem)

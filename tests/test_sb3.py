@@ -129,14 +129,17 @@ def test_features_of_goals_are_those_of_the_environment():
     seen, expected = apart.reset(), together.reset()
     for action in np.random.default_rng(0).uniform(-1, 1, (20, 3, 6)):
         given = {name: torch.as_tensor(part, dtype=torch.float32) for name, part in seen.items()}
-        np.testing.assert_allclose(extractor(given), expected, atol=1e-5)
+        features = extractor(given)
+        assert features.shape[1] == extractor.features_dim
+        np.testing.assert_allclose(features[:, :-6], expected, atol=1e-5)
+        np.testing.assert_allclose(features[:, -6:], apart.env.task.arm.joint_velocities, atol=1e-5)
         seen, expected = apart.step(action)[0], together.step(action)[0]
-    assert extractor.features_dim == expected.shape[1]
 
 
-def test_features_of_goals_need_goals():
-    with pytest.raises(ConfigurationError, match="goal=True"):
-        GoalFeatures(VecEnv(worlds(**LEARNER)).observation_space)
+@pytest.mark.parametrize("options", [LEARNER, {"goal": True}, {"goal": True, "observation": "full"}])
+def test_features_of_goals_need_goals_and_features(options):
+    with pytest.raises(ConfigurationError, match="goal=True, observation='features'"):
+        GoalFeatures(VecEnv(worlds(**options)).observation_space)
 
 
 @pytest.mark.parametrize("policy", ["MultiInputPolicy", "CnnPolicy"])

@@ -251,9 +251,10 @@ def sha256(path: Path, largest: float = math.inf) -> str:
 
 def _seen(card: AgentCard) -> str:
     """What an agent sees, for tables: the observation, unless it was trained with one that tells more."""
-    if card.env_options.get("observation") not in ("full", "state"):
-        return "observation"
-    return "state" if card.interface.get("observation", "").startswith("state") else "observation + velocities"
+    seen = card.interface.get("observation", "")
+    if card.env_options.get("observation") in ("full", "state") and seen.startswith("state"):
+        return "state"
+    return "observation + velocities" if "joint_velocities" in seen else "observation"
 
 
 def _check_made_for(card: AgentCard, worlds: EpisodeVectorEnv | Interface) -> None:

@@ -122,7 +122,7 @@ class VecEnv(vec_env.VecEnv):  # type: ignore[misc]
 
 
 class GoalFeatures(BaseFeaturesExtractor):  # type: ignore[misc]
-    """What `observation="features"` shows of the reach task, also where `goal=True` keeps the goal apart.
+    """The reach task's features where `goal=True` keeps the goal apart, and joint velocities.
 
     Hindsight changes the goal of what was observed, so here the network has to relate the arm to it. For arms whose
     first joint is vertical, as those of armctl. To be given as `policy_kwargs={"features_extractor_class": ...}`.
@@ -132,16 +132,15 @@ class GoalFeatures(BaseFeaturesExtractor):  # type: ignore[misc]
 
     def __init__(self, observation_space: gymnasium.Space[Any]) -> None:
         parts = observation_space.spaces if isinstance(observation_space, gymnasium.spaces.Dict) else {}
-        if set(parts) != {"observation", "achieved_goal", "desired_goal"}:
+        highest = getattr(parts.get("observation"), "high", np.zeros(0))
+        self.dof = (len(highest) - 3) // 3
+        if "desired_goal" not in parts or (highest[3 : 3 + 2 * self.dof] != 1).any():
             raise ConfigurationError("armctl.sb3.GoalFeatures takes observations of goal=True, observation='features'")
-        shape = parts["observation"].shape
-        assert shape is not None
-        self.dof = (shape[0] - 3) // 2
-        super().__init__(observation_space, 13 + 2 * (self.dof - 1))
+        super().__init__(observation_space, 13 + 2 * (self.dof - 1) + self.dof)
 
     def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
-        """Features (n, 11 + 2 dof) of observations by name."""
-        _, sines, cosines = observations["observation"].split([3, self.dof, self.dof], dim=1)
+        """Features (n, 11 + 3 dof) of observations by name."""
+        _, sines, cosines, velocities = observations["observation"].split([3, *[self.dof] * 3], dim=1)
         sine, cosine = sines[:, :1], cosines[:, :1]
 
         def ahead(positions: torch.Tensor) -> torch.Tensor:
@@ -152,4 +151,5 @@ class GoalFeatures(BaseFeaturesExtractor):  # type: ignore[misc]
         offset = target - tip
         distance = offset.norm(dim=1, keepdim=True)
         lengths = LENGTH_SCALE * torch.cat((tip, target, offset, distance), dim=1)
-        return torch.cat((lengths, offset / (distance + NEARBY), sines[:, 1:], cosines[:, 1:]), dim=1)
+        posture = (sines[:, 1:], cosines[:, 1:], velocities)
+        return torch.cat((lengths, offset / (distance + NEARBY), *posture), dim=1)

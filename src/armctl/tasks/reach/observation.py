@@ -78,10 +78,14 @@ WITHOUT_GOAL: Mapping[str, Mapping[str, Term]] = {
         "end_effector": lambda state: LENGTH_SCALE * state.end_effector_position,
         "joint_sines": lambda state: np.sin(state.joint_positions),
         "joint_cosines": lambda state: np.cos(state.joint_positions),
+        "joint_velocities": HIDDEN["joint_velocities"],
     },
     "full": {**OWN, **HIDDEN},
 }
-"""The same without the target, for goal-conditioned learners, who are told of it in `desired_goal`."""
+"""The same without the target, for goal-conditioned learners, who are told of it in `desired_goal`.
+
+The features have velocities here: hindsight learns how to stay at a goal, which nobody can who does not feel speed.
+"""
 
 
 def observation_sizes(dof: int) -> dict[str, int]:
