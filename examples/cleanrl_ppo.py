@@ -6,7 +6,7 @@ ignored and its reward is 0. Here, `real` marks the steps that are to be learned
 Options: normalized actions, relative to where the joints are; features; rewards scaled to the order of one. `Shaped`
 adds what the IK expert knows of the time to the target.
 
-EXPECTED: 97 % [93.6, 98.9] of 200 episodes after 150,000 steps (seed 10^9)
+EXPECTED: 100.0% of 200 episodes after 150,000 steps, in 2 minutes of one core
 
 `python examples/cleanrl_ppo.py`
 """

@@ -7,7 +7,7 @@ only reset. It also takes the next episode's first observation for the last of a
 Options: normalized actions, relative to where the joints are; features; rewards scaled to the order of one. `Shaped`
 adds what the IK expert knows of the time to the target.
 
-EXPECTED: 100 % [98.2, 100] of 200 episodes after 150,000 steps (seed 10^9)
+EXPECTED: 100.0% of 200 episodes after 150,000 steps, in 2 minutes of one core
 
 `python examples/skrl_ppo.py`
 """

@@ -5,7 +5,7 @@ Autoreset: `disabled`, which TorchRL prefers: it resets worlds itself. `same_ste
 Options: normalized actions, relative to where the joints are; features; rewards scaled to the order of one. `Shaped`
 adds what the IK expert knows of the time to the target.
 
-EXPECTED: 62 % [55, 69] of 200 episodes after 150,000 steps (seed 10^9), and rising
+EXPECTED: 100.0% of 200 episodes after 300,000 steps, in 5 minutes of one core
 
 `python examples/torchrl_ppo.py`
 """
