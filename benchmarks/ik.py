@@ -142,7 +142,7 @@ def main(poses: int = 10_000, peer_poses: int = 500) -> None:
     targets = [model.pose(q) for q in rng.uniform(-np.pi, np.pi, (poses, model.dof))]
     starts = np.vstack([model.home, rng.uniform(-np.pi, np.pi, (IkOptions().starts, model.dof))])
     closed_form, numeric, single_step = Ik(model), Ik(model), Ik(model, IkOptions(max_iterations=1))
-    numeric._analytic = None  # as for an arm without a closed form
+    numeric.closed_form = None  # as for an arm without a closed form
 
     def own_step(pose: Array) -> Callable[[], Any]:
         return partial(single_step._polish, _PoseProblem(model, pose), model.home)

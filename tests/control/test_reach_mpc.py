@@ -11,8 +11,9 @@ from armctl.control.streaming import CommandStream
 from armctl.errors import ConfigurationError
 from armctl.kinematics import ArmModel, Ik
 from armctl.robot_description import load_arm
-from armctl.robot_description.joint_profiles import TICK, limited, towards
 from armctl.scene import Boxes
+
+from ..kernels.joint_profiles import TICK, limited, towards
 
 PERIOD, N = ReachProblem().period, ReachProblem().horizon
 MODEL = ArmModel("ur5")

@@ -1,10 +1,13 @@
+import coal
 import numpy as np
 import pinocchio
 import pytest
 
+from armctl.kernels.capsules import shares_on_segments
+from armctl.kernels.clearance import point_on
 from armctl.kinematics import ArmModel
-from armctl.kinematics.clearance import SPACING, Clearance, nearest_on_segments
-from armctl.robot_description.collision_pairs import FLOOR
+from armctl.kinematics.clearance import SPACING, Clearance
+from armctl.robot_description.collision_pairs import FLOOR, add_collision_pairs, capsule_geometry
 from armctl.scene import NO_BOXES, Boxes
 
 STEP = 1e-6
@@ -28,12 +31,34 @@ def postures(model):
     return np.random.default_rng(0).uniform(-np.pi, np.pi, (200, model.dof))
 
 
+def coal_geometry(model):
+    """The arm's capsules, floor and boxes, and the pairs that can touch, for Pinocchio."""
+    geometry = capsule_geometry(model.pinocchio, model.description.capsules)
+    add_collision_pairs(geometry, model.description.collision_pairs)
+    links = [i for i, shape in enumerate(geometry.geometryObjects) if shape.parentJoint > 0]
+    for i, centre in enumerate(model.boxes.centres):
+        placement = pinocchio.SE3(model.boxes.rotations[i], centre)
+        box = pinocchio.GeometryObject(f"box {i}", 0, placement, coal.Box(*(2 * model.boxes.half_sizes[i])))
+        at = geometry.addGeometryObject(box)
+        for link in links:
+            geometry.addCollisionPair(pinocchio.CollisionPair(link, at))
+    return geometry
+
+
+def elbow_height(model, q):
+    """Height of the far end of the upper arm, m."""
+    data = model.pinocchio.createData()
+    pinocchio.forwardKinematics(model.pinocchio, data, q)
+    return data.oMi[3].translation[2]
+
+
 def distances_by_coal(model, q):
     """Least distance of all pairs that a controller can do something about."""
-    data = model._shapes.createData()
-    pinocchio.computeDistances(model.pinocchio, model.pinocchio.createData(), model._shapes, data, q)
-    shapes, least = model._shapes.geometryObjects, np.inf
-    for pair, result in zip(model._shapes.collisionPairs, data.distanceResults, strict=True):
+    geometry = coal_geometry(model)
+    data = geometry.createData()
+    pinocchio.computeDistances(model.pinocchio, model.pinocchio.createData(), geometry, data, q)
+    shapes, least = geometry.geometryObjects, np.inf
+    for pair, result in zip(geometry.collisionPairs, data.distanceResults, strict=True):
         first, second = shapes[pair.first], shapes[pair.second]
         names = {first.name, second.name}
         stays = names == {"upper_arm_link", FLOOR} or (min(first.parentJoint, second.parentJoint) == 0 and
@@ -45,9 +70,9 @@ def distances_by_coal(model, q):
 
 def test_distances_are_those_of_coal(model, postures):
     expected = np.array([distances_by_coal(model, q) for q in postures])
-    found = Clearance(model).nearest(model.joint_frames(postures), BOXES, 4).least
+    found = Clearance(model).least(postures)
     upper_arm = next(c for c in model.description.capsules if c.link == "upper_arm_link")
-    elbow = model.joint_frames(postures)[:, 2, 2, 3]  # how high the far end of the upper arm is
+    elbow = np.array([elbow_height(model, q) for q in postures])
     clear = (expected > 0) & (elbow > upper_arm.radius + expected)
     assert clear.sum() > 30
     off = found[clear] - expected[clear]
@@ -57,12 +82,12 @@ def test_distances_are_those_of_coal(model, postures):
 
 
 def test_gradients_are_those_of_finite_differences(model, postures):
-    clearance, frames = Clearance(model), model.joint_frames
-    distances, gradients = clearance.nearest(frames(postures), BOXES, ALL).rows
+    clearance = Clearance(model)
+    distances, gradients = clearance.nearest(postures, ALL)
     there = np.isfinite(distances)
     assert 20 < there[0].sum() < ALL
     for j, step in enumerate(STEP * np.eye(model.dof)):
-        after, before = (clearance.nearest(frames(postures + s), BOXES, ALL).rows[0] for s in (step, -step))
+        after, before = (clearance.nearest(postures + s, ALL)[0] for s in (step, -step))
         slope = (after[there] - before[there]) / (2 * STEP)
         assert (
             np.quantile(np.abs(slope - gradients[..., j][there]), 0.999) < 1e-6
@@ -70,21 +95,25 @@ def test_gradients_are_those_of_finite_differences(model, postures):
 
 
 def test_the_nearest_pairs_are_chosen_and_missing_ones_are_harmless(model, postures):
-    clearance, frames = Clearance(model), model.joint_frames(postures)
-    everything = clearance.nearest(frames, BOXES, ALL)
-    few = clearance.nearest(frames, BOXES, 3)
-    np.testing.assert_allclose(np.sort(few.rows[0]), np.sort(everything.rows[0])[:, :3])
-    np.testing.assert_allclose(few.least, few.rows[0].min(axis=1))
-    missing = np.isinf(everything.rows[0])
-    assert (everything.rows[1][missing] == 0).all()
-    assert (clearance.nearest(frames, NO_BOXES, 3).least >= few.least).all()
+    clearance = Clearance(model)
+    everything, gradients = clearance.nearest(postures, ALL)
+    few = clearance.nearest(postures, 3)[0]
+    np.testing.assert_allclose(np.sort(few), np.sort(everything)[:, :3])
+    np.testing.assert_allclose(clearance.least(postures), few.min(axis=1))
+    missing = np.isinf(everything)
+    assert (gradients[missing] == 0).all()
+    assert (clearance.least(postures, clearance.among(NO_BOXES)) >= few.min(axis=1)).all()
 
 
 def test_segments():
     rng = np.random.default_rng(0)
-    a, b, c, d = rng.normal(size=(4, 300, 3))
-    b[:20], d[10:30], d[30:40] = a[:20], c[10:30], c[30:40] + (b - a)[30:40]  # points, and parallels
-    p, q = nearest_on_segments(a, b, c, d)
-    s = np.linspace(0, 1, 41)
-    grid = (a + s[:, None, None] * (b - a))[:, None] - (c + s[:, None, None] * (d - c))[None]
-    assert (np.linalg.norm(p - q, axis=-1) <= np.linalg.norm(grid, axis=-1).min(axis=(0, 1)) + 1e-9).all()
+    first, second = rng.normal(size=(2, 300, 2, 3))
+    first[:20, 1], second[10:30, 1] = first[:20, 0], second[10:30, 0]  # points
+    second[30:40, 1] = second[30:40, 0] + (first[:, 1] - first[:, 0])[30:40]  # parallels
+    shares = np.linspace(0, 1, 41)[:, None]
+    p, q = np.empty((2, 3))
+    for one, other in zip(first, second, strict=True):
+        for segment, share, point in zip((one, other), shares_on_segments(one, other), (p, q), strict=True):
+            point_on(segment, share, point)
+        grid = (one[0] + shares * (one[1] - one[0]))[:, None] - (other[0] + shares * (other[1] - other[0]))
+        assert np.linalg.norm(p - q) <= np.linalg.norm(grid, axis=-1).min() + 1e-9

@@ -3,7 +3,8 @@ import pytest
 from scipy.optimize import minimize
 
 from armctl.kinematics import THOROUGH, ArmModel, Ik, MinimumTimeReach, Workspace
-from armctl.robot_description.joint_profiles import max_displacement, trapezoidal_displacement
+
+from ..kernels.joint_profiles import max_displacement, trapezoidal_displacement
 
 RADIUS = 0.05
 

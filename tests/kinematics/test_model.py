@@ -6,9 +6,10 @@ from scipy.spatial.transform import Rotation
 
 from armctl.kinematics import ArmModel
 from armctl.robot_description import arm as arms
-from armctl.robot_description.joint_profiles import travel_time
 from armctl.robots import build_arm_world
 from armctl.scene import Boxes
+
+from ..kernels.joint_profiles import travel_time
 
 STEP = 1e-6
 """rad, of finite differences"""

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from armctl.robot_description import joint_profiles
+from ..kernels import joint_profiles
 
 properties = settings(deadline=None, derandomize=True, max_examples=200)
 batches = settings(deadline=None, derandomize=True, max_examples=10)

@@ -102,3 +102,52 @@ def test_rays_span_the_field_of_view(resolution, field_of_view):
     top = rays[0, 0, 1] + step / 2
     assert 2 * np.degrees(np.arctan(top)) == pytest.approx(vertical_field_of_view(resolution, field_of_view))
     np.testing.assert_allclose(rays[::-1, :, 1], -rays[..., 1], atol=1e-12)
+
+
+def test_every_convex_shape_is_hit_where_mujocos_rays_hit_it():
+    rng, spec = np.random.default_rng(0), mujoco.MjSpec()
+    spec.add_mesh(name="rock", uservert=rng.normal(size=(20, 3)).ravel())
+    kinds = mujoco.mjtGeom
+    sizes = {
+        kinds.mjGEOM_SPHERE: [0.3, 0, 0], kinds.mjGEOM_CAPSULE: [0.2, 0.4, 0], kinds.mjGEOM_CYLINDER: [0.3, 0.4, 0],
+        kinds.mjGEOM_BOX: [0.3, 0.2, 0.4], kinds.mjGEOM_PLANE: [0.7, 0, 0.1], kinds.mjGEOM_MESH: [0, 0, 0],
+    }  # fmt: skip
+    for kind, size in sizes.items():
+        for _ in range(4):
+            body = spec.worldbody.add_body(pos=rng.uniform(-2, 2, 3), quat=rng.normal(size=4))
+            mesh = {"meshname": "rock"} if kind == kinds.mjGEOM_MESH else {}
+            body.add_geom(type=kind, size=size, **mesh)
+    spec.worldbody.add_geom(type=kinds.mjGEOM_SPHERE, size=[0.9, 0, 0], rgba=[1, 1, 1, 0])  # unseen
+    eye = spec.worldbody.add_body(name="eye", mocap=True)
+    eye.add_camera(name="eye")
+    simulation = Simulation(spec.compile(), 60)
+    camera = RayCamera(simulation, "eye", (40, 30), 100.0, ())
+    simulation.array("mocap_pos")[:, 0] = rng.uniform(-2.5, 2.5, (60, 3))
+    turns = rng.normal(size=(60, 4))
+    simulation.array("mocap_quat")[:, 0] = turns / np.linalg.norm(turns, axis=1, keepdims=True)
+    simulation.refresh()
+    depths, geoms = camera._cast(None)
+    expected, hit = camera._cast_by_mujoco(np.arange(60, dtype=np.int32), depths.shape)
+    assert set(np.unique(hit)) == {-1, *range(1, 25)}, "all but the unseen one, 0"
+    same = geoms == hit
+    assert same.mean() > 0.999, "rays that graze an edge may differ"
+    both = same & (hit >= 0)
+    np.testing.assert_allclose(depths[both], expected[both], atol=1e-3 / 10)
+    some = np.array([7, 3], dtype=np.int32)
+    np.testing.assert_array_equal(camera._cast(some)[0], depths[some])
+
+
+def test_a_scene_with_other_shapes_is_seen_by_mujocos_rays():
+    spec = mujoco.MjSpec()
+    spec.add_mesh(
+        name="hollow",
+        uservert=np.ravel([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (0.1, 0.1, 0.1)]),
+        userface=np.ravel([(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 4, 3), (4, 2, 3), (1, 2, 4)]),
+    )
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="hollow")
+    spec.worldbody.add_camera(name="eye", pos=[0.2, 0.2, 3])
+    simulation = Simulation(spec.compile(), 2)
+    camera = RayCamera(simulation, "eye", (20, 20), 60.0, ())
+    simulation.refresh()
+    assert camera._shapes is None
+    assert np.isfinite(camera.depth(10.0)).all()

@@ -31,9 +31,9 @@ from armctl.control.reach_problem import (
     straight_to,
 )
 from armctl.control.reach_qp import ReachQp
+from armctl.kernels import reach_mpc as kernel
 from armctl.kinematics import ArmModel
 from armctl.kinematics.clearance import Clearance
-from armctl.kinematics.model import cross
 from armctl.options import options
 
 Array = NDArray[np.float64]
@@ -92,6 +92,9 @@ class ReachMpc:
             _Solver(self.options, model, self.options.pairs) if self.options.pairs else self._unconstrained
         )
         self.clearance = Clearance(model)
+        links, pairs, boxes, samples = self.clearance.scene
+        self.scene = links, pairs if self.options.pairs else pairs[:0], boxes, samples
+        """What to keep clear of, for `armctl.kernels.reach_mpc`."""
         self.reset()
 
     def reset(self) -> None:
@@ -187,9 +190,8 @@ class ReachMpc:
         qp = solver.qp
         qp.write(parameters, worst, *at.quadratic_model())
         if qp.rows:
-            distances, normals = at.nearest.rows
-            least = self.options.margin - distances + (normals @ at.q[..., None])[..., 0]
-            qp.write_obstacles(normals, least)
+            q = at.motion.positions[1:]
+            qp.write_obstacles(q, *self.clearance.nearest(q, qp.rows), self.options.margin)
         motion = at.motion
         displacements = motion.velocities[1:] * self.problem.period
         found = solver.solve(np.concatenate((motion.positions[1:].ravel(), displacements.ravel())), self._duals)
@@ -248,36 +250,27 @@ class _Linearisation:
 
     def __init__(self, controller: ReachMpc, parameters: OcpParameters, motion: JointTrajectory) -> None:
         self.problem, self.parameters, self.motion = controller.problem, parameters, motion
-        model, options = controller.model, controller.options
-        self.q = motion.positions[1:]
-        frames = model.joint_frames(self.q)
-        tips = model.tip_positions(frames)
-        self.error = tips - parameters.targets
-        self.cost = cost(self.problem, parameters, motion, tips)
-        self.merit, self.least = self.cost, np.inf
-        """m^2: cost with the penalty for violated margins; m: least distance"""
-        if options.pairs:
-            self.nearest = controller.clearance.nearest(frames, model.boxes, options.pairs)
-            self.least = float(self.nearest.least.min())
-            self.merit += options.slack_penalty * float(np.maximum(options.margin - self.nearest.least, 0.0).sum())
-        self.axes = model.joint_axes(frames)
-        self.gradients = cross(self.axes, tips[:, None] - frames[..., :3, 3])
-        """(N, dof, 3) m/rad: derivatives of the tip's position by each joint"""
+        model, options, q = controller.model, controller.options, motion.positions[1:]
+        knots, dof = q.shape
+        self.errors, distances = np.empty((knots, 3)), np.full(knots, np.inf)
+        self.axes, self.gradients = np.empty((knots, dof, 3)), np.empty((knots, dof, 3))
+        """(N, dof, 3): the joints' axes, and derivatives of the tip's position by each joint, m/rad"""
+        kernel.look(
+            model.joints, *controller.scene, q, parameters.targets,
+            self.errors, self.axes, self.gradients, distances,
+        )  # fmt: skip
+        self.cost = self.merit = cost(self.problem, parameters, motion, self.errors)
+        """m^2; the merit has the penalty for violated margins too"""
+        self.least = float(distances.min())
+        """m: least distance"""
+        if self.least < options.margin:
+            self.merit += options.slack_penalty * float(np.maximum(options.margin - distances, 0.0).sum())
 
     def quadratic_model(self) -> tuple[Array, Array]:
         """Convexified Hessians (N, dof, dof) and gradients (N, dof), at q = 0, of the cost of the knots' positions."""
-        slope = self.gradients @ self.error[..., None]
-        squares = self.gradients @ np.swapaxes(self.gradients, -1, -2)
-        if np.abs(self.error).max() < NEARBY:
-            hessians = 2 * squares
-        else:
-            # the tip's second derivative by joints i <= j is axis_i x (its first by j)
-            bend = self.axes @ np.swapaxes(cross(self.gradients, self.error[:, None]), -1, -2)
-            bend = np.triu(bend) + np.swapaxes(np.triu(bend, 1), -1, -2)
-            values, vectors = np.linalg.eigh(squares + bend)
-            hessians = 2 * (vectors * np.maximum(values, 0.0)[:, None]) @ np.swapaxes(vectors, -1, -2)
-        gradients = 2 * slope[..., 0] - (hessians @ self.q[..., None])[..., 0]
-        if self.parameters.posture is not None:
-            hessians += 2 * self.problem.posture * np.eye(self.q.shape[1])
-            gradients -= 2 * self.problem.posture * self.parameters.posture
-        return hessians, gradients
+        q = self.motion.positions[1:]
+        hessians, slopes = np.empty((*q.shape, q.shape[1])), np.empty(q.shape)
+        posture, weight = self.parameters.preference(self.problem)
+        exact = bool(np.abs(self.errors).max() >= NEARBY)
+        kernel.quadratic_model(q, self.errors, self.axes, self.gradients, exact, weight, posture, hessians, slopes)
+        return hessians, slopes

@@ -7,7 +7,6 @@ with accelerations constant within a period T: v_k+1 = v_k + T a_k, q_k+1 = q_k 
 velocity and acceleration are limited, and at the end joints can still stop before their position limits.
 """
 
-import math
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -16,9 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from armctl.errors import ConfigurationError
+from armctl.kernels import reach_mpc
 from armctl.kinematics import ArmModel
 from armctl.options import options
-from armctl.robot_description.joint_profiles import MotionLimits
+from armctl.robot_description import JointLimits
 
 Array = NDArray[np.float64]
 Weight = Annotated[float, Field(ge=0)]
@@ -52,6 +52,10 @@ class OcpParameters:
     """(N, 3) m, at the end of each period."""
     posture: Array | None
     """(dof,) rad: preferred joint positions, if any."""
+
+    def preference(self, problem: ReachProblem) -> tuple[Array, float]:
+        """The posture (dof,), rad, and its weight: 0 if there is none."""
+        return (self.position, 0.0) if self.posture is None else (self.posture, problem.posture)
 
     @classmethod
     def checked(
@@ -97,22 +101,19 @@ class MpcResult(JointTrajectory):
     """Planning time."""
 
 
-def cost(problem: ReachProblem, parameters: OcpParameters, motion: JointTrajectory, tips: Array) -> float:
-    """Cost (m^2) of a motion whose end-effector passes through `tips` (N, 3) m."""
-    error = tips - parameters.targets
-    total = (error * error).sum() + problem.velocity * (motion.velocities[1:] ** 2).sum()
-    total += problem.acceleration * (motion.accelerations**2).sum()
-    if parameters.posture is not None:
-        total += problem.posture * ((motion.positions[1:] - parameters.posture) ** 2).sum()
-    return float(total)
+def cost(problem: ReachProblem, parameters: OcpParameters, motion: JointTrajectory, errors: Array) -> float:
+    """Cost (m^2) of a motion whose end-effector misses the targets by `errors` (N, 3) m."""
+    posture, weight = parameters.preference(problem)
+    weights = weight, problem.velocity, problem.acceleration
+    return float(reach_mpc.cost_of(weights, posture, motion.positions, motion.velocities, motion.accelerations, errors))
 
 
 def reach_cost(model: ArmModel, problem: ReachProblem, parameters: OcpParameters, motion: JointTrajectory) -> float:
     """Cost of a motion, m^2."""
-    return cost(problem, parameters, motion, model.positions(motion.positions[1:]))
+    return cost(problem, parameters, motion, model.positions(motion.positions[1:]) - parameters.targets)
 
 
-def stopping_times(limits: MotionLimits) -> Array:
+def stopping_times(limits: JointLimits) -> Array:
     """Seconds (dof,) s such that position + velocity * s, once within the limits, can be kept within them for ever.
 
     A joint of velocity v that brakes at its limit a for a period T moves by T (v - T a / 2), while v * s falls by
@@ -121,80 +122,37 @@ def stopping_times(limits: MotionLimits) -> Array:
     return np.asarray(limits.velocity / limits.acceleration)
 
 
-def braking(problem: ReachProblem, limits: MotionLimits, parameters: OcpParameters) -> JointTrajectory:
+def braking(problem: ReachProblem, limits: JointLimits, parameters: OcpParameters) -> JointTrajectory:
     """All joints brake at their acceleration limits until they stop."""
-    change = limits.acceleration * problem.period
-    falls = np.arange(problem.horizon + 1)[:, None] * change
-    velocities = np.copysign(np.maximum(np.abs(parameters.velocity) - falls, 0.0), parameters.velocity)
-    return rolled_out(problem, parameters.position, velocities)
+    motion = _empty(problem, parameters)
+    reach_mpc.brake(limits.drives, problem.period, parameters.velocity, motion.velocities)
+    reach_mpc.roll_out(problem.period, parameters.position, motion.velocities, motion.positions, motion.accelerations)
+    return motion
 
 
-def straight_to(problem: ReachProblem, limits: MotionLimits, parameters: OcpParameters, goal: Array) -> JointTrajectory:
+def straight_to(problem: ReachProblem, limits: JointLimits, parameters: OcpParameters, goal: Array) -> JointTrajectory:
     """Each joint moves to `goal` (dof,) in minimum time, and stops there."""
-    period = problem.period
-    joints = (parameters.position, parameters.velocity, goal, limits.velocity, limits.acceleration)
-    velocities = []
-    for position, velocity, end, highest, acceleration in np.transpose(joints).tolist():
-        joint = [velocity]
-        for _ in range(problem.horizon):
-            distance = end - position - velocity * period / 2
-            fastest = acceleration * (math.sqrt(period**2 + 2 * abs(distance) / acceleration) - period)
-            wanted = math.copysign(min(fastest, highest), distance)
-            next_velocity = min(max(wanted, velocity - acceleration * period), velocity + acceleration * period)
-            position += (velocity + next_velocity) * period / 2
-            velocity = next_velocity
-            joint.append(velocity)
-        velocities.append(joint)
-    return project_onto_limits(problem, limits, parameters, np.array(velocities).T)
-
-
-def rolled_out(problem: ReachProblem, position: Array, velocities: Array) -> JointTrajectory:
-    """The motion with `velocities` (N + 1, dof) from `position` (dof,)."""
-    displacements = (velocities[:-1] + velocities[1:]) * (problem.period / 2)
-    positions = np.concatenate((position[None], position + np.cumsum(displacements, axis=0)))
-    return JointTrajectory(positions, velocities, np.diff(velocities, axis=0) / problem.period)
+    wanted = np.empty((problem.horizon + 1, len(goal)))
+    reach_mpc.go_straight(limits.drives, problem.period, parameters.position, parameters.velocity, goal, wanted)
+    return project_onto_limits(problem, limits, parameters, wanted)
 
 
 def project_onto_limits(
-    problem: ReachProblem, limits: MotionLimits, parameters: OcpParameters, wanted: Array
+    problem: ReachProblem, limits: JointLimits, parameters: OcpParameters, wanted: Array
 ) -> JointTrajectory:
     """The motion near velocities `wanted` (N + 1, dof) that keeps the limits, as far as the initial state allows."""
-    change = limits.acceleration * problem.period
-    changes = np.minimum(np.maximum(np.diff(wanted, axis=0), -change), change)
-    velocities = np.concatenate((parameters.velocity[None], parameters.velocity + np.cumsum(changes, axis=0)))
-    velocities[1:] = np.minimum(np.maximum(velocities[1:], -limits.velocity), limits.velocity)
-    motion = rolled_out(problem, parameters.position, velocities)
-    stops = motion.positions[-1] + _stopping_distance(problem, limits, velocities[-1])
-    extremes = np.concatenate((motion.positions, stops[None]))
-    if (extremes >= limits.lower).all() and (extremes <= limits.upper).all():
-        return motion
-    return _stoppable(problem, limits, parameters, velocities)
+    motion = _empty(problem, parameters)
+    reach_mpc.project(
+        limits.drives, problem.period, parameters.position, parameters.velocity, wanted,
+        motion.positions, motion.velocities, motion.accelerations,
+    )  # fmt: skip
+    return motion
 
 
-def _stopping_distance(problem: ReachProblem, limits: MotionLimits, velocity: Array) -> Array:
-    """Bound on the displacement until joints stop, in whole periods of constant acceleration."""
-    return np.asarray(velocity * (np.abs(velocity) / (2 * limits.acceleration) + problem.period / 2))
-
-
-def _stoppable(
-    problem: ReachProblem, limits: MotionLimits, parameters: OcpParameters, wanted: Array
-) -> JointTrajectory:
-    """As `wanted` (N + 1, dof), but slow enough to stop before the position limits."""
-    period, acceleration = problem.period, limits.acceleration
-    velocities, position = wanted.copy(), parameters.position
-    for k in range(problem.horizon):
-        now = velocities[k]
-        fastest = _fastest(limits.upper - position - now * period / 2, period, acceleration)
-        slowest = -_fastest(position + now * period / 2 - limits.lower, period, acceleration)
-        velocity = np.clip(np.clip(wanted[k + 1], slowest, fastest), -limits.velocity, limits.velocity)
-        velocities[k + 1] = np.clip(velocity, now - acceleration * period, now + acceleration * period)
-        position = position + (now + velocities[k + 1]) * period / 2
-    return rolled_out(problem, parameters.position, velocities)
-
-
-def _fastest(room: Array, period: float, acceleration: Array) -> Array:
-    """The highest velocity at the end of a period from which a joint stops within `room`, half the period included."""
-    return np.asarray(acceleration * (np.sqrt(period**2 + 2 * np.maximum(room, 0.0) / acceleration) - period))
+def _empty(problem: ReachProblem, parameters: OcpParameters) -> JointTrajectory:
+    """Memory for a motion."""
+    knots, dof = problem.horizon, len(parameters.position)
+    return JointTrajectory(np.empty((knots + 1, dof)), np.empty((knots + 1, dof)), np.empty((knots, dof)))
 
 
 def _array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:

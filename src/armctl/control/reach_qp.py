@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from armctl.control.reach_problem import JointTrajectory, OcpParameters, ReachProblem, stopping_times
-from armctl.robot_description.joint_profiles import MotionLimits
+from armctl.kernels import reach_mpc as kernel
+from armctl.robot_description import JointLimits
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -34,7 +35,7 @@ class ReachQp:
     Each knot has `rows` obstacle constraints, with `slack_penalty` per m of violation.
     """
 
-    def __init__(self, problem: ReachProblem, limits: MotionLimits, rows: int, slack_penalty: float) -> None:
+    def __init__(self, problem: ReachProblem, limits: JointLimits, rows: int, slack_penalty: float) -> None:
         self.problem, self.limits, self.rows = problem, limits, rows
         self.dof = len(limits.lower)
         self.states = problem.horizon * self.dof
@@ -51,10 +52,8 @@ class ReachQp:
         `braking` is the worst case: where it violates limits, the plan may too, but not by more.
         """
         problem, limits, states, dof = self.problem, self.limits, self.states, self.dof
-        data, block = self._blocks
-        self.hessian.data[data] = hessians[block]
+        kernel.write_positions_cost(hessians, gradients, *self._blocks, self.hessian.data, self.gradient)
         now = parameters.velocity * problem.period
-        self.gradient[:states] = gradients.ravel()
         self.gradient[states : states + dof] = -2 * problem.acceleration / problem.period**4 * now
         self.lower, self.upper = lower, upper = self._bounds[0].copy(), self._bounds[1].copy()
         lower[:dof] = upper[:dof] = parameters.position + now / 2
@@ -70,12 +69,12 @@ class ReachQp:
             position = slice(3 * states, 4 * states + dof)
             lower[position], upper[position] = np.minimum(lower[position], stops), np.maximum(upper[position], stops)
 
-    def write_obstacles(self, normals: Array, least: Array) -> None:
-        """Write the constraints normals (N, rows, dof) @ q_k >= least (N, rows), m."""
-        marked, order = self._normals
-        self.matrix.data[marked] = CLEARANCE * normals.ravel()[order]
+    def write_obstacles(self, q: Array, distances: Array, normals: Array, margin: float) -> None:
+        """Write the constraints distances (N, rows) + normals (N, rows, dof) @ (q_k - q) >= margin, m."""
         begin = 4 * self.states + self.dof
-        self.lower[begin : begin + least.size] = CLEARANCE * least.ravel()
+        kernel.write_obstacles(
+            distances, normals, q, margin, CLEARANCE, *self._normals, self.matrix.data, self.lower, begin
+        )
 
     def first_duals(self) -> Array:
         """Initial multipliers of all rows: zero, but for those of the slacks."""
@@ -93,8 +92,8 @@ class ReachQp:
         for part in parts:
             part[:, :-1] = part[:, 1:]
 
-    def _hessian_pattern(self) -> tuple[Any, tuple[Integers, tuple[Integers, Integers, Integers]]]:
-        """P, and the indices that map the blocks' entries to its data."""
+    def _hessian_pattern(self) -> tuple[Any, tuple[Integers, Integers, Integers, Integers]]:
+        """P, and the places of the blocks' entries: in its data, and by knot, row and column."""
         problem, dof, knots = self.problem, self.dof, self.problem.horizon
         velocity, acceleration = 2 * problem.velocity / problem.period**2, 2 * problem.acceleration / problem.period**4
         changes = np.append(np.full(knots - 1, 2.0), 1.0)
@@ -110,7 +109,7 @@ class ReachQp:
         row = hessian.indices[marked]
         column = np.repeat(np.arange(hessian.shape[1]), np.diff(hessian.indptr))[marked]
         hessian.data[marked] = row == column
-        return hessian, (marked, (row // dof, row % dof, column % dof))
+        return hessian, (marked, row // dof, row % dof, column % dof)
 
     def _matrix_pattern(self) -> tuple[Any, tuple[Integers, Integers]]:
         """A, and the indices that map the normals' entries to its data."""

@@ -11,38 +11,31 @@ from numpy.typing import ArrayLike, NDArray
 
 from armctl.control.reach_problem import JointTrajectory
 from armctl.control.trajectory import Trajectory
-from armctl.robot_description.joint_profiles import TICK, MotionLimits, limited_without_bounds, towards
+from armctl.kernels import drives
+from armctl.robot_description import JointLimits
+from armctl.robot_description.joint_profiles import TICK
 
 Array = NDArray[np.float64]
 
-SHARES = np.linspace(-1.2, 1.2, 49)[:, None]
+SHARES = np.linspace(-1.2, 1.2, 49)
 """Candidate goals: where a joint stops after it has gained this fraction of its largest speed change per period."""
 
 
-def follow(limits: MotionLimits, position: Array, velocity: Array, goal: Array, period: float) -> tuple[Array, Array]:
-    """Position (..., dof) rad and velocity (..., dof) rad/s of a command after a `period` (s) towards `goal`."""
-    for _ in range(max(1, round(period / TICK))):
-        velocity = limited_without_bounds(towards(goal, position, limits), velocity, limits)
-        position = position + velocity * TICK
+def follow(limits: JointLimits, position: Array, velocity: Array, goal: Array, period: float) -> tuple[Array, Array]:
+    """Position (dof,) rad and velocity (dof,) rad/s of a command after a `period` (s) towards `goal` (dof,) rad."""
+    position, velocity = position.copy(), velocity.copy()
+    drives.follow_all(limits.drives, goal, position, velocity, max(1, round(period / TICK)), TICK)
     return position, velocity
 
 
-def command_for(limits: MotionLimits, position: Array, velocity: Array, displacement: Array, period: float) -> Array:
+def command_for(limits: JointLimits, position: Array, velocity: Array, displacement: Array, period: float) -> Array:
     """The goal (dof,) rad with which drives move by `displacement` (dof,) rad within the next `period` (s).
 
-    They start at `position` (dof,) with `velocity` (dof,). The displacement increases with the goal. If no goal gives
-    the one wanted, the nearest is taken.
+    They start at `position` (dof,) with `velocity` (dof,). If no goal gives the displacement, the nearest is taken.
     """
-    ends = velocity + SHARES * (limits.acceleration * period)
-    goals = position + (velocity + ends) / 2 * period + ends * np.abs(ends) / (2 * limits.acceleration)
-    goals = np.minimum(np.maximum(goals, limits.lower), limits.upper)
-    moved = follow(limits, position, velocity, goals, period)[0] - position
-    joints = np.arange(len(position))
-    below = np.minimum(np.maximum((moved < displacement).sum(axis=0) - 1, 0), len(SHARES) - 2)
-    low, high = goals[below, joints], goals[below + 1, joints]
-    before, after = moved[below, joints], moved[below + 1, joints]
-    share = (displacement - before) / np.maximum(after - before, 1e-12)
-    return np.asarray(low + np.minimum(np.maximum(share, 0.0), 1.0) * (high - low))
+    goal, ticks = np.empty(len(position)), max(1, round(period / TICK))
+    drives.goals_for(limits.drives, position, velocity, displacement, SHARES, ticks, TICK, goal)
+    return goal
 
 
 class CommandStream:
@@ -52,7 +45,7 @@ class CommandStream:
     speed up and brake again, and only their mean velocity is the plan's.
     """
 
-    def __init__(self, limits: MotionLimits, period: float, position: ArrayLike) -> None:
+    def __init__(self, limits: JointLimits, period: float, position: ArrayLike) -> None:
         self.limits, self.period = limits, period
         self.position: Array = np.array(position, dtype=float)
         """(dof,) rad: the command's position."""
@@ -74,7 +67,7 @@ class CommandStream:
         return goal
 
 
-def commanded(limits: MotionLimits, motion: Trajectory, period: float) -> Array:
+def commanded(limits: JointLimits, motion: Trajectory, period: float) -> Array:
     """Positions (ticks, dof) rad of drives that are commanded to follow a `motion`."""
     stream = CommandStream(limits, period, motion.positions[0])
     positions = [stream.position]

@@ -1,17 +1,16 @@
 """Inverse kinematics: configurations with the end-effector at a pose or a position, with their residuals.
 
-Poses of arms with a known geometric decomposition (all UR) are solved in closed form by EAIK (Ostermeier, Kuelz and
-Althoff, "Automatic geometric decomposition for analytical inverse kinematics", RA-L 2025). Everything else is solved by
-Levenberg-Marquardt with error-proportional damping (Sugihara, "Solvability-unconcerned inverse kinematics by the
-Levenberg-Marquardt method", T-RO 2011) from several starts.
+Poses are solved in closed form for the arms of `closed_forms`. Everything else is solved by Levenberg-Marquardt with
+error-proportional damping (Sugihara, "Solvability-unconcerned inverse kinematics by the Levenberg-Marquardt method",
+T-RO 2011) from several starts.
 """
 
+import functools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, Protocol
 
-import eaik.pybindings.EAIK as eaik
 import numpy as np
 import pinocchio
 from numpy.typing import NDArray
@@ -19,11 +18,18 @@ from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from armctl.errors import ConfigurationError, UnreachableTarget
+from armctl.kernels import ik as kernel
+from armctl.kinematics.closed_forms import ClosedForm, seven_joints, six_joints
 from armctl.kinematics.damped_least_squares import damped_step
 from armctl.kinematics.model import ArmModel
 from armctl.options import options
 
 Array = NDArray[np.float64]
+
+RIGID = 1e-6
+"""Tolerance on the entries of a rotation times its transpose."""
+EXACT = 0.01
+"""Fraction of the tolerance below which a residual is not improved any more."""
 
 
 @options
@@ -80,16 +86,16 @@ class Ik:
     def __init__(self, model: ArmModel, options: IkOptions | None = None) -> None:
         self.model = model
         self.options = options or IkOptions()
-        self._analytic = _analytic_solver(model)
+        self._six_joints = six_joints(model)
         rng = np.random.default_rng(self.options.rng_seed)
         self._random_starts = model.random_configurations(rng, self.options.starts)
         self._orientations = Rotation.random(self.options.starts, rng=rng).as_matrix()
         self._full_turn = model.limits.upper - model.limits.lower >= 2 * np.pi - 1e-6
 
-    @property
-    def analytic(self) -> bool:
-        """Whether poses are solved in closed form."""
-        return self._analytic is not None
+    @functools.cached_property
+    def closed_form(self) -> ClosedForm | None:
+        """The closed form for poses, if the arm has one."""
+        return self._six_joints or seven_joints(self.model)
 
     def pose(self, target: Array, seed: Array | None = None, count: int | None = None) -> IkResult:
         """Up to `count` configurations for a full pose, homogeneous (4, 4); the nearest to `seed` (dof,) comes first.
@@ -97,19 +103,40 @@ class Ik:
         The closed form gives all solutions (up to 8 for a UR). The numeric search stops at `count` (default 1).
         Raises `ConfigurationError` if `target` is not a rigid transform.
         """
-        target = np.asarray(target, dtype=float)
-        if not _is_rigid(target):
+        target = np.ascontiguousarray(target, dtype=float)
+        if target.shape != (4, 4) or not kernel.is_rigid(target, RIGID):
             raise ConfigurationError(f"pose should be a homogeneous (4, 4) matrix with a proper rotation, not {target}")
         seed = self._checked(seed, count)
+        if self.closed_form is None:
+            return self._search(_PoseProblem(self.model, target), seed, count or 1)
+        q, approximate = self.closed_form(target)
+        return self._chosen(target, q, approximate, seed, count) or self._polished(target, q, approximate, seed, count)
+
+    def _chosen(
+        self, target: Array, q: Array, approximate: NDArray[np.bool_], seed: Array, count: int | None
+    ) -> IkResult | None:
+        """The closed form's solutions; None if one of them needs to be polished, or there is none."""
+        options = self.options
+        solutions, residuals = np.empty((len(q) + 1, self.model.dof)), np.empty(len(q) + 1)
+        number = kernel.choose(
+            self.model.joints, target, q, approximate, seed, EXACT * options.tolerance, options.near, options.distinct,
+            solutions, residuals,
+        )  # fmt: skip
+        if number < 0:
+            return None
+        if count is not None:
+            number = min(number, count)
+        return IkResult(solutions[:number], residuals[:number], solutions[-1], float(residuals[-1]), 0)
+
+    def _polished(
+        self, target: Array, q: Array, approximate: NDArray[np.bool_], seed: Array, count: int | None
+    ) -> IkResult:
+        """Its solutions, or its approximations if there are none, improved numerically."""
         problem = _PoseProblem(self.model, target)
-        if self._analytic is None:
-            return self._search(problem, seed, count or 1)
-        found = self._analytic.calculate_IK(target)
-        exact = [np.array(q) for q, approximate in zip(found.Q, found.is_LS, strict=True) if not approximate]
-        starts = exact or [np.array(q) for q in found.Q]
+        starts = list(q if approximate.all() else q[~approximate])
         if np.linalg.norm(problem.error(seed)) < self.options.near:
             starts.append(seed)
-        return self._result([self._polish(problem, q) for q in starts], seed, count)
+        return self._result([self._polish(problem, start) for start in starts], seed, count)
 
     def position(self, target: Array, seed: Array | None = None, count: int = 1) -> IkResult:
         """Up to `count` distinct configurations for a position (3,) m; the nearest to `seed` (dof,) comes first.
@@ -125,7 +152,8 @@ class Ik:
     def free_configurations(self, position: Array) -> Iterator[Array]:
         """Collision-free configurations (dof,) at `position` (3,).
 
-        These are not all, but the same every time: a fixed set of orientations (or of numeric starts) is tried.
+        These are not all, but the same every time: a fixed set of orientations (or of numeric starts) is tried, with
+        what the core of armctl installs.
         """
         for q in self.configurations(position):
             if self.model.within_limits(q) and self.model.is_free(q):
@@ -133,17 +161,15 @@ class Ik:
 
     def configurations(self, position: Array) -> Iterator[Array]:
         """The same, in collision or not; joints may exceed their limits by whole turns."""
-        if self._analytic is None:
+        if self._six_joints is None:
             yield from self.position(position, count=self.options.starts).solutions
             return
         pose = np.eye(4)
         pose[:3, 3] = position
         for orientation in self._orientations:
             pose[:3, :3] = orientation
-            found = self._analytic.calculate_IK(pose)
-            for q, approximate in zip(found.Q, found.is_LS, strict=True):
-                if not approximate:
-                    yield np.array(q)
+            q, approximate = self._six_joints(pose)
+            yield from q[~approximate]
 
     def _checked(self, seed: Array | None, count: int | None) -> Array:
         if count is not None and count < 1:
@@ -176,7 +202,7 @@ class Ik:
             stalled = 0 if residual < 0.9 * best_residual else stalled + 1
             if residual < best_residual:
                 best, best_residual = q, residual
-            if residual < 0.01 * self.options.tolerance or stalled > 8:
+            if residual < EXACT * self.options.tolerance or stalled > 8:
                 break
             q = q - damped_step(problem.jacobian(q), error, self.options.damping * residual**2 + 1e-9)
             q = np.where(self._full_turn, q, np.clip(q, self.model.limits.lower, self.model.limits.upper))
@@ -236,27 +262,3 @@ class _PoseProblem:
     def jacobian(self, q: Array) -> Array:
         error = self.model.placement(q).actInv(self.target)
         return np.asarray(-pinocchio.Jlog6(error.inverse()) @ self.model.local_jacobian(q))
-
-
-def _is_rigid(pose: Array) -> bool:
-    if pose.shape != (4, 4) or not np.isfinite(pose).all() or (pose[3] != (0, 0, 0, 1)).any():
-        return False
-    rotation = pose[:3, :3]
-    return bool(np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-6 and np.linalg.det(rotation) > 0)
-
-
-def _analytic_solver(model: ArmModel) -> "eaik.Robot | None":
-    """EAIK's solver for the arm, or None if it has no decomposition for it."""
-    if model.dof != 6:
-        return None
-    origins = [np.zeros(3)]
-    axes = []
-    data = model.pinocchio.createData()
-    pinocchio.computeJointJacobians(model.pinocchio, data, np.zeros(6))
-    for i in range(6):
-        axes.append(pinocchio.getJointJacobian(model.pinocchio, data, i + 1, pinocchio.LOCAL_WORLD_ALIGNED)[3:, i])
-        origins.append(data.oMi[i + 1].translation.copy())
-    zero_pose = model.pose(np.zeros(6))
-    offsets = np.diff([*origins, zero_pose[:3, 3]], axis=0)
-    solver = eaik.Robot(np.transpose(axes), offsets.T, zero_pose[:3, :3], [], True)
-    return solver if solver.has_known_decomposition() else None

@@ -6,6 +6,7 @@ The time and the place in the sphere are optimised together, from several starts
 then sequential linear programming (Griffith and Stewart, "A nonlinear programming technique for the optimization of
 continuous processing systems", Management Science 7, 1961). Each linear program has one constraint and bounds that grow
 with the time. Its solution has a closed form: every joint moves as far as time allows, in the direction that helps.
+`armctl.kernels.reach` does the arithmetic.
 """
 
 import math
@@ -16,29 +17,16 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from armctl.kinematics.damped_least_squares import damped_step
+from armctl.kernels import reach
 from armctl.kinematics.ik import Ik
 from armctl.kinematics.model import ArmModel
 from armctl.options import options
-from armctl.robot_description.joint_profiles import (
-    fly_by_setpoint,
-    max_displacement,
-    trapezoidal_displacement,
-    travel_time,
-)
+from armctl.robot_description.joint_profiles import fly_by_setpoint, trapezoidal_displacement
 
 Array = NDArray[np.float64]
 
-MAX_APPROACH_STEP = 0.5
-"""rad: joint step limit in one iteration of `approach`."""
 FIRST_STEP, LAST_STEP = 0.2, 0.0005
 """rad: joint step limits of the first and the last linear program, which is valid only nearby."""
-INSIDE = 5e-5
-"""m: depth inside the sphere that is aimed at, since linear programs end beside a curved surface."""
-MIN_SLOPE = 0.05
-"""m/s: lower bound on the approach speed when the time is estimated from it."""
-MAX_TIME_CHANGE = 0.1
-"""s: limit on one change of the time estimate."""
 
 
 @options
@@ -92,7 +80,7 @@ class MinimumTimeReach:
 
         None if no start led into the sphere.
         """
-        candidates = self._by_time(start, self._candidates(start, centre, radius))
+        candidates = self._by_time(start, self._candidates(start, centre, radius, np.zeros(self.model.dof))[0])
         goal = self._first_free(start, candidates)
         if goal is None:
             at_centre = np.array(list(self.ik.free_configurations(centre))).reshape(-1, self.model.dof)
@@ -105,92 +93,54 @@ class MinimumTimeReach:
         Infinite if no start led into the sphere. With the options `THOROUGH`, no policy is faster.
         """
         moving = np.zeros(self.model.dof) if velocity is None else velocity
-        candidates = self._candidates(start, centre, radius, moving)
-        return float(self._times(start, candidates, moving).min(initial=np.inf))
-
-    def _times(self, start: Array, goals: Array, velocity: Array | float = 0.0) -> Array:
-        return np.asarray(travel_time(goals - start, velocity, self.model.limits).max(axis=-1, initial=0.0))
+        return float(self._candidates(start, centre, radius, moving)[1].min(initial=np.inf))
 
     def _by_time(self, start: Array, goals: Array) -> Array:
-        return np.asarray(goals[np.argsort(self._times(start, goals), kind="stable")])
+        return np.asarray(goals[np.argsort(self.model.least_time(start, goals), kind="stable")])
 
     def _first_free(self, start: Array, q: Array) -> ReachGoal | None:
         goals = (self._goal(start, one) for one in q)
         return next((goal for goal in goals if goal.collision_free), None)
 
     def _goal(self, start: Array, q: Array) -> ReachGoal:
-        time = float(self._times(start, q))
+        time = float(self.model.least_time(start, q))
         command = fly_by_setpoint(start, q, time, self.model.limits)
         points = 1 + math.ceil(np.abs(q - start).max() / self.options.path_spacing)
-        times = np.linspace(time, 0, points, endpoint=False)[:, None]
+        times = np.linspace(time, 0, points, endpoint=False)
         path = start + trapezoidal_displacement(times, command - start, self.model.limits)
-        return ReachGoal(q, time, command, collision_free=all(map(self.model.is_free, path)))
+        return ReachGoal(q, time, command, bool(self.model.are_free(path).all()))
 
-    def _candidates(self, start: Array, centre: Array, radius: float, velocity: Array | float = 0.0) -> Array:
-        """Configurations (k, dof) in the sphere: one, as early as possible, from each start that led into it."""
+    def _candidates(self, start: Array, centre: Array, radius: float, velocity: Array) -> tuple[Array, Array]:
+        """Configurations (k, dof) in the sphere, as early as possible, and their times (k,): one from each start."""
         if np.linalg.norm(self.model.position(start) - centre) <= radius:
-            return start[None]
+            return start[None], np.zeros(1)
         starts = np.vstack([start, start + self._around, self._anywhere])
         q = approach(self.model, starts, centre, self.options.approach_iterations)
         return self.refined(start, self.model.nearest_turn(q, start), centre, radius, velocity)
 
-    def refined(self, start: Array, q: Array, centre: Array, radius: float, velocity: Array | float = 0.0) -> Array:
-        """Configurations (k, dof) in the sphere: one, as early as possible, from each of q (n, dof) that led into it.
+    def refined(
+        self, start: Array, q: Array, centre: Array, radius: float, velocity: Array | float = 0.0
+    ) -> tuple[Array, Array]:
+        """Configurations (k, dof) in the sphere, as early as possible, and their times (k,), s.
 
-        `start` is (dof,), or (n, dof): one for each.
+        One from each of q (n, dof) that led into it. `start` is (dof,), or (n, dof): one for each.
         """
-        q = np.clip(q, self.model.limits.lower, self.model.limits.upper)
-        best, best_time = q, np.full(len(q), np.inf)
-        for max_step in np.geomspace(FIRST_STEP, LAST_STEP, self.options.refine_iterations):
-            step, time, distance = self.step(q, start, centre, radius, velocity, max_step)
-            better = (distance <= radius) & (time < best_time)
-            best, best_time = np.where(better[:, None], q, best), np.where(better, time, best_time)
-            q = q + step
-        return np.asarray(best[np.isfinite(best_time)])
-
-    def step(
-        self, q: Array, start: Array, centre: Array, radius: float, velocity: Array | float, max_step: float
-    ) -> tuple[Array, Array, Array]:
-        """One linear program at q (n, dof), with joint steps up to `max_step` (rad).
-
-        Returns the step (n, dof), the times (n,) s from `start` to q, and the distances (n,) m at q from the sphere's
-        centre. `centre` and `start` are one for all, or one for each.
-        """
-        position, jacobian = self.model.positions_and_jacobians(q)
-        offset = centre - position
-        distance = np.linalg.norm(offset, axis=-1, keepdims=True) + 1e-12
-        time = self._times(start, q, velocity)
-        gain = np.einsum("nij,ni->nj", jacobian, offset / distance)
-        step = self._step(q, start, velocity, gain, distance - radius + INSIDE, time[:, None], max_step)
-        return step, time, distance[:, 0]
-
-    def _step(
-        self, q: Array, start: Array, velocity: Array | float, gain: Array, needed: Array, time: Array, max_step: float
-    ) -> Array:
-        """Step (n, dof) that comes nearer to the sphere by `needed` (n, 1) m, in the least time from `start`.
-
-        `gain` (n, dof) is the approach per joint motion, m/rad. Newton's method improves the time. Two of its steps are
-        enough: programs solved to convergence overshoot, since they are valid only nearby.
-        """
-        limits, travel = self.model.limits, q - start
-        sign = np.where(gain > 0, 1.0, -1.0)
-        room = np.where(gain > 0, limits.upper - q, q - limits.lower)
-        for _ in range(2):
-            reach, speed = max_displacement(time, sign * velocity, limits)
-            step = np.minimum(np.minimum(reach - sign * travel, room), max_step)
-            missing = needed - (np.abs(gain) * step).sum(axis=-1, keepdims=True)
-            slope = (np.abs(gain) * speed * (step < max_step)).sum(axis=-1, keepdims=True)
-            change = np.clip(missing / np.maximum(slope, MIN_SLOPE), -MAX_TIME_CHANGE, MAX_TIME_CHANGE)
-            time = np.maximum(time + change, 1e-3)
-        return np.asarray(sign * np.clip(step, -max_step, max_step))
+        q, times = np.array(q, dtype=float), np.empty(len(q))
+        count, dof = q.shape
+        starts, centres, velocities = _rows(start, count, dof), _rows(centre, count, 3), _rows(velocity, count, dof)
+        steps = np.geomspace(FIRST_STEP, LAST_STEP, self.options.refine_iterations)
+        reach.refine(self.model.joints, q, starts, centres, radius, velocities, steps, times)
+        inside = np.isfinite(times)
+        return q[inside], times[inside]
 
 
 def approach(model: ArmModel, q: Array, centre: Array, iterations: int) -> Array:
-    """Configurations (..., dof) after Levenberg-Marquardt iterations from q (..., dof) towards `centre` (..., 3) m."""
-    for _ in range(iterations):
-        position, jacobian = model.positions_and_jacobians(q)
-        error = centre - position
-        step = damped_step(jacobian, error, 0.5 * (error * error).sum(axis=-1) + 1e-6)
-        largest = np.abs(step).max(axis=-1, keepdims=True)
-        q = q + step * np.minimum(1.0, MAX_APPROACH_STEP / (largest + 1e-12))
+    """Configurations (n, dof) after Levenberg-Marquardt iterations from q (n, dof) to `centre`, (3,) or (n, 3) m."""
+    q = np.array(q, dtype=float)
+    reach.approach(model.joints, q, _rows(centre, len(q), 3), iterations)
     return q
+
+
+def _rows(values: Array | float, count: int, size: int) -> Array:
+    """The same values (count, size) in each row, unless there are as many."""
+    return np.ascontiguousarray(np.broadcast_to(values, (count, size)), dtype=float)

@@ -4,15 +4,14 @@ import copy
 from functools import cached_property
 from pathlib import Path
 
-import coal
 import numpy as np
 import pinocchio
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from armctl.kinematics.obstacles import add_boxes
+from armctl.kernels import arm, capsules, drives
+from armctl.kinematics.records import Records, box_records, joint_records, link_records
 from armctl.robot_description import ArmDescription, load_arm
-from armctl.robot_description.collision_pairs import FLOOR, add_collision_pairs, capsule_geometry, link_frame
-from armctl.robot_description.joint_profiles import travel_time
+from armctl.robot_description.collision_pairs import FLOOR, link_frame
 from armctl.scene import NO_BOXES, Boxes
 
 Array = NDArray[np.float64]
@@ -34,27 +33,28 @@ class ArmModel:
         self._data = self.pinocchio.createData()
         self.boxes = NO_BOXES
         """Obstacles."""
-        self._shapes = capsule_geometry(self.pinocchio, self.description.capsules)
-        add_collision_pairs(self._shapes, self.description.collision_pairs)
-        self._contacts = self._shapes.createData()
+        self._boxes = box_records(NO_BOXES)
         self.axes = self._joint_axes()
         """Axis of each joint in its own frame, (dof, 3)."""
-        self._chain = self._joint_chain()
-        self._tip_offset = np.array(self.pinocchio.frames[self.tip].placement.translation)
-        self._base_shapes = [
-            shape for shape in self._shapes.geometryObjects if shape.parentJoint == 0 and shape.name != FLOOR
-        ]
+        self.joints: Records = joint_records(self.pinocchio, self.axes, self.description)
+        """For `armctl.kernels.arm`."""
+        self.links: Records = link_records(self.pinocchio, self.description)
+        """For `armctl.kernels.capsules`, in the order of the description's capsules."""
+        names = [capsule.link for capsule in self.description.capsules]
+        pairs = [pair for pair in self.description.collision_pairs if FLOOR not in pair]
+        self.link_pairs = np.array([[names.index(link) for link in pair] for pair in pairs], dtype=int).reshape(-1, 2)
+        """Indices (p, 2) of links that can touch each other."""
+        on_floor = (pair[0] for pair in self.description.collision_pairs if FLOOR in pair)
+        self.floor_links = np.array([names.index(link) for link in on_floor], dtype=int)
+        """Indices of links that can touch the floor."""
         self.shoulder = np.array(self.pinocchio.jointPlacements[1].translation)
         """Origin of the first joint, (3,) m."""
 
     def among(self, boxes: Boxes) -> "ArmModel":
         """The same arm among boxes: `is_free` then takes them into account."""
         model = copy.copy(self)
-        model.boxes = boxes
+        model.boxes, model._boxes = boxes, box_records(boxes)
         model._data = self.pinocchio.createData()
-        model._shapes = self._shapes.copy()
-        add_boxes(model._shapes, boxes)
-        model._contacts = model._shapes.createData()
         return model
 
     def placement(self, q: Array) -> pinocchio.SE3:
@@ -78,64 +78,45 @@ class ArmModel:
         """Jacobian (6, dof) in the end-effector's own frame: linear (m/rad) above angular (rad/rad)."""
         return self._jacobian(q, pinocchio.LOCAL)
 
-    def positions(self, q: Array) -> Array:
-        """End-effector positions (..., 3) m of a batch (..., dof), without a Python loop over it."""
-        return self.positions_and_jacobians(q)[0]
+    def positions(self, q: ArrayLike) -> Array:
+        """End-effector positions (..., 3) m of a batch (..., dof)."""
+        flat = self._rows(q)
+        found = np.empty((len(flat), 3))
+        arm.tips(self.joints, flat, found)
+        return found.reshape(*np.shape(q)[:-1], 3)
 
-    def positions_and_jacobians(self, q: Array) -> tuple[Array, Array]:
+    def positions_and_jacobians(self, q: ArrayLike) -> tuple[Array, Array]:
         """Positions (..., 3) m and linear Jacobians (..., 3, dof) m/rad of a batch (..., dof)."""
-        frames = self.joint_frames(q)
-        tip = self.tip_positions(frames)
-        jacobians = cross(self.joint_axes(frames), tip[..., None, :] - frames[..., :3, 3])
-        return tip, np.swapaxes(jacobians, -1, -2)
+        flat, batch = self._rows(q), np.shape(q)[:-1]
+        positions, gradients = np.empty((len(flat), 3)), np.empty((len(flat), self.dof, 3))
+        arm.tips_and_gradients(self.joints, flat, positions, gradients)
+        return positions.reshape(*batch, 3), gradients.swapaxes(-1, -2).reshape(*batch, 3, self.dof)
 
-    def joint_frames(self, q: Array) -> Array:
-        """Homogeneous poses (..., dof, 4, 4) of the frames that the joints move, for q (..., dof)."""
-        q = np.asarray(q, dtype=float)[..., None, None]
-        steps = self._chain[0] + np.sin(q) * self._chain[1] + (1 - np.cos(q)) * self._chain[2]
-        for i in range(1, self.dof):
-            np.matmul(steps[..., i - 1, :, :], steps[..., i, :, :].copy(), out=steps[..., i, :, :])
-        return np.asarray(steps)
+    def is_free(self, q: ArrayLike) -> bool:
+        """Whether q (dof,) is collision-free: the capsules touch neither each other, nor the floor, nor a box."""
+        return bool(self.are_free(np.asarray(q)[None])[0])
 
-    def joint_axes(self, frames: Array) -> Array:
-        """Joint axes (..., dof, 3) in the base frame, at `joint_frames` (..., dof, 4, 4)."""
-        return np.asarray((frames[..., :3, :3] @ self.axes[:, :, None])[..., 0])
+    def are_free(self, q: ArrayLike) -> NDArray[np.bool_]:
+        """The same for a batch (n, dof), (n,)."""
+        rows = self._rows(q)
+        free = np.empty(len(rows), dtype=bool)
+        capsules.are_free(self.joints, self.links, self.link_pairs, self.floor_links, self._boxes, rows, free)
+        return free
 
-    def tip_positions(self, frames: Array) -> Array:
-        """End-effector positions (..., 3) m at `joint_frames` (..., dof, 4, 4)."""
-        return np.asarray(frames[..., -1, :3, :3] @ self._tip_offset + frames[..., -1, :3, 3])
-
-    def is_free(self, q: Array) -> bool:
-        """Whether q is collision-free: the capsules touch neither each other, nor the floor, nor a box."""
-        return not pinocchio.computeCollisions(self.pinocchio, self._data, self._shapes, self._contacts, q, True)
-
-    def box_distances(self, q: Array, boxes: Boxes) -> Array:
+    def box_distances(self, q: ArrayLike, boxes: Boxes) -> Array:
         """Distance (k,) m of each box from the whole arm at `q` (dof,): 0 or below in contact."""
-        pinocchio.updateGeometryPlacements(self.pinocchio, self._data, self._shapes, self._contacts, q)
-        links = [
-            (shape.geometry, coal.Transform3s(placement.rotation, placement.translation))
-            for shape, placement in zip(self._shapes.geometryObjects, self._contacts.oMg, strict=True)
-            if isinstance(shape.geometry, coal.Capsule)
-        ]
-        request, result = coal.DistanceRequest(), coal.DistanceResult()
         distances = np.full(len(boxes), np.inf)
-        for i, (centre, half_size, turn) in enumerate(
-            zip(boxes.centres, boxes.half_sizes, boxes.rotations, strict=True)
-        ):
-            box, placement = coal.Box(*(2 * half_size)), coal.Transform3s(turn, centre)
-            for link, at in links:
-                result.clear()
-                distances[i] = min(distances[i], coal.distance(link, at, box, placement, request, result))
+        capsules.box_distances(self.joints, self.links, box_records(boxes), self._rows(q)[0], distances)
         return distances
 
-    def base_distance(self, position: Array) -> float:
+    def base_distance(self, position: ArrayLike) -> float:
         """Distance (m) of `position` (3,) from the arm's fixed links; infinite if they have no shape."""
-        point, placement = coal.Sphere(0.0), coal.Transform3s(np.eye(3), position)
-        request, result = coal.DistanceRequest(), coal.DistanceResult()
-        distances = [
-            coal.distance(shape.geometry, coal.Transform3s(shape.placement), point, placement, request, result)
-            for shape in self._base_shapes
-        ]
+        point = np.array((position, position), dtype=float)
+        fixed = self.links[self.links["joint"] == 0]
+        ends = np.stack((fixed["start"], fixed["end"]), axis=1)
+        distances = (
+            capsules.segments_distance(link, point) - radius for link, radius in zip(ends, fixed["radius"], strict=True)
+        )
         return min(distances, default=np.inf)
 
     def within_limits(self, q: Array) -> NDArray[np.bool_]:
@@ -162,9 +143,12 @@ class ArmModel:
         cos, sin = np.cos(1.0), np.sin(1.0)
         return bool(np.allclose((cos * x - sin * y, sin * x + cos * y, z), after, atol=1e-4))
 
-    def least_time(self, start: Array, goal: Array) -> Array:
-        """Seconds in which all joints can move from rest at `start` to `goal` (..., dof), without stopping there."""
-        return np.asarray(np.max(travel_time(goal - start, 0.0, self.limits), axis=-1))
+    def least_time(self, start: Array, goals: Array) -> Array:
+        """Seconds (...) in which all joints can move from rest at `start` (dof,) to `goals` (..., dof) at any speed."""
+        rows = self._rows(goals)
+        times = np.empty(len(rows))
+        drives.least_times(self.joints, start, np.zeros(self.dof), rows, times)
+        return times.reshape(np.shape(goals)[:-1])
 
     def cruise_time(self, start: Array, goal: Array) -> Array:
         """Seconds from `start` to `goal` (..., dof) at the slowest joint's velocity limit: additive along a path."""
@@ -182,22 +166,6 @@ class ArmModel:
         )
         return np.array([jacobian.reshape(6, self.dof)[3:, i] for i, jacobian in enumerate(jacobians)])
 
-    def _joint_chain(self) -> Array:
-        """Terms (3, dof, 4, 4) of each joint's pose in the frame of the joint before it.
-
-        The first is constant, the second scales with the sine of the joint angle, the third with 1 - its cosine
-        (Rodrigues' formula).
-        """
-        chain = np.zeros((3, self.dof, 4, 4))
-        for i, (placement, axis) in enumerate(zip(self.pinocchio.jointPlacements[1:], self.axes, strict=True)):
-            turn = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-            chain[0, i] = placement.homogeneous
-            chain[1, i, :3, :3] = placement.rotation @ turn
-            chain[2, i, :3, :3] = placement.rotation @ turn @ turn
-        return chain
-
-
-def cross(first: Array, second: Array) -> Array:
-    """Cross product (..., 3): several times faster than NumPy's for the few vectors of an arm."""
-    ahead, behind = [1, 2, 0], [2, 0, 1]
-    return np.asarray(first[..., ahead] * second[..., behind] - first[..., behind] * second[..., ahead])
+    def _rows(self, q: ArrayLike) -> Array:
+        """A batch (..., dof) as (n, dof), the one layout for which kernels are compiled."""
+        return np.ascontiguousarray(q, dtype=float).reshape(-1, self.dof)

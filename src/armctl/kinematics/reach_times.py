@@ -12,17 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from armctl.kinematics.minimum_time_reach import MinimumTimeReach, approach
+from armctl.kernels import reach
 from armctl.kinematics.model import ArmModel
 from armctl.kinematics.reachability_map import ReachabilityMap
 from armctl.options import options
-from armctl.robot_description.joint_profiles import travel_time
 
 Array = NDArray[np.float64]
 
 CONFIGURATIONS = 30_000
 """Size of the table in which spheres are looked up."""
-REFINEMENTS = (0.2, 0.13, 0.08, 0.05, 0.03, 0.02, 0.0)
+REFINEMENTS = np.array((0.2, 0.13, 0.08, 0.05, 0.03, 0.02, 0.0))
 """rad: joint step limit in each linear program."""
 INSIDE = 0.9
 """Fraction of the radius: the straight move aims at the sphere's nearest point at this distance from its centre."""
@@ -71,45 +70,26 @@ class ReachTimes:
         self._map = ReachabilityMap(model, CONFIGURATIONS, collision_free=False)
         self._near_home = model.nearest_turn(self._map.configurations, model.home)
         self._from_home = model.least_time(model.home, self._near_home)
-        self._minimum_time = MinimumTimeReach(model)
 
     def spheres(self, centres: Array) -> Spheres:
         """Spheres around `centres` (m, 3), m."""
         near = self._map.nearest(centres, self.effort.nearby)[1]
         earliest = np.argpartition(self._from_home[near], self.effort.goals, axis=1)[:, : self.effort.goals]
-        q = self._near_home[np.take_along_axis(near, earliest, axis=1)]
-        return Spheres(centres.copy(), *self._moved_to(q, centres[:, None], centres[:, None]))
+        goals = self._near_home[np.take_along_axis(near, earliest, axis=1)]
+        excess = np.empty(goals.shape[:2])
+        around = np.repeat(centres, self.effort.goals, axis=0)
+        reach.move_to(
+            self.model.joints, goals.reshape(-1, self.model.dof), around, around, self.radius, TIP_SPEED,
+            self.effort.iterations, excess.ravel(),
+        )  # fmt: skip
+        return Spheres(centres.copy(), goals, excess)
 
     def least(self, q: Array, velocity: Array, spheres: Spheres) -> Array:
         """Seconds (m,) from q (m, dof), moving with `velocity` (m, dof) rad/s, each into its sphere; 0 inside."""
-        goals = self.model.nearest_turn(spheres.goals, q[:, None])
-        times = self._times(q[:, None], velocity[:, None], goals, spheres.excess)
-        best = times.argmin(axis=1)[:, None]
-        goal, time = (
-            np.take_along_axis(goals, best[..., None], axis=1)[:, 0],
-            np.take_along_axis(times, best, axis=1)[:, 0],
-        )
-        offset = self.model.positions(q) - spheres.centres
-        distance = np.linalg.norm(offset, axis=-1)
-        nearest = spheres.centres + offset * (INSIDE * self.radius / np.maximum(distance, self.radius))[:, None]
-        straight, excess = self._moved_to(q, nearest, spheres.centres)
-        straight_time = self._times(q, velocity, straight, excess)
-        goal = np.where((straight_time < time)[:, None], straight, goal)
-        least = np.minimum(straight_time, time)
-        for max_step in REFINEMENTS:
-            step, time, distances = self._minimum_time.step(goal, q, spheres.centres, self.radius, velocity, max_step)
-            goal = goal + step
-            least = np.minimum(least, time + self._excess(distances))
-        return np.where(distance <= self.radius, 0.0, least)
-
-    def _times(self, q: Array, velocity: Array, goals: Array, excess: Array) -> Array:
-        return np.asarray(travel_time(goals - q, velocity, self.model.limits).max(axis=-1) + excess)
-
-    def _moved_to(self, q: Array, positions: Array, centres: Array) -> tuple[Array, Array]:
-        """Configurations (..., dof) moved from q towards end-effector `positions`, and their excess, s."""
-        goals = approach(self.model, q, positions, self.effort.iterations)
-        goals = np.clip(goals, self.model.limits.lower, self.model.limits.upper)
-        return goals, self._excess(np.linalg.norm(self.model.positions(goals) - centres, axis=-1))
-
-    def _excess(self, distance: Array) -> Array:
-        return np.maximum(distance - self.radius, 0.0) / TIP_SPEED
+        times = np.empty(len(q))
+        q, velocity = np.ascontiguousarray(q), np.ascontiguousarray(velocity)
+        reach.least_times_into_spheres(
+            self.model.joints, q, velocity, spheres.centres, spheres.goals, spheres.excess,
+            self.radius, TIP_SPEED, INSIDE, self.effort.iterations, REFINEMENTS, times,
+        )  # fmt: skip
+        return times

@@ -34,9 +34,8 @@ class ReachabilityMap:
         self.model = model
         rng = np.random.default_rng(0)
         batches = (model.random_configurations(rng, count) for _ in range(MAX_DRAWS))
-        drawn = itertools.chain.from_iterable(batches)
-        kept = filter(model.is_free, drawn) if collision_free else drawn
-        self.configurations: Array = np.array(list(itertools.islice(kept, count)))
+        kept = (batch[model.are_free(batch)] if collision_free else batch for batch in batches)
+        self.configurations: Array = np.array(list(itertools.islice(itertools.chain.from_iterable(kept), count)))
         """(count, dof) rad"""
         self._by_position = KDTree(model.positions(self.configurations))
 
@@ -59,5 +58,5 @@ class ReachabilityMap:
         time = self.model.least_time(start, goals) + np.where(error < ON_TARGET, 0.0, MISS_PENALTY)
         goals = goals[np.argsort(time)]
         fractions = np.linspace(1.0, 0.1, 10)[:, None]
-        free = (goal for goal in goals if all(among.is_free(q) for q in start + fractions * (goal - start)))
-        return next(free, goals[0])
+        free = (goal for goal in goals if among.are_free(start + fractions * (goal - start)).all())
+        return np.asarray(next(free, goals[0]))

@@ -128,7 +128,7 @@ class ArmPlanner:
         """Free configurations (k, dof) in the sphere, those reached earliest first."""
         q = np.array(list(self._minimum_time.ik.configurations(centre))).reshape(-1, self.model.dof)
         q = self._by_time(start, self.model.nearest_turn(q, start))
-        earliest = self._minimum_time.refined(start, q[: self.options.goals], centre, INSIDE * radius)
+        earliest = self._minimum_time.refined(start, q[: self.options.goals], centre, INSIDE * radius)[0]
         free = (one for one in self._by_time(start, np.vstack((earliest, q))) if edges.is_free(one))
         return np.array(list(itertools.islice(free, self.options.goals))).reshape(-1, self.model.dof)
 
@@ -172,7 +172,7 @@ class ArmPlanner:
     def _with_earlier_end(self, edges: EdgeChecker, path: Array, centre: Array, radius: float) -> Array:
         """The path, left at the corner from which a straight motion into the sphere saves most time."""
         corners = path[:-1]
-        ends = self._minimum_time.refined(corners, np.tile(path[-1], (len(corners), 1)), centre, INSIDE * radius)
+        ends = self._minimum_time.refined(corners, np.tile(path[-1], (len(corners), 1)), centre, INSIDE * radius)[0]
         times = self.model.cruise_time(corners[:, None], ends) + self._times(path)[:-1, None]
         for i, j in zip(*np.unravel_index(np.argsort(times, axis=None), times.shape), strict=True):
             if times[i, j] > MAX_TIME_RATIO * self._time(path):

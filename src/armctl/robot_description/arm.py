@@ -15,6 +15,7 @@ import pinocchio
 from numpy.typing import NDArray
 
 from armctl.errors import ConfigurationError, unknown_name
+from armctl.kernels.drives import DRIVE
 from armctl.robot_description.capsules import Capsule, enclosing_capsule
 from armctl.robot_description.collision_pairs import Pair, pairs_worth_testing
 from armctl.robot_description.urdf import Shape, Urdf
@@ -81,6 +82,14 @@ class JointLimits:
     effort: Array
     acceleration: Array
     jerk: Array
+
+    @functools.cached_property
+    def drives(self) -> NDArray[np.void]:
+        """The same as `armctl.kernels.drives` takes them, (dof,)."""
+        drives = np.zeros(len(self.lower), DRIVE)
+        drives["lower"], drives["upper"] = self.lower, self.upper
+        drives["top"], drives["acceleration"] = self.velocity, self.acceleration
+        return drives
 
 
 @dataclass(frozen=True, eq=False)

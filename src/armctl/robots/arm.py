@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.errors import unknown_name
+from armctl.kernels import drives
 from armctl.robot_description import ArmDescription
 from armctl.robot_description.capsules import Capsule
 from armctl.robot_description.collision_pairs import FLOOR
-from armctl.robot_description.joint_profiles import TICK, limited, towards
+from armctl.robot_description.joint_profiles import TICK
 from armctl.robots.joints import ActuatorLimits, JointSamples
 from armctl.simulation import Simulation
 from armctl.simulation.impacts import add_impact_sensors
@@ -68,8 +69,8 @@ class Arm:
         self.period = period
         self.joint_positions = simulation.array("qpos")
         self.joint_velocities = simulation.array("qvel")
-        self._body_positions = simulation.array("xpos")
-        self._tip = simulation.model.body(PREFIX + description.tip).id
+        self.end_effector_positions = simulation.array("xpos")[:, simulation.model.body(PREFIX + description.tip).id]
+        """(n, 3) m, a live view."""
         self._ctrl = simulation.array("ctrl")
         self._command = simulation.array("act")
         self._wanted = np.zeros_like(self.joint_positions)
@@ -85,11 +86,6 @@ class Arm:
             "torque": (-limits.effort, limits.effort),
         }
         self.action_low, self.action_high = bounds[control]
-
-    @property
-    def end_effector_positions(self) -> Array:
-        """Positions of the end-effectors, (n, 3) m."""
-        return self._body_positions[:, self._tip]
 
     @property
     def commands(self) -> Array:
@@ -113,15 +109,13 @@ class Arm:
         """Set the command's velocity until the next tick."""
         if self.control == "torque":
             return
-        limits, dof = self.description.limits, self.description.dof
-        position = self.joint_positions
-        if np.abs(self._command - position).max() > FOLLOWING_ERROR:
-            np.clip(self._command, position - FOLLOWING_ERROR, position + FOLLOWING_ERROR, out=self._command)
-        to_positions = self.control in ("position", "relative")
-        wanted = towards(self._wanted, self._command, limits) if to_positions else self._wanted
-        velocity = limited(wanted, self._command, self._ctrl[:, :dof], limits)
-        self._ctrl[:, :dof] = velocity
-        self._ctrl[:, dof:] = velocity
+        dof, to_positions = self.description.dof, self.control in ("position", "relative")
+        velocities = self._ctrl[:, :dof]
+        drives.drive(
+            self.description.limits.drives, self._wanted, to_positions, self.joint_positions, self._command, velocities,
+            FOLLOWING_ERROR, TICK,
+        )  # fmt: skip
+        self._ctrl[:, dof:] = velocities
 
 
 def speed_limits(description: ArmDescription) -> dict[str, float]:

@@ -4,15 +4,16 @@ x runs along the bridge from its start, y across it from its centre line.
 """
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armctl.errors import ConfigurationError
+from armctl.kernels import bridge as kernel
 from armctl.scene.pedestrians import NO_PEDESTRIANS, PedestrianTrajectories
 
 Array = NDArray[np.float64]
@@ -80,26 +81,11 @@ class BridgeMap:
         return np.asarray(np.minimum(to_blocks, np.minimum(self._to_edges(starts), self._to_edges(ends))))
 
     def edge_test(self, clearance: float) -> EdgeTest:
-        """A test for single segments, from x, y to x, y: whether `segment_clearance` is at least `clearance`.
-
-        It takes a tenth of the time, since it uses plain floats and skips distant blocks.
-        """
+        """A test for single segments, from x, y to x, y: whether `segment_clearance` is at least `clearance`."""
         corners, (x, y, _, *sizes) = self.corners, self.blocks.T
         low, high = corners.min(axis=1, initial=np.inf) - clearance, corners.max(axis=1, initial=-np.inf) + clearance
-        boxes = np.column_stack((low, high, x, y, *self._directions, *sizes)).tolist()
-        side, last = self.half_width - clearance, self.length - clearance
-
-        def is_free(ax: float, ay: float, bx: float, by: float) -> bool:
-            if max(abs(ay), abs(by)) > side or min(ax, bx) < clearance or max(ax, bx) > last:
-                return False
-            for left, bottom, right, top, *box in boxes:
-                apart = (ax < left and bx < left) or (ax > right and bx > right)
-                apart = apart or (ay < bottom and by < bottom) or (ay > top and by > top)
-                if not apart and _segment_to_box(ax, ay, bx, by, *box) < clearance:
-                    return False
-            return True
-
-        return is_free
+        blocks = np.column_stack((low, high, x, y, *self._directions, *sizes))
+        return functools.partial(kernel.edge_is_free, blocks, self.half_width, self.length, clearance)
 
     def with_lanes_blocked(self) -> "BridgeMap":
         """The map with a block in place of each lane along the bridge, and without pedestrians.
@@ -130,7 +116,7 @@ class BridgeMap:
             wall = grown
         return bool(radius <= self.half_width and not (wall & left).any())
 
-    @cached_property
+    @functools.cached_property
     def corners(self) -> Array:
         """Corners of the blocks, in order, (k, 4, 2) m."""
         x, y, _, half_length, half_width = self.blocks.T[..., None]
@@ -170,26 +156,3 @@ def _to_boxes(x: Array, y: Array, half_x: Array, half_y: Array) -> Array:
     """Distances of points to boxes, in the boxes' frames; negative inside."""
     x, y = np.abs(x) - half_x, np.abs(y) - half_y
     return np.asarray(np.hypot(np.maximum(x, 0.0), np.maximum(y, 0.0)) + np.minimum(np.maximum(x, y), 0.0))
-
-
-def _segment_to_box(
-    ax: float, ay: float, bx: float, by: float, x: float, y: float, cos: float, sin: float, half_x: float, half_y: float
-) -> float:
-    """Distance of a segment to a box: `BridgeMap.segment_clearance` for one of each."""
-    ax, ay, bx, by = ax - x, ay - y, bx - x, by - y
-    ax, ay, bx, by = ax * cos + ay * sin, ay * cos - ax * sin, bx * cos + by * sin, by * cos - bx * sin
-    x, y, wx, wy = (ax + bx) / 2, (ay + by) / 2, (bx - ax) / 2, (by - ay) / 2
-    lateral = x * wy - y * wx
-    if (
-        abs(x) <= half_x + abs(wx)
-        and abs(y) <= half_y + abs(wy)
-        and abs(lateral) <= half_x * abs(wy) + half_y * abs(wx)
-    ):
-        return 0.0
-    corner_x, corner_y = math.copysign(half_x, lateral * wy) - x, math.copysign(half_y, -lateral * wx) - y
-    share = (corner_x * wx + corner_y * wy) / max(wx * wx + wy * wy, 1e-24)
-    share = min(max(share, -1.0), 1.0)
-    to_corner = math.hypot(corner_x - share * wx, corner_y - share * wy)
-    to_a = math.hypot(max(abs(ax) - half_x, 0.0), max(abs(ay) - half_y, 0.0))
-    to_b = math.hypot(max(abs(bx) - half_x, 0.0), max(abs(by) - half_y, 0.0))
-    return min(to_corner, to_a, to_b)

@@ -15,6 +15,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
+from armctl.kernels.physics import mark_unusual
 from armctl.simulation.history import sample_columns
 
 Array = NDArray[np.float64]
@@ -66,8 +67,8 @@ class Impacts:
         self._dofs, self._bounds = model.jnt_dofadr[joints], FAST * np.array(list(speed_limits.values()))
         self.refined = np.zeros(batch.nsim, dtype=bool)
         """(n,) worlds whose last step was repeated in finer ones."""
-        self._before, self._depth = batch.state.copy(), model.sensor(DEPTH).adr[0]
-        self._now, self._qvel = np.asarray(batch.bind("sensordata")), np.asarray(batch.bind("qvel"))
+        self._before, self._qvel = batch.state.copy(), np.asarray(batch.bind("qvel"))
+        self._depths = np.asarray(batch.bind("sensordata"))[:, model.sensor(DEPTH).adr[0]]
         self._watched, self._lowest, self._highest = self._usual_ranges(joints, list(speed_limits))
         self._timestep = np.asarray(batch.expand("opt.timestep"))
 
@@ -75,15 +76,12 @@ class Impacts:
         """Advance worlds by `substeps` time steps, with outputs of the new state. Return whether all went as usual."""
         np.copyto(self._before, self._batch.state)
         self._batch.step(ids, nstep=substeps, stage=mujoco.mjtStage.mjSTAGE_VEL.value)
-        self.refined[:] = False
-        watched = self._batch.state.take(self._watched, axis=1)
-        usual = (watched > self._lowest) & (watched < self._highest)
-        shallow = self._now[:, self._depth] > -DEEP
-        if usual.all() and shallow.all():
+        hit = self.refined
+        if not mark_unusual(self._batch.state, self._watched, self._lowest, self._highest, self._depths, DEEP, hit):
             return True
-        hit = ~(usual.all(axis=1) & shallow)
         worlds = np.flatnonzero(hit).astype(np.int32) if ids is None else ids[hit[ids]]
-        self.refined[worlds] = True
+        hit[:] = False
+        hit[worlds] = True
         if len(worlds):
             self._batch.state[worlds], self._batch.warning[worlds] = self._before[worlds], 0
             self._step_finely(substeps * FINER, worlds)

@@ -1,12 +1,23 @@
-"""A camera that casts one ray per pixel, in all worlds at once, without a graphics library."""
+"""A camera that casts one ray per pixel, in all worlds at once, without a graphics library.
 
+Scenes of convex shapes are seen by `armctl.kernels.rays`, which tries only the rays that can hit a shape; all others by
+MuJoCo's own rays, which are the same, but slower.
+"""
+
+import itertools
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.kernels import rays
+from armctl.simulation.ray_shapes import ray_shapes
 from armctl.simulation.simulation import Array, Simulation, WorldIds
+
+LEAST_WORLDS = 16
+"""A thread is worth its while from so many worlds on."""
 
 
 class RayCamera:
@@ -24,18 +35,18 @@ class RayCamera:
         hidden_groups: Sequence[int],
     ) -> None:
         self._simulation = simulation
-        self._camera = simulation.model.camera(camera).id
-        self._positions = simulation.array("cam_xpos")
-        self._rotations = simulation.array("cam_xmat")
+        at = simulation.model.camera(camera).id
+        self._positions, self._rotations = (simulation.array(name)[:, at] for name in ("cam_xpos", "cam_xmat"))
+        self._geoms = simulation.array("geom_xpos"), simulation.array("geom_xmat")
         self._shown = np.ones(mujoco.mjNGROUP, dtype=np.uint8)
         self._shown[list(hidden_groups)] = 0
-        self._shape = (resolution[1], resolution[0])
-        self._rays = pixel_rays(resolution, field_of_view).reshape(-1, 3)
+        self._rays = pixel_rays(resolution, field_of_view)
+        self._shapes = ray_shapes(simulation.model, self._visible_geoms())
+        self._pool = ThreadPoolExecutor(simulation.threads)
 
     def depth(self, furthest: float, ids: WorldIds | None = None) -> NDArray[np.float32]:
         """Distance along the optical axis, (n, height, width) m, at most `furthest`."""
-        hit, _ = self._cast(ids)
-        return np.where(hit < 0, furthest, np.minimum(hit, furthest)).astype(np.float32)
+        return np.minimum(self._cast(ids)[0], furthest).astype(np.float32)
 
     def classes(self, class_of_geom: NDArray[np.uint8], sky: int, ids: WorldIds | None = None) -> NDArray[np.uint8]:
         """Class of each pixel's geom, (n, height, width); `sky` for rays that hit nothing."""
@@ -43,13 +54,43 @@ class RayCamera:
         return np.where(geoms < 0, np.uint8(sky), class_of_geom[geoms])
 
     def _cast(self, ids: WorldIds | None) -> tuple[Array, NDArray[np.int32]]:
-        worlds = slice(None) if ids is None else ids
-        starts = self._positions[worlds, self._camera]
-        rotations = self._rotations[worlds, self._camera].reshape(-1, 3, 3)
+        """Depths, and the ids of the geoms seen, (n, height, width): infinite and -1 for misses."""
+        worlds = np.arange(self._simulation.n, dtype=np.int32) if ids is None else ids
+        shape = (len(worlds), *self._rays.shape[:2])
+        if self._shapes is None:
+            return self._cast_by_mujoco(worlds, shape)
+        shapes, faces = self._shapes
+        depths, hits = np.empty(shape), np.empty(shape, dtype=np.int32)
+        pixel = self._rays[0, 1, 0] - self._rays[0, 0, 0]
+        sizes, boxes = (self._simulation.field(name) for name in ("geom_size", "geom_aabb"))
+
+        def cast(part: slice) -> None:
+            rays.cast_all(
+                worlds[part], shapes, sizes, boxes, faces, *self._geoms,
+                self._positions, self._rotations, self._rays, pixel, depths[part], hits[part],
+            )  # fmt: skip
+
+        parts = min(self._simulation.threads, max(1, len(worlds) // LEAST_WORLDS))
+        ends = np.linspace(0, len(worlds), parts + 1).astype(int).tolist()
+        spans = [slice(*span) for span in itertools.pairwise(ends)]
+        if parts == 1:
+            cast(spans[0])
+        else:
+            list(self._pool.map(cast, spans))
+        return depths, hits
+
+    def _cast_by_mujoco(self, worlds: WorldIds, shape: tuple[int, ...]) -> tuple[Array, NDArray[np.int32]]:
+        rotations = self._rotations[worlds].reshape(-1, 3, 3)
         # Rays have length 1 along the optical axis, so distances in ray lengths are depths.
-        rays = self._rays @ rotations.transpose(0, 2, 1)
-        depth, geoms = self._simulation.cast_rays(starts[:, None], rays, self._shown, ids)
-        return depth.reshape(-1, *self._shape), geoms.reshape(-1, *self._shape)
+        rays = self._rays.reshape(-1, 3) @ rotations.transpose(0, 2, 1)
+        depths, geoms = self._simulation.cast_rays(self._positions[worlds][:, None], rays, self._shown, worlds)
+        return np.where(depths < 0, np.inf, depths).reshape(shape), geoms.reshape(shape)
+
+    def _visible_geoms(self) -> list[int]:
+        model = self._simulation.model
+        materials = np.append(model.mat_rgba[:, 3], 1.0)  # the last is that of geoms without a material
+        opacity = np.where(model.geom_matid < 0, model.geom_rgba[:, 3], materials[model.geom_matid])
+        return np.flatnonzero(self._shown[model.geom_group].astype(bool) & (opacity > 0)).tolist()
 
 
 def pixel_rays(resolution: tuple[int, int], field_of_view: float) -> Array:

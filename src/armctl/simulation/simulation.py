@@ -4,6 +4,7 @@ MuJoCo resets a world whose numbers become infinite, in the middle of an episode
 world stands still in its last good state, `unstable`, until it is reset. Nor does MuJoCo write its log file.
 """
 
+import os
 from collections.abc import Mapping
 from typing import Any
 
@@ -36,7 +37,9 @@ class Simulation:
         self.unstable = np.zeros(n, dtype=bool)
         """(n,) worlds that have become unstable since their last reset: positions, velocities or accelerations were
         infinite, or no numbers."""
-        self._batch = Batch(model, n, nthread=1 if n == 1 else threads)
+        self.threads = 1 if n == 1 else threads or len(os.sched_getaffinity(0))
+        """Threads to step the worlds on."""
+        self._batch = Batch(model, n, nthread=self.threads)
         self._impacts = None if speed_limits is None else Impacts(self._batch, speed_limits)
         self._own: dict[str, Array] = {}
         self._warnings = self._batch.warning[:, _BAD, 1]
@@ -54,6 +57,11 @@ class Simulation:
         """Live (n, ...) array of an `MjModel` field, which becomes separate for each world."""
         self._own[field] = np.asarray(self._batch.expand(field))
         return self._own[field]
+
+    def field(self, name: str) -> Array:
+        """An `MjModel` field of all worlds: (n, ...) where worlds have their own, otherwise (1, ...)."""
+        own = self._own.get(name)
+        return np.asarray(getattr(self.model, name))[None] if own is None else own
 
     @property
     def live_arrays(self) -> Mapping[str, NDArray[Any]]:

@@ -118,7 +118,7 @@ def pool_for(arm: ArmDescription, tolerance: float) -> LayoutPool | None:
 
 def robot_digest(arm: ArmDescription) -> str:
     """A checksum of all of an arm but its meshes, the same on machines whose arithmetic rounds otherwise."""
-    limits = {name: _rounded(values) for name, values in vars(arm.limits).items()}
+    limits = {field.name: _rounded(getattr(arm.limits, field.name)) for field in fields(arm.limits)}
     capsules = [
         (one.link, sorted((_rounded(one.start), _rounded(one.end))), _rounded(one.radius)) for one in arm.capsules
     ]

@@ -130,8 +130,7 @@ class ReachObstaclesTask(ReachTask):
 
     def least_clearance(self, world: int, configurations: Array) -> float:
         """Least distance of the arm's links from boxes, floor and each other, m; see `Clearance`."""
-        frames = self._workspace.model.joint_frames(configurations)
-        return min(float(distances.min()) for distances, _ in self._clearance.parts(frames, self.boxes(world)))
+        return float(self._clearance.least(configurations, self._clearance.among(self.boxes(world))).min())
 
     def outcome(self) -> NDArray[np.int8]:
         """`COLLIDED` or `REACHED`; `TIMEOUT` while the episode goes on."""

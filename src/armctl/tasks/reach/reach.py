@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from armctl.disturbances import ARM
 from armctl.errors import ConfigurationError
+from armctl.kernels.physics import note_nearest
 from armctl.kinematics import THOROUGH, ArmModel, MinimumTimeReach, Workspace
 from armctl.robot_description import ArmDescription, load_arm
 from armctl.robot_description.joint_profiles import TICK
@@ -302,7 +303,7 @@ class ReachTask(Task):
 
     def _on_tick(self, worlds: Worlds) -> None:
         """Called after each tick of the drives in these worlds."""
-        self._nearest = np.minimum(self._nearest, self._distances())
+        note_nearest(self.arm.end_effector_positions, self._targets, self._nearest)
 
     def _update_state(self, action: Array) -> None:
         joints, turns = self.arm.joint_positions, self._workspace.model.base_yaw_is_vertical

@@ -1,0 +1,181 @@
+"""Whether something has become slower: processor times as ratios to references, measured in turns in one run.
+
+    python benchmarks/relapse.py            # measure, and print a table
+    python benchmarks/relapse.py --keep     # keep these ratios in benchmarks/relapse.csv
+    python benchmarks/relapse.py --check    # fail if a ratio is more than 1.5 times the one kept, as CI does
+
+References are what armctl is built on: EAIK alone, OSQP alone, raw `mj_step`; or a fixed piece of NumPy for what has no
+such core.
+"""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import gymnasium
+import mujoco
+import numpy as np
+import pandas as pd
+import typer
+from rich.box import MARKDOWN
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+import armctl
+from armctl.control.reach_mpc import ReachMpc, ReachMpcOptions
+from armctl.kinematics import ArmModel, Ik, MinimumTimeReach, Workspace
+from armctl.planning import ArmPlanner, plan_path
+from armctl.shaping import Shaped
+from armctl.tasks.bridge.layout import sample_layout as bridge_layout
+from armctl.tasks.reach.obstacle_layout import sample_layout as reach_layout
+
+KEPT = Path(__file__).with_suffix(".csv")
+WORSE = 1.5
+ROUNDS, SECONDS = 7, 0.3
+"""Rounds of which each contender gets so many seconds of processor time."""
+REACH, BRIDGE = "armctl/ArmReach-v0", "armctl/BridgeCross-v0"
+WORLDS = 256
+
+Work = Callable[[int], object]
+"""What is timed; it is called with 0, 1, 2 ..."""
+
+
+def sorting() -> Work:
+    """A fixed piece of NumPy, of some 0.5 ms."""
+    numbers = np.random.default_rng(0).random(10_000)
+    return lambda i: np.sort(numbers)
+
+
+def inverse_kinematics() -> tuple[Work, Work]:
+    """All branches of a UR5, checked; EAIK alone."""
+    model = ArmModel("ur5")
+    ik, rng = Ik(model), np.random.default_rng(0)
+    poses = [model.pose(q) for q in rng.uniform(-np.pi, np.pi, (256, model.dof))]
+    assert ik.closed_form
+    alone = ik.closed_form
+    return lambda i: ik.pose(poses[i % 256]), lambda i: alone(poses[i % 256])
+
+
+def reach_control() -> tuple[Work, Work]:
+    """A decision of the arm's controller near its target; OSQP's solution of the same quadratic program."""
+    model = ArmModel("ur5")
+    mpc = ReachMpc(model, ReachMpcOptions())
+    target, q = model.position(model.home) + 0.1, model.home
+    mpc.plan(q, np.zeros(6), target, q)
+    solver = mpc._constrained
+
+    def solve(i: int) -> None:
+        solver._osqp.warm_start(x=np.zeros(len(solver.qp.gradient)), y=solver.qp.first_duals())
+        solver._osqp.solve(raise_error=False)
+
+    return lambda i: mpc.plan(q, np.zeros(6), target, q), solve
+
+
+def first_decision() -> tuple[Work, Work]:
+    """The IK expert's plan for an episode."""
+    model = ArmModel("ur5")
+    search, workspace, rng = MinimumTimeReach(model), Workspace(model), np.random.default_rng(0)
+    targets = [workspace.sample(rng, clearance=0.05) for _ in range(64)]
+    return lambda i: search.find(model.home, targets[i % 64], 0.045), sorting()
+
+
+def arm_plan() -> tuple[Work, Work]:
+    """A path of the arm around boxes."""
+    model, rng = ArmModel("ur5"), np.random.default_rng(0)
+    planner, workspace = ArmPlanner(model), Workspace(model)
+    layouts = [reach_layout(rng, workspace, 0.05) for _ in range(16)]
+
+    def plan(i: int) -> None:
+        for layout in layouts:
+            planner.plan(model.home, layout.target, 0.05, layout.boxes)
+
+    return plan, sorting()
+
+
+def bridge_plan() -> tuple[Work, Work]:
+    """A path over the bridge."""
+    rng = np.random.default_rng(0)
+    maps = [bridge_layout(rng, 20.0, 4.0, 7, 0, 1).map for _ in range(32)]
+    return lambda i: plan_path(maps[i % 32], (1.0, 0.0), 19.0), sorting()
+
+
+def stepped(env: str, worlds: int | None, oracle: str | None = None) -> tuple[Work, Work]:
+    """A control step of an environment; raw `mj_step` on as many worlds of its model, at rest."""
+    made = gymnasium.make(env) if worlds is None else gymnasium.make_vec(env, num_envs=worlds, threads=1)
+    made = made if oracle is None else Shaped(made, oracle, gamma=0.97)
+    made.reset(seed=0)
+    made.action_space.seed(0)
+    actions = [made.action_space.sample() for _ in range(50)]
+    task = made.unwrapped.task
+    data = mujoco.MjData(task.simulation.model)
+    mujoco.mj_resetDataKeyframe(task.simulation.model, data, 0)
+
+    def step(i: int) -> None:
+        _, _, terminated, truncated, _ = made.step(actions[i % 50])
+        if worlds is None and (terminated or truncated):
+            made.reset()
+
+    def raw(i: int) -> None:
+        for _ in range(worlds or 1):
+            mujoco.mj_step(task.simulation.model, data, nstep=task.substeps)
+
+    return step, raw
+
+
+CASES: dict[str, Callable[[], tuple[Work, Work]]] = {
+    "closed-form IK / EAIK": inverse_kinematics,
+    "reach_mpc / OSQP": reach_control,
+    "reach_ik plan / sort": first_decision,
+    "16 arm plans / sort": arm_plan,
+    "bridge plan / sort": bridge_plan,
+    "reach, single / mj_step": lambda: stepped(REACH, None),
+    "reach, batch / mj_step": lambda: stepped(REACH, WORLDS),
+    "reach, shaped by ik / mj_step": lambda: stepped(REACH, WORLDS, "ik"),
+    "bridge with camera / mj_step": lambda: stepped(BRIDGE, 64),
+}
+
+
+def measured(case: Callable[[], tuple[Work, Work]]) -> float:
+    """The median ratio of the time of one call to that of its reference."""
+    contenders = case()
+    for work in contenders:
+        work(0)  # compiles
+    return float(np.median([np.divide(*(_seconds(work) for work in contenders)) for _ in range(ROUNDS)]))
+
+
+def _seconds(work: Work) -> float:
+    calls, began = 0, time.process_time()
+    while time.process_time() - began < SECONDS:
+        work(calls)
+        calls += 1
+    return (time.process_time() - began) / calls
+
+
+def main(
+    check: Annotated[bool, typer.Option("--check", help="Fail if something is 1.5 times as slow as kept.")] = False,
+    keep: Annotated[bool, typer.Option("--keep", help="Keep what was measured.")] = False,
+    only: Annotated[str, typer.Option(metavar="TEXT", help="Cases whose name contains this.")] = "",
+) -> None:
+    """Measure, and print a table."""
+    kept = pd.read_csv(KEPT, index_col="case").ratio.to_dict() if KEPT.exists() else {}
+    found = {
+        name: measured(case)
+        for name, case in track(CASES.items(), "timing", console=Console(stderr=True), transient=True)
+        if only in name
+    }
+    table = Table("", "now", "kept", "change", title=f"armctl {armctl.__version__}", title_justify="left", box=MARKDOWN)
+    for name, ratio in found.items():
+        before = kept.get(name, np.nan)
+        table.add_row(name, f"{ratio:.2f}", f"{before:.2f}", f"{ratio / before - 1:+.0%}")
+    Console().print(table)
+    if keep:
+        pd.Series(kept | found, name="ratio").round(3).rename_axis("case").to_csv(KEPT)
+    slower = [name for name, ratio in found.items() if ratio > WORSE * kept.get(name, np.inf)]
+    if check and slower:
+        raise SystemExit(f"slower than {WORSE} times what was kept: {', '.join(slower)}")
+
+
+if __name__ == "__main__":
+    typer.run(main)

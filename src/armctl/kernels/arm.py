@@ -1,0 +1,111 @@
+"""Kinematics of a serial arm.
+
+An arm is an array (dof,) of `JOINT`: of each joint's frame in the one before it, at angle q,
+
+    rotation = base + sin(q) sine + (1 - cos(q)) versine,   origin = offset
+
+by Rodrigues' formula. Of the last one, `tip` and `tip_rotation` are the end-effector's position and axes in its frame.
+Frames in the base are `rotations` (dof, 3, 3) and `origins` (dof, 3).
+"""
+
+import math
+
+import numpy as np
+
+from armctl.kernels.compiling import compiled
+
+MATRIX, VECTOR = (float, (3, 3)), (float, 3)
+JOINT = np.dtype(
+    [
+        *((name, *MATRIX) for name in ("base", "sine", "versine")),
+        *((name, *VECTOR) for name in ("offset", "axis", "tip")),
+        ("tip_rotation", *MATRIX),
+        *((name, float) for name in ("lower", "upper", "top", "acceleration")),
+    ]
+)
+
+
+@compiled
+def forward(joints, q, rotations, origins):
+    """Frames of all joints at q (dof,)."""
+    turn = np.empty((3, 3))
+    for k in range(len(joints)):
+        joint, sine, versine = joints[k], math.sin(q[k]), 1 - math.cos(q[k])
+        for i in range(3):
+            for j in range(3):
+                turn[i, j] = joint.base[i, j] + sine * joint.sine[i, j] + versine * joint.versine[i, j]
+        if k == 0:
+            rotations[0], origins[0] = turn, joint.offset
+            continue
+        for i in range(3):
+            x, y, z = rotations[k - 1, i]
+            for j in range(3):
+                rotations[k, i, j] = x * turn[0, j] + y * turn[1, j] + z * turn[2, j]
+            origins[k, i] = origins[k - 1, i] + x * joint.offset[0] + y * joint.offset[1] + z * joint.offset[2]
+
+
+@compiled
+def carried(rotation, origin, point, out):
+    """A point (3,) of a frame, in the base."""
+    for i in range(3):
+        out[i] = origin[i] + rotation[i, 0] * point[0] + rotation[i, 1] * point[1] + rotation[i, 2] * point[2]
+
+
+@compiled
+def turned(rotation, vector, out):
+    """A vector (3,) of a frame, in the base."""
+    for i in range(3):
+        out[i] = rotation[i, 0] * vector[0] + rotation[i, 1] * vector[1] + rotation[i, 2] * vector[2]
+
+
+@compiled
+def cross(a, b, out):
+    """Cross product of a and b (3,)."""
+    out[0] = a[1] * b[2] - a[2] * b[1]
+    out[1] = a[2] * b[0] - a[0] * b[2]
+    out[2] = a[0] * b[1] - a[1] * b[0]
+
+
+@compiled
+def tip_of(joints, rotations, origins, out):
+    """End-effector position (3,)."""
+    last = len(joints) - 1
+    carried(rotations[last], origins[last], joints[last].tip, out)
+
+
+@compiled
+def axes_of(joints, rotations, axes):
+    """Axes (dof, 3) of the joints."""
+    for k in range(len(joints)):
+        turned(rotations[k], joints[k].axis, axes[k])
+
+
+@compiled
+def gradients_of(axes, origins, point, out):
+    """Motion (dof, 3) of a point of the last link by each joint, m/rad: axis x (point - origin)."""
+    lever = np.empty(3)
+    for k in range(len(axes)):
+        for i in range(3):
+            lever[i] = point[i] - origins[k, i]
+        cross(axes[k], lever, out[k])
+
+
+@compiled
+def tips(joints, q, out):
+    """End-effector positions (n, 3) of q (n, dof)."""
+    rotations, origins = np.empty((len(joints), 3, 3)), np.empty((len(joints), 3))
+    for row in range(len(q)):
+        forward(joints, q[row], rotations, origins)
+        tip_of(joints, rotations, origins, out[row])
+
+
+@compiled
+def tips_and_gradients(joints, q, positions, gradients):
+    """The same, and how the joints move them, (n, dof, 3) m/rad."""
+    dof = len(joints)
+    rotations, origins, axes = np.empty((dof, 3, 3)), np.empty((dof, 3)), np.empty((dof, 3))
+    for row in range(len(q)):
+        forward(joints, q[row], rotations, origins)
+        tip_of(joints, rotations, origins, positions[row])
+        axes_of(joints, rotations, axes)
+        gradients_of(axes, origins, positions[row], gradients[row])

@@ -1,0 +1,159 @@
+"""Distances of an arm's links and their gradients, for controllers: see `armctl.kinematics.clearance`.
+
+Pairs are an array of `PAIR`. Distances of a link and a box are those of `samples[link]` points along the link, and
+negative inside the box, so that they have a gradient everywhere.
+"""
+
+import math
+
+import numpy as np
+
+from armctl.kernels.arm import axes_of, cross, forward
+from armctl.kernels.capsules import place, segments_distance, shares_on_segments
+from armctl.kernels.compiling import compiled
+from armctl.kernels.edges import FLOOR_END, LINKS
+
+
+@compiled
+def point_on(segment, share, out):
+    """The point of a segment (2, 3) at that share of it."""
+    for i in range(3):
+        out[i] = segment[0, i] + share * (segment[1, i] - segment[0, i])
+
+
+@compiled
+def box_distance(point, box):
+    """Signed distance of a point (3,) from a box, m: negative inside."""
+    square, inside = 0.0, -np.inf
+    for i in range(3):
+        local = 0.0
+        for j in range(3):
+            local += box.rotation[j, i] * (point[j] - box.centre[j])
+        beyond = abs(local) - box.half_size[i]
+        inside = max(inside, beyond)
+        square += max(beyond, 0.0) ** 2
+    return math.sqrt(square) + min(inside, 0.0)
+
+
+@compiled
+def box_normal(point, box, out):
+    """Outward unit vector of a box towards a point (3,); inside, that of the nearest face."""
+    away, inside, square = np.zeros(3), -np.inf, 0.0
+    face, side = 0, 1.0
+    for i in range(3):
+        local = 0.0
+        for j in range(3):
+            local += box.rotation[j, i] * (point[j] - box.centre[j])
+        beyond = abs(local) - box.half_size[i]
+        if beyond > inside:
+            inside, face, side = beyond, i, math.copysign(1.0, local)
+        if beyond > 0:
+            away[i] = math.copysign(beyond, local)
+            square += beyond * beyond
+    if square > 0:
+        for i in range(3):
+            away[i] /= math.sqrt(square)
+    else:
+        away[face] = side
+    for i in range(3):
+        out[i] = box.rotation[i, 0] * away[0] + box.rotation[i, 1] * away[1] + box.rotation[i, 2] * away[2]
+
+
+@compiled
+def nearest_sample(segment, samples, box):
+    """The share of a segment at which one of its evenly spaced points is nearest to a box, and that distance."""
+    point, nearest, least = np.empty(3), 0.0, np.inf
+    for k in range(samples):
+        share = k / max(samples - 1, 1)
+        point_on(segment, share, point)
+        distance = box_distance(point, box)
+        if distance < least:
+            nearest, least = share, distance
+    return nearest, least
+
+
+@compiled
+def measure(links, pairs, boxes, samples, ends, out):
+    """Distances (pairs,) of all pairs, m; returns the least."""
+    least = np.inf
+    for i in range(len(pairs)):
+        kind, link, other = pairs[i].kind, pairs[i].link, pairs[i].other
+        if kind == LINKS:
+            out[i] = segments_distance(ends[link], ends[other]) - links[link].radius - links[other].radius
+        elif kind == FLOOR_END:
+            out[i] = ends[link, other, 2] - links[link].radius
+        else:
+            out[i] = nearest_sample(ends[link], samples[link], boxes[other])[1] - links[link].radius
+        least = min(least, out[i])
+    return least
+
+
+@compiled
+def add_motion(axes, origins, joint, point, normal, sign, row):
+    """Add to `row` (dof,) how fast joints move a point (3,) of the frame of `joint` along a normal (3,), m/rad."""
+    lever, moved = np.empty(3), np.empty(3)
+    for k in range(joint):
+        for i in range(3):
+            lever[i] = point[i] - origins[k, i]
+        cross(axes[k], lever, moved)
+        row[k] += sign * (normal[0] * moved[0] + normal[1] * moved[1] + normal[2] * moved[2])
+
+
+@compiled
+def gradient(links, pair, boxes, samples, ends, axes, origins, row):
+    """Gradient (dof,) of a pair's distance, m/rad."""
+    point, foot, normal = np.empty(3), np.empty(3), np.zeros(3)
+    row[:] = 0.0
+    if pair.kind == LINKS:
+        share, other = shares_on_segments(ends[pair.link], ends[pair.other])
+        point_on(ends[pair.link], share, point)
+        point_on(ends[pair.other], other, foot)
+        length = 0.0
+        for i in range(3):
+            normal[i] = point[i] - foot[i]
+            length += normal[i] * normal[i]
+        for i in range(3):
+            normal[i] /= max(math.sqrt(length), 1e-9)
+        add_motion(axes, origins, links[pair.other].joint, foot, normal, -1.0, row)
+    elif pair.kind == FLOOR_END:
+        point[:] = ends[pair.link, pair.other]
+        normal[2] = 1.0
+    else:
+        point_on(ends[pair.link], nearest_sample(ends[pair.link], samples[pair.link], boxes[pair.other])[0], point)
+        box_normal(point, boxes[pair.other], normal)
+    add_motion(axes, origins, links[pair.link].joint, point, normal, 1.0, row)
+
+
+@compiled
+def clearances(joints, links, pairs, boxes, samples, q, least):
+    """The least distance of all pairs, (n,) m, at each of q (n, dof)."""
+    rotations, origins = np.empty((len(joints), 3, 3)), np.empty((len(joints), 3))
+    ends, distances = np.empty((len(links), 2, 3)), np.empty(len(pairs))
+    for row in range(len(q)):
+        forward(joints, q[row], rotations, origins)
+        place(links, rotations, origins, ends)
+        least[row] = measure(links, pairs, boxes, samples, ends, distances)
+
+
+@compiled
+def nearest_pairs(joints, links, pairs, boxes, samples, q, distances, gradients):
+    """`distances` (n, m) of the m nearest pairs at each of q (n, dof), in the order of pairs, and their `gradients`.
+
+    Distances of pairs that are missing are infinite, and gradients zero.
+    """
+    dof, count = len(joints), distances.shape[1]
+    rotations, origins, axes = np.empty((dof, 3, 3)), np.empty((dof, 3)), np.empty((dof, 3))
+    ends, found = np.empty((len(links), 2, 3)), np.empty(len(pairs))
+    for row in range(len(q)):
+        forward(joints, q[row], rotations, origins)
+        axes_of(joints, rotations, axes)
+        place(links, rotations, origins, ends)
+        measure(links, pairs, boxes, samples, ends, found)
+        distances[row], gradients[row] = np.inf, 0.0
+        furthest = np.sort(found)[count - 1] if count <= len(pairs) else np.inf
+        column = 0
+        for i in range(len(pairs)):
+            if found[i] <= furthest and column < count:
+                distances[row, column] = found[i]
+                gradient(links, pairs[i], boxes, samples, ends, axes, origins, gradients[row, column])
+                column += 1

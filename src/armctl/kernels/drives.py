@@ -1,0 +1,174 @@
+"""Motion profiles of an arm's drives: see `armctl.robot_description.joint_profiles`.
+
+Joints are records with the fields of `DRIVE`: position limits `lower` and `upper` (rad), the velocity limit `top`
+(rad/s) and the limit of `acceleration` (rad/s^2). A tick is in s.
+"""
+
+import math
+
+import numpy as np
+
+from armctl.kernels.compiling import compiled
+
+DRIVE = np.dtype([(name, float) for name in ("lower", "upper", "top", "acceleration")])
+
+
+@compiled
+def highest_stoppable(distance, acceleration, tick):
+    """The highest speed for one tick from which a joint, braking at a constant rate, stops at `distance`.
+
+    Over this tick and `k` further ones: distance = (k + 1) speed tick - acceleration tick^2 k (k + 1) / 2.
+    """
+    unit = acceleration * tick * tick
+    further_ticks = math.floor((math.sqrt(1 + 8 * distance / unit) - 1) / 2)
+    return (distance / (further_ticks + 1) + unit * further_ticks / 2) / tick
+
+
+@compiled
+def towards(goal, position, acceleration, tick):
+    """Velocity for the next tick on the minimum-time profile from `position` to rest at `goal`."""
+    displacement = goal - position
+    return math.copysign(highest_stoppable(abs(displacement), acceleration, tick), displacement)
+
+
+@compiled
+def limited(wanted, velocity, top, acceleration, tick):
+    """The velocity nearest to `wanted` that the limits allow after the last tick's `velocity`."""
+    change = acceleration * tick
+    return min(max(wanted, max(velocity - change, -top)), min(velocity + change, top))
+
+
+@compiled
+def within_range(wanted, position, lower, upper, acceleration, tick):
+    """The velocity nearest to `wanted` after which the joint can still stop within its position limits."""
+    to_upper = highest_stoppable(max(upper - position, 0.0), acceleration, tick)
+    to_lower = highest_stoppable(max(position - lower, 0.0), acceleration, tick)
+    return min(max(wanted, -to_lower), to_upper)
+
+
+@compiled
+def drive(joints, wanted, to_positions, positions, commands, velocities, following_error, tick):
+    """Set the `velocities` of `commands` for the next tick, towards `wanted` positions or velocities, (n, dof) each.
+
+    Commands wait for `positions` that are more than `following_error` (rad) behind.
+    """
+    for world in range(len(wanted)):
+        for i in range(len(joints)):
+            joint, position, velocity = joints[i], positions[world, i], wanted[world, i]
+            command = min(max(commands[world, i], position - following_error), position + following_error)
+            if to_positions:
+                velocity = towards(velocity, command, joint.acceleration, tick)
+            velocity = within_range(velocity, command, joint.lower, joint.upper, joint.acceleration, tick)
+            commands[world, i] = command
+            velocities[world, i] = limited(velocity, velocities[world, i], joint.top, joint.acceleration, tick)
+
+
+@compiled
+def follow(joint, goal, position, velocity, ticks, tick):
+    """Position and velocity of one joint after some ticks towards a goal within its limits."""
+    for _ in range(ticks):
+        velocity = limited(
+            towards(goal, position, joint.acceleration, tick), velocity, joint.top, joint.acceleration, tick
+        )
+        position += velocity * tick
+    return position, velocity
+
+
+@compiled
+def follow_all(joints, goals, positions, velocities, ticks, tick):
+    """Move `positions` and `velocities` (dof,) on by some ticks towards `goals` (dof,)."""
+    for i in range(len(joints)):
+        positions[i], velocities[i] = follow(joints[i], goals[i], positions[i], velocities[i], ticks, tick)
+
+
+@compiled
+def goals_for(joints, positions, velocities, displacements, shares, ticks, tick, goals):
+    """Goals (dof,) with which joints move by `displacements` (dof,) within some ticks, or as nearly as they can.
+
+    The displacement increases with the goal. Goals are tried at which a joint stops after it has gained each of the
+    `shares` (m,) of its largest change of speed; between the two that enclose the displacement, it is interpolated.
+    """
+    period = ticks * tick
+    for i in range(len(joints)):
+        joint, position, velocity = joints[i], positions[i], velocities[i]
+        low = high = before = after = 0.0
+        for k in range(len(shares)):
+            end = velocity + shares[k] * (joint.acceleration * period)
+            goal = position + (velocity + end) / 2 * period + end * abs(end) / (2 * joint.acceleration)
+            low, before = high, after
+            high = min(max(goal, joint.lower), joint.upper)
+            after = follow(joint, high, position, velocity, ticks, tick)[0] - position
+            if k > 0 and after >= displacements[i]:
+                break
+        share = (displacements[i] - before) / max(after - before, 1e-12)
+        goals[i] = low + min(max(share, 0.0), 1.0) * (high - low)
+
+
+@compiled
+def travel_time(displacement, velocity, top, acceleration):
+    """Minimum time (s) for a joint with an initial `velocity` to move by `displacement`, at any final velocity."""
+    ahead = -velocity if displacement < 0 else velocity
+    distance = abs(displacement)
+    run_up = (top * top - ahead * ahead) / (2 * acceleration)
+    speeding_up = (math.sqrt(ahead * ahead + 2 * acceleration * min(distance, run_up)) - ahead) / acceleration
+    return speeding_up + max(distance - run_up, 0.0) / top
+
+
+@compiled
+def least_time(joints, start, velocity, goal):
+    """Minimum time (s) for all joints to move from `start` with `velocity` to `goal`, (dof,) each."""
+    time = 0.0
+    for i in range(len(joints)):
+        time = max(time, travel_time(goal[i] - start[i], velocity[i], joints[i].top, joints[i].acceleration))
+    return time
+
+
+@compiled
+def least_times(joints, start, velocity, goals, times):
+    """The same from one state to many `goals` (n, dof)."""
+    for row in range(len(goals)):
+        times[row] = least_time(joints, start, velocity, goals[row])
+
+
+@compiled
+def trapezoidal_displacement(time, displacement, top, acceleration):
+    """Displacement at `time` (s) on the trapezoidal profile from rest to rest at `displacement`."""
+    distance = abs(displacement)
+    speed = min(top, math.sqrt(acceleration * distance))
+    ramp = speed / acceleration
+    end = 2 * ramp + (distance - speed * ramp) / max(speed, 1e-12)
+    speeding_up = min(max(time, 0.0), ramp)
+    braking = min(max(time - (end - ramp), 0.0), ramp)
+    cruising = min(max(time, 0.0), end) - speeding_up - braking
+    moved = acceleration * speeding_up**2 / 2 + speed * cruising + braking * (speed - acceleration * braking / 2)
+    return math.copysign(moved, displacement)
+
+
+@compiled
+def profiles(joints, times, displacements, moved):
+    """The same for all joints: `moved` (n, dof) at `times` (n,), to `displacements` (dof,)."""
+    for row in range(len(times)):
+        for i in range(len(joints)):
+            moved[row, i] = trapezoidal_displacement(
+                times[row], displacements[i], joints[i].top, joints[i].acceleration
+            )
+
+
+@compiled
+def fly_by(joints, start, positions, time, overruns, commands):
+    """Positions (dof,) to command, from rest at `start` (dof,), so that joints are at `positions` (dof,) by `time` (s).
+
+    A joint that would be late if it stopped there overruns it, by the least of the fractions `overruns` of its braking
+    distance with which it is in time.
+    """
+    for i in range(len(joints)):
+        joint, displacement = joints[i], positions[i] - start[i]
+        speed = min(joint.top, math.sqrt(2 * joint.acceleration * abs(displacement)))
+        braking = math.copysign(speed * speed / (2 * joint.acceleration), displacement)
+        further = displacement
+        for share in overruns:
+            further = displacement + share * braking
+            moved = trapezoidal_displacement(time, further, joint.top, joint.acceleration)
+            if abs(moved) >= abs(displacement) - 1e-9:
+                break
+        commands[i] = min(max(start[i] + further, joint.lower), joint.upper)

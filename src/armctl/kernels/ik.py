@@ -1,0 +1,124 @@
+"""Checks of the configurations that a closed form gives for a pose: see `armctl.kinematics.ik`."""
+
+import math
+
+import numpy as np
+
+from armctl.kernels.arm import forward, tip_of
+from armctl.kernels.compiling import compiled
+from armctl.kernels.reach import nearest_turn
+
+
+@compiled
+def is_rigid(pose, tolerance):
+    """Whether a matrix (4, 4) is a proper rotation and a translation."""
+    for i in range(4):
+        for j in range(4):
+            if not math.isfinite(pose[i, j]):
+                return False
+    if pose[3, 0] != 0 or pose[3, 1] != 0 or pose[3, 2] != 0 or pose[3, 3] != 1:
+        return False
+    for i in range(3):
+        for j in range(3):
+            product = pose[i, 0] * pose[j, 0] + pose[i, 1] * pose[j, 1] + pose[i, 2] * pose[j, 2]
+            if abs(product - (i == j)) >= tolerance:
+                return False
+    third = pose[0, 0] * pose[1, 1] - pose[0, 1] * pose[1, 0]
+    return (
+        third * pose[2, 2]
+        + (pose[0, 1] * pose[1, 2] - pose[0, 2] * pose[1, 1]) * pose[2, 0]
+        + (pose[0, 2] * pose[1, 0] - pose[0, 0] * pose[1, 2]) * pose[2, 1]
+        > 0
+    )
+
+
+@compiled
+def twist_length(rotation, position, pose):
+    """Length of the twist (m and rad) from a frame to a pose (4, 4), in that frame.
+
+    With the rotation vector w of the relative rotation, and its angle a, and the relative translation p, the twist is w
+    and p - w x p / 2 + (1 - a / 2 cot(a / 2)) w x (w x p) / a^2.
+    """
+    relative, p, w = np.empty((3, 3)), np.empty(3), np.empty(3)
+    for i in range(3):
+        p[i] = 0.0
+        for k in range(3):
+            p[i] += rotation[k, i] * (pose[k, 3] - position[k])
+        for j in range(3):
+            relative[i, j] = 0.0
+            for k in range(3):
+                relative[i, j] += rotation[k, i] * pose[k, j]
+    w[0] = (relative[2, 1] - relative[1, 2]) / 2
+    w[1] = (relative[0, 2] - relative[2, 0]) / 2
+    w[2] = (relative[1, 0] - relative[0, 1]) / 2
+    sine = math.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
+    angle = math.atan2(sine, (relative[0, 0] + relative[1, 1] + relative[2, 2] - 1) / 2)
+    bend = 1 / 12
+    if angle > 1e-4:
+        for i in range(3):
+            w[i] *= angle / sine
+        bend = (1 - angle / 2 / math.tan(angle / 2)) / (angle * angle)
+    x, y, z = w[1] * p[2] - w[2] * p[1], w[2] * p[0] - w[0] * p[2], w[0] * p[1] - w[1] * p[0]
+    u = p[0] - x / 2 + bend * (w[1] * z - w[2] * y)
+    v = p[1] - y / 2 + bend * (w[2] * x - w[0] * z)
+    s = p[2] - z / 2 + bend * (w[0] * y - w[1] * x)
+    return math.sqrt(angle * angle + u * u + v * v + s * s)
+
+
+@compiled
+def tip_pose(joints, q, rotations, origins, rotation, position):
+    """Orientation (3, 3) and position (3,) of the end-effector at q (dof,)."""
+    forward(joints, q, rotations, origins)
+    tip_of(joints, rotations, origins, position)
+    last = len(joints) - 1
+    for i in range(3):
+        for j in range(3):
+            rotation[i, j] = 0.0
+            for k in range(3):
+                rotation[i, j] += rotations[last, i, k] * joints[last].tip_rotation[k, j]
+
+
+@compiled
+def choose(joints, pose, found, approximate, seed, exact, near, distinct, solutions, residuals):
+    """The configurations `found` (k, dof) for a `pose` (4, 4) that are within the limits, the nearest to `seed` first.
+
+    They are written to `solutions` (k + 1, dof), with their `residuals` (k + 1,), and of all the one of least residual
+    to the last rows. Returns their number. It is -1 if that does not suffice: none is exact, a residual is above
+    `exact`, or that of `seed` (dof,) below `near`. Of solutions nearer to each other than `distinct`, one counts.
+    """
+    dof, last = len(joints), len(found)
+    rotations, origins = np.empty((dof, 3, 3)), np.empty((dof, 3))
+    rotation, position, q = np.empty((3, 3)), np.empty(3), np.empty(dof)
+    distances = np.empty(last)
+    tip_pose(joints, seed, rotations, origins, rotation, position)
+    if twist_length(rotation, position, pose) < near:
+        return -1
+    count, residuals[last] = 0, np.inf
+    for row in range(last):
+        if approximate[row]:
+            continue
+        tip_pose(joints, found[row], rotations, origins, rotation, position)
+        residual = twist_length(rotation, position, pose)
+        if not residual < exact:
+            return -1
+        nearest_turn(joints, found[row], seed, q)
+        if residual < residuals[last]:
+            residuals[last], solutions[last] = residual, q
+        within, distance = True, 0.0
+        for i in range(dof):
+            within = within and joints[i].lower <= q[i] <= joints[i].upper
+            distance = max(distance, abs(q[i] - seed[i]))
+        at = count
+        for other in range(count):
+            gap = 0.0
+            for i in range(dof):
+                gap = max(gap, abs(q[i] - solutions[other, i]))
+            within = within and gap > distinct
+        if not within:
+            continue
+        while at > 0 and distances[at - 1] > distance:
+            distances[at], solutions[at], residuals[at] = distances[at - 1], solutions[at - 1], residuals[at - 1]
+            at -= 1
+        distances[at], solutions[at], residuals[at] = distance, q, residual
+        count += 1
+    return count if residuals[last] < np.inf else -1

@@ -1,0 +1,208 @@
+"""Rays of a camera against convex shapes: see `armctl.simulation.ray_camera`.
+
+A ray has length 1 along the optical axis, so that its length to a hit is the depth there. From inside a shape, it hits
+the far side, as MuJoCo's do.
+"""
+
+import math
+
+import numpy as np
+
+from armctl.kernels.compiling import compiled
+
+PLANE, SPHERE, CYLINDER, CAPSULE, BOX, POLYTOPE = range(6)
+NONE = np.inf
+
+
+@compiled
+def first_of(enter, leave):
+    """Where a ray that is inside from `enter` to `leave` first meets the surface."""
+    if enter > leave or leave < 0:
+        return NONE
+    return enter if enter >= 0 else leave
+
+
+@compiled
+def hit_quadratic(a, b, c):
+    """The least t >= 0 with a t^2 + 2 b t + c = 0."""
+    discriminant = b * b - a * c
+    if discriminant < 0 or a < 1e-15:
+        return NONE
+    root = math.sqrt(discriminant)
+    return first_of((-b - root) / a, (-b + root) / a)
+
+
+@compiled
+def hit_plane(size, origin, direction):
+    """The plane z = 0, seen from above, within its half sizes (0: unbounded)."""
+    if direction[2] > -1e-15:
+        return NONE
+    t = -origin[2] / direction[2]
+    for i in range(2):
+        if size[i] > 0 and abs(origin[i] + t * direction[i]) > size[i]:
+            return NONE
+    return t if t >= 0 else NONE
+
+
+@compiled
+def hit_sphere(radius, centre_z, origin, direction):
+    """A sphere on the z axis."""
+    a = b = 0.0
+    c = -radius * radius
+    for i in range(3):
+        offset = origin[i] - (centre_z if i == 2 else 0.0)
+        a += direction[i] * direction[i]
+        b += direction[i] * offset
+        c += offset * offset
+    return hit_quadratic(a, b, c)
+
+
+@compiled
+def hit_tube(radius, origin, direction):
+    """Where a ray enters and leaves the endless cylinder around the z axis."""
+    a = direction[0] ** 2 + direction[1] ** 2
+    b = direction[0] * origin[0] + direction[1] * origin[1]
+    c = origin[0] ** 2 + origin[1] ** 2 - radius * radius
+    if a < 1e-15:
+        return (-np.inf, np.inf) if c <= 0 else (np.inf, -np.inf)
+    discriminant = b * b - a * c
+    if discriminant < 0:
+        return np.inf, -np.inf
+    root = math.sqrt(discriminant)
+    return (-b - root) / a, (-b + root) / a
+
+
+@compiled
+def hit_box(size, count, origin, direction):
+    """A box with half sizes; of these, the last `count` axes bound it."""
+    enter, leave = -np.inf, np.inf
+    for i in range(3 - count, 3):
+        if abs(direction[i]) < 1e-15:
+            if abs(origin[i]) > size[i]:
+                return np.inf, -np.inf
+            continue
+        one, other = (-size[i] - origin[i]) / direction[i], (size[i] - origin[i]) / direction[i]
+        enter, leave = max(enter, min(one, other)), min(leave, max(one, other))
+    return enter, leave
+
+
+@compiled
+def hit_polytope(faces, origin, direction):
+    """A convex polytope n x <= d, with `faces` (k, 4) of n and d."""
+    enter, leave = -np.inf, np.inf
+    for k in range(len(faces)):
+        along = faces[k, 0] * direction[0] + faces[k, 1] * direction[1] + faces[k, 2] * direction[2]
+        room = faces[k, 3] - faces[k, 0] * origin[0] - faces[k, 1] * origin[1] - faces[k, 2] * origin[2]
+        if abs(along) < 1e-15:
+            if room < 0:
+                return NONE
+        elif along < 0:
+            enter = max(enter, room / along)
+        else:
+            leave = min(leave, room / along)
+    return first_of(enter, leave)
+
+
+@compiled
+def hit(kind, size, faces, origin, direction):
+    """The length of a ray, in a shape's frame, to its first hit; infinite for a miss."""
+    if kind == BOX:
+        enter, leave = hit_box(size, 3, origin, direction)
+        return first_of(enter, leave)
+    if kind == POLYTOPE:
+        return hit_polytope(faces, origin, direction)
+    if kind == PLANE:
+        return hit_plane(size, origin, direction)
+    if kind == SPHERE:
+        return hit_sphere(size[0], 0.0, origin, direction)
+    enter, leave = hit_tube(size[0], origin, direction)
+    if kind == CYLINDER:
+        low, high = hit_box(np.array((0.0, 0.0, size[1])), 1, origin, direction)
+        return first_of(max(enter, low), min(leave, high))
+    nearest = first_of(enter, leave)
+    if abs(origin[2] + nearest * direction[2]) > size[1]:
+        nearest = NONE
+    for end in (-size[1], size[1]):
+        cap = hit_sphere(size[0], end, origin, direction)
+        if cap < nearest and (origin[2] + cap * direction[2]) * math.copysign(1.0, end) >= size[1]:
+            nearest = cap
+    return nearest
+
+
+@compiled
+def seen_rectangle(kind, aabb, turn, origin, pixel, rows, columns):
+    """Rows and columns of the pixels whose rays can hit a shape, first and last plus one, by its bounding box.
+
+    `turn` (3, 3) leads from the camera's frame to the shape's, and `origin` (3,) is the camera in the latter.
+    """
+    if kind == PLANE:
+        return 0, rows, 0, columns
+    left = bottom = np.inf
+    right = top = -np.inf
+    behind = 0
+    point = np.empty(3)
+    for corner in range(8):
+        x = y = z = 0.0
+        for i in range(3):
+            sign = 1.0 if (corner >> i) & 1 else -1.0
+            point[i] = aabb[i] + sign * aabb[3 + i] - origin[i]
+            x += turn[i, 0] * point[i]
+            y += turn[i, 1] * point[i]
+            z += turn[i, 2] * point[i]
+        if z > -1e-3:
+            behind += 1
+            continue
+        left, right = min(left, -x / z), max(right, -x / z)
+        bottom, top = min(bottom, -y / z), max(top, -y / z)
+    if behind == 8:
+        return 0, 0, 0, 0
+    if behind:
+        return 0, rows, 0, columns
+    first_row = max(0, math.ceil(rows / 2 - 0.5 - top / pixel - 1e-6))
+    last_row = min(rows, math.floor(rows / 2 - 0.5 - bottom / pixel + 1e-6) + 1)
+    first_column = max(0, math.ceil(left / pixel + columns / 2 - 0.5 - 1e-6))
+    last_column = min(columns, math.floor(right / pixel + columns / 2 - 0.5 + 1e-6) + 1)
+    return first_row, last_row, first_column, last_column
+
+
+@compiled
+def cast(shapes, sizes, aabbs, faces, positions, rotations, camera, camera_rotation, rays, pixel, depths, hits):
+    """Depths (rows, columns) of the nearest hits of one world's `rays` (rows, columns, 3), and the shapes hit.
+
+    `shapes` (k, 4) are rows of kind, geom, first face and last face plus one. Of all geoms, `sizes` (g, 3), `aabbs`
+    (g, 6), `positions` (g, 3) and `rotations` (g, 9) as MuJoCo has them. Misses are infinite, and -1.
+    """
+    rows, columns = depths.shape
+    depths[:], hits[:] = np.inf, -1
+    turn, origin, direction = np.empty((3, 3)), np.empty(3), np.empty(3)
+    for kind, geom, first, last in shapes:
+        for i in range(3):
+            origin[i] = 0.0
+            for j in range(3):
+                origin[i] += rotations[geom, 3 * j + i] * (camera[j] - positions[geom, j])
+                turn[i, j] = 0.0
+                for k in range(3):
+                    turn[i, j] += rotations[geom, 3 * k + i] * camera_rotation[3 * k + j]
+        top, bottom, left, right = seen_rectangle(kind, aabbs[geom], turn, origin, pixel, rows, columns)
+        for row in range(top, bottom):
+            for column in range(left, right):
+                ray = rays[row, column]
+                for i in range(3):
+                    direction[i] = turn[i, 0] * ray[0] + turn[i, 1] * ray[1] + turn[i, 2] * ray[2]
+                depth = hit(kind, sizes[geom], faces[first:last], origin, direction)
+                if depth < depths[row, column]:
+                    depths[row, column], hits[row, column] = depth, geom
+
+
+@compiled
+def cast_all(
+    worlds, shapes, sizes, aabbs, faces, positions, rotations, cameras, camera_rotations, rays, pixel, depths, hits
+):
+    """The same for some worlds: `sizes` and `aabbs` are of each world, or one for all."""
+    for i in range(len(worlds)):
+        world = worlds[i]
+        own_size, own_box = world if len(sizes) > 1 else 0, world if len(aabbs) > 1 else 0
+        cast(
+            shapes, sizes[own_size], aabbs[own_box], faces, positions[world], rotations[world], cameras[world],
+            camera_rotations[world], rays, pixel, depths[i], hits[i],
+        )  # fmt: skip

@@ -1,0 +1,215 @@
+"""Moving an arm's end-effector into a sphere in minimum time: see `armctl.kinematics.minimum_time_reach`."""
+
+import math
+
+import numpy as np
+
+from armctl.kernels.arm import axes_of, forward, gradients_of, tip_of, tips
+from armctl.kernels.compiling import compiled
+from armctl.kernels.drives import least_time
+
+MAX_APPROACH_STEP = 0.5
+"""rad: joint step limit in one iteration of `approach`."""
+INSIDE = 5e-5
+"""m: depth inside the sphere that is aimed at, since linear programs end beside a curved surface."""
+MIN_SLOPE = 0.05
+"""m/s: lower bound on the approach speed when the time is estimated from it."""
+MAX_TIME_CHANGE = 0.1
+"""s: limit on one change of the time estimate."""
+NO_GAIN = 1e-9
+"""m/rad: a joint that brings the end-effector nearer by less only turns it on the spot, and goes back to its start."""
+
+
+@compiled
+def damped_step(gradients, error, damping, step):
+    """Step (dof,) that moves a point by about `error` (3,): J^T (J J^T + damping I)^-1 error.
+
+    `gradients` (dof, 3) are the rows of J^T. The matrix is positive definite, and solved by Cholesky's factors.
+    """
+    a00 = a11 = a22 = damping
+    a10 = a20 = a21 = 0.0
+    for k in range(len(gradients)):
+        x, y, z = gradients[k]
+        a00 += x * x
+        a11 += y * y
+        a22 += z * z
+        a10 += x * y
+        a20 += x * z
+        a21 += y * z
+    l00 = math.sqrt(a00)
+    l10, l20 = a10 / l00, a20 / l00
+    l11 = math.sqrt(a11 - l10 * l10)
+    l21 = (a21 - l20 * l10) / l11
+    l22 = math.sqrt(a22 - l20 * l20 - l21 * l21)
+    x = error[0] / l00
+    y = (error[1] - l10 * x) / l11
+    z = (error[2] - l20 * x - l21 * y) / l22
+    z /= l22
+    y = (y - l21 * z) / l11
+    x = (x - l10 * y - l20 * z) / l00
+    for k in range(len(gradients)):
+        step[k] = gradients[k, 0] * x + gradients[k, 1] * y + gradients[k, 2] * z
+
+
+@compiled
+def approach(joints, q, centres, iterations):
+    """Levenberg-Marquardt iterations from q (n, dof), in place, towards end-effector positions `centres` (n, 3), m."""
+    dof = len(joints)
+    rotations, origins, axes = np.empty((dof, 3, 3)), np.empty((dof, 3)), np.empty((dof, 3))
+    gradients, tip, error, step = np.empty((dof, 3)), np.empty(3), np.empty(3), np.empty(dof)
+    for row in range(len(q)):
+        for _ in range(iterations):
+            forward(joints, q[row], rotations, origins)
+            tip_of(joints, rotations, origins, tip)
+            axes_of(joints, rotations, axes)
+            gradients_of(axes, origins, tip, gradients)
+            square = 0.0
+            for i in range(3):
+                error[i] = centres[row, i] - tip[i]
+                square += error[i] * error[i]
+            damped_step(gradients, error, 0.5 * square + 1e-6, step)
+            largest = 0.0
+            for k in range(dof):
+                largest = max(largest, abs(step[k]))
+            share = min(1.0, MAX_APPROACH_STEP / (largest + 1e-12))
+            for k in range(dof):
+                q[row, k] += share * step[k]
+
+
+@compiled
+def step_into_sphere(joints, q, start, centre, radius, velocity, max_step, step):
+    """One linear program at q (dof,): a step (dof,) towards the sphere, so as to be there in the least time.
+
+    All arrays are of one arm that moves from `start` with `velocity`, (dof,) each. Returns the time (s) from there to
+    q, and the distance (m) at q from the sphere's centre. Newton's method improves the time. Two of its steps are
+    enough: programs solved to convergence overshoot, since they are valid only nearby.
+    """
+    dof = len(joints)
+    rotations, origins, axes = np.empty((dof, 3, 3)), np.empty((dof, 3)), np.empty((dof, 3))
+    gradients, tip, offset, gain = np.empty((dof, 3)), np.empty(3), np.empty(3), np.empty(dof)
+    forward(joints, q, rotations, origins)
+    tip_of(joints, rotations, origins, tip)
+    axes_of(joints, rotations, axes)
+    gradients_of(axes, origins, tip, gradients)
+    distance = 0.0
+    for i in range(3):
+        offset[i] = centre[i] - tip[i]
+        distance += offset[i] * offset[i]
+    distance = math.sqrt(distance) + 1e-12
+    for k in range(dof):
+        gain[k] = (gradients[k, 0] * offset[0] + gradients[k, 1] * offset[1] + gradients[k, 2] * offset[2]) / distance
+    arrival = least_time(joints, start, velocity, q)
+    needed, time = distance - radius + INSIDE, arrival
+    for _ in range(2):
+        missing, slope = needed, 0.0
+        for k in range(dof):
+            if abs(gain[k]) < NO_GAIN:
+                step[k] = min(max(start[k] - q[k], -max_step), max_step)
+                continue
+            joint, sign = joints[k], 1.0 if gain[k] > 0 else -1.0
+            ahead = sign * velocity[k]
+            ramp = min(time, (joint.top - ahead) / joint.acceleration)
+            speed = ahead + joint.acceleration * ramp
+            reach = (ahead + speed) / 2 * ramp + joint.top * (time - ramp)
+            room = joint.upper - q[k] if gain[k] > 0 else q[k] - joint.lower
+            length = min(min(reach - sign * (q[k] - start[k]), room), max_step)
+            missing -= abs(gain[k]) * length
+            if length < max_step:
+                slope += abs(gain[k]) * speed
+            step[k] = sign * min(max(length, -max_step), max_step)
+        change = missing / max(slope, MIN_SLOPE)
+        time = max(time + min(max(change, -MAX_TIME_CHANGE), MAX_TIME_CHANGE), 1e-3)
+    return arrival, distance
+
+
+@compiled
+def refine(joints, q, starts, centres, radius, velocities, max_steps, times):
+    """Linear programs with joint steps up to `max_steps` (m,) rad, from q (n, dof), each in its sphere.
+
+    In place, q becomes the best that was met in the sphere, and `times` (n,) when it is reached: infinite if none was.
+    Its sphere is around `centres` (n, 3), and arms move from `starts` with `velocities`, (n, dof) each.
+    """
+    dof = len(joints)
+    step, at = np.empty(dof), np.empty(dof)
+    for row in range(len(q)):
+        times[row] = np.inf
+        for k in range(dof):
+            at[k] = min(max(q[row, k], joints[k].lower), joints[k].upper)
+        for max_step in max_steps:
+            time, distance = step_into_sphere(
+                joints, at, starts[row], centres[row], radius, velocities[row], max_step, step
+            )
+            if distance <= radius and time < times[row]:
+                times[row], q[row] = time, at
+            for k in range(dof):
+                at[k] += step[k]
+
+
+@compiled
+def nearest_turn(joints, q, seed, out):
+    """Q (dof,), each joint shifted by whole turns to be near `seed` (dof,), as far as its limits allow."""
+    turn = 2 * math.pi
+    for k in range(len(joints)):
+        near = q[k] + turn * round((seed[k] - q[k]) / turn)
+        out[k] = near + turn * (near < joints[k].lower) - turn * (near > joints[k].upper)
+
+
+@compiled
+def move_to(joints, q, positions, centres, radius, tip_speed, iterations, excess):
+    """Move q (n, dof), in place, towards end-effector `positions` (n, 3), m, within the limits.
+
+    `excess` (n,) becomes the time (s) to the sphere around `centres` (n, 3) at `tip_speed` (m/s), for tips outside it.
+    """
+    found = np.empty((len(q), 3))
+    approach(joints, q, positions, iterations)
+    for row in range(len(q)):
+        for k in range(len(joints)):
+            q[row, k] = min(max(q[row, k], joints[k].lower), joints[k].upper)
+    tips(joints, q, found)
+    for row in range(len(q)):
+        excess[row] = late(found[row], centres[row], radius, tip_speed)
+
+
+@compiled
+def late(tip, centre, radius, tip_speed):
+    """Time (s) to a sphere from `tip` (3,) at `tip_speed` (m/s); 0 inside."""
+    square = 0.0
+    for i in range(3):
+        square += (tip[i] - centre[i]) ** 2
+    return max(math.sqrt(square) - radius, 0.0) / tip_speed
+
+
+@compiled
+def least_times_into_spheres(
+    joints, q, velocities, centres, goals, excess, radius, tip_speed, inside, iterations, max_steps, times
+):
+    """Times (m,) of `armctl.kinematics.ReachTimes`, s, from q (m, dof) with `velocities`, each into its sphere.
+
+    Of sphere i, around `centres[i]`, `goals[i]` (g, dof) lead into it, `excess[i]` (g,) s later than they are reached.
+    The straight move aims at the fraction `inside` of the radius.
+    """
+    dof = len(joints)
+    goal, turned, step = np.empty((1, dof)), np.empty(dof), np.empty(dof)
+    tip, aim, late_by = np.empty((1, 3)), np.empty((1, 3)), np.empty(1)
+    for i in range(len(q)):
+        tips(joints, q[i : i + 1], tip)
+        distance = late(tip[0], centres[i], 0.0, 1.0)
+        if distance <= radius:
+            times[i] = 0.0
+            continue
+        for axis in range(3):
+            aim[0, axis] = centres[i, axis] + (tip[0, axis] - centres[i, axis]) * (inside * radius / distance)
+        goal[0] = q[i]
+        move_to(joints, goal, aim, centres[i : i + 1], radius, tip_speed, iterations, late_by)
+        least = least_time(joints, q[i], velocities[i], goal[0]) + late_by[0]
+        for g in range(len(goals[i])):
+            nearest_turn(joints, goals[i, g], q[i], turned)
+            time = least_time(joints, q[i], velocities[i], turned) + excess[i, g]
+            if time <= least:
+                least, goal[0] = time, turned
+        for max_step in max_steps:
+            time, at = step_into_sphere(joints, goal[0], q[i], centres[i], radius, velocities[i], max_step, step)
+            least = min(least, time + max(at - radius, 0.0) / tip_speed)
+            for k in range(dof):
+                goal[0, k] += step[k]
+        times[i] = least

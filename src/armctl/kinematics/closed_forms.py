@@ -1,0 +1,80 @@
+"""Closed forms of inverse kinematics, from the libraries that have them.
+
+EAIK solves arms of six joints with a known geometric decomposition, all UR among them (Ostermeier, Kuelz and Althoff,
+"Automatic geometric decomposition for analytical inverse kinematics", RA-L 2025). ssik, if it is installed (extra
+`redundant`), solves the Panda and the xArm7, whose seven joints leave a circle of configurations for each branch: it
+samples that.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import eaik.pybindings.EAIK as eaik
+import numpy as np
+import pinocchio
+from numpy.typing import NDArray
+
+from armctl.kinematics.model import ArmModel
+
+Array = NDArray[np.float64]
+ClosedForm = Callable[[Array], tuple[Array, NDArray[np.bool_]]]
+"""From a pose (4, 4) to configurations (k, dof), and whether each is only an approximation, (k,)."""
+
+PREBUILT = {"panda": "franka_panda", "xarm7": "xarm7"}
+"""Robots that ssik knows, by armctl's names."""
+SAME = 1e-9
+"""m: largest difference between two models of one arm."""
+
+
+def six_joints(model: ArmModel) -> ClosedForm | None:
+    """EAIK's closed form for the arm, or None if it has no decomposition for it."""
+    if model.dof != 6:
+        return None
+    origins = [np.zeros(3)]
+    axes = []
+    data = model.pinocchio.createData()
+    pinocchio.computeJointJacobians(model.pinocchio, data, np.zeros(6))
+    for i in range(6):
+        axes.append(pinocchio.getJointJacobian(model.pinocchio, data, i + 1, pinocchio.LOCAL_WORLD_ALIGNED)[3:, i])
+        origins.append(data.oMi[i + 1].translation.copy())
+    zero_pose = model.pose(np.zeros(6))
+    offsets = np.diff([*origins, zero_pose[:3, 3]], axis=0)
+    solver = eaik.Robot(np.transpose(axes), offsets.T, zero_pose[:3, :3], [], True)
+    if not solver.has_known_decomposition():
+        return None
+
+    def solve(pose: Array) -> tuple[Array, NDArray[np.bool_]]:
+        found = solver.calculate_IK(pose)
+        return found.Q, found.is_LS
+
+    return solve
+
+
+def seven_joints(model: ArmModel) -> ClosedForm | None:
+    """Ssik's closed form for the arm; None if ssik is not installed, or does not know the arm."""
+    name = PREBUILT.get(model.description.name)
+    solver = _ssik(name) if name else None
+    if solver is None or solver.dof != model.dof:
+        return None
+    to_tip = np.linalg.inv(solver.fk(model.home)) @ model.pose(model.home)
+    samples = model.random_configurations(np.random.default_rng(0), 20)
+    if max(np.abs(solver.fk(q) @ to_tip - model.pose(q)).max() for q in samples) > SAME:
+        return None
+    from_tip = np.linalg.inv(to_tip)
+
+    def solve(pose: Array) -> tuple[Array, NDArray[np.bool_]]:
+        found = [solution.q for solution in solver.solve(pose @ from_tip, enumerate_windings=False)]
+        return np.array(found, dtype=float).reshape(-1, model.dof), np.zeros(len(found), dtype=bool)
+
+    return solve
+
+
+@functools.cache
+def _ssik(name: str) -> Any:
+    """Ssik's solver for an arm; loading it takes seconds."""
+    try:
+        import ssik
+    except ImportError:
+        return None
+    return ssik.Manipulator.from_prebuilt(name)

@@ -1,0 +1,46 @@
+"""An arm and boxes as arrays of records, which kernels take."""
+
+import numpy as np
+import pinocchio
+from numpy.typing import NDArray
+
+from armctl.kernels.arm import JOINT
+from armctl.kernels.capsules import BOX, LINK
+from armctl.kernels.drives import DRIVE
+from armctl.robot_description import ArmDescription
+from armctl.robot_description.collision_pairs import link_frame
+from armctl.scene import Boxes
+
+Records = NDArray[np.void]
+
+
+def joint_records(model: pinocchio.Model, axes: NDArray[np.float64], description: ArmDescription) -> Records:
+    """The joints (dof,) of an arm, whose `axes` (dof, 3) are in their own frames."""
+    joints = np.zeros(description.dof, JOINT)
+    for joint, placement, axis in zip(joints, model.jointPlacements[1:], axes, strict=True):
+        turn = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+        joint["base"], joint["offset"] = placement.rotation, placement.translation
+        joint["sine"], joint["versine"] = placement.rotation @ turn, placement.rotation @ turn @ turn
+    joints["axis"] = axes
+    tip = model.frames[link_frame(model, description.tip)].placement
+    joints["tip"], joints["tip_rotation"] = tip.translation, tip.rotation
+    for name in DRIVE.fields or ():
+        joints[name] = description.limits.drives[name]
+    return joints
+
+
+def link_records(model: pinocchio.Model, description: ArmDescription) -> Records:
+    """The links of an arm that have a shape, in the order of the description's capsules."""
+    links = np.zeros(len(description.capsules), LINK)
+    for link, capsule in zip(links, description.capsules, strict=True):
+        frame = model.frames[link_frame(model, capsule.link)]
+        link["joint"], link["radius"] = frame.parentJoint, capsule.radius
+        link["start"], link["end"] = (frame.placement.act(np.array(end)) for end in (capsule.start, capsule.end))
+    return links
+
+
+def box_records(boxes: Boxes) -> Records:
+    """Boxes (k,)."""
+    records = np.zeros(len(boxes), BOX)
+    records["rotation"], records["centre"], records["half_size"] = boxes.rotations, boxes.centres, boxes.half_sizes
+    return records
