@@ -85,7 +85,9 @@ def test_motion_into_a_sphere(model, rng):
     step = np.empty(model.dof)
     for one in zip(q, starts, centres, velocities, strict=True):
         at, start, centre, velocity = one
-        time, distance = reach.step_into_sphere(model.joints, at, start, centre, 0.05, velocity, 0.1, step)
+        time, distance = reach.step_into_sphere(
+            model.joints, at, start, centre, 0.05, velocity, 0.1, arm.workspace(model.joints), step
+        )
         expected, *others = reference.step_into_sphere(model, at, start, centre, 0.05, velocity, 0.1)
         np.testing.assert_allclose(step, expected, **CLOSE)
         np.testing.assert_allclose((time, distance), others, **CLOSE)

@@ -91,6 +91,24 @@ def gradients_of(axes, origins, point, out):
 
 
 @compiled
+def workspace(joints):
+    """Memory for `linearise`: frames, axes, the end-effector's position, and how the joints move it."""
+    dof = len(joints)
+    return np.empty((dof, 3, 3)), np.empty((dof, 3)), np.empty((dof, 3)), np.empty(3), np.empty((dof, 3))
+
+
+@compiled
+def linearise(joints, q, memory):
+    """End-effector position (3,) at q (dof,), and how the joints move it, (dof, 3) m/rad."""
+    rotations, origins, axes, tip, gradients = memory
+    forward(joints, q, rotations, origins)
+    tip_of(joints, rotations, origins, tip)
+    axes_of(joints, rotations, axes)
+    gradients_of(axes, origins, tip, gradients)
+    return tip, gradients
+
+
+@compiled
 def tips(joints, q, out):
     """End-effector positions (n, 3) of q (n, dof)."""
     rotations, origins = np.empty((len(joints), 3, 3)), np.empty((len(joints), 3))
@@ -102,10 +120,6 @@ def tips(joints, q, out):
 @compiled
 def tips_and_gradients(joints, q, positions, gradients):
     """The same, and how the joints move them, (n, dof, 3) m/rad."""
-    dof = len(joints)
-    rotations, origins, axes = np.empty((dof, 3, 3)), np.empty((dof, 3)), np.empty((dof, 3))
+    memory = workspace(joints)
     for row in range(len(q)):
-        forward(joints, q[row], rotations, origins)
-        tip_of(joints, rotations, origins, positions[row])
-        axes_of(joints, rotations, axes)
-        gradients_of(axes, origins, positions[row], gradients[row])
+        positions[row], gradients[row] = linearise(joints, q[row], memory)

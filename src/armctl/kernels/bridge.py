@@ -1,12 +1,15 @@
 """Distances on a bridge from above: see `armctl.scene.BridgeMap`.
 
-Blocks are rows (k, 10): the sides left, bottom, right and top of what is near a block, m, beyond which an edge is not
-near it; then the block's centre, the cosine and sine of its yaw, and its half sizes.
+Blocks are rows (k, 10): the least and greatest x and y, in the order left, bottom, right, top; then the centre, the
+cosine and sine of the yaw, and the half sizes; m.
 """
 
 import math
 
 from armctl.kernels.compiling import compiled
+
+LESS = 1e-6
+"""m: what a change of a path must save."""
 
 
 @compiled
@@ -36,6 +39,35 @@ def segment_to_block(ax, ay, bx, by, block):
 
 
 @compiled
+def to_sides(half_width, length, x, y):
+    """Distance (m) of a point from the nearest side or end of the deck."""
+    return min(half_width - abs(y), x, length - x)
+
+
+@compiled
+def clearances(blocks, half_width, length, points, out):
+    """Distance (n,) m of each of `points` (n, 2) from the nearest block, side or end; 0 or below inside a block."""
+    for i in range(len(points)):
+        x, y = points[i, 0], points[i, 1]
+        out[i] = to_sides(half_width, length, x, y)
+        for k in range(len(blocks)):
+            cos, sin, dx, dy = blocks[k, 6], blocks[k, 7], x - blocks[k, 4], y - blocks[k, 5]
+            beyond_x, beyond_y = abs(dx * cos + dy * sin) - blocks[k, 8], abs(dy * cos - dx * sin) - blocks[k, 9]
+            outside = math.hypot(max(beyond_x, 0.0), max(beyond_y, 0.0))
+            out[i] = min(out[i], outside + min(max(beyond_x, beyond_y), 0.0))
+
+
+@compiled
+def segment_clearances(blocks, half_width, length, starts, ends, out):
+    """The same for segments from `starts` to `ends`, (n, 2) each."""
+    for i in range(len(starts)):
+        ax, ay, bx, by = starts[i, 0], starts[i, 1], ends[i, 0], ends[i, 1]
+        out[i] = min(to_sides(half_width, length, ax, ay), to_sides(half_width, length, bx, by))
+        for k in range(len(blocks)):
+            out[i] = min(out[i], segment_to_block(ax, ay, bx, by, blocks[k]))
+
+
+@compiled
 def edge_is_free(blocks, half_width, length, clearance, ax, ay, bx, by):
     """Whether an edge keeps a clearance from blocks, sides and ends of the deck."""
     if max(abs(ay), abs(by)) > half_width - clearance:
@@ -44,8 +76,47 @@ def edge_is_free(blocks, half_width, length, clearance, ax, ay, bx, by):
         return False
     for k in range(len(blocks)):
         left, bottom, right, top = blocks[k, 0], blocks[k, 1], blocks[k, 2], blocks[k, 3]
-        apart = (ax < left and bx < left) or (ax > right and bx > right)
-        apart = apart or (ay < bottom and by < bottom) or (ay > top and by > top)
+        apart = max(ax, bx) < left - clearance or min(ax, bx) > right + clearance
+        apart = apart or max(ay, by) < bottom - clearance or min(ay, by) > top + clearance
         if not apart and segment_to_block(ax, ay, bx, by, blocks[k]) < clearance:
             return False
     return True
+
+
+@compiled
+def pull(deck, before, corner, after, points):
+    """Move a path's `corner` (2,) to the one of `points` (n, 2) with which the path past it is shortest; whether it is.
+
+    `deck` are the first arguments of `edge_is_free`.
+    """
+    ax, ay, bx, by, moved = before[0], before[1], after[0], after[1], False
+    length = math.hypot(corner[0] - ax, corner[1] - ay) + math.hypot(bx - corner[0], by - corner[1])
+    for x, y in points:
+        through = math.hypot(x - ax, y - ay) + math.hypot(bx - x, by - y)
+        if through < length - LESS and edge_is_free(*deck, ax, ay, x, y) and edge_is_free(*deck, x, y, bx, by):
+            corner[0], corner[1], length, moved = x, y, through, True
+    return moved
+
+
+@compiled
+def shorten(deck, path, points, ends):
+    """Leave out the corners of a path (m, 2), or move them to other `points` (n, 2), while that makes it shorter.
+
+    It may end at any of `ends` (k, 2). Returns how many corners are left.
+    """
+    corners, shorter = len(path), True
+    while shorter:
+        shorter, i = False, 1
+        while i < corners - 1:
+            if edge_is_free(*deck, path[i - 1, 0], path[i - 1, 1], path[i + 1, 0], path[i + 1, 1]):
+                corners, shorter = corners - 1, True
+                path[i:corners] = path[i + 1 : corners + 1].copy()
+            else:
+                shorter |= pull(deck, path[i - 1], path[i], path[i + 1], points)
+                i += 1
+        (ax, ay), last = path[corners - 2], path[corners - 1]
+        for x, y in ends:
+            nearer = math.hypot(x - ax, y - ay) < math.hypot(last[0] - ax, last[1] - ay) - LESS
+            if nearer and edge_is_free(*deck, ax, ay, x, y):
+                last[0], last[1], shorter = x, y, True
+    return corners

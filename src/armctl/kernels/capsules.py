@@ -73,48 +73,60 @@ def segments_distance(first, second):
 
 
 @compiled
+def in_frame(box, vector):
+    """A vector (3,) of the base, along the axes of a box."""
+    rotation, x, y, z = box.rotation, vector[0], vector[1], vector[2]
+    return (
+        rotation[0, 0] * x + rotation[1, 0] * y + rotation[2, 0] * z,
+        rotation[0, 1] * x + rotation[1, 1] * y + rotation[2, 1] * z,
+        rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2] * z,
+    )
+
+
+@compiled
+def offset(start, step, half_size, share):
+    """Offset of a segment's point from the nearest point of a box, in the box's frame; zero inside."""
+    x, y, z = start[0] + share * step[0], start[1] + share * step[1], start[2] + share * step[2]
+    return (
+        x - min(max(x, -half_size[0]), half_size[0]),
+        y - min(max(y, -half_size[1]), half_size[1]),
+        z - min(max(z, -half_size[2]), half_size[2]),
+    )
+
+
+@compiled
+def slope(start, step, half_size, share):
+    """Half the derivative of the squared distance of a segment's point from a box, by its share of the segment."""
+    x, y, z = offset(start, step, half_size, share)
+    return x * step[0] + y * step[1] + z * step[2]
+
+
+@compiled
 def segment_box_distance(segment, box):
     """Distance of a segment (2, 3) from a box, m; 0 inside.
 
     The squared distance is a convex function of the share of the segment, and a parabola between the places where the
     segment crosses the planes of faces, of which there are at most six.
     """
-    start, step, knots = np.empty(3), np.empty(3), np.ones(7)
-    count = 0
-    for i in range(3):
-        start[i] = step[i] = 0.0
-        for j in range(3):
-            start[i] += box.rotation[j, i] * (segment[0, j] - box.centre[j])
-            step[i] += box.rotation[j, i] * (segment[1, j] - segment[0, j])
-        for side in (-box.half_size[i], box.half_size[i]):
-            share = (side - start[i]) / step[i] if step[i] != 0 else 0.0
-            if 0 < share < 1:
-                k = count
-                while k > 0 and knots[k - 1] > share:
-                    knots[k] = knots[k - 1]
-                    k -= 1
-                knots[k] = share
-                count += 1
-    knots[count] = 1.0
-    low = share = 0.0
-    for k in range(count + 1):
-        high = knots[k]
-        slope = curvature = 0.0  # half the derivative at a share is slope + curvature share
+    centre, half_size = box.centre, (box.half_size[0], box.half_size[1], box.half_size[2])
+    ax, ay, az = segment[0, 0], segment[0, 1], segment[0, 2]
+    start = in_frame(box, (ax - centre[0], ay - centre[1], az - centre[2]))
+    step = in_frame(box, (segment[1, 0] - ax, segment[1, 1] - ay, segment[1, 2] - az))
+    share = 0.0
+    if slope(start, step, half_size, 0.0) < 0:
+        low, high = 0.0, 1.0
         for i in range(3):
-            at = start[i] + (low + high) / 2 * step[i]
-            if abs(at) > box.half_size[i]:
-                slope += step[i] * (start[i] - math.copysign(box.half_size[i], at))
-                curvature += step[i] * step[i]
-        share = high
-        if slope + curvature * high >= 0:
-            share = min(max(-slope / curvature, low), high) if curvature > 0 else low
-            break
-        low = high
-    square = 0.0
-    for i in range(3):
-        beyond = max(abs(start[i] + share * step[i]) - box.half_size[i], 0.0)
-        square += beyond * beyond
-    return math.sqrt(square)
+            for side in (-half_size[i], half_size[i]):
+                crossing = (side - start[i]) / step[i] if step[i] != 0 else 0.0
+                if low < crossing < high:
+                    if slope(start, step, half_size, crossing) < 0:
+                        low = crossing
+                    else:
+                        high = crossing
+        at_low, at_high = slope(start, step, half_size, low), slope(start, step, half_size, high)
+        share = low + (high - low) * at_low / (at_low - at_high) if at_high > 0 else high
+    x, y, z = offset(start, step, half_size, share)
+    return math.sqrt(x * x + y * y + z * z)
 
 
 @compiled

@@ -14,29 +14,32 @@ LINKS, FLOOR_END, LINK_AND_BOX = range(3)
 
 
 @compiled
-def distances(joints, links, pairs, boxes, q, out):
-    """Distance of each pair at q (dof,), (pairs,) m; 0 or below in contact."""
+def distance(links, boxes, ends, pair):
+    """Distance of a pair, m; 0 or below in contact."""
+    link, other = pair.link, pair.other
+    if pair.kind == LINKS:
+        return segments_distance(ends[link], ends[other]) - links[link].radius - links[other].radius
+    if pair.kind == FLOOR_END:
+        return ends[link, other, 2] - links[link].radius
+    return segment_box_distance(ends[link], boxes[other]) - links[link].radius
+
+
+@compiled
+def measure(joints, links, pairs, boxes, q, margins, known):
+    """Distance (pairs,) m of each pair at q (dof,), unless it is `known` to be infinite, until one is below its margin.
+
+    Returns whether none is.
+    """
     rotations, origins = np.empty((len(joints), 3, 3)), np.empty((len(joints), 3))
     ends = np.empty((len(links), 2, 3))
     forward(joints, q, rotations, origins)
     place(links, rotations, origins, ends)
     for i in range(len(pairs)):
-        kind, link, other = pairs[i].kind, pairs[i].link, pairs[i].other
-        if kind == LINKS:
-            out[i] = segments_distance(ends[link], ends[other]) - links[link].radius - links[other].radius
-        elif kind == FLOOR_END:
-            out[i] = ends[link, other, 2] - links[link].radius
-        else:
-            out[i] = segment_box_distance(ends[link], boxes[other]) - links[link].radius
-
-
-@compiled
-def keeps(distances, margins):
-    """Whether all distances are at least as large as their margins."""
-    nearest = np.inf
-    for i in range(len(margins)):
-        nearest = min(nearest, distances[i] - margins[i])
-    return nearest >= 0
+        if known[i] < np.inf:
+            known[i] = distance(links, boxes, ends, pairs[i])
+            if known[i] < margins[i]:
+                return False
+    return True
 
 
 @compiled
@@ -45,14 +48,13 @@ def check_edge(joints, links, pairs, boxes, a, b, margins, kept, motion, finest,
 
     At these, distances are at least `margins`. `motion` (pairs, dof) bounds how far each joint moves a pair, m/rad.
     `known` (m, pairs) is memory for distances; the motion counts as blocked if it does not suffice, or if spans become
-    shorter than `finest`.
+    shorter than `finest`. In between, pairs that keep their margins for certain are not measured again.
     """
     dof = len(joints)
-    distances(joints, links, pairs, boxes, b, known[1])
-    if not keeps(known[1], margins):
+    known[:2] = 0.0
+    if not measure(joints, links, pairs, boxes, b, margins, known[1]):
         return False, 1
-    distances(joints, links, pairs, boxes, a, known[0])
-    if not keeps(known[0], margins):
+    if not measure(joints, links, pairs, boxes, a, margins, known[0]):
         return False, 2
     moved, q = np.zeros(len(pairs)), np.empty(dof)
     for i in range(len(pairs)):
@@ -77,12 +79,59 @@ def check_edge(joints, links, pairs, boxes, a, b, margins, kept, motion, finest,
         middle = (low + high) / 2
         for j in range(dof):
             q[j] = a[j] + middle * (b[j] - a[j])
-        distances(joints, links, pairs, boxes, q, known[checks])
+        for i in range(len(pairs)):
+            certain = known[at_low, i] + known[at_high, i] >= 2 * margins[i] + moved[i] * (high - low)
+            known[checks, i] = np.inf if certain else 0.0
         checks += 1
-        if not keeps(known[checks - 1], margins):
+        if not measure(joints, links, pairs, boxes, q, margins, known[checks - 1]):
             return False, checks
         spans[last, 0], spans[last, 1], rows[last, 0], rows[last, 1] = low, middle, at_low, checks - 1
         spans[last + 1, 0], spans[last + 1, 1] = middle, high
         rows[last + 1, 0], rows[last + 1, 1] = checks - 1, at_high
         last += 2
     return True, checks
+
+
+@compiled
+def shortcut(scene, path, corners, draws, faster, bounds):
+    """Try straight motions between two places of a path, in place; those are taken that save time.
+
+    `path` (corners + draws, dof) begins with that many `corners`. Each of `draws` (k, 2) is two shares of its time at
+    the velocity limits. A motion that takes less than the share `faster` of the time between its ends is taken, if it
+    is free. Returns the number of corners, and how many configurations were looked at. `scene` and `bounds` are the
+    first and the last arguments of `check_edge`.
+    """
+    joints = scene[0]
+    times, ends, checks = np.zeros(len(path)), np.empty((2, len(joints))), 0
+    for draw in draws:
+        for i in range(1, corners):
+            times[i] = times[i - 1] + cruise_time(joints, path[i - 1], path[i])
+        total = times[corners - 1]
+        low, high = total * min(draw[0], draw[1]), total * max(draw[0], draw[1])
+        first = np.searchsorted(times[:corners], low, side="right")
+        last = np.searchsorted(times[:corners], high, side="right")
+        if first == last:
+            continue
+        for end, at, time in ((0, first, low), (1, last, high)):
+            share = (time - times[at - 1]) / (times[at] - times[at - 1])
+            for k in range(len(joints)):
+                ends[end, k] = path[at - 1, k] + share * (path[at, k] - path[at - 1, k])
+        if cruise_time(joints, ends[0], ends[1]) >= faster * (high - low):
+            continue
+        free, looks = check_edge(*scene, ends[0], ends[1], *bounds)
+        checks += looks
+        if free:
+            rest = path[last:corners].copy()
+            corners = first + 2 + len(rest)
+            path[first : first + 2] = ends
+            path[first + 2 : corners] = rest
+    return corners, checks
+
+
+@compiled
+def cruise_time(joints, a, b):
+    """Time (s) from a to b (dof,) at the velocity limit of the slowest joint."""
+    time = 0.0
+    for k in range(len(joints)):
+        time = max(time, abs(b[k] - a[k]) / joints[k].top)
+    return time

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from armctl.kernels.arm import axes_of, forward, gradients_of, tip_of, tips
+from armctl.kernels.arm import linearise, tips, workspace
 from armctl.kernels.compiling import compiled
 from armctl.kernels.drives import least_time
 
@@ -55,14 +55,10 @@ def damped_step(gradients, error, damping, step):
 def approach(joints, q, centres, iterations):
     """Levenberg-Marquardt iterations from q (n, dof), in place, towards end-effector positions `centres` (n, 3), m."""
     dof = len(joints)
-    rotations, origins, axes = np.empty((dof, 3, 3)), np.empty((dof, 3)), np.empty((dof, 3))
-    gradients, tip, error, step = np.empty((dof, 3)), np.empty(3), np.empty(3), np.empty(dof)
+    memory, error, step = workspace(joints), np.empty(3), np.empty(dof)
     for row in range(len(q)):
         for _ in range(iterations):
-            forward(joints, q[row], rotations, origins)
-            tip_of(joints, rotations, origins, tip)
-            axes_of(joints, rotations, axes)
-            gradients_of(axes, origins, tip, gradients)
+            tip, gradients = linearise(joints, q[row], memory)
             square = 0.0
             for i in range(3):
                 error[i] = centres[row, i] - tip[i]
@@ -77,7 +73,7 @@ def approach(joints, q, centres, iterations):
 
 
 @compiled
-def step_into_sphere(joints, q, start, centre, radius, velocity, max_step, step):
+def step_into_sphere(joints, q, start, centre, radius, velocity, max_step, memory, step):
     """One linear program at q (dof,): a step (dof,) towards the sphere, so as to be there in the least time.
 
     All arrays are of one arm that moves from `start` with `velocity`, (dof,) each. Returns the time (s) from there to
@@ -85,19 +81,12 @@ def step_into_sphere(joints, q, start, centre, radius, velocity, max_step, step)
     enough: programs solved to convergence overshoot, since they are valid only nearby.
     """
     dof = len(joints)
-    rotations, origins, axes = np.empty((dof, 3, 3)), np.empty((dof, 3)), np.empty((dof, 3))
-    gradients, tip, offset, gain = np.empty((dof, 3)), np.empty(3), np.empty(3), np.empty(dof)
-    forward(joints, q, rotations, origins)
-    tip_of(joints, rotations, origins, tip)
-    axes_of(joints, rotations, axes)
-    gradients_of(axes, origins, tip, gradients)
-    distance = 0.0
-    for i in range(3):
-        offset[i] = centre[i] - tip[i]
-        distance += offset[i] * offset[i]
-    distance = math.sqrt(distance) + 1e-12
+    tip, gradients = linearise(joints, q, memory)
+    x, y, z = centre[0] - tip[0], centre[1] - tip[1], centre[2] - tip[2]
+    distance = math.sqrt(x * x + y * y + z * z) + 1e-12
+    gain = np.empty(dof)
     for k in range(dof):
-        gain[k] = (gradients[k, 0] * offset[0] + gradients[k, 1] * offset[1] + gradients[k, 2] * offset[2]) / distance
+        gain[k] = (gradients[k, 0] * x + gradients[k, 1] * y + gradients[k, 2] * z) / distance
     arrival = least_time(joints, start, velocity, q)
     needed, time = distance - radius + INSIDE, arrival
     for _ in range(2):
@@ -130,14 +119,14 @@ def refine(joints, q, starts, centres, radius, velocities, max_steps, times):
     Its sphere is around `centres` (n, 3), and arms move from `starts` with `velocities`, (n, dof) each.
     """
     dof = len(joints)
-    step, at = np.empty(dof), np.empty(dof)
+    memory, step, at = workspace(joints), np.empty(dof), np.empty(dof)
     for row in range(len(q)):
         times[row] = np.inf
         for k in range(dof):
             at[k] = min(max(q[row, k], joints[k].lower), joints[k].upper)
         for max_step in max_steps:
             time, distance = step_into_sphere(
-                joints, at, starts[row], centres[row], radius, velocities[row], max_step, step
+                joints, at, starts[row], centres[row], radius, velocities[row], max_step, memory, step
             )
             if distance <= radius and time < times[row]:
                 times[row], q[row] = time, at
@@ -189,7 +178,7 @@ def least_times_into_spheres(
     The straight move aims at the fraction `inside` of the radius.
     """
     dof = len(joints)
-    goal, turned, step = np.empty((1, dof)), np.empty(dof), np.empty(dof)
+    memory, goal, turned, step = workspace(joints), np.empty((1, dof)), np.empty(dof), np.empty(dof)
     tip, aim, late_by = np.empty((1, 3)), np.empty((1, 3)), np.empty(1)
     for i in range(len(q)):
         tips(joints, q[i : i + 1], tip)
@@ -208,7 +197,9 @@ def least_times_into_spheres(
             if time <= least:
                 least, goal[0] = time, turned
         for max_step in max_steps:
-            time, at = step_into_sphere(joints, goal[0], q[i], centres[i], radius, velocities[i], max_step, step)
+            time, at = step_into_sphere(
+                joints, goal[0], q[i], centres[i], radius, velocities[i], max_step, memory, step
+            )
             least = min(least, time + max(at - radius, 0.0) / tip_speed)
             for k in range(dof):
                 goal[0, k] += step[k]

@@ -112,17 +112,19 @@ class EdgeChecker:
         pairs, motion = shapes.with_boxes(boxes)
         self._self_pairs = shapes.self_pairs
         self._scene = shapes.model.joints, shapes.model.links, pairs, box_records(boxes)
-        self._known = np.empty((MOST_CHECKS, len(pairs)))
+        self._known, self._anything = np.empty((MOST_CHECKS, len(pairs))), np.full(len(pairs), -np.inf)
         self.checks = 0
         """Configurations checked."""
-        distances = self._distances(start)
+        distances = self._measured(start)
         self.start_is_free = bool((distances > 0).all())
         self._margins = np.minimum(SLACK * clearance, NEAR_START * np.maximum(distances, 0.0))
         self._bounds = self._margins, self._margins / SLACK, motion, FINEST, self._known
 
     def is_free(self, q: Array) -> bool:
         """Whether a configuration (dof,) keeps the clearance, with the margin that edges need."""
-        return bool((self._distances(q) >= self._margins).all())
+        self.checks += 1
+        self._known[0] = 0.0
+        return bool(edges.measure(*self._scene, q, self._margins, self._known[0]))
 
     def is_edge_free(self, a: Array, b: Array) -> bool:
         """Whether the straight motion from `a` to `b`, (dof,) each, keeps the clearance throughout."""
@@ -130,16 +132,28 @@ class EdgeChecker:
         self.checks += checks
         return bool(free)
 
+    def shortened(self, path: Array, draws: Array, faster: float) -> Array:
+        """The path (m, dof) after shortcuts between random places, where they are free and save time.
+
+        `draws` (k, 2) are shares of the path's time at the velocity limits, and `faster` is the share of the time
+        between such places that a shortcut may need.
+        """
+        room = np.vstack((path, np.empty((len(draws), path.shape[1]))))
+        corners, checks = edges.shortcut(self._scene, room, len(path), draws, faster, self._bounds)
+        self.checks += checks
+        return room[:corners]
+
     def clearance(self, path: ArrayLike) -> float:
         """Least distance (m) of the arm from boxes and floor at the corners of a path (m, dof); at most `FAR`."""
-        corners = (self._distances(q)[self._self_pairs :] for q in np.asarray(path, float))
+        corners = (self._measured(q)[self._self_pairs :] for q in np.asarray(path, float))
         return min((float(distances.min(initial=FAR)) for distances in corners), default=np.nan)
 
-    def _distances(self, q: Array) -> Array:
+    def _measured(self, q: Array) -> Array:
         """Distance of each pair, (pairs,) m: 0 or below in contact."""
         self.checks += 1
-        edges.distances(*self._scene, q, self._known[0])
-        return np.asarray(self._known[0])
+        distances = np.zeros(len(self._anything))
+        edges.measure(*self._scene, q, self._anything, distances)
+        return distances
 
 
 def _off_axis(point: Array, axis: Array) -> float:

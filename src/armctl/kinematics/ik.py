@@ -156,20 +156,20 @@ class Ik:
         what the core of armctl installs.
         """
         for q in self.configurations(position):
-            if self.model.within_limits(q) and self.model.is_free(q):
-                yield q
+            within = q[self.model.within_limits(q)]
+            yield from within[self.model.are_free(within)]
 
     def configurations(self, position: Array) -> Iterator[Array]:
-        """The same, in collision or not; joints may exceed their limits by whole turns."""
+        """The same in groups (k, dof), in collision or not; joints may exceed their limits by whole turns."""
         if self._six_joints is None:
-            yield from self.position(position, count=self.options.starts).solutions
+            yield self.position(position, count=self.options.starts).solutions
             return
         pose = np.eye(4)
         pose[:3, 3] = position
         for orientation in self._orientations:
             pose[:3, :3] = orientation
             q, approximate = self._six_joints(pose)
-            yield from q[~approximate]
+            yield q[~approximate]
 
     def _checked(self, seed: Array | None, count: int | None) -> Array:
         if count is not None and count < 1:

@@ -72,6 +72,7 @@ class MinimumTimeReach:
         self.options = options or MinimumTimeReachOptions()
         self.ik = Ik(model)
         rng, half = np.random.default_rng(self.options.rng_seed), self.options.starts // 2
+        self._max_steps = np.geomspace(FIRST_STEP, LAST_STEP, self.options.refine_iterations)
         self._anywhere = model.random_configurations(rng, self.options.starts - half)
         self._around = rng.uniform(-self.options.spread, self.options.spread, (half, model.dof))
 
@@ -128,8 +129,7 @@ class MinimumTimeReach:
         q, times = np.array(q, dtype=float), np.empty(len(q))
         count, dof = q.shape
         starts, centres, velocities = _rows(start, count, dof), _rows(centre, count, 3), _rows(velocity, count, dof)
-        steps = np.geomspace(FIRST_STEP, LAST_STEP, self.options.refine_iterations)
-        reach.refine(self.model.joints, q, starts, centres, radius, velocities, steps, times)
+        reach.refine(self.model.joints, q, starts, centres, radius, velocities, self._max_steps, times)
         inside = np.isfinite(times)
         return q[inside], times[inside]
 

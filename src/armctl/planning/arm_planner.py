@@ -8,6 +8,7 @@ trees from the start and from configurations in the sphere. Shortcuts then strai
 import itertools
 import math
 import time
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -102,9 +103,9 @@ class ArmPlanner:
                 path = origin[None]
             else:
                 goals = self._goals(edges, origin, centre, tolerance)
-                path = self._straight(edges, origin, goals)
-                if searched := not len(path) and len(goals) > 0:
-                    path = self._search(edges, origin, goals)
+                path, tried = self._straight(edges, origin, itertools.islice(goals, self.options.direct))
+                if searched := not len(path) and len(tried) > 0:
+                    path = self._search(edges, origin, np.array([*tried, *goals]))
             raw = self._time(path)
             path = self._shortened(edges, path, centre, tolerance)
         clearance = edges.clearance(path) if len(path) else math.nan
@@ -124,23 +125,26 @@ class ArmPlanner:
             )
         return origin, centre
 
-    def _goals(self, edges: EdgeChecker, start: Array, centre: Array, radius: float) -> Array:
-        """Free configurations (k, dof) in the sphere, those reached earliest first."""
-        q = np.array(list(self._minimum_time.ik.configurations(centre))).reshape(-1, self.model.dof)
+    def _goals(self, edges: EdgeChecker, start: Array, centre: Array, radius: float) -> Iterator[Array]:
+        """Free configurations (dof,) in the sphere, those reached earliest first."""
+        q = np.vstack(list(self._minimum_time.ik.configurations(centre)))
         q = self._by_time(start, self.model.nearest_turn(q, start))
         earliest = self._minimum_time.refined(start, q[: self.options.goals], centre, INSIDE * radius)[0]
-        free = (one for one in self._by_time(start, np.vstack((earliest, q))) if edges.is_free(one))
-        return np.array(list(itertools.islice(free, self.options.goals))).reshape(-1, self.model.dof)
+        free = filter(edges.is_free, self._by_time(start, np.vstack((earliest, q))))
+        return itertools.islice(free, self.options.goals)
 
     def _by_time(self, start: Array, q: Array) -> Array:
         q = q[self.model.within_limits(q)]
         return np.asarray(q[np.argsort(self.model.cruise_time(start, q), kind="stable")])
 
-    def _straight(self, edges: EdgeChecker, start: Array, goals: Array) -> Array:
-        for goal in goals[: self.options.direct]:
+    def _straight(self, edges: EdgeChecker, start: Array, goals: Iterable[Array]) -> tuple[Array, list[Array]]:
+        """The straight motion to the first goal that has a free one, (2, dof), or (0, dof); and the goals tried."""
+        tried = []
+        for goal in goals:
+            tried.append(goal)
             if edges.is_edge_free(start, goal):
-                return np.array((start, goal))
-        return np.zeros((0, self.model.dof))
+                return np.array((start, goal)), tried
+        return np.zeros((0, self.model.dof)), tried
 
     def _search(self, edges: EdgeChecker, start: Array, goals: Array) -> Array:
         """The path that RRT-Connect finds, (m, dof), or (0, dof)."""
@@ -150,23 +154,10 @@ class ArmPlanner:
 
     def _shortened(self, edges: EdgeChecker, path: Array, centre: Array, radius: float) -> Array:
         """The path with random shortcuts and another end, where they save time."""
-        rng, tries = np.random.default_rng(0), range(self.options.shortcuts if len(path) > 2 else 0)
-        for half in (tries[::2], tries[1::2]):
-            for _ in half:
-                path = self._with_shortcut(edges, path, rng)
-            path = self._with_earlier_end(edges, path, centre, radius) if tries else path
-        return path
-
-    def _with_shortcut(self, edges: EdgeChecker, path: Array, rng: np.random.Generator) -> Array:
-        times = self._times(path)
-        cuts = np.sort(rng.uniform(0, times[-1], 2))
-        i, j = corners = np.searchsorted(times, cuts, side="right")
-        if i == j:
-            return path
-        fraction = (cuts - times[corners - 1]) / (times[corners] - times[corners - 1])
-        a, b = path[corners - 1] + fraction[:, None] * (path[corners] - path[corners - 1])
-        if self.model.cruise_time(a, b) < MAX_TIME_RATIO * (cuts[1] - cuts[0]) and edges.is_edge_free(a, b):
-            return np.vstack((path[:i], a, b, path[j:]))
+        if len(path) > 2:
+            for draws in np.array_split(np.random.default_rng(0).random((self.options.shortcuts, 2)), 2):
+                path = edges.shortened(path, draws, MAX_TIME_RATIO)
+                path = self._with_earlier_end(edges, path, centre, radius)
         return path
 
     def _with_earlier_end(self, edges: EdgeChecker, path: Array, centre: Array, radius: float) -> Array:
@@ -174,8 +165,9 @@ class ArmPlanner:
         corners = path[:-1]
         ends = self._minimum_time.refined(corners, np.tile(path[-1], (len(corners), 1)), centre, INSIDE * radius)[0]
         times = self.model.cruise_time(corners[:, None], ends) + self._times(path)[:-1, None]
+        longest = MAX_TIME_RATIO * self._time(path)
         for i, j in zip(*np.unravel_index(np.argsort(times, axis=None), times.shape), strict=True):
-            if times[i, j] > MAX_TIME_RATIO * self._time(path):
+            if times[i, j] > longest:
                 break
             if edges.is_edge_free(corners[i], ends[j]):
                 return np.vstack((path[: i + 1], ends[j]))

@@ -49,8 +49,7 @@ class PathPlannerOptions:
     clearance: Annotated[float, Field(gt=0)] = 0.4
     """m: distance from the path to the nearest block or side."""
     searches: tuple[Annotated[int, Field(ge=0)], ...] = (0, 100, 400, 1600)
-    """Points all over the deck in each search. At least two searches are made, since each leaves other edges untried;
-    the shorter path is taken. Further searches follow until there is a path."""
+    """Points all over the deck in each search. Further searches follow until there is a path."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,11 +90,10 @@ def plan_path(
     room = float(bridge.clearance(origin[None])[0])
     first_leg = _to_open_deck(bridge, blocked, origin, clearance, min(room - ROUNDING, clearance))
     path, edges = np.zeros((0, 2)), 0
-    for searches, spread in enumerate(options.searches if len(first_leg) else (), start=1):
-        found, checked = _search(blocked, first_leg[-1], goal_x, clearance, _points(blocked, options.clearance, spread))
+    for spread in options.searches if len(first_leg) else ():
+        path, checked = _search(blocked, first_leg[-1], goal_x, clearance, _points(blocked, options.clearance, spread))
         edges += checked
-        path = min(path, found, key=_length)
-        if searches > 1 and len(path):
+        if len(path):
             break
     if not len(path) and room < options.clearance:
         return plan_path(bridge, start, goal_x, replace(options, clearance=room))
@@ -178,7 +176,10 @@ def _search(bridge: BridgeMap, start: Array, goal_x: float, clearance: float, po
     planner.setRadiusMultiplier(RADIUS_MULTIPLIER)
     goal = _GoalLine(problem.information, goal_x, points)
     # FMT* terminates by itself when it has no points left
-    return problem.solve(planner, goal, base.plannerNonTerminatingCondition()), problem.edges_checked
+    path = problem.solve(planner, goal, base.plannerNonTerminatingCondition())
+    if len(path):
+        path = bridge.shortened(path, points, points[points[:, 0] >= goal_x], clearance)
+    return path, problem.edges_checked
 
 
 class _GoalLine(base.GoalSampleableRegion):  # type: ignore[misc]

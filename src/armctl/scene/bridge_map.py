@@ -45,10 +45,10 @@ class BridgeMap:
 
     def clearance(self, points: ArrayLike) -> Array:
         """Distance (m,) of points (m, 2) to the nearest block, side or end of the deck; 0 or below inside a block."""
-        points = np.asarray(points, dtype=float)
-        x, y = self._in_frames(points)
-        to_blocks = _to_boxes(x, y, *self._sizes).min(axis=1, initial=np.inf)
-        return np.asarray(np.minimum(to_blocks, self._to_edges(points)))
+        points = np.ascontiguousarray(points, dtype=float)
+        clearances = np.empty(len(points))
+        kernel.clearances(*self._deck, points, clearances)
+        return clearances
 
     def nearest(self, points: ArrayLike) -> Array:
         """The point of each block and of the two sides nearest to each of points (m, 2): (m, k + 2, 2)."""
@@ -64,28 +64,29 @@ class BridgeMap:
 
         0 or below for segments that meet it.
         """
-        starts, ends = np.asarray(starts, dtype=float), np.asarray(ends, dtype=float)
-        (ax, ay), (bx, by), (half_x, half_y) = self._in_frames(starts), self._in_frames(ends), self._sizes
-        x, y, wx, wy = (ax + bx) / 2, (ay + by) / 2, (bx - ax) / 2, (by - ay) / 2
-        # Separating axes of a box and a segment: the box's own two, and the segment's normal.
-        meet = (np.abs(x) <= half_x + np.abs(wx)) & (np.abs(y) <= half_y + np.abs(wy))
-        lateral = x * wy - y * wx
-        meet &= np.abs(lateral) <= half_x * np.abs(wy) + half_y * np.abs(wx)
-        # If separate, they are nearest at an end of the segment, or at the box's foremost corner towards it.
-        corner_x, corner_y = np.copysign(half_x, lateral * wy) - x, np.copysign(half_y, -lateral * wx) - y
-        share = (corner_x * wx + corner_y * wy) / np.maximum(wx * wx + wy * wy, 1e-24)
-        share = np.minimum(np.maximum(share, -1.0), 1.0)
-        to_corner = np.hypot(corner_x - share * wx, corner_y - share * wy)
-        to_end = np.minimum(_to_boxes(ax, ay, half_x, half_y), _to_boxes(bx, by, half_x, half_y))
-        to_blocks = np.where(meet, 0.0, np.minimum(to_corner, to_end)).min(axis=1, initial=np.inf)
-        return np.asarray(np.minimum(to_blocks, np.minimum(self._to_edges(starts), self._to_edges(ends))))
+        starts, ends = np.ascontiguousarray(starts, dtype=float), np.ascontiguousarray(ends, dtype=float)
+        clearances = np.empty(len(starts))
+        kernel.segment_clearances(*self._deck, starts, ends, clearances)
+        return clearances
 
     def edge_test(self, clearance: float) -> EdgeTest:
         """A test for single segments, from x, y to x, y: whether `segment_clearance` is at least `clearance`."""
+        return functools.partial(kernel.edge_is_free, *self._deck, clearance)
+
+    def shortened(self, path: Array, points: Array, ends: Array, clearance: float) -> Array:
+        """A path (m, 2), shortened: corners are left out, or moved to other `points` (n, 2), as the clearance allows.
+
+        It may end at any of `ends` (k, 2).
+        """
+        path = np.array(path)
+        return path[: kernel.shorten((*self._deck, clearance), path, points, ends)]
+
+    @functools.cached_property
+    def _deck(self) -> tuple[Array, float, float]:
+        """The first arguments of the kernels."""
         corners, (x, y, _, *sizes) = self.corners, self.blocks.T
-        low, high = corners.min(axis=1, initial=np.inf) - clearance, corners.max(axis=1, initial=-np.inf) + clearance
-        blocks = np.column_stack((low, high, x, y, *self._directions, *sizes))
-        return functools.partial(kernel.edge_is_free, blocks, self.half_width, self.length, clearance)
+        low, high = corners.min(axis=1, initial=np.inf), corners.max(axis=1, initial=-np.inf)
+        return np.column_stack((low, high, x, y, *self._directions, *sizes)), self.half_width, self.length
 
     def with_lanes_blocked(self) -> "BridgeMap":
         """The map with a block in place of each lane along the bridge, and without pedestrians.
@@ -124,7 +125,7 @@ class BridgeMap:
         cos, sin = (one[:, None] for one in self._directions)
         return np.stack((x + ahead * cos - left * sin, y + ahead * sin + left * cos), axis=-1)
 
-    @property
+    @functools.cached_property
     def _directions(self) -> tuple[Array, Array]:
         return np.cos(self.blocks[:, 2]), np.sin(self.blocks[:, 2])
 
@@ -146,10 +147,6 @@ class BridgeMap:
         x, y = points[:, 0, None] - self.blocks[:, 0], points[:, 1, None] - self.blocks[:, 1]
         cos, sin = self._directions
         return x * cos + y * sin, y * cos - x * sin
-
-    def _to_edges(self, points: Array) -> Array:
-        x, y = points.T
-        return np.asarray(np.minimum(self.half_width - np.abs(y), np.minimum(x, self.length - x)))
 
 
 def _to_boxes(x: Array, y: Array, half_x: Array, half_y: Array) -> Array:
