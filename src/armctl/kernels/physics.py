@@ -25,6 +25,14 @@ def mark_unusual(state, columns, lowest, highest, depths, deep, unusual):
 
 
 @compiled
+def clip_speeds(velocities, worlds, dofs, bounds):
+    """Clip velocities (n, nv) of `dofs` (k,) to their bounds (k,), in some worlds."""
+    for world in worlds:
+        for k in range(len(dofs)):
+            velocities[world, dofs[k]] = min(max(velocities[world, dofs[k]], -bounds[k]), bounds[k])
+
+
+@compiled
 def note_nearest(positions, targets, nearest):
     """Lower `nearest` (n,) to the distances of positions from targets (n, 3), m, rounded as they are observed."""
     for world in range(len(positions)):

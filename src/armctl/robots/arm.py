@@ -72,12 +72,15 @@ class Arm:
         self.end_effector_positions = simulation.array("xpos")[:, simulation.model.body(PREFIX + description.tip).id]
         """(n, 3) m, a live view."""
         self._ctrl = simulation.array("ctrl")
+        dof = description.dof
+        self._velocity_commands, self._feedforward = self._ctrl[:, :dof], self._ctrl[:, dof:]
         self._command = simulation.array("act")
         self._wanted = np.zeros_like(self.joint_positions)
         limits = description.limits
+        self._drives, self._to_positions = limits.drives, control in ("position", "relative")
         actuators = ActuatorLimits(limits.velocity, limits.effort, (limits.lower, limits.upper))
-        self.joints = JointSamples(simulation, slice(description.dof), actuators, round(period / TICK), period)
-        move = np.full(description.dof, LARGEST_RELATIVE_MOVE)
+        self.joints = JointSamples(simulation, slice(dof), actuators, round(period / TICK), period)
+        move = np.full(dof, LARGEST_RELATIVE_MOVE)
         bounds = {
             "position": (limits.lower, limits.upper),
             "relative": (-move, move),
@@ -92,13 +95,13 @@ class Arm:
         """Positions (rad) and velocities (rad/s) that the drives command now, (n, 2 dof); (n, 0) for torques."""
         if self.control == "torque":
             return self._command
-        return np.concatenate((self._command, self._ctrl[:, : self.description.dof]), axis=1)
+        return np.concatenate((self._command, self._velocity_commands), axis=1)
 
     def command(self, actions: Array) -> None:
         """Set actions (n, dof), clipped to their bounds."""
         self._wanted = np.clip(actions, self.action_low, self.action_high)
         if self.control == "torque":
-            self._ctrl[:, : self.description.dof] = self._wanted
+            np.copyto(self._velocity_commands, self._wanted)
         elif self.control == "delta":
             self._wanted /= self.period
         elif self.control == "relative":
@@ -109,13 +112,11 @@ class Arm:
         """Set the command's velocity until the next tick."""
         if self.control == "torque":
             return
-        dof, to_positions = self.description.dof, self.control in ("position", "relative")
-        velocities = self._ctrl[:, :dof]
         drives.drive(
-            self.description.limits.drives, self._wanted, to_positions, self.joint_positions, self._command, velocities,
-            FOLLOWING_ERROR, TICK,
+            self._drives, self._wanted, self._to_positions, self.joint_positions, self._command,
+            self._velocity_commands, FOLLOWING_ERROR, TICK,
         )  # fmt: skip
-        self._ctrl[:, dof:] = velocities
+        np.copyto(self._feedforward, self._velocity_commands)
 
 
 def speed_limits(description: ArmDescription) -> dict[str, float]:

@@ -1,6 +1,6 @@
 """Speeds and torques of the joints of n robots since the last control step, and their limits."""
 
-from collections.abc import Sequence
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,20 +30,19 @@ class JointSamples:
     """
 
     def __init__(
-        self, simulation: Simulation, dofs: slice | Sequence[int], limits: ActuatorLimits, samples: int, period: float
+        self, simulation: Simulation, dofs: slice, limits: ActuatorLimits, samples: int, period: float
     ) -> None:
-        self._now = simulation.array("qvel"), simulation.array("qfrc_actuator")
-        self._dofs, self.limits = dofs, limits
+        self._now = tuple(simulation.array(field)[:, dofs] for field in ("qvel", "qfrc_actuator"))
+        self.limits = limits
         self.interval = period / samples
         """s: time between two samples"""
         self._samples = np.zeros((2, samples, len(self._now[0]), len(limits.speed)))
-        self._next = 0
+        self._rows = itertools.cycle(zip(*self._samples, strict=True))
 
     def take(self) -> None:
         """Record the current speeds and torques."""
-        for samples, now in zip(self._samples, self._now, strict=True):
-            samples[self._next] = now[:, self._dofs]
-        self._next = (self._next + 1) % self._samples.shape[1]
+        for row, now in zip(next(self._rows), self._now, strict=True):
+            np.copyto(row, now)
 
     def since_last_step(self) -> Array:
         """Joint speeds (rad/s) and motor torques at the joints (N m), (2, samples, n, k)."""

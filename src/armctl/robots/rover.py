@@ -47,7 +47,8 @@ class Rover:
         free = model.joint(PREFIX + "base")
         self._pose_columns = slice(free.qposadr[0], free.qposadr[0] + 7)
         self._twist_columns = slice(free.dofadr[0], free.dofadr[0] + 6)
-        self._spin_columns = [int(model.joint(PREFIX + wheel).dofadr[0]) for wheel in WHEELS]
+        spins = [int(model.joint(PREFIX + wheel).dofadr[0]) for wheel in WHEELS]
+        self._spin_columns = slice(spins[0], spins[-1] + 1)
         self._motors = [model.actuator(PREFIX + wheel).id for wheel in WHEELS]
         self._wheel_bodies = [model.body(PREFIX + wheel).id for wheel in WHEELS]
         self._base = model.body(PREFIX + "base").id

@@ -15,7 +15,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from armctl.kernels.physics import mark_unusual
+from armctl.kernels.physics import clip_speeds, mark_unusual
 from armctl.simulation.history import sample_columns
 
 Array = NDArray[np.float64]
@@ -29,6 +29,8 @@ FAST = 1.35
 """A joint that exceeds its speed limit by this factor has been hit hard; in finer steps, no joint is faster."""
 BEYOND = 0.008
 """rad: so is a joint that far beyond its position limits."""
+CURRENT = int(mujoco.mjtStage.mjSTAGE_VEL)
+"""With it, positions, velocities and what depends on them are those of the new state after a step."""
 DEPTH = "depth of the deepest contact"
 
 
@@ -67,32 +69,31 @@ class Impacts:
         self._dofs, self._bounds = model.jnt_dofadr[joints], FAST * np.array(list(speed_limits.values()))
         self.refined = np.zeros(batch.nsim, dtype=bool)
         """(n,) worlds whose last step was repeated in finer ones."""
-        self._before, self._qvel = batch.state.copy(), np.asarray(batch.bind("qvel"))
+        self._state, self._before, self._qvel = batch.state, batch.state.copy(), np.asarray(batch.bind("qvel"))
         self._depths = np.asarray(batch.bind("sensordata"))[:, model.sensor(DEPTH).adr[0]]
         self._watched, self._lowest, self._highest = self._usual_ranges(joints, list(speed_limits))
         self._timestep = np.asarray(batch.expand("opt.timestep"))
 
     def step(self, substeps: int, ids: WorldIds | None) -> bool:
         """Advance worlds by `substeps` time steps, with outputs of the new state. Return whether all went as usual."""
-        np.copyto(self._before, self._batch.state)
-        self._batch.step(ids, nstep=substeps, stage=mujoco.mjtStage.mjSTAGE_VEL.value)
+        np.copyto(self._before, self._state)
+        self._batch.step(ids, nstep=substeps, stage=CURRENT)
         hit = self.refined
-        if not mark_unusual(self._batch.state, self._watched, self._lowest, self._highest, self._depths, DEEP, hit):
+        if not mark_unusual(self._state, self._watched, self._lowest, self._highest, self._depths, DEEP, hit):
             return True
         worlds = np.flatnonzero(hit).astype(np.int32) if ids is None else ids[hit[ids]]
         hit[:] = False
         hit[worlds] = True
         if len(worlds):
-            self._batch.state[worlds], self._batch.warning[worlds] = self._before[worlds], 0
+            self._state[worlds], self._batch.warning[worlds] = self._before[worlds], 0
             self._step_finely(substeps * FINER, worlds)
         return False
 
     def _step_finely(self, steps: int, worlds: WorldIds) -> None:
         self._timestep[worlds] /= FINER
-        rows = worlds[:, None], self._dofs
         for _ in range(steps):
             self._batch.step(worlds)
-            self._qvel[rows] = np.clip(self._qvel[rows], -self._bounds, self._bounds)
+            clip_speeds(self._qvel, worlds, self._dofs, self._bounds)
         self._timestep[worlds] *= FINER
         self._batch.forward(worlds)  # all stages: torques, which a lower one leaves out, would be another world's
 

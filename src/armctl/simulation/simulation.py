@@ -13,7 +13,7 @@ import numpy as np
 from mujoco.batch import MODEL_FIELDS, Batch
 from numpy.typing import NDArray
 
-from armctl.simulation.impacts import Impacts
+from armctl.simulation.impacts import CURRENT, Impacts
 
 Array = NDArray[np.float64]
 WorldIds = NDArray[np.int32]
@@ -39,12 +39,14 @@ class Simulation:
         infinite, or no numbers."""
         self.threads = 1 if n == 1 else threads or len(os.sched_getaffinity(0))
         """Threads to step the worlds on."""
-        self._batch = Batch(model, n, nthread=self.threads)
+        self._batch = Batch(model, n, nthread=self.threads, persistent=n == 1)  # of many, caches hold states at best
         self._impacts = None if speed_limits is None else Impacts(self._batch, speed_limits)
         self._own: dict[str, Array] = {}
         self._warnings = self._batch.warning[:, _BAD, 1]
         self._motion = self.array("qpos"), self.array("qvel")
-        self._good = self._batch.state.copy()
+        self._state = self._batch.state
+        self._good = self._state.copy()
+        self._any_unstable = False
 
     def array(self, field: str) -> Array:
         """Live (n, ...) array of an `MjData` field: a state to read and write, or an output to read.
@@ -66,7 +68,7 @@ class Simulation:
     @property
     def live_arrays(self) -> Mapping[str, NDArray[Any]]:
         """All that determines how the worlds go on: MuJoCo's state, and the model's fields that each world has."""
-        return {"state": self._batch.state, "unstable": self.unstable, **self._own}
+        return {"state": self._state, "unstable": self.unstable, **self._own}
 
     def derive(self, ids: WorldIds | None = None) -> None:
         """Recompute the model's constants from the masses, lengths and sizes of each world."""
@@ -89,23 +91,24 @@ class Simulation:
         self._batch.reset(ids, keyframe=0 if self.model.nkey else -1, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
         worlds = slice(None) if ids is None else ids
         self.unstable[worlds] = False
-        self._good[worlds] = self._batch.state[worlds]
+        self._any_unstable = bool(self.unstable.any())
+        self._good[worlds] = self._state[worlds]
 
     def refresh(self, ids: WorldIds | None = None) -> None:
         """Recompute the outputs from the state."""
-        self._batch.forward(ids, stage=mujoco.mjtStage.mjSTAGE_VEL.value)
+        self._batch.forward(ids, stage=CURRENT)
 
     def step(self, substeps: int, ids: WorldIds | None = None) -> None:
         """Advance worlds by `substeps` time steps, with outputs of the new state. Unstable worlds stand still."""
-        if self.unstable.any():
+        if self._any_unstable:
             asked = np.arange(self.n, dtype=np.int32) if ids is None else ids
             ids = asked[~self.unstable[asked]]
         if self._impacts is None:
-            self._batch.step(ids, nstep=substeps, stage=mujoco.mjtStage.mjSTAGE_VEL.value)
+            self._batch.step(ids, nstep=substeps, stage=CURRENT)
             self._stop_unstable()
         elif not self._impacts.step(substeps, ids):
             self._stop_unstable()
-        np.copyto(self._good, self._batch.state)
+        np.copyto(self._good, self._state)
 
     def _stop_unstable(self) -> None:
         """Put worlds that have just become unstable back into their last good state."""
@@ -114,7 +117,8 @@ class Simulation:
             within = [(np.abs(numbers) < mujoco.mjMAXVAL).all(axis=1) for numbers in self._motion]
             bad = (self._warnings.any(axis=1) | ~np.logical_and(*within)) & ~self.unstable
             self.unstable |= bad
-            self._batch.state[bad] = self._good[bad]
+            self._any_unstable = bool(self.unstable.any())
+            self._state[bad] = self._good[bad]
             self._batch.forward(np.flatnonzero(bad).astype(np.int32))
 
     def cast_rays(

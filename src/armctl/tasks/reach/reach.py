@@ -175,15 +175,16 @@ class ReachTask(Task):
 
     def advance(self, ids: Ids | None) -> None:
         """Simulate until the next control step, in worlds `ids` or in all."""
-        ticks = round(CONTROL_PERIOD / TICK)
+        ticks, worlds = round(CONTROL_PERIOD / TICK), slice(None) if ids is None else ids
         self._nearest = np.full_like(self._distance, np.inf)
         for _ in range(ticks):
             self.arm.drive()
             self.simulation.step(self.substeps // ticks, ids)
             self.joints.take()
-            self._on_tick(slice(None) if ids is None else ids)
-            if self.stops_at_target and (inside := self._nearest <= self.options.tolerance).any():
-                ids = np.flatnonzero(~inside).astype(np.int32) if ids is None else ids[~inside[ids]]
+            self._on_tick(worlds)
+            if self.stops_at_target and self._nearest.min() <= self.options.tolerance:
+                outside = self._nearest > self.options.tolerance
+                worlds = ids = np.flatnonzero(outside).astype(np.int32) if ids is None else ids[outside[ids]]
 
     def observation_parts(self) -> dict[str, NDArray[np.floating[Any]]]:
         """The parts of `ReachOptions.parts`, (n, k) each."""
