@@ -89,10 +89,10 @@ class Meter:
         self._task, self._simulation, self._batch = task, task.simulation, task.simulation._batch
         self.limit_excess, self.penetration, self.speed_ratio, self.silent_resets = np.zeros((4, task.n))
         self._now = np.zeros((3, task.n))
-        self._qpos, self._qvel, self._time, self._sensors = (
-            self._simulation.array(name) for name in ("qpos", "qvel", "time", "sensordata")
+        self._qpos, self._time, self._sensors = (
+            self._simulation.array(name) for name in ("qpos", "time", "sensordata")
         )
-        self._limits, self._dofs = task.joints.limits, task.joints._dofs
+        self._limits, self._speeds = task.joints.limits, task.joints.speeds
         model = self._simulation.model
         body_names = [model.body(model.geom_bodyid[i]).name for i in range(model.ngeom)]
         self._soft = {i for i, name in enumerate(body_names) if name.endswith("_wheel") or name.startswith("walker_")}
@@ -136,7 +136,7 @@ class Meter:
             self._measure_depth()
 
     def _measure(self) -> None:
-        speed = (np.abs(np.nan_to_num(self._qvel[:, self._dofs], nan=np.inf)) / self._limits.speed).max(axis=1)
+        speed = (np.abs(np.nan_to_num(self._speeds, nan=np.inf)) / self._limits.speed).max(axis=1)
         self._now[1] = np.maximum(self._now[1], speed)
         if self._limits.position is not None:
             lowest, highest = self._limits.position

@@ -56,13 +56,14 @@ def test_an_impact_in_one_world_is_nothing_to_the_others_and_the_same_alone():
     falling = np.array([0, 3.1, 3.1, 3.1, 0, 0])
     together = arms(3, velocity=np.outer([0, 1, 0.1], falling))
     alone = arms(1, velocity=falling)
+    fields = "qpos", "qvel", "qfrc_actuator", "sensordata", "xpos"
+    arrays = [(together.array(field), alone.array(field)) for field in fields]
     hit = False
     for _ in range(60):
         together.step(4)
         alone.step(4)
         hit |= bool(alone.refined.any())
-        for field in ("qpos", "qvel", "qfrc_actuator", "sensordata", "xpos"):
-            assert np.array_equal(together.array(field)[1], alone.array(field)[0])
+        assert all(np.array_equal(ours[1], own[0]) for ours, own in arrays)
     assert hit
     assert not np.isclose(together.array("time"), 0).any()
     assert np.ptp(together.array("time")) < 1e-9

@@ -58,12 +58,8 @@ class ReachMpcOptions:
     """Options of `ReachMpc`."""
 
     problem: ReachProblem = field(default_factory=ReachProblem)
-    max_sqp_iterations: Annotated[int, Field(ge=1)] = 2
-    """Limit on the quadratic programs for a first plan. Later plans take one."""
-    cost_tolerance: Positive = 1e-2
-    """Relative cost reduction below which the iterations for a first plan stop."""
     max_iterations: Annotated[int, Field(ge=1)] = 15
-    """Solver iterations per quadratic program."""
+    """Solver iterations of a plan."""
     tolerance: Positive = 1e-4
     """Absolute and relative tolerance of the solver."""
     step_size: Positive = 0.1
@@ -128,26 +124,19 @@ class ReachMpc:
         began = time.perf_counter()
         parameters = OcpParameters.checked(self.problem, self.model.dof, position, velocity, targets, posture)
         worst = braking(self.problem, self.model.limits, parameters)
-        best = self._first_guess(parameters, worst)
-        iterations, solved = 0, True
-        for _ in range(self.options.max_sqp_iterations if self._last is None else 1):
-            velocities, spent = self._solve(parameters, worst, best)
-            iterations += spent
-            if velocities is None:
-                self.failures += 1
-                self.reset()
-                best, solved = _Linearisation(self, parameters, worst), False
-                break
-            gain, best = self._line_search(parameters, best, velocities)
-            if gain <= self.options.cost_tolerance * best.merit:
-                break
-        if solved:
-            best = self._safe(parameters, worst, best)
+        guess = self._first_guess(parameters, worst)
+        velocities, iterations = self._solve(parameters, worst, guess)
+        if velocities is None:
+            self.failures += 1
+            self.reset()
+            best = _Linearisation(self, parameters, worst)
+        else:
+            best = self._safe(parameters, worst, self._line_search(parameters, guess, velocities))
             self._last, self._posture = best.motion, parameters.posture
         motion = best.motion
         return MpcResult(
             motion.positions, motion.velocities, motion.accelerations,
-            best.cost, best.least, solved, iterations, time.perf_counter() - began,
+            best.cost, best.least, velocities is not None, iterations, time.perf_counter() - began,
         )  # fmt: skip
 
     def _first_guess(self, parameters: OcpParameters, worst: JointTrajectory) -> "_Linearisation":
@@ -200,17 +189,15 @@ class ReachMpc:
         displacements = found[qp.states : 2 * qp.states].reshape(-1, self.model.dof)
         return np.concatenate((parameters.velocity[None], displacements / self.problem.period)), solver.iterations
 
-    def _line_search(
-        self, parameters: OcpParameters, best: "_Linearisation", velocities: Array
-    ) -> tuple[float, "_Linearisation"]:
-        """Line search: the cost reduction, and the motion, of the longest step towards `velocities` that is cheaper."""
+    def _line_search(self, parameters: OcpParameters, guess: "_Linearisation", velocities: Array) -> "_Linearisation":
+        """Line search: the motion after the longest step from a guess towards `velocities` that makes it cheaper."""
         for step in STEPS:
-            wanted = best.motion.velocities + step * (velocities - best.motion.velocities)
+            wanted = guess.motion.velocities + step * (velocities - guess.motion.velocities)
             motion = project_onto_limits(self.problem, self.model.limits, parameters, wanted)
             found = _Linearisation(self, parameters, motion)
-            if found.merit < best.merit:
-                return best.merit - found.merit, found
-        return 0.0, best
+            if found.merit < guess.merit:
+                return found
+        return guess
 
 
 class _Solver:

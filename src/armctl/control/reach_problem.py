@@ -96,7 +96,7 @@ class MpcResult(JointTrajectory):
     solved: bool
     """Whether the solver succeeded. If not, the joints brake."""
     iterations: int
-    """Solver iterations, over all quadratic programs."""
+    """Solver iterations."""
     seconds: float
     """Planning time."""
 

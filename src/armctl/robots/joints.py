@@ -32,7 +32,9 @@ class JointSamples:
     def __init__(
         self, simulation: Simulation, dofs: slice, limits: ActuatorLimits, samples: int, period: float
     ) -> None:
-        self._now = tuple(simulation.array(field)[:, dofs] for field in ("qvel", "qfrc_actuator"))
+        self.speeds = simulation.array("qvel")[:, dofs]
+        """Present joint speeds, (n, k) rad/s, a live view."""
+        self._now = self.speeds, simulation.array("qfrc_actuator")[:, dofs]
         self.limits = limits
         self.interval = period / samples
         """s: time between two samples"""
