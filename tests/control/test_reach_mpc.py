@@ -114,7 +114,7 @@ def test_plans_in_closed_loop_cost_what_converged_ones_do():
     assert min(excess) > -1e-3  # or the reference were none
     first, later = excess[::20], np.delete(excess, np.s_[::20])
     assert max(first) < 0.2  # these have no last plan to begin from
-    assert np.quantile(later, 0.98) < 0.02
+    assert np.quantile(later, 0.98) < 0.05
     assert np.median(later) < 1e-3
 
 
