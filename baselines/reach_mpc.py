@@ -42,14 +42,14 @@ class ReachWithMpc:
     def __init__(self, reachability_map: ReachabilityMap, tolerance: float, parts: list[str]) -> None:
         self._model, self._map, self._tolerance = reachability_map.model, reachability_map, tolerance
         self._moving, self._boxed = "target_velocity" in parts, "boxes" in parts
-        self.mpc = ReachMpc(self._model, ReachMpcOptions(margin=MARGIN, influence_distance=INFLUENCE))
+        tight = ReachMpcOptions(margin=MARGIN, influence_distance=INFLUENCE)
+        self.mpc = ReachMpc(self._model, ReachMpcOptions() if self._boxed else tight)
         self._ahead = self.mpc.problem.period * np.arange(1, self.mpc.problem.horizon + 1)[:, None]
-        self._failed_before = 0
 
     @property
     def failures(self) -> int:
         """Control steps without a solution, in which the arm braked."""
-        return self._failed_before + self.mpc.failures
+        return self.mpc.failures
 
     def reset(self) -> None:
         """Forget the plan."""
@@ -87,8 +87,7 @@ class ReachWithMpc:
     def _first_goal(self, q: Array, target: Array, extra: Array) -> Array:
         """Start towards a posture, without a full plan: looking the posture up takes time."""
         if self._boxed:
-            self._failed_before = self.failures
-            self.mpc = ReachMpc(self._model.among(read_boxes(extra)))
+            self.mpc.surround(read_boxes(extra))
         self._posture = self._map.towards(target, q, self.mpc.model)
         self._stream = CommandStream(self._model.limits, self.mpc.problem.period, q)
         self._plan = self.mpc.begin(q, np.zeros_like(q), self._posture)

@@ -35,6 +35,7 @@ from armctl.kernels import reach_mpc as kernel
 from armctl.kinematics import ArmModel
 from armctl.kinematics.clearance import Clearance
 from armctl.options import options
+from armctl.scene import Boxes
 
 Array = NDArray[np.float64]
 Positive = Annotated[float, Field(gt=0)]
@@ -88,8 +89,13 @@ class ReachMpc:
             _Solver(self.options, model, self.options.pairs) if self.options.pairs else self._unconstrained
         )
         self.clearance = Clearance(model)
-        links, pairs, boxes, samples = self.clearance.scene
-        self.scene = links, pairs if self.options.pairs else pairs[:0], boxes, samples
+        self.surround(model.boxes)
+
+    def surround(self, boxes: Boxes) -> None:
+        """Keep clear of these boxes from now on, and forget the last plan."""
+        self.model = self.model.among(boxes)
+        self.clearance.scene = links, pairs, box_rows, samples = self.clearance.among(boxes)
+        self.scene = links, pairs if self.options.pairs else pairs[:0], box_rows, samples
         """What to keep clear of, for `armctl.kernels.reach_mpc`."""
         self.reset()
 
