@@ -9,6 +9,8 @@ from contextlib import contextmanager
 import joblib
 import torch
 
+from armctl.simulation.threads import usable_threads
+
 MOST_THREADS = 4
 """An estimate for layers of some hundred units, which was not measured on machines with more cores."""
 
@@ -17,10 +19,10 @@ MOST_THREADS = 4
 def bounded_threads() -> Iterator[None]:
     """Let torch compute on at most `MOST_THREADS` threads, and no more than there are cores to use.
 
-    `OMP_NUM_THREADS` and `torch.set_num_threads` can lower it further.
+    `ARMCTL_THREADS`, `OMP_NUM_THREADS` and `torch.set_num_threads` can lower it further.
     """
     before = torch.get_num_threads()
-    torch.set_num_threads(min(before, joblib.cpu_count(), MOST_THREADS))
+    torch.set_num_threads(min(before, joblib.cpu_count(), usable_threads(), MOST_THREADS))
     try:
         yield
     finally:

@@ -258,6 +258,7 @@ def test_torch_is_bounded_while_it_trains(tmp_path, monkeypatch):
     try:
         for cores, threads in ((3, 3), (64, MOST_THREADS)):
             monkeypatch.setattr(joblib, "cpu_count", lambda cores=cores: cores)
+            monkeypatch.setattr("armctl.rl.threads.usable_threads", lambda cores=cores: cores)
             with Training(recipe(), OPTIONS, tmp_path / f"{cores}", 0, False):
                 assert torch.get_num_threads() == threads
             assert torch.get_num_threads() == 64

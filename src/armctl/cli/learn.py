@@ -1,6 +1,7 @@
 """Verbs that make agents: `train`, and `export` for models of Stable-Baselines3."""
 
 import logging
+import os
 import shlex
 import sys
 from collections.abc import Iterator, Mapping
@@ -62,6 +63,12 @@ def train(
             help="Resume from the newest checkpoint in the folder. Checkpoints can run code: only of your own.",
         ),
     ] = False,
+    threads: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="Threads of physics and network: 1 for trainings beside each other.", show_default="all cores"
+        ),
+    ] = None,
 ) -> None:
     """Train an agent by a recipe; needs the extra `rl`.
 
@@ -80,7 +87,10 @@ def train(
     from armctl.envs import task_of
     from armctl.evaluation.trials import TRIALS, add_trial, progress_of, results_of, trial
     from armctl.learners import load_learner, load_recipe
+    from armctl.simulation.threads import LIMIT
 
+    if threads:
+        os.environ[LIMIT] = str(threads)
     chosen = load_recipe(recipe, env, teacher)
     given = {"shaping": shaping, "shaping_scale": shaping_scale}
     changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}

@@ -4,7 +4,6 @@ MuJoCo resets a world whose numbers become infinite, in the middle of an episode
 world stands still in its last good state, `unstable`, until it is reset. Nor does MuJoCo write its log file.
 """
 
-import os
 from collections.abc import Mapping
 from typing import Any
 
@@ -14,6 +13,7 @@ from mujoco.batch import MODEL_FIELDS, Batch
 from numpy.typing import NDArray
 
 from armctl.simulation.impacts import CURRENT, Impacts
+from armctl.simulation.threads import usable_threads
 
 Array = NDArray[np.float64]
 WorldIds = NDArray[np.int32]
@@ -37,7 +37,7 @@ class Simulation:
         self.unstable = np.zeros(n, dtype=bool)
         """(n,) worlds that have become unstable since their last reset: positions, velocities or accelerations were
         infinite, or no numbers."""
-        self.threads = 1 if n == 1 else threads or len(os.sched_getaffinity(0))
+        self.threads = 1 if n == 1 else threads or usable_threads()
         """Threads to step the worlds on."""
         self._batch = Batch(model, n, nthread=self.threads, persistent=n == 1)  # of many, caches hold states at best
         self._impacts = None if speed_limits is None else Impacts(self._batch, speed_limits)

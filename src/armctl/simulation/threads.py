@@ -1,0 +1,18 @@
+"""How many threads a process computes on, so that several can share a machine."""
+
+import os
+
+from armctl.errors import ConfigurationError
+
+LIMIT = "ARMCTL_THREADS"
+"""Environment variable with the largest number of threads; without it, all cores that the process may use."""
+
+
+def usable_threads() -> int:
+    """As many as there are cores to use, or fewer if `ARMCTL_THREADS` says so, which is a whole number from 1 on."""
+    cores, limit = len(os.sched_getaffinity(0)), os.environ.get(LIMIT)
+    if limit is None:
+        return cores
+    if not limit.isdecimal() or int(limit) < 1:
+        raise ConfigurationError(f"{LIMIT} is a number of threads from 1 on, not {limit!r}")
+    return min(cores, int(limit))
