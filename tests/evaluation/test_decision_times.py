@@ -1,7 +1,7 @@
 """What a decision time is, by a clock that only the policy advances."""
 
 import math
-from types import SimpleNamespace
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -95,9 +95,10 @@ def test_times_that_were_taken_otherwise_are_not_mixed(tmp_path):
     assert policy.missed_deadlines == last.missed_deadlines / (last.length - 1)
 
 
-def test_times_of_different_settings_are_said_not_to_compare():
+def test_times_of_different_settings_are_said_not_to_compare(clock):
+    (one,) = played(Slow(clock, 0.0, [1, 1, 1]), 1, 1)
     alone, shared, beside = (
-        [SimpleNamespace(worlds=worlds, workers=workers)] * 3 for worlds, workers in ((1, 1), (40, 1), (1, 3))
+        [replace(one, worlds=worlds, workers=workers)] * 3 for worlds, workers in ((1, 1), (40, 1), (1, 3))
     )
     assert timing_notes([("a", alone), ("b", alone)]) == []
     assert timing_notes([("a", alone), ("b", shared), ("c", beside)]) == [

@@ -116,7 +116,7 @@ def test_damage_is_told_and_nothing_is_touched(folder, name, spoil, says):
 @pytest.mark.parametrize("change", [lambda r: {"total_reward": r}, lambda r: {"reward_terms": {"step": -5.0, "x": r}}])
 def test_a_return_beyond_statistics_is_told(folder, change, earned):
     own = unsealed((folder / "comparison.json").read_text())
-    results = read_episodes(folder, own)
+    results = list(read_episodes(folder, own))
     results[0] = dataclasses.replace(results[0], **change(earned))
     with EpisodeLog(folder, own, len(results), overwrite=True) as log:
         log.finish(results, {})
@@ -129,7 +129,7 @@ def test_a_return_beyond_statistics_is_told(folder, change, earned):
 )
 def test_decision_times_that_are_none_are_told(folder, times):
     own = unsealed((folder / "comparison.json").read_text())
-    results = read_episodes(folder, own)
+    results = list(read_episodes(folder, own))
     results[0] = dataclasses.replace(results[0], decision_ms=np.array(times.split(), dtype=float))
     with EpisodeLog(folder, own, len(results), overwrite=True) as log:
         log.finish(results, {})

@@ -13,6 +13,7 @@ from armctl.evaluation import compare
 from armctl.evaluation.curves import read_pairs
 from armctl.evaluation.degradation import Onset, degradations
 from armctl.evaluation.endurance import NEUTRAL
+from armctl.evaluation.episode_table import EpisodeTable
 from armctl.evaluation.paired import mcnemar
 from armctl.evaluation.record import TIME_COLUMNS
 from armctl.evaluation.summary_tables import sweep_parts
@@ -264,12 +265,16 @@ def test_whoever_recovers_is_not_worse_from_there_on():
 def test_only_what_counts_is_held_against_the_undisturbed():
     """An infeasible episode, and one that was finished after an unfinished one, are left out of p as of all figures."""
     found = run(policies=["reach_ik"], disturbances=["delay"], episodes=2)
-    rows = found.comparisons["none"].episodes.iloc[[0] * 12].assign(episode=range(12), success=True, feasible=True)
-    after = rows.assign(success=False, feasible=[True] * 4 + [False] * 8)
-    for spoilt in (after, after.assign(feasible=True, episode=[*range(4), *range(5, 13)])):
+    one = found.comparisons["none"].results[0]
+    before = [replace(one, episode=k, success=True, feasible=True) for k in range(12)]
+    labelled = [replace(one, success=False, feasible=one.episode < 4) for one in before]
+    unfinished = [
+        replace(one, success=False, episode=k) for one, k in zip(before, [*range(4), *range(5, 13)], strict=True)
+    ]
+    for spoilt in (labelled, unfinished):
         comparisons = {
-            "none": replace(found.comparisons["none"], episodes=rows),
-            "x": replace(found.comparisons["none"], episodes=spoilt),
+            "none": replace(found.comparisons["none"], results=EpisodeTable(before)),
+            "x": replace(found.comparisons["none"], results=EpisodeTable(spoilt)),
         }
         only = replace(found, comparisons=comparisons)
         assert _against_undisturbed(only, comparisons["x"], comparisons["x"].policies[0]) == mcnemar(4, 0)

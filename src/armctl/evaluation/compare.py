@@ -1,19 +1,19 @@
 """Compares several policies on the same episodes."""
 
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
+import numpy as np
 
 from armctl import DEFAULT_ENV
 from armctl.envs import ThirdPartyVectorEnv, full_id, task_of
 from armctl.errors import ConfigurationError, ResultsError, unknown_name
 from armctl.evaluation.comparison import Comparison, summary
 from armctl.evaluation.decision_times import load_notes, timing_notes, unjudged
+from armctl.evaluation.episode_table import EpisodeTable
 from armctl.evaluation.identity import identity
 from armctl.evaluation.paired import MARGIN
 from armctl.evaluation.parallel import (
@@ -32,7 +32,7 @@ from armctl.evaluation.real_time import (
     check_recorded,
     real_time_of,
 )
-from armctl.evaluation.record import COLUMNS, EpisodeResult
+from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.rollouts import check_counts, wrap_environment_errors
 from armctl.evaluation.seeding import seed_notes
 from armctl.evaluation.seeds import check_evaluation_seed
@@ -115,19 +115,12 @@ def compare(
             check_measurable(worlds, workers)
         check_recorded(paced, by_name, episodes)
         worlds = 1
-    comparison = Comparison(env, seed, dict(env_options or {}), pd.DataFrame(columns=list(COLUMNS)))
+    comparison = Comparison(env, seed, dict(env_options or {}), EpisodeTable())
     comparison.baseline, comparison.margin, comparison.groups = baseline, margin, groups
     comparison.notes += [
         ONE_TRAINING.format(group=name) for name in asked if is_group(asked[name]) and name not in groups
     ]
     worlds = min(worlds, episodes)
-    results: list[EpisodeResult] = []
-
-    def keep(result: EpisodeResult) -> None:
-        results.append(result)
-        if progress is not None:
-            progress(result)
-
     with ExitStack() as stack:
         interfaces = WorldsByInterface(env, worlds if workers == 1 else 1, env_options)
         stack.callback(interfaces.close)
@@ -151,13 +144,15 @@ def compare(
         meter, log = RunMeter(own, worlds, workers), None
         if out is not None:
             log = stack.enter_context(EpisodeLog(Path(out), own, episodes, overwrite, meter.run))
-            for result in log.kept:
-                keep(result)
+        results = EpisodeTable() if log is None else log.kept
+        if progress is not None:
+            for result in results:
+                progress(result)
         comparison.resumed = len(results)
-        finished = {(result.policy, result.episode) for result in results}
-        waiting = {name: [k for k in range(episodes) if (name, k) not in finished] for name in made}
+        finished = {name: its.column("episode") for name, its in results.by_policy().items()}
+        waiting = {name: np.setdiff1d(np.arange(episodes), finished.get(name, [])).tolist() for name in made}
         least = {} if least_lengths is None else least_lengths
-        least.update((result.episode, result.least_length) for result in results)
+        least.update(zip(*(results.column(name).tolist() for name in ("episode", "least_length")), strict=True))
         if workers == 1:
             played_in = {name: interfaces.of(policy) for name, policy in by_name.items()}
             stream = play_here(made, played_in, seed, waiting, least, paced)
@@ -170,17 +165,17 @@ def compare(
                     _note_failures(comparison, played)
                     meter.look()
                     for result in (replace(one, run=meter.run.id) for one in played.results):
-                        keep(result)
+                        results.append(result)
+                        if progress is not None:
+                            progress(result)
                         if log is not None:
                             log.write(result)
         except WorkersFailed as failure:
             comparison.failures["workers"] = str(failure)
         except KeyboardInterrupt:
             comparison.interrupted = True
-        order = list(made)
-        results = [result for result in results if result.policy not in comparison.disqualified]
-        results.sort(key=lambda result: (order.index(result.policy), result.episode))
-        judged = min(Counter(result.policy for result in results).values(), default=0)
+        results = results[~np.isin(results.column("policy"), comparison.disqualified)].sorted(list(made))
+        judged = min(map(len, results.by_policy().values()), default=0)
         runs = [*(log.runs if log is not None else []), meter.ended(judged, baseline, margin)]
         if results:
             latencies = paced is None or paced.recorded is None
@@ -203,11 +198,9 @@ def _note_failures(comparison: Comparison, played: RolloutBatch) -> None:
         comparison.disqualified.append(played.policy)
 
 
-def _judge(
-    comparison: Comparison, results: list[EpisodeResult], made: Mapping[str, Policy], env: Any, episodes: int
-) -> None:
+def _judge(comparison: Comparison, results: EpisodeTable, made: Mapping[str, Policy], env: Any, episodes: int) -> None:
     """Summarise the results, and note what is to be known of them."""
-    comparison.episodes = pd.DataFrame([result.row() for result in results])
+    comparison.results = results
     steps = env.max_episode_steps
     if (bounds := env.task.return_bounds(steps)) is None:
         comparison.notes.append(UNBOUNDED)

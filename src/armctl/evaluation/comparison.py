@@ -3,10 +3,12 @@
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import pandas as pd
 
+from armctl.evaluation.episode_table import EpisodeTable
 from armctl.evaluation.notebook import Displayed
 from armctl.evaluation.paired import MARGIN, PairedDifference
 from armctl.evaluation.provenance import machine, versions
@@ -23,8 +25,8 @@ class Comparison(Displayed):
     env: str
     seed: int
     env_options: Mapping[str, Any]
-    episodes: pd.DataFrame
-    """One row per policy and episode, with the columns of `episodes.csv`."""
+    results: EpisodeTable
+    """Every episode, by policy and episode."""
     policies: list[PolicySummary] = field(default_factory=list)
     paired: list[PairedDifference] = field(default_factory=list)
     failures: dict[str, str] = field(default_factory=dict)
@@ -46,6 +48,11 @@ class Comparison(Displayed):
     interrupted: bool = False
     resumed: int = 0
     """Number of episodes that an earlier run had finished."""
+
+    @cached_property
+    def episodes(self) -> pd.DataFrame:
+        """One row per policy and episode, with the columns of `episodes.csv`. It is made when it is first asked for."""
+        return self.results.frame()
 
     @property
     def verdict(self) -> str:

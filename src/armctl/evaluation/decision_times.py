@@ -2,12 +2,12 @@
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.evaluation.episode_table import EpisodeTable, table_of
 from armctl.evaluation.provenance import BUSY, Run
 from armctl.evaluation.record import EpisodeResult
 from armctl.policies import Actions, Policy
@@ -52,11 +52,14 @@ class TimedPolicy:
         return actions, np.round(spent, DIGITS)
 
 
-def comparable_times(results: Sequence[EpisodeResult]) -> list[EpisodeResult]:
+def comparable_times(results: Sequence[EpisodeResult]) -> EpisodeTable:
     """The results whose decision times were taken alike: the latencies, or else those of the most frequent setting."""
-    settings = Counter((result.worlds, result.workers) for result in results)
+    table = table_of(results)
+    played = table.column("worlds"), table.column("workers")
+    settings = Counter(zip(*(one.tolist() for one in played), strict=True))
     best = max(settings, key=lambda setting: (setting == (1, 1), settings[setting]))
-    return [result for result in results if (result.worlds, result.workers) == best]
+    alike: NDArray[np.bool_] = (played[0] == best[0]) & (played[1] == best[1])
+    return table[alike]
 
 
 def setting_in_words(worlds: int, workers: int) -> str:
@@ -67,22 +70,21 @@ def setting_in_words(worlds: int, workers: int) -> str:
     return ", ".join(said)
 
 
-def unjudged(results: Iterable[EpisodeResult], runs: Iterable[Run]) -> list[EpisodeResult]:
+def unjudged(results: EpisodeTable, runs: Iterable[Run]) -> EpisodeTable:
     """The results, without missed deadlines where other processes kept the machine busy."""
     busy = {run.id for run in runs if run.busy}
-    return [
-        replace(result, metrics=replace(result.metrics, missed_deadlines=None)) if result.run in busy else result
-        for result in results
-    ]
+    told = zip(results.column("run").tolist(), results.column("missed_deadlines").tolist(), strict=True)
+    return results.with_column("missed_deadlines", (None if run in busy else missed for run, missed in told))
 
 
-def load_notes(results: Sequence[EpisodeResult], runs: Iterable[Run]) -> list[str]:
+def load_notes(results: EpisodeTable, runs: Iterable[Run]) -> list[str]:
     """A remark if decision times would be held against deadlines, had the machine been idle."""
-    latencies = {result.run for result in results if (result.worlds, result.workers) == (1, 1)}
+    played = Counter(zip(*(results.column(name).tolist() for name in ("run", "worlds", "workers")), strict=True))
+    latencies = {run for run, *setting in played if setting == [1, 1]}
     busy = {run.id for run in runs if run.busy and run.id in latencies}
     if not busy:
         return []
-    count = sum(result.run in busy for result in results)
+    count = sum(found for (run, *_), found in played.items() if run in busy)
     where = "" if count == len(results) else f" in {count} of {len(results)} episodes"
     return [
         f"Deadlines are not judged{where}: other processes kept more than {BUSY:.0%} of the processor's cores busy, so "

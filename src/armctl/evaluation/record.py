@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from types import NoneType
 from typing import Annotated, Any, get_args, get_type_hints
 
@@ -78,7 +78,7 @@ class EpisodeResult:
             self.policy, self.env, self.episode, self.seed, self.outcome, self.success, self.feasible,
             self.total_reward, json.dumps(self.reward_terms), self.length, self.least_length, self.optimality_gap,
             self.tracking_error,
-            *asdict(self.metrics).values(), self.worlds, self.workers, self.run,
+            *vars(self.metrics).values(), self.worlds, self.workers, self.run,
         )  # fmt: skip
         return dict(zip(COLUMNS, values, strict=True))
 

@@ -2,19 +2,18 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from itertools import chain
+from functools import reduce
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-import pandas as pd
 from pydantic import BeforeValidator, TypeAdapter, ValidationError
 from typing_extensions import TypedDict
 
 from armctl.errors import ResultsError
 from armctl.evaluation.comparison import Comparison
+from armctl.evaluation.episode_table import EpisodeTable
 from armctl.evaluation.paired import MARGIN, PairedDifference
 from armctl.evaluation.provenance import Run
-from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.scores import by_learner
 from armctl.evaluation.store import COMPARISON, SUMMARY, read_episodes
 from armctl.evaluation.summary import PolicySummary, counted_results
@@ -82,7 +81,7 @@ class Results:
     comparison: Comparison
     names: list[str]
     """Names of all compared policies, in order; a group of trainings counts as one."""
-    episodes: Mapping[str, list[EpisodeResult]]
+    episodes: Mapping[str, EpisodeTable]
     """The episodes that count, by policy; policies without any are left out. Those of a group: of all its trainings."""
     versions: Mapping[str, str]
     machine: Mapping[str, Any]
@@ -101,8 +100,7 @@ def read_results(folder: Path) -> Results:
             f"{folder} has no {SUMMARY}: its comparison is unfinished; the same command with --out {folder} resumes it"
         )
     _, summary = read_sealed(folder / SUMMARY, _Summary)
-    results = read_episodes(folder, own)
-    results.sort(key=lambda result: (identity.policies.index(result.policy), result.episode))
+    results = read_episodes(folder, own).sorted(identity.policies)
     counted, _ = counted_results(results)
     members = [member for group in summary.groups.values() for member in group]
     groups_fit = all(summary.groups.values()) and len(set(members) & set(identity.policies)) == len(members)
@@ -121,7 +119,7 @@ def read_results(folder: Path) -> Results:
         summary.env,
         summary.seed,
         _options(folder, summary),
-        pd.DataFrame([result.row() for result in results]),
+        results,
         summary.policies,
         summary.paired,
         summary.failures,
@@ -137,7 +135,7 @@ def read_results(folder: Path) -> Results:
     return Results(
         comparison,
         learners(identity.policies, summary.groups),
-        {policy.policy: list(chain(*trained[policy.policy].values())) for policy in summary.policies},
+        {policy.policy: reduce(EpisodeTable.together, trained[policy.policy].values()) for policy in summary.policies},
         summary.versions,
         summary.machine,
         summary.runs,

@@ -22,8 +22,9 @@ from armctl.errors import (
     described,
 )
 from armctl.evaluation.decision_times import TimedPolicy
+from armctl.evaluation.episode_table import EpisodeTable
 from armctl.evaluation.metrics import metrics
-from armctl.evaluation.record import COLUMNS, EpisodeResult
+from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.seeds import check_evaluation_seed
 from armctl.evaluation.tampering import Watch
 from armctl.policies import Policy, PolicyFactory, WorldsByInterface, make_policy, policy_name
@@ -239,5 +240,4 @@ def evaluate(
         made = make_policy(policy, made_env)
         known = None if least_lengths else dict.fromkeys(range(episodes), math.nan)
         played = rollouts(made, made_env, episodes, seed, policy_name(policy), known)
-        rows = [result.row() for result in played]
-    return pd.DataFrame(rows, columns=list(COLUMNS)).sort_values("episode", ignore_index=True)
+        return EpisodeTable(played).sorted([policy_name(policy)]).frame()

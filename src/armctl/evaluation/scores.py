@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from armctl.evaluation.episode_table import EpisodeTable
 from armctl.evaluation.paired import PairedDifference, difference_of_groups, paired_difference
-from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.statistics import Bounds
 from armctl.policies import learners
 
@@ -27,16 +27,13 @@ class Limits:
     steps: int | None
 
 
-def clean(result: EpisodeResult) -> bool | None:
-    """Whether an episode was won without a forbidden contact, and within the joints' ranges and speed limits.
+def clean(results: EpisodeTable) -> NDArray[np.bool_]:
+    """Which episodes were won without a forbidden contact, and within the joints' ranges and speed limits.
 
-    `WITHIN_RANGE` and `WITHIN_SPEED` allow for what servos overshoot. None if contacts are unknown.
+    `WITHIN_RANGE` and `WITHIN_SPEED` allow for what servos overshoot. None is, of which contacts are unknown.
     """
-    use = result.metrics
-    if use.contacts is None:
-        return None
-    beyond = use.range_use > WITHIN_RANGE or use.speed_use > WITHIN_SPEED
-    return bool(result.success) and not use.contacts and not beyond
+    beyond = (results.column("range_use") > WITHIN_RANGE) | (results.column("speed_use") > WITHIN_SPEED)
+    return np.asarray(results.won & (results.column("contacts") == 0) & ~beyond, dtype=bool)
 
 
 def counted_rows(episodes: pd.DataFrame) -> pd.DataFrame:
@@ -47,8 +44,8 @@ def counted_rows(episodes: pd.DataFrame) -> pd.DataFrame:
 
 
 def by_learner(
-    counted: Mapping[str, list[EpisodeResult]], policies: Iterable[str], groups: Mapping[str, Sequence[str]]
-) -> dict[str, dict[str, list[EpisodeResult]]]:
+    counted: Mapping[str, EpisodeTable], policies: Iterable[str], groups: Mapping[str, Sequence[str]]
+) -> dict[str, dict[str, EpisodeTable]]:
     """The results that count of each training of each learner: of one, unless it is a group.
 
     Of a group, those episodes count that all its trainings have finished. A learner without any is left out.
@@ -62,30 +59,36 @@ def by_learner(
     return found
 
 
-def scores_of(name: str, trainings: Sequence[list[EpisodeResult]], limits: Limits) -> NDArray[np.float64]:
+def scores_of(name: str, trainings: Sequence[EpisodeTable], limits: Limits) -> NDArray[np.float64]:
     """A field of `PolicySummary`, (trainings, episodes), whose mean it is."""
-    most = limits.steps or 0
-    values: dict[str, Callable[[EpisodeResult], float]] = {
-        "success": lambda result: bool(result.success),
-        "clean_success": lambda result: bool(clean(result)),
-        "efficiency": lambda result: (
-            bool(result.success) * result.least_length / max(result.length, result.least_length)
-        ),
-        "episode_return": lambda result: result.total_reward,
-        "restricted_steps": lambda result: result.length if result.success else most,
-        "length": lambda result: result.length,
-    }
-    return np.array([[float(values[name](result)) for result in one] for one in trainings])
+    return np.array([_score(name, one, limits) for one in trainings], dtype=np.float64)
 
 
-def pairs_of(trained: Mapping[str, list[list[EpisodeResult]]], scored: bool, limits: Limits) -> list[PairedDifference]:
+def _score(name: str, results: EpisodeTable, limits: Limits) -> NDArray[Any]:
+    length = results.column("length")
+    match name:
+        case "success":
+            return results.won
+        case "clean_success":
+            return clean(results)
+        case "efficiency":
+            least = results.column("least_length")
+            return np.asarray(results.won * least / np.maximum(length, least))
+        case "episode_return":
+            return results.column("total_reward")
+        case "restricted_steps":
+            return np.where(results.won, length, limits.steps or 0)
+    return length
+
+
+def pairs_of(trained: Mapping[str, list[EpisodeTable]], scored: bool, limits: Limits) -> list[PairedDifference]:
     """The difference of each two learners, whose trainings' results are given, on the episodes that both played."""
     found = []
     for a, b in itertools.combinations(trained, 2):
         fewest = min(len(trained[a][0]), len(trained[b][0]))
         both = [[one[:fewest] for one in trained[name]] for name in (a, b)]
 
-        def of(score: str, both: list[list[list[EpisodeResult]]] = both) -> tuple[Any, Any]:
+        def of(score: str, both: list[list[EpisodeTable]] = both) -> tuple[Any, Any]:
             return scores_of(score, both[0], limits), scores_of(score, both[1], limits)
 
         success = of("success") if scored else None

@@ -19,6 +19,8 @@ DRAWS = 4000
 """Of random weights. Where means are normal, a limit's standard error is 2 % of the interval's half width."""
 LARGEST_BATCH = 4_000_000
 """Weights that are drawn at once."""
+MOST_VALUES, GROUPS = 10_000, 2_000
+"""Different values that get random weights of their own. More are drawn as so many groups of neighbours."""
 RESAMPLES = 2000
 """Of a bootstrap. With so many, the error of a 95 % interval's bound is about a tenth of the interval's width."""
 
@@ -100,17 +102,33 @@ def _bounded(
         return None
     ordered, counts = np.unique(values, return_counts=True)
     lowest, highest = min(bounds[0], ordered[0]), max(bounds[1], ordered[-1])
+    drawn, drawn_counts = grouped(ordered, counts)
     draws = [
         (
-            statistic(np.concatenate(([lowest], ordered)), np.hstack((at_bound, weights))),
-            statistic(np.concatenate((ordered, [highest])), np.hstack((weights, at_bound))),
+            statistic(np.concatenate(([lowest], drawn)), np.hstack((at_bound, weights))),
+            statistic(np.concatenate((drawn, [highest])), np.hstack((weights, at_bound))),
         )
-        for weights, at_bound in random_weights(counts, np.random.default_rng(0))
+        for weights, at_bound in random_weights(drawn_counts, np.random.default_rng(0))
     ]
     found = RandomWeights(*np.concatenate(draws, axis=1))
     value = float(np.clip(statistic(ordered, counts[None] / counts.sum())[0], ordered[0], ordered[-1]))
     low, high = np.clip(found.limits(), (lowest, value), (value, highest))
     return Estimate(value, float(low), float(high)), found.p()
+
+
+def grouped(ordered: Array, counts: NDArray[np.intp]) -> tuple[Array, NDArray[np.intp]]:
+    """Ordered values (m,) and how often each was seen; if they are too many, means of neighbours and sums of counts.
+
+    A group spans at most 1 / 1,000 of the values' range, and several values at most 1 / 1,000 of what was seen. Random
+    weights of a group add up to those of its values, so that an interval loses only what varies within groups: some
+    millionths of its width.
+    """
+    if len(ordered) <= MOST_VALUES:
+        return ordered, counts
+    place = (ordered - ordered[0]) / (ordered[-1] - ordered[0]) + np.cumsum(counts) / counts.sum()
+    starts = np.flatnonzero(np.diff(np.floor(place * GROUPS / 2), prepend=-1.0))
+    sizes = np.add.reduceat(counts, starts)
+    return np.add.reduceat(ordered * counts, starts) / sizes, sizes
 
 
 def random_weights(counts: NDArray[np.intp], rng: np.random.Generator) -> Iterator[tuple[Array, Array]]:

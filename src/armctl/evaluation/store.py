@@ -3,7 +3,9 @@
 import contextlib
 import csv
 import io
+import itertools
 import zlib
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -14,6 +16,7 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from armctl.errors import ResultsError
+from armctl.evaluation.episode_table import EpisodeTable, table_of
 from armctl.evaluation.identity import differences
 from armctl.evaluation.provenance import Run
 from armctl.evaluation.record import COLUMNS, EpisodeResult
@@ -22,6 +25,7 @@ from armctl.files import (
     digest,
     one_writer,
     open_without_links,
+    opened_regular,
     sealed,
     unsealed,
     write_atomically,
@@ -67,7 +71,7 @@ class EpisodeLog:
         try:
             self._opened.enter_context(one_writer(folder))
             resuming = (folder / EPISODES).exists() and not overwrite
-            self.kept = self._read(comparison, episodes) if resuming else []
+            self.kept = self._read(comparison, episodes) if resuming else EpisodeTable()
             self.runs = _of(self.kept, read_runs(folder)) if resuming else []
             (folder / SUMMARY).unlink(missing_ok=True)
             if not resuming:
@@ -127,9 +131,17 @@ class EpisodeLog:
         self._opened.close()
 
     def _rewrite(self, results: Iterable[EpisodeResult]) -> None:
-        rows = [(DECISION_COLUMNS, COLUMNS), *map(self._rows, results)]
-        for name, table in zip((DECISIONS, EPISODES), zip(*rows, strict=True), strict=True):
-            write_atomically(self._folder / name, _lines(table))
+        def write(decisions: Path, episodes: Path) -> None:
+            with _written(decisions) as one, _written(episodes) as other:
+                tables = [csv.writer(file, lineterminator="\n") for file in (one, other)]
+                for rows in itertools.chain([(DECISION_COLUMNS, COLUMNS)], map(self._rows, results)):
+                    for table, row in zip(tables, rows, strict=True):
+                        table.writerow(row)
+
+        write_atomically(
+            self._folder / EPISODES,
+            lambda episodes: write_atomically(self._folder / DECISIONS, lambda decisions: write(decisions, episodes)),
+        )
 
     def _write_runs(self, runs: Iterable[Run]) -> None:
         write_atomically(self._folder / RUNS, sealed({RUNS: [asdict(one) for one in runs]}))
@@ -139,10 +151,10 @@ class EpisodeLog:
         row, times = list(result.row().values()), " ".join(map(str, result.decision_ms.tolist()))
         return (result.policy, result.episode, _checksum(self._own, row, times), times), row
 
-    def _read(self, comparison: Mapping[str, Any], episodes: int) -> list[EpisodeResult]:
+    def _read(self, comparison: Mapping[str, Any], episodes: int) -> EpisodeTable:
         self._check_same(comparison)
         kept = read_episodes(self._folder, comparison)
-        if (last := max((result.episode for result in kept), default=0)) >= episodes:
+        if (last := kept.column("episode").max(initial=0)) >= episodes:
             raise ResultsError(
                 f"{self._folder} already holds episode {last}, beyond the {episodes} asked for: ask for more, choose "
                 "another folder, or overwrite them (--overwrite)"
@@ -175,7 +187,7 @@ def read_runs(folder: Path) -> list[Run]:
 
 def _of(results: Iterable[EpisodeResult], runs: Iterable[Run]) -> list[Run]:
     """The runs that have played any of the results, or told a verdict by other arguments than all before."""
-    played = {result.run for result in results}
+    played = set(table_of(results).column("run").tolist())
     kept: list[Run] = []
     for one in runs:
         told = {(other.baseline, other.margin) for other in kept if other.judged}
@@ -184,20 +196,21 @@ def _of(results: Iterable[EpisodeResult], runs: Iterable[Run]) -> list[Run]:
     return kept
 
 
-def read_episodes(folder: Path, comparison: Mapping[str, Any]) -> list[EpisodeResult]:
+def read_episodes(folder: Path, comparison: Mapping[str, Any]) -> EpisodeTable:
     """The finished episodes in a comparison's folder, in file order. Raises `ResultsError` for damaged files."""
     own = digest(comparison)
     unknown = {"run": ""}  # of episodes of an older version
-    times = {(row["policy"], row["episode"]): row for _, row in _rows(folder / DECISIONS, DECISION_COLUMNS)}
-    path, kept = folder / EPISODES, {}
+    times = _DecisionRows(folder / DECISIONS)
+    path, kept = folder / EPISODES, EpisodeTable()
+    known: dict[str, set[str]] = defaultdict(set)
     for line, row in _rows(path, COLUMNS, COLUMNS[:-1]):
-        if (pair := (row["policy"], row["episode"])) not in times:
-            continue
         with _damage(path, line):
-            if pair in kept:
+            if row["episode"] in known[row["policy"]]:
                 raise ValueError(f"episode {row['episode']} of {row['policy']} for the second time")
-            spent = times[pair]["decision_ms"]
-            if times[pair]["checksum"] != _checksum(own, row.values(), spent):
+            if (timed := times.of(row["policy"], row["episode"])) is None:
+                continue
+            spent = timed["decision_ms"]
+            if timed["checksum"] != _checksum(own, row.values(), spent):
                 raise ValueError("it, or its line in decisions.csv, was changed, or belongs to another comparison")
             result = EpisodeResult.from_row(unknown | row, np.array(spent.split(), dtype=float))
             expected = bare_id(comparison["env"]), comparison["seed"], len(result.decision_ms)
@@ -205,15 +218,40 @@ def read_episodes(folder: Path, comparison: Mapping[str, Any]) -> list[EpisodeRe
                 raise ValueError("not an episode of this comparison")
             if result.episode < 0:
                 raise ValueError(f"{result.episode} is not the number of an episode")
-        kept[pair] = result
-    return list(kept.values())
+            kept.append(result)
+        known[row["policy"]].add(row["episode"])
+    times.finish()
+    return kept
+
+
+class _DecisionRows:
+    """The rows of `decisions.csv`, which are read as they are asked for: both tables should have the same order."""
+
+    def __init__(self, path: Path) -> None:
+        self._rows = _rows(path, DECISION_COLUMNS)
+        self._ahead: dict[tuple[str, str], dict[str, str]] = {}
+        """What was read and not asked for yet, by policy and episode."""
+
+    def of(self, policy: str, episode: str) -> dict[str, str] | None:
+        """The row of an episode, which is given once; None if there is none."""
+        wanted = policy, episode
+        while wanted not in self._ahead:
+            if (row := next(self._rows, (0, None))[1]) is None:
+                return None
+            self._ahead[row["policy"], row["episode"]] = row
+        return self._ahead.pop(wanted)
+
+    def finish(self) -> None:
+        """Read the rest, for it may be damaged."""
+        for _ in self._rows:
+            pass
 
 
 @contextlib.contextmanager
 def _damage(path: Path, line: int) -> Iterator[None]:
     try:
         yield
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
         raise ResultsError(
             f"{path} is damaged in line {line} ({error}): repair or remove the line, or overwrite all (--overwrite)"
         ) from error
@@ -221,26 +259,29 @@ def _damage(path: Path, line: int) -> Iterator[None]:
 
 def _rows(path: Path, columns: tuple[str, ...], older: tuple[str, ...] = ()) -> Iterator[tuple[int, dict[str, str]]]:
     """The lines of a table, by number, without an incomplete last one."""
-    try:
-        whole, newline, _ = bounded_text(path, LARGEST_TABLE).rpartition("\n")
-    except (OSError, ValueError) as error:
-        raise ResultsError(f"{path} cannot be read: {error}; overwrite all (--overwrite)") from error
     csv.field_size_limit(LARGEST_FIELD)
-    lines = csv.reader(io.StringIO(whole + newline))
     try:
-        for line, values in enumerate(lines, start=1):
-            if line == 1 and tuple(values) == older:
-                columns = older
-            if len(values) != len(columns) or (line == 1 and tuple(values) != columns):
-                raise csv.Error(f"it does not have the columns {', '.join(columns)}")
-            if line > 1:
-                yield line, dict(zip(columns, values, strict=True))
+        with opened_regular(path, LARGEST_TABLE) as file:
+            lines = csv.reader(line.decode() for line in file if line.endswith(b"\n"))
+            for line, values in enumerate(lines, start=1):
+                if line == 1 and tuple(values) == older:
+                    columns = older
+                if len(values) != len(columns) or (line == 1 and tuple(values) != columns):
+                    raise csv.Error(f"it does not have the columns {', '.join(columns)}")
+                if line > 1:
+                    yield line, dict(zip(columns, values, strict=True))
     except csv.Error as error:
         raise ResultsError(f"{path} is damaged in line {lines.line_num}: {error}") from error
+    except (OSError, ValueError) as error:
+        raise ResultsError(f"{path} cannot be read: {error}; overwrite all (--overwrite)") from error
 
 
 def _checksum(own: str, row: Iterable[Any], times: str) -> str:
     return f"{zlib.crc32((own + _lines([row]) + times).encode()):08x}"
+
+
+def _written(path: Path) -> IO[str]:
+    return path.open("w", newline="", encoding="utf-8")
 
 
 @contextlib.contextmanager

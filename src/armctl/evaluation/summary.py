@@ -1,8 +1,8 @@
 """Summarises a comparison's episodes, for each policy and each pair of policies."""
 
-import itertools
+import functools
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -13,6 +13,7 @@ from armctl.agents import TrainingCost, mean_cost
 from armctl.envs import SEES
 from armctl.envs.vector import UNSTABLE
 from armctl.evaluation.decision_times import comparable_times, setting_in_words
+from armctl.evaluation.episode_table import EpisodeTable, table_of
 from armctl.evaluation.paired import PairedDifference
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.scores import Limits, by_learner, pairs_of, scores_of
@@ -129,15 +130,16 @@ def summarise(
     an episode has no figures. `return_bounds` are the least and largest possible return; if they are unknown, those of
     all results take their place. `time_limit` is the largest number of control steps of an episode.
     """
-    counted, infeasible = counted_results(results)
-    scored = any(result.success is not None for result in results)
-    returns = [result.total_reward for result in results]
-    limits = Limits(return_bounds or (min(returns), max(returns)), time_limit)
+    table = table_of(results)
+    counted, infeasible = counted_results(table)
+    scored = any(success is not None for success in table.column("success").tolist())
+    returns = table.column("total_reward")
+    limits = Limits(return_bounds or (float(returns.min()), float(returns.max())), time_limit)
     trained = by_learner(counted, policies, groups or {})
     found = []
     for name, trainings in trained.items():
         policy = policies[name if name in policies else next(iter(trainings))]
-        together = list(itertools.chain(*trainings.values()))
+        together = functools.reduce(EpisodeTable.together, trainings.values())
         summary = _summary(name, policy, planned, infeasible, together, scored, limits)
         if len(trainings) > 1:
             summary = _of_group(summary, trainings, scored, limits)
@@ -146,45 +148,49 @@ def summarise(
     return found, pairs_of({name: list(one.values()) for name, one in trained.items()}, scored, limits)
 
 
-def counted_results(results: Sequence[EpisodeResult]) -> tuple[dict[str, list[EpisodeResult]], int]:
+def counted_results(results: EpisodeTable) -> tuple[dict[str, EpisodeTable], int]:
     """The results that count, by policy and episode, and the number of infeasible episodes, which do not.
 
     Of a policy that was cut short, only the episodes before the first unfinished one count: with many worlds, short
     episodes end first, so that all finished ones would be a biased sample.
     """
-    infeasible = {result.episode for result in results if not result.feasible}
+    infeasible = np.unique(results.column("episode")[~results.column("feasible").astype(bool)])
     counted = {}
-    for name, played in itertools.groupby(results, key=lambda result: result.policy):
-        unbroken = itertools.takewhile(lambda pair: pair[0] == pair[1].episode, enumerate(played))
-        counted[name] = [result for _, result in unbroken if result.episode not in infeasible]
+    for name, played in results.by_policy().items():
+        episodes = played.column("episode")
+        unbroken = np.logical_and.accumulate(episodes == np.arange(len(episodes)))
+        counted[name] = played[unbroken & ~np.isin(episodes, infeasible)]
     return counted, len(infeasible)
 
 
 def certificate_notes(results: Sequence[EpisodeResult]) -> list[str]:
     """A remark if policies won episodes that are labelled infeasible, which do not count for them."""
-    won = [result for result in results if result.success and not result.feasible]
+    table = table_of(results)
+    won = table[table.won & ~table.column("feasible")]
     if not won:
         return []
-    by = ", ".join(f"{count} by {name}" for name, count in Counter(result.policy for result in won).items())
-    episodes = len({result.episode for result in won})
+    by = ", ".join(f"{len(its)} by {name}" for name, its in won.by_policy().items())
+    episodes = len(np.unique(won.column("episode")))
     return [f"Episodes labelled infeasible that were won, so that the certificate was too strict: {episodes} ({by})."]
 
 
 def _summary(
-    name: str, policy: Policy, planned: int, infeasible: int, results: list[EpisodeResult], scored: bool, limits: Limits
+    name: str, policy: Policy, planned: int, infeasible: int, results: EpisodeTable, scored: bool, limits: Limits
 ) -> PolicySummary:
     def scores(score: str) -> NDArray[np.float64]:
         found: NDArray[np.float64] = scores_of(score, [results], limits)[0]
         return found
 
     timed = comparable_times(results)
-    decisions = np.concatenate([result.warm_ms for result in timed])
-    cold = _known(result.metrics.decision_ms_cold for result in timed)
-    won = [result for result in results if result.success]
-    missed = [result.metrics.missed_deadlines for result in timed]
+    decisions = timed.warm_ms()
+    mean_ms, most_ms = float(decisions.mean()), float(decisions.max())
+    p50, p99 = np.quantile(decisions, (0.5, 0.99), overwrite_input=True).tolist()
+    cold = _known(timed.column("decision_ms_cold"))
+    won = results[results.won]
+    missed = timed.column("missed_deadlines").tolist()
     returns = scores("episode_return")
     steps = (1.0, float(limits.steps)) if limits.steps else None
-    unknown_contacts = any(result.metrics.contacts is None for result in results)
+    unknown_contacts = None in results.column("contacts").tolist()
     efficiency = scores("efficiency")
     return PolicySummary(
         name,
@@ -193,18 +199,18 @@ def _summary(
         planned,
         len(results),
         infeasible,
-        dict(Counter(result.outcome for result in results).most_common()),
+        dict(Counter(results.column("outcome").tolist()).most_common()),
         success_rate(scores("success") == 1) if scored else None,
         bounded_mean(returns, limits.returns),
-        _mean([float(result.length) for result in won], steps),
-        median(_known(result.optimality_gap for result in results)),
-        _mean(_known(result.tracking_error for result in results)),
+        _mean(won.column("length"), steps),
+        median(_known(results.optimality_gap)),
+        _mean(_known(results.column("tracking_error"))),
         {name: _mean_metric(name, won if scored else results, limits.steps) for name in METRICS},
-        float(np.quantile(decisions, 0.5)),
-        float(np.quantile(decisions, 0.99)),
-        float(decisions.max()),
+        p50,
+        p99,
+        most_ms,
         None if None in missed else sum(one for one in missed if one) / len(decisions),
-        sum(result.metrics.solver_failures for result in results),
+        sum(results.column("solver_failures").tolist()),
         _mean(scores("length"), steps),
         success_rate(scores("clean_success") == 1) if scored and not unknown_contacts else None,
         worst_decile(returns, limits.returns),
@@ -213,13 +219,13 @@ def _summary(
         float(cold.max()) if len(cold) else None,
         timed[0].worlds,
         timed[0].workers,
-        float(decisions.mean()),
-        _mean([float(np.nansum(result.decision_ms)) / 1e3 for result in timed]),
+        mean_ms,
+        _mean(timed.decision_seconds()),
     )
 
 
 def _of_group(
-    pooled: PolicySummary, trainings: Mapping[str, list[EpisodeResult]], scored: bool, limits: Limits
+    pooled: PolicySummary, trainings: Mapping[str, EpisodeTable], scored: bool, limits: Limits
 ) -> PolicySummary:
     """The summary of several trainings, from that of all their episodes: intervals are over trainings as well."""
     steps = float(limits.steps or 1)
@@ -254,10 +260,9 @@ def _training_cost(policy: Policy) -> TrainingCost:
     return known if isinstance(known, TrainingCost) else TrainingCost(steps, minutes, steps or None)
 
 
-def _mean_metric(name: str, results: Sequence[EpisodeResult], steps: int | None) -> Estimate | None:
-    values = [getattr(result.metrics, name) for result in results]
+def _mean_metric(name: str, results: EpisodeTable, steps: int | None) -> Estimate | None:
     bounds = (0.0, float(steps)) if name == "contacts" and steps else None
-    return _mean(_known(float(value) for value in values if value is not None), bounds)
+    return _mean(_known(results.column(name)), bounds)
 
 
 def _mean(values: ArrayLike, bounds: Bounds | None = None) -> Estimate | None:
@@ -268,5 +273,7 @@ def _mean(values: ArrayLike, bounds: Bounds | None = None) -> Estimate | None:
     return Estimate(float(values.mean()), None, None) if len(values) else None
 
 
-def _known(values: Iterable[float]) -> NDArray[np.float64]:
-    return np.array([value for value in values if not np.isnan(value)])
+def _known(values: NDArray[Any]) -> NDArray[np.float64]:
+    """Those that are neither None nor NaN."""
+    numbers: NDArray[np.float64] = values.astype(float)
+    return numbers[~np.isnan(numbers)]

@@ -4,13 +4,14 @@ A policy looks the same in all figures. Further policies have the same colours w
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
 import plotly.graph_objects as go
 
 from armctl.evaluation.decision_times import comparable_times
+from armctl.evaluation.episode_table import table_of
 from armctl.evaluation.paired import PairedDifference
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.summary import PolicySummary
@@ -78,13 +79,11 @@ def return_points(policies: Sequence[PolicySummary], look: Looks) -> go.Figure:
 def paired(pair: PairedDifference, episodes: Mapping[str, Sequence[EpisodeResult]], look: Looks) -> go.Figure:
     """Scatter plot of two policies' returns, episode by episode. A dot's size shows how many episodes coincide."""
     a, b = look[pair.a], look[pair.b]
-    points = pd.DataFrame(
-        [
-            (one.total_reward, other.total_reward, one.episode)
-            for one, other in _together(episodes[pair.a], episodes[pair.b])
-        ],
-        columns=["a", "b", "episode"],
-    )
+    returns = [
+        pd.DataFrame({"episode": its.column("episode"), name: its.column("total_reward")})
+        for name, its in (("a", table_of(episodes[pair.a])), ("b", table_of(episodes[pair.b])))
+    ]
+    points = returns[0].merge(returns[1], on="episode")
     lowest, highest = float(points[["a", "b"]].min().min()), float(points[["a", "b"]].max().max())
     if len(points) > MOST_DOTS and highest > lowest:
         cell = (highest - lowest) / CELLS
@@ -111,14 +110,6 @@ def paired(pair: PairedDifference, episodes: Mapping[str, Sequence[EpisodeResult
     )
     axis = {"range": span, "nticks": 5}
     return framed(figure, f"return of {escaped(b.label)}", f"return of {escaped(a.label)}", x=axis, y=axis, height=300)
-
-
-def _together(a: Sequence[EpisodeResult], b: Sequence[EpisodeResult]) -> Iterator[tuple[EpisodeResult, EpisodeResult]]:
-    """The results of the same episode; each training of one learner with each of the other's."""
-    others: dict[int, list[EpisodeResult]] = {}
-    for other in b:
-        others.setdefault(other.episode, []).append(other)
-    return ((one, other) for one in a for other in others.get(one.episode, []))
 
 
 def robustness(sweep: pd.DataFrame, look: Looks) -> go.Figure:
@@ -172,8 +163,10 @@ def decision_times(
     """Decision times: median, middle half, 1st to 99th percentile and maximum, on a logarithmic axis."""
     figure = go.Figure()
     for name, played in episodes.items():
-        times = np.maximum(np.concatenate([result.warm_ms for result in comparable_times(played)]), 1e-4)
-        q1, p25, p50, p75, p99, most = np.quantile(times, (0.01, 0.25, 0.5, 0.75, 0.99, 1.0)).tolist()
+        times = comparable_times(played).warm_ms()
+        np.maximum(times, 1e-4, out=times)
+        shares = (0.01, 0.25, 0.5, 0.75, 0.99, 1.0)
+        q1, p25, p50, p75, p99, most = np.quantile(times, shares, overwrite_input=True).tolist()
         style, label = look[name], escaped(look[name].label)
         for ends, width, opacity in (((q1, most), 2, 0.5), ((q1, p99), 6, 0.55), ((p25, p75), 14, 1.0)):
             figure.add_scatter(
@@ -209,10 +202,7 @@ def decision_times(
 
 def term_means(episodes: Mapping[str, Sequence[EpisodeResult]]) -> dict[str, dict[str, float]]:
     """Mean of each reward term over each policy's episodes."""
-    means = {}
-    for name, played in episodes.items():
-        terms = list(dict.fromkeys(term for result in played for term in result.reward_terms))
-        means[name] = {
-            term: math.fsum(result.reward_terms.get(term, 0.0) for result in played) / len(played) for term in terms
-        }
-    return means
+    return {
+        name: {term: math.fsum(earned) / len(played) for term, earned in table_of(played).earned().items()}
+        for name, played in episodes.items()
+    }

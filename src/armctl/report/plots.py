@@ -152,12 +152,13 @@ def _profile(results: Results, look: style.Looks) -> Plot:
     start = profile_start(results.episodes)
     if start is None:
         return Plot(figure, alt_text)
-    returns = {name: [result.total_reward for result in played] for name, played in results.episodes.items()}
-    lowest, highest = min(map(min, returns.values())), max(map(max, returns.values()))
+    returns = {name: played.column("total_reward") for name, played in results.episodes.items()}
+    lowest = float(min(earned.min() for earned in returns.values()))
+    highest = float(max(earned.max() for earned in returns.values()))
     shown, whole = ([low - 0.02 * (highest - low), highest + 0.02 * (highest - low)] for low in (start, lowest))
     figure.update_xaxes(range=shown)
-    beneath = [name for name, earned in returns.items() if max(earned) < start]
-    left_out = sum(one < start for earned in returns.values() for one in earned)
+    beneath = [name for name, earned in returns.items() if earned.max() < start]
+    left_out = sum(int((earned < start).sum()) for earned in returns.values())
     note = f"The axis begins at {style.number(start)}, as lower returns would squeeze it: {left_out} episodes are below"
     if beneath:
         note += f", among them all of {', '.join(look[name].label for name in beneath)}"

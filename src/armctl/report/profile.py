@@ -4,7 +4,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import plotly.graph_objects as go
+from numpy.typing import NDArray
 
+from armctl.evaluation.episode_table import EpisodeTable
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.statistics import performance_profile
 from armctl.report.style import SHARE_AXIS, Looks, add_band, add_line, framed
@@ -17,7 +19,7 @@ TAIL = 0.05
 
 def profile(episodes: Mapping[str, Sequence[EpisodeResult]], look: Looks) -> go.Figure:
     """Share of episodes with a return above each threshold, with 95 % intervals (Agarwal et al. 2021)."""
-    returns = {name: np.array([result.total_reward for result in played]) for name, played in episodes.items()}
+    returns = {name: _returns(played) for name, played in episodes.items()}
     values = np.unique(np.concatenate(list(returns.values())))
     if len(values) > THRESHOLDS:
         values = np.unique(np.quantile(values, np.linspace(0, 1, THRESHOLDS)))
@@ -38,7 +40,7 @@ def profile_start(episodes: Mapping[str, Sequence[EpisodeResult]]) -> float | No
     First the policy with the lowest median is left out, if that halves the axis at least, by itself or with the `TAIL`
     of the others; then all returns below a gap of two thirds of the rest, unless the best policy's median is there.
     """
-    returns = [np.sort([result.total_reward for result in played]) for played in episodes.values()]
+    returns = [np.sort(_returns(played)) for played in episodes.values()]
     returns.sort(key=lambda earned: float(np.median(earned)))
     lowest, highest = min(earned[0] for earned in returns), max(earned[-1] for earned in returns)
     start = lowest
@@ -53,3 +55,9 @@ def profile_start(episodes: Mapping[str, Sequence[EpisodeResult]]) -> float | No
         if np.diff(rest)[widest] > 2 * np.ptp(rest) / 3 and rest[widest] < np.median(returns[-1]):
             start = rest[widest + 1]
     return float(start) if start > lowest and highest > start else None
+
+
+def _returns(played: Sequence[EpisodeResult]) -> NDArray[np.float64]:
+    if isinstance(played, EpisodeTable):
+        return played.column("total_reward")
+    return np.array([result.total_reward for result in played])

@@ -15,6 +15,7 @@ from PIL import Image, ImageOps
 from armctl import agents
 from armctl.envs import ThirdPartyVectorEnv, check_from_file
 from armctl.errors import ArmctlError, ResultsError
+from armctl.evaluation.episode_table import table_of
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.results import Results
 from armctl.registration import check_named
@@ -59,18 +60,19 @@ def most_different(episodes: Mapping[str, Sequence[EpisodeResult]]) -> list[Epis
     The criterion is the sum of the logarithms of the gaps between neighbouring returns, so that one policy that always
     fails does not dominate it.
     """
-    together = zip(*episodes.values(), strict=False)
-    played = [results for results in together if len({result.episode for result in results}) == 1]
-    if len(episodes) < 2 or not played:
+    fewest = min(map(len, episodes.values()), default=0)
+    tables = [table_of(played)[:fewest] for played in episodes.values()]
+    numbers, returns = (np.array([one.column(name) for one in tables]) for name in ("episode", "total_reward"))
+    if len(tables) < 2 or not (shared := np.flatnonzero((numbers == numbers[0]).all(axis=0))).size:
         return []
-    returns = np.array([[result.total_reward for result in results] for results in played])
-    gaps = np.diff(np.sort(returns, axis=1), axis=1)
-    return list(played[int(np.argmax(np.log1p(gaps).sum(axis=1)))])
+    gaps = np.diff(np.sort(returns[:, shared].T, axis=1), axis=1)
+    widest = int(shared[np.argmax(np.log1p(gaps).sum(axis=1))])
+    return [one[widest] for one in tables]
 
 
 def worst(episodes: Mapping[str, Sequence[EpisodeResult]]) -> list[EpisodeResult]:
     """The episode with the lowest return of each policy; of several, the first."""
-    return [min(played, key=lambda result: result.total_reward) for played in episodes.values()]
+    return [one[int(one.column("total_reward").argmin())] for one in map(table_of, episodes.values())]
 
 
 def film(results: Results, wanted: Sequence[EpisodeResult]) -> list[Clip]:

@@ -1,0 +1,171 @@
+"""What grows with the number of worlds, and with the number of episodes.
+
+    python benchmarks/growth.py worlds [--steps 4]        # processor time and memory of a world
+    python benchmarks/growth.py table [--rows 1000000]    # time and memory of a comparison's summary and report
+
+`worlds` steps environments with random actions and without resets (`benchmarks/resets.py` has these), beside raw
+`mj_step` on as many worlds. `table` fills the folder of a comparison of the default policies with episodes that were
+never played, of lengths as theirs and with a return of its own each; then `armctl compare` resumes it and finds nothing
+left to play, and `armctl report` reads it. Each figure is of a fresh process.
+"""
+
+import json
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from relapse import BRIDGE, REACH, stepped
+from rich.box import MARKDOWN
+from rich.console import Console
+from rich.table import Table
+
+import armctl
+from armctl.evaluation.record import EpisodeResult
+from armctl.evaluation.store import COMPARISON, EPISODES, EpisodeLog
+from armctl.files import unsealed
+from armctl.report import write_report
+
+WORLDS = (64, 256, 1024, 4096)
+ROUNDS = 3
+ENVS = Annotated[list[str], typer.Option("--env", help="Environments.")]
+
+app = typer.Typer(help=__doc__, add_completion=False, pretty_exceptions_enable=False)
+
+
+@app.command()
+def worlds(steps: int = 4, env: ENVS = [REACH, BRIDGE], count: list[int] = list(WORLDS)) -> None:  # noqa: B006
+    """Measure numbers of worlds, and print a table."""
+    table = _table("", "worlds", "us a world and step", "times raw `mj_step`", "kB a world")
+    for name in env:
+        for n in count:
+            found = _in_a_fresh_process("step", name, n, steps)
+            table.add_row(f"`{name}`", f"{n:,}", f"{found['us']:,.0f}", f"{found['ratio']:.2f}", f"{found['kb']:,.0f}")
+    Console().print(table)
+
+
+@app.command()
+def table(rows: int = 1_000_000, env: ENVS = [REACH, BRIDGE]) -> None:  # noqa: B006
+    """Measure the summary and the report of a comparison with so many episodes in all, and print a table."""
+    shown = _table("", "episodes", "decisions", "", "seconds", "peak MB", "of these, without episodes", "page MB")
+    for name in env:
+        with tempfile.TemporaryDirectory() as home:
+            few, many = Path(home, "few"), Path(home, "many")
+            _in_a_fresh_process("fill", few, name, 30)
+            made = _in_a_fresh_process("fill", many, name, rows)
+            counts = f"{made['episodes']:,}", f"{made['decisions'] / 1e6:.0f} M"
+            for what in ("summary", "report"):
+                start, found = (_in_a_fresh_process(what, folder, name) for folder in (few, many))
+                page = f"{found['page']:.1f}" if what == "report" else ""
+                shown.add_row(
+                    f"`{name}`", *counts, what, f"{found['seconds']:.0f}", f"{found['peak']:,.0f}",
+                    f"{start['peak']:,.0f}", page,
+                )  # fmt: skip
+    Console().print(shown)
+
+
+@app.command(hidden=True)
+def step(env: str, n: int, steps: int) -> None:
+    """Processor time and memory of a world, in this process."""
+    stepped(env, 1)[0](0)  # loads and compiles
+    before = _resident()
+    ours, raw = stepped(env, n)
+    ours(0)
+    memory, times = _resident() - before, []
+    for _ in range(ROUNDS):
+        row = []
+        for work in (ours, raw):
+            began = time.process_time()
+            for i in range(steps):
+                work(i)
+            row.append((time.process_time() - began) / steps / n)
+        times.append(row)
+    ratio = np.median([one / reference for one, reference in times])
+    print(json.dumps({"us": 1e6 * np.median(times, axis=0)[0], "ratio": ratio, "kb": memory / n / 1e3}))
+
+
+@app.command(hidden=True)
+def fill(folder: Path, env: str, rows: int) -> None:
+    """Play an episode with each policy, and write others that look like it."""
+    played: list[EpisodeResult] = []
+    armctl.compare(env=env, episodes=1, out=folder, progress=played.append)
+    each, decisions = rows // len(played), 0
+    with EpisodeLog(folder, unsealed((folder / COMPARISON).read_text()), each) as log:
+        for first in played:
+            decisions += first.length
+            for result in _others(first, each):
+                decisions += result.length
+                log.write(result)
+    print(json.dumps({"episodes": each * len(played), "decisions": decisions}))
+
+
+def _others(first: EpisodeResult, episodes: int) -> Iterator[EpisodeResult]:
+    rng = np.random.default_rng(len(first.policy))
+    measured = [
+        name for name, value in vars(first.metrics).items() if isinstance(value, float) and name != "decision_ms_cold"
+    ]
+    for k in range(1, episodes):
+        length = int(rng.integers(max(2, first.length // 2), first.length + 1))
+        noise = 1 + 0.1 * rng.standard_normal(len(measured) + 1)
+        values = [factor * getattr(first.metrics, name) for factor, name in zip(noise, measured, strict=False)]
+        metrics = replace(first.metrics, **dict(zip(measured, values, strict=True)), decision_ms_cold=np.nan)
+        decision_ms = np.round(rng.lognormal(np.log(metrics.decision_ms_p50), 0.5, length), 4)
+        won = bool(first.success and rng.random() < 0.95)
+        yield replace(
+            first, episode=k, success=won, total_reward=float(first.total_reward * noise[-1]), length=length,
+            metrics=metrics, decision_ms=decision_ms,
+        )  # fmt: skip
+
+
+@app.command(hidden=True)
+def summary(folder: Path, env: str) -> None:
+    """Resume a comparison of which everything is played, and print what it took."""
+    policies = unsealed((folder / COMPARISON).read_text())["policies"]
+    with (folder / EPISODES).open() as file:
+        rows = sum(1 for _ in file) - 1
+    start = time.process_time()
+    found = armctl.compare(env=env, episodes=rows // len(policies), out=folder)
+    if found.resumed != rows or found.failures:
+        raise SystemExit(f"{found.resumed} of {rows} episodes were read: {found.failures}")
+    _print_cost(start)
+
+
+@app.command(hidden=True)
+def report(folder: Path, env: str) -> None:
+    """Write a report without videos, and print what it took."""
+    start = time.process_time()
+    page = write_report(folder, video=False, env=env)
+    _print_cost(start, page=page.stat().st_size / 1e6)
+
+
+def _print_cost(start: float, **more: float) -> None:
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+    print(json.dumps({"seconds": time.process_time() - start, "peak": peak, **more}))
+
+
+def _in_a_fresh_process(*command: object) -> dict[str, float]:
+    done = subprocess.run([sys.executable, __file__, *map(str, command)], capture_output=True, text=True)
+    if done.returncode:
+        raise SystemExit(done.stderr)
+    found: dict[str, float] = json.loads(done.stdout.splitlines()[-1])
+    return found
+
+
+def _resident() -> int:
+    """Bytes of memory that this process has."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
+
+
+def _table(*columns: str) -> Table:
+    return Table(*columns, title=f"armctl {armctl.__version__}", title_justify="left", box=MARKDOWN)
+
+
+if __name__ == "__main__":
+    app()
