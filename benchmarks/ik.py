@@ -1,10 +1,11 @@
-"""Inverse kinematics of full UR5 poses: armctl's two solvers beside pink and mink, all judged by one model.
+"""Inverse kinematics of full poses: armctl's solvers beside those of others, all judged by one model for each arm.
 
     python benchmarks/ik.py [--poses 10000] [--peer-poses 500]
 
-The poses are those of random configurations. pink and mink know one differential step; here they iterate it as armctl's
-numeric solver does its own, with as many starts and steps, and with the damping that suits them best. A pose is solved
-if a configuration within the joint limits has the end-effector within 1e-6 m and 1e-6 rad of it, by Pinocchio.
+The poses are those of random configurations: of a UR5; in the second table, of arms with seven joints, which need the
+extra `redundant`. pink and mink know one differential step; here they iterate it as armctl's numeric solver does its
+own, with as many starts and steps, and with the damping that suits them best. A pose is solved if a configuration
+within the joint limits has the end-effector within 1e-6 m and 1e-6 rad of it, by Pinocchio.
 """
 
 import os
@@ -38,7 +39,7 @@ Array = NDArray[np.float64]
 TOLERANCE = 1e-6  # m and rad
 PATIENCE = 8  # steps in a row that may fail to take a tenth off the error before a start is given up, as in `Ik`
 PEER_DAMPING = 0.02  # times the squared error: of 0 to 1, where pink and mink need the fewest starts
-PACKAGES = ("armctl-suite", "eaik", "pin", "pin-pink", "mink", "daqp", "mujoco", "numpy")
+PACKAGES = ("armctl-suite", "eaik", "ssik", "pin", "pin-pink", "mink", "daqp", "mujoco", "numpy")
 HEADINGS = (
     *("poses", "solved", "median ms", "mean ms", "p99 ms", "max ms", "solutions a pose"),
     *("largest residual", "unreachable: median ms", "one step, µs"),
@@ -136,6 +137,15 @@ def figures(model: ArmModel, name: str, poses: list[Array], solve: Any, prepare_
     ]
 
 
+def figures_of(robot: str, poses: int, rng: np.random.Generator) -> list[str]:
+    """A row for an arm of seven joints, by its closed form."""
+    model = ArmModel(robot)
+    ik = Ik(model)
+    targets = [model.pose(q) for q in model.random_configurations(rng, poses)]
+    ik.pose(targets[0])  # loads ssik
+    return figures(model, robot, targets, lambda pose: ik.pose(pose).solutions, None)
+
+
 def main(poses: int = 10_000, peer_poses: int = 500) -> None:
     """Measure, and print one table."""
     model, rng = ArmModel("ur5"), np.random.default_rng(0)
@@ -149,14 +159,26 @@ def main(poses: int = 10_000, peer_poses: int = 500) -> None:
 
     table = Table("", *(Column(heading, justify="right") for heading in HEADINGS), box=MARKDOWN)
     table.add_row(*figures(model, "armctl, closed form", targets, lambda pose: closed_form.pose(pose).solutions, None))
+    eaik, exact = closed_form.closed_form, lambda q, approximate: q[~approximate]
+    table.add_row(*figures(model, "EAIK alone", targets, lambda pose: exact(*eaik(pose)), None))
     table.add_row(*figures(model, "armctl, numeric", targets, lambda pose: numeric.pose(pose).solutions, own_step))
     for name, peer in (("pink", pink_peer(model)), ("mink", mink_peer(model))):
         solve, prepare_step = partial(iterate, peer, starts), partial(step_from, peer, model.home)
         table.add_row(*figures(model, name, targets[:peer_poses], solve, prepare_step))
 
+    seven_joints = Table("", *(Column(heading, justify="right") for heading in HEADINGS), box=MARKDOWN)
+    for robot in ("panda", "xarm7"):
+        seven_joints.add_row(*figures_of(robot, poses, rng))
+
     versions = ", ".join(f"{package} {version(package)}" for package in PACKAGES)
     console = Console(width=160)  # all columns, also where the output is no terminal
-    console.print(f"{os.cpu_count()} cores, Python {platform.python_version()}, {versions}", table, TRAC_IK, sep="\n")
+    console.print(
+        f"{os.cpu_count()} cores, Python {platform.python_version()}, {versions}",
+        table,
+        TRAC_IK,
+        seven_joints,
+        sep="\n",
+    )
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ import pinocchio
 import pytest
 
 from armctl.errors import ConfigurationError, UnreachableTarget
-from armctl.kinematics import ArmModel, Ik, IkOptions
+from armctl.kinematics import ArmModel, Ik, IkOptions, closed_forms
 from armctl.robot_description import arm as arms
 
 TOLERANCE = IkOptions().tolerance
@@ -105,6 +105,28 @@ def test_numeric_solver_solves_poses_from_anywhere(make, count):
         solved += result.reachable
         check_solutions(model, result, seed, lambda x, target=target: pose_residual(model, x, target))
     assert solved == count
+
+
+@pytest.mark.parametrize("robot", ["panda", "xarm7"])
+def test_arms_with_seven_joints_have_closed_forms_by_ssik(robot):
+    model = ArmModel(robot)
+    ik, seed = Ik(model), model.home
+    branches = []
+    for q in model.random_configurations(np.random.default_rng(0), 100):
+        target = model.pose(q)
+        result = ik.pose(target, seed)
+        check_solutions(model, result, seed, lambda x, target=target: pose_residual(model, x, target))
+        branches.append(len(result.solutions))
+    assert min(branches) >= 1
+    assert np.median(branches) >= 8
+
+
+def test_without_ssik_arms_with_seven_joints_are_solved_numerically(monkeypatch):
+    monkeypatch.setattr(closed_forms, "_ssik", lambda name: None)
+    model = ArmModel("panda")
+    ik = Ik(model)
+    assert ik.closed_form is None
+    assert len(ik.pose(model.pose(model.home)).solutions) == 1
 
 
 def test_numeric_solutions_are_among_those_of_the_closed_form(ur5, ik):

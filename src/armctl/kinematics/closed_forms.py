@@ -21,8 +21,8 @@ Array = NDArray[np.float64]
 ClosedForm = Callable[[Array], tuple[Array, NDArray[np.bool_]]]
 """From a pose (4, 4) to configurations (k, dof), and whether each is only an approximation, (k,)."""
 
-PREBUILT = {"panda": "franka_panda", "xarm7": "xarm7"}
-"""Robots that ssik knows, by armctl's names."""
+PREBUILT = {"panda": "franka_panda", "UF_ROBOT": "xarm7"}
+"""Robots that ssik knows, by the names in their URDF files."""
 SAME = 1e-9
 """m: largest difference between two models of one arm."""
 
