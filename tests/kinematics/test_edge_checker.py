@@ -1,3 +1,5 @@
+import itertools
+
 import numpy as np
 import pytest
 
@@ -54,7 +56,7 @@ def test_no_distance_changes_by_more_than_the_motion_that_is_reckoned_with(model
     motion, checker = shapes.with_boxes(boxes)[1], EdgeChecker(shapes, boxes, CLEARANCE, model.home)
 
     def measured(q):
-        return checker._distances(q).copy()
+        return checker._measured(q)
 
     for a, b in short_ways(model, rng, 500):
         before, after = measured(a), measured(b)
@@ -151,3 +153,21 @@ def test_a_start_that_touches_is_said_to(shapes, model):
 def test_clearances_out_of_range_are_refused(shapes, model, clearance):
     with pytest.raises(ConfigurationError, match="clearance"):
         EdgeChecker(shapes, NO_BOXES, clearance, model.home)
+
+
+def test_shortcuts_are_free_save_time_and_keep_the_ends(model, shapes):
+    rng, shorter = np.random.default_rng(7), 0
+    for _ in range(20):
+        checker = EdgeChecker(shapes, random_boxes(rng, model), CLEARANCE, model.home)
+        path = model.home[None]
+        while len(path) < 8:
+            corner = path[-1] + rng.uniform(-0.4, 0.4, model.dof)
+            if checker.is_edge_free(path[-1], corner):
+                path = np.vstack((path, corner))
+        cut = checker.shortened(path, rng.random((30, 2)), 0.99)
+        np.testing.assert_array_equal(cut[[0, -1]], path[[0, -1]])
+        assert all(checker.is_edge_free(a, b) for a, b in itertools.pairwise(cut))
+        before, after = (model.cruise_time(one[:-1], one[1:]).sum() for one in (path, cut))
+        assert after <= before + 1e-12
+        shorter += after < 0.99 * before
+    assert shorter > 10

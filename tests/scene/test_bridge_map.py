@@ -172,3 +172,24 @@ def test_pedestrians_of_different_numbers_are_refused():
         PedestrianTrajectories(np.zeros((2, 2)), np.zeros((2, 2)), np.ones(3), np.zeros(2), 0.25)
     with pytest.raises(ConfigurationError, match="radius"):
         PedestrianTrajectories(np.zeros((2, 2)), np.ones((2, 2)), np.ones(2), np.zeros(2), -1)
+
+
+def test_a_shortened_path_keeps_its_start_and_the_clearance():
+    rng, shorter = np.random.default_rng(3), 0
+    while shorter < 20:
+        bridge, clearance = random_map(rng), float(rng.uniform(0.05, 0.3))
+        points = rng.uniform((0, -HALF_WIDTH), (LENGTH, HALF_WIDTH), (60, 2))
+        points = points[bridge.clearance(points) >= clearance]
+        path, free = points[:1], bridge.edge_test(clearance)
+        for point in points[1:30]:
+            path = np.vstack((path, point)) if free(*path[-1], *point) else path
+        if len(path) < 4:
+            continue
+        ends = points[points[:, 0] > 15]
+        cut = bridge.shortened(path, points, ends, clearance)
+        np.testing.assert_array_equal(cut[0], path[0])
+        assert (cut[-1] == np.vstack((path[-1:], ends))).all(axis=1).any()
+        assert (bridge.segment_clearance(cut[:-1], cut[1:]) >= clearance - 1e-9).all()
+        before, after = (np.linalg.norm(np.diff(one, axis=0), axis=1).sum() for one in (path, cut))
+        assert after <= before
+        shorter += after < before
