@@ -59,6 +59,7 @@ benchmarks: $(VENV)/full
 	$(BIN)/python benchmarks/ik.py
 	$(BIN)/python benchmarks/planning.py
 	$(BIN)/python benchmarks/mpc.py
+	$(BIN)/python benchmarks/drive_mpc.py
 	$(BIN)/python benchmarks/optimality.py
 	$(BIN)/python benchmarks/arm_planning.py
 	$(BIN)/python benchmarks/capsules.py

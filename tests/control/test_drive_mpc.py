@@ -1,14 +1,17 @@
+import copy
 import dataclasses
+import gc
 import signal
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import casadi
 import numpy as np
 import pytest
 
 from armctl.control.drive_mpc import DriveMpc, DriveMpcOptions
-from armctl.control.drive_nlp import DriveNlp, drive_nlp
+from armctl.control.drive_nlp import CONTROLS, DriveSolver, drive_nlp
 from armctl.errors import ConfigurationError
 from armctl.planning import plan_path
 from armctl.tasks.bridge.layout import sample_layout
@@ -92,29 +95,27 @@ def test_plans_keep_away_from_blocks_and_people_unless_they_say_otherwise():
 
 
 def test_the_solution_is_that_of_another_solver(monkeypatch):
-    asked = []
-    original = DriveNlp.solve
-    monkeypatch.setattr(DriveNlp, "solve", lambda *arguments: asked.append(arguments[1:]) or original(*arguments))
+    asked, solve = [], DriveSolver.solve
+
+    def record(solver):
+        asked.append((solver.knots.copy(), solver.parameters.copy(), solve(solver)))
+        return asked[-1][-1]
+
+    monkeypatch.setattr(DriveSolver, "solve", record)
     for mpc, _, pose, velocity, people in hard_scenes(8, seed=2):
-        mpc.decide(pose, velocity, people)
+        result = mpc.decide(pose, velocity, people)
+        mpc.decide(result.poses[1], result.velocities[0], np.concatenate((people[1:], 2 * people[-1:] - people[-2:-1])))
     nlp = drive_nlp(OPTIONS)
     quiet = {"ipopt.print_level": 0, "ipopt.tol": 1e-9, "print_time": False, "ipopt.sb": "yes"}
     reference = casadi.nlpsol("reference", "ipopt", nlp.problem, quiet)
-    for start, *scene, states, controls in asked:
-        ours = original(nlp, start, *scene, states, controls)
-        flat = np.concatenate((np.hstack((ours.states[:-1], ours.controls)).ravel(), ours.states[-1]))
-        theirs = reference(x0=flat, p=np.concatenate([one.ravel() for one in (start, *scene)]), **nlp.bounds)
+    assert len(asked) >= 16
+    for _, parameters, ours in asked:
+        flat = ours.knots.ravel()[:-CONTROLS]
+        theirs = reference(x0=flat, p=parameters, **nlp.bounds)
         assert ours.solved
         assert reference.stats()["success"]
         assert ours.cost == pytest.approx(float(theirs["f"]), abs=2e-3)
         np.testing.assert_allclose(flat, np.asarray(theirs["x"]).ravel(), atol=0.05)
-
-
-def test_it_drives_at_full_speed_where_nothing_is_in_the_way():
-    poses, results = drive(DriveMpc(STRAIGHT, open_deck, OPTIONS), 30)
-    assert results[-1].command == pytest.approx((OPTIONS.max_speed, 0.0), abs=1e-3)
-    assert np.abs(poses[:, 1]).max() < 1e-3
-    assert poses[-1, 0] > 5.4
 
 
 def test_it_comes_back_to_its_path_and_turns_round():
@@ -169,31 +170,81 @@ def test_without_a_solution_it_brakes_and_says_so(monkeypatch):
 
 
 def test_after_a_failure_it_goes_on(monkeypatch):
-    mpc, solve = DriveMpc(STRAIGHT, open_deck, OPTIONS), DriveNlp.solve
+    mpc, solve = DriveMpc(STRAIGHT, open_deck, OPTIONS), DriveSolver.solve
     with monkeypatch.context() as patch:
-        patch.setattr(DriveNlp, "solve", lambda *told: dataclasses.replace(solve(*told), solved=False))
+        patch.setattr(DriveSolver, "solve", lambda *told: dataclasses.replace(solve(*told), solved=False))
         assert not mpc.decide((0, 0, 0), (1, 0)).solved
     assert mpc.decide((0, 0, 0), (1, 0)).solved
     assert mpc.failures == 1
 
 
 def test_what_the_solver_throws_is_a_failure(monkeypatch):
-    def throw(**told):
+    def throw():
         raise RuntimeError("An exception was raised in the solver.")
 
-    monkeypatch.setattr(drive_nlp(OPTIONS), "_solver", throw)
     mpc = DriveMpc(STRAIGHT, open_deck, OPTIONS)
+    monkeypatch.setattr(mpc._solvers[False, False], "_solve", throw)
     assert not mpc.decide((0, 0, 0), (1, 0)).solved
     assert mpc.failures == 1
 
 
-def test_all_robots_share_one_problem_and_the_same_decision_comes_twice():
+def test_all_robots_share_one_problem():
     assert drive_nlp(DriveMpcOptions(max_speed=1.7)) is drive_nlp(DriveMpcOptions(max_speed=1.7))
-    first, second = (
-        [mpc.decide(pose, velocity, people) for mpc, _, pose, velocity, people in hard_scenes(3, seed=4)] for _ in "ab"
+
+
+def blocked(others=None):
+    """Plans past someone who stands in the way, with steps of other controllers in between."""
+    mpc, pose, velocity, plans = DriveMpc(STRAIGHT, open_deck, OPTIONS), np.zeros(3), np.zeros(2), []
+    for k in range(12):
+        plans.append(mpc.decide(pose, velocity, walking((4.0, -0.1), (-0.3, 0.05), k * OPTIONS.period)))
+        pose, velocity = next_pose(pose, velocity, plans[-1].command), np.array(plans[-1].command)
+        if others:
+            other, _, *situation = next(others)
+            other.decide(*situation)
+    return plans
+
+
+def test_what_others_decide_has_no_influence():
+    alone = blocked()
+    with ThreadPoolExecutor(2) as threads:
+        plans = [threads.submit(blocked, hard_scenes(12, seed)) for seed in (4, 5)]
+        for one in plans:
+            for a, b in zip(alone, one.result(), strict=True):
+                np.testing.assert_array_equal(a.poses, b.poses)
+                assert (a.cost, a.iterations) == (b.cost, b.iterations)
+
+
+def test_the_search_for_another_plan_goes_on_from_step_to_step(monkeypatch):
+    """With few iterations in each, it gets past somebody as it does with many at once."""
+    searches, solve = [], DriveMpc._solve
+
+    def record(mpc, *situation, near=False, brief=False):
+        plan = solve(mpc, *situation, near=near, brief=brief)
+        if brief:
+            searches.append((near, plan.solved))
+        return plan
+
+    monkeypatch.setattr(DriveMpc, "_solve", record)
+    few, many = (
+        drive(DriveMpc(STRAIGHT, open_deck, options), 30, walker=((4.0, 0.0), (0.0, 0.0)))[0][-1]
+        for options in (dataclasses.replace(OPTIONS, max_search_iterations=count) for count in (10, 100))
     )
-    for a, b in zip(first, second, strict=True):
-        np.testing.assert_array_equal(a.velocities, b.velocities)
+    assert (False, False) in searches
+    assert (True, True) in searches
+    np.testing.assert_allclose(few, many, atol=0.05)
+    assert few[0] > 5
+
+
+def test_controllers_can_be_copied_and_outlive_the_cache_of_problems():
+    mpc = DriveMpc(STRAIGHT, open_deck, OPTIONS)
+    mpc.decide((0, 0.2, 0), (1, 0))
+    twin = copy.deepcopy(mpc)
+    first = mpc.decide((0.1, 0.2, 0), (1, 0))
+    drive_nlp.cache_clear()
+    gc.collect()
+    second = twin.decide((0.1, 0.2, 0), (1, 0))
+    np.testing.assert_array_equal(first.poses, second.poses)
+    assert mpc.decide((0.2, 0.2, 0), (1, 0)).solved
 
 
 def test_left_and_right_are_alike():
@@ -201,7 +252,7 @@ def test_left_and_right_are_alike():
         DriveMpc([(0.0, side), (20.0, side)], open_deck, OPTIONS).decide((0, 0, 0.3 * side), (1, 0.2 * side))
         for side in (0.5, -0.5)
     )
-    np.testing.assert_allclose(left.velocities, right.velocities * (1, -1), atol=1e-4)
+    np.testing.assert_allclose(left.velocities, right.velocities * (1, -1), atol=1e-3)
 
 
 @pytest.mark.parametrize(

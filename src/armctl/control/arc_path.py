@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armctl.errors import ConfigurationError
+from armctl.kernels import arc_path as kernel
 
 Array = NDArray[np.float64]
 
@@ -22,23 +23,23 @@ class ArcPath:
         keep = np.concatenate(([True], steps > 1e-9))
         if keep.sum() < 2:
             raise ConfigurationError(f"path should have a length above 0, not {path!r}")
-        self._points = points[keep]
-        self._arc = np.concatenate(([0.0], np.cumsum(steps[keep[1:]])))
-        self._directions = np.diff(self._points, axis=0) / np.diff(self._arc)[:, None]
-
-    @property
-    def length(self) -> float:
+        points, arcs = points[keep], np.concatenate(([0.0], np.cumsum(steps[keep[1:]])))
+        directions = np.diff(points, axis=0) / np.diff(arcs)[:, None]
+        self.segments = np.column_stack((arcs[:-1], points[:-1], directions))
+        """The straight parts as rows (k, 5): arc length (m), the point x, y (m) and the direction where one begins."""
+        self.length = float(arcs[-1])
         """Length of the path, m."""
-        return float(self._arc[-1])
 
     def points_at(self, arc_lengths: ArrayLike) -> Array:
         """Points (..., 2) of the path at arc lengths (...), m."""
-        arc = np.asarray(arc_lengths, dtype=float)
-        segment = np.clip(np.searchsorted(self._arc, arc, side="right") - 1, 0, len(self._directions) - 1)
-        return np.asarray(self._points[segment] + self._directions[segment] * (arc - self._arc[segment])[..., None])
+        arcs = np.asarray(arc_lengths, dtype=float)
+        points = np.empty((*arcs.shape, 2))
+        kernel.points_at(self.segments, arcs.ravel(), points.reshape(-1, 2))
+        return points
 
     def nearest(self, points: ArrayLike, low: float, high: float) -> Array:
         """Arc lengths (...) m, between `low` and `high`, of the path's points nearest to `points` (..., 2)."""
-        arc = np.linspace(low, high, round((high - low) / SPACING) + 1)
-        offset = np.asarray(points, dtype=float)[..., None, :] - self.points_at(arc)
-        return np.asarray(arc[np.argmin((offset * offset).sum(axis=-1), axis=-1)])
+        points = np.ascontiguousarray(points, dtype=float)
+        arcs = np.empty(points.shape[:-1])
+        kernel.nearest(self.segments, points.reshape(-1, 2), low, high, SPACING, arcs.reshape(-1))
+        return arcs

@@ -1,21 +1,24 @@
 """Nonlinear model predictive control of a robot that drives along a path, around obstacles and pedestrians.
 
-Each control step solves the problem of `drive_nlp` from two guesses: the last plan, and the cheapest of a few drives
-along or beside the path at constant speed. The solver finds a local optimum near a guess, so the guesses decide on
-which side to pass somebody, and who goes first. The first velocity of the cheaper plan is the command.
+Each control step solves the problem of `drive_nlp` near the last plan. The solver finds a local optimum near its guess,
+which decides on which side to pass somebody, and who goes first. So it looks for another plan too, near the cheapest of
+a few drives along or beside the path at constant speed, unless that leads to the same plan. While the cheapest drive
+stays the same, that search goes on from one control step to the next. The first velocity of the cheaper plan is the
+command.
 """
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armctl.control.arc_path import ArcPath
-from armctl.control.drive_nlp import CONTROLS, PEOPLE, PLANES, DriveMpcOptions, Solution, drive_nlp
+from armctl.control.drive_nlp import CONTROLS, STATES, DriveMpcOptions, DriveSolver, Solution, drive_nlp
 from armctl.errors import ConfigurationError
+from armctl.kernels import drive_mpc as kernel
 
 __all__ = ["DriveMpc", "DriveMpcOptions", "DriveMpcResult"]
 
@@ -24,16 +27,16 @@ Nearest = Callable[[Array], Array]
 
 SMOOTHING = 0.3
 """m: corners of the path are rounded over this length in both directions."""
-SHARES = (1.0, 0.7, 0.4, 0.15, 0.0)
+SHARES = np.array((1.0, 0.7, 0.4, 0.15, 0.0))
 """Fractions of the maximum speed for guesses."""
-OFFSETS = (0.0, -0.7, 0.7)
+OFFSETS = np.array((0.0, -0.7, 0.7))
 """m: lateral offsets from the path for guesses."""
 SIDESTEP = 0.5
 """s: time constant with which guesses approach their offsets."""
 SEARCH = 1.5
 """m: how far ahead of the last nearest point of the path the next is searched."""
-NOWHERE = 100.0
-"""m: offset at which missing obstacles and pedestrians are placed."""
+APART = 0.2
+"""m: two plans or drives are alike if they are never farther apart at the same time."""
 MAX_INPUT = 1e4
 """m, rad: limit on all inputs; with much larger numbers, Fatrop does not terminate."""
 
@@ -52,13 +55,21 @@ class DriveMpcResult:
     """m: largest violation of a clearance along the plan."""
     solved: bool
     iterations: int
-    """Solver iterations for both guesses."""
+    """Solver iterations for all guesses."""
     seconds: float
 
     @property
     def command(self) -> tuple[float, float]:
         """Linear (m/s) and angular velocity (rad/s) to command."""
         return float(self.velocities[0, 0]), float(self.velocities[0, 1])
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """A search for another plan: the drive where it began, and the knots that it has come to."""
+
+    drive: Array
+    found: Array
 
 
 class DriveMpc:
@@ -76,7 +87,10 @@ class DriveMpc:
         self.failures = 0
         """Control steps without a solution."""
         self._nearest = nearest
-        self._planned: Solution | None = None
+        self._planned: Array | None = None
+        self._search: _Search | None = None
+        self._solvers = {kind: DriveSolver(self.options, *kind) for kind in drive_nlp(self.options).functions}
+        self._numbers = np.array(tuple(getattr(self.options, name) for name in kernel.NAMES), kernel.OPTIONS)[()]
 
     def decide(self, pose: ArrayLike, velocity: ArrayLike, people: ArrayLike | None = None) -> DriveMpcResult:
         """Commands for a pose x, y (m), yaw (rad) and a velocity, linear (m/s) and angular (rad/s).
@@ -93,13 +107,11 @@ class DriveMpc:
         start = np.array((x, y, yaw, *np.clip(velocity, (-options.max_reverse, -fastest[1]), fastest)))
         self.progress = float(self.path.nearest((x, y), self.progress, self.progress + SEARCH))
 
-        guesses = [self._best_drive(start, people)]
-        if self._planned is not None:
-            guesses.append(self._shifted(start, self._planned))
-        plans = [self._solve(start, people, *guess) for guess in guesses]
-        self._planned = min((plan for plan in plans if plan.solved), key=lambda plan: plan.cost, default=None)
+        plans = self._plans(start, people)
+        plan = min((plan for plan in plans if plan.solved), key=lambda plan: plan.cost, default=None)
+        self._planned = plan.knots if plan else None
         iterations = sum(plan.iterations for plan in plans)
-        if self._planned is None:
+        if plan is None:
             self.failures += 1
             velocities = self._braking(start)
             return DriveMpcResult(
@@ -111,84 +123,75 @@ class DriveMpc:
                 iterations,
                 time.perf_counter() - begin,
             )
-        plan = self._planned
-        velocities = np.clip(plan.states[1:, 3:], (-options.max_reverse, -fastest[1]), fastest)
+        velocities = np.clip(plan.knots[1:, 3:STATES], (-options.max_reverse, -fastest[1]), fastest)
         return DriveMpcResult(
-            velocities, plan.states[:, :3], plan.cost, float(plan.controls[1:, 2].max()), True, iterations,
+            velocities, plan.knots[:, :3], plan.cost, float(plan.knots[1:-1, -1].max()), True, iterations,
             time.perf_counter() - begin,
         )  # fmt: skip
 
-    def _solve(self, start: Array, people: Array, states: Array, controls: Array) -> Solution:
-        arc = self.path.nearest(states[:, :2], self.progress - SEARCH, self._reach)
-        middle, ahead = self._along(arc)
-        plan = drive_nlp(self.options).solve(
-            start,
-            np.hstack((middle, ahead)),
-            self._planes(states[:, :2], middle),
-            _closest(PEOPLE, people, states[:, :2]),
-            states,
-            controls,
+    def _plans(self, start: Array, people: Array) -> list[Solution]:
+        """The plan near the last one, and another if there may be a better."""
+        drive, plans = self._best_drive(start, people), []
+        if self._planned is not None:
+            plans = [self._solve(start, people, self._shifted(start, self._planned), near=True)]
+        if plans and plans[0].solved:
+            return plans + self._other_plans(start, people, drive, plans[0])
+        self._search = None
+        return [*plans, self._solve(start, people, drive)]
+
+    def _other_plans(self, start: Array, people: Array, drive: Array, plan: Solution) -> list[Solution]:
+        """One near a drive; none if that leads to the same plan."""
+        guess, search, goes_on, self._search = drive, self._search, False, None
+        if _alike(drive, plan.knots):
+            return []
+        if search and _alike(drive, self._shifted(start, search.drive)):
+            guess, goes_on = self._shifted(start, search.found), True
+            if _alike(guess, plan.knots):
+                self._search = _Search(drive, plan.knots)
+                return []
+        other = self._solve(start, people, guess, near=goes_on, brief=True)
+        if (np.abs(other.knots) <= MAX_INPUT).all():
+            self._search = _Search(drive, other.knots)
+        return [other]
+
+    def _shifted(self, start: Array, knots: Array) -> Array:
+        """Knots one period later."""
+        shifted = np.empty_like(knots)
+        kernel.shift(start, knots, self.options.period, shifted)
+        return shifted
+
+    def _solve(self, start: Array, people: Array, knots: Array, near: bool = False, brief: bool = False) -> Solution:
+        """The plan near a guess: each of its positions is kept away from what is nearest to it."""
+        solver, points, options = self._solvers[near, brief], knots[:, :2].copy(), self.options
+        reach = options.steps * options.period * options.max_speed
+        arcs = self.path.nearest(points, self.progress - SEARCH, self.progress + SEARCH + reach)
+        kernel.follow_path(self.path.segments, arcs, SMOOTHING, solver.reference)
+        kernel.choose_people(points, people, solver.people)
+        obstacles = self._obstacles(points)
+        if kernel.leave_obstacles(points, obstacles, solver.reference):
+            obstacles = self._obstacles(points)
+        kernel.separate(points, obstacles, solver.planes)
+        solver.start[:], solver.knots[:] = start, knots
+        plan = solver.solve()
+        return replace(plan, cost=plan.cost - float(arcs.sum()))
+
+    def _best_drive(self, start: Array, people: Array) -> Array:
+        """The knots of the cheapest drive along or beside the path at one speed."""
+        numbers, steps, speeds = self._numbers, self.options.steps, SHARES * self.options.max_speed
+        points = np.empty((len(speeds), len(OFFSETS), steps + 2, 2))
+        costs, knots = np.empty(points.shape[:2]), np.empty((steps + 1, STATES + CONTROLS))
+        kernel.drive_beside(
+            numbers, self.path.segments, SMOOTHING, start, self.progress, speeds, OFFSETS, SIDESTEP, points, costs
         )
-        return Solution(plan.states, plan.controls, plan.cost - float(arc.sum()), plan.solved, plan.iterations)
+        drives = points.reshape(-1, steps + 2, 2)
+        obstacles = self._obstacles(points.reshape(-1, 2)).reshape(*drives.shape[:2], -1, 2)
+        kernel.intrude(numbers, drives, obstacles, people, costs.reshape(-1))
+        best = int(costs.argmin())
+        kernel.drive_through(numbers, start, speeds[best // len(OFFSETS)], drives[best], knots)
+        return knots
 
-    @property
-    def _reach(self) -> float:
-        options = self.options
-        return self.progress + SEARCH + options.steps * options.period * options.max_speed
-
-    def _along(self, arc: Array) -> tuple[Array, Array]:
-        """Points (..., 2) of the path with rounded corners, and its directions there."""
-        spread = SMOOTHING * np.linspace(-1, 1, 5)
-        chord = self.path.points_at(arc + SMOOTHING) - self.path.points_at(arc - SMOOTHING)
-        length = np.linalg.norm(chord, axis=-1, keepdims=True)
-        return self.path.points_at(arc[..., None] + spread).mean(axis=-2), chord / np.maximum(length, 1e-9)
-
-    def _planes(self, points: Array, refuge: Array) -> Array:
-        """Half-planes (m, `PLANES`, 3) between points (m, 2) and obstacles; `refuge` replaces points inside one."""
-        inside = np.linalg.norm(self._nearest(points) - points[:, None], axis=-1).min(axis=1, initial=np.inf) < 1e-3
-        points = np.where(inside[:, None], refuge, points)
-        closest = _closest(PLANES, self._nearest(points), points)
-        offset = points[:, None] - closest
-        normal = offset / np.maximum(np.linalg.norm(offset, axis=-1, keepdims=True), 1e-9)
-        return np.concatenate((normal, (normal * closest).sum(axis=-1, keepdims=True)), axis=-1)
-
-    def _best_drive(self, start: Array, people: Array) -> tuple[Array, Array]:
-        """States and controls of the cheapest drive along or beside the path at one speed."""
-        options, clock = self.options, self.options.period * np.arange(self.options.steps + 1)
-        wanted = np.repeat(np.array(SHARES) * options.max_speed, len(OFFSETS))[:, None]
-        change = np.clip(wanted - start[3], -options.max_acceleration * clock, options.max_acceleration * clock)
-        speed = start[3] + change
-        arc = self.progress + np.cumsum(
-            options.period * np.pad((speed[:, 1:] + speed[:, :-1]) / 2, ((0, 0), (1, 0))), 1
-        )
-        middle, ahead = self._along(arc)
-        left = np.stack((-ahead[..., 1], ahead[..., 0]), axis=-1)
-        offset = float(left[0, 0] @ (start[:2] - middle[0, 0]))
-        goal = np.tile(OFFSETS, len(SHARES))[:, None]
-        beside = goal + (offset - goal) * np.exp(-clock / SIDESTEP)
-        points = middle + beside[..., None] * left
-
-        distances = np.linalg.norm(self._nearest(points.reshape(-1, 2)) - points.reshape(-1, 1, 2), axis=-1)
-        to_obstacles = distances.min(axis=-1, initial=np.inf).reshape(arc.shape) - options.clearance
-        to_people = np.linalg.norm(points[:, :, None] - people, axis=-1).min(axis=-1, initial=np.inf) - options.distance
-        intrusion = np.maximum(0.0, -np.minimum(to_obstacles, to_people))
-        cost = (options.off_path * beside**2 - arc + options.intrusion * intrusion).sum(axis=1)
-
-        best = int(cost.argmin())
-        steps = np.diff(points[best], axis=0, append=points[best, -1:] + ahead[best, -1:])
-        yaw = np.unwrap(np.concatenate((start[2:3], np.arctan2(steps[1:, 1], steps[1:, 0]))))
-        turning = np.clip(np.gradient(yaw, options.period), -options.max_turn_rate, options.max_turn_rate)
-        states = np.column_stack((points[best], yaw, speed[best], turning))
-        states[0] = start
-        return states, np.zeros((options.steps, CONTROLS))
-
-    def _shifted(self, start: Array, plan: Solution) -> tuple[Array, Array]:
-        """The last plan shifted by one period, extended with its last velocities."""
-        last, period = plan.states[-1], self.options.period
-        beyond = last + period * np.array((last[3] * np.cos(last[2]), last[3] * np.sin(last[2]), last[4], 0, 0))
-        states = np.vstack((start, plan.states[2:], beyond))
-        states[1:, 2] += 2 * np.pi * np.round((start[2] - plan.states[1, 2]) / (2 * np.pi))
-        return states, np.vstack((plan.controls[1:], np.zeros(CONTROLS)))
+    def _obstacles(self, points: Array) -> Array:
+        return np.ascontiguousarray(self._nearest(points), dtype=float)
 
     def _braking(self, start: Array) -> Array:
         options, clock = self.options, self.options.period * np.arange(1, self.options.steps + 1)[:, None]
@@ -205,17 +208,13 @@ class DriveMpc:
         return np.column_stack((start[:2] + np.vstack((np.zeros(2), np.cumsum(steps, axis=0))), yaw))
 
 
-def _closest(count: int, others: Array, points: Array) -> Array:
-    """The `count` of others (m, k, 2) closest to points (m, 2), padded with points far away: (m, count, 2)."""
-    order = np.argsort(np.linalg.norm(others - points[:, None], axis=-1), axis=1)[:, :count]
-    closest = np.take_along_axis(others, order[..., None], axis=1)
-    away = np.repeat(points[:, None] + NOWHERE, count - closest.shape[1], axis=1)
-    return np.concatenate((closest, away), axis=1)
+def _alike(first: Array, second: Array) -> bool:
+    return bool(kernel.farthest_apart(first, second) <= APART)
 
 
 def _checked(name: str, value: Any, shape: tuple[int, ...]) -> Array:
     try:
-        array = np.asarray(value, dtype=float)
+        array = np.ascontiguousarray(value, dtype=float)
     except (TypeError, ValueError):
         array = np.empty(0)
     if array.shape != shape or not (np.abs(array) <= MAX_INPUT).all():

@@ -120,3 +120,18 @@ def shorten(deck, path, points, ends):
             if nearer and edge_is_free(*deck, ax, ay, x, y):
                 last[0], last[1], shorter = x, y, True
     return corners
+
+
+@compiled
+def nearest(blocks, half_width, length, points, found):
+    """The points `found` (m, k + 2, 2) of the blocks and of the two sides that are nearest to points (m, 2)."""
+    for i in range(len(points)):
+        for k in range(len(blocks)):
+            block = blocks[k]
+            cos, sin = block[6], block[7]
+            x, y = points[i, 0] - block[4], points[i, 1] - block[5]
+            ahead = min(max(x * cos + y * sin, -block[8]), block[8])
+            left = min(max(y * cos - x * sin, -block[9]), block[9])
+            found[i, k] = block[4] + (ahead * cos - left * sin), block[5] + (ahead * sin + left * cos)
+        found[i, len(blocks)] = points[i, 0], -half_width
+        found[i, len(blocks) + 1] = points[i, 0], half_width

@@ -52,12 +52,10 @@ class BridgeMap:
 
     def nearest(self, points: ArrayLike) -> Array:
         """The point of each block and of the two sides nearest to each of points (m, 2): (m, k + 2, 2)."""
-        points = np.asarray(points, dtype=float)
-        (x, y), (half_x, half_y) = self._in_frames(points), self._sizes
-        x, y, (cos, sin) = np.clip(x, -half_x, half_x), np.clip(y, -half_y, half_y), self._directions
-        on_blocks = self.blocks[:, :2] + np.stack((x * cos - y * sin, x * sin + y * cos), axis=-1)
-        on_sides = np.stack(np.broadcast_arrays(points[:, :1], (-self.half_width, self.half_width)), axis=-1)
-        return np.concatenate((on_blocks, on_sides), axis=1)
+        points = np.ascontiguousarray(points, dtype=float)
+        found = np.empty((len(points), len(self.blocks) + 2, 2))
+        kernel.nearest(*self._deck, points, found)
+        return found
 
     def segment_clearance(self, starts: ArrayLike, ends: ArrayLike) -> Array:
         """Exact distance (m,) of segments between points (m, 2) to the nearest block, side or end of the deck.

@@ -1,0 +1,174 @@
+"""The arithmetic of `armctl.control.drive_mpc`: what its problem is told, and guesses of its solution.
+
+Plans of N periods are knots, rows (N + 1, 8): x, y (m), yaw (rad), linear (m/s) and angular velocity (rad/s), then the
+linear and angular acceleration until the next knot, and the slack (m).
+"""
+
+import math
+
+import numpy as np
+
+from armctl.kernels.arc_path import rounded
+from armctl.kernels.compiling import compiled
+
+NAMES = "max_turn_rate", "max_acceleration", "clearance", "distance", "period", "off_path", "intrusion"
+"""Those of `DriveMpcOptions` that are needed here, as records `OPTIONS`."""
+OPTIONS = np.dtype([(name, float) for name in NAMES])
+NOWHERE = 100.0
+"""m: offset at which missing obstacles and pedestrians are placed."""
+
+
+@compiled
+def follow_path(segments, arcs, smoothing, reference):
+    """Points of the path, and its directions, at arc lengths (m,): rows (m, 4)."""
+    for k in range(len(arcs)):
+        reference[k] = rounded(segments, arcs[k], smoothing)
+
+
+@compiled
+def leave_obstacles(points, obstacles, refuge):
+    """Move those of points (m, 2) that are inside an obstacle to rows of `refuge`; return whether there are any.
+
+    `obstacles` (m, k, 2) are the nearest points of obstacles: of one around a point, the point itself.
+    """
+    moved = False
+    for i in range(len(points)):
+        x, y = points[i, 0], points[i, 1]
+        for k in range(obstacles.shape[1]):
+            if math.hypot(obstacles[i, k, 0] - x, obstacles[i, k, 1] - y) < 1e-3:
+                points[i, 0], points[i, 1] = refuge[i, 0], refuge[i, 1]
+                moved = True
+                break
+    return moved
+
+
+@compiled
+def choose(others, x, y, chosen):
+    """Write those of `others` (k, 2) closest to x, y into `chosen` (c, 2), the closest first. Missing ones are far."""
+    distances = np.full(len(chosen), np.inf)
+    chosen[:, 0], chosen[:, 1] = x + NOWHERE, y + NOWHERE
+    for i in range(len(others)):
+        distance = (others[i, 0] - x) ** 2 + (others[i, 1] - y) ** 2
+        place = len(chosen)
+        while place > 0 and distance < distances[place - 1]:
+            place -= 1
+            if place + 1 < len(chosen):
+                distances[place + 1] = distances[place]
+                chosen[place + 1] = chosen[place]
+        if place < len(chosen):
+            distances[place] = distance
+            chosen[place] = others[i]
+
+
+@compiled
+def separate(points, obstacles, planes):
+    """Half-planes with points (m, 2) and without the obstacles whose nearest points are (m, k, 2).
+
+    `planes` (m, c, 3) of the c closest are normals n and offsets o: n p > o on the point's side.
+    """
+    chosen = np.empty((planes.shape[1], 2))
+    for i in range(len(points)):
+        x, y = points[i, 0], points[i, 1]
+        choose(obstacles[i], x, y, chosen)
+        for k in range(len(chosen)):
+            to_x, to_y = x - chosen[k, 0], y - chosen[k, 1]
+            length = max(math.hypot(to_x, to_y), 1e-9)
+            to_x, to_y = to_x / length, to_y / length
+            planes[i, k] = to_x, to_y, to_x * chosen[k, 0] + to_y * chosen[k, 1]
+
+
+@compiled
+def choose_people(points, people, chosen):
+    """The `chosen` (m, c, 2) of people (m, w, 2) who are closest to points (m, 2)."""
+    for i in range(len(points)):
+        choose(people[i], points[i, 0], points[i, 1], chosen[i])
+
+
+@compiled
+def speed_after(start, wanted, change):
+    """The speed nearest to the one `wanted` that differs from the one at the start by at most `change`."""
+    return start + min(max(wanted - start, -change), change)
+
+
+@compiled
+def drive_beside(options, segments, smoothing, start, progress, speeds, offsets, sidestep, points, costs):
+    """Drives from a state (5,) at arc length `progress`, at each of `speeds` and each of `offsets` from the path.
+
+    They reach their offsets with time constant `sidestep`. `points` (speeds, offsets, N + 2, 2) are where they are
+    after each period, and then a metre ahead; `costs` (speeds, offsets) are those of their offsets and progress.
+    """
+    x, y, ahead_x, ahead_y = rounded(segments, progress, smoothing)
+    beginning = ahead_x * (start[1] - y) - ahead_y * (start[0] - x)
+    costs[:] = 0.0
+    for i in range(len(speeds)):
+        arc, speed = progress, start[3]
+        for k in range(points.shape[2] - 1):
+            before, time = speed, k * options.period
+            speed = speed_after(start[3], speeds[i], options.max_acceleration * time)
+            arc += options.period * (before + speed) / 2 if k > 0 else 0.0
+            x, y, ahead_x, ahead_y = rounded(segments, arc, smoothing)
+            for j in range(len(offsets)):
+                offset = offsets[j] + (beginning - offsets[j]) * math.exp(-time / sidestep)
+                points[i, j, k] = x - offset * ahead_y, y + offset * ahead_x
+                points[i, j, k + 1] = x - offset * ahead_y + ahead_x, y + offset * ahead_x + ahead_y
+                costs[i, j] += options.off_path * offset**2 - arc
+
+
+@compiled
+def intrude(options, points, obstacles, people, costs):
+    """Add the price of intrusions to the `costs` (d,) of drives with `points` (d, N + 2, 2).
+
+    `obstacles` (d, N + 2, k, 2) are the nearest points of obstacles, `people` (N + 1, w, 2) where pedestrians are.
+    """
+    for drive in range(len(points)):
+        for k in range(len(people)):
+            x, y, room = points[drive, k, 0], points[drive, k, 1], 0.0
+            for i in range(obstacles.shape[2]):
+                nearest = obstacles[drive, k, i]
+                room = min(room, math.hypot(nearest[0] - x, nearest[1] - y) - options.clearance)
+            for i in range(people.shape[1]):
+                room = min(room, math.hypot(people[k, i, 0] - x, people[k, i, 1] - y) - options.distance)
+            costs[drive] -= options.intrusion * room
+
+
+@compiled
+def drive_through(options, start, wanted, points, knots):
+    """The knots of a drive from a state (5,) through points (N + 2, 2), at a speed `wanted`, ahead at all times."""
+    last, raw = len(knots) - 1, start[2]
+    knots[:] = 0.0
+    knots[0, 2] = raw
+    for k in range(1, last + 1):
+        before = raw
+        raw = math.atan2(points[k + 1, 1] - points[k, 1], points[k + 1, 0] - points[k, 0])
+        turn = raw - before
+        knots[k, 2] = knots[k - 1, 2] + turn - 2 * math.pi * round(turn / (2 * math.pi))
+        knots[k, 0], knots[k, 1] = points[k, 0], points[k, 1]
+        knots[k, 3] = speed_after(start[3], wanted, options.max_acceleration * options.period * k)
+    for k in range(1, last + 1):
+        after = min(k + 1, last)
+        rate = (knots[after, 2] - knots[k - 1, 2]) / ((after - k + 1) * options.period)
+        knots[k, 4] = min(max(rate, -options.max_turn_rate), options.max_turn_rate)
+    knots[0, :5] = start
+
+
+@compiled
+def shift(start, plan, period, knots):
+    """The knots of a plan (N + 1, 8) one period later, from a state (5,), with its last velocities at the end."""
+    last = len(plan) - 1
+    turns = 2 * math.pi * round((start[2] - plan[1, 2]) / (2 * math.pi))
+    knots[:last] = plan[1:]
+    knots[last] = plan[last]
+    knots[last, 0] += period * plan[last, 3] * math.cos(plan[last, 2])
+    knots[last, 1] += period * plan[last, 3] * math.sin(plan[last, 2])
+    knots[last, 2] += period * plan[last, 4]
+    knots[:, 2] += turns
+    knots[0, :5] = start
+
+
+@compiled
+def farthest_apart(first, second):
+    """The greatest distance (m) between the positions of two plans at the same time."""
+    apart = 0.0
+    for k in range(len(first)):
+        apart = max(apart, math.hypot(first[k, 0] - second[k, 0], first[k, 1] - second[k, 1]))
+    return apart
