@@ -54,7 +54,7 @@ def worlds(steps: int = 4, env: ENVS = [REACH, BRIDGE], count: list[int] = list(
 @app.command()
 def table(rows: int = 1_000_000, env: ENVS = [REACH, BRIDGE]) -> None:  # noqa: B006
     """Measure the summary and the report of a comparison with so many episodes in all, and print a table."""
-    shown = _table("", "episodes", "decisions", "", "seconds", "peak MB", "of these, without episodes", "page MB")
+    shown = _table("", "episodes", "decisions", "", "processor s", "peak MB", "peak MB of 30 episodes", "page MB")
     for name in env:
         with tempfile.TemporaryDirectory() as home:
             few, many = Path(home, "few"), Path(home, "many")

@@ -144,7 +144,7 @@ def compare(
         meter, log = RunMeter(own, worlds, workers), None
         if out is not None:
             log = stack.enter_context(EpisodeLog(Path(out), own, episodes, overwrite, meter.run))
-        results = EpisodeTable() if log is None else log.kept
+        results = EpisodeTable() if log is None else log.kept  # what is played now is added to it
         if progress is not None:
             for result in results:
                 progress(result)
