@@ -176,7 +176,18 @@ def test_a_window_without_a_screen_is_a_clear_error(tmp_path):
 
 def picture(page):
     """What the page shows of the world, beside the panel, (height, width, 3)."""
-    return imageio.imread(BytesIO(page.screenshot(timeout=120_000)))[:-40, 380:, :3].astype(int)
+    return imageio.imread(BytesIO(screenshot(page)))[:-40, 380:, :3].astype(int)
+
+
+def screenshot(page, attempts=20):
+    """A PNG; Chromium that renders in software sometimes says that it cannot take one, and can a moment later."""
+    from playwright.sync_api import Error
+
+    with suppress(Error):
+        return page.screenshot(timeout=120_000)
+    assert attempts, "Chromium took no screenshot"
+    page.wait_for_timeout(500)
+    return screenshot(page, attempts - 1)
 
 
 def changed(before, now):
