@@ -146,6 +146,7 @@ def main(count: int = typer.Option(500, "--layouts"), robot: str = "ur5") -> Non
         title=f"{count} layouts, {robot}, drawn in {drawing:.1f} ms each", title_justify="left", box=MARKDOWN,
     )  # fmt: skip
     for name, plan in contenders.items():
+        plan(layouts[0])  # compiles
         times, raws, shorts, valid = [], [], [], 0
         for layout in track(layouts, name, console=Console(stderr=True), transient=True):
             begin = time.perf_counter()

@@ -145,7 +145,7 @@ def main(count: int = typer.Option(200, "--layouts"), reference: int = 20, secon
     patient = f"BIT*, {seconds:g} s"
     contenders = {
         "armctl: FMT* on chosen points": by_armctl(PathPlannerOptions()),
-        "armctl, one search": by_armctl(PathPlannerOptions(searches=(100,))),
+        "armctl, 100 points more": by_armctl(PathPlannerOptions(searches=(100,))),
         "RRT-Connect": by_ompl("RRTConnect", 1.0),
         "RRT-Connect, simplified": by_ompl("RRTConnect", 1.0, simplify=True),
         "BIT*, 20 ms": by_ompl("BITstar", 0.02),
@@ -155,6 +155,7 @@ def main(count: int = typer.Option(200, "--layouts"), reference: int = 20, secon
     paths: dict[str, list[Array]] = {name: [] for name in contenders}
     times: dict[str, list[float]] = {name: [] for name in contenders}
     for name, plan in contenders.items():
+        plan(maps[0])  # compiles
         for bridge in track(maps[: reference if name == patient else count], name, console=bar, transient=True):
             begin = time.perf_counter()
             paths[name].append(plan(bridge))

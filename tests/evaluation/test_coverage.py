@@ -1,4 +1,4 @@
-"""How often intervals and verdicts are right where the truth is known. `benchmarks/coverage.py` has whole tables."""
+"""How often intervals and verdicts are right where the truth is known. `benchmarks/intervals.py` has whole tables."""
 
 import numpy as np
 import pytest

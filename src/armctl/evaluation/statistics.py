@@ -72,7 +72,7 @@ def bounded_mean(values: Array, bounds: Bounds) -> Estimate | None:
     The interval holds for disasters that are too rare to have been seen, which Student's does not know. Its limits are
     those of Gaffke (Mathematical Methods of Statistics 14, 2005; Learned-Miller and Thomas, arXiv:1905.06208): 2.5 and
     97.5 % quantiles of the mean under random weights, with a value at the bound in addition. For values of 0 and 1, it
-    is Clopper and Pearson's; for many values and no rare ones, Student's. `benchmarks/coverage.py` simulates it.
+    is Clopper and Pearson's; for many values and no rare ones, Student's. `benchmarks/intervals.py` simulates it.
     """
     found = bounded_difference(values, bounds)
     return None if found is None else found[0]
@@ -147,7 +147,7 @@ def random_weights(counts: NDArray[np.intp], rng: np.random.Generator) -> Iterat
 def mean(values: Array) -> Estimate | None:
     """Mean with Student's t interval (1908), unknown for fewer than `FEWEST` values; None without values.
 
-    No figure of a comparison has it: it is far too narrow where disasters are rare, as `benchmarks/coverage.py` shows
+    No figure of a comparison has it: it is far too narrow where disasters are rare, as `benchmarks/intervals.py` shows
     next to `bounded_mean`.
     """
     if not len(values):

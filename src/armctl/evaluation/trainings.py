@@ -9,10 +9,10 @@ All trainings play the same episodes, so that both are crossed. Two methods work
 
 The interval is Student's, extended by that of random weights of the episodes alone, which knows of rare disasters.
 Where trainings vary so much that a normal distribution would lead beyond what is possible, as they do near 100 %
-success, it is extended by random weights of both. By `benchmarks/coverage.py --table trainings`, it then holds as often
-as it says. What it cannot know is a disaster that none of the trainings had: if one training in ten fails altogether,
-three trainings show nothing of it in 73 % of cases. Only random weights of both would always hold, but from three
-trainings that all succeed they conclude no more than a success rate above 29 %.
+success, it is extended by random weights of both. By `benchmarks/intervals.py --table trainings`, it then holds as
+often as it says. What it cannot know is a disaster that none of the trainings had: if one training in ten fails
+altogether, three trainings show nothing of it in 73 % of cases. Only random weights of both would always hold, but from
+three trainings that all succeed they conclude no more than a success rate above 29 %.
 """
 
 from collections.abc import Sequence

@@ -1,6 +1,6 @@
 """How often intervals and verdicts are right, on data like armctl's: mostly wins, and rare disasters.
 
-    python benchmarks/coverage.py [--runs 2000] [--table means|success|pairs|trainings]
+    python benchmarks/intervals.py [--runs 2000] [--table means|success|pairs|trainings]
 
 Each table simulates its method many times where the truth is known. Coverage is how often a 95 % interval holds it;
 "too low" and "too high" are how often it lies wholly on that side, each of which should be at most 2.5 %. Wrong sign is
