@@ -171,7 +171,7 @@ def main(poses: int = 10_000, peer_poses: int = 500) -> None:
         seven_joints.add_row(*figures_of(robot, poses, rng))
 
     versions = ", ".join(f"{package} {version(package)}" for package in PACKAGES)
-    console = Console(width=160)  # all columns, also where the output is no terminal
+    console = Console(width=200)  # all columns, also where the output is no terminal
     console.print(
         f"{os.cpu_count()} cores, Python {platform.python_version()}, {versions}",
         table,

@@ -35,7 +35,7 @@ def program(*arguments, cwd, check=True, disk=None, **variables):
 
 
 def armctl(*arguments, cwd, check=True):
-    """Run armctl in this process, where everything is imported already."""
+    """Run armctl in this process, where everything is imported already; what it imports from `cwd` is forgotten."""
     with pytest.MonkeyPatch.context() as patch, io.StringIO() as out, io.StringIO() as err:
         patch.chdir(cwd)
         patch.setattr(sys, "argv", ["armctl", *arguments])
@@ -49,6 +49,10 @@ def armctl(*arguments, cwd, check=True):
                 main()
             except SystemExit as exit:
                 status = exit.code
+            finally:
+                for name, module in list(sys.modules.items()):
+                    if Path(getattr(module, "__file__", None) or "/").is_relative_to(cwd):
+                        del sys.modules[name]
         done = subprocess.CompletedProcess(arguments, status, out.getvalue(), err.getvalue())
     assert not check or done.returncode == 0, done.stderr
     return done

@@ -243,7 +243,6 @@ def test_a_task_in_the_current_folder_is_found(tmp_path):
     for env in ("nobodys:mine/Loose-v0", "mine:mine/Tight-v0"):
         done = armctl("compare", "random", "--env", env, cwd=tmp_path, check=False)
         assert done.returncode == 2, done.stdout
-    del sys.modules["mine"]
 
 
 def test_train_follows_a_recipe_with_changes(tmp_path):
