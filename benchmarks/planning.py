@@ -173,7 +173,8 @@ def main(count: int = typer.Option(200, "--layouts"), reference: int = 20, secon
         nearest = min(clearance(bridge, path) for bridge, path in zip(maps, paths[name], strict=False) if len(path))
         table.add_row(
             name, f"{np.mean([len(path) > 0 for path in paths[name]]):.1%}", f"{np.median(times[name]):,.1f}",
-            f"{np.quantile(times[name], 0.99):.1f}", f"{np.median(ratio) - 1:.2%}", f"{ratio.max() - 1:.2%}",
+            f"{np.quantile(times[name], 0.99):.1f}", f"{np.median(ratio) - 1:.2%}",
+            f"{ratio.max() - 1:.2%}" if np.isfinite(ratio).all() else "not found",
             f"{nearest:.4f}",
         )  # fmt: skip
     Console(width=160).print(table)

@@ -183,11 +183,14 @@ def screenshot(page, attempts=20):
     """A PNG; Chromium that renders in software sometimes says that it cannot take one, and can a moment later."""
     from playwright.sync_api import Error
 
-    with suppress(Error):
-        return page.screenshot(timeout=120_000)
-    assert attempts, "Chromium took no screenshot"
-    page.wait_for_timeout(500)
-    return screenshot(page, attempts - 1)
+    for _ in range(attempts - 1):
+        try:
+            return page.screenshot(timeout=120_000)
+        except Error as error:
+            if "Unable to capture screenshot" not in str(error):
+                raise
+        page.wait_for_timeout(500)
+    return page.screenshot(timeout=120_000)
 
 
 def changed(before, now):
