@@ -12,9 +12,11 @@ environments.
 """
 
 import resource
+import runpy
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -38,6 +40,8 @@ from armctl.tasks import (
     Task,
 )
 
+TESTS = Path(__file__).parents[1] / "tests"
+BatchSteps = runpy.run_path(str(TESTS / "simulation" / "batch_steps.py"))["BatchSteps"]
 Array = NDArray[np.float64]
 
 ACTIONS = ("uniform", "bang-bang", "held", "walk", "push")
@@ -83,10 +87,11 @@ ENVIRONMENTS: dict[str, tuple[type[Task], int, dict[str, Any], tuple[str, ...]]]
 
 
 class Meter:
-    """The worst of each world of a task, (n,): every physics step counts, apart from those that `Impacts` repeats."""
+    """The worst of each world of a task, (n,): every physics step counts, apart from those that are repeated."""
 
     def __init__(self, task: Any, misfitting: bool = False) -> None:
         self._task, self._simulation, self._batch = task, task.simulation, task.simulation._batch
+        stepper = BatchSteps.take_over(task.simulation)
         self.limit_excess, self.penetration, self.speed_ratio, self.silent_resets = np.zeros((4, task.n))
         self._now = np.zeros((3, task.n))
         self._qpos, self._time, self._sensors = (
@@ -100,9 +105,9 @@ class Meter:
         people = any(name.startswith("walker_") for name in body_names)
         self._any_depth = model.sensor(DEPTH).adr[0]
         self._depth = None if people or misfitting else self._any_depth
-        self._step, self._batch_step = self._simulation.step, self._batch.step
+        self._tick, self._batch_step = stepper.tick, self._batch.step
         self._reached = self._time.copy()
-        self._simulation.step, self._batch.step = self._measured, self._one_by_one
+        stepper.tick, self._batch.step = self._measured, self._one_by_one
 
     def began(self, ids: NDArray[np.int32]) -> None:
         """Note what overlaps at the start of episodes in worlds `ids`."""
@@ -113,10 +118,9 @@ class Meter:
     def stepped(self, awake: NDArray[np.bool_]) -> None:
         """Do nothing."""
 
-    def _measured(self, substeps: int, ids: NDArray[np.int32] | None = None) -> None:
-        worlds = np.arange(self._task.n) if ids is None else ids
+    def _measured(self, substeps: int, worlds: NDArray[np.int32]) -> None:
         self._now[:], end = 0.0, self._time[worlds] + substeps * self._simulation.model.opt.timestep
-        self._step(substeps, ids)
+        self._tick(substeps, worlds)
         going_on = ~self._simulation.unstable[worlds]
         self.silent_resets[worlds] += going_on & (np.abs(self._time[worlds] - end) > 1e-6)
         self._measure()
@@ -127,7 +131,7 @@ class Meter:
             worst[worlds[going_on]] = np.maximum(worst, now)[worlds[going_on]]
 
     def _one_by_one(self, ids: NDArray[np.int32] | None = None, nstep: int = 1, stage: int = 0) -> None:
-        """`Batch.step`, measured before each physics step. Steps that `Impacts` takes back do not count."""
+        """`Batch.step`, measured before each physics step. Steps that are taken back do not count."""
         for k in range(nstep):
             self._now[:, self._time < self._reached] = 0.0
             self._measure()

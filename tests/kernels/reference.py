@@ -142,18 +142,6 @@ def quadratic_model(q, errors, axes, gradients, exact, weight, posture):
     return np.array(hessians), np.array(slopes)
 
 
-def nearest_so_far(positions, targets, nearest):
-    """Distances as they are observed, if they are the least so far."""
-    offset = np.float32(targets).astype(float) - np.float32(positions)
-    return np.minimum(nearest, np.sqrt((offset**2).sum(axis=-1)))
-
-
-def unusual(state, columns, lowest, highest, depths, deep):
-    """Worlds in which a column is not between its bounds, or contacts are deep."""
-    watched = state[:, columns]
-    return ~((watched > lowest) & (watched < highest)).all(axis=1) | ~(depths > -deep)
-
-
 def turns_near(q, seed, lower, upper):
     """Joint positions shifted by whole turns to be near a seed."""
     near = q + 2 * math.pi * np.round((seed - q) / (2 * math.pi))

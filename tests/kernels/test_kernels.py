@@ -4,7 +4,7 @@ import numpy as np
 import pinocchio
 import pytest
 
-from armctl.kernels import arm, capsules, drives, ik, physics, reach, reach_mpc
+from armctl.kernels import arm, capsules, control_step, drives, ik, reach, reach_mpc
 from armctl.kernels.edges import PAIR
 from armctl.kinematics import ArmModel
 from armctl.kinematics.records import box_records
@@ -47,16 +47,19 @@ def test_drives(model, rng):
     positions = rng.uniform(limits.lower, limits.upper, (n, model.dof))
     commands = positions + rng.uniform(-0.4, 0.4, positions.shape)
     commands[: n // 2] = np.clip(positions[: n // 2], limits.lower, limits.upper)
+    initial = commands.copy()
     for to_positions in (True, False):
         velocities = rng.uniform(-1, 1, positions.shape) * limits.velocity
         wanted = rng.uniform(limits.lower, limits.upper, positions.shape)
         waiting = np.clip(commands, positions - 0.3, positions + 0.3)
         towards = joint_profiles.towards(wanted, waiting, limits) if to_positions else wanted
         expected = joint_profiles.limited(towards, waiting, velocities, limits)
-        found = commands.copy()
-        drives.drive(limits.drives, wanted, to_positions, positions, found, velocities, 0.3, TICK)
-        np.testing.assert_allclose(found, waiting, **CLOSE)
-        np.testing.assert_allclose(velocities, expected, **CLOSE)
+        for i in range(n):
+            given = np.tile(velocities[i], 2)
+            drives.drive_joints(limits.drives, wanted[i], to_positions, positions[i], commands[i], given, 0.3, TICK)
+            np.testing.assert_allclose(given, np.tile(expected[i], 2), **CLOSE)
+        np.testing.assert_allclose(commands, waiting, **CLOSE)
+        commands[:] = initial
 
 
 def test_times_and_profiles(model, rng):
@@ -213,18 +216,9 @@ def test_quadratic_models(model, rng, exact):
     np.testing.assert_allclose(slopes, expected[1], rtol=1e-10, atol=1e-10)
 
 
-def test_what_is_watched_after_a_tick(rng):
-    state, columns = rng.normal(size=(50, 9)), np.array([2, 5, 7])
-    state[3, 5], depths = np.nan, rng.uniform(-0.01, 0.05, 50)
-    bounds, marked = (np.full(3, -1.5), np.full(3, 1.5)), np.empty(50, dtype=bool)
-    expected = reference.unusual(state, columns, *bounds, depths, 0.002)
-    assert physics.mark_unusual(state, columns, *bounds, depths, 0.002, marked)
-    np.testing.assert_array_equal(marked, expected)
-    assert marked[3]
-    usual = np.flatnonzero(~expected)
-    assert not physics.mark_unusual(state[usual], columns, *bounds, depths[usual], 0.002, marked[usual])
+def test_distances_are_rounded_as_they_are_observed(rng):
     positions, targets = rng.normal(size=(2, 50, 3))
-    nearest = rng.uniform(0, 2, 50)
-    expected = reference.nearest_so_far(positions, targets, nearest)
-    physics.note_nearest(positions, targets, nearest)
-    np.testing.assert_allclose(nearest, expected, **CLOSE)
+    found = np.empty(50)
+    control_step.distances_as_observed(positions, targets, found)
+    seen = [np.float32(numbers).astype(float) for numbers in (positions, targets)]
+    np.testing.assert_allclose(found, np.linalg.norm(seen[1] - seen[0], axis=1), **CLOSE)

@@ -36,9 +36,11 @@ class Rig:
     def step(self, actions, decisions=1):
         for _ in range(decisions):
             self.arm.command(np.broadcast_to(actions, (self.n, 6)))
-            for _ in range(TICKS):
-                self.arm.drive()
-                self.simulation.step(self.substeps // TICKS)
+            self.tick(TICKS)
+
+    def tick(self, ticks=1):
+        """Go on with the last action."""
+        self.simulation.control_step(ticks, self.substeps // TICKS, drives=self.arm.drives)
 
     def standstill(self):
         """The action that asks for no motion."""
@@ -88,7 +90,7 @@ def test_arms_stand_still_against_gravity(robot, control):
 def test_without_gravity_compensation_the_arm_would_fall():
     rig = Rig("ur5", "torque")
     rig.model.body_gravcomp[:] = 0
-    rig.simulation = Simulation(rig.model, rig.n, threads=1)
+    rig.simulation = Simulation(rig.model, rig.n, threads=1, speed_limits=speed_limits(rig.description))
     rig.arm = Arm(rig.simulation, rig.description, "torque", PERIOD)
     rig.simulation.reset()
     rig.step(np.zeros(6), 10)
@@ -136,8 +138,7 @@ def test_command_keeps_to_the_limits_of_velocity_acceleration_and_position(robot
         wild = rng.choice([-1e6, -1, 0, 1, 1e6], (rig.n, 6)) if decision < 20 else np.full((rig.n, 6), 1e6)
         rig.arm.command(wild)
         for _ in range(TICKS):
-            rig.arm.drive()
-            rig.simulation.step(rig.substeps // TICKS)
+            rig.tick()
             new_speed = (rig.commanded - command) / TICK
             fastest = max(fastest, (np.abs(new_speed) / rig.limits.velocity).max())
             hardest = max(hardest, (np.abs(new_speed - speed) / TICK / rig.limits.acceleration).max())
@@ -164,8 +165,7 @@ def test_joints_follow_the_command_closely(robot):
     rig = Rig(robot, "position", n=32)
     rig.arm.command(rig.free_goals())
     for _ in range(150):
-        rig.arm.drive()
-        rig.simulation.step(rig.substeps // TICKS)
+        rig.tick()
         assert np.abs(rig.arm.joint_positions - rig.commanded).max() < 0.05
         assert (np.abs(rig.arm.joint_velocities) < 1.2 * rig.limits.velocity).all()
 
@@ -213,10 +213,8 @@ def test_joint_torques_stay_within_the_effort_limits(robot, control):
     largest = np.zeros(6)
     for decision in range(20):
         rig.arm.command(np.broadcast_to(1e6 * (-1) ** (decision // 4), (rig.n, 6)))
-        for substep in range(rig.substeps):
-            if substep % (rig.substeps // TICKS) == 0:
-                rig.arm.drive()
-            rig.simulation.step(1)
+        for _ in range(TICKS):
+            rig.tick()
             largest = np.maximum(largest, np.abs(torques).max(axis=0))
     assert (largest <= rig.limits.effort * (1 + 1e-9)).all()
     assert largest.max() > 0

@@ -172,16 +172,18 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
         self.task.command(commands)
         self.task.advance(awake)
         self._steps += 1
-        terms, outcome = self.task.reward_terms(), np.array(self.task.outcome(), dtype=np.int8)
-        if (unstable := self.task.simulation.unstable).any():
+        terms, outcome = self.task.reward_terms(), np.array(self.task.outcome(), dtype=np.int64)
+        if self.task.simulation.any_unstable:
+            unstable = self.task.simulation.unstable
             terms = {name: np.where(unstable, 0.0, earned) for name, earned in terms.items()}
             outcome[unstable] = self.outcomes.index(UNSTABLE)
         terms = self._paid(terms)
         if restart is not None:
             outcome[restart] = TIMEOUT
         terminated = outcome != TIMEOUT
-        truncated = np.zeros(self.num_envs, dtype=bool)
-        if self.max_episode_steps is not None:
+        if self.max_episode_steps is None:
+            truncated = np.zeros(self.num_envs, dtype=bool)
+        else:
             truncated = ~terminated & (self._steps >= self.max_episode_steps)
         if restart is not None:
             truncated[restart] = False
@@ -191,7 +193,7 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
         weighted = (self.reward_weights.get(name, 1.0) * earned for name, earned in terms.items())
         rewards = self.reward_scale * sum(weighted, start=np.zeros(self.num_envs))
         finished = terminated | truncated
-        infos = self._infos(np.where(finished, outcome, RUNNING).astype(np.int64), terms)
+        infos = self._infos(np.where(finished, outcome, RUNNING), terms)
         for observer in self.observers:
             observer.stepped(~idle)
         self._finished = finished
@@ -270,6 +272,8 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
     def _paid(self, terms: RewardTerms) -> RewardTerms:
         """The terms without what they have paid before, if they are paid once an episode."""
         for name in self.task.paid_once & terms.keys():
+            if not terms[name].any():
+                continue
             before = self._paid_before.setdefault(name, np.zeros(self.num_envs, dtype=bool))
             terms[name] = np.where(before, 0.0, terms[name])
             before |= terms[name] != 0
@@ -281,6 +285,8 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
                 raise unknown_name("reward term", name, self._earned_names)
 
     def _check_terms(self, terms: RewardTerms) -> None:
+        if np.abs([*terms.values()]).max(initial=0.0) <= LARGEST_REWARD:
+            return
         for name, earned in terms.items():
             if not (fine := np.abs(earned) <= LARGEST_REWARD).all():
                 i = int(np.flatnonzero(~fine)[0])

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from armctl.kernels.compiling import compiled
+from armctl.kernels.compiling import compiled, copy_to
 
 
 @compiled
@@ -25,7 +25,7 @@ def point_at(segments, arc):
 def points_at(segments, arcs, points):
     """The `points` (m, 2) at arc lengths (m,)."""
     for i in range(len(arcs)):
-        points[i] = point_at(segments, arcs[i])
+        copy_to(point_at(segments, arcs[i]), points[i])
 
 
 @compiled

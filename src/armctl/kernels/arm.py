@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from armctl.kernels.compiling import compiled
+from armctl.kernels.compiling import compiled, copy_to
 
 MATRIX, VECTOR = (float, (3, 3)), (float, 3)
 JOINT = np.dtype(
@@ -35,7 +35,9 @@ def forward(joints, q, rotations, origins):
             for j in range(3):
                 turn[i, j] = joint.base[i, j] + sine * joint.sine[i, j] + versine * joint.versine[i, j]
         if k == 0:
-            rotations[0], origins[0] = turn, joint.offset
+            copy_to(joint.offset, origins[0])
+            for i in range(3):
+                copy_to(turn[i], rotations[0, i])
             continue
         for i in range(3):
             x, y, z = rotations[k - 1, i]
@@ -122,4 +124,7 @@ def tips_and_gradients(joints, q, positions, gradients):
     """The same, and how the joints move them, (n, dof, 3) m/rad."""
     memory = workspace(joints)
     for row in range(len(q)):
-        positions[row], gradients[row] = linearise(joints, q[row], memory)
+        tip, rates = linearise(joints, q[row], memory)
+        copy_to(tip, positions[row])
+        for k in range(len(joints)):
+            copy_to(rates[k], gradients[row, k])

@@ -6,7 +6,7 @@ cosine and sine of the yaw, and the half sizes; m.
 
 import math
 
-from armctl.kernels.compiling import compiled
+from armctl.kernels.compiling import compiled, copy_to
 
 LESS = 1e-6
 """m: what a change of a path must save."""
@@ -110,7 +110,8 @@ def shorten(deck, path, points, ends):
         while i < corners - 1:
             if edge_is_free(*deck, path[i - 1, 0], path[i - 1, 1], path[i + 1, 0], path[i + 1, 1]):
                 corners, shorter = corners - 1, True
-                path[i:corners] = path[i + 1 : corners + 1].copy()
+                for k in range(i, corners):
+                    copy_to(path[k + 1], path[k])
             else:
                 shorter |= pull(deck, path[i - 1], path[i], path[i + 1], points)
                 i += 1
@@ -132,6 +133,6 @@ def nearest(blocks, half_width, length, points, found):
             x, y = points[i, 0] - block[4], points[i, 1] - block[5]
             ahead = min(max(x * cos + y * sin, -block[8]), block[8])
             left = min(max(y * cos - x * sin, -block[9]), block[9])
-            found[i, k] = block[4] + (ahead * cos - left * sin), block[5] + (ahead * sin + left * cos)
-        found[i, len(blocks)] = points[i, 0], -half_width
-        found[i, len(blocks) + 1] = points[i, 0], half_width
+            copy_to((block[4] + (ahead * cos - left * sin), block[5] + (ahead * sin + left * cos)), found[i, k])
+        copy_to((points[i, 0], -half_width), found[i, len(blocks)])
+        copy_to((points[i, 0], half_width), found[i, len(blocks) + 1])

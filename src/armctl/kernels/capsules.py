@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from armctl.kernels.arm import MATRIX, VECTOR, carried, forward
-from armctl.kernels.compiling import compiled
+from armctl.kernels.compiling import compiled, copy_to
 
 LINK = np.dtype([("joint", int), ("start", *VECTOR), ("end", *VECTOR), ("radius", float)])
 BOX = np.dtype([("rotation", *MATRIX), ("centre", *VECTOR), ("half_size", *VECTOR)])
@@ -25,7 +25,8 @@ def place(links, rotations, origins, ends):
     for i in range(len(links)):
         joint = links[i].joint
         if joint == 0:
-            ends[i, 0], ends[i, 1] = links[i].start, links[i].end
+            copy_to(links[i].start, ends[i, 0])
+            copy_to(links[i].end, ends[i, 1])
         else:
             carried(rotations[joint - 1], origins[joint - 1], links[i].start, ends[i, 0])
             carried(rotations[joint - 1], origins[joint - 1], links[i].end, ends[i, 1])

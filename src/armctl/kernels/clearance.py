@@ -10,7 +10,7 @@ import numpy as np
 
 from armctl.kernels.arm import axes_of, cross, forward
 from armctl.kernels.capsules import place, segments_distance, shares_on_segments
-from armctl.kernels.compiling import compiled
+from armctl.kernels.compiling import compiled, copy_to
 from armctl.kernels.edges import FLOOR_END, LINKS
 
 
@@ -116,7 +116,7 @@ def gradient(links, pair, boxes, samples, ends, axes, origins, row):
             normal[i] /= max(math.sqrt(length), 1e-9)
         add_motion(axes, origins, links[pair.other].joint, foot, normal, -1.0, row)
     elif pair.kind == FLOOR_END:
-        point[:] = ends[pair.link, pair.other]
+        copy_to(ends[pair.link, pair.other], point)
         normal[2] = 1.0
     else:
         point_on(ends[pair.link], nearest_sample(ends[pair.link], samples[pair.link], boxes[pair.other])[0], point)

@@ -42,3 +42,10 @@ def _cache_folder() -> Path | None:
 
 
 _FOLDER = _cache_folder()
+
+
+@compiled
+def copy_to(values, out):
+    """`out[:] = values`, (k,) each. Compiling that line takes seconds, because of NumPy's errors."""
+    for i in range(len(out)):
+        out[i] = values[i]

@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from armctl.kernels.arc_path import rounded
-from armctl.kernels.compiling import compiled
+from armctl.kernels.compiling import compiled, copy_to
 
 NAMES = "max_turn_rate", "max_acceleration", "clearance", "distance", "period", "off_path", "intrusion"
 """Those of `DriveMpcOptions` that are needed here, as records `OPTIONS`."""
@@ -22,7 +22,7 @@ NOWHERE = 100.0
 def follow_path(segments, arcs, smoothing, reference):
     """Points of the path, and its directions, at arc lengths (m,): rows (m, 4)."""
     for k in range(len(arcs)):
-        reference[k] = rounded(segments, arcs[k], smoothing)
+        copy_to(rounded(segments, arcs[k], smoothing), reference[k])
 
 
 @compiled
@@ -54,10 +54,10 @@ def choose(others, x, y, chosen):
             place -= 1
             if place + 1 < len(chosen):
                 distances[place + 1] = distances[place]
-                chosen[place + 1] = chosen[place]
+                copy_to(chosen[place], chosen[place + 1])
         if place < len(chosen):
             distances[place] = distance
-            chosen[place] = others[i]
+            copy_to(others[i], chosen[place])
 
 
 @compiled
@@ -74,7 +74,7 @@ def separate(points, obstacles, planes):
             to_x, to_y = x - chosen[k, 0], y - chosen[k, 1]
             length = max(math.hypot(to_x, to_y), 1e-9)
             to_x, to_y = to_x / length, to_y / length
-            planes[i, k] = to_x, to_y, to_x * chosen[k, 0] + to_y * chosen[k, 1]
+            copy_to((to_x, to_y, to_x * chosen[k, 0] + to_y * chosen[k, 1]), planes[i, k])
 
 
 @compiled
@@ -109,8 +109,9 @@ def drive_beside(options, segments, smoothing, start, progress, speeds, offsets,
             x, y, ahead_x, ahead_y = rounded(segments, arc, smoothing)
             for j in range(len(offsets)):
                 offset = offsets[j] + (beginning - offsets[j]) * math.exp(-time / sidestep)
-                points[i, j, k] = x - offset * ahead_y, y + offset * ahead_x
-                points[i, j, k + 1] = x - offset * ahead_y + ahead_x, y + offset * ahead_x + ahead_y
+                beside_x, beside_y = x - offset * ahead_y, y + offset * ahead_x
+                copy_to((beside_x, beside_y), points[i, j, k])
+                copy_to((beside_x + ahead_x, beside_y + ahead_y), points[i, j, k + 1])
                 costs[i, j] += options.off_path * offset**2 - arc
 
 
@@ -148,7 +149,7 @@ def drive_through(options, start, wanted, points, knots):
         after = min(k + 1, last)
         rate = (knots[after, 2] - knots[k - 1, 2]) / ((after - k + 1) * options.period)
         knots[k, 4] = min(max(rate, -options.max_turn_rate), options.max_turn_rate)
-    knots[0, :5] = start
+    copy_to(start, knots[0, :5])
 
 
 @compiled
@@ -156,13 +157,13 @@ def shift(start, plan, period, knots):
     """The knots of a plan (N + 1, 8) one period later, from a state (5,), with its last velocities at the end."""
     last = len(plan) - 1
     turns = 2 * math.pi * round((start[2] - plan[1, 2]) / (2 * math.pi))
-    knots[:last] = plan[1:]
-    knots[last] = plan[last]
+    for k in range(last + 1):
+        copy_to(plan[min(k + 1, last)], knots[k])
     knots[last, 0] += period * plan[last, 3] * math.cos(plan[last, 2])
     knots[last, 1] += period * plan[last, 3] * math.sin(plan[last, 2])
     knots[last, 2] += period * plan[last, 4]
     knots[:, 2] += turns
-    knots[0, :5] = start
+    copy_to(start, knots[0, :5])
 
 
 @compiled

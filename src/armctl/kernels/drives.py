@@ -47,20 +47,22 @@ def within_range(wanted, position, lower, upper, acceleration, tick):
 
 
 @compiled
-def drive(joints, wanted, to_positions, positions, commands, velocities, following_error, tick):
-    """Set the `velocities` of `commands` for the next tick, towards `wanted` positions or velocities, (n, dof) each.
+def drive_joints(joints, wanted, to_positions, positions, commands, velocities, following_error, tick):
+    """Set the velocities of `commands` (dof,) for the next tick, towards `wanted` positions or velocities (dof,).
 
-    Commands wait for `positions` that are more than `following_error` (rad) behind.
+    Commands wait for `positions` (dof,) that are more than `following_error` (rad) behind. `velocities` (2 dof,) are
+    given twice: to the servos' position and to their velocity.
     """
-    for world in range(len(wanted)):
-        for i in range(len(joints)):
-            joint, position, velocity = joints[i], positions[world, i], wanted[world, i]
-            command = min(max(commands[world, i], position - following_error), position + following_error)
-            if to_positions:
-                velocity = towards(velocity, command, joint.acceleration, tick)
-            velocity = within_range(velocity, command, joint.lower, joint.upper, joint.acceleration, tick)
-            commands[world, i] = command
-            velocities[world, i] = limited(velocity, velocities[world, i], joint.top, joint.acceleration, tick)
+    dof = len(joints)
+    for i in range(dof):
+        joint, position, velocity = joints[i], positions[i], wanted[i]
+        command = min(max(commands[i], position - following_error), position + following_error)
+        if to_positions:
+            velocity = towards(velocity, command, joint.acceleration, tick)
+        velocity = within_range(velocity, command, joint.lower, joint.upper, joint.acceleration, tick)
+        commands[i] = command
+        velocities[i] = limited(velocity, velocities[i], joint.top, joint.acceleration, tick)
+        velocities[dof + i] = velocities[i]
 
 
 @compiled

@@ -7,7 +7,7 @@ import numpy as np
 
 from armctl.kernels.arm import forward
 from armctl.kernels.capsules import place, segment_box_distance, segments_distance
-from armctl.kernels.compiling import compiled
+from armctl.kernels.compiling import compiled, copy_to
 
 PAIR = np.dtype([("kind", int), ("link", int), ("other", int)])
 LINKS, FLOOR_END, LINK_AND_BOX = range(3)
@@ -123,8 +123,10 @@ def shortcut(scene, path, corners, draws, faster, bounds):
         if free:
             rest = path[last:corners].copy()
             corners = first + 2 + len(rest)
-            path[first : first + 2] = ends
-            path[first + 2 : corners] = rest
+            for k in range(2):
+                copy_to(ends[k], path[first + k])
+            for k in range(len(rest)):
+                copy_to(rest[k], path[first + 2 + k])
     return corners, checks
 
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from armctl.kernels.arm import forward, tip_of
-from armctl.kernels.compiling import compiled
+from armctl.kernels.compiling import compiled, copy_to
 from armctl.kernels.reach import nearest_turn
 
 
@@ -103,7 +103,8 @@ def choose(joints, pose, found, approximate, seed, exact, near, distinct, soluti
             return -1
         nearest_turn(joints, found[row], seed, q)
         if residual < residuals[last]:
-            residuals[last], solutions[last] = residual, q
+            residuals[last] = residual
+            copy_to(q, solutions[last])
         within, distance = True, 0.0
         for i in range(dof):
             within = within and joints[i].lower <= q[i] <= joints[i].upper
@@ -117,8 +118,10 @@ def choose(joints, pose, found, approximate, seed, exact, near, distinct, soluti
         if not within:
             continue
         while at > 0 and distances[at - 1] > distance:
-            distances[at], solutions[at], residuals[at] = distances[at - 1], solutions[at - 1], residuals[at - 1]
+            distances[at], residuals[at] = distances[at - 1], residuals[at - 1]
+            copy_to(solutions[at - 1], solutions[at])
             at -= 1
-        distances[at], solutions[at], residuals[at] = distance, q, residual
+        distances[at], residuals[at] = distance, residual
+        copy_to(q, solutions[at])
         count += 1
     return count if residuals[last] < np.inf else -1

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from armctl.kernels.arm import linearise, tips, workspace
-from armctl.kernels.compiling import compiled
+from armctl.kernels.compiling import compiled, copy_to
 from armctl.kernels.drives import least_time
 
 MAX_APPROACH_STEP = 0.5
@@ -129,7 +129,8 @@ def refine(joints, q, starts, centres, radius, velocities, max_steps, times):
                 joints, at, starts[row], centres[row], radius, velocities[row], max_step, memory, step
             )
             if distance <= radius and time < times[row]:
-                times[row], q[row] = time, at
+                times[row] = time
+                copy_to(at, q[row])
             for k in range(dof):
                 at[k] += step[k]
 
@@ -188,14 +189,15 @@ def least_times_into_spheres(
             continue
         for axis in range(3):
             aim[0, axis] = centres[i, axis] + (tip[0, axis] - centres[i, axis]) * (inside * radius / distance)
-        goal[0] = q[i]
+        copy_to(q[i], goal[0])
         move_to(joints, goal, aim, centres[i : i + 1], radius, tip_speed, iterations, late_by)
         least = least_time(joints, q[i], velocities[i], goal[0]) + late_by[0]
         for g in range(len(goals[i])):
             nearest_turn(joints, goals[i, g], q[i], turned)
             time = least_time(joints, q[i], velocities[i], turned) + excess[i, g]
             if time <= least:
-                least, goal[0] = time, turned
+                least = time
+                copy_to(turned, goal[0])
         for max_step in max_steps:
             time, at = step_into_sphere(
                 joints, goal[0], q[i], centres[i], radius, velocities[i], max_step, memory, step

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.errors import unknown_name
-from armctl.kernels import drives
+from armctl.kernels.control_step import Drives
 from armctl.robot_description import ArmDescription
 from armctl.robot_description.capsules import Capsule
 from armctl.robot_description.collision_pairs import FLOOR
@@ -59,8 +59,8 @@ class Arm:
     - `torque`: joint torques on top of gravity compensation, within the effort limits.
 
     Except for torques, `armctl.robot_description.joint_profiles` turns it into a command within the limits of position,
-    velocity and acceleration, which the joint servos follow within their effort limits. Call `drive` every `TICK` of
-    that module in simulated time, and then `joints.take`.
+    velocity and acceleration, which the joint servos follow within their effort limits. They are `drives` and `joints`
+    of the ticks of `Simulation.control_step`, each of `TICK` of that module.
     """
 
     def __init__(self, simulation: Simulation, description: ArmDescription, control: str, period: float) -> None:
@@ -73,11 +73,12 @@ class Arm:
         """(n, 3) m, a live view."""
         self._ctrl = simulation.array("ctrl")
         dof = description.dof
-        self._velocity_commands, self._feedforward = self._ctrl[:, :dof], self._ctrl[:, dof:]
+        self._velocity_commands = self._ctrl[:, :dof]
         self._command = simulation.array("act")
-        self._wanted = np.zeros_like(self.joint_positions)
         limits = description.limits
-        self._drives, self._to_positions = limits.drives, control in ("position", "relative")
+        driven = limits.drives[:0] if control == "torque" else limits.drives
+        to_positions = control in ("position", "relative")
+        self.drives = Drives(driven, np.zeros((simulation.n, dof)), to_positions, FOLLOWING_ERROR)
         actuators = ActuatorLimits(limits.velocity, limits.effort, (limits.lower, limits.upper))
         self.joints = JointSamples(simulation, slice(dof), actuators, round(period / TICK), period)
         move = np.full(dof, LARGEST_RELATIVE_MOVE)
@@ -99,24 +100,14 @@ class Arm:
 
     def command(self, actions: Array) -> None:
         """Set actions (n, dof), clipped to their bounds."""
-        self._wanted = np.clip(actions, self.action_low, self.action_high)
+        wanted = np.clip(actions, self.action_low, self.action_high, out=self.drives.wanted)
         if self.control == "torque":
-            np.copyto(self._velocity_commands, self._wanted)
+            np.copyto(self._velocity_commands, wanted)
         elif self.control == "delta":
-            self._wanted /= self.period
+            wanted /= self.period
         elif self.control == "relative":
             limits = self.description.limits
-            self._wanted = np.clip(self.joint_positions + self._wanted, limits.lower, limits.upper)
-
-    def drive(self) -> None:
-        """Set the command's velocity until the next tick."""
-        if self.control == "torque":
-            return
-        drives.drive(
-            self._drives, self._wanted, self._to_positions, self.joint_positions, self._command,
-            self._velocity_commands, FOLLOWING_ERROR, TICK,
-        )  # fmt: skip
-        np.copyto(self._feedforward, self._velocity_commands)
+            np.clip(self.joint_positions + wanted, limits.lower, limits.upper, out=wanted)
 
 
 def speed_limits(description: ArmDescription) -> dict[str, float]:

@@ -1,11 +1,11 @@
 """Speeds and torques of the joints of n robots since the last control step, and their limits."""
 
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.kernels.control_step import Samples
 from armctl.simulation import Simulation
 
 Array = NDArray[np.float64]
@@ -24,9 +24,9 @@ class ActuatorLimits:
 
 
 class JointSamples:
-    """Speeds and torques at `samples` evenly spaced instants per control period (s).
+    """Speeds and torques at `samples` evenly spaced instants per control period (s): the ticks of a control step.
 
-    `dofs` are the joints' columns among the model's degrees of freedom. Nothing is computed here: this is the hot path.
+    `dofs` are the joints' columns among the model's degrees of freedom.
     """
 
     def __init__(
@@ -34,17 +34,13 @@ class JointSamples:
     ) -> None:
         self.speeds = simulation.array("qvel")[:, dofs]
         """Present joint speeds, (n, k) rad/s, a live view."""
-        self._now = self.speeds, simulation.array("qfrc_actuator")[:, dofs]
         self.limits = limits
         self.interval = period / samples
         """s: time between two samples"""
-        self._samples = np.zeros((2, samples, len(self._now[0]), len(limits.speed)))
-        self._rows = itertools.cycle(zip(*self._samples, strict=True))
-
-    def take(self) -> None:
-        """Record the current speeds and torques."""
-        for row, now in zip(next(self._rows), self._now, strict=True):
-            np.copyto(row, now)
+        self._samples = np.zeros((2, samples, simulation.n, len(limits.speed)))
+        columns = np.arange(simulation.model.nv, dtype=np.intp)[dofs]
+        self.part = Samples(columns, *self._samples)
+        """What `Simulation.control_step` fills."""
 
     def since_last_step(self) -> Array:
         """Joint speeds (rad/s) and motor torques at the joints (N m), (2, samples, n, k)."""

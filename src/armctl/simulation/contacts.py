@@ -7,14 +7,12 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.kernels.control_step import Touches
 from armctl.simulation.history import sample_columns, time_columns
 from armctl.simulation.simulation import Simulation, WorldIds
 
 Thing = tuple[mujoco.mjtObj, str]
 """A partner of a contact: its kind and its name."""
-
-_ROUNDING = 1e-9
-"""s."""
 
 
 def add_contact_sensors(spec: Any, parts: Mapping[str, Thing], classes: Mapping[str, Thing], memory: int) -> None:
@@ -42,13 +40,17 @@ class ContactSensors:
     def __init__(self, simulation: Simulation, parts: Iterable[str], classes: Iterable[str]) -> None:
         model = simulation.model
         sensors = [[model.sensor(_sensor_name(part, label)) for label in classes] for part in parts]
-        self._simulation = simulation
         self._noted = np.zeros((simulation.n, len(sensors), len(sensors[0])), dtype=bool)
-        self._now, self._time = simulation.array("sensordata"), simulation.array("time")
-        self._history = simulation.array("history")
+        self._now, self._state = simulation.array("sensordata"), simulation.live_arrays["state"]
         self._columns = np.array([[sensor.adr[0] for sensor in row] for row in sensors])
         self._samples = np.array([[sample_columns(model, sensor.name) for sensor in row] for row in sensors])
-        self._sample_times = np.array([[time_columns(model, sensor.name) for sensor in row] for row in sensors])
+        times = np.array([[time_columns(model, sensor.name) for sensor in row] for row in sensors])
+        sensor_count, memory = times[..., 0].size, times.shape[-1]
+        self.part = Touches(
+            self._samples.reshape(sensor_count, memory), times.reshape(sensor_count, memory),
+            self._noted.reshape(simulation.n, sensor_count),
+        )  # fmt: skip
+        """What `Simulation.control_step` notes: contacts in finer steps, which are too many to be recorded."""
 
     def now(self) -> NDArray[np.bool_]:
         """Current contacts, (n, parts, classes)."""
@@ -56,16 +58,7 @@ class ContactSensors:
 
     def since_last_step(self) -> NDArray[np.bool_]:
         """Contacts now, in one of the recorded physics steps, or noted, (n, parts, classes)."""
-        return self.now() | (self._history[:, self._samples] > 0).any(axis=-1) | self._noted
-
-    def note(self, duration: float) -> None:
-        """Note contacts in the finer steps of a `Simulation.step` of `duration` s: they are too many to be recorded."""
-        worlds = np.flatnonzero(self._simulation.refined)
-        if len(worlds):
-            history = self._history[worlds]
-            start = self._time[worlds] - duration - _ROUNDING
-            during = history[:, self._sample_times] > start[:, None, None, None]
-            self._noted[worlds] |= (during & (history[:, self._samples] > 0)).any(axis=-1)
+        return self.now() | (self._state[:, self._samples] > 0).any(axis=-1) | self._noted
 
     def forget(self, ids: WorldIds | None) -> None:
         """Forget what was noted in worlds `ids`, or in all: a control step or an episode begins."""

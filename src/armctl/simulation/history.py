@@ -1,4 +1,4 @@
-"""Where MuJoCo keeps the last samples of a sensor."""
+"""Where MuJoCo keeps things in the state of a world, such as the last samples of a sensor."""
 
 import mujoco
 import numpy as np
@@ -6,12 +6,19 @@ from numpy.typing import NDArray
 
 _HEAD = 2
 """Numbers before the sample times in a sensor's history buffer; the samples follow these."""
+WHOLE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+
+
+def state_column(model: mujoco.MjModel, component: mujoco.mjtState) -> int:
+    """The column of a world's state at which a component begins."""
+    return int(mujoco.mj_stateSize(model, WHOLE & (int(component) - 1)))
 
 
 def time_columns(model: mujoco.MjModel, sensor: str) -> NDArray[np.intp]:
-    """Columns of the times (s) of the samples of a sensor in `MjData.history`, in no particular order."""
+    """Columns of the times (s) of the samples of a sensor in the state, in no particular order."""
     index = model.sensor(sensor).id
-    return int(model.sensor_historyadr[index]) + _HEAD + np.arange(model.sensor_history[index, 0])
+    history = state_column(model, mujoco.mjtState.mjSTATE_HISTORY)
+    return history + int(model.sensor_historyadr[index]) + _HEAD + np.arange(model.sensor_history[index, 0])
 
 
 def sample_columns(model: mujoco.MjModel, sensor: str) -> NDArray[np.intp]:

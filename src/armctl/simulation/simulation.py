@@ -12,12 +12,17 @@ import numpy as np
 from mujoco.batch import MODEL_FIELDS, Batch
 from numpy.typing import NDArray
 
-from armctl.simulation.impacts import CURRENT, Impacts
+from armctl.errors import ConfigurationError
+from armctl.kernels.control_step import Worlds
+from armctl.simulation.control_step import Stepper
+from armctl.simulation.impacts import hard_impact
 from armctl.simulation.threads import usable_threads
 
 Array = NDArray[np.float64]
 WorldIds = NDArray[np.int32]
 
+CURRENT = int(mujoco.mjtStage.mjSTAGE_VEL)
+"""With it, positions, velocities and what depends on them are those of the new state after a step."""
 _BAD = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADQACC) + 1)
 """MuJoCo's warnings of bad positions, velocities and accelerations."""
 
@@ -39,21 +44,32 @@ class Simulation:
         infinite, or no numbers."""
         self.threads = 1 if n == 1 else threads or usable_threads()
         """Threads to step the worlds on."""
-        self._batch = Batch(model, n, nthread=self.threads, persistent=n == 1)  # of many, caches hold states at best
-        self._impacts = None if speed_limits is None else Impacts(self._batch, speed_limits)
+        in_caches = n == 1 and speed_limits is None
+        self._batch = Batch(model, n, nthread=self.threads, persistent=in_caches)
+        self.refined = np.zeros(n, dtype=bool)
+        """(n,) worlds whose last `step` was made in finer steps, after an impact."""
         self._own: dict[str, Array] = {}
-        self._warnings = self._batch.warning[:, _BAD, 1]
-        self._motion = self.array("qpos"), self.array("qvel")
         self._state = self._batch.state
         self._good = self._state.copy()
-        self._any_unstable = False
+        self._stepper: Stepper | None = None
+        if speed_limits is not None:
+            worlds = Worlds(self._state, self._good, self.unstable, self.refined)
+            self._stepper = Stepper(self._batch, self.threads, hard_impact(model, speed_limits), worlds, self._own)
+        self._warnings = self._batch.warning[:, _BAD, 1]
+        self._motion = self.array("qpos"), self.array("qvel")
+        self.any_unstable = False
+        """Whether one of them is."""
+        self._everywhere = np.arange(n, dtype=np.int32)
 
     def array(self, field: str) -> Array:
         """Live (n, ...) array of an `MjData` field: a state to read and write, or an output to read.
 
         Ask for outputs in a constructor: one that is asked for later holds zeros until the next `refresh` or `step`.
         """
-        return np.asarray(self._batch.bind(field))
+        values = np.asarray(self._batch.bind(field))
+        if self._stepper is not None and not np.may_share_memory(values, self._state):
+            self._stepper.add_output(field, values)
+        return values
 
     def per_world(self, field: str) -> Array:
         """Live (n, ...) array of an `MjModel` field, which becomes separate for each world."""
@@ -74,24 +90,19 @@ class Simulation:
         """Recompute the model's constants from the masses, lengths and sizes of each world."""
         self._batch.set_const(ids)
         fields = (field for field in MODEL_FIELDS if not field.startswith("opt."))
-        self._own = {field: values for field in fields if (values := self._batch.expanded(field)) is not None}
+        self._own.update((field, values) for field in fields if (values := self._batch.expanded(field)) is not None)
 
     @property
     def worlds_differ(self) -> bool:
         """Whether worlds have model fields of their own."""
         return bool(self._own)
 
-    @property
-    def refined(self) -> NDArray[np.bool_]:
-        """(n,) worlds whose last `step` was made in finer steps, after an impact."""
-        return np.zeros(self.n, dtype=bool) if self._impacts is None else self._impacts.refined
-
     def reset(self, ids: WorldIds | None = None) -> None:
         """Reset worlds to the first keyframe, or the initial state. Call `refresh` after setting the state."""
         self._batch.reset(ids, keyframe=0 if self.model.nkey else -1, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
         worlds = slice(None) if ids is None else ids
         self.unstable[worlds] = False
-        self._any_unstable = bool(self.unstable.any())
+        self.any_unstable = bool(self.unstable.any())
         self._good[worlds] = self._state[worlds]
 
     def refresh(self, ids: WorldIds | None = None) -> None:
@@ -100,15 +111,29 @@ class Simulation:
 
     def step(self, substeps: int, ids: WorldIds | None = None) -> None:
         """Advance worlds by `substeps` time steps, with outputs of the new state. Unstable worlds stand still."""
-        if self._any_unstable:
-            asked = np.arange(self.n, dtype=np.int32) if ids is None else ids
-            ids = asked[~self.unstable[asked]]
-        if self._impacts is None:
-            self._batch.step(ids, nstep=substeps, stage=CURRENT)
-            self._stop_unstable()
-        elif not self._impacts.step(substeps, ids):
-            self._stop_unstable()
+        if self._stepper is not None:
+            self.control_step(1, substeps, ids)
+            return
+        self._batch.step(self._stable(ids), nstep=substeps, stage=CURRENT)
+        self._stop_unstable()
         np.copyto(self._good, self._state)
+
+    def control_step(self, ticks: int, substeps: int, ids: WorldIds | None = None, **parts: Any) -> None:
+        """Advance worlds with `speed_limits` by `ticks` of `substeps` time steps each, as `step` does for one tick.
+
+        Parts are the `drives`, `samples`, `watch`, `touches` and `moves` of `armctl.simulation.control_step.Stepper`.
+        """
+        if self._stepper is None:
+            raise ConfigurationError("control_step is for simulations with speed_limits of joints")
+        stable = self._stable(ids)
+        self._stepper.step(self._everywhere if stable is None else stable, ticks, substeps, **parts)
+        self.any_unstable = bool(self.unstable.any())
+
+    def _stable(self, ids: WorldIds | None) -> WorldIds | None:
+        if not self.any_unstable:
+            return ids
+        asked = self._everywhere if ids is None else ids
+        return asked[~self.unstable[asked]]
 
     def _stop_unstable(self) -> None:
         """Put worlds that have just become unstable back into their last good state."""
@@ -117,7 +142,7 @@ class Simulation:
             within = [(np.abs(numbers) < mujoco.mjMAXVAL).all(axis=1) for numbers in self._motion]
             bad = (self._warnings.any(axis=1) | ~np.logical_and(*within)) & ~self.unstable
             self.unstable |= bad
-            self._any_unstable = bool(self.unstable.any())
+            self.any_unstable = bool(self.unstable.any())
             self._state[bad] = self._good[bad]
             self._batch.forward(np.flatnonzero(bad).astype(np.int32))
 

@@ -52,22 +52,16 @@ def test_reward_is_minus_one_a_step_and_a_hundred_at_the_goal(robot):
 
 def test_episode_ends_with_the_first_touch_and_the_world_stands_still_there():
     env = gymnasium.make(ENV, tolerance=0.08)
-    task = env.unwrapped.task
-    positions, step = [], task.simulation.step
-
-    def watched_step(*args):
-        step(*args)
-        positions.append(task.arm.end_effector_positions[0].copy())
-
-    task.simulation.step = watched_step
-    between = 0
+    task, between = env.unwrapped.task, 0
     for seed in range(20):
-        positions.clear()
-        steps = list(expert_steps(env, seed))
-        last = steps[-1][0]
-        touched = int((np.linalg.norm(np.array(positions) - last[-3:], axis=1) <= 0.08).argmax())
-        assert np.abs(positions[touched:] - last[:3]).max() < 1e-6
-        between += touched % TICKS != TICKS - 1
+        *before, last = list(expert_steps(env, seed))
+        assert all(np.linalg.norm(step[0][:3] - step[0][-3:]) > 0.08 for step in before)
+        distances = task._watch.distances[:, 0]
+        touched = int((distances <= 0.08).argmax())
+        assert (distances[:touched] > 0.08).all()
+        assert (distances[touched:] == distances[touched]).all()
+        assert distances[touched] == pytest.approx(np.linalg.norm(last[0][:3] - last[0][-3:]), abs=1e-6)
+        between += touched < TICKS - 1
     assert between > 0
 
 

@@ -83,7 +83,7 @@ class BridgeTask(Task):
                 options.progress * (state.previous_distance - state.distance)
             )
         self._contacts = ContactSensors(self.simulation, PARTS, CONTACT_CLASSES)
-        self._furniture = Furniture(self.simulation, options.deck_length, options.blocks, options.walkers)
+        self._furniture = Furniture(self.simulation, options.deck_length, options.blocks, options.walkers, MOVES)
         self._see = make_camera(self.simulation, options) if options.view != "state" else None
         worlds, walkers = np.arange(n, dtype=np.int32), (n, options.walkers)
         self._pedestrians = PedestrianTrajectories(
@@ -170,14 +170,15 @@ class BridgeTask(Task):
 
     def advance(self, ids: Ids | None) -> None:
         """Simulate until the next control step, in worlds `ids` or in all."""
-        worlds = np.arange(len(self._time), dtype=np.int32) if ids is None else ids
-        self._contacts.forget(worlds)
-        for _ in range(MOVES):
-            self._time[worlds] += CONTROL_PERIOD / MOVES
-            self._move_walkers(worlds)
-            self.simulation.step(self.substeps // MOVES, ids)
-            self.joints.take()
-            self._contacts.note(WALKER_PERIOD)
+        self._contacts.forget(ids)
+        for places in self._furniture.moves.places:
+            self._time[slice(None) if ids is None else ids] += CONTROL_PERIOD / MOVES
+            if self.options.walkers:
+                np.copyto(places, self._pedestrians.positions(self._time))
+        self.simulation.control_step(
+            MOVES, self.substeps // MOVES, ids, samples=self.joints.part, touches=self._contacts.part,
+            moves=self._furniture.moves,
+        )  # fmt: skip
 
     def observation_parts(self) -> dict[str, NDArray[np.floating[Any]]]:
         """Pose, velocity and own motion."""

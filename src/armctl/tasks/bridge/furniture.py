@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.kernels.control_step import Moves
 from armctl.simulation import Simulation
 from armctl.tasks.bridge.layout import Layout
 from armctl.tasks.bridge.world import HIDDEN, block_names, segment_names, walker_names
@@ -14,14 +15,17 @@ Array = NDArray[np.float64]
 
 
 class Furniture:
-    """The bodies of barriers, blocks and walkers on bridges of `length` m."""
+    """The bodies of barriers, blocks and walkers on bridges of `length` m; these move some times a control step."""
 
-    def __init__(self, simulation: Simulation, length: float, blocks: int, walkers: int) -> None:
+    def __init__(self, simulation: Simulation, length: float, blocks: int, walkers: int, moves: int) -> None:
         self._positions, self._rotations = (simulation.per_world(name) for name in ("body_pos", "body_quat"))
         self._barriers, self._blocks, self._walkers = (
             np.array([simulation.model.body(name).id for name in names], dtype=int)
             for names in (segment_names(length), block_names(blocks), walker_names(walkers))
         )
+
+        self.moves = Moves(self._walkers.astype(np.intp), np.zeros((moves, simulation.n, walkers, 2)), self._positions)
+        """The walkers in the ticks of `Simulation.control_step`."""
 
     def place(self, ids: Ids, layouts: Sequence[Layout]) -> None:
         """Put barriers and blocks of worlds `ids` where their layouts have them, and walkers on the deck."""

@@ -17,7 +17,7 @@ from armctl.robot_description.joint_profiles import TICK
 from armctl.tasks.reach.observation import FEATURES, HIDDEN, OBSERVATION, Bounds, rotated
 from armctl.tasks.reach.options import ReachOptions, Terms
 from armctl.tasks.reach.potentials import MinimumTimeToMovingTarget
-from armctl.tasks.reach.reach import CONTROL_PERIOD, ReachOutcome, ReachTask, Worlds
+from armctl.tasks.reach.reach import CONTROL_PERIOD, TICKS, ReachOutcome, ReachTask
 from armctl.tasks.reach.state import GOAL_REWARD, STEP_REWARD, ReachState, Term
 from armctl.tasks.task import EachStep, Ids, Once, Potential
 
@@ -98,10 +98,15 @@ class ReachMovingTask(ReachTask):
         self._within_for = np.zeros(n)
         self._errors, self._steps = np.zeros(n), np.zeros(n)
         super().__init__(n, options, threads)
+        self._watch = self._watch._replace(targets=np.zeros((TICKS, n, 3)))
 
     def advance(self, ids: Ids | None) -> None:
         """Simulate until the next control step, in worlds `ids` or in all."""
         super().advance(ids)
+        worlds = slice(None) if ids is None else ids
+        for distances in self._watch.distances:
+            within_for = np.where(distances <= self.options.tolerance, self._within_for + TICK, 0.0)
+            self._within_for[worlds] = within_for[worlds]
         self._errors += np.where(self._steps > 0, self._distances(), 0.0)
         self._steps += (self._steps > 0) | (self._distances() <= self.options.tolerance)
 
@@ -149,12 +154,11 @@ class ReachMovingTask(ReachTask):
             for point in points
         )
 
-    def _on_tick(self, worlds: Worlds) -> None:
-        self._time[worlds] += TICK
-        self._move_targets()
-        super()._on_tick(worlds)
-        within = self._distances() <= self.options.tolerance
-        self._within_for[worlds] = np.where(within, self._within_for + TICK, 0.0)[worlds]
+    def _place_targets(self, ids: Ids | None) -> None:
+        for targets in self._watch.targets:
+            self._time[slice(None) if ids is None else ids] += TICK
+            self._move_targets()
+            np.copyto(targets, self._targets)
 
     def _move_targets(self) -> None:
         angles = self._rates * self._time[:, None, None] + self._phases

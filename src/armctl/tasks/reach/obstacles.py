@@ -18,7 +18,6 @@ from armctl.kinematics.clearance import Clearance
 from armctl.options import options
 from armctl.planning import PathCertificate
 from armctl.robot_description import ArmDescription
-from armctl.robot_description.joint_profiles import TICK
 from armctl.robots.arm import PREFIX, add_collision_pair, build_arm_world, collision_geom
 from armctl.scene import Boxes
 from armctl.simulation.contacts import ContactSensors, add_contact_sensors
@@ -35,7 +34,7 @@ from armctl.tasks.reach.observation import (
 from armctl.tasks.reach.obstacle_layout import BOX_NUMBERS, MOST_OBSTACLES, sample_certified_layout
 from armctl.tasks.reach.options import ReachOptions, Terms
 from armctl.tasks.reach.potentials import PathCostToGo
-from armctl.tasks.reach.reach import CONTROL_PERIOD, ReachOutcome, ReachTask, Worlds
+from armctl.tasks.reach.reach import CONTROL_PERIOD, ReachOutcome, ReachTask
 from armctl.tasks.reach.state import GOAL_REWARD, REWARD, STEP_REWARD, ReachState, Term
 from armctl.tasks.task import Ids, Once, Potential
 
@@ -166,6 +165,7 @@ class ReachObstaclesTask(ReachTask):
             simulation.per_world(name) for name in ("body_pos", "body_quat", "geom_size", "geom_aabb", "geom_rbound")
         )
         self._touches = ContactSensors(simulation, ("arm",), TOUCHED)
+        self._touches_part = self._touches.part
 
     @functools.cached_property
     def _pool(self) -> LayoutPool | None:
@@ -198,10 +198,6 @@ class ReachObstaclesTask(ReachTask):
 
     def _contact(self) -> NDArray[np.bool_]:
         return self.state.collided
-
-    def _on_tick(self, worlds: Worlds) -> None:
-        super()._on_tick(worlds)
-        self._touches.note(TICK)
 
     def _place(self, ids: Ids) -> None:
         """Put the simulated boxes of worlds `ids` where `_boxes` has them."""

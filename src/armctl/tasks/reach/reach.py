@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from armctl.disturbances import ARM
 from armctl.errors import ConfigurationError
-from armctl.kernels.physics import note_nearest
+from armctl.kernels.control_step import Watch, distances_as_observed
 from armctl.kinematics import THOROUGH, ArmModel, MinimumTimeReach, Workspace
 from armctl.robot_description import ArmDescription, load_arm
 from armctl.robot_description.joint_profiles import TICK
@@ -19,6 +19,8 @@ from armctl.robots import Arm, build_arm_world
 from armctl.robots.arm import LARGEST_RELATIVE_MOVE, PREFIX, speed_limits
 from armctl.robots.joints import JointSamples
 from armctl.simulation import Simulation
+from armctl.simulation.control_step import NO_TOUCHES
+from armctl.simulation.impacts import DEPTH
 from armctl.tasks.reach.observation import (
     HIDDEN,
     LENGTH_MARGIN,
@@ -46,11 +48,10 @@ from armctl.tasks.task import (
 Array = NDArray[np.float64]
 
 CONTROL_PERIOD = 0.04
+TICKS = round(CONTROL_PERIOD / TICK)
 """Seconds between control steps: 25 Hz."""
 GOAL_SPACES = "achieved_goal", "desired_goal"
 """End-effector and target, (3,) m each: what a goal-conditioned learner gets beside the observation."""
-
-Worlds = NDArray[np.int32] | slice
 
 
 class ReachOutcome(Outcome):
@@ -94,6 +95,10 @@ class ReachTask(Task):
         self._feasible = np.ones(n, dtype=bool)
         self._action = np.zeros((n, description.dof))
         self._distance, self._nearest = np.zeros(n), np.full(n, np.inf)
+        tip = model.body(PREFIX + description.tip).id
+        stop_within = options.tolerance if self.stops_at_target else -1.0
+        self._watch = Watch(tip, np.zeros((1, n, 3)), stop_within, np.full((TICKS, n), np.inf))
+        self._touches_part = NO_TOUCHES
         self._bind_arrays()
         self.simulation.reset()
         self.simulation.refresh()
@@ -175,16 +180,12 @@ class ReachTask(Task):
 
     def advance(self, ids: Ids | None) -> None:
         """Simulate until the next control step, in worlds `ids` or in all."""
-        ticks, worlds = round(CONTROL_PERIOD / TICK), slice(None) if ids is None else ids
-        self._nearest = np.full_like(self._distance, np.inf)
-        for _ in range(ticks):
-            self.arm.drive()
-            self.simulation.step(self.substeps // ticks, ids)
-            self.joints.take()
-            self._on_tick(worlds)
-            if self.stops_at_target and self._nearest.min() <= self.options.tolerance:
-                outside = self._nearest > self.options.tolerance
-                worlds = ids = np.flatnonzero(outside).astype(np.int32) if ids is None else ids[outside[ids]]
+        self._place_targets(ids)
+        self.simulation.control_step(
+            TICKS, self.substeps // TICKS, ids, drives=self.arm.drives, samples=self.joints.part, watch=self._watch,
+            touches=self._touches_part,
+        )  # fmt: skip
+        self._nearest = self._watch.distances.min(axis=0)
 
     def observation_parts(self) -> dict[str, NDArray[np.floating[Any]]]:
         """The parts of `ReachOptions.parts`, (n, k) each."""
@@ -283,11 +284,11 @@ class ReachTask(Task):
 
     def _bind_arrays(self) -> None:
         """Bind further arrays of the simulation."""
-        self._contacts = self.simulation.array("ncon")
+        self._sensors, self._depth = self.simulation.array("sensordata"), self.simulation.model.sensor(DEPTH).adr[0]
 
     def _contact(self) -> NDArray[np.bool_]:
         """(n,) whether the arm has a forbidden contact."""
-        return np.asarray(self._contacts > 0)
+        return np.asarray(self._sensors[:, self._depth] < 0)
 
     def _sample_episodes(self, ids: Ids, rngs: list[np.random.Generator]) -> None:
         """Sample the random parts of the new episodes of worlds `ids`."""
@@ -302,9 +303,9 @@ class ReachTask(Task):
         else:
             self._targets[world] = self._workspace.sample(rng, clearance=self.options.tolerance)
 
-    def _on_tick(self, worlds: Worlds) -> None:
-        """Called after each tick of the drives in these worlds."""
-        note_nearest(self.arm.end_effector_positions, self._targets, self._nearest)
+    def _place_targets(self, ids: Ids | None) -> None:
+        """Set where the targets are after each tick of the next control step of these worlds."""
+        np.copyto(self._watch.targets[0], self._targets)
 
     def _update_state(self, action: Array) -> None:
         joints, turns = self.arm.joint_positions, self._workspace.model.base_yaw_is_vertical
@@ -324,7 +325,9 @@ class ReachTask(Task):
         )
 
     def _distances(self) -> Array:
-        return np.asarray(_distances(self.arm.end_effector_positions, self._targets))
+        distances = np.empty(self.n)
+        distances_as_observed(self.arm.end_effector_positions, self._targets, distances)
+        return distances
 
 
 def _distances(positions: Array, targets: Array) -> Any:

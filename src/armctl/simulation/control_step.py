@@ -1,0 +1,133 @@
+"""Control steps in compiled code: drives, physics, hard impacts and samples of worlds, some on each thread.
+
+A control step has `ticks`. At the start of each, drives set the commands of motors, and bodies that move by themselves
+are put in their places. In each, the same number of physics steps is made. MuJoCo's own batch makes them no slower, but
+would have to be left and entered again at each tick.
+"""
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, wait
+from typing import Any
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+from numpy.typing import NDArray
+
+from armctl.kernels import control_step as kernel
+from armctl.kernels.control_step import Bench, Drives, HardImpact, Moves, Samples, Touches, Watch, Worlds
+from armctl.kernels.drives import DRIVE
+from armctl.simulation.history import state_column
+
+_BAD = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADQACC) + 1)
+"""MuJoCo's warnings of bad positions, velocities and accelerations."""
+_NONE = np.zeros(0, dtype=np.intp)
+NO_DRIVES = Drives(np.zeros(0, dtype=DRIVE), np.zeros((0, 0)), False, 0.0)
+NO_SAMPLES = Samples(_NONE, np.zeros((0, 0, 0)), np.zeros((0, 0, 0)))
+NO_WATCH = Watch(0, np.zeros((0, 0, 3)), -1.0, np.zeros((0, 0)))
+NO_TOUCHES = Touches(_NONE.reshape(0, 0), _NONE.reshape(0, 0), np.zeros((0, 0), dtype=bool))
+NO_MOVES = Moves(_NONE, np.zeros((0, 0, 0, 2)), np.zeros((0, 0, 3)))
+"""For worlds without drives, samples, targets, touches, or bodies that move by themselves."""
+
+
+class Stepper:
+    """Steps the worlds of a batch on `threads` threads. `own_fields` are the model's fields that each world has."""
+
+    def __init__(
+        self, batch: Batch, threads: int, impact: HardImpact, worlds: Worlds, own_fields: dict[str, NDArray[Any]]
+    ) -> None:
+        self._batch, self._threads, self._impact, self._worlds = batch, threads, impact, worlds
+        self._own_fields = own_fields
+        self._outputs: dict[str, NDArray[Any]] = {}
+        self._process = -1
+        self._pool: ThreadPoolExecutor
+        self._benches: list[Bench] = []
+        self._kept: list[Any] = []
+        self._made_for: tuple[int, int] | None = None
+        self._time = state_column(batch.model, mujoco.mjtState.mjSTATE_TIME)
+
+    def step(
+        self,
+        ids: NDArray[np.int32],
+        ticks: int,
+        substeps: int,
+        drives: Drives = NO_DRIVES,
+        samples: Samples = NO_SAMPLES,
+        watch: Watch = NO_WATCH,
+        touches: Touches = NO_TOUCHES,
+        moves: Moves = NO_MOVES,
+    ) -> None:
+        """Advance worlds `ids` by `ticks` of `substeps` physics steps each, with outputs of the new state."""
+        worlds, timestep = self._worlds, self._batch.model.opt.timestep
+        worlds.refined[:] = False
+        run: Callable[..., None] = kernel.control_steps
+        parts = worlds, self._impact, drives, samples, watch, touches, moves, self._time, timestep
+        benches = self._current_benches()
+        if len(benches) == 1 or len(ids) == 1:
+            run(ids, ticks, substeps, benches[0], *parts)
+            return
+        shares = np.array_split(ids, len(benches))
+        running = [
+            self._others().submit(run, share, ticks, substeps, bench, *parts)
+            for share, bench in zip(shares[1:], benches[1:], strict=True)
+        ]
+        try:
+            run(shares[0], ticks, substeps, benches[0], *parts)
+        finally:
+            wait(running)
+        for one in running:
+            one.result()
+
+    def add_output(self, field: str, values: NDArray[Any]) -> None:
+        """Fill `values` (n, ...) with a field of `MjData` from now on."""
+        self._outputs[field] = values
+
+    def _others(self) -> ThreadPoolExecutor:
+        """Threads of this process: a fork has none of its parent's."""
+        if self._process != os.getpid():
+            self._process, self._pool = os.getpid(), ThreadPoolExecutor(self._threads - 1)
+        return self._pool
+
+    def _current_benches(self) -> list[Bench]:
+        made_for = len(self._own_fields), len(self._outputs)
+        if made_for != self._made_for:
+            self._made_for, self._kept = made_for, []
+            self._benches = [self._make_bench() for _ in range(self._threads)]
+        return self._benches
+
+    def _make_bench(self) -> Bench:
+        model, finer = self._batch.get_model(0), self._batch.get_model(0)
+        finer.opt.timestep /= self._impact.steps
+        data = mujoco.MjData(model)
+        self._kept += [model, finer, data]
+        own = [
+            (_address(values), values[0].nbytes, *(_address(_field(one, name)) for one in (model, finer)))
+            for name, values in self._own_fields.items()
+        ]
+        outputs = [(_address(getattr(data, name)), out[0].nbytes, _address(out)) for name, out in self._outputs.items()]
+        return Bench(
+            model=model._address,
+            finer=finer._address,
+            data=data._address,
+            qpos=data.qpos,
+            qvel=data.qvel,
+            act=data.act,
+            ctrl=data.ctrl,
+            torques=data.qfrc_actuator,
+            sensors=data.sensordata,
+            places=data.xpos,
+            warnings=data.warning.number[_BAD],
+            body_places=(model.body_pos, finer.body_pos),
+            own_fields=np.array(own, dtype=np.intp).reshape(-1, 4),
+            outputs=np.array(outputs, dtype=np.intp).reshape(-1, 3),
+        )
+
+
+def _field(model: mujoco.MjModel, name: str) -> NDArray[Any]:
+    holder, _, field = name.rpartition(".")
+    return np.asarray(getattr(model.opt if holder else model, field))
+
+
+def _address(values: NDArray[Any]) -> int:
+    return int(values.ctypes.data)

@@ -1,0 +1,70 @@
+"""Control steps in compiled code are those of `mujoco.batch`, bit for bit."""
+
+import gymnasium
+import numpy as np
+import pytest
+
+from .batch_steps import BatchSteps
+
+SMALL = {"resolution": (8, 6)}
+CASES = [
+    ("ArmReach-v0", {"control": "position"}),
+    ("ArmReach-v0", {"control": "relative", "robot": "ur10"}),
+    ("ArmReach-v0", {"control": "torque"}),
+    ("ArmReach-v0", {"disturbances": {"payload": 2.0, "mismatch": 0.05, "pushes": 1.0}}),
+    ("ArmReachMoving-v0", {"control": "velocity"}),
+    ("ArmReachObstacles-v0", {"control": "delta", "solvable": False}),
+    ("BridgeCross-v0", SMALL),
+    ("BridgeCrossMoving-v0", SMALL | {"disturbances": {"friction": 0.6}}),
+]
+
+
+def same(ours, theirs):
+    if isinstance(ours, dict):
+        assert ours.keys() == theirs.keys()
+        for name in ours:
+            same(ours[name], theirs[name])
+    elif isinstance(ours, tuple):
+        for one, other in zip(ours, theirs, strict=True):
+            same(one, other)
+    else:
+        assert np.array_equal(ours, theirs, equal_nan=True)
+
+
+def worlds(env, n, threads, options):
+    made = gymnasium.make_vec(f"armctl/{env}", num_envs=n, threads=threads, **options)
+    return made, made.unwrapped.task
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize(("env", "options"), CASES)
+def test_all_that_happens_is_the_same(env, options, threads):
+    (ours, task), (theirs, other) = (worlds(env, 5, threads, options) for _ in range(2))
+    BatchSteps.take_over(other.simulation)
+    ours.reset(seed=2)
+    theirs.reset(seed=2)
+    ours.action_space.seed(2)
+    hit = False
+    for k in range(60):
+        actions = ours.action_space.sample()
+        if k == 40:
+            for simulation in (task.simulation, other.simulation):
+                simulation.array("qvel")[3] = 1e200
+        same(ours.step(actions), theirs.step(actions))
+        same(dict(task.simulation.live_arrays), dict(other.simulation.live_arrays))
+        assert np.array_equal(task.simulation.refined, other.simulation.refined)
+        hit |= task.simulation.refined.any()
+        running = ~ours.unwrapped._finished
+        samples = (one.joints.since_last_step()[:, :, running] for one in (task, other))
+        same(*samples)
+        assert task.simulation.unstable[3] == (k == 40)
+    assert hit
+
+
+def test_a_fork_makes_its_own_threads(monkeypatch):
+    _, task = worlds("ArmReach-v0", 8, 2, {})
+    stepper = task.simulation._stepper
+    threads = stepper._others()
+    assert stepper._others() is threads
+    monkeypatch.setattr("os.getpid", lambda: -5)
+    assert stepper._others() is not threads
