@@ -2,15 +2,19 @@
 
     python benchmarks/throughput.py [--env armctl/BridgeCross-v0] [--worlds 256] [--seconds 5]
 
-All run the same physics, with random actions. Raw is a loop over `mj_step` on all cores at once, or on one, with
-nothing observed or rewarded; all that the environment adds, such as a camera, is in its own figure. The contenders
-take turns, and shares are medians over the rounds, so that a busy machine slows all alike.
+All with random actions. Raw is a loop over `mj_step` on all cores at once, or on one, from the states and with the
+motors' commands of such episodes, with nothing observed or rewarded; all that the environment adds, such as a camera,
+is in its own figure. Environments repeat the ticks in which something was hit hard in finer steps: a second raw loop
+makes as many, and is the same physics. The contenders take turns, and shares are medians over the rounds, so that a
+busy machine slows all alike.
 """
 
+import copy
 import os
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 
 import gymnasium
 import mujoco
@@ -25,6 +29,7 @@ from stable_baselines3.common.vec_env import SubprocVecEnv
 
 import armctl
 from armctl.shaping import Shaped, potential_names
+from armctl.simulation.impacts import FINER
 
 ROUNDS = 7
 EPISODE = 100
@@ -34,39 +39,62 @@ Contender = Callable[[float], float]
 """Runs for about that many seconds, and gives physics steps per second."""
 
 
-def raw(env: str, threads: int) -> Contender:
-    """`mj_step` on `threads` threads, a decision at a time, along commands that were worked out before."""
-    task = gymnasium.make(env).unwrapped.task
-    model, substeps, commands = task.simulation.model, task.substeps, recorded_commands(env)
+@dataclass(frozen=True)
+class Recording:
+    """Episodes of random actions, decision by decision, in some worlds: (decisions, worlds, ...) each."""
+
+    states: np.ndarray
+    """At the decisions."""
+    fields: dict[str, np.ndarray]
+    """Of models, where worlds have their own."""
+    commands: np.ndarray
+    """What the motors are told."""
+    refined: np.ndarray
+    """Ticks of the drives that are repeated in finer steps."""
+
+    @classmethod
+    def of(cls, env: str, worlds: int = 32) -> "Recording":
+        """Play the first episodes of `worlds` worlds."""
+        made = gymnasium.make_vec(env, num_envs=worlds)
+        made.reset(seed=0)
+        made.action_space.seed(0)
+        simulation, rows = made.unwrapped.task.simulation, []
+        ctrl = simulation.array("ctrl")
+        for _ in range(EPISODE):
+            live = {name: values.copy() for name, values in simulation.live_arrays.items()}
+            made.step(made.action_space.sample())
+            rows.append(live | {"ctrl": ctrl.copy(), "refined": simulation.refined.copy()})
+        stacked = {name: np.stack([row[name] for row in rows]) for name in rows[0] if name != "unstable"}
+        return cls(stacked.pop("state"), commands=stacked.pop("ctrl"), refined=stacked.pop("refined"), fields=stacked)
+
+
+def raw(env: str, threads: int, finer: bool) -> Contender:
+    """`mj_step` on `threads` threads, from the states and along the commands of a recording, a decision at a time."""
+    task, played = gymnasium.make(env).unwrapped.task, Recording.of(env)
+    fine_steps = finer * FINER * played.refined * (task.substeps // len(task.joints.part.speeds))
 
     def loop(seconds: float) -> float:
+        model, fine_model = copy.copy(task.simulation.model), copy.copy(task.simulation.model)
+        fine_model.opt.timestep /= FINER
         data, decisions, end = mujoco.MjData(model), 0, time.perf_counter() + seconds
         while time.perf_counter() < end:
-            episode, step = divmod(decisions, EPISODE)
-            if step == 0:
-                mujoco.mj_resetDataKeyframe(model, data, 0)
-            data.ctrl[:] = commands[episode % len(commands), step]
-            mujoco.mj_step(model, data, nstep=substeps)
+            world, step = divmod(decisions, EPISODE)
+            now = step, world % played.states.shape[1]
+            for name, values in played.fields.items():
+                getattr(model, name)[: len(values[now])] = values[now]
+            mujoco.mj_setState(model, data, played.states[now], mujoco.mjtState.mjSTATE_INTEGRATION)
+            data.ctrl[:] = played.commands[now]
+            mujoco.mj_step(model, data, nstep=task.substeps)
+            if count := fine_steps[now]:
+                mujoco.mj_step(fine_model, data, nstep=count)
             decisions += 1
-        return decisions * substeps / seconds
+        return decisions * task.substeps / seconds
 
     def run(seconds: float) -> float:
         with ThreadPoolExecutor(threads) as pool:
             return sum(pool.map(loop, [seconds] * threads))
 
     return run
-
-
-def recorded_commands(env: str, episodes: int = 256) -> np.ndarray:
-    """What the motors are told (episodes, 100, nu) in episodes of random actions."""
-    worlds = gymnasium.make_vec(env, num_envs=episodes)
-    worlds.reset(seed=0)
-    worlds.action_space.seed(0)
-    ctrl, rows = worlds.unwrapped.task.simulation.array("ctrl"), []
-    for _ in range(EPISODE):
-        worlds.step(worlds.action_space.sample())
-        rows.append(ctrl.copy())
-    return np.stack(rows, axis=1)
 
 
 def timed(step: Callable[[int], object], physics_steps: int) -> Contender:
@@ -119,16 +147,19 @@ def subprocesses(env: str, worlds: int) -> Contender:
 def main(env: str = armctl.DEFAULT_ENV, worlds: int = 256, seconds: float = 3.0) -> None:
     """Measure, and print a table."""
     cores = len(os.sched_getaffinity(0))
-    subprocess_name = f"Stable-Baselines3's `SubprocVecEnv`, {cores} processes"
-    all_cores, one_core = f"raw `mj_step`, {cores} threads", "raw `mj_step`, 1 thread"
     oracles = potential_names(gymnasium.make_vec(env, num_envs=1).unwrapped)
+    bare, refined = {}, {}
+    for threads, label in ((cores, f"{cores} threads"), (1, "1 thread")):
+        bare[threads], refined[threads] = f"raw `mj_step`, {label}", f"raw with finer steps, {label}"
     contenders = {
-        all_cores: (raw(env, cores), all_cores),
-        f"`gym.make_vec`, {worlds} worlds": (batched(env, worlds), all_cores),
-        **{f"the same, shaped by `{oracle}`": (batched(env, worlds, oracle), all_cores) for oracle in oracles},
-        subprocess_name: (subprocesses(env, cores), all_cores),
-        one_core: (raw(env, 1), one_core),
-        "`gym.make`": (single(env), one_core),
+        bare[cores]: (raw(env, cores, False), cores),
+        refined[cores]: (raw(env, cores, True), cores),
+        f"`gym.make_vec`, {worlds} worlds": (batched(env, worlds), cores),
+        **{f"the same, shaped by `{oracle}`": (batched(env, worlds, oracle), cores) for oracle in oracles},
+        f"Stable-Baselines3's `SubprocVecEnv`, {cores} processes": (subprocesses(env, cores), cores),
+        bare[1]: (raw(env, 1, False), 1),
+        refined[1]: (raw(env, 1, True), 1),
+        "`gym.make`": (single(env), 1),
     }
     rates: dict[str, list[float]] = {name: [] for name in contenders}
     for _ in track(range(ROUNDS), console=Console(stderr=True), transient=True):
@@ -143,14 +174,18 @@ def main(env: str = armctl.DEFAULT_ENV, worlds: int = 256, seconds: float = 3.0)
         "control steps/s",
         "times real time",
         "of raw",
+        "of raw with finer steps",
         title=title,
         title_justify="left",
         box=MARKDOWN,
     )
-    for name, (_, reference) in contenders.items():
+    for name, (_, threads) in contenders.items():
         rate = float(np.median(rates[name]))
-        share = float(np.median(np.array(rates[name]) / np.array(rates[reference])))
-        table.add_row(name, f"{rate:,.0f}", f"{rate / substeps:,.0f}", f"{rate * timestep:,.0f}", f"{share:.0%}")
+        shares = [
+            f"{np.median(np.divide(rates[name], rates[reference])):.0%}"
+            for reference in (bare[threads], refined[threads])
+        ]
+        table.add_row(name, f"{rate:,.0f}", f"{rate / substeps:,.0f}", f"{rate * timestep:,.0f}", *shares)
     Console().print(table)
 
 

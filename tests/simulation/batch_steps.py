@@ -35,7 +35,7 @@ class BatchSteps:
         moves=NO_MOVES,
     ):  # fmt: skip
         """As `Stepper.step`."""
-        worlds, fields, refined = self._worlds, self._fields, np.zeros(len(self._worlds.refined), dtype=bool)
+        worlds, fields, refined = self._worlds, self._fields, np.zeros(len(self._worlds.refined), dtype=int)
         standing = np.ones(len(refined), dtype=bool)
         standing[ids] = False
         for k in range(ticks):
@@ -50,12 +50,12 @@ class BatchSteps:
                 )  # fmt: skip
             start = fields["time"].copy()
             self.tick(substeps, going)
-            hit = np.flatnonzero(worlds.refined & ~worlds.unstable)
+            hit = np.flatnonzero((worlds.refined > 0) & ~worlds.unstable)
             late = worlds.state[hit[:, None, None], touches.times] > start[hit, None, None] - ROUNDING
             touching = worlds.state[hit[:, None, None], touches.samples] > 0
             if touches.noted.size:
                 touches.noted[hit] |= (late & touching).any(axis=-1)
-            refined |= worlds.refined
+            refined += worlds.refined
             standing |= worlds.unstable
             if samples.speeds.size:
                 samples.speeds[k, ids] = fields["qvel"][ids][:, samples.dofs]
@@ -73,7 +73,7 @@ class BatchSteps:
         worlds, before = self._worlds, self._worlds.state.copy()
         self.batch.warning[:] = 0
         self.batch.step(ids, nstep=substeps, stage=CURRENT)
-        worlds.refined[:] = False
+        worlds.refined[:] = 0
         worlds.refined[ids] = ~self._usual()[ids]
         hit = np.flatnonzero(worlds.refined).astype(np.int32)
         if len(hit):

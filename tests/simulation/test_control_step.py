@@ -1,8 +1,12 @@
 """Control steps in compiled code are those of `mujoco.batch`, bit for bit."""
 
 import gymnasium
+import mujoco
 import numpy as np
 import pytest
+
+from armctl.errors import ConfigurationError
+from armctl.simulation import Simulation
 
 from .batch_steps import BatchSteps
 
@@ -61,10 +65,23 @@ def test_all_that_happens_is_the_same(env, options, threads):
     assert hit
 
 
+def test_it_needs_limits_to_speeds():
+    model = mujoco.MjModel.from_xml_string("<mujoco/>")
+    with pytest.raises(ConfigurationError, match="speed_limits"):
+        Simulation(model, 2).control_step(1, 1)
+
+
+def test_no_world_is_as_good_as_some():
+    _, task = worlds("ArmReach-v0", 3, 2, {})
+    before = task.simulation.live_arrays["state"].copy()
+    task.advance(np.zeros(0, dtype=np.int32))
+    assert np.array_equal(task.simulation.live_arrays["state"], before)
+
+
 def test_a_fork_makes_its_own_threads(monkeypatch):
     _, task = worlds("ArmReach-v0", 8, 2, {})
     stepper = task.simulation._stepper
-    threads = stepper._others()
-    assert stepper._others() is threads
+    threads = stepper._threads_of_process()
+    assert stepper._threads_of_process() is threads
     monkeypatch.setattr("os.getpid", lambda: -5)
-    assert stepper._others() is not threads
+    assert stepper._threads_of_process() is not threads

@@ -189,9 +189,7 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
             truncated[restart] = False
             for earned in terms.values():
                 earned[restart] = 0.0
-        self._check_terms(terms)
-        weighted = (self.reward_weights.get(name, 1.0) * earned for name, earned in terms.items())
-        rewards = self.reward_scale * sum(weighted, start=np.zeros(self.num_envs))
+        rewards = self._rewards(terms)
         finished = terminated | truncated
         infos = self._infos(np.where(finished, outcome, RUNNING), terms)
         for observer in self.observers:
@@ -284,9 +282,16 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
             if name not in self._earned_names:
                 raise unknown_name("reward term", name, self._earned_names)
 
-    def _check_terms(self, terms: RewardTerms) -> None:
-        if np.abs([*terms.values()]).max(initial=0.0) <= LARGEST_REWARD:
-            return
+    def _rewards(self, terms: RewardTerms) -> Array:
+        """The weighted sums of the terms. Raises `EnvironmentFailed` if one is too large, or no number."""
+        earned = np.array([*terms.values()]).reshape(len(terms), self.num_envs)
+        if not np.abs(earned).max(initial=0.0) <= LARGEST_REWARD:
+            self._refuse(terms)
+        if self.reward_weights:
+            earned *= np.array([[self.reward_weights.get(name, 1.0)] for name in terms])
+        return self.reward_scale * sum(earned, start=np.zeros(self.num_envs))
+
+    def _refuse(self, terms: RewardTerms) -> None:
         for name, earned in terms.items():
             if not (fine := np.abs(earned) <= LARGEST_REWARD).all():
                 i = int(np.flatnonzero(~fine)[0])

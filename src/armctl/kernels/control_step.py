@@ -56,8 +56,8 @@ class Worlds(NamedTuple):
     good: Array
     """(n, k) the last state in which all numbers were finite."""
     unstable: NDArray[np.bool_]
-    refined: NDArray[np.bool_]
-    """(n,) whether a tick of the last control step was repeated in finer steps."""
+    refined: NDArray[np.int32]
+    """(n,) how many ticks of the last control step were repeated in finer steps."""
 
 
 class HardImpact(NamedTuple):
@@ -269,7 +269,7 @@ def control_steps(
             _copy(field, first + world * size, size)
             _copy(finer_field, first + world * size, size)
         _set_state(bench.model, bench.data, row.ctypes.data, STATE)
-        worlds.refined[world], standing, moving = False, False, len(moves.bodies) > 0
+        worlds.refined[world], standing, moving = 0, False, len(moves.bodies) > 0
         for k in range(ticks):
             if not standing:
                 if moving:
@@ -280,7 +280,7 @@ def control_steps(
                     drives.following_error, timestep * substeps,
                 )  # fmt: skip
                 hit, stable = tick(bench, impact, row, before, good, substeps, k > 0 and not moving)
-                worlds.refined[world] |= hit
+                worlds.refined[world] += hit
                 worlds.unstable[world] = standing = not stable
                 if hit and stable:
                     note_touches(touches, world, row, start - ROUNDING)

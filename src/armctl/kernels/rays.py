@@ -12,6 +12,8 @@ from armctl.kernels.compiling import compiled
 
 PLANE, SPHERE, CYLINDER, CAPSULE, BOX, POLYTOPE = range(6)
 NONE = np.inf
+NEAR = 1e-6
+"""m: what is nearer to the camera along its axis is not looked for."""
 
 
 @compiled
@@ -130,34 +132,39 @@ def hit(kind, size, faces, origin, direction):
 
 
 @compiled
-def seen_rectangle(kind, aabb, turn, origin, pixel, rows, columns):
+def seen_rectangle(kind, aabb, turn, origin, pixel, rows, columns, corners):
     """Rows and columns of the pixels whose rays can hit a shape, first and last plus one, by its bounding box.
 
-    `turn` (3, 3) leads from the camera's frame to the shape's, and `origin` (3,) is the camera in the latter.
+    `turn` (3, 3) leads from the camera's frame to the shape's, and `origin` (3,) is the camera in the latter. There is
+    room for `corners` (8, 3).
     """
     if kind == PLANE:
         return 0, rows, 0, columns
-    left = bottom = np.inf
-    right = top = -np.inf
-    behind = 0
-    point = np.empty(3)
     for corner in range(8):
-        x = y = z = 0.0
+        for j in range(3):
+            corners[corner, j] = 0.0
         for i in range(3):
             sign = 1.0 if (corner >> i) & 1 else -1.0
-            point[i] = aabb[i] + sign * aabb[3 + i] - origin[i]
-            x += turn[i, 0] * point[i]
-            y += turn[i, 1] * point[i]
-            z += turn[i, 2] * point[i]
-        if z > -1e-3:
-            behind += 1
+            place = aabb[i] + sign * aabb[3 + i] - origin[i]
+            for j in range(3):
+                corners[corner, j] += turn[i, j] * place
+    left = bottom = np.inf
+    right = top = -np.inf
+    for corner in range(8):
+        x, y, z = corners[corner, 0], corners[corner, 1], corners[corner, 2]
+        if z > -NEAR:
             continue
         left, right = min(left, -x / z), max(right, -x / z)
         bottom, top = min(bottom, -y / z), max(top, -y / z)
-    if behind == 8:
+        for i in range(3):
+            other = corners[corner ^ (1 << i)]
+            if other[2] > -NEAR:
+                share = (-NEAR - z) / (other[2] - z)
+                across, up = (x + share * (other[0] - x)) / NEAR, (y + share * (other[1] - y)) / NEAR
+                left, right = min(left, across), max(right, across)
+                bottom, top = min(bottom, up), max(top, up)
+    if left > right:
         return 0, 0, 0, 0
-    if behind:
-        return 0, rows, 0, columns
     first_row = max(0, math.ceil(rows / 2 - 0.5 - top / pixel - 1e-6))
     last_row = min(rows, math.floor(rows / 2 - 0.5 - bottom / pixel + 1e-6) + 1)
     first_column = max(0, math.ceil(left / pixel + columns / 2 - 0.5 - 1e-6))
@@ -174,7 +181,7 @@ def cast(shapes, sizes, aabbs, faces, positions, rotations, camera, camera_rotat
     """
     rows, columns = depths.shape
     depths[:], hits[:] = np.inf, -1
-    turn, origin, direction = np.empty((3, 3)), np.empty(3), np.empty(3)
+    turn, origin, direction, corners = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty((8, 3))
     for kind, geom, first, last in shapes:
         for i in range(3):
             origin[i] = 0.0
@@ -183,7 +190,7 @@ def cast(shapes, sizes, aabbs, faces, positions, rotations, camera, camera_rotat
                 turn[i, j] = 0.0
                 for k in range(3):
                     turn[i, j] += rotations[geom, 3 * k + i] * camera_rotation[3 * k + j]
-        top, bottom, left, right = seen_rectangle(kind, aabbs[geom], turn, origin, pixel, rows, columns)
+        top, bottom, left, right = seen_rectangle(kind, aabbs[geom], turn, origin, pixel, rows, columns, corners)
         for row in range(top, bottom):
             for column in range(left, right):
                 ray = rays[row, column]

@@ -1,8 +1,9 @@
 """Control steps in compiled code: drives, physics, hard impacts and samples of worlds, some on each thread.
 
 A control step has `ticks`. At the start of each, drives set the commands of motors, and bodies that move by themselves
-are put in their places. In each, the same number of physics steps is made. MuJoCo's own batch makes them no slower, but
-would have to be left and entered again at each tick.
+are put in their places. In each, the same number of physics steps is made. MuJoCo's own batch makes these no slower,
+but would have to be left and entered again at each tick. Unlike the batch, an error that MuJoCo itself holds to be
+fatal, such as too little memory for a model's contacts, ends the process here.
 """
 
 import os
@@ -23,6 +24,8 @@ from armctl.simulation.history import state_column
 _BAD = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADQACC) + 1)
 """MuJoCo's warnings of bad positions, velocities and accelerations."""
 _NONE = np.zeros(0, dtype=np.intp)
+SHARES = 4
+"""Shares of the worlds for each thread: those that are done sooner take more."""
 NO_DRIVES = Drives(np.zeros(0, dtype=DRIVE), np.zeros((0, 0)), False, 0.0)
 NO_SAMPLES = Samples(_NONE, np.zeros((0, 0, 0)), np.zeros((0, 0, 0)))
 NO_WATCH = Watch(0, np.zeros((0, 0, 3)), -1.0, np.zeros((0, 0)))
@@ -60,31 +63,33 @@ class Stepper:
     ) -> None:
         """Advance worlds `ids` by `ticks` of `substeps` physics steps each, with outputs of the new state."""
         worlds, timestep = self._worlds, self._batch.model.opt.timestep
-        worlds.refined[:] = False
+        worlds.refined[:] = 0
         run: Callable[..., None] = kernel.control_steps
         parts = worlds, self._impact, drives, samples, watch, touches, moves, self._time, timestep
-        benches = self._current_benches()
-        if len(benches) == 1 or len(ids) == 1:
-            run(ids, ticks, substeps, benches[0], *parts)
+        first, *others = self._current_benches()[: max(1, len(ids))]
+        if not others:
+            run(ids, ticks, substeps, first, *parts)
             return
-        shares = np.array_split(ids, len(benches))
-        running = [
-            self._others().submit(run, share, ticks, substeps, bench, *parts)
-            for share, bench in zip(shares[1:], benches[1:], strict=True)
-        ]
+        shares = iter(np.array_split(ids, SHARES * (1 + len(others))))
+
+        def work(bench: Bench) -> None:
+            for share in shares:
+                run(share, ticks, substeps, bench, *parts)
+
+        working = [self._threads_of_process().submit(work, bench) for bench in others]
         try:
-            run(shares[0], ticks, substeps, benches[0], *parts)
+            work(first)
         finally:
-            wait(running)
-        for one in running:
+            wait(working)
+        for one in working:
             one.result()
 
     def add_output(self, field: str, values: NDArray[Any]) -> None:
         """Fill `values` (n, ...) with a field of `MjData` from now on."""
         self._outputs[field] = values
 
-    def _others(self) -> ThreadPoolExecutor:
-        """Threads of this process: a fork has none of its parent's."""
+    def _threads_of_process(self) -> ThreadPoolExecutor:
+        """The other threads: a fork has none of its parent's."""
         if self._process != os.getpid():
             self._process, self._pool = os.getpid(), ThreadPoolExecutor(self._threads - 1)
         return self._pool
@@ -100,6 +105,7 @@ class Stepper:
         model, finer = self._batch.get_model(0), self._batch.get_model(0)
         finer.opt.timestep /= self._impact.steps
         data = mujoco.MjData(model)
+        data.warning.number[:] = 1  # of those that have come before, MuJoCo prints nothing
         self._kept += [model, finer, data]
         own = [
             (_address(values), values[0].nbytes, *(_address(_field(one, name)) for one in (model, finer)))

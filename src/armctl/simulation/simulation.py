@@ -46,8 +46,8 @@ class Simulation:
         """Threads to step the worlds on."""
         in_caches = n == 1 and speed_limits is None
         self._batch = Batch(model, n, nthread=self.threads, persistent=in_caches)
-        self.refined = np.zeros(n, dtype=bool)
-        """(n,) worlds whose last `step` was made in finer steps, after an impact."""
+        self.refined = np.zeros(n, dtype=np.int32)
+        """(n,) ticks of the last `control_step`, or 1 for `step`, that were made in finer steps, after an impact."""
         self._own: dict[str, Array] = {}
         self._state = self._batch.state
         self._good = self._state.copy()
