@@ -35,9 +35,10 @@ def forward(joints, q, rotations, origins):
             for j in range(3):
                 turn[i, j] = joint.base[i, j] + sine * joint.sine[i, j] + versine * joint.versine[i, j]
         if k == 0:
-            copy_to(joint.offset, origins[0])
             for i in range(3):
-                copy_to(turn[i], rotations[0, i])
+                origins[0, i] = joint.offset[i]
+                for j in range(3):
+                    rotations[0, i, j] = turn[i, j]
             continue
         for i in range(3):
             x, y, z = rotations[k - 1, i]

@@ -44,7 +44,7 @@ def _cache_folder() -> Path | None:
 _FOLDER = _cache_folder()
 
 
-@compiled
+@numba.njit(inline="always")
 def copy_to(values, out):
     """`out[:] = values`, (k,) each. Compiling that line takes seconds, because of NumPy's errors."""
     for i in range(len(out)):
