@@ -119,6 +119,19 @@ def test_ctrl_c_leaves_a_dataset_of_the_finished_episodes_and_the_same_command_r
     assert same_dataset(out, uninterrupted)
 
 
+def test_an_interrupt_between_keeping_and_counting_loses_nothing(tmp_path, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as during:
+        during.setattr(Unfinished, "_count", interrupted)
+        counted = Unfinished.count_again
+        during.setattr(Unfinished, "count_again", lambda unfinished: (during.undo(), counted(unfinished)))
+        collection = collect("random", episodes=3, out=tmp_path / "one-v0", env_options=SHORT)
+    assert collection.interrupted
+    assert collection.episodes == len(read_demonstrations(tmp_path / "one-v0", worlds())) == 1
+
+
 @pytest.mark.parametrize("limit", [2_000, 100_000], ids=["an episode does not fit", "the dataset does not fit"])
 def test_a_full_disk_is_told_in_a_line_and_the_same_command_resumes(uninterrupted, limit, tmp_path):
     """A limit on the size of files stands for the disk: what crosses it fails as on a full one."""

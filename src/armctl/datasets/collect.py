@@ -107,6 +107,7 @@ def collect(
                         progress(len(unfinished.outcomes))
             except KeyboardInterrupt:
                 collection.interrupted = True
+                unfinished.count_again()
             except (PolicyFailed, EnvironmentFailed) as error:
                 failure = error
             finally:

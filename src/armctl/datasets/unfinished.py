@@ -33,8 +33,7 @@ class Unfinished:
         self.steps = self.successes = 0
         if (folder / _IDENTITY).exists():
             check_same(folder / _IDENTITY, identity, folder)
-            for path in sorted(folder.glob("episode_*.npz")):
-                self._find(path)
+            self.count_again()
         try:
             folder.mkdir(parents=True, exist_ok=True)
             write_atomically(folder / _IDENTITY, sealed(identity))
@@ -51,6 +50,12 @@ class Unfinished:
         except OSError as error:
             raise self.not_written(error) from error
         self._count(number, outcome, episode)
+
+    def count_again(self) -> None:
+        """Count what is in the folder: an interrupt may have come after an episode was kept, and before it counted."""
+        self.outcomes, self.steps, self.successes = {}, 0, 0
+        for path in sorted(self.folder.glob("episode_*.npz")):
+            self._find(path)
 
     def read(self, number: int) -> Demonstration:
         """A finished episode."""
