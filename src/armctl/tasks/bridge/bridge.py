@@ -3,6 +3,7 @@
 To change the reward, see `REWARD` and `BridgeOptions`.
 """
 
+import functools
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
@@ -11,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.disturbances import ROVER
-from armctl.robots.joints import JointSamples
 from armctl.robots.rover import MAX_VELOCITY, PARTS, PREFIX, RADIUS, SPEED_LIMITS, WHEEL_RADIUS, Rover
 from armctl.scene import BridgeMap, PedestrianTrajectories
 from armctl.simulation import ContactSensors, Simulation
 from armctl.tasks.bridge.furniture import Furniture
 from armctl.tasks.bridge.layout import Layout, sample_layout
-from armctl.tasks.bridge.observation import FASTEST_MOTION, full_state, make_camera, observation_space
+from armctl.tasks.bridge.observation import FASTEST_MOTION, See, horizon_directions, full_state, make_camera, observation_space
 from armctl.tasks.bridge.options import CONTROL_PERIOD, WALKER_PERIOD, BridgeMovingOptions, BridgeOptions
+from armctl.tasks.bridge.planar import PlanarRover
 from armctl.tasks.bridge.potentials import CrossingCostToGo
 from armctl.tasks.bridge.state import BridgeState
 from armctl.tasks.bridge.world import CONTACT_CLASSES, GOAL_MARGIN, WALKER_RADIUS, build_bridge_world
@@ -64,7 +65,6 @@ class BridgeTask(Task):
     }  # fmt: skip
     potentials: ClassVar[Mapping[str, Callable[[Any], Potential]]] = {**Task.potentials, "ompl": CrossingCostToGo}
     render_fps = round(1 / CONTROL_PERIOD)
-    joints: JointSamples
 
     def __init__(self, n: int, options: BridgeOptions, threads: int = 0) -> None:
         self.options = options
@@ -74,8 +74,6 @@ class BridgeTask(Task):
             options.size, options.field_of_view,
         )  # fmt: skip
         super().__init__(Simulation(model, n, threads, SPEED_LIMITS), CONTROL_PERIOD)
-        self.rover = Rover(self.simulation)
-        self.joints = self.rover.wheel_samples(MOVES, CONTROL_PERIOD)
         self.goal_x = options.deck_length - GOAL_MARGIN
         self.reward_functions = dict(options.reward)
         if options.progress:
@@ -84,7 +82,8 @@ class BridgeTask(Task):
             )
         self._contacts = ContactSensors(self.simulation, PARTS, CONTACT_CLASSES)
         self._furniture = Furniture(self.simulation, options.deck_length, options.blocks, options.walkers, MOVES)
-        self._see = make_camera(self.simulation, options) if options.view != "state" else None
+        self.rover = self._make_rover()
+        self._see = self._make_camera()
         worlds, walkers = np.arange(n, dtype=np.int32), (n, options.walkers)
         self._pedestrians = PedestrianTrajectories(
             np.zeros((*walkers, 2)), np.zeros((*walkers, 2)), np.zeros(walkers), np.zeros(walkers), WALKER_RADIUS
@@ -113,6 +112,11 @@ class BridgeTask(Task):
             "observation": {"camera": "camera and motion"}.get(self.options.view, self.options.view),
             "camera": f"{self.options.camera} {width} x {height}, {self.options.field_of_view:g} degrees{seen}",
         }
+
+    @property
+    def physical(self) -> bool:
+        """Whether there is physics, which masses, friction and pushes change."""
+        return self.options.dynamics == "physics"
 
     @property
     def payload_body(self) -> str:
@@ -151,16 +155,21 @@ class BridgeTask(Task):
         for i, layout in zip(ids, layouts, strict=True):
             self._layouts[i] = layout
         self._furniture.place(ids, layouts)
+        if isinstance(self.rover, PlanarRover):
+            self.rover.place(ids, layouts)
         for name in ("start", "end", "speed", "phase"):
             getattr(self._pedestrians, name)[ids] = [getattr(layout.map.pedestrians, name) for layout in layouts]
 
     def _begin(self, ids: Ids) -> None:
         self._time[ids] = 0.0
         self._move_walkers(ids)
-        self.simulation.refresh(ids)
+        if isinstance(self.rover, PlanarRover):
+            self.rover.begin(ids)
+        else:
+            self.simulation.refresh(ids)
         self._action[ids] = 0.0
         self._distance[ids] = self.goal_x - self.rover.poses[ids, 0]
-        self._update_state(self._contacts.since_last_step())
+        self._update_state()
 
     def command(self, actions: Array) -> None:
         """Command linear and angular velocities (n, 2), m/s and rad/s."""
@@ -175,6 +184,11 @@ class BridgeTask(Task):
             self._time[slice(None) if ids is None else ids] += CONTROL_PERIOD / MOVES
             if self.options.walkers:
                 np.copyto(places, self._pedestrians.positions(self._time))
+        if isinstance(self.rover, PlanarRover):
+            self.rover.drive(ids)
+            self._furniture.move_walkers(self.rover.worlds, places)
+            return
+        assert self.joints is not None
         self.simulation.control_step(
             MOVES, self.substeps // MOVES, ids, samples=self.joints.part, touches=self._contacts.part,
             moves=self._furniture.moves,
@@ -192,11 +206,12 @@ class BridgeTask(Task):
             return full_state(self.state, blocks, self._pedestrians)[worlds]
         if self.options.view == "image":
             return self._see(ids)
-        return {"image": self._see(ids), "motion": self._motion().astype(np.float32)[worlds]}
+        seen = "ranges" if self.options.view == "ranges" else "image"
+        return {seen: self._see(ids), "motion": self._motion().astype(np.float32)[worlds]}
 
     def reward_terms(self) -> RewardTerms:
         """The terms of `BridgeOptions.reward`."""
-        self._update_state(self._contacts.since_last_step())
+        self._update_state()
         return {name: np.array(term(self.state), dtype=float) for name, term in self.reward_functions.items()}
 
     def outcome(self) -> NDArray[np.int8]:
@@ -228,7 +243,7 @@ class BridgeTask(Task):
 
     def motion(self) -> MotionSample:
         """The rovers' motion. Forbidden contacts: with barriers and obstacles, and of the base with the floor."""
-        samples = self.joints.since_last_step()
+        samples = None if self.joints is None else self.joints.since_last_step()
         return MotionSample(self.rover.positions.copy(), self.state.poses, self.state.collided, samples)
 
     def least_clearance(self, world: int, configurations: Array) -> float:
@@ -250,7 +265,22 @@ class BridgeTask(Task):
         if self.options.walkers:
             self._furniture.move_walkers(worlds, self._pedestrians.positions(self._time)[worlds])
 
-    def _update_state(self, contacts: NDArray[np.bool_]) -> None:
+    def _make_rover(self) -> Rover:
+        if self.options.dynamics == "kinematic":
+            return PlanarRover(self.simulation, self.options, self._furniture.moves.places)
+        rover = Rover(self.simulation)
+        self.joints = rover.wheel_samples(MOVES, CONTROL_PERIOD)
+        return rover
+
+    def _make_camera(self) -> See | None:
+        if self.options.view == "state":
+            return None
+        if not isinstance(self.rover, PlanarRover):
+            return make_camera(self.simulation, self.options)
+        return functools.partial(self.rover.scan, horizon_directions(self.options), self.options.camera_range)
+
+    def _update_state(self) -> None:
+        contacts = self.rover.contacts() if isinstance(self.rover, PlanarRover) else self._contacts.since_last_step()
         label = {name: i for i, name in enumerate(CONTACT_CLASSES)}
         poses = self.rover.poses
         base_on_floor = contacts[:, PARTS.index("base"), label["floor"]]

@@ -40,4 +40,4 @@ class Furniture:
 
     def move_walkers(self, ids: Ids, places: Array) -> None:
         """Put the walkers of worlds `ids` at `places` (len(ids), walkers, 2), m."""
-        self._positions[ids[:, None], self._walkers, :2] = places
+        self.moves.places[:, ids] = self._positions[ids[:, None], self._walkers, :2] = places

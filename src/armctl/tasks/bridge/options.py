@@ -33,9 +33,12 @@ class BridgeOptions:
     """Person-sized obstacles that walk across and along the bridge."""
     missing_barriers: Annotated[int, Field(ge=0, le=100)] = 1
     """Jersey barriers that are missing, different ones in each episode: there, the deck has an open edge."""
-    observation: Literal["paper", "features", "full", "camera", "image", "state"] = "paper"
+    dynamics: Literal["physics", "kinematic"] = "physics"
+    """`kinematic`: without MuJoCo, for training. Dozens of times as fast; see `armctl.tasks.bridge.planar`."""
+    observation: Literal["paper", "features", "full", "camera", "image", "state", "ranges"] = "paper"
     """`paper` or `camera`: a dict of `image` and own `motion`. `features`: the same, with depths as nearness, from 0 at
-    infinity to 1. `image`: the image alone. `full` or `state`: pose, velocity and surroundings."""
+    infinity to 1. `image`: the image alone. `full` or `state`: pose, velocity and surroundings. `ranges`: a dict of
+    `ranges`, the least depth in each column of the depth camera just above the horizon, and `motion`."""
     camera: Literal["depth", "classes", "rgb"] = "depth"
     """`depth` (m, along the optical axis), `classes` (an index into `PIXEL_CLASSES`) or `rgb` (needs OpenGL)."""
     resolution: Annotated[tuple[Side, Side] | None, Strict(False)] = None
@@ -56,7 +59,7 @@ class BridgeOptions:
 
     @property
     def view(self) -> str:
-        """What is observed: `camera`, `features`, `image` or `state`."""
+        """What is observed: `camera`, `features`, `image`, `ranges` or `state`."""
         return {"paper": "camera", "full": "state"}.get(self.observation, self.observation)
 
     @property
@@ -68,6 +71,12 @@ class BridgeOptions:
         if self.observation == "features" and self.camera != "depth":
             raise ConfigurationError(
                 f"observation='features' shows depths: it needs camera='depth', not {self.camera!r}"
+            )
+        if self.observation == "ranges" and (self.camera, self.image_format) != ("depth", "float"):
+            raise ConfigurationError("observation='ranges' needs camera='depth' and image_format='float'")
+        if self.dynamics == "kinematic" and self.view not in ("state", "ranges"):
+            raise ConfigurationError(
+                f"dynamics='kinematic' has no images: observation is 'state' or 'ranges', not {self.observation!r}"
             )
         chunks = WALKER_PERIOD / self.timestep
         if abs(chunks - round(chunks)) > 1e-6:

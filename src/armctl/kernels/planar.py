@@ -1,0 +1,183 @@
+"""A rover on a bridge as a drawing from above, without physics: see `armctl.tasks.bridge.planar`.
+
+Blocks are rows (k, 6): centre x and y, cosine and sine of the yaw, half length and half width, m. The rover's outline
+is made of rectangles (m, 2), half lengths and half widths, m. `barriers` (2, s) says of each segment of the left and
+the right side whether a barrier stands there.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.kernels.compiling import compiled
+
+Array = NDArray[np.float64]
+
+FREE, BARRIER, OBSTACLE = 0, 1, 2
+
+
+class Deck(NamedTuple):
+    """Sizes that all bridges share, m."""
+
+    length: float
+    half_width: float
+    """Between the barriers' feet."""
+    walker_radius: float
+
+
+class Scenes(NamedTuple):
+    """What stands and walks on n bridges."""
+
+    blocks: Array
+    """(n, k, 6)."""
+    barriers: NDArray[np.bool_]
+    """(n, 2, segments): left and right."""
+    walkers: Array
+    """(n, w, 2) m."""
+
+
+class Drive(NamedTuple):
+    """How rovers follow commands: limits of linear (m/s^2) and angular acceleration (rad/s^2)."""
+
+    linear: float
+    angular: float
+
+
+@compiled
+def towards(value, goal, most):
+    """A value, moved towards a goal by at most so much."""
+    return value + min(max(goal - value, -most), most)
+
+
+@compiled
+def barrier_at(barriers, length, side, x):
+    """Whether a barrier stands at x on a side, 0 or 1."""
+    segments = barriers.shape[1]
+    i = int(math.floor(x / length * segments))
+    return 0 <= i < segments and barriers[side, i]
+
+
+@compiled
+def apart(x, y, cos, sin, half_x, half_y, block):
+    """Whether a rectangle at x, y is apart from a block: whether one of their four axes separates them."""
+    dx, dy = block[0] - x, block[1] - y
+    cross, dot = abs(cos * block[3] - sin * block[2]), abs(cos * block[2] + sin * block[3])
+    if abs(dx * cos + dy * sin) > half_x + block[4] * dot + block[5] * cross:
+        return True
+    if abs(dy * cos - dx * sin) > half_y + block[4] * cross + block[5] * dot:
+        return True
+    if abs(dx * block[2] + dy * block[3]) > block[4] + half_x * dot + half_y * cross:
+        return True
+    return abs(dy * block[2] - dx * block[3]) > block[5] + half_x * cross + half_y * dot
+
+
+@compiled
+def touched(deck, blocks, barriers, walkers, x, y, yaw, outline):
+    """What a rover at a pose touches: `FREE`, `BARRIER` (blocks too, as in MuJoCo's model) or `OBSTACLE`."""
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    for half_x, half_y in outline:
+        for ahead in (-half_x, half_x):
+            for left in (-half_y, half_y):
+                corner_y = y + ahead * sin + left * cos
+                if abs(corner_y) > deck.half_width:
+                    side = 0 if corner_y > 0 else 1
+                    if barrier_at(barriers, deck.length, side, x + ahead * cos - left * sin):
+                        return BARRIER
+        for k in range(len(blocks)):
+            if not apart(x, y, cos, sin, half_x, half_y, blocks[k]):
+                return BARRIER
+        for k in range(len(walkers)):
+            dx, dy = walkers[k, 0] - x, walkers[k, 1] - y
+            beyond_x = max(abs(dx * cos + dy * sin) - half_x, 0.0)
+            beyond_y = max(abs(dy * cos - dx * sin) - half_y, 0.0)
+            if beyond_x * beyond_x + beyond_y * beyond_y < deck.walker_radius * deck.walker_radius:
+                return OBSTACLE
+    return FREE
+
+
+@compiled
+def drive(ids, deck, scenes, limits, outline, places, period, commands, poses, velocities, contacts):
+    """Drive rovers at `poses` (n, 3) with `velocities` (n, 2) for one control step of `period` s.
+
+    `places` (ticks, n, w, 2) are the walkers' in the ticks. A rover stops where it touches something, which `contacts`
+    (n,) tell.
+    """
+    ticks = len(places)
+    tick = period / ticks
+    for i in ids:
+        contacts[i] = FREE
+        for k in range(ticks):
+            linear = towards(velocities[i, 0], commands[i, 0], limits.linear * tick)
+            angular = towards(velocities[i, 1], commands[i, 1], limits.angular * tick)
+            yaw = poses[i, 2] + angular * tick / 2
+            poses[i, 0] += linear * math.cos(yaw) * tick
+            poses[i, 1] += linear * math.sin(yaw) * tick
+            poses[i, 2] = (poses[i, 2] + angular * tick + math.pi) % (2 * math.pi) - math.pi
+            velocities[i, 0], velocities[i, 1] = linear, angular
+            x, y, yaw = poses[i, 0], poses[i, 1], poses[i, 2]
+            contacts[i] = touched(deck, scenes.blocks[i], scenes.barriers[i], places[k, i], x, y, yaw, outline)
+            if contacts[i] != FREE:
+                break
+
+
+@compiled
+def to_block(x, y, dx, dy, block):
+    """Length of a ray, in lengths of its direction, to a block; infinite if it misses."""
+    ox, oy = x - block[0], y - block[1]
+    ax, ay = ox * block[2] + oy * block[3], oy * block[2] - ox * block[3]
+    bx, by = dx * block[2] + dy * block[3], dy * block[2] - dx * block[3]
+    enter, leave = -np.inf, np.inf
+    for start, along, half in ((ax, bx, block[4]), (ay, by, block[5])):
+        if abs(along) < 1e-12:
+            if abs(start) > half:
+                return np.inf
+        else:
+            first, second = (-half - start) / along, (half - start) / along
+            enter, leave = max(enter, min(first, second)), min(leave, max(first, second))
+    return max(enter, 0.0) if enter <= leave and leave >= 0 else np.inf
+
+
+@compiled
+def to_disc(x, y, dx, dy, centre, radius):
+    """The same for a disc."""
+    ox, oy = x - centre[0], y - centre[1]
+    a, b, c = dx * dx + dy * dy, ox * dx + oy * dy, ox * ox + oy * oy - radius * radius
+    if c <= 0:
+        return 0.0
+    discriminant = b * b - a * c
+    if discriminant < 0 or b > 0:
+        return np.inf
+    return (-b - math.sqrt(discriminant)) / a
+
+
+@compiled
+def to_side(deck, barriers, x, y, dx, dy, half_width):
+    """The same for the barriers along both sides, at `half_width` from the middle of the deck."""
+    if abs(dy) < 1e-12:
+        return np.inf
+    distance = (math.copysign(half_width, dy) - y) / dy
+    side = 0 if dy > 0 else 1
+    return distance if distance >= 0 and barrier_at(barriers, deck.length, side, x + distance * dx) else np.inf
+
+
+@compiled
+def scan(ids, deck, scenes, half_width, mount, directions, farthest, poses, out):
+    """Ranges (len(ids), columns) from `mount` m before the rovers' centres, in lengths of `directions` (columns, 2).
+
+    Directions are m ahead and to the left. Barriers are at `half_width` m from the middle of the deck.
+    """
+    for j in range(len(ids)):
+        i = ids[j]
+        cos, sin = math.cos(poses[i, 2]), math.sin(poses[i, 2])
+        x, y = poses[i, 0] + mount * cos, poses[i, 1] + mount * sin
+        for c in range(len(directions)):
+            ahead, left = directions[c]
+            dx, dy = ahead * cos - left * sin, ahead * sin + left * cos
+            nearest = min(farthest, to_side(deck, scenes.barriers[i], x, y, dx, dy, half_width))
+            for k in range(scenes.blocks.shape[1]):
+                nearest = min(nearest, to_block(x, y, dx, dy, scenes.blocks[i, k]))
+            for k in range(scenes.walkers.shape[1]):
+                nearest = min(nearest, to_disc(x, y, dx, dy, scenes.walkers[i, k], deck.walker_radius))
+            out[j, c] = nearest

@@ -1,0 +1,140 @@
+"""The bridge without physics: a rover that follows its commands within limits of acceleration, drawn from above.
+
+It is for training: dozens of times as fast as MuJoCo, and near enough that what is learnt here works there. Wheels do not
+skid, nothing topples, and the rover stops at the first contact.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.kernels import planar as kernel
+from armctl.robots.rover import MAX_VELOCITY, PARTS, WHEEL_RADIUS, Rover
+from armctl.simulation import Simulation
+from armctl.tasks.bridge.layout import Layout
+from armctl.tasks.bridge.options import CONTROL_PERIOD, BridgeOptions
+from armctl.tasks.bridge.world import CONTACT_CLASSES, GOAL_MARGIN, JERSEY_PROFILE, WALKER_RADIUS, segment_names
+from armctl.tasks.task import Ids
+
+Array = NDArray[np.float64]
+
+ACCELERATION = kernel.Drive(linear=6.0, angular=12.0)
+"""m/s^2 and rad/s^2: what MuJoCo's rover does on the asphalt, rounded."""
+OUTLINE = np.array([[0.254, 0.155], [0.229, 0.208]])
+"""m: half length and half width of the base, and of all wheels together."""
+WHEEL_PLACES = np.array([[0.131, 0.188], [0.131, -0.188], [-0.131, 0.188], [-0.131, -0.188]])
+"""m: ahead and to the left of the centre, in the order of `armctl.robots.rover.WHEELS`."""
+GOAL_HALF_LENGTH = 0.15
+"""m: half the length of the goal line's chequered field."""
+SEEN_BEHIND_FOOT = 0.08
+"""m: so far behind a barrier's foot is, at the camera's height, the convex hull that MuJoCo makes of the barrier."""
+MOUNT = 0.215
+"""m: the camera is so far ahead of the rover's centre."""
+
+
+class PlanarRover(Rover):
+    """n rovers without physics. Their poses are in the simulation's `qpos`, where pictures find them."""
+
+    def __init__(self, simulation: Simulation, options: BridgeOptions, walkers: Array) -> None:
+        """`walkers` (ticks, n, w, 2) m is a live array of the walkers' positions in each control step's ticks."""
+        super().__init__(simulation)
+        n, self._options = simulation.n, options
+        self._walkers = walkers
+        self._poses, self._velocities, self._commands = np.zeros((n, 3)), np.zeros((n, 2)), np.zeros((n, 2))
+        half_width = options.deck_width / 2 - 2 * JERSEY_PROFILE[0][0]
+        self._deck = kernel.Deck(options.deck_length, half_width, WALKER_RADIUS)
+        segments = len(segment_names(options.deck_length)) // 2
+        self._scenes = kernel.Scenes(
+            np.zeros((n, options.blocks, 6)), np.ones((n, 2, segments), dtype=bool), walkers[-1]
+        )
+        self._touched = np.zeros(n, dtype=np.int64)
+        self.worlds = np.arange(n, dtype=np.int32)
+
+    def place(self, ids: Ids, layouts: list[Layout]) -> None:
+        """Put rovers `ids` at the start of bridges with these layouts."""
+        for i, layout in zip(ids, layouts, strict=True):
+            x, y, yaw, *sizes = layout.map.blocks.T
+            self._scenes.blocks[i] = np.column_stack((x, y, np.cos(yaw), np.sin(yaw), *sizes))
+            self._scenes.barriers[i] = True
+            self._scenes.barriers[i, layout.missing % 2, layout.missing // 2] = False
+
+    def begin(self, ids: Ids) -> None:
+        """Rovers `ids` stand where the simulation has put them."""
+        self._poses[ids] = super().poses[ids]
+        self._velocities[ids] = self._commands[ids] = 0.0
+        self._touched[ids] = kernel.FREE
+
+    def command(self, velocities: Array) -> None:
+        """Set linear and angular velocities (n, 2), m/s and rad/s, clipped to `MAX_VELOCITY`."""
+        self._commands = np.clip(velocities, -MAX_VELOCITY, MAX_VELOCITY)
+
+    def drive(self, ids: Ids | None) -> None:
+        """Drive for one control step, in worlds `ids` or in all."""
+        ids = self.worlds if ids is None else ids
+        kernel.drive(
+            ids, self._deck, self._scenes, ACCELERATION, OUTLINE, self._walkers, CONTROL_PERIOD,
+            self._commands, self._poses, self._velocities, self._touched,
+        )  # fmt: skip
+        x, y, yaw = self._poses.T
+        first = self._pose_columns.start
+        self._qpos[:, first], self._qpos[:, first + 1] = x, y
+        self._qpos[:, first + 3], self._qpos[:, first + 6] = np.cos(yaw / 2), np.sin(yaw / 2)
+
+    def scan(self, directions: Array, farthest: float, ids: Ids | None) -> NDArray[np.float32]:
+        """Ranges (n, columns), at most `farthest`, in lengths of `directions` (columns, 2): m ahead and to the left."""
+        ids = self.worlds if ids is None else ids
+        ranges = np.empty((len(ids), len(directions)), dtype=np.float32)
+        half_width = self._deck.half_width + SEEN_BEHIND_FOOT
+        kernel.scan(ids, self._deck, self._scenes, half_width, MOUNT, directions, farthest, self._poses, ranges)
+        return ranges
+
+    def contacts(self) -> NDArray[np.bool_]:
+        """Contacts since the last control step, (n, `PARTS`, `CONTACT_CLASSES`); collisions are all the base's."""
+        classes = list(CONTACT_CLASSES)
+        contacts = np.zeros((len(self._poses), len(PARTS), len(classes)), dtype=bool)
+        contacts[:, 1:, classes.index("floor")] = True
+        contacts[:, 0, classes.index("barrier")] = self._touched == kernel.BARRIER
+        contacts[:, 0, classes.index("obstacle")] = self._touched == kernel.OBSTACLE
+        ahead = self._wheel_positions()[..., 0] >= self._options.deck_length - GOAL_MARGIN - GOAL_HALF_LENGTH
+        contacts[:, 1:, classes.index("goal")] = ahead
+        return contacts
+
+    @property
+    def poses(self) -> Array:
+        """x, y (m) and yaw (rad), (n, 3)."""
+        return self._poses.copy()
+
+    @property
+    def positions(self) -> Array:
+        """Positions of the bases, (n, 3) m."""
+        return np.column_stack((self._poses[:, :2], np.full(len(self._poses), WHEEL_RADIUS)))
+
+    @property
+    def velocities(self) -> Array:
+        """Forward velocity (m/s) and yaw rate (rad/s), (n, 2)."""
+        return self._velocities.copy()
+
+    @property
+    def odometry(self) -> Array:
+        """Linear (m/s) and angular velocity (rad/s), (n, 2): wheels that speed up are ahead of the rover."""
+        return (self._velocities + self._commands) / 2
+
+    @property
+    def gyro(self) -> Array:
+        """Angular velocity, (n, 3) rad/s."""
+        rates = np.zeros((len(self._poses), 3))
+        rates[:, 2] = self._velocities[:, 1]
+        return rates
+
+    @property
+    def wheel_heights(self) -> Array:
+        """Heights of the wheel centres, (n, 4) m: 0 beyond the edges of the deck."""
+        beside = np.abs(self._wheel_positions()[..., 1]) > self._options.deck_width / 2
+        return np.where(beside, 0.0, WHEEL_RADIUS)
+
+    def _wheel_positions(self) -> Array:
+        """(n, 4, 2) m."""
+        cos, sin = np.cos(self._poses[:, 2])[:, None], np.sin(self._poses[:, 2])[:, None]
+        ahead, left = WHEEL_PLACES.T
+        turned = np.stack((ahead * cos - left * sin, ahead * sin + left * cos), axis=-1)
+        return self._poses[:, None, :2] + turned
+
