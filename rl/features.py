@@ -11,6 +11,7 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, Combine
 
 from armctl.errors import unknown_name
 from armctl.registration import import_attribute
+from armctl.rl.bridge_scans import Surroundings
 from armctl.tasks.reach import observation_sizes
 from armctl.tasks.reach.obstacle_layout import BOX_NUMBERS
 
@@ -116,6 +117,7 @@ FEATURES: dict[str, type[BaseFeaturesExtractor]] = {
     "reach": ReachFeatures,
     "base_yaw_invariant": BaseYawInvariantFeatures,
     "inverse_depth": InverseDepthFeatures,
+    "surroundings": Surroundings,
 }
 
 

@@ -41,6 +41,10 @@ def _observes_numbers(task: Disturbable) -> bool:
     return all(isinstance(part, gymnasium.spaces.Box) for part in parts)
 
 
+def _has_physics(task: Disturbable) -> bool:
+    return getattr(task, "physical", True)
+
+
 def _acts_by_numbers(task: Disturbable) -> bool:
     return isinstance(task.action_space, gymnasium.spaces.Box)
 
@@ -81,17 +85,22 @@ ROVER: dict[str, DisturbanceSpec] = {
     "noise": DisturbanceSpec(Noise, "sensor noise, standard deviation", "m, m/s, rad/s", (0, 0.05, 0.1, 0.2, 0.5), 10),
     "delay": DisturbanceSpec(Delay, "late actions", "control steps of 100 ms", (0, 1, 2, 3, 5), 100, whole=True),
     "payload": DisturbanceSpec(
-        functools.partial(Payload, offset=ON_TOP), "a ball on top", "kg", (0, 5, 10, 20, 40), 100
+        functools.partial(Payload, offset=ON_TOP), "a ball on top", "kg", (0, 5, 10, 20, 40), 100,
+        applies=_has_physics,
     ),
-    "friction": Share(Slipperiness, "friction of the tyres", "left", (1, 0.75, 0.5, 0.25, 0.1)),
-    "strength": Share(Strength, "torque of the motors", "left", (1, 0.8, 0.6, 0.4, 0.2)),
+    "friction": Share(
+        Slipperiness, "friction of the tyres", "left", (1, 0.75, 0.5, 0.25, 0.1), applies=_has_physics
+    ),
+    "strength": Share(
+        Strength, "torque of the motors", "left", (1, 0.8, 0.6, 0.4, 0.2), applies=_has_physics
+    ),
     "pushes": DisturbanceSpec(
         functools.partial(Pushes, horizontal=True), "pushes at the base, about one a second", "N s",
-        (0, 5, 10, 20, 40), LARGEST_ROVER_PUSH,
+        (0, 5, 10, 20, 40), LARGEST_ROVER_PUSH, applies=_has_physics,
     ),
     "mismatch": DisturbanceSpec(
         WheelMismatch, "largest error of the model's wheel radii and base mass", "share", (0, 0.02, 0.05, 0.1, 0.2),
-        LARGEST_MISMATCH,
+        LARGEST_MISMATCH, applies=_has_physics,
     ),
     "dropout": GENERIC["dropout"],
 }  # fmt: skip

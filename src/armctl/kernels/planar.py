@@ -55,7 +55,7 @@ def towards(value, goal, most):
 def barrier_at(barriers, length, side, x):
     """Whether a barrier stands at x on a side, 0 or 1."""
     segments = barriers.shape[1]
-    i = int(math.floor(x / length * segments))
+    i = math.floor(x / length * segments)
     return 0 <= i < segments and barriers[side, i]
 
 

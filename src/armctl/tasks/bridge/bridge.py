@@ -17,7 +17,14 @@ from armctl.scene import BridgeMap, PedestrianTrajectories
 from armctl.simulation import ContactSensors, Simulation
 from armctl.tasks.bridge.furniture import Furniture
 from armctl.tasks.bridge.layout import Layout, sample_layout
-from armctl.tasks.bridge.observation import FASTEST_MOTION, See, horizon_directions, full_state, make_camera, observation_space
+from armctl.tasks.bridge.observation import (
+    FASTEST_MOTION,
+    See,
+    full_state,
+    horizon_directions,
+    make_camera,
+    observation_space,
+)
 from armctl.tasks.bridge.options import CONTROL_PERIOD, WALKER_PERIOD, BridgeMovingOptions, BridgeOptions
 from armctl.tasks.bridge.planar import PlanarRover
 from armctl.tasks.bridge.potentials import CrossingCostToGo
@@ -125,7 +132,14 @@ class BridgeTask(Task):
 
     @property
     def learner_view(self) -> LearnerView:
-        """Features: inverse depths."""
+        """Features: inverse depths, or scans of what is around the rover in a state."""
+        options = self.options
+        if options.view == "state":
+            half_width = self.map(0).half_width
+            sizes = {"half_width": half_width, "goal_x": self.goal_x, "radius": WALKER_RADIUS}
+            return LearnerView(
+                features=FeatureSpec("surroundings", {"blocks": options.blocks, "walkers": options.walkers, **sizes})
+            )
         depth = self.options.view == "camera" and self.options.camera == "depth"
         return LearnerView(features=FeatureSpec("inverse_depth") if depth else None)
 

@@ -1,7 +1,7 @@
 """The bridge without physics: a rover that follows its commands within limits of acceleration, drawn from above.
 
-It is for training: dozens of times as fast as MuJoCo, and near enough that what is learnt here works there. Wheels do not
-skid, nothing topples, and the rover stops at the first contact.
+It is for training: dozens of times as fast as MuJoCo, and near enough that what is learnt here works there. Wheels do
+not skid, nothing topples, and the rover stops at the first contact.
 """
 
 import numpy as np
@@ -136,5 +136,4 @@ class PlanarRover(Rover):
         cos, sin = np.cos(self._poses[:, 2])[:, None], np.sin(self._poses[:, 2])[:, None]
         ahead, left = WHEEL_PLACES.T
         turned = np.stack((ahead * cos - left * sin, ahead * sin + left * cos), axis=-1)
-        return self._poses[:, None, :2] + turned
-
+        return np.asarray(self._poses[:, None, :2] + turned)

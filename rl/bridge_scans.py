@@ -1,0 +1,98 @@
+"""What a bridge's state looks like from the rover: distances in all directions, now and where people will be."""
+
+import math
+
+import torch
+from gymnasium import spaces
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+
+BEAMS = 48
+AHEAD = (0.0, 0.4, 0.8, 1.2)
+"""s: times at which people are predicted, as if they walked on straight."""
+NEAR = 0.5
+"""m: nearness is NEAR / (NEAR + distance)."""
+FAR = 1e3
+"""m: what is not hit."""
+FLAT = 1e-6
+OWN, BLOCK, WALKER = 6, 5, 4
+"""Numbers of the observation for the rover itself, for each block and for each walker."""
+
+
+class Surroundings(BaseFeaturesExtractor):
+    """Scans of `BEAMS` directions around the rover, from an observed state (`full_state` of the bridge tasks).
+
+    One scan is of what stands still, one more of people for each time `AHEAD`; to them come the rover's own pose and
+    velocities. Without the future ones, the same networks win far fewer episodes among people.
+    """
+
+    def __init__(
+        self, observation_space: spaces.Box, blocks: int, walkers: int, half_width: float, goal_x: float, radius: float
+    ) -> None:
+        scans = 1 + (len(AHEAD) if walkers else 0)
+        super().__init__(observation_space, OWN + scans * BEAMS)
+        self.parts = [1] * OWN + [BLOCK * blocks, WALKER * walkers]
+        self.half_width, self.goal_x, self.radius = half_width, goal_x, radius
+        angles = torch.arange(BEAMS) * (2 * math.pi / BEAMS)
+        self.register_buffer("cosines", angles.cos())
+        self.register_buffer("sines", angles.sin())
+
+    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+        """Features (n, k) of states (n, m)."""
+        x, y, cos, sin, speed, turn, blocks, walkers = observations.split(self.parts, dim=1)
+        beams_x = cos * self.cosines - sin * self.sines
+        beams_y = sin * self.cosines + cos * self.sines
+        standing = self._to_sides(y, beams_y)
+        if blocks.shape[1]:
+            to_blocks = distances_to_blocks(x, y, beams_x, beams_y, blocks.unflatten(1, (-1, BLOCK)))
+            standing = torch.minimum(standing, to_blocks)
+        scans = [nearness(standing)]
+        if walkers.shape[1]:
+            people = walkers.unflatten(1, (-1, WALKER))
+            for time in AHEAD:
+                places = people[..., :2] + time * people[..., 2:]
+                scans.append(nearness(distances_to_discs(x, y, beams_x, beams_y, places, self.radius)))
+        own = (0.1 * (self.goal_x - x), y / self.half_width, cos, sin, speed, turn)
+        return torch.cat((*own, *scans), dim=1)
+
+    def _to_sides(self, y: torch.Tensor, beams_y: torch.Tensor) -> torch.Tensor:
+        distances = (self.half_width - y * beams_y.sign()) / beams_y.abs().clamp(min=FLAT)
+        return distances.clamp(0.0, FAR)
+
+
+def nearness(distances: torch.Tensor) -> torch.Tensor:
+    """From 1 at a distance (m) of 0 to 0 at infinity."""
+    return NEAR / (NEAR + distances)
+
+
+def distances_to_blocks(
+    x: torch.Tensor, y: torch.Tensor, beams_x: torch.Tensor, beams_y: torch.Tensor, blocks: torch.Tensor
+) -> torch.Tensor:
+    """Distances (n, beams) m from points x, y (n, 1) to the nearest of blocks (n, k, 5) in each direction."""
+    centre_x, centre_y, yaw, *half_sizes = blocks[:, None].unbind(-1)
+    cos, sin = yaw.cos(), yaw.sin()
+    from_x, from_y = x[..., None] - centre_x, y[..., None] - centre_y
+    to_x, to_y = beams_x[..., None], beams_y[..., None]
+    starts = (from_x * cos + from_y * sin, from_y * cos - from_x * sin)
+    directions = (to_x * cos + to_y * sin, to_y * cos - to_x * sin)
+    enters, leaves = [], []
+    for start, direction, half in zip(starts, directions, half_sizes, strict=True):
+        steady = torch.where(direction.abs() < FLAT, torch.full_like(direction, FLAT), direction)
+        first, second = (-half - start) / steady, (half - start) / steady
+        enters.append(torch.minimum(first, second))
+        leaves.append(torch.maximum(first, second))
+    enter, leave = torch.maximum(*enters), torch.minimum(*leaves)
+    hit = (enter <= leave) & (leave >= 0)
+    return torch.where(hit, enter.clamp(0.0, FAR), torch.full_like(enter, FAR)).amin(dim=-1)
+
+
+def distances_to_discs(
+    x: torch.Tensor, y: torch.Tensor, beams_x: torch.Tensor, beams_y: torch.Tensor, centres: torch.Tensor, radius: float
+) -> torch.Tensor:
+    """The same for discs with centres (n, k, 2)."""
+    to_x, to_y = (centres[:, None] - torch.stack((x, y), dim=-1)[:, None]).unbind(-1)
+    along = to_x * beams_x[..., None] + to_y * beams_y[..., None]
+    across = to_x * beams_y[..., None] - to_y * beams_x[..., None]
+    half_chord = (radius * radius - across * across).clamp(min=0.0).sqrt()
+    hit = (across.abs() < radius) & (along + half_chord > 0)
+    distances = (along - half_chord).clamp(0.0, FAR)
+    return torch.where(hit, distances, torch.full_like(distances, FAR)).amin(dim=-1)

@@ -1,0 +1,42 @@
+import numpy as np
+import torch
+
+from armctl.envs import make_worlds
+from armctl.kernels import planar
+from armctl.rl.bridge_scans import AHEAD, BEAMS, NEAR, OWN, Surroundings
+from armctl.rl.view import view_of
+from armctl.tasks.bridge.world import WALKER_RADIUS
+
+MOVING = "armctl/BridgeCrossMoving-v0"
+
+
+def test_scans_are_those_of_the_map_and_of_people_who_walk_on():
+    n = 20
+    worlds = make_worlds(MOVING, n, {"observation": "state", "dynamics": "kinematic"})
+    worlds.reset(seed=3)
+    for _ in range(10):
+        states = worlds.step(np.tile((1.2, 0.1), (n, 1)))[0]
+    view = view_of(worlds)
+    assert view.features is Surroundings
+    features = view.features(worlds.single_observation_space, **view.features_options)(torch.as_tensor(states)).numpy()
+    task = worlds.task
+    angles = np.arange(BEAMS) * 2 * np.pi / BEAMS
+    directions = np.column_stack((np.cos(angles), np.sin(angles)))
+    blocks = np.array([task.map(i).blocks for i in range(n)])
+    rows = np.concatenate((blocks[..., :2], np.cos(blocks[..., 2:3]), np.sin(blocks[..., 2:3]), blocks[..., 3:]), -1)
+    people = states[:, OWN + blocks[0].size :].reshape(n, -1, 4).astype(float)
+    everywhere, deck = np.ones((n, 2, 5), dtype=bool), planar.Deck(20.0, task.map(0).half_width, WALKER_RADIUS)
+
+    def scanned(blocks, walkers, half_width):
+        ranges = np.empty((n, BEAMS))
+        scenes = planar.Scenes(blocks, everywhere, walkers)
+        ids = np.arange(n)
+        planar.scan(ids, deck, scenes, half_width, 0.0, directions, 1e3, task.state.poses, ranges)
+        return NEAR / (NEAR + ranges)
+
+    expected = [scanned(rows, people[:, :0, :2], deck.half_width)]
+    expected += [scanned(rows[:, :0], people[..., :2] + time * people[..., 2:], 900.0) for time in AHEAD]
+    found = features[:, OWN:].reshape(n, 1 + len(AHEAD), BEAMS).swapaxes(0, 1)
+    hit = np.array(expected) > 0.01  # the others leave the bridge by its ends
+    assert hit[1:].any()
+    assert np.abs(found - expected)[hit].max() < 1e-2
