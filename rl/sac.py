@@ -58,7 +58,7 @@ class SacOptions(TrainingOptions):
 def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True) -> AgentCard:
     """Train an agent into the folder `out`. See `armctl.rl.training.Training`, also for the errors raised."""
     options = recipe.read_options(SacOptions)
-    if options.relabelled and (recipe.shaping or recipe.reward_weights or "reward" in recipe.env_options):
+    if options.relabelled and (recipe.shaping or recipe.reward_weights or "reward" in recipe.options_in_training):
         raise ConfigurationError(
             "relabelled transitions earn the task's plain reward: with shaping, reward_weights or another reward, "
             "set the option relabelled to 0"

@@ -21,7 +21,7 @@ from pydantic import Field
 from stable_baselines3.common.logger import configure
 
 from armctl.agents import AgentCard, Evaluation, sha256, shapes
-from armctl.envs import make_worlds
+from armctl.envs import EpisodeVectorEnv, make_worlds
 from armctl.errors import ConfigurationError
 from armctl.evaluation import evaluate
 from armctl.evaluation.curves import CURVE, read_curve
@@ -95,6 +95,7 @@ class Training:
         self.recipe, self.options, self.out, self.seed = recipe, options, out, seed
         self.held_out = make_worlds(recipe.env, min(VALIDATION_WORLDS, options.validation_episodes), recipe.env_options)
         worlds = self._make_worlds()
+        _check_alike(worlds, self.held_out)
         self.view = view_of(self.held_out, features=options.features, relative=options.relative)
         self._check_folder(resume)
         self.meter = Meter(out / CLOCK, resumed=self.newest_checkpoint() is not None)
@@ -193,6 +194,7 @@ class Training:
             recipe=recipe.name,
             env=recipe.env,
             env_options=_plain(recipe)["env_options"],
+            training_options=_plain(recipe)["training_options"],
             shaping=recipe.shaping,
             shaping_scale=recipe.shaping_scale if recipe.shaping else None,
             reward_weights=recipe.reward_weights,
@@ -220,7 +222,8 @@ class Training:
             "reward_scale": getattr(options, "reward_scale", 1.0),
             "reward_weights": recipe.reward_weights,
         }
-        worlds = make_worlds(recipe.env, options.worlds, recipe.env_options | rewards, autoreset_mode="same_step")
+        env_options = recipe.options_in_training | rewards
+        worlds = make_worlds(recipe.env, options.worlds, env_options, autoreset_mode="same_step")
         if recipe.shaping is None:
             return worlds
         return Shaped(worlds, recipe.shaping, gamma=options.gamma, scale=recipe.shaping_scale)
@@ -268,6 +271,18 @@ class Training:
 def bar_fits(progress: bool) -> bool:
     """Whether to show a progress bar that was asked for: in a terminal only, since it would flood a log file."""
     return progress and sys.stdout.isatty() and sys.stderr.isatty()
+
+
+def _check_alike(trained: Any, judged: EpisodeVectorEnv) -> None:
+    """Raise `ConfigurationError` if agents see or command the robot in training otherwise than in evaluations."""
+    first, second = (
+        (worlds.task.interface, worlds.single_observation_space, worlds.single_action_space)
+        for worlds in (trained.unwrapped, judged)
+    )
+    if first != second:
+        raise ConfigurationError(
+            "training_options must not change what the agent sees or how it acts: that belongs in env_options"
+        )
 
 
 def _plain(recipe: Recipe) -> dict[str, Any]:

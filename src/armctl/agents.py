@@ -124,6 +124,8 @@ class AgentCard(BaseModel):
     env: str
     env_options: dict[str, Any]
     """Options of the environment that differ from the defaults."""
+    training_options: dict[str, Any] = {}
+    """Options of the environment that held in training only."""
     shaping: str | None = None
     """Potential of the reward shaping in training; None: there was none."""
     shaping_scale: float | None = None

@@ -37,6 +37,8 @@ class Recipe(BaseModel):
     env: str
     env_options: dict[str, Any] = {}
     """Options of the environment that the agent acts in."""
+    training_options: dict[str, Any] = {}
+    """Options of the environment in training only: the agent is evaluated without them."""
     shaping: str | None = None
     """Potential for potential-based reward shaping (see `armctl.shaping`); None for no shaping."""
     shaping_scale: FiniteFloat = 1.0
@@ -49,6 +51,11 @@ class Recipe(BaseModel):
     """Training seeds of the published results."""
     options: dict[str, Any] = {}
     """Options of the learner, such as `steps`."""
+
+    @property
+    def options_in_training(self) -> dict[str, Any]:
+        """All options of the environment in training."""
+        return self.env_options | self.training_options
 
     def changed(self, **changes: Any) -> "Recipe":
         """The recipe with other values. Raises `ConfigurationError`."""

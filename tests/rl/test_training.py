@@ -208,6 +208,29 @@ def test_a_recipe_that_cannot_be_followed_leaves_no_folder(tmp_path, changes, sa
     assert not (tmp_path / "run").exists()
 
 
+def test_training_options_hold_in_training_only(tmp_path, graded, unexported):
+    env_options = {"tolerance": 0.1, "max_episode_steps": 30}
+    changed = recipe(env_options=env_options, training_options={"tolerance": 0.2, "disturbances": {"noise": 0.01}})
+    with Training(changed, OPTIONS, tmp_path / "run", 0, False) as training:
+        trained = training.worlds.unwrapped
+        assert (trained.task.options.tolerance, training.held_out.task.options.tolerance) == (0.2, 0.1)
+        assert (trained.max_episode_steps, training.held_out.max_episode_steps) == (30, 30)
+        assert trained.disturbances
+        assert not training.held_out.disturbances
+        training.evaluate(constant_actor(training, 0.25), 0)
+        card = training.finish(constant_actor(training, 0.25), 1)
+    assert (card.env_options, card.training_options) == (env_options, changed.training_options)
+    with pytest.raises(ConfigurationError, match="training_options"):
+        Training(recipe(env_options=env_options), OPTIONS, tmp_path / "run", 0, True)
+
+
+@pytest.mark.parametrize("option", [{"actions": "normalized"}, {"observation": "full"}, {"robot": "ur10"}])
+def test_training_options_change_nothing_that_an_agent_depends_on(tmp_path, option):
+    with pytest.raises(ConfigurationError, match="belongs in env_options"):
+        Training(recipe(training_options=option), OPTIONS, tmp_path / "run", 0, False)
+    assert not (tmp_path / "run").exists()
+
+
 @pytest.mark.parametrize("seed", [-1, 2**32])
 def test_a_seed_out_of_range(tmp_path, seed):
     with pytest.raises(ConfigurationError, match="training seed"):
