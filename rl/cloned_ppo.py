@@ -11,6 +11,7 @@ import numpy as np
 from stable_baselines3 import PPO
 
 from armctl.agents import AgentCard
+from armctl.errors import ConfigurationError
 from armctl.learners import Recipe
 from armctl.options import options
 from armctl.rl.cloning import CloningOptions, Examples, demonstrations, examples_for, fit
@@ -44,6 +45,8 @@ class ClonedPpoOptions(PpoOptions, CloningOptions):
 def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True) -> AgentCard:
     """Train an agent into the folder `out`. See `armctl.rl.training.Training`, also for the errors raised."""
     options = recipe.read_options(ClonedPpoOptions)
+    if options.frames > 1:
+        raise ConfigurationError("cloned_ppo clones from single observations: leave the option frames out")
     training = Training(recipe, options, out, seed, resume)
     model, examples = load_or_make(training, options), examples_for(training, options)
     if new := training.newest_checkpoint() is None:

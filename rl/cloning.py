@@ -156,7 +156,7 @@ def new_actor(training: Training, options: CloningOptions) -> Actor:
     """An untrained actor."""
     torch.manual_seed(training.seed)
     view, space = training.view, training.held_out.single_observation_space
-    features = view.features(space, **view.features_options)
+    features = view.extractor(space)
     sizes = [features.features_dim] + [options.hidden_units] * options.layers
     layers: list[torch.nn.Module] = []
     for fewer, more in itertools.pairwise(sizes):

@@ -64,7 +64,7 @@ class GoalFeatures(BaseFeaturesExtractor):
 
     def __init__(self, observation_space: spaces.Dict, view: View) -> None:
         size = spaces.flatdim(observation_space)
-        plain = view.features(spaces.Box(-np.inf, np.inf, (size,)), **view.features_options)
+        plain = view.extractor(spaces.Box(-np.inf, np.inf, (size,)))
         super().__init__(observation_space, plain.features_dim)
         self.plain = plain
 

@@ -15,8 +15,9 @@ from armctl.agents import AgentCard
 from armctl.learners import Recipe
 from armctl.options import options
 from armctl.rl.actor import Actor
+from armctl.rl.frames import FrameOptions, actor_in, features_of, frames_or_not
 from armctl.rl.learning import learn
-from armctl.rl.training import Count, Positive, Share, Training, TrainingOptions
+from armctl.rl.training import Count, Positive, Share, Training
 from armctl.rl.vector import StableBaselinesVectorEnv
 from armctl.rl.view import View
 
@@ -24,7 +25,7 @@ ACTIVATIONS = {"elu": torch.nn.ELU, "relu": torch.nn.ReLU}
 
 
 @options
-class PpoOptions(TrainingOptions):
+class PpoOptions(FrameOptions):
     """Options of PPO. The learning rate decays linearly to a twentieth."""
 
     rollout_length: Count = 32
@@ -52,7 +53,7 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
 
 def load_or_make(training: Training, options: PpoOptions) -> PPO:
     """The model of the newest checkpoint, or an untrained one."""
-    venv = StableBaselinesVectorEnv(training.worlds, training.view.action_scale)
+    venv = frames_or_not(training.worlds, training.view, options)
     newest = training.newest_checkpoint()
     new = newest is None
     model = new_model(venv, training.view, options, training.seed) if new else PPO.load(newest, venv, "cpu")
@@ -75,8 +76,7 @@ def new_model(venv: StableBaselinesVectorEnv, view: View, options: PpoOptions, s
         clip_range=options.clip_range,
         ent_coef=options.entropy,
         policy_kwargs={
-            "features_extractor_class": view.features,
-            "features_extractor_kwargs": view.features_options,
+            **features_of(venv, view),
             "net_arch": [options.hidden_units] * options.layers,
             "activation_fn": ACTIVATIONS[options.activation],
             "log_std_init": options.initial_log_std,
@@ -88,7 +88,7 @@ def new_model(venv: StableBaselinesVectorEnv, view: View, options: PpoOptions, s
 
 def actor_of(model: PPO, view: View) -> Actor:
     """An actor that shares the model's network."""
-    return Actor(MeanAction(model.policy), view.action_scale, model.observation_space)
+    return actor_in(model.env, MeanAction(model.policy), view)
 
 
 class MeanAction(torch.nn.Module):

@@ -18,10 +18,10 @@ from armctl.agents import AgentCard
 from armctl.errors import ConfigurationError
 from armctl.learners import Recipe
 from armctl.options import options
-from armctl.rl.actor import Actor
+from armctl.rl.frames import FrameOptions, actor_in, features_of, frames_or_not
 from armctl.rl.hindsight import GoalFeatures, GoalVectorEnv, HindsightBuffer, split
 from armctl.rl.learning import REPLAY, learn
-from armctl.rl.training import Count, Positive, Share, Training, TrainingOptions
+from armctl.rl.training import Count, Positive, Share, Training
 from armctl.rl.vector import StableBaselinesVectorEnv
 from armctl.tasks import ReachTask
 
@@ -30,7 +30,7 @@ NOISE_TIME_CONSTANT = 10
 
 
 @options
-class SacOptions(TrainingOptions):
+class SacOptions(FrameOptions):
     """Options of SAC."""
 
     steps: Count = 200_000
@@ -70,8 +70,7 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
     training.meter.watch(model)
     with training:
         dof = venv.dof if isinstance(venv, GoalVectorEnv) else None
-        observed = training.held_out.single_observation_space
-        actor = Actor(SquashedMean(model.policy, dof), training.view.action_scale, observed)
+        actor = actor_in(venv, SquashedMean(model.policy, dof), training.view)
         return learn(training, model, actor, progress)
 
 
@@ -92,15 +91,24 @@ class SquashedMean(torch.nn.Module):
 
 
 def _vector_env(training: Training, options: SacOptions) -> StableBaselinesVectorEnv:
-    task, arguments = training.held_out.task, (training.worlds, training.view.action_scale)
+    task, view = training.held_out.task, training.view
     if not (options.relabelled and type(task) is ReachTask):
-        return StableBaselinesVectorEnv(*arguments)
-    return GoalVectorEnv(task.options.tolerance, *arguments)
+        return frames_or_not(training.worlds, view, options)
+    if options.frames > 1:
+        raise ConfigurationError(
+            "relabelled transitions are without earlier frames: set the option relabelled to 0, or leave frames out"
+        )
+    return GoalVectorEnv(task.options.tolerance, training.worlds, view.action_scale)
 
 
 def _new_model(venv: StableBaselinesVectorEnv, training: Training, options: SacOptions) -> SAC:
     goals, view = isinstance(venv, GoalVectorEnv), training.view
     several = isinstance(venv.observation_space, gymnasium.spaces.Dict)
+    features = (
+        {"features_extractor_class": GoalFeatures, "features_extractor_kwargs": {"view": view}}
+        if goals
+        else features_of(venv, view)
+    )
     # The hindsight buffer samples from finished episodes only.
     longest = (training.held_out.max_episode_steps or 0) * options.worlds if goals else 0
     return SAC(
@@ -119,8 +127,7 @@ def _new_model(venv: StableBaselinesVectorEnv, training: Training, options: SacO
         replay_buffer_class=HindsightBuffer if goals else None,
         replay_buffer_kwargs={"n_sampled_goal": options.relabelled} if goals else None,
         policy_kwargs={
-            "features_extractor_class": GoalFeatures if goals else view.features,
-            "features_extractor_kwargs": {"view": view} if goals else view.features_options,
+            **features,
             "net_arch": [options.hidden_units] * options.layers,
         },
         seed=training.seed,

@@ -202,6 +202,7 @@ class Training:
             interface=worlds.task.interface,
             observation_shape=shapes(worlds.single_observation_space),
             action_shape=list(worlds.single_action_space.shape or ()),
+            memory={name: list(shape) for name, shape in actor.memory.items()},
             training_steps=steps,
             best_after=best["steps"],
             training_minutes=round(spent["seconds"] / 60, 2),

@@ -1,14 +1,19 @@
 """What a network observes of a task and how it acts in it: `Task.learner_view` as torch modules."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+import gymnasium
 import numpy as np
 import torch
+from gymnasium.vector.utils import create_empty_array
 from numpy.typing import NDArray
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 from armctl.envs import TaskVectorEnv
+from armctl.registration import import_attribute
+from armctl.rl.actor import tensors
 from armctl.rl.features import features_by_name
 
 Features = Literal["none", "plain", "invariant"]
@@ -21,7 +26,40 @@ class View:
     action_scale: torch.nn.Module
     """Maps observations and the network's actions in [-1, 1] to the environment's actions."""
     features: type[BaseFeaturesExtractor]
-    features_options: dict[str, Any] = field(default_factory=dict)
+    """Of prepared observations."""
+    features_options: Mapping[str, Any] = field(default_factory=dict)
+    prepare: type[torch.nn.Module] | None = None
+    """Made with the observation space, it maps observations to smaller ones; None: they stay as they are."""
+
+    def preparation(self, observed: gymnasium.Space[Any]) -> torch.nn.Module:
+        """From observations to prepared ones."""
+        return torch.nn.Identity() if self.prepare is None else self.prepare(observed)
+
+    def prepared(self, observed: gymnasium.Space[Any]) -> gymnasium.Space[Any]:
+        """The space of prepared observations."""
+        if self.prepare is None:
+            return observed
+        with torch.no_grad():
+            example = self.prepare(observed)(tensors(create_empty_array(observed, n=1)))
+        if isinstance(example, dict):
+            return gymnasium.spaces.Dict({name: _space_of(values) for name, values in example.items()})
+        return _space_of(example)
+
+    def extractor(self, observed: gymnasium.Space[Any]) -> BaseFeaturesExtractor:
+        """The feature extractor of observations that are not prepared yet."""
+        features = self.features(self.prepared(observed), **self.features_options)
+        return features if self.prepare is None else _PreparedFirst(observed, self.prepare(observed), features)
+
+
+class _PreparedFirst(BaseFeaturesExtractor):
+    def __init__(
+        self, observation_space: gymnasium.Space[Any], prepare: torch.nn.Module, features: BaseFeaturesExtractor
+    ) -> None:
+        super().__init__(observation_space, features.features_dim)
+        self.prepare, self.features = prepare, features
+
+    def forward(self, observations: Any) -> torch.Tensor:
+        return self.features(self.prepare(observations))
 
 
 def view_of(worlds: TaskVectorEnv, *, features: Features = "plain", relative: bool = True) -> View:
@@ -40,6 +78,7 @@ def view_of(worlds: TaskVectorEnv, *, features: Features = "plain", relative: bo
         "invariant": declared.invariant_features or declared.features,
     }[features]
     extractor = features_by_name(chosen.name if chosen else None, worlds.single_observation_space)
+    prepare = import_attribute(chosen.prepare, "preparation") if chosen and chosen.prepare else None
     if worlds.normalized:
         unit = np.ones(worlds.single_action_space.shape)
         scale = ActionScale(-unit, unit)
@@ -48,7 +87,12 @@ def view_of(worlds: TaskVectorEnv, *, features: Features = "plain", relative: bo
         scale = ActionScale(-largest, largest, declared.relative_to)
     else:
         scale = ActionScale(*worlds.task.action_range)
-    return View(scale, extractor, dict(chosen.options) if chosen else {})
+    return View(scale, extractor, dict(chosen.options) if chosen else {}, prepare)
+
+
+def _space_of(values: torch.Tensor) -> gymnasium.spaces.Box:
+    array = values.numpy()
+    return gymnasium.spaces.Box(-np.inf, np.inf, array.shape[1:], array.dtype.type)
 
 
 class ActionScale(torch.nn.Module):
