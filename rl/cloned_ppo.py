@@ -55,12 +55,12 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
         if new:
             clone(training, model, examples, options, progress)
             warm_up(training, model, min(options.critic_steps, options.steps), progress)
-        return learn(training, model, actor_of(model, training.view), progress)
+        return learn(training, model, actor_of(model, training), progress)
 
 
 def clone(training: Training, model: PPO, examples: Examples, options: ClonedPpoOptions, progress: bool) -> None:
     """Fit the model's actor to the demonstrations, and evaluate it."""
-    actor = actor_of(model, training.view)
+    actor = actor_of(model, training)
     for _ in fit(
         actor, examples, options.cloning_steps, np.random.default_rng(training.seed),
         batch_size=options.cloning_batch_size, learning_rate=options.cloning_rate, progress=progress,

@@ -4,13 +4,13 @@ Features are computed from the observation inside the exported graph: an agent s
 """
 
 import gymnasium
-import numpy as np
 import torch
 from gymnasium import spaces
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, CombinedExtractor, FlattenExtractor
 
 from armctl.errors import unknown_name
 from armctl.registration import import_attribute
+from armctl.rl.bridge_ranges import NearnessFeatures
 from armctl.rl.bridge_scans import Surroundings
 from armctl.tasks.reach import observation_sizes
 from armctl.tasks.reach.obstacle_layout import BOX_NUMBERS
@@ -19,8 +19,6 @@ LENGTH_SCALE = 2.0
 """1/m: scales the lengths of an arm's workspace to the order of one."""
 NEARBY = 0.05
 """m: nearer to the target than this, the direction to it fades."""
-NEAR = 0.5
-"""m: inverse depth is NEAR / (NEAR + depth)."""
 
 
 class ReachFeatures(BaseFeaturesExtractor):
@@ -96,27 +94,10 @@ def rotated(vectors: torch.Tensor, angles: torch.Tensor) -> torch.Tensor:
     return torch.cat((angles.cos() * x - angles.sin() * y, angles.sin() * x + angles.cos() * y, z), dim=-1)
 
 
-class InverseDepthFeatures(BaseFeaturesExtractor):
-    """A layer on the inverse depths of all pixels, and the rover's own motion."""
-
-    def __init__(self, observation_space: spaces.Dict, size: int = 128) -> None:
-        super().__init__(observation_space, size + 3)
-        image = observation_space["image"]
-        assert isinstance(image, spaces.Box)
-        self.image = torch.nn.Sequential(
-            torch.nn.Flatten(), torch.nn.Linear(int(np.prod(image.shape)), size), torch.nn.ELU()
-        )
-
-    def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
-        """Features (n, size + 3) of images (n, height, width) and motions (n, 3)."""
-        inverse = 2 * NEAR / (NEAR + observations["image"])
-        return torch.cat((self.image(inverse), observations["motion"]), dim=1)
-
-
 FEATURES: dict[str, type[BaseFeaturesExtractor]] = {
     "reach": ReachFeatures,
     "base_yaw_invariant": BaseYawInvariantFeatures,
-    "inverse_depth": InverseDepthFeatures,
+    "nearness": NearnessFeatures,
     "surroundings": Surroundings,
 }
 

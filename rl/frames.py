@@ -17,7 +17,7 @@ from armctl.envs.observations import stacked
 from armctl.errors import ConfigurationError
 from armctl.options import options
 from armctl.rl.actor import Actor, blank, tensors
-from armctl.rl.training import Count, TrainingOptions
+from armctl.rl.training import Count, Training, TrainingOptions
 from armctl.rl.vector import StableBaselinesVectorEnv
 from armctl.rl.view import View
 
@@ -48,7 +48,7 @@ class History(torch.nn.Module):
 
     def __init__(self, view: View, observed: gymnasium.Space[Any], frames: int = 1, gap: int = 1) -> None:
         super().__init__()
-        self.prepare, self.gap = view.preparation(observed), gap
+        self.prepare, self.frames, self.gap = view.preparation(observed), frames, gap
         parts, length = inputs(view.prepared(observed)), (frames - 1) * gap
         for name, space in parts.items():
             if space.dtype != np.float32:
@@ -160,11 +160,12 @@ def features_of(venv: StableBaselinesVectorEnv, view: View) -> dict[str, Any]:
     return {"features_extractor_class": view.features, "features_extractor_kwargs": view.features_options}
 
 
-def actor_in(venv: StableBaselinesVectorEnv, network: torch.nn.Module, view: View) -> Actor:
-    """An actor with a network of what worlds show."""
-    observed = venv.env.single_observation_space
+def actor_in(venv: StableBaselinesVectorEnv, network: torch.nn.Module, training: Training) -> Actor:
+    """An actor for a training's held-out worlds, with a network of what its own worlds show, prepared alike."""
+    view, observed = training.view, training.held_out.single_observation_space
     if isinstance(venv, FramesVectorEnv):
-        return Actor(WithHistory(venv.history, network), view.action_scale, observed, venv.history.memory)
+        history = History(view, observed, venv.history.frames, venv.history.gap)
+        return Actor(WithHistory(history, network), view.action_scale, observed, history.memory)
     return Actor(network, view.action_scale, observed)
 
 

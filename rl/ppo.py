@@ -48,7 +48,7 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
     training = Training(recipe, options, out, seed, resume)
     model = load_or_make(training, options)
     with training:
-        return learn(training, model, actor_of(model, training.view), progress)
+        return learn(training, model, actor_of(model, training), progress)
 
 
 def load_or_make(training: Training, options: PpoOptions) -> PPO:
@@ -86,9 +86,9 @@ def new_model(venv: StableBaselinesVectorEnv, view: View, options: PpoOptions, s
     )
 
 
-def actor_of(model: PPO, view: View) -> Actor:
+def actor_of(model: PPO, training: Training) -> Actor:
     """An actor that shares the model's network."""
-    return actor_in(model.env, MeanAction(model.policy), view)
+    return actor_in(model.env, MeanAction(model.policy), training)
 
 
 class MeanAction(torch.nn.Module):

@@ -70,7 +70,7 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
     training.meter.watch(model)
     with training:
         dof = venv.dof if isinstance(venv, GoalVectorEnv) else None
-        actor = actor_in(venv, SquashedMean(model.policy, dof), training.view)
+        actor = actor_in(venv, SquashedMean(model.policy, dof), training)
         return learn(training, model, actor, progress)
 
 

@@ -1,6 +1,7 @@
 """What a network observes of a task and how it acts in it: `Task.learner_view` as torch modules."""
 
-from collections.abc import Mapping
+import functools
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -28,7 +29,7 @@ class View:
     features: type[BaseFeaturesExtractor]
     """Of prepared observations."""
     features_options: Mapping[str, Any] = field(default_factory=dict)
-    prepare: type[torch.nn.Module] | None = None
+    prepare: Callable[[gymnasium.Space[Any]], torch.nn.Module] | None = None
     """Made with the observation space, it maps observations to smaller ones; None: they stay as they are."""
 
     def preparation(self, observed: gymnasium.Space[Any]) -> torch.nn.Module:
@@ -78,7 +79,9 @@ def view_of(worlds: TaskVectorEnv, *, features: Features = "plain", relative: bo
         "invariant": declared.invariant_features or declared.features,
     }[features]
     extractor = features_by_name(chosen.name if chosen else None, worlds.single_observation_space)
-    prepare = import_attribute(chosen.prepare, "preparation") if chosen and chosen.prepare else None
+    prepare = None
+    if chosen and chosen.prepare:
+        prepare = functools.partial(import_attribute(chosen.prepare, "preparation"), **chosen.prepare_options)
     if worlds.normalized:
         unit = np.ones(worlds.single_action_space.shape)
         scale = ActionScale(-unit, unit)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from armctl.kernels import planar
 from armctl.scene import BridgeMap
 
-DECK = planar.Deck(length=20.0, half_width=1.4, walker_radius=0.25)
+DECK = planar.Deck(length=20.0, half_width=1.4, walker_radius=0.25, edge=2.0)
 OUTLINE = np.array([[0.25, 0.15], [0.23, 0.21]])
 NOBODY = np.zeros((0, 2))
 
@@ -76,7 +76,7 @@ def test_rays_end_where_the_map_says_that_something_is(pose, block, walker):
     ranges = np.empty((1, len(directions)))
     scenes = scenes_of(blocks_at((*block, 0.3, 0.7)), [walker])
     endless = DECK._replace(length=1e3)
-    planar.scan(np.array([0]), endless, scenes, 1.4, 0.0, directions, 10.0, np.array([pose]), ranges)
+    planar.scan(np.array([0]), endless, scenes, 1.4, 0.0, directions, 10.0, 2.5, np.array([pose]), ranges)
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     turned = directions @ np.array([[cos, sin], [-sin, cos]])
     bridge = BridgeMap(endless.length, 1.4, np.array([[*block, 0.3, 0.7]]))

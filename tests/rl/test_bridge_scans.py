@@ -18,20 +18,20 @@ def test_scans_are_those_of_the_map_and_of_people_who_walk_on():
         states = worlds.step(np.tile((1.2, 0.1), (n, 1)))[0]
     view = view_of(worlds)
     assert view.features is Surroundings
-    features = view.features(worlds.single_observation_space, **view.features_options)(torch.as_tensor(states)).numpy()
+    features = view.extractor(worlds.single_observation_space)(torch.as_tensor(states)).numpy()
     task = worlds.task
     angles = np.arange(BEAMS) * 2 * np.pi / BEAMS
     directions = np.column_stack((np.cos(angles), np.sin(angles)))
     blocks = np.array([task.map(i).blocks for i in range(n)])
     rows = np.concatenate((blocks[..., :2], np.cos(blocks[..., 2:3]), np.sin(blocks[..., 2:3]), blocks[..., 3:]), -1)
     people = states[:, OWN + blocks[0].size :].reshape(n, -1, 4).astype(float)
-    everywhere, deck = np.ones((n, 2, 5), dtype=bool), planar.Deck(20.0, task.map(0).half_width, WALKER_RADIUS)
+    everywhere, deck = np.ones((n, 2, 5), dtype=bool), planar.Deck(20.0, task.map(0).half_width, WALKER_RADIUS, 2.0)
 
     def scanned(blocks, walkers, half_width):
         ranges = np.empty((n, BEAMS))
         scenes = planar.Scenes(blocks, everywhere, walkers)
         ids = np.arange(n)
-        planar.scan(ids, deck, scenes, half_width, 0.0, directions, 1e3, task.state.poses, ranges)
+        planar.scan(ids, deck, scenes, half_width, 0.0, directions, 1e3, 0.0, task.state.poses, ranges)
         return NEAR / (NEAR + ranges)
 
     expected = [scanned(rows, people[:, :0, :2], deck.half_width)]

@@ -161,13 +161,13 @@ def test_agents_trained_with_frames_remember_and_resume(learner, tmp_path):
 def test_one_frame_is_no_memory(tmp_path, prepared):
     training = Training(recipe("ppo"), recipe("ppo").read_options(ppo.PpoOptions), tmp_path / "run", 0, False)
     model = ppo.load_or_make(training, training.options)
-    assert ppo.actor_of(model, training.view).memory == {}
+    assert ppo.actor_of(model, training).memory == {}
     chosen = load_recipe("ppo", "armctl/BridgeCross-v0").changed(
         shaping=None, env_options=CAMERA, options={"worlds": 2}
     )
     training = Training(chosen, chosen.read_options(ppo.PpoOptions), tmp_path / "run", 0, False)
     model = ppo.load_or_make(training, training.options)
-    actor = ppo.actor_of(model, training.view)
+    actor = ppo.actor_of(model, training)
     assert actor.memory == {}
     assert model.observation_space["ranges"].shape == (1, 8)  # buffers hold what is prepared
     assert actor.act(training.held_out.reset(seed=0)[0]).shape == (50, 2)
@@ -196,7 +196,7 @@ def test_pictures_of_bytes_are_not_stacked():
 
 
 def test_a_preparation_that_is_not_there(monkeypatch):
-    spec = FeatureSpec("inverse_depth", prepare="armctl.rl.features:Nothing")
+    spec = FeatureSpec("nearness", prepare="armctl.rl.features:Nothing")
     monkeypatch.setattr(BridgeTask, "learner_view", property(lambda task: LearnerView(features=spec)))
     with pytest.raises(ConfigurationError, match="preparation"):
         view_of(make_worlds("armctl/BridgeCross-v0", 1))

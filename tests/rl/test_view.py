@@ -31,7 +31,7 @@ def test_a_network_can_act_in_every_task(name, features):
     worlds = WORLDS[name]()
     view = view_of(worlds, features=features)
     observations, _ = worlds.reset(seed=0)
-    extractor = view.features(worlds.single_observation_space, **view.features_options)
+    extractor = view.extractor(worlds.single_observation_space)
     network = torch.nn.Sequential(
         extractor, torch.nn.Linear(extractor.features_dim, worlds.single_action_space.shape[0])
     )
@@ -48,7 +48,7 @@ def test_the_whole_observation_is_shown(name):
     worlds = WORLDS[name]()
     observations, _ = worlds.reset(seed=0)
     view = view_of(worlds)
-    extractor = view.features(worlds.single_observation_space, **view.features_options)
+    extractor = view.extractor(worlds.single_observation_space)
     shown = torch.as_tensor(observations[:1]).requires_grad_()
     torch.linalg.norm(extractor(shown) + 1.0).backward()
     assert (shown.grad != 0).all()

@@ -25,6 +25,8 @@ class Deck(NamedTuple):
     half_width: float
     """Between the barriers' feet."""
     walker_radius: float
+    edge: float
+    """From the middle of the deck to its edges."""
 
 
 class Scenes(NamedTuple):
@@ -153,20 +155,27 @@ def to_disc(x, y, dx, dy, centre, radius):
 
 
 @compiled
-def to_side(deck, barriers, x, y, dx, dy, half_width):
-    """The same for the barriers along both sides, at `half_width` from the middle of the deck."""
+def to_side(deck, barriers, x, y, dx, dy, half_width, farthest_hole):
+    """The same for the barriers along both sides, at `half_width` from the middle of the deck.
+
+    Where one is missing, the ray ends at the deck's edge if that is at most `farthest_hole` away.
+    """
     if abs(dy) < 1e-12:
         return np.inf
-    distance = (math.copysign(half_width, dy) - y) / dy
-    side = 0 if dy > 0 else 1
-    return distance if distance >= 0 and barrier_at(barriers, deck.length, side, x + distance * dx) else np.inf
+    side, sign = (0, 1.0) if dy > 0 else (1, -1.0)
+    distance = (sign * half_width - y) / dy
+    if barrier_at(barriers, deck.length, side, x + distance * dx):
+        return max(distance, 0.0)
+    distance = (sign * deck.edge - y) / dy
+    return max(distance, 0.0) if distance <= farthest_hole else np.inf
 
 
 @compiled
-def scan(ids, deck, scenes, half_width, mount, directions, farthest, poses, out):
+def scan(ids, deck, scenes, half_width, mount, directions, farthest, farthest_hole, poses, out):
     """Ranges (len(ids), columns) from `mount` m before the rovers' centres, in lengths of `directions` (columns, 2).
 
-    Directions are m ahead and to the left. Barriers are at `half_width` m from the middle of the deck.
+    Directions are m ahead and to the left. Barriers are at `half_width` m from the middle of the deck; without one, its
+    edge is seen up to `farthest_hole`.
     """
     for j in range(len(ids)):
         i = ids[j]
@@ -175,7 +184,7 @@ def scan(ids, deck, scenes, half_width, mount, directions, farthest, poses, out)
         for c in range(len(directions)):
             ahead, left = directions[c]
             dx, dy = ahead * cos - left * sin, ahead * sin + left * cos
-            nearest = min(farthest, to_side(deck, scenes.barriers[i], x, y, dx, dy, half_width))
+            nearest = min(farthest, to_side(deck, scenes.barriers[i], x, y, dx, dy, half_width, farthest_hole))
             for k in range(scenes.blocks.shape[1]):
                 nearest = min(nearest, to_block(x, y, dx, dy, scenes.blocks[i, k]))
             for k in range(scenes.walkers.shape[1]):

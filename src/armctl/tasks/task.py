@@ -66,8 +66,10 @@ class FeatureSpec:
     name: str
     options: Mapping[str, Any] = field(default_factory=dict)
     prepare: str | None = None
-    """`module:Class` of a torch module, made with the observation space, that maps observations (n, ...) to smaller
-    ones: an array, or several by name. The features are of these, and so are buffers and the memory of agents."""
+    """`module:Class` of a torch module, made with the observation space and `prepare_options`, that maps observations
+    (n, ...) to smaller ones: an array, or several by name. The features are of these, and so are buffers and the memory
+    of agents."""
+    prepare_options: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

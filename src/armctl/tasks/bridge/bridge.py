@@ -3,7 +3,6 @@
 To change the reward, see `REWARD` and `BridgeOptions`.
 """
 
-import functools
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
@@ -21,7 +20,6 @@ from armctl.tasks.bridge.observation import (
     FASTEST_MOTION,
     See,
     full_state,
-    horizon_directions,
     make_camera,
     observation_space,
 )
@@ -132,16 +130,20 @@ class BridgeTask(Task):
 
     @property
     def learner_view(self) -> LearnerView:
-        """Features: inverse depths, or scans of what is around the rover in a state."""
+        """Features: scans of what is around the rover in a state, or how far it is in each column of a depth image."""
         options = self.options
         if options.view == "state":
-            half_width = self.map(0).half_width
-            sizes = {"half_width": half_width, "goal_x": self.goal_x, "radius": WALKER_RADIUS}
-            return LearnerView(
-                features=FeatureSpec("surroundings", {"blocks": options.blocks, "walkers": options.walkers, **sizes})
-            )
-        depth = self.options.view == "camera" and self.options.camera == "depth"
-        return LearnerView(features=FeatureSpec("inverse_depth") if depth else None)
+            counts = {"blocks": options.blocks, "walkers": options.walkers}
+            sizes = {"half_width": self.map(0).half_width, "goal_x": self.goal_x, "radius": WALKER_RADIUS}
+            return LearnerView(features=FeatureSpec("surroundings", counts | sizes))
+        if options.view != "ranges" and (options.view, options.camera, options.image_format) != (
+            "camera",
+            "depth",
+            "float",
+        ):
+            return LearnerView()
+        measured = {"field_of_view": options.field_of_view, "farthest": options.camera_range}
+        return LearnerView(features=FeatureSpec("nearness", {}, "armctl.rl.bridge_ranges:ColumnRanges", measured))
 
     @property
     def action_range(self) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -291,7 +293,7 @@ class BridgeTask(Task):
             return None
         if not isinstance(self.rover, PlanarRover):
             return make_camera(self.simulation, self.options)
-        return functools.partial(self.rover.scan, horizon_directions(self.options), self.options.camera_range)
+        return self.rover.scan
 
     def _update_state(self) -> None:
         contacts = self.rover.contacts() if isinstance(self.rover, PlanarRover) else self._contacts.since_last_step()

@@ -32,8 +32,6 @@ FASTEST = np.array([20.0, 35.0])
 FASTEST_MOTION = FASTEST[[0, 1, 1]].astype(np.float32)
 CAMERA_PITCH = np.radians(10.0)
 """The camera looks down by so much (`models/rover.xml`)."""
-HIGHEST_RISE = 0.12
-"""Rise per length ahead: with it, a ray from the camera passes above blocks that are more than 4 m away."""
 
 See = Callable[[Ids | None], NDArray[Any]]
 """Images (n, height, width, ...) of some worlds, or of all."""
@@ -48,9 +46,6 @@ def make_camera(simulation: Simulation, options: BridgeOptions) -> See:
     highest = {"classes": len(PIXEL_CLASSES) - 1, "depth": options.camera_range}[options.camera]
     if options.view == "features":
         highest = 1.0
-    if options.view == "ranges":
-        rows = horizon_rows(options)
-        return lambda ids: see(ids)[:, rows].min(axis=1)
     if options.image_format == "float":
         return lambda ids: shown(see(ids))
     return lambda ids: np.rint(shown(see(ids)) * np.float32(255 / highest)).astype(np.uint8)[..., None]
@@ -124,25 +119,12 @@ def _state_bounds(options: BridgeOptions) -> NDArray[np.float32]:
     return np.stack((-highest, highest))
 
 
-def horizon_rows(options: BridgeOptions) -> slice:
-    """The rows of the camera's image just above the horizon: on the deck, they see all that stands there, and no floor.
-
-    At least one row, if the resolution is low.
-    """
-    _, height = options.size
-    pixel = -np.diff(horizon_directions(options)[:2, 1])
-    up = (np.arange(height, 0, -1) - (height + 1) / 2) * pixel
-    rise = up * np.cos(CAMERA_PITCH) - np.sin(CAMERA_PITCH)
-    first, last = np.flatnonzero(rise > 0)[-1], np.flatnonzero(rise < HIGHEST_RISE)[0]
-    return slice(int(min(first, last)), int(first) + 1)
-
-
-def horizon_directions(options: BridgeOptions) -> Array:
-    """(width, 2) m ahead and to the left per m of depth, where each column of the camera's image meets the horizon."""
+def column_directions(options: BridgeOptions) -> Array:
+    """(width, 2) unit vectors, ahead and to the left, in which the columns of the camera's image see the horizon."""
     width, _ = options.size
-    half = np.tan(np.radians(options.field_of_view) / 2)
-    left = half * (1 - (2 * np.arange(width) + 1) / width)
-    return np.column_stack((np.full(width, 1 / np.cos(CAMERA_PITCH)), left))
+    left = np.tan(np.radians(options.field_of_view) / 2) * (1 - (2 * np.arange(width) + 1) / width)
+    bearings = np.arctan2(left, 1 / np.cos(CAMERA_PITCH))
+    return np.column_stack((np.cos(bearings), np.sin(bearings)))
 
 
 def pixel_classes(model: mujoco.MjModel) -> NDArray[np.uint8]:

@@ -37,8 +37,9 @@ class BridgeOptions:
     """`kinematic`: without MuJoCo, for training. Dozens of times as fast; see `armctl.tasks.bridge.planar`."""
     observation: Literal["paper", "features", "full", "camera", "image", "state", "ranges"] = "paper"
     """`paper` or `camera`: a dict of `image` and own `motion`. `features`: the same, with depths as nearness, from 0 at
-    infinity to 1. `image`: the image alone. `full` or `state`: pose, velocity and surroundings. `ranges`: a dict of
-    `ranges`, the least depth in each column of the depth camera just above the horizon, and `motion`."""
+    infinity to 1. `image`: the image alone. `full` or `state`: pose, velocity and surroundings. `ranges`, only
+    without physics: a dict of `ranges`, how far it is in each column of the depth camera to what stands on the deck or
+    to a hole in it, m, and `motion`."""
     camera: Literal["depth", "classes", "rgb"] = "depth"
     """`depth` (m, along the optical axis), `classes` (an index into `PIXEL_CLASSES`) or `rgb` (needs OpenGL)."""
     resolution: Annotated[tuple[Side, Side] | None, Strict(False)] = None
@@ -72,12 +73,12 @@ class BridgeOptions:
             raise ConfigurationError(
                 f"observation='features' shows depths: it needs camera='depth', not {self.camera!r}"
             )
-        if self.observation == "ranges" and (self.camera, self.image_format) != ("depth", "float"):
-            raise ConfigurationError("observation='ranges' needs camera='depth' and image_format='float'")
         if self.dynamics == "kinematic" and self.view not in ("state", "ranges"):
             raise ConfigurationError(
                 f"dynamics='kinematic' has no images: observation is 'state' or 'ranges', not {self.observation!r}"
             )
+        if self.observation == "ranges" and self.dynamics != "kinematic":
+            raise ConfigurationError("observation='ranges' needs dynamics='kinematic': physics has a camera")
         chunks = WALKER_PERIOD / self.timestep
         if abs(chunks - round(chunks)) > 1e-6:
             raise ConfigurationError(

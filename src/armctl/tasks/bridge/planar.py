@@ -11,6 +11,7 @@ from armctl.kernels import planar as kernel
 from armctl.robots.rover import MAX_VELOCITY, PARTS, WHEEL_RADIUS, Rover
 from armctl.simulation import Simulation
 from armctl.tasks.bridge.layout import Layout
+from armctl.tasks.bridge.observation import column_directions
 from armctl.tasks.bridge.options import CONTROL_PERIOD, BridgeOptions
 from armctl.tasks.bridge.world import CONTACT_CLASSES, GOAL_MARGIN, JERSEY_PROFILE, WALKER_RADIUS, segment_names
 from armctl.tasks.task import Ids
@@ -19,14 +20,18 @@ Array = NDArray[np.float64]
 
 ACCELERATION = kernel.Drive(linear=6.0, angular=12.0)
 """m/s^2 and rad/s^2: what MuJoCo's rover does on the asphalt, rounded."""
-OUTLINE = np.array([[0.254, 0.155], [0.229, 0.208]])
-"""m: half length and half width of the base, and of all wheels together."""
+MARGIN = 0.03
+"""m: by so much more than in physics, rovers keep away from everything: wheels that skid take them a little farther."""
+OUTLINE = np.array([[0.254, 0.155], [0.229, 0.208]]) + MARGIN
+"""m: half length and half width of the base, and of all wheels together, with the margin."""
 WHEEL_PLACES = np.array([[0.131, 0.188], [0.131, -0.188], [-0.131, 0.188], [-0.131, -0.188]])
 """m: ahead and to the left of the centre, in the order of `armctl.robots.rover.WHEELS`."""
 GOAL_HALF_LENGTH = 0.15
 """m: half the length of the goal line's chequered field."""
-SEEN_BEHIND_FOOT = 0.08
-"""m: so far behind a barrier's foot is, at the camera's height, the convex hull that MuJoCo makes of the barrier."""
+SEEN_BEHIND_FOOT = 0.02
+"""m: so far behind a barrier's foot is, just above it, the convex hull that MuJoCo makes of the barrier."""
+FARTHEST_HOLE = 2.5
+"""m: holes in the deck are seen up to this distance."""
 MOUNT = 0.215
 """m: the camera is so far ahead of the rover's centre."""
 
@@ -41,11 +46,12 @@ class PlanarRover(Rover):
         self._walkers = walkers
         self._poses, self._velocities, self._commands = np.zeros((n, 3)), np.zeros((n, 2)), np.zeros((n, 2))
         half_width = options.deck_width / 2 - 2 * JERSEY_PROFILE[0][0]
-        self._deck = kernel.Deck(options.deck_length, half_width, WALKER_RADIUS)
+        self._deck = kernel.Deck(options.deck_length, half_width, WALKER_RADIUS, options.deck_width / 2)
         segments = len(segment_names(options.deck_length)) // 2
         self._scenes = kernel.Scenes(
             np.zeros((n, options.blocks, 6)), np.ones((n, 2, segments), dtype=bool), walkers[-1]
         )
+        self._directions = column_directions(options)
         self._touched = np.zeros(n, dtype=np.int64)
         self.worlds = np.arange(n, dtype=np.int32)
 
@@ -79,12 +85,15 @@ class PlanarRover(Rover):
         self._qpos[:, first], self._qpos[:, first + 1] = x, y
         self._qpos[:, first + 3], self._qpos[:, first + 6] = np.cos(yaw / 2), np.sin(yaw / 2)
 
-    def scan(self, directions: Array, farthest: float, ids: Ids | None) -> NDArray[np.float32]:
-        """Ranges (n, columns), at most `farthest`, in lengths of `directions` (columns, 2): m ahead and to the left."""
+    def scan(self, ids: Ids | None) -> NDArray[np.float32]:
+        """Ranges (n, columns) from the camera, m, in the directions of its image's columns at the horizon."""
         ids = self.worlds if ids is None else ids
-        ranges = np.empty((len(ids), len(directions)), dtype=np.float32)
+        ranges = np.empty((len(ids), len(self._directions)), dtype=np.float32)
         half_width = self._deck.half_width + SEEN_BEHIND_FOOT
-        kernel.scan(ids, self._deck, self._scenes, half_width, MOUNT, directions, farthest, self._poses, ranges)
+        kernel.scan(
+            ids, self._deck, self._scenes, half_width, MOUNT, self._directions, self._options.camera_range,
+            FARTHEST_HOLE, self._poses, ranges,
+        )  # fmt: skip
         return ranges
 
     def contacts(self) -> NDArray[np.bool_]:

@@ -1,0 +1,85 @@
+"""A depth image of the bridge, reduced to how far the way is free in each of its columns.
+
+Points that stand out of the deck are obstacles; where the camera sees far below the deck, there is a hole in it. The
+rover nods by up to eight degrees when it speeds up or brakes, so the camera's pitch is found first, from two rows of
+the image that show the deck just before the wheels.
+"""
+
+import math
+from typing import Any
+
+import torch
+from gymnasium import spaces
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+
+PITCH, LARGEST_NOD = math.radians(10.0), 0.25
+"""rad: how far the camera looks down at rest (`models/rover.xml`), and how much more or less at most."""
+LOWEST, HIGHEST = 0.12, 0.75
+"""m above the deck: what is seen between these is an obstacle."""
+HOLE = -0.5
+"""m: what is seen below this is a hole."""
+STEEPEST = -0.12
+"""Rise of a ray per m of depth: with those that fall less, holes are not looked for."""
+DECK_ROWS = (31 / 32, 24 / 32)
+"""Where in the image's height the deck is seen before the wheels."""
+NEAR = 0.5
+"""m: nearness is NEAR / (NEAR + distance)."""
+
+
+class ColumnRanges(torch.nn.Module):
+    """From a dict of `image` (n, height, width), depths in m, and `motion` to one of `ranges` (n, width) and `motion`.
+
+    Ranges are horizontal distances from the camera, m, at most `farthest`. `field_of_view` is the image's horizontal
+    one, degrees. A dict that has `ranges` already stays as it is.
+    """
+
+    def __init__(self, observation_space: spaces.Dict, field_of_view: float, farthest: float) -> None:
+        super().__init__()
+        self.farthest = farthest
+        if "ranges" in observation_space.spaces:
+            return
+        height, width = observation_space["image"].shape or (1, 1)
+        pixel = 2 * math.tan(math.radians(field_of_view) / 2) / width
+        up = (height / 2 - torch.arange(height) - 0.5) * pixel
+        left = (width / 2 - torch.arange(width) - 0.5) * pixel
+        self.rows = [min(int(share * height), height - 1) for share in DECK_ROWS]
+        self.register_buffer("up", up[:, None])
+        self.register_buffer("left", left[None])
+        self.lower, self.upper = (float(up[row]) for row in self.rows)
+
+    def forward(self, observation: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+        """Ranges and motions."""
+        if "ranges" in observation:
+            return observation
+        depths = observation["image"]
+        cos, sin, height = self._pose(depths)
+        rise, ahead = self.up * cos - sin, cos + self.up * sin
+        reach = (ahead * ahead + self.left * self.left).sqrt()
+        z = height + rise * depths
+        far = torch.full_like(z, self.farthest)
+        obstacle = torch.where((z > LOWEST) & (z < HIGHEST), depths * reach, far)
+        steep = rise.clamp(max=STEEPEST)
+        hole = torch.where((z < HOLE) & (rise < STEEPEST), -height / steep * reach, far)
+        ranges = torch.minimum(obstacle, hole).amin(dim=1).clamp(0.0, self.farthest)
+        return {"motion": observation["motion"], "ranges": ranges}
+
+    def _pose(self, depths: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Cosine and sine of the camera's pitch, and its height (m), (n, 1, 1), from the deck's depth in two rows."""
+        lower, upper = (depths[:, row].amax(dim=1)[:, None, None] for row in self.rows)
+        tangent = (upper * self.upper - lower * self.lower) / (upper - lower).clamp(min=0.02)
+        tangent = tangent.clamp(math.tan(PITCH - LARGEST_NOD), math.tan(PITCH + LARGEST_NOD))
+        cos = 1 / (1 + tangent * tangent).sqrt()
+        sin = tangent * cos
+        return cos, sin, lower * (sin - self.lower * cos)
+
+
+class NearnessFeatures(BaseFeaturesExtractor):
+    """The nearness of all ranges, and the rover's own motion."""
+
+    def __init__(self, observation_space: spaces.Dict) -> None:
+        ranges = observation_space["ranges"].shape or (0,)
+        super().__init__(observation_space, ranges[0] + 3)
+
+    def forward(self, observations: Any) -> torch.Tensor:
+        """Features (n, width + 3) of ranges (n, width) and motions (n, 3)."""
+        return torch.cat((NEAR / (NEAR + observations["ranges"]), observations["motion"]), dim=1)
