@@ -38,7 +38,7 @@ from armctl.rl.actor import Actor
 from armctl.rl.disk import full_disk_told, save_torch
 from armctl.rl.meter import COUNTS, Meter, Metered
 from armctl.rl.threads import bounded_threads
-from armctl.rl.view import Features, view_of
+from armctl.rl.view import Features, View, view_of
 from armctl.shaping import Shaped
 
 LOG = logging.getLogger(__name__)
@@ -95,8 +95,8 @@ class Training:
         self.recipe, self.options, self.out, self.seed = recipe, options, out, seed
         self.held_out = make_worlds(recipe.env, min(VALIDATION_WORLDS, options.validation_episodes), recipe.env_options)
         worlds = self._make_worlds()
-        _check_alike(worlds, self.held_out)
         self.view = view_of(self.held_out, features=options.features, relative=options.relative)
+        _check_alike(worlds, self.held_out, self.view)
         self._check_folder(resume)
         self.meter = Meter(out / CLOCK, resumed=self.newest_checkpoint() is not None)
         self.worlds = Metered(worlds, self.meter)
@@ -274,10 +274,17 @@ def bar_fits(progress: bool) -> bool:
     return progress and sys.stdout.isatty() and sys.stderr.isatty()
 
 
-def _check_alike(trained: Any, judged: EpisodeVectorEnv) -> None:
-    """Raise `ConfigurationError` if agents see or command the robot in training otherwise than in evaluations."""
+def _check_alike(trained: Any, judged: EpisodeVectorEnv, view: View) -> None:
+    """Raise `ConfigurationError` if agents see or command the robot in training otherwise than in evaluations.
+
+    If the view prepares observations, these are what has to be alike.
+    """
     first, second = (
-        (worlds.task.interface, worlds.single_observation_space, worlds.single_action_space)
+        (
+            {name: value for name, value in worlds.task.interface.items() if name != "observation" or not view.prepare},
+            shapes(view.prepared(worlds.single_observation_space)),
+            worlds.single_action_space,
+        )
         for worlds in (trained.unwrapped, judged)
     )
     if first != second:

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 ACCELERATION = kernel.Drive(linear=6.0, angular=12.0)
 """m/s^2 and rad/s^2: what MuJoCo's rover does on the asphalt, rounded."""
-MARGIN = 0.03
+MARGIN = 0.02
 """m: by so much more than in physics, rovers keep away from everything: wheels that skid take them a little farther."""
 OUTLINE = np.array([[0.254, 0.155], [0.229, 0.208]]) + MARGIN
 """m: half length and half width of the base, and of all wheels together, with the margin."""
