@@ -2,8 +2,8 @@
 
 The student acts, and the teacher, who may see more, labels each state that it gets into, as in DAgger (Ross, Gordon and
 Bagnell, AISTATS 2011); what the student does not see it has to infer from what it remembers (Lee et al., Learning
-quadrupedal locomotion over challenging terrain, Science Robotics 2020). Each label is used once, as it is given:
-gradients flow back through the last control steps (truncated backpropagation through time).
+quadrupedal locomotion over challenging terrain, Science Robotics 2020). The student learns from the last control steps,
+through which gradients flow back (truncated backpropagation through time), and then forgets their labels.
 """
 
 from pathlib import Path
@@ -41,7 +41,9 @@ class DistilOptions(TrainingOptions):
     memory_units: Count = 128
     """Numbers that the student remembers."""
     length: Count = 32
-    """Control steps of each world between two gradient steps, and through which gradients flow back."""
+    """Control steps of each world that are learned from at once, and through which gradients flow back."""
+    epochs: Count = 4
+    """Gradient steps on these."""
     mixed_steps: Steps = 200_000
     """Environment steps until the student acts alone. Until then, each action is the teacher's with a probability that
     decays linearly from 1."""
@@ -114,7 +116,9 @@ class Student:
                 if self.training.due(self.steps):
                     self.save()
                     self.training.evaluate(self.actor, self.steps)
-                self._descend(lesson.loss())
+                lesson.play()
+                for _ in range(self.options.epochs):
+                    self._descend(lesson.loss())
                 taught = self.options.length * worlds.num_envs
                 self.steps += taught
                 bar.update(taught)
@@ -141,24 +145,36 @@ class Lesson:
         teacher.reset(np.arange(worlds.num_envs, dtype=np.int32))
         self._memory = blank(student.network.memory, worlds.num_envs)
 
+    def play(self) -> None:
+        """Make the next control steps."""
+        self._first = self._memory
+        with torch.no_grad():
+            self._played = [self._step() for _ in range(self._student.options.length)]
+
     def loss(self) -> torch.Tensor:
-        """The mean squared difference to the labels of the next control steps, in the network's unit of actions."""
-        self._memory = [remembered.detach() for remembered in self._memory]
-        losses = [self._step() for _ in range(self._student.options.length)]
+        """The mean squared difference to the labels of what was played, in the network's unit of actions."""
+        memory, losses = self._first, []
+        for seen, wanted, lasting in self._played:
+            actions, *memory = self._student.network(seen, *memory)
+            memory = [remembered * lasting for remembered in memory]
+            losses.append((actions - wanted).square().mean())
         return torch.stack(losses).mean()
 
-    def _step(self) -> torch.Tensor:
+    def _step(self) -> tuple[Any, torch.Tensor, torch.Tensor]:
+        """Make a control step. Returns what was observed, the network's actions for the labels, and who goes on."""
         student, seen = self._student, tensors(self._observations)
         scale = student.actor.scale
         actions, *self._memory = student.network(seen, *self._memory)
         labels = self._teacher.act(self._observations)
         student.training.meter.add(teacher_queries=len(labels))
         wanted = scale.inverse(seen, torch.as_tensor(labels, dtype=torch.float32))
-        self._act(scale(seen, actions.detach()).numpy(), labels)
-        return (actions - wanted).square().mean()
+        ended = self._act(scale(seen, actions).numpy(), labels)
+        lasting = torch.as_tensor(~ended)[:, None]
+        self._memory = [remembered * lasting for remembered in self._memory]
+        return seen, wanted, lasting
 
-    def _act(self, own: NDArray[Any], labels: NDArray[Any]) -> None:
-        """Make a control step by the student's own actions (n, k), or the teacher's; both forget finished episodes."""
+    def _act(self, own: NDArray[Any], labels: NDArray[Any]) -> NDArray[np.bool_]:
+        """Take the student's own actions (n, k), or the teacher's, and return whose episode has ended, (n,)."""
         mixed = self._student.options.mixed_steps
         share = 1 - self._student.steps / mixed if mixed else 0.0
         chosen = self._rng.random(len(labels)) < share
@@ -166,5 +182,4 @@ class Lesson:
         self._observations, ended = step[0], step[2] | step[3]
         if ended.any():
             self._teacher.reset(np.flatnonzero(ended).astype(np.int32))
-            lasting = torch.as_tensor(~ended)[:, None]
-            self._memory = [remembered * lasting for remembered in self._memory]
+        return ended

@@ -18,8 +18,9 @@ from armctl.rl.training import Training
 TEACHER = f"{Path(__file__).with_name('preparations.py')}:Alternating"
 REACH = {"actions": "normalized", "max_episode_steps": 10}
 SMALL = {
-    "steps": 16 * 8 * 150, "worlds": 16, "length": 8, "hidden_units": 32, "memory_units": 16, "learning_rate": 1e-2,
-    "mixed_steps": 2000, "evaluation_every": 16 * 8 * 100, "validation_episodes": 3, "evaluation_episodes": 3,
+    "steps": 16 * 8 * 75, "worlds": 16, "length": 8, "epochs": 2, "hidden_units": 32, "memory_units": 16,
+    "learning_rate": 1e-2, "mixed_steps": 2000, "evaluation_every": 16 * 8 * 50, "validation_episodes": 3,
+    "evaluation_episodes": 3,
 }  # fmt: skip
 CAMERA = {"resolution": (8, 6), "max_episode_steps": 6}
 
@@ -102,10 +103,10 @@ def test_a_training_resumes_where_it_was(tmp_path):
     longer = short.changed(options=short.options | {"steps": 768})
     training = Training(longer, longer.read_options(DistilOptions), tmp_path / "run", 0, True)
     student = Student(training, training.options)
-    assert (student.steps, first.gradient_steps) == (512, 4)
-    assert student._optimizer.state_dict()["state"][0]["step"] == 4
+    assert (student.steps, first.gradient_steps) == (512, 8)
+    assert student._optimizer.state_dict()["state"][0]["step"] == 8
     card = train(longer, out=tmp_path / "run", seed=0, resume=True, progress=False)
-    assert (card.training_steps, card.gradient_steps, card.decisions) == (768, 6, 768)
+    assert (card.training_steps, card.gradient_steps, card.decisions) == (768, 12, 768)
     assert pd.read_csv(tmp_path / "run" / "curve.csv").steps.tolist() == [0, 256, 512, 768]
     with pytest.raises(ConfigurationError, match="memory_units 16, not 8"):
         train(recipe(steps=768, evaluation_every=256, memory_units=8), out=tmp_path / "run", seed=0, resume=True)
@@ -124,16 +125,16 @@ def test_an_interrupt_leaves_a_checkpoint(tmp_path, monkeypatch):
         train(recipe(steps=512), out=tmp_path / "run", seed=0, progress=False)
     monkeypatch.undo()
     assert (tmp_path / "run" / "checkpoints" / "256.zip").exists()
-    assert train(recipe(steps=512), out=tmp_path / "run", seed=0, resume=True, progress=False).gradient_steps == 4
+    assert train(recipe(steps=512), out=tmp_path / "run", seed=0, resume=True, progress=False).gradient_steps == 8
 
 
 def test_a_student_forgets_finished_episodes_and_so_does_the_teacher(tmp_path):
-    chosen = recipe(env_options=REACH | {"max_episode_steps": 3})
+    chosen = recipe(env_options=REACH | {"max_episode_steps": 3}, length=1)
     training, student = started(chosen, tmp_path / "run")
     teacher = make_policy(TEACHER, training.worlds.unwrapped)
     lesson = Lesson(student, training.worlds, teacher)
     for t in range(1, 7):
-        lesson._step()
+        lesson.play()
         (hidden,) = lesson._memory
         assert (hidden == 0).all() == (t % 3 == 0)
         assert {one.policy.step if hasattr(one, "policy") else one.step for one in teacher.controllers} == {t % 3}
@@ -143,9 +144,9 @@ def test_gradients_flow_through_a_lesson_and_no_further(tmp_path):
     training, student = started(recipe(), tmp_path / "run")
     lesson = Lesson(student, training.worlds, make_policy(TEACHER, training.worlds.unwrapped))
     for _ in range(2):
-        loss = lesson.loss()
+        lesson.play()
         student.network.zero_grad()
-        loss.backward()  # which fails if a graph is used again
+        lesson.loss().backward()  # which fails if a graph is used again
         assert student.network.unit.weight_hh.grad.abs().max() > 0
 
 
@@ -156,7 +157,7 @@ def test_the_teacher_acts_at_first(mixed_steps, share, tmp_path, monkeypatch):
     monkeypatch.setattr(
         type(training.worlds), "step", lambda worlds, actions: taken.append(actions) or step(worlds, actions)
     )
-    Lesson(student, training.worlds, make_policy(TEACHER, training.worlds.unwrapped)).loss()
+    Lesson(student, training.worlds, make_policy(TEACHER, training.worlds.unwrapped)).play()
     assert np.isin(taken, (0.5, -0.5)).mean() == share
 
 
