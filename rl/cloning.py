@@ -2,21 +2,24 @@
 
 import itertools
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from tqdm import tqdm
 
 from armctl.console import printable
 from armctl.datasets.demonstrations import Demonstration, demonstrate
 from armctl.datasets.minari import read_demonstrations
-from armctl.envs import make_worlds
+from armctl.envs import TaskVectorEnv, make_worlds
 from armctl.errors import ConfigurationError
 from armctl.learners import Recipe
 from armctl.options import options
-from armctl.policies import make_policy
+from armctl.policies import Policy, make_policy
+from armctl.policies.trainings import card_of
 from armctl.rl.actor import Actor, tensors
 from armctl.rl.training import Count, Share, Training, TrainingOptions, bar_fits
 from armctl.rl.view import Features
@@ -127,6 +130,33 @@ class Teacher:
         bar = tqdm(shown, printable(self.name), episodes, leave=False, disable=not bar_fits(progress))
         played = sorted(bar, key=lambda pair: pair[0].episode)
         return [episode for _, episode in played]
+
+
+class OfState:
+    """An agent that sees the state of worlds, whatever these show."""
+
+    training_steps = 0
+
+    def __init__(self, agent: Policy, worlds: TaskVectorEnv) -> None:
+        self.sees, self.reset, self._agent, self._task = agent.sees, agent.reset, agent, worlds.task
+
+    def act(self, observations: Any) -> NDArray[Any]:
+        """Actions (n, ...) for the present states."""
+        return self._agent.act(self._task.state_observation())
+
+
+def teacher_in(worlds: TaskVectorEnv, recipe: Recipe) -> Policy:
+    """The recipe's teacher in these worlds of its environment. An agent that was trained to see the state sees theirs.
+
+    Raises `ConfigurationError` for a recipe without a teacher, and what `armctl.make_policy` raises.
+    """
+    if recipe.teacher is None:
+        raise ConfigurationError(f"{recipe.learner} learns from a policy: name it, --teacher POLICY")
+    card = card_of(recipe.teacher)
+    if card is None or card.sees != "state" or worlds.task.state_space is None:
+        return make_policy(recipe.teacher, worlds)
+    with closing(make_worlds(recipe.env, 1, recipe.options_in_training | {"observation": "state"})) as seen:
+        return OfState(make_policy(recipe.teacher, seen), worlds)
 
 
 def demonstrations(

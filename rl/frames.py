@@ -145,12 +145,14 @@ class FramesVectorEnv(StableBaselinesVectorEnv):
         return _arrays(stack)
 
 
-def frames_or_not(worlds: Any, view: View, options: FrameOptions) -> StableBaselinesVectorEnv:
-    """Worlds as a learner with these options is shown them."""
-    if options.frames == 1 and view.prepare is None:
+def shown_worlds(
+    worlds: Any, view: View, options: FrameOptions, kind: type[FramesVectorEnv] | None = None
+) -> StableBaselinesVectorEnv:
+    """Worlds as a learner with these options is shown them: of a `kind`, or without stacks where there is no need."""
+    if kind is None and options.frames == 1 and view.prepare is None:
         return StableBaselinesVectorEnv(worlds, view.action_scale)
     history = History(view, worlds.single_observation_space, options.frames, options.frame_gap)
-    return FramesVectorEnv(history, worlds, view.action_scale)
+    return (kind or FramesVectorEnv)(history, worlds, view.action_scale)
 
 
 def features_of(venv: StableBaselinesVectorEnv, view: View) -> dict[str, Any]:

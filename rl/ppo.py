@@ -15,7 +15,8 @@ from armctl.agents import AgentCard
 from armctl.learners import Recipe
 from armctl.options import options
 from armctl.rl.actor import Actor
-from armctl.rl.frames import FrameOptions, actor_in, features_of, frames_or_not
+from armctl.rl.asymmetric import AsymmetricPolicy, AsymmetricVectorEnv
+from armctl.rl.frames import FrameOptions, actor_in, features_of, shown_worlds
 from armctl.rl.learning import learn
 from armctl.rl.training import Count, Positive, Share, Training
 from armctl.rl.vector import StableBaselinesVectorEnv
@@ -40,6 +41,8 @@ class PpoOptions(FrameOptions):
     reward_scale: Positive = 0.02
     activation: Literal["elu", "relu"] = "elu"
     """After each layer of the network."""
+    privileged_critic: bool = False
+    """Whether the critic sees the state, which the actor does not. The agent is the actor."""
 
 
 def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True) -> AgentCard:
@@ -53,7 +56,8 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
 
 def load_or_make(training: Training, options: PpoOptions) -> PPO:
     """The model of the newest checkpoint, or an untrained one."""
-    venv = frames_or_not(training.worlds, training.view, options)
+    kind = AsymmetricVectorEnv if options.privileged_critic else None
+    venv = shown_worlds(training.worlds, training.view, options, kind)
     newest = training.newest_checkpoint()
     new = newest is None
     model = new_model(venv, training.view, options, training.seed) if new else PPO.load(newest, venv, "cpu")
@@ -64,8 +68,12 @@ def load_or_make(training: Training, options: PpoOptions) -> PPO:
 def new_model(venv: StableBaselinesVectorEnv, view: View, options: PpoOptions, seed: int) -> PPO:
     """An untrained model."""
     several = isinstance(venv.observation_space, gymnasium.spaces.Dict)
+    policy: Any = "MultiInputPolicy" if several else "MlpPolicy"
+    features = features_of(venv, view)
+    if isinstance(venv, AsymmetricVectorEnv):
+        policy, features = AsymmetricPolicy, {"view": view}
     return PPO(
-        "MultiInputPolicy" if several else "MlpPolicy",
+        policy,
         venv,
         n_steps=options.rollout_length,
         batch_size=options.batch_size,
@@ -76,7 +84,7 @@ def new_model(venv: StableBaselinesVectorEnv, view: View, options: PpoOptions, s
         clip_range=options.clip_range,
         ent_coef=options.entropy,
         policy_kwargs={
-            **features_of(venv, view),
+            **features,
             "net_arch": [options.hidden_units] * options.layers,
             "activation_fn": ACTIVATIONS[options.activation],
             "log_std_init": options.initial_log_std,

@@ -18,7 +18,7 @@ from armctl.agents import AgentCard
 from armctl.errors import ConfigurationError
 from armctl.learners import Recipe
 from armctl.options import options
-from armctl.rl.frames import FrameOptions, actor_in, features_of, frames_or_not
+from armctl.rl.frames import FrameOptions, actor_in, features_of, shown_worlds
 from armctl.rl.hindsight import GoalFeatures, GoalVectorEnv, HindsightBuffer, split
 from armctl.rl.learning import REPLAY, learn
 from armctl.rl.training import Count, Positive, Share, Training
@@ -93,7 +93,7 @@ class SquashedMean(torch.nn.Module):
 def _vector_env(training: Training, options: SacOptions) -> StableBaselinesVectorEnv:
     task, view = training.held_out.task, training.view
     if not (options.relabelled and type(task) is ReachTask):
-        return frames_or_not(training.worlds, view, options)
+        return shown_worlds(training.worlds, view, options)
     if options.frames > 1:
         raise ConfigurationError(
             "relabelled transitions are without earlier frames: set the option relabelled to 0, or leave frames out"

@@ -6,7 +6,7 @@ import logging
 import math
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from importlib.metadata import version
 from pathlib import Path
@@ -94,7 +94,7 @@ class Training:
             raise ConfigurationError(f"a training seed is a whole number from 0 to {2**32 - 1}, not {seed}")
         self.recipe, self.options, self.out, self.seed = recipe, options, out, seed
         self.held_out = make_worlds(recipe.env, min(VALIDATION_WORLDS, options.validation_episodes), recipe.env_options)
-        worlds = self._make_worlds()
+        worlds = self._make_worlds(recipe.options_in_training)
         self.view = view_of(self.held_out, features=options.features, relative=options.relative)
         _check_alike(worlds, self.held_out, self.view)
         self._check_folder(resume)
@@ -128,6 +128,10 @@ class Training:
     def first_seed(self, steps: int = 0) -> int:
         """Seed of the first world after so many steps: a resumed training plays episodes that are new to it."""
         return (self.seed + 1) * TRAINING_SEEDS + steps
+
+    def worlds_as_judged(self) -> Metered:
+        """Further training worlds, without the recipe's `training_options`. Who asks for them closes them."""
+        return Metered(self._make_worlds(self.recipe.env_options), self.meter)
 
     def curve(self) -> list[dict[Any, Any]]:
         """Evaluations on held-out episodes so far, with `armctl.evaluation.curves.CURVE_COLUMNS`."""
@@ -217,14 +221,13 @@ class Training:
         self._write(card)
         return card
 
-    def _make_worlds(self) -> gymnasium.vector.VectorEnv[Any, Any, Any]:
+    def _make_worlds(self, env_options: Mapping[str, Any]) -> gymnasium.vector.VectorEnv[Any, Any, Any]:
         recipe, options = self.recipe, self.options
         rewards = {
             "reward_scale": getattr(options, "reward_scale", 1.0),
             "reward_weights": recipe.reward_weights,
         }
-        env_options = recipe.options_in_training | rewards
-        worlds = make_worlds(recipe.env, options.worlds, env_options, autoreset_mode="same_step")
+        worlds = make_worlds(recipe.env, options.worlds, {**env_options, **rewards}, autoreset_mode="same_step")
         if recipe.shaping is None:
             return worlds
         return Shaped(worlds, recipe.shaping, gamma=options.gamma, scale=recipe.shaping_scale)

@@ -160,6 +160,14 @@ class AgentCard(BaseModel):
     evaluation: Evaluation | None = None
 
     @property
+    def sees(self) -> str:
+        """What the agent sees, for tables: the observation, unless it was trained with one that tells more."""
+        seen = self.interface.get("observation", "")
+        if self.env_options.get("observation") in ("full", "state") and seen.startswith("state"):
+            return "state"
+        return "observation + velocities" if "joint_velocities" in seen else "observation"
+
+    @property
     def cost(self) -> TrainingCost:
         """What the training took."""
         counts = (self.decisions, self.teacher_queries, self.gradient_steps, self.processor_seconds)
@@ -174,7 +182,7 @@ class OnnxPolicy:
     def __init__(self, graph: Path, card: AgentCard) -> None:
         from armctl.agent_graph import AgentGraph  # onnx takes longer to import than the rest, and few need it
 
-        self.card, self.sees = card, _seen(card)
+        self.card, self.sees = card, card.sees
         self.training_steps, self.training_cost = card.training_steps, card.cost
         self._graph = AgentGraph(graph)
         observed = list(card.observation_shape) if isinstance(card.observation_shape, dict) else [INPUT]
@@ -249,14 +257,6 @@ def sha256(path: Path, largest: float = math.inf) -> str:
         raise AgentFileError(f"{path} cannot be read: {error.strerror}") from error
     except ValueError as error:
         raise AgentFileError(str(error)) from error
-
-
-def _seen(card: AgentCard) -> str:
-    """What an agent sees, for tables: the observation, unless it was trained with one that tells more."""
-    seen = card.interface.get("observation", "")
-    if card.env_options.get("observation") in ("full", "state") and seen.startswith("state"):
-        return "state"
-    return "observation + velocities" if "joint_velocities" in seen else "observation"
 
 
 def _check_made_for(card: AgentCard, worlds: EpisodeVectorEnv | Interface) -> None:

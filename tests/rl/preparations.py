@@ -1,5 +1,6 @@
 """Preparations, features and teachers that the tests name."""
 
+import numpy as np
 import torch
 
 
@@ -11,3 +12,14 @@ class NearestInColumns(torch.nn.Module):
 
     def forward(self, observations):
         return {"ranges": observations["image"].amin(dim=1), "motion": observations["motion"]}
+
+
+class Alternating:
+    """A teacher whose actions depend on the control step, which no observation tells."""
+
+    def reset(self):
+        self.step = 0
+
+    def act(self, observation):
+        self.step += 1
+        return np.full(6, 0.5 if self.step % 2 else -0.5)

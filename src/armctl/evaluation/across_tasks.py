@@ -20,7 +20,10 @@ from numpy.typing import NDArray
 from armctl.evaluation.paired import EQUIVALENCE, SIGNIFICANT, holm, mcnemar, mover, within
 from armctl.evaluation.statistics import FEWEST, Estimate, bounded_mean, success_rate
 
-FAMILIES = {"ik": "IK", "mpc": "MPC", "ompl": "OMPL", "ppo": "PPO", "sac": "SAC", "bc": "BC", "dagger": "DAgger"}
+FAMILIES = {
+    "ik": "IK", "mpc": "MPC", "ompl": "OMPL", "ppo": "PPO", "sac": "SAC", "bc": "BC", "dagger": "DAgger",
+    "distil": "distillation",
+}  # fmt: skip
 """By the last word of a policy's name."""
 Choice = tuple[str, str]
 """The policies that stand for a kind in episodes of even and of odd number."""

@@ -66,7 +66,7 @@ class FeatureSpec:
     name: str
     options: Mapping[str, Any] = field(default_factory=dict)
     prepare: str | None = None
-    """`module:Class` of a torch module, made with the observation space and `prepare_options`, that maps observations
+    """`module:Class` of a network module, made with the observation space and `prepare_options`, that maps observations
     (n, ...) to smaller ones: an array, or several by name. The features are of these, and so are buffers and the memory
     of agents."""
     prepare_options: Mapping[str, Any] = field(default_factory=dict)
@@ -219,6 +219,8 @@ class Task(TaskFacts):
     """Of one world."""
     action_space: gymnasium.spaces.Box
     """Of one world."""
+    state_space: gymnasium.spaces.Box | None = None
+    """Of `state_observation`, of one world; None: the task does not say its state."""
     reward_functions: Mapping[str, Any] = {}
     """The reward terms by name, as functions, `Once` or `EachStep`, if the task has them like this."""
     joints: JointSamples | None = None
@@ -250,6 +252,13 @@ class Task(TaskFacts):
     @abstractmethod
     def observe(self, ids: Ids | None = None) -> Observations:
         """Observations of worlds `ids`, or of all."""
+
+    def state_observation(self, ids: Ids | None = None) -> NDArray[np.float32]:
+        """The state of worlds `ids`, or of all, (n, k), as the option `observation="state"` shows it.
+
+        For the critics and teachers of learners, whatever agents observe. Raises `ConfigurationError` if there is none.
+        """
+        raise ConfigurationError(f"{type(self).__name__} has no observation of its state (state_observation)")
 
     @abstractmethod
     def reward_terms(self) -> RewardTerms:

@@ -95,6 +95,22 @@ def test_spaces_are_as_promised():
     assert state.shape == (6 + 3 * 5 + 3 * 4,)
 
 
+def test_the_state_can_be_had_of_worlds_that_show_a_camera():
+    seen, shown = batch(3, MOVING), batch(3, MOVING, observation="state")
+    task, (states, _) = seen.unwrapped.task, shown.reset(seed=1)
+    seen.reset(seed=1)
+    for _ in range(3):
+        assert np.array_equal(task.state_observation(), states)
+        assert np.array_equal(task.state_observation(np.array([2])), states[[2]])
+        assert all(task.state_space.contains(state) for state in states)
+        seen.step(np.tile((0.5, 0.4), (3, 1)))
+        states = shown.step(np.tile((0.5, 0.4), (3, 1)))[0]
+    arm = gymnasium.make_vec("armctl/ArmReach-v0", num_envs=1).unwrapped.task
+    assert arm.state_space is None
+    with pytest.raises(ConfigurationError, match="state_observation"):
+        arm.state_observation()
+
+
 def test_the_state_is_the_truth():
     env = batch(5, MOVING, observation="state")
     env.reset(seed=1)

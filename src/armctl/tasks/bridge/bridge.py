@@ -22,6 +22,7 @@ from armctl.tasks.bridge.observation import (
     full_state,
     make_camera,
     observation_space,
+    state_space,
 )
 from armctl.tasks.bridge.options import CONTROL_PERIOD, WALKER_PERIOD, BridgeMovingOptions, BridgeOptions
 from armctl.tasks.bridge.planar import PlanarRover
@@ -100,7 +101,7 @@ class BridgeTask(Task):
         check_reward_terms(self.reward_terms(), n)
         limits = np.float32(MAX_VELOCITY)
         self.action_space = gymnasium.spaces.Box(-limits, limits, dtype=np.float32)
-        self.observation_space = observation_space(options)
+        self.observation_space, self.state_space = observation_space(options), state_space(options)
 
     @property
     def interface(self) -> dict[str, str]:
@@ -218,12 +219,16 @@ class BridgeTask(Task):
         """Images `image` (n, height, width) and odometry `motion` (n, 3), or states (n, k)."""
         worlds = slice(None) if ids is None else ids
         if self._see is None:
-            blocks = np.array([layout.map.blocks for layout in self._layouts])
-            return full_state(self.state, blocks, self._pedestrians)[worlds]
+            return self.state_observation(ids)
         if self.options.view == "image":
             return self._see(ids)
         seen = "ranges" if self.options.view == "ranges" else "image"
         return {seen: self._see(ids), "motion": self._motion().astype(np.float32)[worlds]}
+
+    def state_observation(self, ids: Ids | None = None) -> NDArray[np.float32]:
+        """Pose, velocities, blocks and pedestrians (n, k)."""
+        blocks = np.array([layout.map.blocks for layout in self._layouts])
+        return full_state(self.state, blocks, self._pedestrians)[slice(None) if ids is None else ids]
 
     def reward_terms(self) -> RewardTerms:
         """The terms of `BridgeOptions.reward`."""

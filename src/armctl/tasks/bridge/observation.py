@@ -88,13 +88,18 @@ def full_state(state: BridgeState, blocks: Array, pedestrians: PedestrianTraject
 def observation_space(options: BridgeOptions) -> gymnasium.spaces.Space[Any]:
     """The observation space of one world."""
     if options.view == "state":
-        return gymnasium.spaces.Box(*_state_bounds(options), dtype=np.float32)
+        return state_space(options)
     motion = gymnasium.spaces.Box(-FASTEST_MOTION, FASTEST_MOTION, dtype=np.float32)
     if options.view == "ranges":
         ranges = gymnasium.spaces.Box(0, np.float32(options.camera_range), options.size[:1], dtype=np.float32)
         return gymnasium.spaces.Dict({"ranges": ranges, "motion": motion})
     image = _image_space(options)
     return image if options.view == "image" else gymnasium.spaces.Dict({"image": image, "motion": motion})
+
+
+def state_space(options: BridgeOptions) -> gymnasium.spaces.Box:
+    """The space of one world's `full_state`."""
+    return gymnasium.spaces.Box(*_state_bounds(options), dtype=np.float32)
 
 
 def _image_space(options: BridgeOptions) -> gymnasium.spaces.Box:

@@ -1,0 +1,124 @@
+"""An asymmetric critic (Pinto et al., Asymmetric actor critic for image-based robot learning, RSS 2018).
+
+While an agent learns, its critic sees the state, and its actor the environment's observation. The agent that comes of
+it is the actor.
+"""
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from stable_baselines3.common.policies import BasePolicy, MultiInputActorCriticPolicy
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, MlpExtractor
+
+from armctl.agents import INPUT, inputs
+from armctl.errors import ConfigurationError
+from armctl.rl.frames import FrameFeatures, FramesVectorEnv
+from armctl.rl.view import View
+
+STATE = "privileged_state"
+"""Name of the state beside the observation's arrays."""
+
+
+class AsymmetricVectorEnv(FramesVectorEnv):
+    """Worlds that show the state beside the observation. Raises `ConfigurationError` for tasks that do not say it."""
+
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        worlds = self.env.unwrapped
+        self._task = worlds.task
+        if self._task.state_space is None:
+            raise ConfigurationError(
+                f"a privileged critic sees the state, which {type(self._task).__name__} does not say (state_space): "
+                "leave privileged_critic out"
+            )
+        self._final = np.zeros((self.num_envs, *self._task.state_space.shape), dtype=np.float32)
+        worlds.observers.append(self)
+        self.observation_space = gymnasium.spaces.Dict({**inputs(self.history.space), STATE: self._task.state_space})
+
+    def began(self, ids: NDArray[np.int32]) -> None:
+        """Do nothing: the states of worlds that have begun an episode are read when they are shown."""
+
+    def stepped(self, awake: NDArray[np.bool_]) -> None:
+        """Keep the states before an autoreset replaces them."""
+        self._final = self._task.state_observation()
+
+    def reset(self) -> Any:
+        """Start new episodes in all worlds."""
+        return _beside(super().reset(), self._task.state_observation())
+
+    def step_wait(self) -> Any:
+        """Step all worlds."""
+        observations, rewards, done, infos = super().step_wait()
+        for i in np.flatnonzero(done):
+            infos[i]["terminal_observation"] = _beside(infos[i]["terminal_observation"], self._final[i])
+        return _beside(observations, self._task.state_observation()), rewards, done, infos
+
+
+class AsymmetricPolicy(MultiInputActorCriticPolicy):
+    """An actor of the observation, and a critic of the state beside it."""
+
+    def __init__(self, *args: Any, view: View, **kwargs: Any) -> None:
+        self._view = view
+        super().__init__(
+            *args,
+            **kwargs,
+            features_extractor_class=ObservedFeatures,
+            features_extractor_kwargs={"view": view},
+            share_features_extractor=False,
+        )
+
+    def extract_features(self, obs: Any, features_extractor: BaseFeaturesExtractor | None = None) -> Any:
+        """Features of actor and critic; or those of one extractor. The actor's needs no state beside."""
+        if features_extractor is None:
+            return super().extract_features(obs)
+        return BasePolicy.extract_features(self, obs if isinstance(obs, dict) else {INPUT: obs}, features_extractor)
+
+    def _build_mlp_extractor(self) -> None:
+        """Give the critic its own features: they have another size than the actor's."""
+        super()._build_mlp_extractor()
+        self.vf_features_extractor = StateFeatures(self.observation_space)
+        critic = MlpExtractor(self.vf_features_extractor.features_dim, self.net_arch, self.activation_fn, self.device)
+        self.mlp_extractor.value_net = critic.value_net
+
+    def _get_constructor_parameters(self) -> dict[str, Any]:
+        known = super()._get_constructor_parameters()
+        del known["features_extractor_class"], known["features_extractor_kwargs"]
+        return {**known, "view": self._view}
+
+
+class ObservedFeatures(BaseFeaturesExtractor):
+    """A view's features of the observation's frames, without the state beside them."""
+
+    def __init__(self, observation_space: gymnasium.spaces.Dict, view: View) -> None:
+        shown = {name: space for name, space in observation_space.items() if name != STATE}
+        one = list(shown) == [INPUT]
+        features = FrameFeatures(shown[INPUT] if one else gymnasium.spaces.Dict(shown), view)
+        super().__init__(observation_space, features.features_dim)
+        self.features, self.names = features, [INPUT] if one else list(shown)
+
+    def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
+        """Features (n, k)."""
+        if self.names == [INPUT]:
+            return self.features(observations[INPUT])
+        return self.features({name: observations[name] for name in self.names})
+
+
+class StateFeatures(BaseFeaturesExtractor):
+    """The state, as shares of its bounds."""
+
+    def __init__(self, observation_space: gymnasium.spaces.Dict) -> None:
+        high = np.asarray(observation_space[STATE].high)  # type: ignore[attr-defined]
+        super().__init__(observation_space, high.size)
+        self.register_buffer("scale", torch.as_tensor(1 / np.where(np.isfinite(high) & (high > 0), high, 1.0)).float())
+
+    def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
+        """Features (n, k)."""
+        return self.scale * observations[STATE]
+
+
+def _beside(observations: Any, state: NDArray[np.float32]) -> dict[str, Any]:
+    parts = observations if isinstance(observations, dict) else {INPUT: observations}
+    return {**parts, STATE: state}

@@ -1,0 +1,185 @@
+"""Distillation of a teacher into a student with a memory: online imitation by a recurrent network.
+
+The student acts, and the teacher, who may see more, labels each state that it gets into, as in DAgger (Ross, Gordon and
+Bagnell, AISTATS 2011); what the student does not see it has to infer from what it remembers (Lee et al., Learning
+quadrupedal locomotion over challenging terrain, Science Robotics 2020). The student learns from the last control steps,
+through which gradients flow back (truncated backpropagation through time), and then forgets their labels.
+"""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from pydantic import Field
+from tqdm import tqdm
+
+from armctl.agents import AgentCard
+from armctl.errors import ConfigurationError
+from armctl.learners import Recipe
+from armctl.options import options
+from armctl.policies import Policy
+from armctl.rl.actor import Actor, blank, tensors
+from armctl.rl.cloning import LAST_RATE, check_teaching, teacher_in
+from armctl.rl.disk import save_torch
+from armctl.rl.meter import Metered
+from armctl.rl.recurrent import RecurrentNetwork
+from armctl.rl.training import Count, Positive, Training, TrainingOptions, bar_fits
+from armctl.rl.view import Features
+
+Steps = Annotated[int, Field(ge=0)]
+
+
+@options
+class DistilOptions(TrainingOptions):
+    """Options of distillation, whose steps are environment steps."""
+
+    steps: Count = 2_000_000
+    layers: Count = 1
+    """Between the memory and the actions."""
+    memory_units: Count = 128
+    """Numbers that the student remembers."""
+    length: Count = 32
+    """Control steps of each world that are learned from at once, and through which gradients flow back."""
+    epochs: Count = 4
+    """Gradient steps on these."""
+    mixed_steps: Steps = 200_000
+    """Environment steps until the student acts alone. Until then, each action is the teacher's with a probability that
+    decays linearly from 1."""
+    judged_steps: Steps = 0
+    """So many of the last environment steps are made in worlds without the recipe's `training_options`."""
+    largest_gradient: Positive = 1.0
+    """Gradients are clipped to this norm."""
+    features: Features = "invariant"
+    evaluation_every: Count = 100_000
+
+    def __post_init__(self) -> None:
+        if self.judged_steps > self.steps:
+            raise ConfigurationError(f"of {self.steps} steps, {self.judged_steps} cannot be judged_steps")
+
+
+def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True) -> AgentCard:
+    """Train an agent into the folder `out`. See `armctl.rl.training.Training`, also for the errors raised."""
+    options = recipe.read_options(DistilOptions)
+    check_teaching(recipe)
+    if options.judged_steps and not recipe.training_options:
+        raise ConfigurationError("judged_steps are made without training_options, of which the recipe has none")
+    training = Training(recipe, options, out, seed, resume)
+    teacher = teacher_in(training.worlds.unwrapped, recipe)
+    with training:
+        student = Student(training, options)
+        try:
+            student.learn(training.worlds, teacher, options.steps - options.judged_steps, progress)
+            if student.steps < options.steps:
+                worlds = training.worlds_as_judged()
+                try:
+                    student.learn(worlds, teacher_in(worlds.unwrapped, recipe), options.steps, progress)
+                finally:
+                    worlds.close()
+        finally:
+            student.save()
+        return training.finish(student.actor, student.steps)
+
+
+class Student:
+    """A recurrent network, and how it learns. It resumes from the training's newest checkpoint."""
+
+    def __init__(self, training: Training, options: DistilOptions) -> None:
+        self.training, self.options, self.steps = training, options, 0
+        torch.manual_seed(training.seed)
+        view, space = training.view, training.held_out.single_observation_space
+        self.network = RecurrentNetwork(
+            view.extractor(space), hidden_units=options.hidden_units, layers=options.layers,
+            memory_units=options.memory_units, actions=training.held_out.single_action_space.shape[0],
+        )  # fmt: skip
+        self.actor = Actor(self.network, view.action_scale, space, self.network.memory)
+        self._optimizer = torch.optim.Adam(self.network.parameters())
+        if (newest := training.newest_checkpoint()) is not None:
+            saved = torch.load(newest, weights_only=True)
+            self.actor.load_state_dict(saved["actor"])
+            self._optimizer.load_state_dict(saved["optimizer"])
+            self.steps = int(newest.stem)
+
+    def save(self) -> None:
+        """Write a checkpoint."""
+        saved = {"actor": self.actor.state_dict(), "optimizer": self._optimizer.state_dict()}
+        self.training.checkpoint(self.steps, lambda path: save_torch(saved, path))
+
+    def learn(self, worlds: Metered, teacher: Policy, until: int, progress: bool) -> None:
+        """Learn in these worlds until there were so many environment steps, in new episodes."""
+        if self.steps >= until:
+            return
+        lesson = Lesson(self, worlds, teacher)
+        with tqdm(total=until, initial=self.steps, desc="distil", leave=False, disable=not bar_fits(progress)) as bar:
+            while self.steps < until:
+                if self.training.due(self.steps):
+                    self.save()
+                    self.training.evaluate(self.actor, self.steps)
+                lesson.play()
+                for _ in range(self.options.epochs):
+                    self._descend(lesson.loss())
+                taught = self.options.length * worlds.num_envs
+                self.steps += taught
+                bar.update(taught)
+
+    def _descend(self, loss: torch.Tensor) -> None:
+        for group in self._optimizer.param_groups:
+            group["lr"] = self.options.learning_rate * max(1 - self.steps / self.options.steps, LAST_RATE)
+        self._optimizer.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), self.options.largest_gradient)
+        self._optimizer.step()
+        self.training.meter.add(gradient_steps=1)
+        self.training.logger.record("train/loss", loss.item())
+
+
+class Lesson:
+    """A student's episodes in worlds with autoreset, labelled by a teacher who is in the same worlds."""
+
+    def __init__(self, student: Student, worlds: Metered, teacher: Policy) -> None:
+        self._student, self._worlds, self._teacher = student, worlds, teacher
+        training = student.training
+        self._rng = np.random.default_rng((training.seed, student.steps))
+        self._observations, _ = worlds.reset(seed=training.first_seed(student.steps))
+        teacher.reset(np.arange(worlds.num_envs, dtype=np.int32))
+        self._memory = blank(student.network.memory, worlds.num_envs)
+
+    def play(self) -> None:
+        """Make the next control steps."""
+        self._first = self._memory
+        with torch.no_grad():
+            self._played = [self._step() for _ in range(self._student.options.length)]
+
+    def loss(self) -> torch.Tensor:
+        """The mean squared difference to the labels of what was played, in the network's unit of actions."""
+        memory, losses = self._first, []
+        for seen, wanted, lasting in self._played:
+            actions, *memory = self._student.network(seen, *memory)
+            memory = [remembered * lasting for remembered in memory]
+            losses.append((actions - wanted).square().mean())
+        return torch.stack(losses).mean()
+
+    def _step(self) -> tuple[Any, torch.Tensor, torch.Tensor]:
+        """Make a control step. Returns what was observed, the network's actions for the labels, and who goes on."""
+        student, seen = self._student, tensors(self._observations)
+        scale = student.actor.scale
+        actions, *self._memory = student.network(seen, *self._memory)
+        labels = self._teacher.act(self._observations)
+        student.training.meter.add(teacher_queries=len(labels))
+        wanted = scale.inverse(seen, torch.as_tensor(labels, dtype=torch.float32))
+        ended = self._act(scale(seen, actions).numpy(), labels)
+        lasting = torch.as_tensor(~ended)[:, None]
+        self._memory = [remembered * lasting for remembered in self._memory]
+        return seen, wanted, lasting
+
+    def _act(self, own: NDArray[Any], labels: NDArray[Any]) -> NDArray[np.bool_]:
+        """Take the student's own actions (n, k), or the teacher's, and return whose episode has ended, (n,)."""
+        mixed = self._student.options.mixed_steps
+        share = 1 - self._student.steps / mixed if mixed else 0.0
+        chosen = self._rng.random(len(labels)) < share
+        step = self._worlds.step(np.where(chosen[:, None], labels, own))
+        self._observations, ended = step[0], step[2] | step[3]
+        if ended.any():
+            self._teacher.reset(np.flatnonzero(ended).astype(np.int32))
+        return ended
