@@ -7,8 +7,10 @@ from gymnasium import spaces
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 BEAMS = 48
-AHEAD = (0.0, 0.4, 0.8, 1.2)
-"""s: times at which people are predicted, as if they walked on straight."""
+AHEAD = (0.0, 0.4, 0.8, 1.2, 1.6)
+"""s: times at which people are predicted. They walk on straight, and turn back before they get to a barrier."""
+TURN = 0.3
+"""m from a barrier, where people turn back."""
 NEAR = 0.5
 """m: nearness is NEAR / (NEAR + distance)."""
 FAR = 1e3
@@ -49,7 +51,7 @@ class Surroundings(BaseFeaturesExtractor):
         if walkers.shape[1]:
             people = walkers.unflatten(1, (-1, WALKER))
             for time in AHEAD:
-                places = people[..., :2] + time * people[..., 2:]
+                places = people_after(people, time, self.half_width - TURN)
                 scans.append(nearness(distances_to_discs(x, y, beams_x, beams_y, places, self.radius)))
         own = (0.1 * (self.goal_x - x), y / self.half_width, cos, sin, speed, turn)
         return torch.cat((*own, *scans), dim=1)
@@ -57,6 +59,13 @@ class Surroundings(BaseFeaturesExtractor):
     def _to_sides(self, y: torch.Tensor, beams_y: torch.Tensor) -> torch.Tensor:
         distances = (self.half_width - y * beams_y.sign()) / beams_y.abs().clamp(min=FLAT)
         return distances.clamp(0.0, FAR)
+
+
+def people_after(people: torch.Tensor, time: float, turn: float) -> torch.Tensor:
+    """Positions (n, k, 2) after `time` s of people (n, k, 4) who turn back `turn` m from the middle of the bridge."""
+    x, y = (people[..., :2] + time * people[..., 2:]).unbind(-1)
+    beyond = (y.abs() - turn).clamp(min=0.0)
+    return torch.stack((x, y - 2 * beyond * y.sign()), dim=-1)
 
 
 def nearness(distances: torch.Tensor) -> torch.Tensor:

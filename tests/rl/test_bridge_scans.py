@@ -3,7 +3,7 @@ import torch
 
 from armctl.envs import make_worlds
 from armctl.kernels import planar
-from armctl.rl.bridge_scans import AHEAD, BEAMS, NEAR, OWN, Surroundings
+from armctl.rl.bridge_scans import AHEAD, BEAMS, NEAR, OWN, TURN, Surroundings, people_after
 from armctl.rl.view import view_of
 from armctl.tasks.bridge.world import WALKER_RADIUS
 
@@ -35,8 +35,23 @@ def test_scans_are_those_of_the_map_and_of_people_who_walk_on():
         return NEAR / (NEAR + ranges)
 
     expected = [scanned(rows, people[:, :0, :2], deck.half_width)]
-    expected += [scanned(rows[:, :0], people[..., :2] + time * people[..., 2:], 900.0) for time in AHEAD]
+    expected += [
+        scanned(rows[:, :0], people_after(torch.as_tensor(people), time, deck.half_width - TURN).numpy(), 900.0)
+        for time in AHEAD
+    ]
     found = features[:, OWN:].reshape(n, 1 + len(AHEAD), BEAMS).swapaxes(0, 1)
     hit = np.array(expected) > 0.01  # the others leave the bridge by its ends
     assert hit[1:].any()
     assert np.abs(found - expected)[hit].max() < 1e-2
+
+
+def test_people_are_predicted_to_turn_back_as_they_do():
+    worlds = make_worlds(MOVING, 50, {"observation": "state", "dynamics": "kinematic", "blocks": 0})
+    states, _ = worlds.reset(seed=1)
+    now = torch.as_tensor(states[:, OWN:]).reshape(50, -1, 4)
+    task = worlds.task
+    across = np.array([~task.map(i).pedestrians.along for i in range(50)])
+    then = np.array([task.map(i).pedestrians.positions(1.6) for i in range(50)])
+    predicted = people_after(now, 1.6, task.map(0).half_width - TURN).numpy()
+    assert across.any()
+    assert np.abs(predicted - then)[across].max() < 1e-3
