@@ -250,10 +250,12 @@ def sha256(path: Path, largest: float = math.inf) -> str:
 
 
 def _seen(card: AgentCard) -> str:
-    """What an agent sees, for tables: the observation, unless it was trained with one that tells more."""
+    """What an agent sees, for tables: the observation, unless it was trained with more, or with the robot's model."""
     seen = card.interface.get("observation", "")
     if card.env_options.get("observation") in ("full", "state") and seen.startswith("state"):
         return "state"
+    if card.learner_options.get("features") == "model":
+        return "model"
     return "observation + velocities" if "joint_velocities" in seen else "observation"
 
 
