@@ -4,7 +4,7 @@ import itertools
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -182,7 +182,7 @@ def demonstrations(
     return won
 
 
-def new_actor(training: Training, options: CloningOptions) -> Actor:
+def new_actor(training: Training, options: TrainingOptions) -> Actor:
     """An untrained actor."""
     torch.manual_seed(training.seed)
     view, space = training.view, training.held_out.single_observation_space
@@ -195,9 +195,16 @@ def new_actor(training: Training, options: CloningOptions) -> Actor:
     return Actor(torch.nn.Sequential(features, *layers, torch.nn.Linear(sizes[-1], actions)), view.action_scale, space)
 
 
+class Drawn(Protocol):
+    """Examples to draw from."""
+
+    def draw(self, rng: np.random.Generator, size: int) -> tuple[Any, torch.Tensor]:
+        """A random batch of observations and actions (size, ...)."""
+
+
 def fit(
     actor: Actor,
-    examples: Examples,
+    examples: Drawn,
     steps: int,
     rng: np.random.Generator,
     *,

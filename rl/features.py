@@ -12,6 +12,8 @@ from armctl.errors import unknown_name
 from armctl.registration import import_attribute
 from armctl.rl.bridge_ranges import NearnessFeatures
 from armctl.rl.bridge_scans import Surroundings
+from armctl.rl.links_among_boxes import LinksAmongBoxes
+from armctl.rl.yaw import rotated
 from armctl.tasks.reach import observation_sizes
 from armctl.tasks.reach.obstacle_layout import BOX_NUMBERS
 
@@ -88,15 +90,12 @@ class BaseYawInvariantFeatures(BaseFeaturesExtractor):
         return (self.boxes(LENGTH_SCALE * torch.cat(parts, dim=-1)) * present).amax(dim=1)
 
 
-def rotated(vectors: torch.Tensor, angles: torch.Tensor) -> torch.Tensor:
-    """Vectors (..., 3) rotated about the vertical by angles (..., 1), rad."""
-    x, y, z = vectors.split(1, dim=-1)
-    return torch.cat((angles.cos() * x - angles.sin() * y, angles.sin() * x + angles.cos() * y, z), dim=-1)
 
 
 FEATURES: dict[str, type[BaseFeaturesExtractor]] = {
     "reach": ReachFeatures,
     "base_yaw_invariant": BaseYawInvariantFeatures,
+    "links_among_boxes": LinksAmongBoxes,
     "nearness": NearnessFeatures,
     "surroundings": Surroundings,
 }

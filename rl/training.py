@@ -68,7 +68,7 @@ class TrainingOptions:
     """Position commands of an arm are relative to the observed joint positions, not absolute."""
     features: Features = "plain"
     """Input of the network: the bare observation (`none`), the task's features (`plain`), or features that are
-    invariant under rotations of the scene (`invariant`), if the task has any."""
+    invariant under rotations of the scene (`invariant`) or know the robot's geometry (`model`), if the task has any."""
     evaluation_every: Count = 250_000
     """Steps between two evaluations on held-out episodes, each with a checkpoint."""
     validation_episodes: Count = 100

@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 from armctl.envs import TaskVectorEnv
+from armctl.errors import ConfigurationError
 from armctl.registration import import_attribute
 from armctl.rl.actor import tensors
 from armctl.rl.features import features_by_name
 
-Features = Literal["none", "plain", "invariant"]
+Features = Literal["none", "plain", "invariant", "model"]
 
 
 @dataclass(frozen=True)
@@ -67,17 +68,20 @@ def view_of(worlds: TaskVectorEnv, *, features: Features = "plain", relative: bo
     """The view of a task.
 
     `features`: `none` for the bare observation, `plain` for the task's features, `invariant` for features that are
-    invariant under the task's symmetries, if it has any. `relative`: actions are relative to a part of the observation,
+    invariant under the task's symmetries, if it has any, `model` for those that know the robot's geometry. `relative`: actions are relative to a part of the observation,
     if the task allows it.
 
-    Raises `ConfigurationError` for an observation that learners of this task cannot use.
+    Raises `ConfigurationError` for an observation or features that learners of this task cannot use.
     """
     declared = worlds.task.learner_view
     chosen = {
         "none": None,
         "plain": declared.features,
         "invariant": declared.invariant_features or declared.features,
+        "model": declared.model_features,
     }[features]
+    if features == "model" and chosen is None:
+        raise ConfigurationError("this task has no features that know the robot's geometry: choose others")
     extractor = features_by_name(chosen.name if chosen else None, worlds.single_observation_space)
     prepare = None
     if chosen and chosen.prepare:

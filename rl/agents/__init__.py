@@ -3,7 +3,9 @@
 from pathlib import Path
 
 from armctl.agents import OnnxPolicy, load_agent
-from armctl.envs import Interface
+from armctl.envs import Interface, ModelInterface
+from armctl.policies import sees
+from armctl.rl.imagining import ImaginingPolicy
 
 FOLDER = Path(__file__).parent
 
@@ -46,6 +48,18 @@ def moving_ppo(env: Interface) -> OnnxPolicy:
 def obstacles_dagger(env: Interface) -> OnnxPolicy:
     """DAgger on `armctl/ArmReachObstacles-v0`, from `reach_ompl`; it sees the boxes."""
     return load_agent(FOLDER / "obstacles_dagger.json", env)
+
+
+@sees("model")
+def obstacles_plan_bc(env: ModelInterface) -> OnnxPolicy:
+    """Clone of plans on `armctl/ArmReachObstacles-v0`; it sees the boxes, and knows where the arm's links are."""
+    return load_agent(FOLDER / "obstacles_plan_bc.json", env)
+
+
+@sees("model")
+def obstacles_imagined(env: ModelInterface) -> ImaginingPolicy:
+    """`obstacles_plan_bc`, which plays its episodes in imagination first, by kinematics, and executes the best."""
+    return ImaginingPolicy(load_agent(FOLDER / "obstacles_plan_bc.json", env), env)
 
 
 def bridge_moving_ppo(env: Interface) -> OnnxPolicy:

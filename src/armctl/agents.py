@@ -161,10 +161,12 @@ class AgentCard(BaseModel):
 
     @property
     def sees(self) -> str:
-        """What the agent sees, for tables: the observation, unless it was trained with one that tells more."""
+        """What the agent sees, for tables: the observation, unless it was trained with more, or the robot's model."""
         seen = self.interface.get("observation", "")
         if self.env_options.get("observation") in ("full", "state") and seen.startswith("state"):
             return "state"
+        if self.learner_options.get("features") == "model":
+            return "model"
         return "observation + velocities" if "joint_velocities" in seen else "observation"
 
     @property

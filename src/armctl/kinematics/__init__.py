@@ -2,6 +2,7 @@
 
 from armctl.kinematics.edge_checker import ArmShapes, EdgeChecker
 from armctl.kinematics.ik import Ik, IkOptions, IkResult
+from armctl.kinematics.imagined import ImaginedArms
 from armctl.kinematics.minimum_time_reach import (
     THOROUGH,
     MinimumTimeReach,
@@ -22,6 +23,7 @@ __all__ = [
     "Ik",
     "IkOptions",
     "IkResult",
+    "ImaginedArms",
     "MinimumTimeReach",
     "MinimumTimeReachOptions",
     "ReachGoal",

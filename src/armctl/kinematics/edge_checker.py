@@ -67,6 +67,16 @@ class ArmShapes:
         motion = [*self._motion, *self._radii[np.argwhere(near)[:, 1]]]
         return np.array(pairs, dtype=edges.PAIR), np.array(motion).reshape(-1, self.model.dof)
 
+    def with_any_boxes(self, most: int) -> tuple[Records, Array, int]:
+        """The same for up to `most` boxes wherever they are: all own pairs, and how many, then those of box after box.
+
+        Of k boxes, the pairs are the first of these.
+        """
+        moving = np.flatnonzero(self.model.links["joint"] > 0)
+        pairs = [*self._pairs, *((edges.LINK_AND_BOX, link, box) for box in range(most) for link in moving)]
+        motion = [*self._motion, *np.tile(self._radii[moving], (most, 1))]
+        return np.array(pairs, dtype=edges.PAIR), np.array(motion).reshape(-1, self.model.dof), len(self._pairs)
+
     def _between(self, first: int, second: int) -> NDArray[np.bool_]:
         """Which joints (dof,) move two joints' frames against each other."""
         joints = np.arange(1, self.model.dof + 1)

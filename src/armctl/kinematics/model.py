@@ -1,8 +1,10 @@
 """The controllers' model of an arm: Pinocchio, built from one URDF."""
 
 import copy
+import math
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio
@@ -153,6 +155,23 @@ class ArmModel:
     def cruise_time(self, start: Array, goal: Array) -> Array:
         """Seconds from `start` to `goal` (..., dof) at the slowest joint's velocity limit: additive along a path."""
         return np.asarray(np.max(np.abs(goal - start) / self.limits.velocity, axis=-1))
+
+    def geometry(self, spacing: float = 0.15) -> dict[str, Any]:
+        """The moving links as plain numbers, for networks: joints as in `armctl.kernels.arm`, and points along links.
+
+        `base`, `sine`, `versine` are (dof, 3, 3), `offset` is (dof, 3). Points (p, 3) are in the frame of their `joint`
+        (p,), which counts from 1, at most `spacing` (m) apart; `radii` (p,) are the links' radii, m.
+        """
+        joint, points, radii = [], [], []
+        for link in self.links[self.links["joint"] > 0]:
+            number = 1 + math.ceil(float(np.linalg.norm(link["end"] - link["start"])) / spacing)
+            shares = np.linspace(0, 1, number) if number > 2 else np.array([0.5])
+            for share in shares:
+                points.append((link["start"] + share * (link["end"] - link["start"])).tolist())
+                joint.append(int(link["joint"]))
+                radii.append(float(link["radius"]))
+        turning = {name: self.joints[name].tolist() for name in ("base", "sine", "versine", "offset")}
+        return {**turning, "joint": joint, "points": points, "radii": radii}
 
     def _jacobian(self, q: Array, frame: pinocchio.ReferenceFrame) -> Array:
         found = pinocchio.computeFrameJacobian(self.pinocchio, self._data, q, self.tip, frame)

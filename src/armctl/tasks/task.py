@@ -84,6 +84,8 @@ class LearnerView:
     """None: the bare observation."""
     invariant_features: FeatureSpec | None = None
     """Features that are invariant under the task's symmetries, if it has any."""
+    model_features: FeatureSpec | None = None
+    """Features that know the robot's geometry, if there are any: an agent with them sees the robot's model."""
 
 
 class Potential(ABC):

@@ -6,7 +6,7 @@ has found a path in every layout.
 
 import functools
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Literal
 
 import mujoco
@@ -36,7 +36,7 @@ from armctl.tasks.reach.options import ReachOptions, Terms
 from armctl.tasks.reach.potentials import PathCostToGo
 from armctl.tasks.reach.reach import CONTROL_PERIOD, ReachOutcome, ReachTask
 from armctl.tasks.reach.state import GOAL_REWARD, REWARD, STEP_REWARD, ReachState, Term
-from armctl.tasks.task import Ids, Once, Potential
+from armctl.tasks.task import FeatureSpec, Ids, LearnerView, Once, Potential
 
 Array = NDArray[np.float64]
 
@@ -118,6 +118,14 @@ class ReachObstaclesTask(ReachTask):
     def __init__(self, n: int, options: ReachObstaclesOptions, threads: int = 0) -> None:
         self._boxes = np.zeros((n, MOST_OBSTACLES, BOX_NUMBERS))
         super().__init__(n, options, threads)
+
+    @property
+    def learner_view(self) -> LearnerView:
+        """Also features that know the arm's geometry, for the observation `paper`."""
+        view, model = super().learner_view, self._workspace.model
+        if list(self.options.parts) != list(OBSTACLES_OBSERVATION) or not model.base_yaw_is_vertical:
+            return view
+        return replace(view, model_features=FeatureSpec("links_among_boxes", {"geometry": model.geometry()}))
 
     def boxes(self, world: int) -> Boxes:
         """The obstacles of a world."""

@@ -1,0 +1,108 @@
+"""Examples for a clone: imagined arms follow planned ways with noise, and every state gets a label that looks ahead.
+
+The label is a move towards the farthest of the way's next waypoints to which a straight joint motion is free: it
+depends on where the arm is, and leads back to the way. Nothing is simulated (`armctl.kinematics.imagined`).
+"""
+
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from armctl.kinematics import ArmShapes, ImaginedArms
+from armctl.kinematics.imagined import MOVING
+from armctl.rl.solved_layouts import SolvedLayouts
+from armctl.tasks.reach import CONTROL_PERIOD
+from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES
+
+Array = NDArray[np.float64]
+
+WAYPOINTS_APART = 0.3
+"""rad: largest joint motion between waypoints, of which a way's corners are some."""
+LONGEST = 75
+"""Control steps (3 s) after which an arm stops to follow."""
+
+
+def follow(
+    shapes: ArmShapes, layouts: SolvedLayouts, rows: NDArray[np.intp], rng: np.random.Generator, *, tolerance: float,
+    largest_move: float, margin: float, noise: float, noise_share: float,
+) -> tuple[NDArray[np.intp], NDArray[np.float32], NDArray[np.float32]]:  # fmt: skip
+    """Follow the ways of some `rows` of layouts: the row of every state, its joint positions and its label, (k, dof).
+
+    Labels are absolute joint positions (rad): a move of up to `largest_move` (rad) in each joint. With the probability
+    `noise_share` in each step, Gaussian `noise` (rad) is added to what is commanded. Straight motions keep `margin`
+    (m). Arms that touch something, or have arrived, are done.
+    """
+    ways, lengths = _padded([waypoints(layouts.way(int(row))) for row in rows])
+    n = len(rows)
+    arms = ImaginedArms(shapes, n, MOST_OBSTACLES, tolerance=tolerance, period=CONTROL_PERIOD)
+    arms.begin(np.arange(n), ways[:, 0], 0.0, layouts.targets[rows], layouts.boxes[rows])
+    found = np.ones(n, dtype=np.int64)
+    states, positions, labels = [], [], []
+    for _ in range(LONGEST):
+        moving = np.flatnonzero(arms.states == MOVING)
+        if not len(moving):
+            break
+        arms.next_waypoints(ways, lengths, margin, found)
+        moves = ways[np.arange(n), found] - arms.positions
+        moves *= np.minimum(1.0, largest_move / np.maximum(abs(moves).max(axis=1, keepdims=True), 1e-9))
+        states.append(rows[moving])
+        positions.append(arms.positions[moving].astype(np.float32))
+        labels.append((arms.positions + moves)[moving].astype(np.float32))
+        disturbed = rng.random((n, 1)) < noise_share
+        arms.move(arms.positions + moves + disturbed * rng.normal(scale=noise, size=moves.shape))
+    return np.concatenate(states), np.concatenate(positions), np.concatenate(labels)
+
+
+def waypoints(way: Array) -> Array:
+    """A way (m, dof), rad, with points between its corners that are at most `WAYPOINTS_APART`."""
+    points = [way[:1]]
+    for start, end in zip(way, way[1:], strict=False):
+        number = max(1, int(np.ceil(abs(end - start).max() / WAYPOINTS_APART)))
+        points.append(start + (end - start) * np.linspace(0, 1, number + 1)[1:, None])
+    return np.concatenate(points)
+
+
+class Followed:
+    """Examples from all layouts, of which a part is followed anew, with other noise, whenever `renew` is called.
+
+    `model` is the arm's, and `how` are the options of `follow`.
+    """
+
+    def __init__(self, shapes: ArmShapes, layouts: SolvedLayouts, parts: int, **how: Any) -> None:
+        self._shapes, self._layouts, self._how, self._parts = shapes, layouts, how, parts
+        self._followed: dict[int, tuple[NDArray[Any], ...]] = {}
+
+    def renew(self, number: int, rng: np.random.Generator) -> int:
+        """Follow the part of this number, counted on and on. Returns how many states were labelled."""
+        part = number % self._parts
+        rows = np.arange(part, len(self._layouts), self._parts)
+        self._followed[part] = follow(self._shapes, self._layouts, rows, rng, **self._how)
+        parts = list(self._followed.values())
+        self._rows, self._positions, self._labels = (np.concatenate([part[i] for part in parts]) for i in range(3))
+        return len(self._followed[part][0])
+
+    def draw(self, rng: np.random.Generator, size: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """A random batch of observations and actions (size, ...)."""
+        drawn = rng.integers(len(self._rows), size=size)
+        rows, positions = self._rows[drawn], self._positions[drawn]
+        observations = observed(self._shapes, positions, self._layouts.targets[rows], self._layouts.boxes[rows])
+        return torch.as_tensor(observations), torch.as_tensor(self._labels[drawn])
+
+
+def observed(
+    shapes: ArmShapes, positions: NDArray[Any], targets: NDArray[Any], boxes: NDArray[Any]
+) -> NDArray[np.float32]:
+    """Observations `paper` (n, k) of arms at joint `positions` (n, dof), with `targets` (n, 3) and boxes (n, ...)."""
+    tips = shapes.model.positions(positions)
+    return np.concatenate((tips, positions, targets, boxes.reshape(len(boxes), -1)), axis=1, dtype=np.float32)
+
+
+def _padded(ways: list[Array]) -> tuple[Array, NDArray[np.int64]]:
+    """Ways (n, most, dof), and their lengths (n,)."""
+    lengths = np.array([len(way) for way in ways], dtype=np.int64)
+    padded = np.zeros((len(ways), lengths.max(), ways[0].shape[1]))
+    for row, way in zip(padded, ways, strict=True):
+        row[: len(way)] = way
+    return padded, lengths

@@ -1,0 +1,110 @@
+"""Behaviour cloning of a follower of plans, made without simulation: layouts, ways and states are all kinematic.
+
+`armctl train obstacles_plan_bc` runs this. The student's own states are not labelled: states come from followers of the
+plans whose commands are disturbed (Laskey et al., DART: Noise injection for robust imitation learning, CoRL 2017).
+"""
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from armctl.agents import AgentCard
+from armctl.errors import ConfigurationError
+from armctl.kinematics import ArmModel, ArmShapes
+from armctl.learners import Recipe
+from armctl.options import options
+from armctl.rl import solved_layouts
+from armctl.rl.actor import Actor
+from armctl.rl.cloning import check_teaching, fit, new_actor
+from armctl.rl.disk import save_torch
+from armctl.rl.following import Followed
+from armctl.rl.training import Count, Positive, Share, Training, TrainingOptions, bar_fits
+from armctl.rl.view import Features
+from armctl.tasks import ReachObstaclesTask
+from armctl.tasks.reach.obstacles import OBSTACLES_OBSERVATION
+
+LAYOUTS = "layouts"
+"""The folder of a training's layouts, in its own."""
+
+
+@options
+class PlanBcOptions(TrainingOptions):
+    """Options of behaviour cloning from plans."""
+
+    steps: Count = 6_000
+    """Gradient steps."""
+    worlds: Count = 1
+    """Nothing is simulated but the evaluations."""
+    hidden_units: Count = 384
+    layers: Count = 3
+    features: Features = "model"
+    evaluation_every: Count = 1_500
+    batch_size: Count = 1024
+    layouts: Count = 60_000
+    """Layouts in which a way is planned."""
+    parts: Count = 6
+    """Parts of the layouts, of which one is followed anew at a time, with other noise."""
+    renewals: Count = 6
+    """How often, after all have been followed once."""
+    margin: Positive = 0.02
+    """m, kept by the straight motions of labels."""
+    largest_move: Positive = 0.3
+    """rad, of labels: with larger ones, arms go too fast to turn at a corner."""
+    noise: Positive = 0.15
+    """rad, of disturbed commands."""
+    noise_share: Share = 0.5
+    """Share of control steps in which the command is disturbed."""
+
+
+def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True) -> AgentCard:
+    """Train an agent into the folder `out`. See `armctl.rl.training.Training`, also for the errors raised."""
+    options = recipe.read_options(PlanBcOptions)
+    check_teaching(recipe)
+    if recipe.teacher is not None:
+        raise ConfigurationError(f"{recipe.learner} learns from plans of its own: it takes no teacher")
+    training = Training(recipe, options, out, seed, resume)
+    task = training.held_out.task
+    if not isinstance(task, ReachObstaclesTask) or list(task.options.parts) != list(OBSTACLES_OBSERVATION):
+        raise ConfigurationError(f"{recipe.learner} is for armctl/ArmReachObstacles-v0 and its observation 'paper'")
+    if task.options.control != "position" or not options.relative:
+        raise ConfigurationError(f"{recipe.learner} needs control 'position' and relative actions")
+    with training:
+        tolerance, folder = task.options.tolerance, out / LAYOUTS
+        solved_layouts.make(folder, options.layouts, seed, task.robot, tolerance, bar_fits(progress))
+        examples = Followed(
+            ArmShapes(ArmModel(task.robot)), solved_layouts.read(folder), options.parts, tolerance=tolerance,
+            largest_move=options.largest_move, margin=options.margin, noise=options.noise,
+            noise_share=options.noise_share,
+        )  # fmt: skip
+        actor, step = new_actor(training, options), 0
+        if (newest := training.newest_checkpoint()) is not None:
+            actor.load_state_dict(torch.load(newest, weights_only=True))
+            step = int(newest.stem)
+        rounds, every = 0, max(1, options.steps // (options.renewals + 1))
+        fitting = fit(
+            actor, examples, options.steps, np.random.default_rng((seed, step)),
+            batch_size=options.batch_size, learning_rate=options.learning_rate, progress=progress, start=step,
+        )  # fmt: skip
+        try:
+            while rounds < options.parts + step // every:  # the same states as before an interrupt
+                labelled = examples.renew(rounds, np.random.default_rng((seed, 1, rounds)))
+                training.meter.add(teacher_queries=labelled if not step else 0)
+                rounds += 1
+            for step in fitting:
+                training.meter.add(gradient_steps=1)
+                if step % every == 0 and step < options.steps:
+                    labelled = examples.renew(rounds, np.random.default_rng((seed, 1, rounds)))
+                    training.meter.add(teacher_queries=labelled)
+                    rounds += 1
+                if step % options.evaluation_every == 0:
+                    _save(training, actor, step)
+                    training.evaluate(actor, step)
+        finally:
+            if step:
+                _save(training, actor, step)
+        return training.finish(actor, step)
+
+
+def _save(training: Training, actor: Actor, step: int) -> None:
+    training.checkpoint(step, lambda path: save_torch(actor.state_dict(), path))

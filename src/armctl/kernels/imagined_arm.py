@@ -1,0 +1,114 @@
+"""Arms that move among boxes as their drives are commanded, without physics: see `armctl.kinematics.imagined`.
+
+Of n arms, arm i has the first `counts[i]` boxes of `boxes` (n, most), and its pairs are the first of `pairs`, which are
+`own` of links and floor, and then `each` for every box.
+"""
+
+import numpy as np
+
+from armctl.kernels.arm import forward, tip_of
+from armctl.kernels.capsules import place
+from armctl.kernels.compiling import compiled, copy_to
+from armctl.kernels.drives import limited, towards, within_range
+from armctl.kernels.edges import check_edge, distance
+
+MOVING, ARRIVED, TOUCHED = range(3)
+"""How an arm's episode stands."""
+
+
+@compiled
+def number_of_pairs(shape, counts, arm):
+    """Pairs of an arm; `shape` is `own` and `each`."""
+    return shape[0] + shape[1] * counts[arm]
+
+
+@compiled
+def begin(robot, shape, boxes, counts, ids, positions, margin, share, margins, slack):
+    """Set the `margins` (n, pairs) m that arms `ids` have to keep: `margin`, or a `share` of less at the start."""
+    joints, links, pairs = robot
+    rotations, origins = np.empty((len(joints), 3, 3)), np.empty((len(joints), 3))
+    ends = np.empty((len(links), 2, 3))
+    for arm in ids:
+        forward(joints, positions[arm], rotations, origins)
+        place(links, rotations, origins, ends)
+        for k in range(number_of_pairs(shape, counts, arm)):
+            away = distance(links, boxes[arm], ends, pairs[k])
+            margins[arm, k] = min(margin, share * max(away, 0.0))
+            slack[arm, k] = away - margins[arm, k]
+
+
+@compiled
+def move(
+    robot, motion, shape, boxes, counts, targets, tolerance, goals, ticks, tick, positions, velocities, margins, slack,
+    states,
+):  # fmt: skip
+    """Move the arms (n,) that are `MOVING` on by some ticks (s) towards `goals` (n, dof), by the law of their drives.
+
+    After each tick, an arm that is below a margin becomes `TOUCHED`, or else one in its sphere `ARRIVED`. A pair is
+    measured only after its links may have used up the `slack` (n, pairs) m that they had when it was measured last:
+    `motion` (pairs, dof) bounds how far each joint moves a pair, m/rad.
+    """
+    joints, links, pairs = robot
+    dof = len(joints)
+    rotations, origins, moved = np.empty((dof, 3, 3)), np.empty((dof, 3)), np.empty(dof)
+    ends, tip = np.empty((len(links), 2, 3)), np.empty(3)
+    for arm in range(len(states)):
+        for _ in range(ticks):
+            if states[arm] != MOVING:
+                break
+            for i in range(dof):
+                joint, position = joints[i], positions[arm, i]
+                wanted = towards(goals[arm, i], position, joint.acceleration, tick)
+                wanted = within_range(wanted, position, joint.lower, joint.upper, joint.acceleration, tick)
+                velocities[arm, i] = limited(wanted, velocities[arm, i], joint.top, joint.acceleration, tick)
+                positions[arm, i] += velocities[arm, i] * tick
+                moved[i] = abs(velocities[arm, i] * tick)
+            forward(joints, positions[arm], rotations, origins)
+            place(links, rotations, origins, ends)
+            for k in range(number_of_pairs(shape, counts, arm)):
+                for i in range(dof):
+                    slack[arm, k] -= motion[k, i] * moved[i]
+                if slack[arm, k] < 0:
+                    slack[arm, k] = distance(links, boxes[arm], ends, pairs[k]) - margins[arm, k]
+                    if slack[arm, k] < 0:
+                        states[arm] = TOUCHED
+                        break
+            tip_of(joints, rotations, origins, tip)
+            square = 0.0
+            for i in range(3):
+                square += (tip[i] - targets[arm, i]) ** 2
+            if states[arm] == MOVING and square <= tolerance * tolerance:
+                states[arm] = ARRIVED
+
+
+@compiled
+def farthest_waypoints(
+    robot, motion, shape, boxes, counts, states, positions, ways, lengths, margin, share, slack_factor, finest, known,
+    found,
+):  # fmt: skip
+    """Raise `found` (n,) to the farthest of `ways` (n, most, dof) to which a straight motion is free, of `MOVING` arms.
+
+    Of way i, `lengths[i]` corners count. Pairs keep `margin`, or a `share` of what is less at the start, at checked
+    configurations, and these by `slack_factor` in between. `finest` and `known` are those of `check_edge`.
+    """
+    joints, links, pairs = robot
+    rotations, origins = np.empty((len(joints), 3, 3)), np.empty((len(joints), 3))
+    ends, margins, kept = np.empty((len(links), 2, 3)), np.empty(len(pairs)), np.empty(len(pairs))
+    start = np.empty(len(joints))
+    for arm in range(len(states)):
+        if states[arm] != MOVING:
+            continue
+        count = number_of_pairs(shape, counts, arm)
+        copy_to(positions[arm], start)
+        forward(joints, start, rotations, origins)
+        place(links, rotations, origins, ends)
+        for k in range(count):
+            margins[k] = min(margin, share * max(distance(links, boxes[arm], ends, pairs[k]), 0.0))
+            kept[k] = margins[k] / slack_factor
+        for k in range(lengths[arm] - 1, found[arm], -1):
+            free, _ = check_edge(
+                joints, links, pairs[:count], boxes[arm], start, ways[arm, k], margins, kept, motion, finest, known
+            )
+            if free:
+                found[arm] = k
+                break
