@@ -90,8 +90,6 @@ class BaseYawInvariantFeatures(BaseFeaturesExtractor):
         return (self.boxes(LENGTH_SCALE * torch.cat(parts, dim=-1)) * present).amax(dim=1)
 
 
-
-
 FEATURES: dict[str, type[BaseFeaturesExtractor]] = {
     "reach": ReachFeatures,
     "base_yaw_invariant": BaseYawInvariantFeatures,
