@@ -114,7 +114,7 @@ class Teacher:
         if recipe.teacher is None:
             raise ConfigurationError(f"{recipe.learner} learns from a policy: name it, --teacher POLICY")
         self.name = recipe.teacher
-        self.worlds = make_worlds(recipe.env, worlds, recipe.env_options)
+        self.worlds = make_worlds(recipe.env, worlds, recipe.training_options)
         try:
             self.policy = make_policy(self.name, self.worlds)
         except Exception:

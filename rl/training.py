@@ -196,6 +196,7 @@ class Training:
             shaping=recipe.shaping,
             shaping_scale=recipe.shaping_scale if recipe.shaping else None,
             reward_weights=recipe.reward_weights,
+            disturbances=recipe.disturbances,
             teacher=recipe.teacher,
             interface=worlds.task.interface,
             observation_shape=shapes(worlds.single_observation_space),
@@ -220,7 +221,7 @@ class Training:
             "reward_scale": getattr(options, "reward_scale", 1.0),
             "reward_weights": recipe.reward_weights,
         }
-        worlds = make_worlds(recipe.env, options.worlds, recipe.env_options | rewards, autoreset_mode="same_step")
+        worlds = make_worlds(recipe.env, options.worlds, recipe.training_options | rewards, autoreset_mode="same_step")
         if recipe.shaping is None:
             return worlds
         return Shaped(worlds, recipe.shaping, gamma=options.gamma, scale=recipe.shaping_scale)

@@ -129,6 +129,8 @@ class AgentCard(BaseModel):
     shaping_scale: float | None = None
     reward_weights: dict[str, float] = {}
     """Weights of the task's reward terms in training; 1 where not named."""
+    disturbances: dict[str, float | list[float]] = {}
+    """Levels of disturbances in training, and only there: fixed, or the lowest and the highest that episodes drew."""
     teacher: str | None = None
     """The policy that it learned from, if any."""
     interface: dict[str, str]

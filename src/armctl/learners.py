@@ -43,12 +43,21 @@ class Recipe(BaseModel):
     """Reward per unit of the potential."""
     reward_weights: dict[str, FiniteFloat] = {}
     """Weights of the task's own reward terms in training; 1 where not named."""
+    disturbances: dict[str, Any] = {}
+    """Levels of the environment's disturbances in training only, by name: a pair is a range, from which each episode
+    draws its own."""
     teacher: str | None = None
     """The policy to learn from: any that `armctl.make_policy` takes."""
     seeds: Annotated[list[TrainingSeed], Field(min_length=1)] = [0]
     """Training seeds of the published results."""
     options: dict[str, Any] = {}
     """Options of the learner, such as `steps`."""
+
+    @property
+    def training_options(self) -> dict[str, Any]:
+        """Options of the environments of the training: `env_options`, and what is disturbed in training only."""
+        always = self.env_options.get("disturbances", {})
+        return self.env_options | ({"disturbances": always | self.disturbances} if self.disturbances else {})
 
     def changed(self, **changes: Any) -> "Recipe":
         """The recipe with other values. Raises `ConfigurationError`."""

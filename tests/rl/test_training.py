@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from armctl.agents import load_agent
+from armctl.agents import load_agent, read_card
 from armctl.envs import TaskVectorEnv, make_worlds
 from armctl.errors import ConfigurationError
 from armctl.evaluation.rollouts import rollouts
@@ -121,6 +121,18 @@ def test_the_curve_is_a_table_of_held_out_episodes(tmp_path):
     assert list((out / "tensorboard").glob("events*"))
 
 
+def test_disturbances_are_for_training_only(tmp_path):
+    disturbances = {"noise": [0, 0.02], "delay": 1}
+    asked = recipe(disturbances=disturbances, env_options={"disturbances": {"payload": 2.0}})
+    with Training(asked, OPTIONS, tmp_path / "run", 0, False) as training:
+        assert set(training.worlds.unwrapped.disturbances) == {"noise", "delay", "payload"}
+        assert set(training.held_out.disturbances) == {"payload"}
+        card = training.finish(constant_actor(training, 0.0), 0)
+    assert read_card(tmp_path / "run" / "agent.json").disturbances == card.disturbances == disturbances
+    assert card.env_options == {"disturbances": {"payload": 2.0}}
+    Training(asked, OPTIONS, tmp_path / "run", 0, True)
+
+
 def test_a_half_written_checkpoint_is_none(tmp_path):
     out = tmp_path / "run"
     with Training(recipe(), OPTIONS, out, 0, False) as training:
@@ -151,6 +163,7 @@ def test_training_plays_other_episodes_than_any_evaluation(tmp_path):
         ({"shaping": "distance"}, "shaping None, not 'distance'"),
         ({"env_options": {"robot": "ur10"}}, r"env_options \{\}, not \{'robot': 'ur10'\}"),
         ({"reward_weights": {"goal": 0.5}}, "reward_weights"),
+        ({"disturbances": {"noise": [0, 0.1]}}, "disturbances"),
         ({"teacher": "reach_ik"}, "teacher None, not 'reach_ik'"),
     ],
 )
@@ -198,6 +211,8 @@ def test_a_folder_that_cannot_be_written(tmp_path):
         ({"env": "CartPole-v1"}, "not made of a task"),
         ({"env": "armctl/Nothing-v0"}, "no environment"),
         ({"reward_weights": {"gaol": 1.0}}, "Did you mean 'goal'"),
+        ({"disturbances": {"noize": [0, 0.1]}}, "Did you mean 'noise'"),
+        ({"disturbances": {"noise": [0.1, 0]}}, "from the lowest to the highest"),
         ({"shaping": "distanc"}, "Did you mean 'distance'"),
         ({"shaping": "ompl"}, "ompl"),
     ],
