@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from armctl.agents import AgentCard
+from armctl.errors import ConfigurationError
 from armctl.learners import Recipe
 from armctl.options import options
 from armctl.rl.actor import Actor
@@ -29,6 +30,8 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
     """Train an agent into the folder `out`. See `armctl.rl.training.Training`, also for the errors raised."""
     options = recipe.read_options(BcOptions)
     check_teaching(recipe)
+    if recipe.training_options and options.dataset is not None:
+        raise ConfigurationError("a dataset shows what it shows: training_options are for a teacher's episodes")
     training = Training(recipe, options, out, seed, resume)
     examples = examples_for(training, options)
     examples.add(demonstrations(training, options, options.dataset, progress))

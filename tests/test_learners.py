@@ -79,6 +79,7 @@ def test_what_is_not_found_is_named_with_the_nearest(name, env, says):
         (GOOD + "shaping_scale = nan", "shaping_scale: Input should be a finite number"),
         (GOOD + "reward_weights = { goal = inf }", "reward_weights.goal"),
         (GOOD + "reward_weights = [1.0]", "reward_weights: Input should be a valid dictionary"),
+        (GOOD + "training_options = 0.1", "training_options: Input should be a valid dictionary"),
         (GOOD + "seeds = []", "seeds"),
         (GOOD + "seeds = [-1]", "seeds.0"),
         (GOOD + "seeds = [true]", "seeds.0"),

@@ -10,38 +10,9 @@ from armctl.evaluation.record import TIME_COLUMNS
 from armctl.kinematics import ArmModel
 from armctl.robots.rover import WHEEL_RADIUS, WHEELS
 from armctl.simulation.worlds import world_path
+from tests.disturbances.disturbed import BRIDGE, REACH, SMALL, arrays, fields, played, worlds
 
-REACH, BRIDGE = "armctl/ArmReach-v0", "armctl/BridgeCross-v0"
-SMALL = {"resolution": (12, 8)}
 ENVS = (REACH, "armctl/ArmReachMoving-v0", "armctl/ArmReachObstacles-v0", BRIDGE)
-
-
-def worlds(env=REACH, n=1, disturbances=None, seed=0, **options):
-    options = (SMALL if env == BRIDGE else {}) | options
-    given = {} if disturbances is None else {"disturbances": disturbances}
-    made = gymnasium.make_vec(env, num_envs=n, threads=1, **given, **options)
-    made.reset(seed=seed)
-    return made
-
-
-def fields(env, name):
-    return env.unwrapped.task.simulation.per_world(name)
-
-
-def arrays(observations):
-    return observations if isinstance(observations, dict) else {"": observations}
-
-
-def played(env, decisions=25, seed=3):
-    """Everything that comes of the same random actions."""
-    rng, told = np.random.default_rng(0), []
-    observations, _ = env.reset(seed=seed)
-    for _ in range(decisions):
-        told += [np.copy(values) for values in arrays(observations).values()]
-        action = rng.uniform(env.single_action_space.low, env.single_action_space.high)
-        observations, rewards, *_ = env.step(np.tile(action, (env.num_envs, 1)))
-        told.append(rewards)
-    return told
 
 
 @pytest.mark.parametrize("env", ENVS)

@@ -16,7 +16,7 @@ from armctl.rl.bc import BcOptions
 from armctl.rl.bc import train as clone
 from armctl.rl.cloned_ppo import ClonedPpoOptions, warm_up
 from armctl.rl.cloned_ppo import train as train_cloned_ppo
-from armctl.rl.cloning import Examples, examples_for
+from armctl.rl.cloning import Examples, Teacher, examples_for
 from armctl.rl.dagger import MemorylessTeacher
 from armctl.rl.dagger import train as dagger
 from armctl.rl.ppo import new_model
@@ -97,6 +97,20 @@ def test_failures_are_not_cloned(tmp_path):
     with pytest.raises(ConfigurationError, match="none of 3 episodes"):
         clone(small("reach_bc", dataset=str(tmp_path / "data")), out=tmp_path / "run", seed=0, progress=False)
     assert not (tmp_path / "run").exists()
+
+
+def test_a_dataset_cannot_be_disturbed(tmp_path):
+    recipe = small("reach_bc", dataset=str(tmp_path / "data")).changed(training_options={"disturbances": {"noise": [0, 0.02]}})
+    with pytest.raises(ConfigurationError, match="training_options are for a teacher's episodes"):
+        clone(recipe, out=tmp_path / "run", seed=0, progress=False)
+
+
+def test_a_teacher_is_asked_in_disturbed_episodes():
+    teacher = Teacher(small("reach_bc").changed(training_options={"disturbances": {"noise": [0, 0.02]}}), 3)
+    assert len(set(teacher.worlds.disturbances["noise"].levels)) == 1  # before the first episode
+    teacher.show(3, 0, False)
+    assert len(set(teacher.worlds.disturbances["noise"].levels)) == 3
+    teacher.worlds.close()
 
 
 @pytest.mark.parametrize(("name", "train"), [("reach_bc", clone), ("reach_cloned_ppo", train_cloned_ppo)])

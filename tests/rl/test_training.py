@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from armctl.agents import load_agent
+from armctl.agents import load_agent, read_card
 from armctl.envs import TaskVectorEnv, make_worlds
 from armctl.errors import ConfigurationError
 from armctl.evaluation.rollouts import rollouts
@@ -151,6 +151,7 @@ def test_training_plays_other_episodes_than_any_evaluation(tmp_path):
         ({"shaping": "distance"}, "shaping None, not 'distance'"),
         ({"env_options": {"robot": "ur10"}}, r"env_options \{\}, not \{'robot': 'ur10'\}"),
         ({"reward_weights": {"goal": 0.5}}, "reward_weights"),
+        ({"training_options": {"disturbances": {"noise": [0, 0.1]}}}, "training_options"),
         ({"teacher": "reach_ik"}, "teacher None, not 'reach_ik'"),
     ],
 )
@@ -198,6 +199,8 @@ def test_a_folder_that_cannot_be_written(tmp_path):
         ({"env": "CartPole-v1"}, "not made of a task"),
         ({"env": "armctl/Nothing-v0"}, "no environment"),
         ({"reward_weights": {"gaol": 1.0}}, "Did you mean 'goal'"),
+        ({"training_options": {"disturbances": {"noize": [0, 0.1]}}}, "Did you mean 'noise'"),
+        ({"training_options": {"disturbances": {"noise": [0.1, 0]}}}, "from the lowest to the highest"),
         ({"shaping": "distanc"}, "Did you mean 'distance'"),
         ({"shaping": "ompl"}, "ompl"),
     ],
@@ -210,7 +213,7 @@ def test_a_recipe_that_cannot_be_followed_leaves_no_folder(tmp_path, changes, sa
 
 def test_training_options_hold_in_training_only(tmp_path, graded, unexported):
     env_options = {"tolerance": 0.1, "max_episode_steps": 30}
-    changed = recipe(env_options=env_options, training_options={"tolerance": 0.2, "disturbances": {"noise": 0.01}})
+    changed = recipe(env_options=env_options, training_options={"tolerance": 0.2, "disturbances": {"noise": [0, 0.01]}})
     with Training(changed, OPTIONS, tmp_path / "run", 0, False) as training:
         trained = training.worlds.unwrapped
         assert (trained.task.options.tolerance, training.held_out.task.options.tolerance) == (0.2, 0.1)

@@ -7,16 +7,17 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from numpy.typing import NDArray
 
-from armctl.disturbances.disturbance import Disturbable, Disturbance, DisturbanceSpec
+from armctl.disturbances.disturbance import Disturbable, Disturbance, DisturbanceSpec, LevelRange
 from armctl.disturbances.fields import JointFriction, LinkMismatch, Payload, Slipperiness, Strength, WheelMismatch
 from armctl.disturbances.signals import Delay, Dropout, Noise, Pushes
 from armctl.errors import ConfigurationError, unknown_name
 
 __all__ = [
     "ARM", "GENERIC", "ROVER", "Delay", "Disturbable", "Disturbance", "DisturbanceSpec", "Dropout", "JointFriction",
-    "LinkMismatch", "Noise", "Payload", "Pushes", "Slipperiness", "Strength", "WheelMismatch", "available", "disturb",
-    "episode_rng",
+    "LevelRange", "LinkMismatch", "Noise", "Payload", "Pushes", "Slipperiness", "Strength", "WheelMismatch",
+    "available", "begin_episodes", "disturb", "episode_rng",
 ]  # fmt: skip
 
 ON_TOP = (0.0, 0.0, 0.22)
@@ -117,6 +118,8 @@ def disturb(
 ) -> dict[str, Disturbance]:
     """Apply disturbances to a task permanently, each at its level. Levels that change nothing are left out.
 
+    A level is a number, or a pair of the lowest and the highest: then each episode draws its own, uniformly.
+
     Raises `ConfigurationError`.
     """
     if not isinstance(levels, Mapping):
@@ -125,8 +128,39 @@ def disturb(
     for name in levels:
         if name not in usable:
             raise unknown_name("disturbance here", name, usable)
-    checked = {name: spec.checked(name, levels[name]) for name, spec in usable.items() if name in levels}
-    return {name: usable[name].make(task, level) for name, level in checked.items() if level != usable[name].neutral}
+    ranges = {name: spec.checked_range(name, levels[name]) for name, spec in usable.items() if name in levels}
+    made = {}
+    for name, drawn_from in ranges.items():
+        if drawn_from.low == drawn_from.high == usable[name].neutral:
+            continue
+        made[name] = usable[name].make(task, drawn_from.high)
+        if drawn_from.low < drawn_from.high:
+            if not made[name].per_episode:
+                raise ConfigurationError(f"the level of {name} cannot differ between episodes: give one level")
+            made[name].drawn_from = drawn_from
+    return made
+
+
+def begin_episodes(
+    disturbances: Mapping[str, Disturbance], ids: NDArray[np.int32], seeds: NDArray[np.int64], episodes: NDArray[Any]
+) -> None:
+    """Prepare the worlds `ids`, which are about to be reset, for their episodes, of `seeds` (n,) and `episodes` (n,).
+
+    A disturbance changes what earlier ones have left of the robot. So all are renewed if one is.
+    """
+    for name, one in disturbances.items():
+        for i in ids:
+            seed, episode = int(seeds[i]), int(episodes[i])
+            one.rngs[i] = episode_rng(name, seed, episode)
+            if one.drawn_from is not None:  # by a generator of its own: all else is as at that level fixed
+                one.levels[i] = one.drawn_from.draw(episode_rng(f"level of {name}", seed, episode))
+    if any(one.renewed for one in disturbances.values()):
+        for one in reversed([*disturbances.values()]):
+            one.undo(ids)
+        for one in disturbances.values():
+            one.apply(ids)
+    for one in disturbances.values():
+        one.begin(ids)
 
 
 def episode_entropy(seed: int, episode: int) -> tuple[int, ...]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import gymnasium
 import numpy as np
@@ -42,16 +42,31 @@ class Disturbable(Protocol):
 
 
 class Disturbance:
-    """A disturbance of one level in the n worlds of `task`; the base class does nothing.
+    """A disturbance in the n worlds of `task`, at one `level`; the base class does nothing.
 
     All randomness comes from `rngs`, one generator per world and episode. So a disturbance depends neither on the
     policy nor on the other worlds.
     """
 
+    per_episode: ClassVar[bool] = False
+    """Whether each episode can have a level of its own: the class goes by `levels`, not by `level`."""
+    renewed = False
+    """Whether `apply` has to be called anew in each episode."""
+
     def __init__(self, task: Disturbable, level: float) -> None:
         self.task, self.level = task, level
+        self.levels = np.full(task.n, float(level))
+        """(n,) level of each world's episode. `level` is the highest if they are drawn."""
+        self.drawn_from: LevelRange | None = None
+        """Where each episode's level is drawn from; None: all are `level`."""
         self.worlds = np.arange(task.n, dtype=np.int32)
         self.rngs = [np.random.default_rng(0)] * task.n
+
+    def undo(self, ids: NDArray[np.int32]) -> None:
+        """Take back what `apply` has changed in worlds `ids`."""
+
+    def apply(self, ids: NDArray[np.int32]) -> None:
+        """Change the simulated robots of worlds `ids`, whose `levels` and `rngs` are those of their new episodes."""
 
     def begin(self, ids: NDArray[np.int32]) -> None:
         """Worlds `ids` are about to be reset; their `rngs` are new."""
@@ -63,6 +78,22 @@ class Disturbance:
     def observe(self, observations: Observations, ids: NDArray[np.int32] | slice) -> Observations:
         """The observations that policies see in worlds `ids`. Repeated calls return the same."""
         return observations
+
+
+@dataclass(frozen=True)
+class LevelRange:
+    """Levels from `low` to `high`."""
+
+    low: float
+    high: float
+    whole: bool
+    """Whether levels are whole numbers."""
+
+    def draw(self, rng: np.random.Generator) -> float:
+        """A level, drawn uniformly, both ends included."""
+        if self.whole:
+            return float(rng.integers(int(self.low), int(self.high), endpoint=True))
+        return float(rng.uniform(self.low, self.high))
 
 
 def everywhere(task: Disturbable) -> bool:
@@ -105,3 +136,15 @@ class DisturbanceSpec:
             number = "a whole number" if self.whole else "a number"
             raise ConfigurationError(f"{name} is {number} from 0 to {self.highest:g} ({self.unit}), not {level!r}")
         return float(level)  # type: ignore[arg-type]
+
+    def checked_range(self, name: str, given: object) -> LevelRange:
+        """The range of a level, or of a pair of the lowest and highest. Raises `ConfigurationError`."""
+        if not isinstance(given, (list, tuple)):
+            level = self.checked(name, given)
+            return LevelRange(level, level, self.whole)
+        if len(given) != 2:
+            raise ConfigurationError(f"{name} is one level, or a pair of the lowest and the highest, not {given!r}")
+        low, high = (self.checked(name, level) for level in given)
+        if low > high:
+            raise ConfigurationError(f"the levels of {name} are from the lowest to the highest, not {given!r}")
+        return LevelRange(low, high, self.whole)

@@ -1,5 +1,8 @@
 """Disturbances of the simulated robot itself. The models of the controllers do not change."""
 
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
 import mujoco
 import numpy as np
 import pinocchio
@@ -16,120 +19,156 @@ STIFF = 0.999
 """Constraint impedance of dry friction: with MuJoCo's default of 0.9, light joints creep."""
 
 
-class Payload(Disturbance):
+class FieldDisturbance(Disturbance):
+    """Changes entries of fields of the simulation's model in `apply`, from what they are then.
+
+    `entries` are the changed entries (k,) of each field. They are applied once, and again in each episode if the
+    levels are drawn, or if the changes themselves are (`random`).
+    """
+
+    per_episode = True
+    random: ClassVar[bool] = False
+
+    def __init__(self, task: Disturbable, level: float, entries: Mapping[str, Sequence[int]]) -> None:
+        super().__init__(task, level)
+        self.fields = {name: task.simulation.per_world(name) for name in entries}
+        self._before = {name: (chosen, self.fields[name][:, chosen].copy()) for name, chosen in entries.items()}
+        if not self.random:
+            self.apply(self.worlds)
+
+    @property
+    def renewed(self) -> bool:  # type: ignore[override]
+        """Whether `apply` has to be called anew in each episode."""
+        return self.random or self.drawn_from is not None
+
+    def undo(self, ids: NDArray[np.int32]) -> None:
+        """Restore what the entries were before this disturbance was made."""
+        for name, (chosen, before) in self._before.items():
+            self.fields[name][ids[:, None], chosen] = before[ids]
+
+
+class Payload(FieldDisturbance):
     """Attaches a ball of `level` kg to the task's `payload_body`, at `offset` (m), without gravity compensation."""
 
     def __init__(self, task: Disturbable, level: float, offset: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
-        super().__init__(task, level)
-        simulation, model = task.simulation, task.simulation.model
-        body = model.body(task.payload_body).id
-        mass, centre, quaternion, moments = (
-            np.array(getattr(model, f"body_{name}")[body]) for name in ("mass", "ipos", "iquat", "inertia")
-        )
-        rotation = np.zeros(9)
+        self._body = task.simulation.model.body(task.payload_body).id
+        self._offset = np.array(offset)
+        names = ("mass", "ipos", "iquat", "inertia", "sameframe", "gravcomp")
+        super().__init__(task, level, {f"body_{name}": [self._body] for name in names})
+
+    def apply(self, ids: NDArray[np.int32]) -> None:
+        """Attach the balls."""
+        for i in ids:
+            self._attach({name: values[i, self._body : self._body + 1] for name, values in self.fields.items()}, i)
+        self.task.simulation.derive(ids)
+
+    def _attach(self, body: dict[str, NDArray[Any]], world: int) -> None:
+        mass, centre, moments = (body[f"body_{name}"][0] for name in ("mass", "ipos", "inertia"))
+        rotation, quaternion = np.zeros(9), body["body_iquat"][0].copy()
         mujoco.mju_quat2Mat(rotation, quaternion)
         axes = rotation.reshape(3, 3)
         own = pinocchio.Inertia(float(mass), centre, axes @ np.diag(moments) @ axes.T)
-        ball = pinocchio.Inertia.FromSphere(level, PAYLOAD_RADIUS).se3Action(pinocchio.SE3(np.eye(3), np.array(offset)))
-        total = own + ball
+        ball = pinocchio.Inertia.FromSphere(self.levels[world], PAYLOAD_RADIUS)
+        total = own + ball.se3Action(pinocchio.SE3(np.eye(3), self._offset))
         principal, vectors = np.linalg.eigh(total.inertia)
         vectors[:, 2] *= np.sign(np.linalg.det(vectors))
         mujoco.mju_mat2Quat(quaternion, vectors.ravel())
-        for name, value in (
-            ("mass", total.mass), ("ipos", total.lever), ("iquat", quaternion), ("inertia", principal),
-            ("sameframe", int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)),
-            ("gravcomp", model.body_gravcomp[body] * mass / total.mass),
-        ):  # fmt: skip
-            simulation.per_world(f"body_{name}")[:, body] = value
-        simulation.derive()
+        body["body_gravcomp"][0] = body["body_gravcomp"][0] * mass / total.mass
+        body["body_mass"][0], body["body_ipos"][0] = total.mass, total.lever
+        body["body_iquat"][0], body["body_inertia"][0] = quaternion, principal
+        body["body_sameframe"][0] = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)
 
 
-class JointFriction(Disturbance):
+class JointFriction(FieldDisturbance):
     """Dry friction in each joint: the share `level` of its torque limit."""
 
     def __init__(self, task: Disturbable, level: float) -> None:
-        super().__init__(task, level)
-        assert task.joints is not None
-        task.simulation.per_world("dof_frictionloss")[:] = level * task.joints.limits.torque
-        task.simulation.per_world("dof_solimp")[..., :2] = STIFF
+        dofs = range(task.simulation.model.nv)
+        super().__init__(task, level, {"dof_frictionloss": dofs, "dof_solimp": dofs})
+
+    def apply(self, ids: NDArray[np.int32]) -> None:
+        """Set the friction."""
+        assert self.task.joints is not None
+        self.fields["dof_frictionloss"][ids] = self.levels[ids, None] * self.task.joints.limits.torque
+        self.fields["dof_solimp"][ids, :, :2] = STIFF
 
 
-class Slipperiness(Disturbance):
+class Slipperiness(FieldDisturbance):
     """Scales the friction of the tyres by `level`."""
 
     def __init__(self, task: Disturbable, level: float) -> None:
-        super().__init__(task, level)
-        tyres = [task.simulation.model.geom(ROVER + wheel).id for wheel in WHEELS]
-        task.simulation.per_world("geom_friction")[:, tyres, 0] *= level
+        self._tyres = [task.simulation.model.geom(ROVER + wheel).id for wheel in WHEELS]
+        super().__init__(task, level, {"geom_friction": self._tyres})
+
+    def apply(self, ids: NDArray[np.int32]) -> None:
+        """Scale the friction."""
+        self.fields["geom_friction"][ids[:, None], self._tyres, 0] *= self.levels[ids, None]
 
 
-class Strength(Disturbance):
+class Strength(FieldDisturbance):
     """Scales the motors' torque and torque limits by `level`, including gravity compensation."""
 
     def __init__(self, task: Disturbable, level: float) -> None:
-        super().__init__(task, level)
-        for field in (
+        simulation, names = task.simulation, (
             "actuator_gainprm", "actuator_biasprm", "actuator_forcerange", "jnt_actfrcrange", "body_gravcomp",
-        ):  # fmt: skip
-            task.simulation.per_world(field)[:] *= level
-        task.simulation.derive()
+        )  # fmt: skip
+        super().__init__(task, level, {name: range(simulation.per_world(name).shape[1]) for name in names})
+
+    def apply(self, ids: NDArray[np.int32]) -> None:
+        """Scale the motors."""
+        for values in self.fields.values():
+            values[ids] *= self.levels[ids].reshape(-1, *[1] * (values.ndim - 1))
+        self.task.simulation.derive(ids)
 
 
-class LinkMismatch(Disturbance):
+class LinkMismatch(FieldDisturbance):
     """Scales each link's mass and length by random factors from 1 - `level` to 1 + `level`, new in each episode.
 
     The first joint stays where it is mounted: lower down, some arms would stand in the floor. The drives compensate for
     the weight of the nominal links.
     """
 
+    random = True
+
     def __init__(self, task: Disturbable, level: float) -> None:
-        super().__init__(task, level)
-        model, simulation = task.simulation.model, task.simulation
+        model = task.simulation.model
         self._links = [i for i in range(model.nbody) if model.body(i).name.startswith(ARM)]
         self._mounted = np.array(self._links) <= min(model.jnt_bodyid)
-        self._masses, self._inertias, self._held, self._places = (
-            simulation.per_world(f"body_{name}") for name in ("mass", "inertia", "gravcomp", "pos")
-        )
-        self._nominal = [
-            values[0, self._links].copy() for values in (self._masses, self._inertias, self._held, self._places)
-        ]
+        super().__init__(task, level, {f"body_{name}": self._links for name in ("mass", "inertia", "gravcomp", "pos")})
 
-    def begin(self, ids: NDArray[np.int32]) -> None:
+    def apply(self, ids: NDArray[np.int32]) -> None:
         """Sample the arms of worlds `ids`."""
-        mass, inertia, held, place = self._nominal
         factors = np.array([self.rngs[i].uniform(-1.0, 1.0, (2, len(self._links))) for i in ids])
-        heavier, longer = 1 + self.level * factors.transpose(1, 0, 2)
-        rows = ids[:, None]
-        self._masses[rows, self._links] = heavier * mass
-        self._inertias[rows, self._links] = heavier[..., None] * inertia
-        self._held[rows, self._links] = held / heavier
-        self._places[rows, self._links] = np.where(self._mounted, 1.0, longer)[..., None] * place
+        heavier, longer = 1 + self.levels[ids, None] * factors.transpose(1, 0, 2)
+        chosen = ids[:, None], self._links
+        self.fields["body_mass"][chosen] *= heavier
+        self.fields["body_inertia"][chosen] *= heavier[..., None]
+        self.fields["body_gravcomp"][chosen] /= heavier
+        self.fields["body_pos"][chosen] *= np.where(self._mounted, 1.0, longer)[..., None]
         self.task.simulation.derive(ids)
 
 
-class WheelMismatch(Disturbance):
+class WheelMismatch(FieldDisturbance):
     """Scales each wheel's radius and the rover's mass by random factors from 1 - `level` to 1 + `level`."""
 
+    random = True
+
     def __init__(self, task: Disturbable, level: float) -> None:
-        super().__init__(task, level)
-        model, simulation = task.simulation.model, task.simulation
+        model = task.simulation.model
         self._base = model.body(task.payload_body).id
         self._wheels = [model.geom(ROVER + wheel).id for wheel in WHEELS]
-        self._sizes, self._bounds, self._reach = (
-            simulation.per_world(f"geom_{name}") for name in ("size", "aabb", "rbound")
-        )
-        self._masses, self._inertias = (simulation.per_world(f"body_{name}") for name in ("mass", "inertia"))
-        self._nominal = self._masses[0, self._base], self._inertias[0, self._base].copy()
         self._radius, self._half_width = model.geom_size[self._wheels[0], :2]
+        entries = {f"geom_{name}": self._wheels for name in ("size", "aabb", "rbound")}
+        super().__init__(task, level, entries | {f"body_{name}": [self._base] for name in ("mass", "inertia")})
 
-    def begin(self, ids: NDArray[np.int32]) -> None:
+    def apply(self, ids: NDArray[np.int32]) -> None:
         """Sample the rovers of worlds `ids`."""
-        mass, inertia = self._nominal
-        factors = 1 + self.level * np.array([self.rngs[i].uniform(-1.0, 1.0, 1 + len(WHEELS)) for i in ids])
+        factors = np.array([self.rngs[i].uniform(-1.0, 1.0, 1 + len(WHEELS)) for i in ids])
+        factors = 1 + self.levels[ids, None] * factors
         rows, radii = ids[:, None], factors[:, 1:] * self._radius
-        self._sizes[rows, self._wheels, 0] = radii
-        self._bounds[rows[..., None], np.array(self._wheels)[:, None], [3, 4]] = radii[..., None]
-        self._reach[rows, self._wheels] = np.hypot(radii, self._half_width)
-        self._masses[ids, self._base] = factors[:, 0] * mass
-        self._inertias[ids, self._base] = factors[:, :1] * inertia
+        self.fields["geom_size"][rows, self._wheels, 0] = radii
+        self.fields["geom_aabb"][rows[..., None], np.array(self._wheels)[:, None], [3, 4]] = radii[..., None]
+        self.fields["geom_rbound"][rows, self._wheels] = np.hypot(radii, self._half_width)
+        self.fields["body_mass"][ids, self._base] *= factors[:, 0]
+        self.fields["body_inertia"][ids, self._base] *= factors[:, :1]
         self.task.simulation.derive(ids)

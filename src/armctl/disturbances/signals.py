@@ -18,6 +18,8 @@ class Noise(Disturbance):
     clipped to the observation space.
     """
 
+    per_episode = True
+
     def __init__(self, task: Disturbable, level: float) -> None:
         super().__init__(task, level)
         seen = task.observe()
@@ -46,12 +48,15 @@ class Noise(Disturbance):
     def _noisy(self, values: NDArray[Any], name: str, space: Any, ids: NDArray[np.int32] | slice) -> NDArray[Any]:
         if name not in self._noise:
             return values
-        noise = np.float32(self.level) * self._noise[name][ids]
+        noise = self._noise[name][ids]
+        noise = self.levels[ids].astype(np.float32).reshape(-1, *[1] * (noise.ndim - 1)) * noise
         return np.where(values == 0, values, np.clip(values + noise, space.low, space.high))
 
 
 class Dropout(Disturbance):
     """Replaces camera images by black ones (all 0), each with probability `level`."""
+
+    per_episode = True
 
     def __init__(self, task: Disturbable, level: float) -> None:
         super().__init__(task, level)
@@ -60,7 +65,7 @@ class Dropout(Disturbance):
     def begin(self, ids: NDArray[np.int32]) -> None:
         """Sample whether the first image is lost."""
         for i in ids:
-            self._lost[i] = self.rngs[i].random() < self.level
+            self._lost[i] = self.rngs[i].random() < self.levels[i]
 
     def command(self, actions: Array) -> Array:
         """Sample whether the next image is lost."""
@@ -77,6 +82,8 @@ class Dropout(Disturbance):
 class Delay(Disturbance):
     """Delays actions by `level` control steps. Until the first one arrives, the robot gets the idle action."""
 
+    per_episode = True
+
     def __init__(self, task: Disturbable, level: float) -> None:
         super().__init__(task, level)
         self._idle = np.array(task.idle_action)
@@ -87,10 +94,10 @@ class Delay(Disturbance):
         self._waiting[ids] = self._idle
 
     def command(self, actions: Array) -> Array:
-        """The actions of `level` control steps ago."""
+        """The actions of `levels` control steps ago."""
         line = np.concatenate((self._waiting, actions[:, None]), axis=1)
         self._waiting = line[:, 1:]
-        return line[:, 0]
+        return np.asarray(line[self.worlds, int(self.level) - self.levels.astype(int)])
 
 
 class Pushes(Disturbance):
@@ -98,6 +105,8 @@ class Pushes(Disturbance):
 
     A push lasts one control step. Its direction is random, and horizontal if `horizontal`.
     """
+
+    per_episode = True
 
     def __init__(self, task: Disturbable, level: float, horizontal: bool = False) -> None:
         super().__init__(task, level)
@@ -111,5 +120,6 @@ class Pushes(Disturbance):
         directions = np.array([rng.standard_normal(self._axes) for rng in self.rngs])
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         pushed = np.array([[rng.random()] for rng in self.rngs]) < self._period / PUSH_INTERVAL
-        self._forces[:, : self._axes] = np.where(pushed, self.level / self._period * directions, 0.0)
+        forces = self.levels[:, None] / self._period
+        self._forces[:, : self._axes] = np.where(pushed, forces * directions, 0.0)
         return actions

@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
-from armctl.disturbances import Disturbance, episode_rng
+from armctl.disturbances import Disturbance, begin_episodes
 from armctl.envs.observations import action_numbers
 from armctl.errors import ConfigurationError, InvalidAction
 from armctl.tasks import Observations
@@ -122,10 +122,7 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._steps[ids] = 0
         self._finished[ids] = False
         worlds = ids.astype(np.int32)
-        for name, disturbance in self.disturbances.items():
-            for i in worlds:
-                disturbance.rngs[i] = episode_rng(name, int(self._seeds[i]), int(self._episodes[i]))
-            disturbance.begin(worlds)
+        begin_episodes(self.disturbances, worlds, self._seeds, self._episodes)
         self._begin(worlds)
         for callback in self.on_begin:
             callback(worlds)

@@ -4,7 +4,7 @@ Episode k of seed s starts with `reset(seed=episode_seed(s, k))`. Success is `in
 of an episode's last step, or a return of at least `success_return`; without either, it is unknown.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from types import MappingProxyType
 from typing import Any, ClassVar
@@ -84,7 +84,7 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
         num_envs: int,
         *,
         success_return: float | None = None,
-        disturbances: Mapping[str, float] = MappingProxyType({}),
+        disturbances: Mapping[str, float | Sequence[float]] = MappingProxyType({}),
     ) -> None:
         super().__init__(num_envs)
         self.worlds = [make() for _ in range(num_envs)]

@@ -4,7 +4,7 @@ Environment id, options, seed and episode number determine an episode. World i o
 with `seed` plays the episodes of a single environment that was reset with `seed + i`, bit for bit.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, Protocol
 
@@ -63,7 +63,8 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
             (`same_step`, with `infos["final_obs"]` and `infos["final_info"]`), or not at all (`disabled`: the world
             stands still until a `reset` whose `options["reset_mask"]` includes it).
         threads: threads to step the worlds on; 0 for all cores.
-        disturbances: levels by name, such as `{"noise": 0.01, "payload": 2.0}`; see `armctl.disturbances`.
+        disturbances: levels by name, such as `{"noise": 0.01, "payload": 2.0}`; see `armctl.disturbances`. A pair such
+            as `(0.0, 0.02)` is a range, from which each episode draws its own level.
         actions: `physical`, in the task's units, or `normalized`: -1 and 1 stand for the task's `action_range`.
         flat_infos: no dicts within infos: `reward_terms/goal` in place of `goal` in `reward_terms`.
         reward_scale: factor of the rewards that `step` returns, for learners; `infos["reward_terms"]` are without it.
@@ -88,7 +89,7 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
         render_mode: str | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         threads: int = 0,
-        disturbances: Mapping[str, float] = MappingProxyType({}),
+        disturbances: Mapping[str, float | Sequence[float]] = MappingProxyType({}),
         actions: str = "physical",
         flat_infos: bool = False,
         reward_scale: float = 1.0,

@@ -1,0 +1,35 @@
+"""Disturbed environments for tests."""
+
+import gymnasium
+import numpy as np
+
+REACH, BRIDGE = "armctl/ArmReach-v0", "armctl/BridgeCross-v0"
+SMALL = {"resolution": (12, 8)}
+
+
+def worlds(env=REACH, n=1, disturbances=None, seed=0, **options):
+    options = (SMALL if env == BRIDGE else {}) | options
+    given = {} if disturbances is None else {"disturbances": disturbances}
+    made = gymnasium.make_vec(env, num_envs=n, threads=1, **given, **options)
+    made.reset(seed=seed)
+    return made
+
+
+def fields(env, name):
+    return env.unwrapped.task.simulation.per_world(name)
+
+
+def arrays(observations):
+    return observations if isinstance(observations, dict) else {"": observations}
+
+
+def played(env, decisions=25, seed=3):
+    """Everything that comes of the same random actions."""
+    rng, told = np.random.default_rng(0), []
+    observations, _ = env.reset(seed=seed)
+    for _ in range(decisions):
+        told += [np.copy(values) for values in arrays(observations).values()]
+        action = rng.uniform(env.single_action_space.low, env.single_action_space.high)
+        observations, rewards, *_ = env.step(np.tile(action, (env.num_envs, 1)))
+        told.append(rewards)
+    return told
