@@ -100,7 +100,9 @@ def test_failures_are_not_cloned(tmp_path):
 
 
 def test_a_dataset_cannot_be_disturbed(tmp_path):
-    recipe = small("reach_bc", dataset=str(tmp_path / "data")).changed(training_options={"disturbances": {"noise": [0, 0.02]}})
+    recipe = small("reach_bc", dataset=str(tmp_path / "data")).changed(
+        training_options={"disturbances": {"noise": [0, 0.02]}}
+    )
     with pytest.raises(ConfigurationError, match="training_options are for a teacher's episodes"):
         clone(recipe, out=tmp_path / "run", seed=0, progress=False)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from armctl.agents import load_agent, read_card
+from armctl.agents import load_agent
 from armctl.envs import TaskVectorEnv, make_worlds
 from armctl.errors import ConfigurationError
 from armctl.evaluation.rollouts import rollouts
