@@ -4,6 +4,7 @@ The label is a move towards the farthest of the way's next waypoints to which a 
 depends on where the arm is, and leads back to the way. Nothing is simulated (`armctl.kinematics.imagined`).
 """
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -58,7 +59,7 @@ def follow(
 def waypoints(way: Array) -> Array:
     """A way (m, dof), rad, with points between its corners that are at most `WAYPOINTS_APART`."""
     points = [way[:1]]
-    for start, end in zip(way, way[1:], strict=False):
+    for start, end in itertools.pairwise(way):
         number = max(1, int(np.ceil(abs(end - start).max() / WAYPOINTS_APART)))
         points.append(start + (end - start) * np.linspace(0, 1, number + 1)[1:, None])
     return np.concatenate(points)

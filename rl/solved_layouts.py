@@ -81,12 +81,12 @@ def make(folder: Path, count: int, seed: int, arm: ArmDescription, tolerance: fl
 
     Raises `ResultsError` if the folder holds others, is damaged or cannot be written.
     """
-    identity = {
+    identity: dict[str, Any] = {
         "format": FORMAT, "robot": robot_digest(arm), "tolerance": tolerance, "seed": seed, "count": count,
         "clearances": list(CLEARANCES), "part": PART,
     }  # fmt: skip
     with one_writer(folder):
-        card = _read_card(folder) if (folder / CARD).exists() else {**identity, "parts": {}}
+        card: dict[str, Any] = _read_card(folder) if (folder / CARD).exists() else {**identity, "parts": {}}
         for name, wanted in identity.items():
             if card.get(name) != wanted:
                 raise ResultsError(f"{folder} holds layouts with {name} {card.get(name)!r}, not {wanted!r}")

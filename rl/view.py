@@ -29,8 +29,8 @@ def view_of(worlds: TaskVectorEnv, *, features: Features = "plain", relative: bo
     """The view of a task.
 
     `features`: `none` for the bare observation, `plain` for the task's features, `invariant` for features that are
-    invariant under the task's symmetries, if it has any, `model` for those that know the robot's geometry. `relative`: actions are relative to a part of the observation,
-    if the task allows it.
+    invariant under the task's symmetries, if it has any, `model` for those that know the robot's geometry. `relative`:
+    actions are relative to a part of the observation, if the task allows it.
 
     Raises `ConfigurationError` for an observation or features that learners of this task cannot use.
     """
