@@ -81,7 +81,7 @@ def make(folder: Path, count: int, seed: int, arm: ArmDescription, tolerance: fl
 
     Raises `ResultsError` if the folder holds others, is damaged or cannot be written.
     """
-    identity = {
+    identity: dict[str, Any] = {
         "format": FORMAT, "robot": robot_digest(arm), "tolerance": tolerance, "seed": seed, "count": count,
         "clearances": list(CLEARANCES), "part": PART,
     }  # fmt: skip
