@@ -6,7 +6,7 @@ from stable_baselines3 import PPO
 from armctl.agents import load_agent
 from armctl.envs import make_worlds
 from armctl.errors import ConfigurationError
-from armctl.learners import load_recipe
+from armctl.learners import Recipe
 from armctl.rl import cloned_ppo, ppo
 from armctl.rl.asymmetric import STATE
 from armctl.rl.training import Training
@@ -15,12 +15,12 @@ BRIDGE = "armctl/BridgeCross-v0"
 CAMERA = {"resolution": (8, 6), "max_episode_steps": 5}
 SMALL = {
     "steps": 32, "worlds": 2, "rollout_length": 8, "batch_size": 8, "evaluation_every": 16, "validation_episodes": 2,
-    "evaluation_episodes": 2, "privileged_critic": True,
+    "evaluation_episodes": 2, "privileged_critic": True, "features": "none",
 }  # fmt: skip
 
 
 def recipe(env=BRIDGE, env_options=CAMERA, **options):
-    return load_recipe("ppo", env).changed(shaping=None, env_options=env_options, options=SMALL | options)
+    return Recipe(name="ppo", learner="ppo", env=env, env_options=env_options, options=SMALL | options)
 
 
 def untrained(chosen, out):
@@ -101,7 +101,7 @@ def test_an_observation_of_one_array(tmp_path):
     training, model = untrained(recipe(env_options=CAMERA | {"observation": "image"}), tmp_path / "run")
     shown = model.env.reset()
     assert {name: part.shape for name, part in shown.items()} == {"observation": (2, 1, 6, 8), STATE: (2, 41)}
-    actor = ppo.actor_of(model, training.view)
+    actor = ppo.actor_of(model, training)
     expected, _ = model.predict(shown, deterministic=True)
     actions = training.view.action_scale({}, torch.as_tensor(expected))
     np.testing.assert_allclose(actor.act(shown["observation"][:, 0]), actions, atol=1e-6)
