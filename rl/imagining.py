@@ -69,12 +69,11 @@ class ImaginingPolicy:
         self._fresh = np.ones(n, dtype=bool)
         self._before = np.zeros((n, dof))
         self.failures = np.zeros(n, dtype=np.int64)
-        """(n,) how often no imagined episode was a success."""
+        """(n,) how often no imagined episode was a success, over all episodes."""
 
     def reset(self, ids: NDArray[np.int32]) -> None:
         """Worlds `ids` start a new episode."""
         self._fresh[ids] = True
-        self.failures[ids] = 0
 
     def plans(self, world: int) -> Mapping[str, Array]:
         """The rest of the end-effector's imagined path, (m, 3) m, without the drives' law."""

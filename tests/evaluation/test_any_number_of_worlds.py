@@ -11,8 +11,13 @@ LINES_UP = {
     "armctl/ArmReach-v0": ("reach_ik", "reach_mpc", "reach_ppo", "reach_sac", "reach_bc", "reach_dagger", "random"),
     "armctl/ArmReachMoving-v0": ("reach_ik", "reach_mpc", "moving_ppo", "random"),
     "armctl/ArmReachObstacles-v0": (
-        "reach_ompl", "reach_ik", "obstacles_dagger", "obstacles_plan_bc", "obstacles_imagined", "random",
-    ),  # fmt: skip
+        "reach_ompl",
+        "reach_ik",
+        "obstacles_dagger",
+        "obstacles_plan_bc",
+        "obstacles_imagined",
+        "random",
+    ),
     "armctl/BridgeCross-v0": ("bridge_ompl", "bridge_mpc", "bridge_ppo", "bridge_dagger", "random"),
     "armctl/BridgeCrossMoving-v0": ("bridge_ompl", "bridge_mpc", "bridge_moving_ppo", "random"),
 }
