@@ -6,7 +6,7 @@ from stable_baselines3 import PPO
 from armctl.agents import load_agent
 from armctl.envs import make_worlds
 from armctl.errors import ConfigurationError
-from armctl.learners import Recipe
+from armctl.learners import Recipe, load_recipe
 from armctl.rl import cloned_ppo, ppo
 from armctl.rl.asymmetric import STATE
 from armctl.rl.training import Training
