@@ -221,7 +221,7 @@ def fit(
     for step in tqdm(range(start, steps), "fit", leave=False, disable=not bar_fits(progress)):
         for group in optimizer.param_groups:
             group["lr"] = learning_rate * max(1 - step / steps, LAST_RATE)
-        observations, actions = examples.draw(rng, batch_size)
+        observations, actions = map(tensors, examples.draw(rng, batch_size))
         wanted = actor.scale.inverse(observations, actions)
         loss = (actor.network(observations) - wanted).square().mean()
         optimizer.zero_grad()

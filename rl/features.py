@@ -10,7 +10,7 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, Combine
 
 from armctl.errors import unknown_name
 from armctl.registration import import_attribute
-from armctl.rl.bridge_ranges import NearnessFeatures
+from armctl.rl.bridge_ranges import ColumnRanges, NearnessFeatures
 from armctl.rl.bridge_scans import Surroundings
 from armctl.rl.links_among_boxes import LinksAmongBoxes
 from armctl.rl.yaw import rotated
@@ -97,6 +97,18 @@ FEATURES: dict[str, type[BaseFeaturesExtractor]] = {
     "nearness": NearnessFeatures,
     "surroundings": Surroundings,
 }
+
+
+PREPARATIONS: dict[str, type[torch.nn.Module]] = {"column_ranges": ColumnRanges}
+
+
+def preparation_by_name(name: str) -> type[torch.nn.Module]:
+    """What makes an observation smaller, by name or `module:Class`. Raises `ConfigurationError`."""
+    if ":" in name:
+        return import_attribute(name, "preparation")
+    if name not in PREPARATIONS:
+        raise unknown_name("preparation", name, [*PREPARATIONS, "module:Class"])
+    return PREPARATIONS[name]
 
 
 def features_by_name(name: str | None, observed: gymnasium.Space[object]) -> type[BaseFeaturesExtractor]:

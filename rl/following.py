@@ -8,7 +8,6 @@ import itertools
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from armctl.kinematics import ArmShapes, ImaginedArms
@@ -84,12 +83,12 @@ class Followed:
         self._rows, self._positions, self._labels = (np.concatenate([part[i] for part in parts]) for i in range(3))
         return len(self._followed[part][0])
 
-    def draw(self, rng: np.random.Generator, size: int) -> tuple[torch.Tensor, torch.Tensor]:
+    def draw(self, rng: np.random.Generator, size: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """A random batch of observations and actions (size, ...)."""
         drawn = rng.integers(len(self._rows), size=size)
         rows, positions = self._rows[drawn], self._positions[drawn]
         observations = observed(self._shapes, positions, self._layouts.targets[rows], self._layouts.boxes[rows])
-        return torch.as_tensor(observations), torch.as_tensor(self._labels[drawn])
+        return observations, self._labels[drawn]
 
 
 def observed(

@@ -14,9 +14,8 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 from armctl.envs import TaskVectorEnv
 from armctl.errors import ConfigurationError
-from armctl.registration import import_attribute
 from armctl.rl.actor import tensors
-from armctl.rl.features import features_by_name
+from armctl.rl.features import features_by_name, preparation_by_name
 
 Features = Literal["none", "plain", "invariant", "model"]
 
@@ -85,7 +84,7 @@ def view_of(worlds: TaskVectorEnv, *, features: Features = "plain", relative: bo
     extractor = features_by_name(chosen.name if chosen else None, worlds.single_observation_space)
     prepare = None
     if chosen and chosen.prepare:
-        prepare = functools.partial(import_attribute(chosen.prepare, "preparation"), **chosen.prepare_options)
+        prepare = functools.partial(preparation_by_name(chosen.prepare), **chosen.prepare_options)
     if worlds.normalized:
         unit = np.ones(worlds.single_action_space.shape)
         scale = ActionScale(-unit, unit)

@@ -127,18 +127,32 @@ def test_no_file_is_ever_unpickled():
 def test_a_shipped_card_is_of_the_present_recipe(path):
     from armctl.rl.bc import BcOptions
     from armctl.rl.dagger import DaggerOptions
+    from armctl.rl.distil import DistilOptions
+    from armctl.rl.plan_bc import PlanBcOptions
     from armctl.rl.ppo import PpoOptions
     from armctl.rl.sac import SacOptions
 
     card = read_card(path)
     assert card.recipe is not None
     recipe = load_recipe(card.recipe)
-    learnt = (card.learner, card.env, card.env_options, card.shaping, card.reward_weights, card.teacher)
+    learnt = (
+        card.learner,
+        card.env,
+        card.env_options,
+        card.training_options,
+        card.shaping,
+        card.reward_weights,
+        card.teacher,
+    )
     assert learnt == (
-        recipe.learner, recipe.env, recipe.env_options, recipe.shaping, recipe.reward_weights, recipe.teacher,
+        recipe.learner, recipe.env, recipe.env_options, recipe.training_options, recipe.shaping, recipe.reward_weights, recipe.teacher,
     )  # fmt: skip
     assert card.training_seed in recipe.seeds
-    kind = {"bc": BcOptions, "dagger": DaggerOptions, "ppo": PpoOptions, "sac": SacOptions}[card.learner]
+    kinds = {
+        "bc": BcOptions, "dagger": DaggerOptions, "distil": DistilOptions, "plan_bc": PlanBcOptions, "ppo": PpoOptions,
+        "sac": SacOptions,
+    }  # fmt: skip
+    kind = kinds[card.learner]
     assert kind(**_as_named_now(card.learner_options)) == recipe.read_options(kind)  # later options have their defaults
 
 

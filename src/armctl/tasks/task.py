@@ -66,7 +66,7 @@ class FeatureSpec:
     name: str
     options: Mapping[str, Any] = field(default_factory=dict)
     prepare: str | None = None
-    """`module:Class` of a network module, made with the observation space and `prepare_options`, that maps observations
+    """A name from `rl/features.py` or `module:Class`, of a network module, made with the observation space and `prepare_options`, that maps observations
     (n, ...) to smaller ones: an array, or several by name. The features are of these, and so are buffers and the memory
     of agents."""
     prepare_options: Mapping[str, Any] = field(default_factory=dict)

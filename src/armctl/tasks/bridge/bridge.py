@@ -144,7 +144,7 @@ class BridgeTask(Task):
         ):
             return LearnerView()
         measured = {"field_of_view": options.field_of_view, "farthest": options.camera_range}
-        return LearnerView(features=FeatureSpec("nearness", {}, "armctl.rl.bridge_ranges:ColumnRanges", measured))
+        return LearnerView(features=FeatureSpec("nearness", {}, "column_ranges", measured))
 
     @property
     def action_range(self) -> tuple[NDArray[Any], NDArray[Any]]:

@@ -112,7 +112,14 @@ class ReachObstaclesTask(ReachTask):
 
     options: ReachObstaclesOptions
     options_type: ClassVar[type[Any]] = ReachObstaclesOptions
-    default_policies = ("reach_ompl", "reach_ik", "obstacles_dagger", "random")
+    default_policies = (
+        "reach_ompl",
+        "reach_ik",
+        "obstacles_imagined",
+        "obstacles_plan_bc",
+        "obstacles_dagger",
+        "random",
+    )
     potentials: ClassVar[Mapping[str, Callable[[Any], Potential]]] = {**ReachTask.potentials, "ompl": PathCostToGo}
 
     def __init__(self, n: int, options: ReachObstaclesOptions, threads: int = 0) -> None:
