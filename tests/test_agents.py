@@ -135,18 +135,8 @@ def test_a_shipped_card_is_of_the_present_recipe(path):
     card = read_card(path)
     assert card.recipe is not None
     recipe = load_recipe(card.recipe)
-    learnt = (
-        card.learner,
-        card.env,
-        card.env_options,
-        card.training_options,
-        card.shaping,
-        card.reward_weights,
-        card.teacher,
-    )
-    assert learnt == (
-        recipe.learner, recipe.env, recipe.env_options, recipe.training_options, recipe.shaping, recipe.reward_weights, recipe.teacher,
-    )  # fmt: skip
+    for name in ("learner", "env", "env_options", "training_options", "shaping", "reward_weights", "teacher"):
+        assert getattr(card, name) == getattr(recipe, name), name
     assert card.training_seed in recipe.seeds
     kinds = {
         "bc": BcOptions, "dagger": DaggerOptions, "distil": DistilOptions, "plan_bc": PlanBcOptions, "ppo": PpoOptions,

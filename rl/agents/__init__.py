@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from armctl.agents import OnnxPolicy, load_agent
-from armctl.envs import Interface, ModelInterface
+from armctl.envs import EpisodeVectorEnv, Interface, ModelInterface
 from armctl.policies import sees
 from armctl.rl.imagining import ImaginingPolicy
 
@@ -65,3 +65,15 @@ def obstacles_imagined(env: ModelInterface) -> ImaginingPolicy:
 def bridge_moving_ppo(env: Interface) -> OnnxPolicy:
     """PPO on `armctl/BridgeCrossMoving-v0`; it sees the depth camera and its own motion."""
     return load_agent(FOLDER / "bridge_moving_ppo.json", env)
+
+
+@sees("state")
+def bridge_state_ppo(env: EpisodeVectorEnv) -> OnnxPolicy:
+    """PPO on `armctl/BridgeCross-v0`, without physics; it sees the true state."""
+    return load_agent(FOLDER / "bridge_state_ppo.json", env)
+
+
+@sees("state")
+def bridge_moving_state_ppo(env: EpisodeVectorEnv) -> OnnxPolicy:
+    """PPO on `armctl/BridgeCrossMoving-v0`, without physics; it sees the true state."""
+    return load_agent(FOLDER / "bridge_moving_state_ppo.json", env)

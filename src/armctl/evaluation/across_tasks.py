@@ -22,7 +22,7 @@ from armctl.evaluation.statistics import FEWEST, Estimate, bounded_mean, success
 
 FAMILIES = {
     "ik": "IK", "mpc": "MPC", "ompl": "OMPL", "ppo": "PPO", "sac": "SAC", "bc": "BC", "dagger": "DAgger",
-    "distil": "distillation",
+    "distil": "distillation", "imagined": "imagination",
 }  # fmt: skip
 """By the last word of a policy's name."""
 Choice = tuple[str, str]

@@ -66,9 +66,9 @@ class FeatureSpec:
     name: str
     options: Mapping[str, Any] = field(default_factory=dict)
     prepare: str | None = None
-    """A name from `rl/features.py` or `module:Class`, of a network module, made with the observation space and `prepare_options`, that maps observations
-    (n, ...) to smaller ones: an array, or several by name. The features are of these, and so are buffers and the memory
-    of agents."""
+    """A name from `rl/features.py` or `module:Class`, of a network module that is made with the observation space and
+    `prepare_options`. It maps observations (n, ...) to smaller ones: an array, or several by name. The features are of
+    these, and so are buffers and the memory of agents."""
     prepare_options: Mapping[str, Any] = field(default_factory=dict)
 
 
