@@ -41,10 +41,16 @@ MEETINGS = [(name, env) for env in environment_names() for name in default_polic
 MEETINGS += sorted({(path.stem, read_card(path).env) for path in AGENTS.glob("*.json")} - set(MEETINGS))
 
 
+def worlds_for(name, env_id, n):
+    """Worlds with the interface that the policy was trained with."""
+    card = AGENTS / f"{name}.json"
+    return gymnasium.make_vec(env_id, num_envs=n, **(read_card(card).env_options if card.exists() else {}))
+
+
 @pytest.mark.parametrize(("name", "env_id"), MEETINGS)
 @pytest.mark.parametrize("worlds", [1, 3])
 def test_installed_policies_act_in_batches(name, env_id, worlds):
-    env = gymnasium.make_vec(env_id, num_envs=worlds)
+    env = worlds_for(name, env_id, worlds)
     policy = make_policy(name, env)
     assert isinstance(policy, Policy)
     assert policy.sees == SEEN.get(name, "observation")
@@ -68,7 +74,7 @@ def test_policies_of_another_task_say_so(name):
 
 @pytest.mark.parametrize(("name", "env_id"), MEETINGS)
 def test_a_policy_decides_for_each_world_on_its_own(name, env_id):
-    wide, narrow = (gymnasium.make_vec(env_id, num_envs=n) for n in (3, 1))
+    wide, narrow = (worlds_for(name, env_id, n) for n in (3, 1))
     observations, _ = wide.reset(seed=0)
     batched = make_policy(name, wide)
     batched.reset(np.arange(3, dtype=np.int32))
