@@ -24,7 +24,7 @@ from armctl.agents import AgentCard, Evaluation, sha256, shapes
 from armctl.envs import EpisodeVectorEnv, make_worlds
 from armctl.errors import ConfigurationError
 from armctl.evaluation import evaluate
-from armctl.evaluation.curves import CURVE, read_curve
+from armctl.evaluation.curves import COSTS, CURVE, read_curve
 from armctl.evaluation.identity import checksums
 from armctl.evaluation.provenance import versions
 from armctl.evaluation.reproduce import evaluation_of
@@ -171,7 +171,7 @@ class Training:
             "low": rate.low,
             "high": rate.high,
             "return": mean_return,
-            "decisions": self.meter.read()["decisions"],
+            **{name: self.meter.read()[name] for name in COSTS},
         }
         best = self._best()
         if best is None or (rate.value, mean_return) > (best["success"], best["return"]):

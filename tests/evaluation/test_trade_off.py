@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from armctl.agents import TrainingCost
-from armctl.evaluation.curves import CURVE_COLUMNS, read_curve
+from armctl.evaluation.curves import COSTS, CURVE_COLUMNS, read_curve
 from armctl.evaluation.statistics import Estimate
 from armctl.evaluation.summary import PolicySummary
 from armctl.evaluation.trade_off import Point, break_evens, cost_curve, pareto_front, points
@@ -106,7 +106,8 @@ def test_odd_numbers_of_decisions_are_not_drawn(spoilt):
 
 @pytest.mark.parametrize("cell", ["1" + "0" * 400, "1e999"])
 def test_a_number_that_is_too_large_is_infinite(tmp_path, cell):
-    (tmp_path / "curve.csv").write_text(f"{','.join(CURVE_COLUMNS)},decisions\n{','.join([cell] * 6)},{cell}\n")
+    columns = (*CURVE_COLUMNS, *COSTS)
+    (tmp_path / "curve.csv").write_text(f"{','.join(columns)}\n{','.join([cell] * len(columns))}\n")
     assert np.isinf(read_curve(tmp_path / "curve.csv").to_numpy()).all()
 
 

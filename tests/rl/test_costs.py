@@ -9,6 +9,7 @@ import torch
 
 from armctl.agents import AgentCard, TrainingCost, read_card
 from armctl.envs import TaskVectorEnv, make_worlds
+from armctl.evaluation.curves import read_curve
 from armctl.learners import load_learner, load_recipe
 from armctl.policies import make_policy
 from armctl.rl import cloning
@@ -111,8 +112,9 @@ def test_a_resumed_training_counts_on(name, counted, tmp_path):
     more = train(name, tmp_path / "run", resume=True, steps=2 * RECIPES[name]["steps"])
     assert counts(more) == expected(name)
     assert more.processor_seconds > first.processor_seconds
-    curve = (tmp_path / "run" / "curve.csv").read_text().splitlines()
-    assert [line.split(",")[-1] for line in (curve[0], curve[-1])] == ["decisions", str(more.decisions)]
+    last = read_curve(tmp_path / "run" / "curve.csv").iloc[-1]
+    assert last.decisions == more.decisions
+    assert first.processor_seconds < last.processor_seconds <= more.processor_seconds
 
 
 def test_a_resumed_clone_counts_its_demonstrations_once(counted, tmp_path):

@@ -20,6 +20,8 @@ from armctl.files import bounded_text, digest, unsealed
 CURVE = "curve.csv"
 CURVE_COLUMNS = ("steps", "minutes", "success", "low", "high", "return")
 """Of held-out episodes: after how many steps and minutes of training, success with its 95 % interval, mean return."""
+COSTS = ("decisions", "processor_seconds")
+"""Control steps in simulation and processor time so far; NaN in curves of older versions."""
 SWEEP, POINTS, COMPARISONS = "sweep.json", "sweep.csv", "comparisons"
 """Files of a sweep, and the first's key for the identities of its comparisons."""
 RECORDED = "real_time"
@@ -56,12 +58,9 @@ def training_curves(
 
 
 def read_curve(path: Path) -> pd.DataFrame:
-    """A learning curve: a row per evaluation, with `CURVE_COLUMNS` and `decisions`. Raises `ResultsError`.
-
-    `decisions`, the control steps in simulation so far, are NaN in curves of older versions.
-    """
-    table = _table(path, CURVE_COLUMNS, (*CURVE_COLUMNS, "decisions"))
-    return table if "decisions" in table else table.assign(decisions=math.nan)
+    """A learning curve: a row per evaluation, with `CURVE_COLUMNS` and `COSTS`. Raises `ResultsError`."""
+    table = _table(path, CURVE_COLUMNS, (*CURVE_COLUMNS, *COSTS))
+    return table.assign(**dict.fromkeys(set(COSTS) - set(table), math.nan))
 
 
 def read_sweep(folder: Path) -> pd.DataFrame:
