@@ -4,6 +4,7 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
+from stable_baselines3 import PPO
 
 from armctl.agents import AgentCard, OnnxPolicy, load_agent, shapes
 from armctl.envs import TaskVectorEnv, make_worlds
