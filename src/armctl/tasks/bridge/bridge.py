@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.disturbances import ROVER
-from armctl.robots.rover import MAX_VELOCITY, PARTS, PREFIX, RADIUS, SPEED_LIMITS, WHEEL_RADIUS, Rover
+from armctl.robots.rover import MAX_VELOCITY, PARTS, PREFIX, RADIUS, SPEED_LIMITS, WHEEL_RADIUS
 from armctl.scene import BridgeMap, PedestrianTrajectories
-from armctl.simulation import ContactSensors, Simulation
+from armctl.simulation import Simulation
 from armctl.tasks.bridge.furniture import Furniture
 from armctl.tasks.bridge.layout import Layout, sample_layout
 from armctl.tasks.bridge.observation import (
@@ -24,7 +24,8 @@ from armctl.tasks.bridge.observation import (
     observation_space,
     state_space,
 )
-from armctl.tasks.bridge.options import CONTROL_PERIOD, WALKER_PERIOD, BridgeMovingOptions, BridgeOptions
+from armctl.tasks.bridge.options import CONTROL_PERIOD, MOVES, BridgeMovingOptions, BridgeOptions
+from armctl.tasks.bridge.physical import PhysicalRover
 from armctl.tasks.bridge.planar import PlanarRover
 from armctl.tasks.bridge.potentials import CrossingCostToGo
 from armctl.tasks.bridge.state import BridgeState
@@ -44,8 +45,6 @@ from armctl.tasks.task import (
 
 Array = NDArray[np.float64]
 
-MOVES = round(CONTROL_PERIOD / WALKER_PERIOD)
-"""Moves of the walkers per control step. Wheel speeds and torques are sampled as often."""
 LEARNER_VELOCITY = np.array([[-0.3, -2.0], [1.6, 2.0]], dtype=np.float32)
 """Lowest and highest linear (m/s) and angular velocity (rad/s) of a learner's actions."""
 
@@ -86,9 +85,9 @@ class BridgeTask(Task):
             self.reward_functions["progress"] = lambda state: (
                 options.progress * (state.previous_distance - state.distance)
             )
-        self._contacts = ContactSensors(self.simulation, PARTS, CONTACT_CLASSES)
         self._furniture = Furniture(self.simulation, options.deck_length, options.blocks, options.walkers, MOVES)
         self.rover = self._make_rover()
+        self.joints = self.rover.joints
         self._see = self._make_camera()
         worlds, walkers = np.arange(n, dtype=np.int32), (n, options.walkers)
         self._pedestrians = PedestrianTrajectories(
@@ -163,7 +162,6 @@ class BridgeTask(Task):
     def reset(self, ids: Ids, rngs: list[np.random.Generator]) -> None:
         """Place the rover at the start, and everything else at random."""
         self.simulation.reset(ids)
-        self._contacts.forget(ids)
         if rngs:
             self._furnish(ids, [self._sample_episode(rng) for rng in rngs])
         self._begin(ids)
@@ -172,18 +170,14 @@ class BridgeTask(Task):
         for i, layout in zip(ids, layouts, strict=True):
             self._layouts[i] = layout
         self._furniture.place(ids, layouts)
-        if isinstance(self.rover, PlanarRover):
-            self.rover.place(ids, layouts)
+        self.rover.place(ids, layouts)
         for name in ("start", "end", "speed", "phase"):
             getattr(self._pedestrians, name)[ids] = [getattr(layout.map.pedestrians, name) for layout in layouts]
 
     def _begin(self, ids: Ids) -> None:
         self._time[ids] = 0.0
         self._move_walkers(ids)
-        if isinstance(self.rover, PlanarRover):
-            self.rover.begin(ids)
-        else:
-            self.simulation.refresh(ids)
+        self.rover.begin(ids)
         self._action[ids] = 0.0
         self._distance[ids] = self.goal_x - self.rover.poses[ids, 0]
         self._update_state()
@@ -196,20 +190,11 @@ class BridgeTask(Task):
 
     def advance(self, ids: Ids | None) -> None:
         """Simulate until the next control step, in worlds `ids` or in all."""
-        self._contacts.forget(ids)
         for places in self._furniture.moves.places:
             self._time[slice(None) if ids is None else ids] += CONTROL_PERIOD / MOVES
             if self.options.walkers:
                 np.copyto(places, self._pedestrians.positions(self._time))
-        if isinstance(self.rover, PlanarRover):
-            self.rover.drive(ids)
-            self._furniture.move_walkers(self.rover.worlds, places)
-            return
-        assert self.joints is not None
-        self.simulation.control_step(
-            MOVES, self.substeps // MOVES, ids, samples=self.joints.part, touches=self._contacts.part,
-            moves=self._furniture.moves,
-        )  # fmt: skip
+        self.rover.drive(ids)
 
     def observation_parts(self) -> dict[str, NDArray[np.floating[Any]]]:
         """Pose, velocity and own motion."""
@@ -286,22 +271,18 @@ class BridgeTask(Task):
         if self.options.walkers:
             self._furniture.move_walkers(worlds, self._pedestrians.positions(self._time)[worlds])
 
-    def _make_rover(self) -> Rover:
-        if self.options.dynamics == "kinematic":
-            return PlanarRover(self.simulation, self.options, self._furniture.moves.places)
-        rover = Rover(self.simulation)
-        self.joints = rover.wheel_samples(MOVES, CONTROL_PERIOD)
-        return rover
+    def _make_rover(self) -> PhysicalRover | PlanarRover:
+        if self.options.dynamics == "physics":
+            return PhysicalRover(self.simulation, self._furniture)
+        return PlanarRover(self.simulation, self._furniture, self.options)
 
     def _make_camera(self) -> See | None:
         if self.options.view == "state":
             return None
-        if not isinstance(self.rover, PlanarRover):
-            return make_camera(self.simulation, self.options)
-        return self.rover.scan
+        return self.rover.scan if isinstance(self.rover, PlanarRover) else make_camera(self.simulation, self.options)
 
     def _update_state(self) -> None:
-        contacts = self.rover.contacts() if isinstance(self.rover, PlanarRover) else self._contacts.since_last_step()
+        contacts = self.rover.contacts()
         label = {name: i for i, name in enumerate(CONTACT_CLASSES)}
         poses = self.rover.poses
         base_on_floor = contacts[:, PARTS.index("base"), label["floor"]]

@@ -14,6 +14,8 @@ CONTROL_PERIOD = 0.1
 """s between two control steps."""
 WALKER_PERIOD = 0.02
 """s between two moves of the walkers, who walk at most 24 mm in it."""
+MOVES = round(CONTROL_PERIOD / WALKER_PERIOD)
+"""Moves of the walkers per control step. Wheel speeds and torques are sampled as often."""
 Blocks = Annotated[int, Field(ge=0, le=50)]
 Walkers = Annotated[int, Field(ge=0, le=20)]
 Side = Annotated[int, Field(ge=4, le=1024)]

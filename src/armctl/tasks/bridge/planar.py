@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from armctl.kernels import planar as kernel
 from armctl.robots.rover import MAX_VELOCITY, PARTS, WHEEL_RADIUS, Rover
 from armctl.simulation import Simulation
+from armctl.tasks.bridge.furniture import Furniture
 from armctl.tasks.bridge.layout import Layout
 from armctl.tasks.bridge.observation import column_directions
 from armctl.tasks.bridge.options import CONTROL_PERIOD, BridgeOptions
@@ -39,11 +40,12 @@ MOUNT = 0.215
 class PlanarRover(Rover):
     """n rovers without physics. Their poses are in the simulation's `qpos`, where pictures find them."""
 
-    def __init__(self, simulation: Simulation, options: BridgeOptions, walkers: Array) -> None:
-        """`walkers` (ticks, n, w, 2) m is a live array of the walkers' positions in each control step's ticks."""
+    joints = None
+
+    def __init__(self, simulation: Simulation, furniture: Furniture, options: BridgeOptions) -> None:
         super().__init__(simulation)
-        n, self._options = simulation.n, options
-        self._walkers = walkers
+        n, self._furniture, self._options = simulation.n, furniture, options
+        self._walkers = walkers = furniture.moves.places
         self._poses, self._velocities, self._commands = np.zeros((n, 3)), np.zeros((n, 2)), np.zeros((n, 2))
         half_width = options.deck_width / 2 - 2 * JERSEY_PROFILE[0][0]
         self._deck = kernel.Deck(options.deck_length, half_width, WALKER_RADIUS, options.deck_width / 2)
@@ -53,10 +55,10 @@ class PlanarRover(Rover):
         )
         self._directions = column_directions(options)
         self._touched = np.zeros(n, dtype=np.int64)
-        self.worlds = np.arange(n, dtype=np.int32)
+        self._worlds = np.arange(n, dtype=np.int32)
 
     def place(self, ids: Ids, layouts: list[Layout]) -> None:
-        """Put rovers `ids` at the start of bridges with these layouts."""
+        """Put blocks and barriers of worlds `ids` where their layouts have them."""
         for i, layout in zip(ids, layouts, strict=True):
             x, y, yaw, *sizes = layout.map.blocks.T
             self._scenes.blocks[i] = np.column_stack((x, y, np.cos(yaw), np.sin(yaw), *sizes))
@@ -75,11 +77,12 @@ class PlanarRover(Rover):
 
     def drive(self, ids: Ids | None) -> None:
         """Drive for one control step, in worlds `ids` or in all."""
-        ids = self.worlds if ids is None else ids
+        ids = self._worlds if ids is None else ids
         kernel.drive(
             ids, self._deck, self._scenes, ACCELERATION, OUTLINE, self._walkers, CONTROL_PERIOD,
             self._commands, self._poses, self._velocities, self._touched,
         )  # fmt: skip
+        self._furniture.move_walkers(self._worlds, self._walkers[-1])
         x, y, yaw = self._poses.T
         first = self._pose_columns.start
         self._qpos[:, first], self._qpos[:, first + 1] = x, y
@@ -87,7 +90,7 @@ class PlanarRover(Rover):
 
     def scan(self, ids: Ids | None) -> NDArray[np.float32]:
         """Ranges (n, columns) from the camera, m, in the directions of its image's columns at the horizon."""
-        ids = self.worlds if ids is None else ids
+        ids = self._worlds if ids is None else ids
         ranges = np.empty((len(ids), len(self._directions)), dtype=np.float32)
         half_width = self._deck.half_width + SEEN_BEHIND_FOOT
         kernel.scan(

@@ -1,0 +1,42 @@
+"""The bridge with physics: a rover on MuJoCo's wheels, whose contacts and joints are recorded in each control step."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.robots.rover import PARTS, Rover
+from armctl.simulation import ContactSensors, Simulation
+from armctl.tasks.bridge.furniture import Furniture
+from armctl.tasks.bridge.layout import Layout
+from armctl.tasks.bridge.options import CONTROL_PERIOD, MOVES
+from armctl.tasks.bridge.world import CONTACT_CLASSES
+from armctl.tasks.task import Ids
+
+
+class PhysicalRover(Rover):
+    """n rovers among furniture."""
+
+    def __init__(self, simulation: Simulation, furniture: Furniture) -> None:
+        super().__init__(simulation)
+        self.joints = self.wheel_samples(MOVES, CONTROL_PERIOD)
+        self._moves = furniture.moves
+        self._ticks = round(CONTROL_PERIOD / MOVES / simulation.model.opt.timestep)
+        self._contacts = ContactSensors(simulation, PARTS, CONTACT_CLASSES)
+
+    def place(self, ids: Ids, layouts: list[Layout]) -> None:
+        """Do nothing: the furniture is in the simulation."""
+
+    def begin(self, ids: Ids) -> None:
+        """Rovers `ids` stand where the simulation has put them."""
+        self._contacts.forget(ids)
+        self._simulation.refresh(ids)
+
+    def drive(self, ids: Ids | None) -> None:
+        """Drive for one control step, in worlds `ids` or in all."""
+        self._contacts.forget(ids)
+        self._simulation.control_step(
+            MOVES, self._ticks, ids, samples=self.joints.part, touches=self._contacts.part, moves=self._moves
+        )
+
+    def contacts(self) -> NDArray[np.bool_]:
+        """Contacts since the last control step, (n, `PARTS`, `CONTACT_CLASSES`)."""
+        return self._contacts.since_last_step()
