@@ -1,18 +1,16 @@
-"""The OMPL expert among obstacles: plans a path, times it within the joint limits, and follows it.
+"""The OMPL expert among obstacles: plans a path, and goes where it sees the end of it.
 
-It plans once per episode, from the observation alone, which includes the boxes. If it ends without reaching the target,
-it plans again.
+From the observed joints, it moves towards the farthest point of its path that a straight collision-free motion reaches
+(as in pure pursuit, but in joint space), however the joints got there: so it can be asked anywhere. Nearer to something
+than its drives need to stop, it goes back to the nearest point of the path. It plans once per episode, from the
+observation alone, which includes the boxes, and again if it sees nothing of its path.
 """
-
-import itertools
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armctl.baselines.reach_task import checked_options
-from armctl.control.streaming import CommandStream, commanded
-from armctl.control.trajectory import Trajectory, smooth
+from armctl.control.streaming import follow
 from armctl.envs import ModelInterface
 from armctl.kinematics import ArmModel, ArmShapes, EdgeChecker
 from armctl.planning import ArmPlanner
@@ -24,17 +22,25 @@ from armctl.tasks.reach.obstacles import OBSTACLES_OBSERVATION
 
 Array = NDArray[np.float64]
 
-CLEARANCE = 0.005
-"""m: clearance of the commanded motion. It is half the path's, since corners are cut; servos are off by a few mm."""
-TICKS_CHECKED = 2
-"""Ticks of the drives between configurations whose edges are checked."""
-HEADROOM = 0.7
-"""Fraction of the acceleration limits for the trajectory: the drives need the rest to follow it."""
+SIGHT, BRAKING = 0.009, 0.006
+"""m: clearance of the straight motion ahead, and of the drives' own motion until they rest, whose joints do not move in
+proportion. The path's clearance is 10 mm; servos are off by a few mm."""
+SIGHT_NEARER, BRAKING_NEARER = 0.95, 0.7
+"""Shares of their distances that pairs nearer than that must keep: braking may use what the motion ahead leaves."""
+LARGEST_MOVE = 0.5
+"""rad: a command is at most so far from the observed joints: more than a joint needs to stop, less than would take the
+drives, each of which is as fast as it can be, far off the straight motion."""
+SHARES = 0.6 ** np.arange(13)
+"""Of the move to command: the first is taken after which the drives stop freely."""
+LOST = 0.1
+"""rad: beyond, the joints do not follow this expert's commands, but somebody else's. Servos are off by 0.08 at most."""
+PATIENCE = 5
+"""Control steps after a plan without a path, until the next."""
 
 
 @sees("model")
 def make(env: ModelInterface) -> PerWorld:
-    """OMPL path around the obstacles, timed within velocity, acceleration and jerk limits."""
+    """OMPL path around the obstacles, towards its farthest point in sight of the observed joints."""
     env_id = "armctl/ArmReachObstacles-v0"
     options = checked_options("reach_ompl", env, ReachObstaclesOptions, env_id, OBSTACLES_OBSERVATION, ["position"])
     planner = ArmPlanner(ArmModel(env.robot))
@@ -50,38 +56,77 @@ class ReachOmpl:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the plan."""
-        self._motion: Trajectory | None = None
-        self._step = 0
+        """Forget the plan, and the own commands."""
+        self._sight: EdgeChecker | None = None
+        self._braking: EdgeChecker | None = None
+        self._path = np.zeros((0, self._model.dof))
+        self._since_plan = PATIENCE
+        self._drives: tuple[Array, Array] | None = None
 
     def plans(self) -> dict[str, Array]:
-        """The end-effector's path, (m, 3) m, with a point for each control step."""
-        if self._motion is None:
+        """The end-effector's path, (m, 3) m."""
+        if len(self._path) < 2:
             return {}
-        times = np.arange(0.0, self._motion.duration + self._period, self._period)
-        return {"path": self._model.positions(self._motion.at(times))}
+        shares = np.linspace(0, 1, 9)[:, None, None]
+        points = (1 - shares) * self._path[:-1] + shares * self._path[1:]
+        return {"path": self._model.positions(points.transpose(1, 0, 2).reshape(-1, self._model.dof))}
 
     def act(self, observation: NDArray[np.float32]) -> Array:
         """Joint positions (dof,) to move to, for an observation (6 + dof + boxes,)."""
-        dof = self._model.dof
+        dof, limits = self._model.dof, self._model.limits
         _, q, target, boxes = np.split(observation.astype(float), (3, 3 + dof, 6 + dof))
-        if self._motion is None or self._step * self._period > self._motion.duration + 0.2:
-            self._motion, self._step = self._plan(q, target, read_boxes(boxes)), 0
-            self._stream = CommandStream(self._model.limits, self._period, q)
-        self._step += 1
-        return self._stream.goal_towards(self._motion.at(self._step * self._period))
+        q = np.clip(q, limits.lower, limits.upper)
+        goal = self._goal(q, target, read_boxes(boxes))
+        position, velocity = self._driven(q)
+        command = self._command(q, goal, position, velocity)
+        self._observed, self._commanded = q, command
+        self._drives = follow(limits, position, velocity, command, self._period)
+        return command
 
-    def _plan(self, q: Array, target: Array, boxes: Boxes) -> Trajectory:
-        """The timed motion; at rest if there is no path."""
-        limits = self._model.limits
-        start = np.clip(q, limits.lower, limits.upper)
-        path = self._planner.plan(start, target, self._tolerance, boxes).path
-        if len(path) < 2:
-            return Trajectory(start[None])
-        edges = EdgeChecker(self._shapes, boxes, CLEARANCE, start)
+    def _goal(self, q: Array, target: Array, boxes: Boxes) -> Array:
+        """Where to go on the path (dof,), which is planned anew if nothing of it is in sight; `q` if there is none."""
+        self._since_plan += 1
+        goal = self._on_path(q)
+        if goal is None and self._since_plan > PATIENCE:
+            self._path, self._since_plan = self._planner.plan(q, target, self._tolerance, boxes).path, 0
+            self._sight, self._braking = (EdgeChecker(self._shapes, boxes, one, q) for one in (SIGHT, BRAKING))
+            goal = self._on_path(q)
+        return q if goal is None else goal
 
-        def is_free(motion: Trajectory) -> bool:
-            positions = commanded(limits, motion, self._period)
-            return all(edges.is_edge_free(a, b) for a, b in itertools.pairwise(positions[::TICKS_CHECKED]))
+    def _on_path(self, q: Array) -> Array | None:
+        """The farthest point (dof,) in sight of the path, or, too near to something, the nearest; if there is any."""
+        if self._sight is None or self._braking is None:
+            return None
+        self._sight.relax(q, SIGHT_NEARER)
+        nearest = self._nearest(q, self._sight) if self._braking.relax(q, BRAKING_NEARER) else None
+        return self._sight.farthest_goal(self._path, q) if nearest is None else nearest
 
-        return smooth(replace(limits, acceleration=HEADROOM * limits.acceleration), path, is_free)
+    def _nearest(self, q: Array, sight: EdgeChecker) -> Array | None:
+        """The nearest point (dof,) of the path to which the straight motion from `q` (dof,) is free, if any."""
+        steps = np.diff(self._path, axis=0)
+        lengths = np.maximum((steps**2).sum(axis=1), 1e-12)
+        shares = np.clip(((q - self._path[:-1]) * steps).sum(axis=1) / lengths, 0.0, 1.0)
+        points = self._path[:-1] + shares[:, None] * steps
+        points = points[np.argsort(((points - q) ** 2).sum(axis=1))]
+        return next((point for point in points if sight.is_edge_free(q, point)), None)
+
+    def _driven(self, q: Array) -> tuple[Array, Array]:
+        """Position and velocity (dof,) of the drives, which are not observed: those that follow the own commands.
+
+        If the joints do not follow these, they are as observed.
+        """
+        if self._drives is None:
+            return q, np.zeros_like(q)
+        if np.abs(self._drives[0] - q).max() > LOST:
+            return q, (q - self._observed) / self._period
+        return self._drives
+
+    def _command(self, q: Array, goal: Array, position: Array, velocity: Array) -> Array:
+        """The joint positions (dof,) to command: `goal`, or as far on the straight motion there as is safe."""
+        assert self._braking is not None
+        move = (goal - q) * min(1.0, LARGEST_MOVE / max(float(np.abs(goal - q).max()), LARGEST_MOVE))
+        for share in SHARES:
+            if self._braking.stops_freely(position, velocity, q + share * move):
+                return np.asarray(q + share * move)
+        still_free = self._drives is not None and self._braking.is_edge_free(q, self._commanded)
+        return self._commanded if still_free else np.asarray(q + SHARES[-1] * move)

@@ -3,6 +3,7 @@ import itertools
 import numpy as np
 import pytest
 
+from armctl.control.streaming import follow
 from armctl.errors import ConfigurationError
 from armctl.kinematics import ArmModel, ArmShapes, EdgeChecker
 from armctl.robot_description import arm as arms
@@ -171,3 +172,69 @@ def test_shortcuts_are_free_save_time_and_keep_the_ends(model, shapes):
         assert after <= before + 1e-12
         shorter += after < 0.99 * before
     assert shorter > 10
+
+
+def free_path(checker, start, rng, corners=10):
+    path = start[None]
+    while len(path) < corners:
+        corner = path[-1] + rng.uniform(-0.9, 0.9, len(start))
+        if checker.is_edge_free(path[-1], corner):
+            path = np.vstack((path, corner))
+    return path
+
+
+def test_the_farthest_goal_is_free_and_hardly_anything_behind_it_is(model, shapes):
+    rng, cut = np.random.default_rng(8), 0
+    for _ in range(30):
+        checker = EdgeChecker(shapes, random_boxes(rng, model, 12), CLEARANCE, model.home)
+        path = free_path(checker, model.home, rng)
+        q = path[1]
+        goal = checker.farthest_goal(path, q)
+        assert checker.is_edge_free(q, goal)
+        shares = np.linspace(0, 1, 20)[:, None]
+        points = np.vstack([a + shares * (b - a) for a, b in itertools.pairwise(path)])
+        reached = int(np.argmin(np.abs(points - goal).sum(axis=1)))
+        free = [checker.is_edge_free(q, point) for point in points]
+        corners_behind = [k for k in range(len(points)) if k > reached + 1 and k % 20 in (0, 19)]
+        assert not any(free[k] for k in corners_behind)
+        cut += reached < len(points) - 2
+    assert cut > 2
+
+
+def test_there_is_no_goal_from_within_a_box_nor_on_no_path(model, shapes):
+    boxes = Boxes(model.position(model.home)[None], np.full((1, 3), 0.1), np.zeros(1))
+    checker = EdgeChecker(shapes, boxes, CLEARANCE, model.home)
+    checker.relax(model.home, 0.9)
+    assert checker.farthest_goal(np.array([model.home, model.home + 0.5]), model.home) is None
+    free = EdgeChecker(shapes, NO_BOXES, CLEARANCE, model.home)
+    assert free.farthest_goal(np.zeros((0, model.dof)), model.home) is None
+    np.testing.assert_array_equal(free.farthest_goal(model.home[None], model.home), model.home)
+
+
+def test_relaxed_pairs_keep_their_share_and_no_others_change(model, shapes):
+    rng = np.random.default_rng(9)
+    checker = EdgeChecker(shapes, random_boxes(rng, model), 0.02, model.home)
+    wanted, near = checker._margins.copy(), 0
+    for q in configurations(model, rng, 300):
+        distances = checker._measured(q)
+        too_near = checker.relax(q, 0.7)
+        assert too_near == (distances < wanted).any()
+        np.testing.assert_allclose(checker._margins, np.minimum(wanted, 0.7 * np.maximum(distances, 0)))
+        near += too_near and (distances > 0).all() and checker.is_free(q)
+    assert near > 0  # what is too near, but touches nothing, may move
+
+
+def test_drives_stop_freely_where_their_own_motion_is_free(model, shapes):
+    rng, told = np.random.default_rng(10), []
+    limits = model.limits
+    for _ in range(10):
+        boxes = random_boxes(rng, model)
+        checker, world = EdgeChecker(shapes, boxes, CLEARANCE, model.home), CapsuleWorld(model, boxes)
+        for a, b in short_ways(model, rng, 30):
+            velocity = rng.uniform(-0.3, 0.3, model.dof) * limits.velocity
+            told.append(checker.stops_freely(a, velocity, b))
+            position, speed = a, velocity
+            for _ in range(40 if told[-1] else 0):
+                position, speed = follow(limits, position, speed, b, 0.008)
+                assert world.distance(position) > CLEARANCE / 2
+    assert 10 < sum(told) < len(told) - 10

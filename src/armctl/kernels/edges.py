@@ -8,9 +8,12 @@ import numpy as np
 from armctl.kernels.arm import forward
 from armctl.kernels.capsules import place, segment_box_distance, segments_distance
 from armctl.kernels.compiling import compiled, copy_to
+from armctl.kernels.drives import follow_all
 
 PAIR = np.dtype([("kind", int), ("link", int), ("other", int)])
 LINKS, FLOOR_END, LINK_AND_BOX = range(3)
+AT_REST = 1e-5
+"""rad: joints that move less in a tick, and are so near to their goal, are at rest there."""
 
 
 @compiled
@@ -128,6 +131,65 @@ def shortcut(scene, path, corners, draws, faster, bounds):
             for k in range(len(rest)):
                 copy_to(rest[k], path[first + 2 + k])
     return corners, checks
+
+
+@compiled
+def farthest_goal(scene, path, q, halvings, places, bounds, goal):
+    """Set `goal` (dof,) to the farthest point of `path` (m, dof) to which the straight motion from `q` is free.
+
+    Behind the last corner that is reached so, the rest of its edge is halved so many times; if none is, so many places
+    of each edge are tried. Returns whether there is such a point, and how many configurations were looked at.
+    """
+    checks, last, tried = 0, len(path) - 1, np.empty(len(q))
+    for corner in range(last, -1, -1):
+        free, looks = check_edge(*scene, q, path[corner], *bounds)
+        checks += looks
+        if not free:
+            continue
+        copy_to(path[corner], goal)
+        low, high = 0.0, 1.0
+        for _ in range(halvings if corner < last else 0):
+            middle = (low + high) / 2
+            for k in range(len(q)):
+                tried[k] = path[corner, k] + middle * (path[corner + 1, k] - path[corner, k])
+            free, looks = check_edge(*scene, q, tried, *bounds)
+            checks += looks
+            if free:
+                low = middle
+                copy_to(tried, goal)
+            else:
+                high = middle
+        return True, checks
+    for point in range(last * places - 1, 0, -1):
+        corner, share = point // places, (point % places) / places
+        for k in range(len(q)):
+            tried[k] = path[corner, k] + share * (path[corner + 1, k] - path[corner, k])
+        free, looks = check_edge(*scene, q, tried, *bounds)
+        checks += looks
+        if free:
+            copy_to(tried, goal)
+            return True, checks
+    return False, checks
+
+
+@compiled
+def stops_freely(scene, position, velocity, goal, ticks, tick, most, bounds):
+    """Whether drives at `position` with `velocity` (dof,) keep the distances until they are at rest at `goal`.
+
+    The straight motions between positions every so many `ticks` are checked, but no more than `most` of them. Returns
+    how many configurations were looked at, too.
+    """
+    before, now, speed, checks = position.copy(), position.copy(), velocity.copy(), 0
+    for _ in range(most):
+        follow_all(scene[0], goal, now, speed, ticks, tick)
+        free, looks = check_edge(*scene, before, now, *bounds)
+        checks += looks
+        if not free:
+            return False, checks
+        if np.abs(speed).max() * tick < AT_REST and np.abs(now - goal).max() < AT_REST:
+            break
+        copy_to(now, before)
+    return True, checks
 
 
 @compiled

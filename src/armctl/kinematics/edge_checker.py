@@ -13,6 +13,7 @@ from armctl.errors import ConfigurationError
 from armctl.kernels import edges
 from armctl.kinematics.model import ArmModel
 from armctl.kinematics.records import Records, box_records
+from armctl.robot_description.joint_profiles import TICK
 from armctl.scene import Boxes
 
 Array = NDArray[np.float64]
@@ -29,6 +30,10 @@ NEAR_START = 0.5
 """Fraction of their distance at the start that a pair must keep if it starts nearer than the clearance."""
 FINEST = 2**-12
 """Finest fraction of an edge: an edge still undecided there counts as blocked, which bounds the effort."""
+HALVINGS, PLACES = 6, 8
+"""To find the farthest point that is reached on an edge of a path: halvings, or places tried."""
+TICKS_CHECKED, MOST_CHECKED = 3, 40
+"""Ticks of the drives between configurations whose edges are checked, and the number of these: about a second."""
 MOST_CHECKS = 2048
 """Configurations on an edge after which it counts as blocked, too."""
 
@@ -127,8 +132,9 @@ class EdgeChecker:
         """Configurations checked."""
         distances = self._measured(start)
         self.start_is_free = bool((distances > 0).all())
-        self._margins = np.minimum(SLACK * clearance, NEAR_START * np.maximum(distances, 0.0))
-        self._bounds = self._margins, self._margins / SLACK, motion, FINEST, self._known
+        self._wanted = np.minimum(SLACK * clearance, NEAR_START * np.maximum(distances, 0.0))
+        self._motion = motion
+        self._set_margins(self._wanted)
 
     def is_free(self, q: Array) -> bool:
         """Whether a configuration (dof,) keeps the clearance, with the margin that edges need."""
@@ -139,6 +145,31 @@ class EdgeChecker:
     def is_edge_free(self, a: Array, b: Array) -> bool:
         """Whether the straight motion from `a` to `b`, (dof,) each, keeps the clearance throughout."""
         free, checks = edges.check_edge(*self._scene, a, b, *self._bounds)
+        self.checks += checks
+        return bool(free)
+
+    def relax(self, q: Array, share: float) -> bool:
+        """From now on, pairs that are nearer at `q` (dof,) than they should be must keep this share of their distance.
+
+        Without that, no motion away from there would be free. Pairs in contact stay blocked. Returns whether there are
+        such pairs.
+        """
+        distances = self._measured(q)
+        self._set_margins(np.minimum(self._wanted, share * np.maximum(distances, 0.0)))
+        return bool((distances < self._wanted).any())
+
+    def farthest_goal(self, path: Array, q: Array) -> Array | None:
+        """The farthest point (dof,) of a path (m, dof) to which the straight motion from `q` (dof,) is free, if any."""
+        goal = np.empty(len(q))
+        found, checks = edges.farthest_goal(self._scene, path, q, HALVINGS, PLACES, self._bounds, goal)
+        self.checks += checks
+        return goal if found else None
+
+    def stops_freely(self, position: Array, velocity: Array, goal: Array) -> bool:
+        """Whether drives at `position` (dof,) with `velocity` (dof,) keep the clearance until they rest at `goal`."""
+        free, checks = edges.stops_freely(
+            self._scene, position, velocity, goal, TICKS_CHECKED, TICK, MOST_CHECKED, self._bounds
+        )
         self.checks += checks
         return bool(free)
 
@@ -157,6 +188,10 @@ class EdgeChecker:
         """Least distance (m) of the arm from boxes and floor at the corners of a path (m, dof); at most `FAR`."""
         corners = (self._measured(q)[self._self_pairs :] for q in np.asarray(path, float))
         return min((float(distances.min(initial=FAR)) for distances in corners), default=np.nan)
+
+    def _set_margins(self, margins: Array) -> None:
+        self._margins = margins
+        self._bounds = margins, margins / SLACK, self._motion, FINEST, self._known
 
     def _measured(self, q: Array) -> Array:
         """Distance of each pair, (pairs,) m: 0 or below in contact."""
