@@ -41,7 +41,6 @@ def is_safe(model, observation, label):
 
 
 def test_it_is_as_fast_as_what_it_sees_allows(played):
-    assert np.mean([playing.sum() for _, _, playing in played]) > 0
     assert len(played) < 60
     assert sum(playing.sum() for _, _, playing in played) / 20 < 24  # 29 steps when it followed its plan by the clock
 

@@ -14,14 +14,11 @@ from armctl.policies import make_policy
 from armctl.rl.actor import tensors
 from armctl.rl.bc import BcOptions
 from armctl.rl.bc import train as clone
-from armctl.rl.cloned_ppo import ClonedPpoOptions, warm_up
 from armctl.rl.cloned_ppo import train as train_cloned_ppo
 from armctl.rl.cloning import Examples, Teacher, examples_for
 from armctl.rl.dagger import MemorylessTeacher
 from armctl.rl.dagger import train as dagger
-from armctl.rl.ppo import new_model
 from armctl.rl.training import Training
-from armctl.rl.vector import StableBaselinesVectorEnv
 from armctl.rl.view import view_of
 from armctl.tasks import ReachTask
 
@@ -344,21 +341,6 @@ def test_a_privileged_teacher_has_a_pupil_who_sees_the_camera(tmp_path):
     card = dagger(recipe, out=tmp_path / "run", seed=0, progress=False)
     assert card.observation_shape == {"image": [6, 8], "motion": [3]}
     assert card.teacher == "bridge_ompl"
-
-
-def test_while_the_critic_warms_up_the_clone_stays_as_it_is(tmp_path):
-    options = ClonedPpoOptions(worlds=8, rollout_length=16, batch_size=64)
-    recipe = small("reach_cloned_ppo")
-    with Training(recipe, options, tmp_path / "run", 0, False) as training:
-        venv = StableBaselinesVectorEnv(training.worlds, training.view.action_scale)
-        model = new_model(venv, training.view, options, 0)
-        before = {name: values.clone() for name, values in model.policy.state_dict().items()}
-        warm_up(training, model, 256, progress=False)
-        after = model.policy.state_dict()
-    changed = {name for name, values in before.items() if not torch.equal(values, after[name])}
-    assert changed
-    assert all("value_net" in name for name in changed)
-    assert all(parameter.requires_grad for parameter in model.policy.parameters())
 
 
 @pytest.mark.slow

@@ -1,0 +1,118 @@
+"""PPO that starts from a policy worth keeping: the critic is fitted first, and a penalty holds the actor to its start.
+
+The penalty is the KL divergence from the frozen start, for which kickstarting (Schmitt et al., "Kickstarting deep
+reinforcement learning", 2018) has the weight decay. For Gaussians of one standard deviation it is half the squared
+difference of their means, in standard deviations.
+"""
+
+import copy
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3 import PPO
+from stable_baselines3.common.utils import explained_variance
+
+CRITIC_EPOCHS = 20
+"""Of the fit of the critic, on each rollout."""
+LEAST_GAIN = 0.01
+"""Of the explained variance of returns: a critic whose gain is smaller is fitted."""
+PATIENCE = 2
+"""Rollouts without such a gain until the fit ends: one may be unlike others by chance."""
+
+
+class AnchoredPpo(PPO):
+    """PPO whose loss has `anchor_weight` times the distance from the `anchor`, a frozen copy of the policy.
+
+    The weight decays linearly, to 0 after the share `anchor_decay` of the training.
+    """
+
+    anchor_weight = 0.0
+    anchor_decay = 1.0
+
+    def _setup_model(self) -> None:
+        super()._setup_model()
+        self.anchor = copy.deepcopy(self.policy).requires_grad_(False)
+
+    def _excluded_save_params(self) -> list[str]:
+        return [*super()._excluded_save_params(), "anchor", "anchor_weight", "anchor_decay"]
+
+    def _get_torch_save_params(self) -> tuple[list[str], list[str]]:
+        modules, tensors = super()._get_torch_save_params()
+        return [*modules, "anchor"], tensors
+
+    def drop_anchor(self) -> None:
+        """Hold the actor to what it is now."""
+        self.anchor.load_state_dict(self.policy.state_dict())
+
+    def fit_critic(self, steps: int, learning_rate: float) -> Iterator[float]:
+        """Fit the critic to the returns of the actor, which stays as it is, in rollouts of at most so many steps.
+
+        Yields the explained variance of each rollout's returns, which the critic has not seen then, and fits it to
+        them, until the variance stops growing. Returns are discounted sums of rewards to the episode's end, or to the
+        rollout's, from where the critic's own values count.
+        """
+        optimizer = torch.optim.Adam(self.critic_parameters(), learning_rate)
+        _, callback = self._setup_learn(steps)
+        buffer, gae_lambda = self.rollout_buffer, self.gae_lambda
+        best, in_vain = -np.inf, 0
+        buffer.gae_lambda = 1.0
+        while in_vain < PATIENCE and self.num_timesteps < steps:
+            self.collect_rollouts(self.env, callback, buffer, self.n_steps)
+            explained = float(explained_variance(buffer.values.flatten(), buffer.returns.flatten()))
+            in_vain = 0 if explained > best + LEAST_GAIN else in_vain + 1
+            best = max(best, explained)
+            yield explained
+            for batch in self._batches(CRITIC_EPOCHS):
+                loss = (self.policy.predict_values(batch.observations).flatten() - batch.returns).square().mean()
+                optimizer.zero_grad()
+                loss.backward()
+                optimizer.step()
+        buffer.gae_lambda = gae_lambda
+
+    def critic_parameters(self) -> list[torch.nn.Parameter]:
+        """The weights that only the critic has."""
+        parts = ["value_net", "mlp_extractor.value_net"]
+        if not self.policy.share_features_extractor:
+            parts.append("vf_features_extractor")
+        return [weights for part in parts for weights in self.policy.get_submodule(part).parameters()]
+
+    def train(self) -> None:
+        """Update actor and critic by the rollouts: as in PPO, with the penalty in place of PPO's options."""
+        self.policy.set_training_mode(True)
+        self._update_learning_rate(self.policy.optimizer)
+        past = 1 - self._current_progress_remaining
+        weight = self.anchor_weight * max(0.0, 1 - past / self.anchor_decay)
+        clip = self.clip_range(self._current_progress_remaining)
+        told: list[list[float]] = []
+        for batch in self._batches(self.n_epochs):
+            values, log_prob, entropy = self.policy.evaluate_actions(batch.observations, batch.actions)
+            advantages = batch.advantages
+            if len(advantages) > 1:
+                advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+            ratio = (log_prob - batch.old_log_prob).exp()
+            gain = torch.min(advantages * ratio, advantages * ratio.clamp(1 - clip, 1 + clip)).mean()
+            value_loss = (values.flatten() - batch.returns).square().mean()
+            distance = self.distance_from_anchor(batch.observations).mean()
+            loss = self.vf_coef * value_loss - gain - self.ent_coef * entropy.mean() + weight * distance
+            self.policy.optimizer.zero_grad()
+            loss.backward()
+            torch.nn.utils.clip_grad_norm_(self.policy.parameters(), self.max_grad_norm)
+            self.policy.optimizer.step()
+            told.append([gain.item(), value_loss.item(), distance.item()])
+        self._n_updates += self.n_epochs
+        for name, value in zip(("gain", "value_loss", "distance_from_anchor"), np.mean(told, axis=0), strict=True):
+            self.logger.record(f"train/{name}", value)
+        self.logger.record("train/anchor_weight", weight)
+
+    def distance_from_anchor(self, observations: Any) -> torch.Tensor:
+        """KL divergence (n,) of the present actor from the anchor, were its standard deviation the anchor's."""
+        with torch.no_grad():
+            before = self.anchor.get_distribution(observations).distribution
+        now = self.policy.get_distribution(observations).distribution
+        return ((now.mean - before.mean) / before.stddev).square().sum(dim=1) / 2
+
+    def _batches(self, epochs: int) -> Iterator[Any]:
+        for _ in range(epochs):
+            yield from self.rollout_buffer.get(self.batch_size)
