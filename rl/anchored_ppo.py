@@ -46,14 +46,13 @@ class AnchoredPpo(PPO):
         """Hold the actor to what it is now."""
         self.anchor.load_state_dict(self.policy.state_dict())
 
-    def fit_critic(self, steps: int, learning_rate: float) -> Iterator[float]:
+    def fit_critic(self, steps: int, optimizer: torch.optim.Optimizer) -> Iterator[float]:
         """Fit the critic to the returns of the actor, which stays as it is, in rollouts of at most so many steps.
 
         Yields the explained variance of each rollout's returns, which the critic has not seen then, and fits it to
         them, until the variance stops growing. Returns are discounted sums of rewards to the episode's end, or to the
         rollout's, from where the critic's own values count.
         """
-        optimizer = torch.optim.Adam(self.critic_parameters(), learning_rate)
         _, callback = self._setup_learn(steps)
         buffer, gae_lambda = self.rollout_buffer, self.gae_lambda
         best, in_vain = -np.inf, 0
@@ -73,7 +72,9 @@ class AnchoredPpo(PPO):
 
     def critic_parameters(self) -> list[torch.nn.Parameter]:
         """The weights that only the critic has."""
-        parts = ("value_net", "mlp_extractor.value_net")
+        parts = ["value_net", "mlp_extractor.value_net"]
+        if not self.policy.share_features_extractor:
+            parts.append("vf_features_extractor")
         return [weights for part in parts for weights in self.policy.get_submodule(part).parameters()]
 
     def train(self) -> None:

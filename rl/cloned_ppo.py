@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
+import torch
 from pydantic import Field
 
 from armctl.agents import AgentCard
@@ -86,7 +87,9 @@ def fit_critic(training: Training, model: AnchoredPpo, steps: int, learning_rate
     model.set_logger(training.logger)
     assert isinstance(model.env, StableBaselinesVectorEnv)
     model.env.seed(training.first_seed())
-    for explained in model.fit_critic(steps, learning_rate):
+    optimizer = torch.optim.Adam(model.critic_parameters(), learning_rate)
+    optimizer.register_step_post_hook(lambda *_: training.meter.add(gradient_steps=1))
+    for explained in model.fit_critic(steps, optimizer):
         LOG.info("%s steps: the critic explains %.0f%% of returns", f"{model.num_timesteps:,}", 100 * explained)
         training.logger.record("train/explained_variance", explained)
         training.logger.dump(model.num_timesteps)

@@ -55,20 +55,18 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
         return learn(training, model, actor_of(model, training), progress)
 
 
-def load_or_make(training: Training, options: PpoOptions, kind: type[Model]) -> Model:
+def load_or_make(training: Training, options: PpoOptions, kind: type[PPO] = PPO) -> Any:
     """The model of the newest checkpoint, or an untrained one, of a `kind` of PPO."""
     shown = AsymmetricVectorEnv if options.privileged_critic else None
     venv = shown_worlds(training.worlds, training.view, options, shown)
     newest = training.newest_checkpoint()
     new = newest is None
-    model: Model = (
-        new_model(venv, training.view, options, training.seed, kind) if new else kind.load(newest, venv, "cpu")
-    )
+    model = new_model(venv, training.view, options, training.seed, kind) if new else kind.load(newest, venv, "cpu")
     training.meter.watch(model)
     return model
 
 
-def new_model(venv: StableBaselinesVectorEnv, view: View, options: PpoOptions, seed: int, kind: type[Model]) -> Model:
+def new_model(venv: StableBaselinesVectorEnv, view: View, options: PpoOptions, seed: int, kind: type[PPO] = PPO) -> PPO:
     """An untrained model of a `kind` of PPO."""
     several = isinstance(venv.observation_space, gymnasium.spaces.Dict)
     policy: Any = "MultiInputPolicy" if several else "MlpPolicy"

@@ -30,9 +30,13 @@ def weights(model):
     return {name: values.clone() for name, values in model.policy.state_dict().items()}
 
 
+def fitted(model, steps, learning_rate=1e-3):
+    return list(model.fit_critic(steps, torch.optim.Adam(model.critic_parameters(), learning_rate)))
+
+
 def test_fitting_the_critic_leaves_the_actor_and_explains_returns_better(model):
     before = weights(model)
-    explained = list(model.fit_critic(12 * 256, 1e-3))
+    explained = fitted(model, 12 * 256)
     changed = {name for name, values in weights(model).items() if not torch.equal(values, before[name])}
     assert changed
     assert all("value_net" in name for name in changed)
@@ -42,8 +46,8 @@ def test_fitting_the_critic_leaves_the_actor_and_explains_returns_better(model):
 
 
 def test_the_critic_is_fitted_until_it_gains_no_more_and_no_longer_than_asked(model):
-    assert len(list(model.fit_critic(3 * 256, 1e-3))) <= 3
-    without_a_gain = list(model.fit_critic(50 * 256, 1e-12))
+    assert len(fitted(model, 3 * 256)) <= 3
+    without_a_gain = fitted(model, 50 * 256, 1e-12)
     assert len(without_a_gain) < 12
 
 

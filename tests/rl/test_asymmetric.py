@@ -25,7 +25,7 @@ def recipe(env=BRIDGE, env_options=CAMERA, **options):
 
 def untrained(chosen, out):
     training = Training(chosen, chosen.read_options(ppo.PpoOptions), out, 0, False)
-    return training, ppo.load_or_make(training, training.options, PPO)
+    return training, ppo.load_or_make(training, training.options)
 
 
 @pytest.mark.parametrize(

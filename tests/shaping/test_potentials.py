@@ -17,8 +17,8 @@ def test_each_environment_names_its_oracles():
         "armctl/ArmReach-v0": ["distance", "ik", "mpc"],
         "armctl/ArmReachMoving-v0": ["distance", "ik", "mpc"],
         "armctl/ArmReachObstacles-v0": ["distance", "ik", "mpc", "ompl"],
-        "armctl/BridgeCross-v0": ["distance", "ompl"],
-        "armctl/BridgeCrossMoving-v0": ["distance", "ompl"],
+        "armctl/BridgeCross-v0": ["distance", "ompl", "people"],
+        "armctl/BridgeCrossMoving-v0": ["distance", "ompl", "people"],
     }
 
 

@@ -22,6 +22,7 @@ PAIRS = [
     ("armctl/BridgeCross-v0", "distance", "bridge_ompl"),
     ("armctl/BridgeCross-v0", "ompl", "bridge_ompl"),
     ("armctl/BridgeCrossMoving-v0", "ompl", "bridge_ompl"),
+    ("armctl/BridgeCrossMoving-v0", "people", "bridge_ompl"),
 ]
 OPTIONS = {"armctl/BridgeCross-v0": {"observation": "state", "deck_length": 8.0, "blocks": 1, "missing_barriers": 0}}
 

@@ -4,6 +4,7 @@ from armctl.planning.arm_planner import ArmPlan, ArmPlanner, ArmPlannerOptions
 from armctl.planning.bridge_planner import PathPlannerOptions, PlanResult, plan_path
 from armctl.planning.cost_to_go import Lattice
 from armctl.planning.path_certificate import PathCertificate, PathCertificateOptions
+from armctl.planning.time_to_go import SpaceTime, TimesToGo
 
 __all__ = [
     "ArmPlan",
@@ -14,5 +15,7 @@ __all__ = [
     "PathCertificateOptions",
     "PathPlannerOptions",
     "PlanResult",
+    "SpaceTime",
+    "TimesToGo",
     "plan_path",
 ]

@@ -37,26 +37,37 @@ class Lattice:
     @property
     def shape(self) -> tuple[int, int]:
         """Number of points along the deck, and across it."""
-        return len(self._axes[0]), len(self._axes[1])
+        return len(self.axes[0]), len(self.axes[1])
 
     def lengths(self, bridge: BridgeMap, goal_x: float, clearance: float) -> Array:
         """Length (nx, ny) m of the shortest path from each point to x = `goal_x`, beside the lanes along the bridge."""
-        points = np.stack(np.meshgrid(*self._axes, indexing="ij"), axis=-1)
-        blocked = bridge.with_lanes_blocked()
-        free = (blocked.clearance(points.reshape(-1, 2)) >= clearance).reshape(points.shape[:2])
+        lengths = self.paths(bridge.with_lanes_blocked(), goal_x, clearance)
+        nearest, off = self.nearest(np.isfinite(lengths))
+        return np.asarray(lengths[nearest] + OFF_CLEARANCE * off)
+
+    def paths(self, bridge: BridgeMap, goal_x: float, clearance: float) -> Array:
+        """The same around the blocks only, (nx, ny) m: infinite where there is no path with the clearance."""
+        points = np.stack(np.meshgrid(*self.axes, indexing="ij"), axis=-1)
+        free = (bridge.clearance(points.reshape(-1, 2)) >= clearance).reshape(points.shape[:2])
         there = points[..., 0] >= goal_x
         first, second, edge_lengths = self._edges
         open_ = free.ravel()[first] & free.ravel()[second]
         graph = csr_array((edge_lengths[open_], (first[open_], second[open_])), shape=(free.size, free.size))
         lengths = dijkstra(graph, directed=False, indices=np.flatnonzero(there & free), min_only=True)
-        lengths = np.where(there, 0.0, lengths.reshape(free.shape))
-        off, nearest = distance_transform_edt(np.isinf(lengths), self._spacings, return_indices=True)
-        return np.asarray(lengths[tuple(nearest)] + OFF_CLEARANCE * off)
+        return np.where(there, 0.0, lengths.reshape(free.shape))
 
-    def interpolate(self, lengths: Array, points: Array) -> Array:
-        """Lengths (m,) at points (m, 2), by bilinear interpolation, each point on a bridge of its own (m, nx, ny)."""
+    def nearest(self, known: NDArray[np.bool_]) -> tuple[tuple[NDArray[np.intp], ...], Array]:
+        """Indices of the `known` point (nx, ny) that is nearest to each point, and the distance from it, (nx, ny) m."""
+        off, nearest = distance_transform_edt(~known, self.spacings, return_indices=True)
+        return tuple(nearest), np.asarray(off)
+
+    def interpolate(self, lengths: Array, points: Array, every: int = 1) -> Array:
+        """Lengths (m,) at points (m, 2), by bilinear interpolation, each point on a bridge of its own (m, nx, ny).
+
+        Lengths may be those of every second, third ... point in both directions, by `every`.
+        """
         last = np.array(lengths.shape[1:]) - 1
-        places = np.clip((points - [0.0, -self.half_width]) / self._spacings, 0, last)
+        places = np.clip((points - [0.0, -self.half_width]) / (every * self.spacings), 0, last)
         i, j = corners = np.minimum(places.astype(int), last - 1).T
         x, y = places.T - corners
         bridges = np.arange(len(points))
@@ -65,14 +76,16 @@ class Lattice:
         return np.asarray((1 - y) * right + y * left)
 
     @cached_property
-    def _axes(self) -> tuple[Array, Array]:
+    def axes(self) -> tuple[Array, Array]:
+        """Places (nx,) and (ny,) m of the points along the deck and across it."""
         ends = ((0.0, self.length), (-self.half_width, self.half_width))
         x, y = (np.linspace(low, high, 1 + round((high - low) / self.spacing)) for low, high in ends)
         return x, y
 
     @cached_property
-    def _spacings(self) -> Array:
-        return np.array([axis[1] - axis[0] for axis in self._axes])
+    def spacings(self) -> Array:
+        """Distances (2,) m between points along the deck and across it."""
+        return np.array([axis[1] - axis[0] for axis in self.axes])
 
     @cached_property
     def _edges(self) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
@@ -84,5 +97,5 @@ class Lattice:
             one = index[: len(index) - right, begin:end].ravel()
             first.append(one)
             second.append(index[right:, begin + left : end + left].ravel())
-            lengths.append(np.full(len(one), np.hypot(*(self._spacings * (right, left)))))
+            lengths.append(np.full(len(one), np.hypot(*(self.spacings * (right, left)))))
         return np.concatenate(first), np.concatenate(second), np.concatenate(lengths)

@@ -27,7 +27,7 @@ from armctl.tasks.bridge.observation import (
 from armctl.tasks.bridge.options import CONTROL_PERIOD, MOVES, BridgeMovingOptions, BridgeOptions
 from armctl.tasks.bridge.physical import PhysicalRover
 from armctl.tasks.bridge.planar import PlanarRover
-from armctl.tasks.bridge.potentials import CrossingCostToGo
+from armctl.tasks.bridge.potentials import CrossingCostToGo, CrossingTimeToGo
 from armctl.tasks.bridge.state import BridgeState
 from armctl.tasks.bridge.world import CONTACT_CLASSES, GOAL_MARGIN, WALKER_RADIUS, build_bridge_world
 from armctl.tasks.task import (
@@ -68,7 +68,9 @@ class BridgeTask(Task):
     interface_options = Task.interface_options | {
         "observation", "camera", "resolution", "field_of_view", "camera_range", "image_format",
     }  # fmt: skip
-    potentials: ClassVar[Mapping[str, Callable[[Any], Potential]]] = {**Task.potentials, "ompl": CrossingCostToGo}
+    potentials: ClassVar[Mapping[str, Callable[[Any], Potential]]] = {
+        **Task.potentials, "ompl": CrossingCostToGo, "people": CrossingTimeToGo,
+    }  # fmt: skip
     render_fps = round(1 / CONTROL_PERIOD)
 
     def __init__(self, n: int, options: BridgeOptions, threads: int = 0) -> None:

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.planning import Lattice
+from armctl.planning import Lattice, SpaceTime
 from armctl.tasks.task import Ids, Potential
 
 Array = NDArray[np.float64]
@@ -31,3 +31,31 @@ class CrossingCostToGo(Potential):
     def potentials(self, ids: Ids) -> Array:
         """(len(ids),) m."""
         return -self._lattice.interpolate(self._lengths[ids], self.task.state.poses[ids, :2])
+
+
+class CrossingTimeToGo(Potential):
+    """Minus the least time to the goal line, s, past the people as they will walk.
+
+    It is a function of the rover's place and of the time since the episode began, which stand for where the people are.
+    So it leaves the best policies as they are among those that know the time, or see it by the people (Devlin and
+    Kudenko, "Dynamic potential-based reward shaping", AAMAS 2012, for potentials of state and time). It is computed at
+    the episode's beginning, for 30 s.
+    """
+
+    def __init__(self, task: Any) -> None:
+        super().__init__(task)
+        bridge, worlds = task.map(0), len(task.state.poses)
+        self._space_time = SpaceTime(Lattice(bridge.length, bridge.half_width))
+        self._alone = np.zeros((worlds, *self._space_time.lattice.shape))
+        self._extra = np.zeros((worlds, *self._space_time.shape), dtype=np.float32)
+
+    def begin(self, ids: Ids) -> None:
+        """Compute the times from all points at all times of the bridges of worlds `ids`."""
+        for i in ids:
+            found = self._space_time.times(self.task.map(int(i)), self.task.goal_x, CLEARANCE)
+            self._alone[i], self._extra[i] = found.alone, found.extra
+
+    def potentials(self, ids: Ids) -> Array:
+        """(len(ids),) s."""
+        state = self.task.state
+        return -self._space_time.interpolate(self._alone[ids], self._extra[ids], state.poses[ids, :2], state.time[ids])

@@ -1,0 +1,102 @@
+"""Least times from all over a bridge to the goal line, at all times, among people whose courses are known.
+
+A dynamic programme in space and time (as in Silver, "Cooperative pathfinding", AIIDE 2005): from each point of a
+lattice and each moment, the rover waits, or goes to one of the neighbours at a constant speed. Near a person, time
+passes dearly. After the horizon, people are left out of account. What is kept is the time that people cost, at every
+second point and a quarter of the moments: it varies less than the times themselves.
+"""
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.kernels import time_to_go as kernel
+from armctl.planning.cost_to_go import OFF_CLEARANCE, STEPS, Lattice
+from armctl.scene import BridgeMap
+from armctl.scene.pedestrians import NO_PEDESTRIANS
+
+Array = NDArray[np.float64]
+
+SLOWER = 20.0
+"""How much longer everything takes near a person: it is quicker to wait than to run through him."""
+BLOCKED = 1e4
+"""s: more than any time to go."""
+PAD = max(max(abs(right), abs(left)) for right, left in STEPS)
+"""Points around the lattice, blocked, so that moves need no check."""
+ROUNDING = 1e-9
+EVERY, EVERY_LAYER = 2, 4
+"""What is kept of the time that people cost: every second point, every fourth moment."""
+
+
+@dataclass(frozen=True, eq=False)
+class TimesToGo:
+    """Least times over one bridge."""
+
+    alone: Array
+    """(nx, ny) s without people."""
+    extra: NDArray[np.float32]
+    """(m, nx / 2, ny / 2) s more because of people, in intervals of `SpaceTime.interval`."""
+
+
+@dataclass(frozen=True)
+class SpaceTime:
+    """All points of a lattice at all moments up to a horizon."""
+
+    lattice: Lattice
+    speed: float = 1.6
+    """m/s"""
+    horizon: float = 30.0
+    """s"""
+
+    @property
+    def step(self) -> float:
+        """Seconds between two moments: for the shortest move."""
+        return float(self.lattice.spacings.min() / self.speed)
+
+    @property
+    def interval(self) -> float:
+        """Seconds between two of the moments that are kept."""
+        return EVERY_LAYER * self.step
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Of `TimesToGo.extra`."""
+        nx, ny = self.lattice.shape
+        return 1 + self._layers // EVERY_LAYER, 1 + (nx - 1) // EVERY, 1 + (ny - 1) // EVERY
+
+    def times(self, bridge: BridgeMap, goal_x: float, clearance: float) -> TimesToGo:
+        """Least times to x = `goal_x` (m) from time 0 on, with a `clearance` (m) from blocks and people."""
+        people, (x, y) = bridge.pedestrians, self.lattice.axes
+        paths = self.lattice.paths(dataclasses.replace(bridge, pedestrians=NO_PEDESTRIANS), goal_x, clearance)
+        known = np.isfinite(paths)
+        nearest, off = self.lattice.nearest(known)
+        alone = np.where(known, paths / self.speed, BLOCKED)
+        moves = np.array([sign * np.array(step[::-1]) for step in STEPS for sign in (1, -1)])
+        durations = np.hypot(*(moves * self.lattice.spacings[::-1]).T) / self.speed
+        layers = np.floor(durations / self.step + ROUNDING).astype(int)
+        shares = np.maximum(durations / self.step - layers, 0.0)
+        times = np.full((1 + self._layers, len(y) + 2 * PAD, len(x) + 2 * PAD), BLOCKED, dtype=np.float32)
+        inside = times[:, PAD:-PAD, PAD:-PAD]
+        inside[-1] = alone.T
+        kernel.spread(
+            times, np.ascontiguousarray((alone == 0).T), np.where(known.T, 0.0, BLOCKED).astype(np.float32),
+            people.positions(self.step * np.arange(len(times))), people.radius + clearance, y, x, SLOWER, self.step,
+            moves, durations.astype(np.float32), shares.astype(np.float32), layers, PAD,
+        )  # fmt: skip
+        i, j = (index[::EVERY, ::EVERY] for index in nearest)
+        extra = inside[::EVERY_LAYER, j, i] - alone[i, j].astype(np.float32)
+        return TimesToGo(alone[nearest] + OFF_CLEARANCE / self.speed * off, extra)
+
+    def interpolate(self, alone: Array, extra: NDArray[np.float32], points: Array, times: Array) -> Array:
+        """Times to go (m,) s at points (m, 2) and times (m,) s, on a bridge each: (m, nx, ny), (m, *shape)."""
+        moments = np.clip(times / self.interval, 0, extra.shape[1] - 1)
+        first = np.minimum(moments.astype(int), extra.shape[1] - 2)
+        bridges, share = np.arange(len(points)), moments - first
+        early, late = (self.lattice.interpolate(extra[bridges, first + k], points, EVERY) for k in (0, 1))
+        return np.asarray(self.lattice.interpolate(alone, points) + (1 - share) * early + share * late)
+
+    @property
+    def _layers(self) -> int:
+        return EVERY_LAYER * round(self.horizon / self.interval)
