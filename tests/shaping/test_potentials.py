@@ -61,7 +61,8 @@ def test_an_expert_climbs_its_potential(env, name, expert):
         won |= terminated & infos["is_success"]
         assert not truncated.any()
         highest = np.maximum(highest, potential.potentials(ids))
-    assert (highest > 0.5 * begin).all()
+    # the expert may come into the sphere elsewhere than the potential's own plan
+    assert (highest > 0.6 * begin).all()
 
 
 def test_ik_is_near_the_least_time():
