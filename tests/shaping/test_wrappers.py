@@ -200,7 +200,7 @@ def best_actions(shaping, offset=0.0, scale=1.0):
     bridge = sample_layout(np.random.default_rng(4), 12.0, 4.0, 3, 0, 0).map
     lattice = Lattice(bridge.length, bridge.half_width, 0.25)
     potential = offset - scale * lattice.lengths(bridge, 10.0, 0.36)
-    x, y = (axis for axis in lattice._axes)
+    x, y = (axis for axis in lattice.axes)
     cells = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
     hit = bridge.clearance(cells.reshape(-1, 2)).reshape(lattice.shape) < 0.21
     crossed = (cells[..., 0] >= 10.0) & ~hit
