@@ -77,3 +77,8 @@ def bridge_state_ppo(env: EpisodeVectorEnv) -> OnnxPolicy:
 def bridge_moving_state_ppo(env: EpisodeVectorEnv) -> OnnxPolicy:
     """PPO on `armctl/BridgeCrossMoving-v0`, without physics; it sees the true state."""
     return load_agent(FOLDER / "bridge_moving_state_ppo.json", env)
+
+
+def bridge_distil(env: Interface) -> OnnxPolicy:
+    """`bridge_state_ppo`, distilled into a network with a memory; it sees the depth camera and its own motion."""
+    return load_agent(FOLDER / "bridge_distil.json", env)

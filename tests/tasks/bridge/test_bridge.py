@@ -378,7 +378,7 @@ def test_reward_is_replaceable():
 
 
 def test_policies_see_what_they_need():
-    assert task_of(STATIC).default_policies == ("bridge_ompl", "bridge_ppo", "random")
+    assert task_of(STATIC).default_policies == ("bridge_ompl", "bridge_distil", "random")
 
 
 def test_one_layout_is_enough_to_make_worlds(monkeypatch):

@@ -63,7 +63,7 @@ class BridgeTask(Task):
 
     options_type: ClassVar[type[Any]] = BridgeOptions
     outcomes = BridgeOutcome
-    default_policies: ClassVar[tuple[str, ...]] = ("bridge_ompl", "bridge_ppo", "random")
+    default_policies: ClassVar[tuple[str, ...]] = ("bridge_ompl", "bridge_distil", "random")
     disturbances = ROVER
     interface_options = Task.interface_options | {
         "observation", "camera", "resolution", "field_of_view", "camera_range", "image_format",
