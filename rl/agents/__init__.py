@@ -82,3 +82,8 @@ def bridge_moving_state_ppo(env: EpisodeVectorEnv) -> OnnxPolicy:
 def bridge_distil(env: Interface) -> OnnxPolicy:
     """`bridge_state_ppo`, distilled into a network with a memory; it sees the depth camera and its own motion."""
     return load_agent(FOLDER / "bridge_distil.json", env)
+
+
+def bridge_moving_distil(env: Interface) -> OnnxPolicy:
+    """`bridge_moving_state_ppo`, distilled into a network with a memory; it sees the depth camera and its motion."""
+    return load_agent(FOLDER / "bridge_moving_distil.json", env)

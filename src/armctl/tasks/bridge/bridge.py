@@ -314,4 +314,4 @@ class BridgeMovingTask(BridgeTask):
     """The same, with pedestrians who walk across and along the bridge."""
 
     options_type: ClassVar[type[Any]] = BridgeMovingOptions
-    default_policies = ("bridge_ompl", "bridge_mpc", "bridge_moving_ppo", "random")
+    default_policies = ("bridge_ompl", "bridge_mpc", "bridge_moving_distil", "random")
