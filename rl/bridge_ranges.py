@@ -12,8 +12,10 @@ import torch
 from gymnasium import spaces
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
-PITCH, LARGEST_NOD = math.radians(10.0), 0.25
-"""rad: how far the camera looks down at rest (`models/rover.xml`), and how much more or less at most."""
+from armctl.rl.bridge_scans import nearness
+
+LARGEST_NOD = 0.25
+"""rad: how much more or less the camera looks down than at rest, at most."""
 LOWEST, HIGHEST = 0.12, 0.75
 """m above the deck: what is seen between these is an obstacle."""
 HOLE = -0.5
@@ -22,20 +24,20 @@ STEEPEST = -0.12
 """Rise of a ray per m of depth: with those that fall less, holes are not looked for."""
 DECK_ROWS = (31 / 32, 24 / 32)
 """Where in the image's height the deck is seen before the wheels."""
-NEAR = 0.5
-"""m: nearness is NEAR / (NEAR + distance)."""
 
 
 class ColumnRanges(torch.nn.Module):
     """From a dict of `image` (n, height, width), depths in m, and `motion` to one of `ranges` (n, width) and `motion`.
 
     Ranges are horizontal distances from the camera, m, at most `farthest`. `field_of_view` is the image's horizontal
-    one, degrees. A dict that has `ranges` already stays as it is.
+    one, degrees; `pitch` is how far the camera looks down at rest, rad. A dict that has `ranges` already
+    stays as it is.
     """
 
-    def __init__(self, observation_space: spaces.Dict, field_of_view: float, farthest: float) -> None:
+    def __init__(self, observation_space: spaces.Dict, field_of_view: float, farthest: float, pitch: float) -> None:
         super().__init__()
         self.farthest = farthest
+        self.least_tangent, self.largest_tangent = (math.tan(pitch + nod) for nod in (-LARGEST_NOD, LARGEST_NOD))
         if "ranges" in observation_space.spaces:
             return
         height, width = observation_space["image"].shape or (1, 1)
@@ -67,7 +69,7 @@ class ColumnRanges(torch.nn.Module):
         """Cosine and sine of the camera's pitch, and its height (m), (n, 1, 1), from the deck's depth in two rows."""
         lower, upper = (depths[:, row].amax(dim=1)[:, None, None] for row in self.rows)
         tangent = (upper * self.upper - lower * self.lower) / (upper - lower).clamp(min=0.02)
-        tangent = tangent.clamp(math.tan(PITCH - LARGEST_NOD), math.tan(PITCH + LARGEST_NOD))
+        tangent = tangent.clamp(self.least_tangent, self.largest_tangent)
         cos = 1 / (1 + tangent * tangent).sqrt()
         sin = tangent * cos
         return cos, sin, lower * (sin - self.lower * cos)
@@ -82,4 +84,4 @@ class NearnessFeatures(BaseFeaturesExtractor):
 
     def forward(self, observations: Any) -> torch.Tensor:
         """Features (n, width + 3) of ranges (n, width) and motions (n, 3)."""
-        return torch.cat((NEAR / (NEAR + observations["ranges"]), observations["motion"]), dim=1)
+        return torch.cat((nearness(observations["ranges"]), observations["motion"]), dim=1)

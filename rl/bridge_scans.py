@@ -9,8 +9,6 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 BEAMS = 48
 AHEAD = (0.0, 0.4, 0.8, 1.2, 1.6)
 """s: times at which people are predicted. They walk on straight, and turn back before they get to a barrier."""
-TURN = 0.3
-"""m from a barrier, where people turn back."""
 NEAR = 0.5
 """m: nearness is NEAR / (NEAR + distance)."""
 FAR = 1e3
@@ -24,16 +22,23 @@ class Surroundings(BaseFeaturesExtractor):
     """Scans of `BEAMS` directions around the rover, from an observed state (`full_state` of the bridge tasks).
 
     One scan is of what stands still, one more of people for each time `AHEAD`; to them come the rover's own pose and
-    velocities. Without the future ones, the same networks win far fewer episodes among people.
+    velocities. People are discs of `radius` m, and those who walk across turn back `turn` m from the middle.
     """
 
     def __init__(
-        self, observation_space: spaces.Box, blocks: int, walkers: int, half_width: float, goal_x: float, radius: float
+        self,
+        observation_space: spaces.Box,
+        blocks: int,
+        walkers: int,
+        half_width: float,
+        goal_x: float,
+        radius: float,
+        turn: float,
     ) -> None:
         scans = 1 + (len(AHEAD) if walkers else 0)
         super().__init__(observation_space, OWN + scans * BEAMS)
         self.parts = [1] * OWN + [BLOCK * blocks, WALKER * walkers]
-        self.half_width, self.goal_x, self.radius = half_width, goal_x, radius
+        self.half_width, self.goal_x, self.radius, self.turn = half_width, goal_x, radius, turn
         angles = torch.arange(BEAMS) * (2 * math.pi / BEAMS)
         self.register_buffer("cosines", angles.cos())
         self.register_buffer("sines", angles.sin())
@@ -51,7 +56,7 @@ class Surroundings(BaseFeaturesExtractor):
         if walkers.shape[1]:
             people = walkers.unflatten(1, (-1, WALKER))
             for time in AHEAD:
-                places = people_after(people, time, self.half_width - TURN)
+                places = people_after(people, time, self.turn)
                 scans.append(nearness(distances_to_discs(x, y, beams_x, beams_y, places, self.radius)))
         own = (0.1 * (self.goal_x - x), y / self.half_width, cos, sin, speed, turn)
         return torch.cat((*own, *scans), dim=1)

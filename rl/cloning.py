@@ -1,7 +1,7 @@
 """Shared by learners from demonstrations: the examples, the network, and fitting the network to the examples."""
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from armctl.agents import AgentCard
 from armctl.console import printable
 from armctl.datasets.demonstrations import Demonstration, demonstrate
 from armctl.datasets.minari import read_demonstrations
@@ -21,6 +22,7 @@ from armctl.options import options
 from armctl.policies import Policy, make_policy
 from armctl.policies.trainings import card_of
 from armctl.rl.actor import Actor, tensors
+from armctl.rl.disk import save_torch
 from armctl.rl.training import Count, Share, Training, TrainingOptions, bar_fits
 from armctl.rl.view import Features
 from armctl.tasks import ReachMovingTask, ReachTask
@@ -200,6 +202,46 @@ class Drawn(Protocol):
 
     def draw(self, rng: np.random.Generator, size: int) -> tuple[Any, torch.Tensor]:
         """A random batch of observations and actions (size, ...)."""
+
+
+def fit_and_export(
+    training: Training,
+    actor: Actor,
+    examples: Drawn,
+    batch_size: int,
+    progress: bool,
+    renew: Callable[[int], None] | None = None,
+) -> AgentCard:
+    """Fit an actor to the examples from the newest checkpoint on, evaluate it now and then, and export the best.
+
+    `renew` is called with the number of gradient steps that have been taken, at the start and after each.
+    """
+    options, step = training.options, 0
+    if (newest := training.newest_checkpoint()) is not None:
+        actor.load_state_dict(torch.load(newest, weights_only=True))
+        step = int(newest.stem)
+    fitting = fit(
+        actor, examples, options.steps, np.random.default_rng((training.seed, step)),
+        batch_size=batch_size, learning_rate=options.learning_rate, progress=progress, start=step,
+    )  # fmt: skip
+
+    def save() -> None:
+        training.checkpoint(step, lambda path: save_torch(actor.state_dict(), path))
+
+    try:
+        if renew:
+            renew(step)
+        for step in fitting:
+            training.meter.add(gradient_steps=1)
+            if renew:
+                renew(step)
+            if step % options.evaluation_every == 0:
+                save()
+                training.evaluate(actor, step)
+    finally:
+        if step:
+            save()
+    return training.finish(actor, step)
 
 
 def fit(

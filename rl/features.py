@@ -14,8 +14,8 @@ from armctl.rl.bridge_ranges import ColumnRanges, NearnessFeatures
 from armctl.rl.bridge_scans import Surroundings
 from armctl.rl.links_among_boxes import LinksAmongBoxes
 from armctl.rl.yaw import rotated
+from armctl.scene import BOX_NUMBERS
 from armctl.tasks.reach import observation_sizes
-from armctl.tasks.reach.obstacle_layout import BOX_NUMBERS
 
 LENGTH_SCALE = 2.0
 """1/m: scales the lengths of an arm's workspace to the order of one."""

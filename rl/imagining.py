@@ -21,8 +21,9 @@ from armctl.kinematics import ArmModel, ArmShapes, ImaginedArms
 from armctl.kinematics.imagined import ARRIVED, MOVING
 from armctl.options import options
 from armctl.rl.following import observed
+from armctl.scene import BOX_NUMBERS
 from armctl.tasks.reach import CONTROL_PERIOD, observation_slices
-from armctl.tasks.reach.obstacle_layout import BOX_NUMBERS, MOST_OBSTACLES
+from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES
 
 Array = NDArray[np.float64]
 Count = Annotated[int, Field(ge=1)]
@@ -64,7 +65,7 @@ class ImaginingPolicy:
         dof = self._shapes.model.dof
         self._parts = observation_slices(dof) | {"boxes": slice(6 + dof, None)}
         self._now = ImaginedArms(self._shapes, n, MOST_OBSTACLES, tolerance=0.0, period=CONTROL_PERIOD)
-        self._plans: list[Array] = [np.zeros((0, dof)) for _ in range(n)]
+        self._plans, self._lengths = np.zeros((n, self.options.steps, dof)), np.zeros(n, int)
         self._steps, self._alone = np.zeros(n, int), np.zeros(n, int)
         self._fresh = np.ones(n, dtype=bool)
         self._before = np.zeros((n, dof))
@@ -77,7 +78,7 @@ class ImaginingPolicy:
 
     def plans(self, world: int) -> Mapping[str, Array]:
         """The rest of the end-effector's imagined path, (m, 3) m, without the drives' law."""
-        ahead = self._plans[world][self._steps[world] :]
+        ahead = self._plans[world, self._steps[world] : self._lengths[world]]
         return {"path": self._shapes.model.positions(ahead)} if len(ahead) else {}
 
     def act(self, observations: Any) -> NDArray[np.float64]:
@@ -92,7 +93,7 @@ class ImaginingPolicy:
             ids = np.flatnonzero(lost)
             velocities = np.clip(moved, -top, top)[ids]
             now.begin(ids, positions[ids], velocities, seen["target_position"][ids], boxes[ids])
-        ended = self._steps >= np.array([len(plan) for plan in self._plans])
+        ended = self._steps >= self._lengths
         self._alone[self._fresh] = 0
         due = np.flatnonzero(lost | (ended & (self._alone == 0)))
         if len(due):
@@ -104,30 +105,28 @@ class ImaginingPolicy:
 
     def _follow(self, observations: Any) -> Array:
         """The next commands of the plans, and of the agent where there is none."""
-        alone = self._steps >= np.array([len(plan) for plan in self._plans])
+        planned = self._steps < self._lengths
+        alone = ~planned
         commands = np.zeros_like(self._before)
         if alone.any():
             commands[alone] = self._agent.act(observations[alone])
         self._alone = np.where(alone, (self._alone + 1) % self.options.patience, 0)
-        for world in np.flatnonzero(~alone):
-            commands[world] = self._plans[world][self._steps[world]]
-            self._steps[world] += 1
+        commands[planned] = self._plans[planned, self._steps[planned]]
+        self._steps += planned
         return commands
 
     def _imagine(self, worlds: NDArray[np.intp], seen: Mapping[str, Array]) -> None:
         """Make new plans for some worlds; empty ones where nothing was a success."""
-        for world in worlds:
-            self._plans[world], self._steps[world] = self._plans[world][:0], 0
+        self._lengths[worlds] = self._steps[worlds] = 0
         for turn in range(self.options.rounds):
-            for world, plan in self._round(worlds, seen, first=turn == 0).items():
-                self._plans[world] = plan
-            worlds = worlds[[not len(self._plans[world]) for world in worlds]]
+            self._round(worlds, seen, first=turn == 0)
+            worlds = worlds[self._lengths[worlds] == 0]
             if not len(worlds):
                 break
         self.failures[worlds] += 1
 
-    def _round(self, worlds: NDArray[np.intp], seen: Mapping[str, Array], first: bool) -> dict[int, Array]:
-        """The commands (m, dof) of the copy of each world that arrives first, if one does."""
+    def _round(self, worlds: NDArray[np.intp], seen: Mapping[str, Array], first: bool) -> None:
+        """Take as plans the commands of the copy of each world that arrives first, if one does."""
         asked, dof, copies = self.options, self._shapes.model.dof, self.options.copies
         tolerance = max(self._tolerance - asked.inside, self._tolerance / 2)
         arms = ImaginedArms(
@@ -142,7 +141,7 @@ class ImaginingPolicy:
         noise = np.stack([self._env.rng(int(world)).normal(scale=asked.noise, size=size) for world in worlds])
         if first:
             noise[:, :, 0] = 0.0
-        commands, found = np.zeros((asked.steps, len(of), dof)), dict[int, Array]()
+        commands = np.zeros((asked.steps, len(of), dof))
         for step in range(asked.steps):
             moving = np.flatnonzero(arms.states == MOVING)
             if not len(moving):
@@ -150,8 +149,8 @@ class ImaginingPolicy:
             some = observed(self._shapes, arms.positions[moving], targets[moving], boxes[moving])
             commands[step, moving] = self._agent.act(some) + noise[:, step].reshape(len(of), dof)[moving]
             arms.move(commands[step])
-            for copy in moving[arms.states[moving] == ARRIVED]:
-                if (world := int(of[copy])) not in found:
-                    found[world] = commands[: step + 1, copy].copy()
-                    arms.states[of == world] = ARRIVED
-        return found
+            arrived = moving[arms.states[moving] == ARRIVED]
+            found, first_copies = np.unique(of[arrived], return_index=True)
+            self._plans[found, : step + 1] = commands[: step + 1, arrived[first_copies]].swapaxes(0, 1)
+            self._lengths[found] = step + 1
+            arms.states[self._lengths[of] > 0] = ARRIVED

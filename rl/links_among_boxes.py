@@ -15,8 +15,8 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 from armctl.errors import ConfigurationError
 from armctl.rl.yaw import rotated
+from armctl.scene import BOX_NUMBERS
 from armctl.tasks.reach import observation_sizes
-from armctl.tasks.reach.obstacle_layout import BOX_NUMBERS
 
 LENGTH_SCALE = 2.0
 """1/m: scales the lengths of an arm's workspace to the order of one."""

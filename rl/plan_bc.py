@@ -7,7 +7,6 @@ plans whose commands are disturbed (Laskey et al., DART: Noise injection for rob
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from armctl.agents import AgentCard
 from armctl.errors import ConfigurationError
@@ -15,9 +14,7 @@ from armctl.kinematics import ArmModel, ArmShapes
 from armctl.learners import Recipe
 from armctl.options import options
 from armctl.rl import solved_layouts
-from armctl.rl.actor import Actor
-from armctl.rl.cloning import check_teaching, fit, new_actor
-from armctl.rl.disk import save_torch
+from armctl.rl.cloning import check_teaching, fit_and_export, new_actor
 from armctl.rl.following import Followed
 from armctl.rl.training import Count, Positive, Share, Training, TrainingOptions, bar_fits
 from armctl.rl.view import Features
@@ -77,34 +74,14 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
             largest_move=options.largest_move, margin=options.margin, noise=options.noise,
             noise_share=options.noise_share,
         )  # fmt: skip
-        actor, step = new_actor(training, options), 0
-        if (newest := training.newest_checkpoint()) is not None:
-            actor.load_state_dict(torch.load(newest, weights_only=True))
-            step = int(newest.stem)
         rounds, every = 0, max(1, options.steps // (options.renewals + 1))
-        fitting = fit(
-            actor, examples, options.steps, np.random.default_rng((seed, step)),
-            batch_size=options.batch_size, learning_rate=options.learning_rate, progress=progress, start=step,
-        )  # fmt: skip
-        try:
-            while rounds < options.parts + step // every:  # the same states as before an interrupt
+
+        def renew(step: int) -> None:
+            nonlocal rounds
+            known = step > 0 and rounds == 0  # labelled before an interrupt
+            while rounds < options.parts + min(step, options.steps - 1) // every:
                 labelled = examples.renew(rounds, np.random.default_rng((seed, 1, rounds)))
-                training.meter.add(teacher_queries=labelled if not step else 0)
+                training.meter.add(teacher_queries=0 if known else labelled)
                 rounds += 1
-            for step in fitting:
-                training.meter.add(gradient_steps=1)
-                if step % every == 0 and step < options.steps:
-                    labelled = examples.renew(rounds, np.random.default_rng((seed, 1, rounds)))
-                    training.meter.add(teacher_queries=labelled)
-                    rounds += 1
-                if step % options.evaluation_every == 0:
-                    _save(training, actor, step)
-                    training.evaluate(actor, step)
-        finally:
-            if step:
-                _save(training, actor, step)
-        return training.finish(actor, step)
 
-
-def _save(training: Training, actor: Actor, step: int) -> None:
-    training.checkpoint(step, lambda path: save_torch(actor.state_dict(), path))
+        return fit_and_export(training, new_actor(training, options), examples, options.batch_size, progress, renew)

@@ -15,19 +15,19 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 from numpy.typing import NDArray
-from rich.progress import track
+from tqdm import tqdm
 
-from armctl.console import PlainConsole
 from armctl.disturbances import episode_entropy
 from armctl.errors import ConfigurationError, ResultsError
 from armctl.files import bounded_bytes, bounded_text, one_writer, sealed, short_checksum, unsealed, write_atomically
 from armctl.kinematics import ArmModel, Workspace
 from armctl.planning import ArmPlanner, ArmPlannerOptions
 from armctl.robot_description import ArmDescription, load_arm
+from armctl.scene import BOX_NUMBERS
 from armctl.seeds import TRAINING_SEEDS
 from armctl.tasks.reach import ReachOptions
 from armctl.tasks.reach.layout_pool import robot_digest
-from armctl.tasks.reach.obstacle_layout import BOX_NUMBERS, MOST_OBSTACLES, ReachLayout, sample_layout
+from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES, ReachLayout, sample_layout
 
 FORMAT = "armctl-solved-layouts-1"
 PART = 500
@@ -92,7 +92,7 @@ def make(folder: Path, count: int, seed: int, arm: ArmDescription, tolerance: fl
                 raise ResultsError(f"{folder} holds layouts with {name} {card.get(name)!r}, not {wanted!r}")
         solver = _Solver(arm, tolerance, seed)
         starts = range(0, count, PART)
-        for start in track(starts, "layouts", console=PlainConsole(stderr=True), disable=not progress):
+        for start in tqdm(starts, "layouts", leave=False, disable=not progress):
             name = f"part_{start}.npz"
             if name not in card["parts"]:
                 content = _packed(solver.solve(number) for number in range(start, min(start + PART, count)))
@@ -140,8 +140,7 @@ def _packed(solved: Iterator[tuple[ReachLayout, NDArray[np.float64]] | None]) ->
     found = [one for one in solved if one is not None]
     boxes = np.zeros((len(found), MOST_OBSTACLES, BOX_NUMBERS), np.float32)
     for row, (layout, _) in zip(boxes, found, strict=True):
-        numbers = (layout.boxes.centres, layout.boxes.half_sizes, layout.boxes.yaws)
-        row[: len(layout.boxes)] = np.column_stack(numbers)
+        row[: len(layout.boxes)] = layout.boxes.numbers
     content = io.BytesIO()
     np.savez_compressed(
         content,

@@ -50,8 +50,9 @@ def check_alike(graph, arrays):
 
 @pytest.mark.parametrize("card", SHIPPED, ids=lambda path: path.stem)
 def test_a_shipped_agent_acts_alike_in_any_number_of_worlds(card):
-    observed = read_card(card).observation_shape
-    shapes = observed if isinstance(observed, dict) else {"observation": observed}
+    described = read_card(card)
+    observed = described.observation_shape
+    shapes = (observed if isinstance(observed, dict) else {"observation": observed}) | described.memory
     rng = np.random.default_rng(0)
     arrays = {name: rng.uniform(-3, 3, (N, *shape)).astype(np.float32) for name, shape in shapes.items()}
     check_alike(

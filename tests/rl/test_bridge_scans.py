@@ -3,8 +3,9 @@ import torch
 
 from armctl.envs import make_worlds
 from armctl.kernels import planar
-from armctl.rl.bridge_scans import AHEAD, BEAMS, NEAR, OWN, TURN, Surroundings, people_after
+from armctl.rl.bridge_scans import AHEAD, BEAMS, NEAR, OWN, Surroundings, people_after
 from armctl.rl.view import view_of
+from armctl.tasks.bridge.layout import TURNING_MARGIN
 from armctl.tasks.bridge.world import WALKER_RADIUS
 
 MOVING = "armctl/BridgeCrossMoving-v0"
@@ -34,10 +35,10 @@ def test_scans_are_those_of_the_map_and_of_people_who_walk_on():
         planar.scan(ids, deck, scenes, half_width, 0.0, directions, 1e3, 0.0, task.state.poses, ranges)
         return NEAR / (NEAR + ranges)
 
+    turn = deck.half_width - TURNING_MARGIN
     expected = [scanned(rows, people[:, :0, :2], deck.half_width)]
     expected += [
-        scanned(rows[:, :0], people_after(torch.as_tensor(people), time, deck.half_width - TURN).numpy(), 900.0)
-        for time in AHEAD
+        scanned(rows[:, :0], people_after(torch.as_tensor(people), time, turn).numpy(), 900.0) for time in AHEAD
     ]
     found = features[:, OWN:].reshape(n, 1 + len(AHEAD), BEAMS).swapaxes(0, 1)
     hit = np.array(expected) > 0.01  # the others leave the bridge by its ends
@@ -52,6 +53,6 @@ def test_people_are_predicted_to_turn_back_as_they_do():
     task = worlds.task
     across = np.array([~task.map(i).pedestrians.along for i in range(50)])
     then = np.array([task.map(i).pedestrians.positions(1.6) for i in range(50)])
-    predicted = people_after(now, 1.6, task.map(0).half_width - TURN).numpy()
+    predicted = people_after(now, 1.6, task.map(0).half_width - TURNING_MARGIN).numpy()
     assert across.any()
     assert np.abs(predicted - then)[across].max() < 1e-3

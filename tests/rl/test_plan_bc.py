@@ -11,6 +11,7 @@ from armctl.policies import make_policy
 from armctl.rl import plan_bc, solved_layouts
 from armctl.rl.following import WAYPOINTS_APART, Followed, follow, observed, waypoints
 from armctl.rl.solved_layouts import make, read
+from armctl.rl.training import Training
 from armctl.robot_description import load_arm
 
 ENV = "armctl/ArmReachObstacles-v0"
@@ -104,22 +105,22 @@ def test_a_training_gives_an_agent_and_its_card(tmp_path, monkeypatch):
 
 
 def test_an_interrupted_training_resumes(tmp_path, monkeypatch):
-    save, calls = plan_bc._save, []
+    evaluate, calls = Training.evaluate, []
 
     def interrupted(training, actor, step):
-        save(training, actor, step)
         calls.append({name: value.clone() for name, value in actor.state_dict().items()})
         if len(calls) == 1:
             raise KeyboardInterrupt
+        evaluate(training, actor, step)
 
-    monkeypatch.setattr(plan_bc, "_save", interrupted)
+    monkeypatch.setattr(Training, "evaluate", interrupted)
     with pytest.raises(KeyboardInterrupt):
         plan_bc.train(recipe(), out=tmp_path, seed=0, progress=False)
     made = (tmp_path / "layouts" / "part_0.npz").stat().st_mtime_ns
     card = plan_bc.train(recipe(), out=tmp_path, seed=0, resume=True, progress=False)
     assert card.gradient_steps == 6
     assert (tmp_path / "layouts" / "part_0.npz").stat().st_mtime_ns == made
-    moved = [not torch.equal(calls[1][name], value) for name, value in calls[-1].items() if "boxes.0" in name]
+    moved = [not torch.equal(calls[0][name], value) for name, value in calls[-1].items() if "boxes.0" in name]
     assert moved
     assert all(moved)
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import torch
 from stable_baselines3 import PPO
 
 from armctl.agents import load_agent
@@ -19,6 +20,7 @@ from armctl.errors import AgentFileError, ConfigurationError
 from armctl.evaluation import evaluate
 from armctl.learners import load_recipe
 from armctl.rl.ppo import train
+from armctl.rl.view import view_of
 from armctl.tasks import BridgeTask, ReachTask
 from armctl.tasks.bridge.bridge import LEARNER_VELOCITY
 from armctl.tasks.reach.reach import LARGEST_RELATIVE_MOVE
@@ -146,7 +148,10 @@ def test_a_camera_agent_is_trained_exported_and_loaded(trained_on_bridge):
     worlds = TaskVectorEnv(20, task=BridgeTask, **CAMERA)
     observations, _ = worlds.reset(seed=0)
     model = PPO.load(out / "checkpoints" / f"{card.best_after}.zip", device="cpu")
-    raw = np.clip(model.predict(observations, deterministic=True)[0], -1, 1)
+    prepare = view_of(worlds).preparation(worlds.single_observation_space)
+    prepared = prepare({name: torch.as_tensor(part) for name, part in observations.items()})
+    shown = {name: part.numpy()[:, None] for name, part in prepared.items()}
+    raw = np.clip(model.predict(shown, deterministic=True)[0], -1, 1)
     (slow, fast), (right, left) = LEARNER_VELOCITY.T
     expected = np.array((slow + fast, right + left)) / 2 + np.array((fast - slow, left - right)) / 2 * raw
     np.testing.assert_allclose(load_agent(out / "agent.json", worlds).act(observations), expected, atol=1e-5)

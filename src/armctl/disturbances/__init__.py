@@ -43,7 +43,7 @@ def _observes_numbers(task: Disturbable) -> bool:
 
 
 def _has_physics(task: Disturbable) -> bool:
-    return getattr(task, "physical", True)
+    return task.physical
 
 
 def _acts_by_numbers(task: Disturbable) -> bool:

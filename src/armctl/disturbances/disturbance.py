@@ -30,6 +30,10 @@ class Disturbable(Protocol):
         """Seconds between two control steps."""
 
     @property
+    def physical(self) -> bool:
+        """Whether masses, friction and pushes change anything."""
+
+    @property
     def idle_action(self) -> Array:
         """The action that leaves the robot where it starts."""
 

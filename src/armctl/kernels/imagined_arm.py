@@ -9,7 +9,7 @@ import numpy as np
 from armctl.kernels.arm import forward, tip_of
 from armctl.kernels.capsules import place
 from armctl.kernels.compiling import compiled, copy_to
-from armctl.kernels.drives import limited, towards, within_range
+from armctl.kernels.drives import follow_all
 from armctl.kernels.edges import check_edge, distance
 
 MOVING, ARRIVED, TOUCHED = range(3)
@@ -56,12 +56,8 @@ def move(
         for _ in range(ticks):
             if states[arm] != MOVING:
                 break
+            follow_all(joints, goals[arm], positions[arm], velocities[arm], 1, tick)
             for i in range(dof):
-                joint, position = joints[i], positions[arm, i]
-                wanted = towards(goals[arm, i], position, joint.acceleration, tick)
-                wanted = within_range(wanted, position, joint.lower, joint.upper, joint.acceleration, tick)
-                velocities[arm, i] = limited(wanted, velocities[arm, i], joint.top, joint.acceleration, tick)
-                positions[arm, i] += velocities[arm, i] * tick
                 moved[i] = abs(velocities[arm, i] * tick)
             forward(joints, positions[arm], rotations, origins)
             place(links, rotations, origins, ends)

@@ -14,11 +14,10 @@ from armctl.kernels.capsules import BOX
 from armctl.kernels.imagined_arm import ARRIVED, MOVING, TOUCHED
 from armctl.kinematics.edge_checker import FINEST, NEAR_START, SLACK, ArmShapes
 from armctl.robot_description.joint_profiles import TICK
+from armctl.scene.boxes import BOX_NUMBERS, rotations_about_vertical
 
 Array = NDArray[np.float64]
 
-BOX_NUMBERS = 7
-"""Numbers of a box: centre (3) and half sizes (3), m, and yaw, rad. Half sizes of 0: there is none."""
 MOST_CHECKS = 64
 """Configurations on a straight motion after which it counts as blocked."""
 
@@ -71,10 +70,7 @@ class ImaginedArms:
         self.positions[rows], self.velocities[rows], self.targets[rows] = positions, velocities, targets
         self._counts[rows] = (numbers[..., 3:6] > 0).all(axis=-1).sum(axis=-1)
         records = np.zeros(numbers.shape[:2], BOX)
-        sine, cosine = np.sin(numbers[..., 6]), np.cos(numbers[..., 6])
-        records["rotation"][..., 0, 0] = records["rotation"][..., 1, 1] = cosine
-        records["rotation"][..., 0, 1], records["rotation"][..., 1, 0] = -sine, sine
-        records["rotation"][..., 2, 2] = 1.0
+        records["rotation"] = rotations_about_vertical(numbers[..., 6])
         records["centre"], records["half_size"] = numbers[..., :3], numbers[..., 3:6]
         self._boxes[rows], self.states[rows] = records, MOVING
         imagined_arm.begin(

@@ -9,6 +9,9 @@ from armctl.errors import ConfigurationError
 
 Array = NDArray[np.float64]
 
+BOX_NUMBERS = 7
+"""Numbers of a box: centre (3) and half sizes (3), m, and yaw, rad. Half sizes of 0: there is none."""
+
 
 @dataclass(frozen=True, eq=False)
 class Boxes:
@@ -33,11 +36,14 @@ class Boxes:
         return len(self.yaws)
 
     @property
+    def numbers(self) -> Array:
+        """(k, `BOX_NUMBERS`)."""
+        return np.column_stack((self.centres, self.half_sizes, self.yaws))
+
+    @property
     def rotations(self) -> Array:
         """Rotation matrices from each box's own frame to the world's, (k, 3, 3)."""
-        sine, cosine, zero, one = np.sin(self.yaws), np.cos(self.yaws), 0 * self.yaws, 1 + 0 * self.yaws
-        rows = [[cosine, -sine, zero], [sine, cosine, zero], [zero, zero, one]]
-        return np.moveaxis(np.array(rows).reshape(3, 3, -1), -1, 0)
+        return rotations_about_vertical(self.yaws)
 
     def distances(self, points: ArrayLike) -> Array:
         """Signed distances of points (..., 3) from the boxes' surfaces, (..., k) m: negative inside."""
@@ -45,6 +51,13 @@ class Boxes:
         beyond = np.abs(local) - self.half_sizes
         outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1)
         return np.asarray(outside + np.minimum(beyond.max(axis=-1), 0.0))
+
+
+def rotations_about_vertical(angles: Array) -> Array:
+    """Rotation matrices (..., 3, 3) by angles (...), rad."""
+    sine, cosine, zero, one = np.sin(angles), np.cos(angles), 0 * angles, 1 + 0 * angles
+    rows = [[cosine, -sine, zero], [sine, cosine, zero], [zero, zero, one]]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
 NO_BOXES = Boxes(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))

@@ -155,6 +155,11 @@ class TaskFacts(ABC):
         """The robot's description, for policies that use a model of it; None if there is none."""
         return None
 
+    @property
+    def physical(self) -> bool:
+        """Whether masses, friction and pushes change anything."""
+        return True
+
     def static_map(self, world: int) -> Any:
         """A copy of what stands still around the robot in the current episode, for policies that see the map."""
         return None

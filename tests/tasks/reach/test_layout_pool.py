@@ -19,7 +19,7 @@ from armctl.errors import ConfigurationError
 from armctl.kinematics import ArmModel, Workspace
 from armctl.planning import PathCertificate
 from armctl.robot_description import load_arm
-from armctl.scene import Boxes
+from armctl.scene import BOX_NUMBERS, Boxes
 from armctl.seeds import TEST_SEED, TRAINING_SEEDS, VALIDATION_SEED
 from armctl.tasks import ReachObstaclesOptions, ReachObstaclesTask
 from armctl.tasks.reach import make_layout_pool, read_boxes
@@ -33,7 +33,7 @@ from armctl.tasks.reach.layout_pool import (
     robot_digest,
     write_pool,
 )
-from armctl.tasks.reach.obstacle_layout import BOX_NUMBERS, MOST_OBSTACLES, sample_certified_layout
+from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES, sample_certified_layout
 
 SHIPPED = read_pool(POOL_FILE)
 SEEDS = st.one_of(

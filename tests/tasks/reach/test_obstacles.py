@@ -6,9 +6,10 @@ from armctl.envs import TaskVectorEnv
 from armctl.errors import ConfigurationError
 from armctl.kinematics import ArmModel
 from armctl.planning import ArmPlanner, PathCertificate, PathCertificateOptions
+from armctl.scene import BOX_NUMBERS
 from armctl.tasks import ReachObstaclesTask
 from armctl.tasks.reach import read_boxes
-from armctl.tasks.reach.obstacle_layout import BOX_NUMBERS, MOST_OBSTACLES
+from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES
 
 ENV = "armctl/ArmReachObstacles-v0"
 

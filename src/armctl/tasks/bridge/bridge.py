@@ -15,10 +15,11 @@ from armctl.robots.rover import MAX_VELOCITY, PARTS, PREFIX, RADIUS, SPEED_LIMIT
 from armctl.scene import BridgeMap, PedestrianTrajectories
 from armctl.simulation import Simulation
 from armctl.tasks.bridge.furniture import Furniture
-from armctl.tasks.bridge.layout import Layout, sample_layout
+from armctl.tasks.bridge.layout import TURNING_MARGIN, Layout, sample_layout
 from armctl.tasks.bridge.observation import (
     FASTEST_MOTION,
     See,
+    camera_pitch,
     full_state,
     make_camera,
     observation_space,
@@ -29,7 +30,7 @@ from armctl.tasks.bridge.physical import PhysicalRover
 from armctl.tasks.bridge.planar import PlanarRover
 from armctl.tasks.bridge.potentials import CrossingCostToGo, CrossingTimeToGo
 from armctl.tasks.bridge.state import BridgeState
-from armctl.tasks.bridge.world import CONTACT_CLASSES, GOAL_MARGIN, WALKER_RADIUS, build_bridge_world
+from armctl.tasks.bridge.world import CONTACT_CLASSES, GOAL_MARGIN, WALKER_RADIUS, build_bridge_world, free_half_width
 from armctl.tasks.task import (
     FeatureSpec,
     Ids,
@@ -96,6 +97,7 @@ class BridgeTask(Task):
             np.zeros((*walkers, 2)), np.zeros((*walkers, 2)), np.zeros(walkers), np.zeros(walkers), WALKER_RADIUS
         )
         self._layouts: list[Layout] = [self._sample_episode(np.random.default_rng(0))] * n
+        self._blocks = np.zeros((n, options.blocks, 5))
         self._time, self._action, self._distance = np.zeros(n), np.zeros((n, 2)), np.zeros(n)
         self.simulation.reset()
         self._begin(worlds)
@@ -122,7 +124,7 @@ class BridgeTask(Task):
 
     @property
     def physical(self) -> bool:
-        """Whether there is physics, which masses, friction and pushes change."""
+        """Whether masses, friction and pushes change anything."""
         return self.options.dynamics == "physics"
 
     @property
@@ -136,15 +138,22 @@ class BridgeTask(Task):
         options = self.options
         if options.view == "state":
             counts = {"blocks": options.blocks, "walkers": options.walkers}
-            sizes = {"half_width": self.map(0).half_width, "goal_x": self.goal_x, "radius": WALKER_RADIUS}
-            return LearnerView(features=FeatureSpec("surroundings", counts | sizes))
+            half_width = free_half_width(options.deck_width)
+            sizes = {"half_width": half_width, "goal_x": self.goal_x, "radius": WALKER_RADIUS}
+            return LearnerView(
+                features=FeatureSpec("surroundings", counts | sizes | {"turn": half_width - TURNING_MARGIN})
+            )
         if options.view != "ranges" and (options.view, options.camera, options.image_format) != (
             "camera",
             "depth",
             "float",
         ):
             return LearnerView()
-        measured = {"field_of_view": options.field_of_view, "farthest": options.camera_range}
+        measured = {
+            "field_of_view": options.field_of_view,
+            "farthest": options.camera_range,
+            "pitch": camera_pitch(self.simulation.model),
+        }
         return LearnerView(features=FeatureSpec("nearness", {}, "column_ranges", measured))
 
     @property
@@ -170,7 +179,7 @@ class BridgeTask(Task):
 
     def _furnish(self, ids: Ids, layouts: list[Layout]) -> None:
         for i, layout in zip(ids, layouts, strict=True):
-            self._layouts[i] = layout
+            self._layouts[i], self._blocks[i] = layout, layout.map.blocks
         self._furniture.place(ids, layouts)
         self.rover.place(ids, layouts)
         for name in ("start", "end", "speed", "phase"):
@@ -214,8 +223,7 @@ class BridgeTask(Task):
 
     def state_observation(self, ids: Ids | None = None) -> NDArray[np.float32]:
         """Pose, velocities, blocks and pedestrians (n, k)."""
-        blocks = np.array([layout.map.blocks for layout in self._layouts])
-        return full_state(self.state, blocks, self._pedestrians)[slice(None) if ids is None else ids]
+        return full_state(self.state, self._blocks, self._pedestrians)[slice(None) if ids is None else ids]
 
     def reward_terms(self) -> RewardTerms:
         """The terms of `BridgeOptions.reward`."""

@@ -15,9 +15,9 @@ from armctl.scene import BridgeMap, PedestrianTrajectories
 from armctl.tasks.bridge.world import (
     BLOCK_SIZES,
     GOAL_MARGIN,
-    JERSEY_PROFILE,
     START_X,
     WALKER_RADIUS,
+    free_half_width,
     segment_names,
 )
 
@@ -31,6 +31,8 @@ MAX_BLOCK_YAW = 0.6
 """rad."""
 WALKER_SPEEDS = (0.3, 1.2)
 """m/s."""
+TURNING_MARGIN = WALKER_RADIUS + 0.05
+"""m from a barrier, where people who walk across turn back."""
 ALONG_SECTION = 1.6
 """Length of the section of a pedestrian who walks along the bridge, relative to that of a block."""
 ATTEMPTS = 1000
@@ -50,7 +52,7 @@ def sample_layout(
 ) -> Layout:
     """Sample a layout that can be crossed. Raises `ConfigurationError` if none is found."""
     for _ in range(ATTEMPTS):
-        drawn = _sample_map(rng, length, width / 2 - 2 * JERSEY_PROFILE[0][0], blocks, walkers)
+        drawn = _sample_map(rng, length, free_half_width(width), blocks, walkers)
         if _room_to_wait(drawn) and drawn.crossable(CLEARANCE):
             # The first and last barriers are never missing: they mark the ends of the bridge.
             inner = np.arange(2, len(segment_names(length)) - 2)
@@ -79,7 +81,7 @@ def _sample_map(rng: np.random.Generator, length: float, half_width: float, bloc
     placed = np.column_stack((middles[:blocks] + jitter, y, yaw, sizes))
 
     x, reach = middles[blocks:], sections[blocks:] / 2 - WALKER_RADIUS - 0.1
-    side = half_width - WALKER_RADIUS - 0.05
+    side = half_width - TURNING_MARGIN
     lane = rng.uniform(-side, side, walkers)
     start = np.where(along[:, None], np.column_stack((x - reach, lane)), np.column_stack((x, np.full(walkers, -side))))
     end = np.where(along[:, None], np.column_stack((x + reach, lane)), np.column_stack((x, np.full(walkers, side))))

@@ -30,9 +30,6 @@ OFF_DECK = 10.0
 FASTEST = np.array([20.0, 35.0])
 """Forward velocity (m/s) and yaw rate (rad/s) beyond which sensors do not measure: a gyro's range of 2000 degrees/s."""
 FASTEST_MOTION = FASTEST[[0, 1, 1]].astype(np.float32)
-CAMERA_PITCH = np.radians(10.0)
-"""The camera looks down by so much (`models/rover.xml`)."""
-
 See = Callable[[Ids | None], NDArray[Any]]
 """Images (n, height, width, ...) of some worlds, or of all."""
 
@@ -124,11 +121,21 @@ def _state_bounds(options: BridgeOptions) -> NDArray[np.float32]:
     return np.stack((-highest, highest))
 
 
-def column_directions(options: BridgeOptions) -> Array:
-    """(width, 2) unit vectors, ahead and to the left, in which the columns of the camera's image see the horizon."""
+def camera_pitch(model: mujoco.MjModel) -> float:
+    """By how much the camera looks down while the rover stands, rad."""
+    rotation = np.zeros(9)
+    mujoco.mju_quat2Mat(rotation, model.camera(CAMERA).quat)
+    return float(np.arcsin(rotation[8]))
+
+
+def column_directions(options: BridgeOptions, pitch: float) -> Array:
+    """(width, 2) unit vectors, ahead and to the left, in which the columns of the camera's image see the horizon.
+
+    The camera looks down by `pitch` rad.
+    """
     width, _ = options.size
     left = np.tan(np.radians(options.field_of_view) / 2) * (1 - (2 * np.arange(width) + 1) / width)
-    bearings = np.arctan2(left, 1 / np.cos(CAMERA_PITCH))
+    bearings = np.arctan2(left, 1 / np.cos(pitch))
     return np.column_stack((np.cos(bearings), np.sin(bearings)))
 
 

@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.kernels import planar as kernel
-from armctl.robots.rover import MAX_VELOCITY, PARTS, WHEEL_RADIUS, Rover
+from armctl.robots.rover import CAMERA, MAX_VELOCITY, PARTS, PREFIX, WHEEL_RADIUS, WHEELS, Rover
 from armctl.simulation import Simulation
 from armctl.tasks.bridge.furniture import Furniture
 from armctl.tasks.bridge.layout import Layout
-from armctl.tasks.bridge.observation import column_directions
+from armctl.tasks.bridge.observation import camera_pitch, column_directions
 from armctl.tasks.bridge.options import CONTROL_PERIOD, BridgeOptions
-from armctl.tasks.bridge.world import CONTACT_CLASSES, GOAL_MARGIN, JERSEY_PROFILE, WALKER_RADIUS, segment_names
+from armctl.tasks.bridge.world import CONTACT_CLASSES, GOAL_MARGIN, WALKER_RADIUS, free_half_width, segment_names
 from armctl.tasks.task import Ids
 
 Array = NDArray[np.float64]
@@ -23,18 +23,10 @@ ACCELERATION = kernel.Drive(linear=6.0, angular=12.0)
 """m/s^2 and rad/s^2: what MuJoCo's rover does on the asphalt, rounded."""
 MARGIN = 0.02
 """m: by so much more than in physics, rovers keep away from everything: wheels that skid take them a little farther."""
-OUTLINE = np.array([[0.254, 0.155], [0.229, 0.208]]) + MARGIN
-"""m: half length and half width of the base, and of all wheels together, with the margin."""
-WHEEL_PLACES = np.array([[0.131, 0.188], [0.131, -0.188], [-0.131, 0.188], [-0.131, -0.188]])
-"""m: ahead and to the left of the centre, in the order of `armctl.robots.rover.WHEELS`."""
-GOAL_HALF_LENGTH = 0.15
-"""m: half the length of the goal line's chequered field."""
 SEEN_BEHIND_FOOT = 0.02
 """m: so far behind a barrier's foot is, just above it, the convex hull that MuJoCo makes of the barrier."""
 FARTHEST_HOLE = 2.5
 """m: holes in the deck are seen up to this distance."""
-MOUNT = 0.215
-"""m: the camera is so far ahead of the rover's centre."""
 
 
 class PlanarRover(Rover):
@@ -47,23 +39,32 @@ class PlanarRover(Rover):
         n, self._furniture, self._options = simulation.n, furniture, options
         self._walkers = walkers = furniture.moves.places
         self._poses, self._velocities, self._commands = np.zeros((n, 3)), np.zeros((n, 2)), np.zeros((n, 2))
-        half_width = options.deck_width / 2 - 2 * JERSEY_PROFILE[0][0]
-        self._deck = kernel.Deck(options.deck_length, half_width, WALKER_RADIUS, options.deck_width / 2)
+        self._deck = kernel.Deck(
+            options.deck_length, free_half_width(options.deck_width), WALKER_RADIUS, options.deck_width / 2
+        )
         segments = len(segment_names(options.deck_length)) // 2
         self._scenes = kernel.Scenes(
             np.zeros((n, options.blocks, 6)), np.ones((n, 2, segments), dtype=bool), walkers[-1]
         )
-        self._directions = column_directions(options)
+        model = simulation.model
+        base, wheel = model.geom(PREFIX + "base").size, model.geom(PREFIX + WHEELS[0]).size
+        self._wheel_places = np.array([model.body(PREFIX + name).pos[:2] for name in WHEELS])
+        wheels = self._wheel_places.max(axis=0) + wheel[:2]
+        self._outline = np.array([base[:2], wheels]) + MARGIN
+        self._camera_ahead = model.camera(CAMERA).pos[0]
+        self._directions = column_directions(options, camera_pitch(model))
+        self._goal_x = options.deck_length - GOAL_MARGIN - model.geom("goal_line").size[0]
         self._touched = np.zeros(n, dtype=np.int64)
         self._worlds = np.arange(n, dtype=np.int32)
 
     def place(self, ids: Ids, layouts: list[Layout]) -> None:
         """Put blocks and barriers of worlds `ids` where their layouts have them."""
-        for i, layout in zip(ids, layouts, strict=True):
-            x, y, yaw, *sizes = layout.map.blocks.T
-            self._scenes.blocks[i] = np.column_stack((x, y, np.cos(yaw), np.sin(yaw), *sizes))
-            self._scenes.barriers[i] = True
-            self._scenes.barriers[i, layout.missing % 2, layout.missing // 2] = False
+        blocks = np.stack([layout.map.blocks for layout in layouts])
+        places, yaws, sizes = np.split(blocks, (2, 3), axis=-1)
+        self._scenes.blocks[ids] = np.concatenate((places, np.cos(yaws), np.sin(yaws), sizes), axis=-1)
+        missing = np.stack([layout.missing for layout in layouts])
+        self._scenes.barriers[ids] = True
+        self._scenes.barriers[ids[:, None], missing % 2, missing // 2] = False
 
     def begin(self, ids: Ids) -> None:
         """Rovers `ids` stand where the simulation has put them."""
@@ -79,7 +80,7 @@ class PlanarRover(Rover):
         """Drive for one control step, in worlds `ids` or in all."""
         ids = self._worlds if ids is None else ids
         kernel.drive(
-            ids, self._deck, self._scenes, ACCELERATION, OUTLINE, self._walkers, CONTROL_PERIOD,
+            ids, self._deck, self._scenes, ACCELERATION, self._outline, self._walkers, CONTROL_PERIOD,
             self._commands, self._poses, self._velocities, self._touched,
         )  # fmt: skip
         self._furniture.move_walkers(self._worlds, self._walkers[-1])
@@ -94,7 +95,7 @@ class PlanarRover(Rover):
         ranges = np.empty((len(ids), len(self._directions)), dtype=np.float32)
         half_width = self._deck.half_width + SEEN_BEHIND_FOOT
         kernel.scan(
-            ids, self._deck, self._scenes, half_width, MOUNT, self._directions, self._options.camera_range,
+            ids, self._deck, self._scenes, half_width, self._camera_ahead, self._directions, self._options.camera_range,
             FARTHEST_HOLE, self._poses, ranges,
         )  # fmt: skip
         return ranges
@@ -106,8 +107,7 @@ class PlanarRover(Rover):
         contacts[:, 1:, classes.index("floor")] = True
         contacts[:, 0, classes.index("barrier")] = self._touched == kernel.BARRIER
         contacts[:, 0, classes.index("obstacle")] = self._touched == kernel.OBSTACLE
-        ahead = self._wheel_positions()[..., 0] >= self._options.deck_length - GOAL_MARGIN - GOAL_HALF_LENGTH
-        contacts[:, 1:, classes.index("goal")] = ahead
+        contacts[:, 1:, classes.index("goal")] = self._wheel_positions()[..., 0] >= self._goal_x
         return contacts
 
     @property
@@ -146,6 +146,6 @@ class PlanarRover(Rover):
     def _wheel_positions(self) -> Array:
         """(n, 4, 2) m."""
         cos, sin = np.cos(self._poses[:, 2])[:, None], np.sin(self._poses[:, 2])[:, None]
-        ahead, left = WHEEL_PLACES.T
+        ahead, left = self._wheel_places.T
         turned = np.stack((ahead * cos - left * sin, ahead * sin + left * cos), axis=-1)
         return np.asarray(self._poses[:, None, :2] + turned)

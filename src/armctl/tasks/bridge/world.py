@@ -38,6 +38,11 @@ CONTACT_CLASSES = {
 """What the rover can touch: `floor` is the top of the asphalt, `deck` the side of the concrete below it."""
 
 
+def free_half_width(deck_width: float) -> float:
+    """From the middle of a deck to its barriers' feet, m."""
+    return deck_width / 2 - 2 * JERSEY_PROFILE[0][0]
+
+
 def segment_names(length: float) -> list[str]:
     """Bodies of the jersey barriers, from start to goal, alternating left and right."""
     return [f"{side}_barrier_{i}" for i in range(int(np.ceil(length / SEGMENT_LENGTH))) for side in ("left", "right")]

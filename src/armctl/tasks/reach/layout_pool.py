@@ -17,8 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 from armctl.errors import ConfigurationError
 from armctl.files import bounded_bytes, digest
 from armctl.robot_description import ArmDescription
+from armctl.scene import BOX_NUMBERS
 from armctl.seeds import TEST_SEED, TRAINING_SEEDS, VALIDATION_SEED
-from armctl.tasks.reach.obstacle_layout import BOX_NUMBERS, MOST_OBSTACLES
+from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES
 
 POOL_FILE = Path(__file__).with_name("layout_pool.npz")
 FORMAT = 1

@@ -64,7 +64,7 @@ def main(processes: int = os.cpu_count() or 1, out: Path = POOL_FILE) -> None:
                 progress.advance(bar)
     layouts, feasible = zip(*found, strict=True)
     defaults = ReachOptions()
-    boxes = [np.column_stack((one.boxes.centres, one.boxes.half_sizes, one.boxes.yaws)) for one in layouts]
+    boxes = [one.boxes.numbers for one in layouts]
     pool = LayoutPool(
         robot=robot_digest(load_arm(defaults.robot)),
         tolerance=defaults.tolerance,

@@ -22,8 +22,6 @@ Box = tuple[Array, Array, float]
 
 MOST_BOXES, MOST_POSTS, SHELF_PARTS = 5, 3, 3
 MOST_OBSTACLES = MOST_BOXES + MOST_POSTS + SHELF_PARTS
-BOX_NUMBERS = 7
-"""Numbers that describe a box in an observation: centre (3) and half sizes (3), m, and yaw, rad."""
 SHELVES = 0.3
 """Probability that a layout has a shelf."""
 HOME_MARGIN = 0.05
@@ -81,8 +79,8 @@ def sample_certified_layout(
     home = _as_observed(workspace.model.home)
     for _ in range(CERTIFIED_ATTEMPTS):
         drawn = sample_layout(rng, workspace, tolerance)
-        numbers = (drawn.boxes.centres, drawn.boxes.half_sizes, drawn.boxes.yaws)
-        layout = ReachLayout(_as_observed(drawn.target), Boxes(*map(_as_observed, numbers)))
+        numbers = _as_observed(drawn.boxes.numbers)
+        layout = ReachLayout(_as_observed(drawn.target), Boxes(numbers[:, :3], numbers[:, 3:6], numbers[:, 6]))
         feasible = len(certificate.path(home, layout.target, layout.boxes)) > 0
         if feasible or not solvable:
             return layout, feasible

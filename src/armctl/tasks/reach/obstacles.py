@@ -19,7 +19,7 @@ from armctl.options import options
 from armctl.planning import PathCertificate
 from armctl.robot_description import ArmDescription
 from armctl.robots.arm import PREFIX, add_collision_pair, build_arm_world, collision_geom
-from armctl.scene import Boxes
+from armctl.scene import BOX_NUMBERS, Boxes
 from armctl.simulation.contacts import ContactSensors, add_contact_sensors
 from armctl.tasks.reach.layout_pool import LayoutPool, pool_for
 from armctl.tasks.reach.observation import (
@@ -31,7 +31,7 @@ from armctl.tasks.reach.observation import (
     Bounds,
     rotated,
 )
-from armctl.tasks.reach.obstacle_layout import BOX_NUMBERS, MOST_OBSTACLES, sample_certified_layout
+from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES, sample_certified_layout
 from armctl.tasks.reach.options import ReachOptions, Terms
 from armctl.tasks.reach.potentials import PathCostToGo
 from armctl.tasks.reach.reach import CONTROL_PERIOD, ReachOutcome, ReachTask
@@ -209,7 +209,7 @@ class ReachObstaclesTask(ReachTask):
         )
         self._targets[world], boxes = layout.target, layout.boxes
         self._boxes[world] = 0.0
-        self._boxes[world, : len(boxes)] = np.column_stack((boxes.centres, boxes.half_sizes, boxes.yaws))
+        self._boxes[world, : len(boxes)] = boxes.numbers
 
     def _contact(self) -> NDArray[np.bool_]:
         return self.state.collided

@@ -1,0 +1,52 @@
+"""Control steps per second of the bridge without physics, beside those of the same bridge with it, and the ratio.
+
+    python benchmarks/planar.py [--env armctl/BridgeCrossMoving-v0] [--worlds 256] [--seconds 3]
+
+With random commands, for each observation that both can show alike: the true state, and the depth camera or what
+replaces it, ranges. The two take turns, and the ratio is the median over the rounds.
+"""
+
+import time
+
+import numpy as np
+import typer
+from rich.box import MARKDOWN
+from rich.console import Console
+from rich.table import Table
+
+from armctl.envs import TaskVectorEnv, make_worlds
+
+ROUNDS = 5
+OBSERVATIONS = {"state": ("state", "state"), "camera": ("camera", "ranges")}
+"""What worlds with and without physics show."""
+
+
+def main(env: str = "armctl/BridgeCrossMoving-v0", worlds: int = 256, seconds: float = 3.0) -> None:
+    """Print a row for each observation."""
+    table = Table("observation", "with physics", "without", "ratio", box=MARKDOWN)
+    for name, (true, drawn) in OBSERVATIONS.items():
+        pair = [
+            make_worlds(env, worlds, {"observation": true}),
+            make_worlds(env, worlds, {"observation": drawn, "dynamics": "kinematic"}),
+        ]
+        for each in pair:
+            steps_per_second(each, 0.1)  # compiles
+        rates = np.array([[steps_per_second(each, seconds) for each in pair] for _ in range(ROUNDS)])
+        physics, planar = np.median(rates, axis=0)
+        table.add_row(name, f"{physics:,.0f}", f"{planar:,.0f}", f"{np.median(rates[:, 1] / rates[:, 0]):.1f}")
+    Console(width=100).print(table)
+
+
+def steps_per_second(env: TaskVectorEnv, seconds: float) -> float:
+    """Control steps per second, over all worlds, resets included."""
+    env.reset(seed=0)
+    rng, low, high = np.random.default_rng(0), [-0.3, -2.0], [1.6, 2.0]
+    steps, begin = 0, time.perf_counter()
+    while time.perf_counter() - begin < seconds:
+        env.step(rng.uniform(low, high, (env.num_envs, 2)))
+        steps += env.num_envs
+    return steps / (time.perf_counter() - begin)
+
+
+if __name__ == "__main__":
+    typer.run(main)
