@@ -10,7 +10,7 @@ from armctl.errors import ConfigurationError
 from armctl.learners import Recipe
 from armctl.options import options
 from armctl.rl.cloning import CloningOptions, check_teaching, demonstrations, examples_for, fit_and_export, new_actor
-from armctl.rl.training import Training
+from armctl.rl.training import Training, check_no_curriculum
 
 
 @options
@@ -25,6 +25,7 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
     """Train an agent into the folder `out`. See `armctl.rl.training.Training`, also for the errors raised."""
     options = recipe.read_options(BcOptions)
     check_teaching(recipe)
+    check_no_curriculum(recipe)
     if recipe.training_options and options.dataset is not None:
         raise ConfigurationError("a dataset shows what it shows: training_options are for a teacher's episodes")
     training = Training(recipe, options, out, seed, resume)

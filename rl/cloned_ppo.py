@@ -5,6 +5,7 @@ et al., Jump-start reinforcement learning, 2023, for the effect). So the critic 
 and a penalty, which decays, holds the actor to the clone.
 """
 
+import functools
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -19,7 +20,7 @@ from armctl.options import options
 from armctl.rl.anchored_ppo import AnchoredPpo
 from armctl.rl.cloning import CloningOptions, Examples, demonstrations, examples_for, fit
 from armctl.rl.learning import learn
-from armctl.rl.ppo import PpoOptions, actor_of, load_or_make
+from armctl.rl.ppo import PpoOptions, actor_of, load_or_make, shown
 from armctl.rl.training import LOG, Count, Positive, Training
 from armctl.rl.vector import StableBaselinesVectorEnv
 
@@ -65,7 +66,7 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
         if new:
             clone(training, model, examples, options, progress)
             fit_critic(training, model, min(options.critic_steps, options.steps), options.critic_rate)
-        return learn(training, model, actor_of(model, training), progress)
+        return learn(training, model, actor_of(model, training), progress, functools.partial(shown, training, options))
 
 
 def clone(

@@ -106,7 +106,7 @@ def examples_for(training: Training, options: CloningOptions) -> Examples:
 
 def check_teaching(recipe: Recipe) -> None:
     """Raise `ConfigurationError` for options that have no meaning without rewards."""
-    if recipe.shaping or recipe.reward_weights:
+    if recipe.shaping or recipe.reward_weights or any(stage.reward_weights for stage in recipe.curriculum):
         raise ConfigurationError(
             f"{recipe.learner} does not learn from rewards: it takes neither shaping nor reward_weights"
         )

@@ -21,7 +21,7 @@ from armctl.policies import Policy
 from armctl.rl.actor import Actor, tensors
 from armctl.rl.cloning import CloningOptions, Examples, Teacher, check_teaching, examples_for, fit, new_actor
 from armctl.rl.disk import save_torch
-from armctl.rl.training import Count, Training
+from armctl.rl.training import Count, Training, check_no_curriculum
 
 RECORD = "rounds.pt"
 
@@ -58,6 +58,7 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
     """Train an agent into the folder `out`. See `armctl.rl.training.Training`, also for the errors raised."""
     options = recipe.read_options(DaggerOptions)
     check_teaching(recipe)
+    check_no_curriculum(recipe)
     each = options.demonstrations // options.rounds
     if not each or options.steps < options.rounds:
         raise ConfigurationError(f"{options.rounds} rounds need an episode and a gradient step each")

@@ -16,7 +16,6 @@ from pydantic import Field
 from tqdm import tqdm
 
 from armctl.agents import AgentCard
-from armctl.errors import ConfigurationError
 from armctl.learners import Recipe
 from armctl.options import options
 from armctl.policies import Policy
@@ -47,36 +46,22 @@ class DistilOptions(TrainingOptions):
     mixed_steps: Steps = 200_000
     """Environment steps until the student acts alone. Until then, each action is the teacher's with a probability that
     decays linearly from 1."""
-    judged_steps: Steps = 0
-    """So many of the last environment steps are made in worlds without the recipe's `training_options`."""
     largest_gradient: Positive = 1.0
     """Gradients are clipped to this norm."""
     features: Features = "invariant"
     evaluation_every: Count = 100_000
-
-    def __post_init__(self) -> None:
-        if self.judged_steps > self.steps:
-            raise ConfigurationError(f"of {self.steps} steps, {self.judged_steps} cannot be judged_steps")
 
 
 def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True) -> AgentCard:
     """Train an agent into the folder `out`. See `armctl.rl.training.Training`, also for the errors raised."""
     options = recipe.read_options(DistilOptions)
     check_teaching(recipe)
-    if options.judged_steps and not recipe.training_options:
-        raise ConfigurationError("judged_steps are made without training_options, of which the recipe has none")
     training = Training(recipe, options, out, seed, resume)
     teacher = teacher_in(training.worlds.unwrapped, recipe)
     with training:
         student = Student(training, options)
         try:
-            student.learn(training.worlds, teacher, options.steps - options.judged_steps, progress)
-            if student.steps < options.steps:
-                worlds = training.worlds_as_judged()
-                try:
-                    student.learn(worlds, teacher_in(worlds.unwrapped, recipe), options.steps, progress)
-                finally:
-                    worlds.close()
+            student.learn(teacher, progress)
         finally:
             student.save()
         return training.finish(student.actor, student.steps)
@@ -106,20 +91,22 @@ class Student:
         saved = {"actor": self.actor.state_dict(), "optimizer": self._optimizer.state_dict()}
         self.training.checkpoint(self.steps, lambda path: save_torch(saved, path))
 
-    def learn(self, worlds: Metered, teacher: Policy, until: int, progress: bool) -> None:
-        """Learn in these worlds until there were so many environment steps, in new episodes."""
-        if self.steps >= until:
-            return
-        lesson = Lesson(self, worlds, teacher)
-        with tqdm(total=until, initial=self.steps, desc="distil", leave=False, disable=not bar_fits(progress)) as bar:
-            while self.steps < until:
-                if self.training.due(self.steps):
+    def learn(self, teacher: Policy, progress: bool) -> None:
+        """Learn from a teacher in the training's worlds until its steps are done."""
+        training, total = self.training, self.options.steps
+        lesson = Lesson(self, training.worlds, teacher)
+        with tqdm(total=total, initial=self.steps, desc="distil", leave=False, disable=not bar_fits(progress)) as bar:
+            while self.steps < total:
+                if training.due(self.steps):
                     self.save()
-                    self.training.evaluate(self.actor, self.steps)
+                    training.evaluate(self.actor, self.steps)
+                if training.enter_stage(self.steps):
+                    teacher = teacher_in(training.worlds.unwrapped, training.recipe)
+                    lesson = Lesson(self, training.worlds, teacher)
                 lesson.play()
                 for _ in range(self.options.epochs):
                     self._descend(lesson.loss())
-                taught = self.options.length * worlds.num_envs
+                taught = self.options.length * training.worlds.num_envs
                 self.steps += taught
                 bar.update(taught)
 

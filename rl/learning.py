@@ -1,9 +1,11 @@
 """The training loop of Stable-Baselines3's learners, with evaluations and checkpoints."""
 
 import io
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
@@ -17,15 +19,22 @@ from armctl.rl.vector import StableBaselinesVectorEnv
 REPLAY = "replay_buffer.pkl"
 
 
-def learn(training: Training, model: BaseAlgorithm, actor: Actor, progress: bool) -> AgentCard:
+def learn(
+    training: Training,
+    model: BaseAlgorithm,
+    actor: Actor,
+    progress: bool,
+    show: Callable[[], StableBaselinesVectorEnv],
+) -> AgentCard:
     """Train the model for the remaining steps, and finish the training.
 
+    `show` gives the training's present worlds as the model is shown them.
     An interrupt or an error leaves a checkpoint. `actor`, which shares the model's network, is evaluated and exported.
     """
     model.set_logger(training.logger)
     assert isinstance(model.env, StableBaselinesVectorEnv)
     model.env.seed(training.first_seed(model.num_timesteps))
-    callback = EvalCheckpointCallback(training, actor)
+    callback = TrainingCallback(training, actor, show)
     try:
         remaining = training.options.steps - model.num_timesteps
         if remaining > 0:
@@ -44,17 +53,25 @@ def save(model: BaseAlgorithm, path: Path) -> None:
     path.write_bytes(buffer.getbuffer())
 
 
-class EvalCheckpointCallback(BaseCallback):
-    """Saves a checkpoint and evaluates the actor whenever this is due."""
+class TrainingCallback(BaseCallback):
+    """Saves a checkpoint and evaluates the actor whenever this is due, and changes worlds with the curriculum."""
 
-    def __init__(self, training: Training, actor: Actor) -> None:
+    def __init__(self, training: Training, actor: Actor, show: Callable[[], StableBaselinesVectorEnv]) -> None:
         super().__init__()
-        self._training, self._actor = training, actor
+        self._training, self._actor, self._show = training, actor, show
 
     def _on_rollout_start(self) -> None:
         if self._training.due(self.num_timesteps):
             self._training.checkpoint(self.num_timesteps, self._save)
             self._training.evaluate(self._actor, self.num_timesteps)
+
+    def _on_rollout_end(self) -> None:
+        if self._training.enter_stage(self.num_timesteps):
+            worlds = self._show()
+            worlds.seed(self._training.first_seed(self.num_timesteps))
+            self.model.set_env(worlds)
+            self.model._last_obs = worlds.reset()
+            self.model._last_episode_starts = np.ones(worlds.num_envs, dtype=bool)
 
     def _save(self, path: Path) -> Any:
         save(self.model, path)

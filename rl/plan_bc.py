@@ -16,7 +16,7 @@ from armctl.options import options
 from armctl.rl import solved_layouts
 from armctl.rl.cloning import check_teaching, fit_and_export, new_actor
 from armctl.rl.following import Followed
-from armctl.rl.training import Count, Positive, Share, Training, TrainingOptions, bar_fits
+from armctl.rl.training import Count, Positive, Share, Training, TrainingOptions, bar_fits, check_no_curriculum
 from armctl.rl.view import Features
 from armctl.tasks import ReachObstaclesTask
 from armctl.tasks.reach.obstacles import OBSTACLES_OBSERVATION
@@ -58,6 +58,7 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
     """Train an agent into the folder `out`. See `armctl.rl.training.Training`, also for the errors raised."""
     options = recipe.read_options(PlanBcOptions)
     check_teaching(recipe)
+    check_no_curriculum(recipe)
     if recipe.teacher is not None:
         raise ConfigurationError(f"{recipe.learner} learns from plans of its own: it takes no teacher")
     training = Training(recipe, options, out, seed, resume)

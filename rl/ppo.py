@@ -3,6 +3,7 @@
 `armctl train reach_ppo` runs this. The trained agent is an ONNX graph and a JSON card.
 """
 
+import functools
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -52,18 +53,23 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
     training = Training(recipe, options, out, seed, resume)
     model = load_or_make(training, options, PPO)
     with training:
-        return learn(training, model, actor_of(model, training), progress)
+        return learn(training, model, actor_of(model, training), progress, functools.partial(shown, training, options))
 
 
 def load_or_make(training: Training, options: PpoOptions, kind: type[PPO] = PPO) -> Any:
     """The model of the newest checkpoint, or an untrained one, of a `kind` of PPO."""
-    shown = AsymmetricVectorEnv if options.privileged_critic else None
-    venv = shown_worlds(training.worlds, training.view, options, shown)
+    venv = shown(training, options)
     newest = training.newest_checkpoint()
     new = newest is None
     model = new_model(venv, training.view, options, training.seed, kind) if new else kind.load(newest, venv, "cpu")
     training.meter.watch(model)
     return model
+
+
+def shown(training: Training, options: PpoOptions) -> StableBaselinesVectorEnv:
+    """The training's present worlds, as a model with these options is shown them."""
+    kind = AsymmetricVectorEnv if options.privileged_critic else None
+    return shown_worlds(training.worlds, training.view, options, kind)
 
 
 def new_model(venv: StableBaselinesVectorEnv, view: View, options: PpoOptions, seed: int, kind: type[PPO] = PPO) -> PPO:

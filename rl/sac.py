@@ -3,6 +3,7 @@
 `armctl train reach_sac` runs this.
 """
 
+import functools
 import warnings
 from pathlib import Path
 from typing import Annotated, Any
@@ -21,7 +22,7 @@ from armctl.options import options
 from armctl.rl.frames import FrameOptions, actor_in, features_of, shown_worlds
 from armctl.rl.hindsight import GoalFeatures, GoalVectorEnv, HindsightBuffer, split
 from armctl.rl.learning import REPLAY, learn
-from armctl.rl.training import Count, Positive, Share, Training
+from armctl.rl.training import Count, Positive, Share, Training, check_no_curriculum
 from armctl.rl.vector import StableBaselinesVectorEnv
 from armctl.tasks import ReachTask
 
@@ -58,6 +59,7 @@ class SacOptions(FrameOptions):
 def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True) -> AgentCard:
     """Train an agent into the folder `out`. See `armctl.rl.training.Training`, also for the errors raised."""
     options = recipe.read_options(SacOptions)
+    check_no_curriculum(recipe)
     if options.relabelled and (recipe.shaping or recipe.reward_weights or "reward" in recipe.options_in_training):
         raise ConfigurationError(
             "relabelled transitions earn the task's plain reward: with shaping, reward_weights or another reward, "
@@ -71,7 +73,7 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
     with training:
         dof = venv.dof if isinstance(venv, GoalVectorEnv) else None
         actor = actor_in(venv, SquashedMean(model.policy, dof), training)
-        return learn(training, model, actor, progress)
+        return learn(training, model, actor, progress, functools.partial(_vector_env, training, options))
 
 
 class SquashedMean(torch.nn.Module):

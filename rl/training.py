@@ -6,8 +6,8 @@ import logging
 import math
 import os
 import sys
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+from collections.abc import Callable
+from contextlib import ExitStack, closing
 from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
@@ -94,19 +94,25 @@ class Training:
             raise ConfigurationError(f"a training seed is a whole number from 0 to {2**32 - 1}, not {seed}")
         self.recipe, self.options, self.out, self.seed = recipe, options, out, seed
         self.held_out = make_worlds(recipe.env, min(VALIDATION_WORLDS, options.validation_episodes), recipe.env_options)
-        worlds = self._make_worlds(recipe.options_in_training)
-        self.view = view_of(self.held_out, features=options.features, relative=options.relative)
-        _check_alike(worlds, self.held_out, self.view)
+        with ExitStack() as opened:
+            shares = (0.0, *(stage.after for stage in recipe.curriculum))
+            stages = [opened.enter_context(closing(self._make_worlds(recipe.after(share), 1))) for share in shares]
+            self.view = view_of(self.held_out, features=options.features, relative=options.relative)
+            for worlds in stages:
+                _check_alike(worlds, self.held_out, self.view)
         self._check_folder(resume)
-        self.meter = Meter(out / CLOCK, resumed=self.newest_checkpoint() is not None)
-        self.worlds = Metered(worlds, self.meter)
+        newest = self.newest_checkpoint()
+        self.meter = Meter(out / CLOCK, resumed=newest is not None)
+        self._stage = self._stage_at(int(newest.stem) if newest else 0)
+        self.worlds = Metered(self._make_worlds(self._stage, options.worlds), self.meter)
+        """Those to train in at present. They are others in another stage of the curriculum: see `enter_stage`."""
         curve = self.curve()
         self._evaluated = curve[-1]["steps"] if curve else -math.inf
 
     def __enter__(self) -> Self:
         with ExitStack() as opened:
             opened.enter_context(full_disk_told(self.out))
-            opened.callback(self.worlds.close)
+            opened.callback(lambda: self.worlds.close())
             opened.callback(self.held_out.close)
             opened.enter_context(bounded_threads())
             opened.enter_context(one_writer(self.out))
@@ -129,9 +135,14 @@ class Training:
         """Seed of the first world after so many steps: a resumed training plays episodes that are new to it."""
         return (self.seed + 1) * TRAINING_SEEDS + steps
 
-    def worlds_as_judged(self) -> Metered:
-        """Further training worlds, without the recipe's `training_options`. Who asks for them closes them."""
-        return Metered(self._make_worlds(self.recipe.env_options), self.meter)
+    def enter_stage(self, steps: int) -> bool:
+        """Whether a stage of the curriculum has begun since the last call, so that `worlds` are others."""
+        before, self._stage = self._stage, self._stage_at(steps)
+        if self._stage == before:
+            return False
+        self.worlds.close()
+        self.worlds = Metered(self._make_worlds(self._stage, self.options.worlds), self.meter)
+        return True
 
     def curve(self) -> list[dict[Any, Any]]:
         """Evaluations on held-out episodes so far, with `armctl.evaluation.curves.CURVE_COLUMNS`."""
@@ -202,6 +213,7 @@ class Training:
             shaping=recipe.shaping,
             shaping_scale=recipe.shaping_scale if recipe.shaping else None,
             reward_weights=recipe.reward_weights,
+            curriculum=_plain(recipe)["curriculum"],
             teacher=recipe.teacher,
             interface=worlds.task.interface,
             observation_shape=shapes(worlds.single_observation_space),
@@ -221,13 +233,17 @@ class Training:
         self._write(card)
         return card
 
-    def _make_worlds(self, env_options: Mapping[str, Any]) -> gymnasium.vector.VectorEnv[Any, Any, Any]:
-        recipe, options = self.recipe, self.options
+    def _stage_at(self, steps: int) -> Recipe:
+        return self.recipe.after(steps / self.options.steps)
+
+    def _make_worlds(self, recipe: Recipe, count: int) -> gymnasium.vector.VectorEnv[Any, Any, Any]:
+        options = self.options
         rewards = {
             "reward_scale": getattr(options, "reward_scale", 1.0),
             "reward_weights": recipe.reward_weights,
         }
-        worlds = make_worlds(recipe.env, options.worlds, {**env_options, **rewards}, autoreset_mode="same_step")
+        asked = {**recipe.options_in_training, **rewards}
+        worlds = make_worlds(recipe.env, count, asked, autoreset_mode="same_step")
         if recipe.shaping is None:
             return worlds
         return Shaped(worlds, recipe.shaping, gamma=options.gamma, scale=recipe.shaping_scale)
@@ -270,6 +286,12 @@ class Training:
 
     def _write(self, card: AgentCard) -> None:
         write_atomically(self.out / "agent.json", card.model_dump_json(indent=2) + "\n")
+
+
+def check_no_curriculum(recipe: Recipe) -> None:
+    """Raise `ConfigurationError` for a recipe with a curriculum: for learners whose worlds stay the same."""
+    if recipe.curriculum:
+        raise ConfigurationError(f"{recipe.learner} takes no curriculum: ppo, cloned_ppo and distil do")
 
 
 def bar_fits(progress: bool) -> bool:

@@ -137,6 +137,7 @@ def test_a_shipped_card_is_of_the_present_recipe(path):
     recipe = load_recipe(card.recipe)
     for name in ("learner", "env", "env_options", "training_options", "shaping", "reward_weights", "teacher"):
         assert getattr(card, name) == getattr(recipe, name), name
+    assert card.curriculum == [stage.model_dump() for stage in recipe.curriculum]
     assert card.training_seed in recipe.seeds
     kinds = {
         "bc": BcOptions, "dagger": DaggerOptions, "distil": DistilOptions, "plan_bc": PlanBcOptions, "ppo": PpoOptions,

@@ -131,6 +131,8 @@ class AgentCard(BaseModel):
     shaping_scale: float | None = None
     reward_weights: dict[str, float] = {}
     """Weights of the task's reward terms in training; 1 where not named."""
+    curriculum: list[dict[str, Any]] = []
+    """Later stages of the training, and what held in them instead."""
     teacher: str | None = None
     """The policy that it learned from, if any."""
     interface: dict[str, str]

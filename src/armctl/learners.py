@@ -4,6 +4,7 @@ A package offers learners under the entry-point group `armctl.learners`, package
 `armctl.recipes`, and exporters, by the suffix of the files that they read, under `armctl.exporters`.
 """
 
+import itertools
 import tomllib
 from collections.abc import Mapping
 from importlib import resources
@@ -11,7 +12,7 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Annotated, Any, Protocol, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, field_validator
 
 from armctl import DEFAULT_ENV
 from armctl.agents import FILES, AgentCard
@@ -24,6 +25,17 @@ LEARNERS, RECIPES, EXPORTERS = "armctl.learners", "armctl.recipes", "armctl.expo
 
 TrainingSeed = Annotated[int, Field(ge=0, lt=2**32)]
 Options = TypeVar("Options")
+
+
+class Stage(BaseModel):
+    """What takes the place of a recipe's own options and weights from some share of a training's steps on."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    after: Annotated[float, Field(gt=0, lt=1)]
+    """Share of the steps that are made before."""
+    training_options: dict[str, Any] = {}
+    reward_weights: dict[str, FiniteFloat] = {}
 
 
 class Recipe(BaseModel):
@@ -45,6 +57,8 @@ class Recipe(BaseModel):
     """Reward per unit of the potential."""
     reward_weights: dict[str, FiniteFloat] = {}
     """Weights of the task's own reward terms in training; 1 where not named."""
+    curriculum: list[Stage] = []
+    """Later stages of the training, which differ in `training_options` and `reward_weights`."""
     teacher: str | None = None
     """The policy to learn from: any that `armctl.make_policy` takes."""
     seeds: Annotated[list[TrainingSeed], Field(min_length=1)] = [0]
@@ -56,6 +70,18 @@ class Recipe(BaseModel):
     def options_in_training(self) -> dict[str, Any]:
         """All options of the environment in training."""
         return self.env_options | self.training_options
+
+    def after(self, share: float) -> "Recipe":
+        """The recipe with the options and weights that hold after a share of the training's steps."""
+        begun = [stage for stage in self.curriculum if stage.after <= share]
+        return self.model_copy(update=begun[-1].model_dump(exclude={"after"})) if begun else self
+
+    @field_validator("curriculum")
+    @classmethod
+    def _in_order(cls, stages: list[Stage]) -> list[Stage]:
+        if any(later.after <= earlier.after for earlier, later in itertools.pairwise(stages)):
+            raise ValueError("stages should be in the order in which they begin")
+        return stages
 
     def changed(self, **changes: Any) -> "Recipe":
         """The recipe with other values. Raises `ConfigurationError`."""

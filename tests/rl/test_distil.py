@@ -161,23 +161,6 @@ def test_the_teacher_acts_at_first(mixed_steps, share, tmp_path, monkeypatch):
     assert np.isin(taken, (0.5, -0.5)).mean() == share
 
 
-def test_the_last_steps_are_made_in_worlds_as_judged(tmp_path, monkeypatch):
-    noisy = []
-    learn = Student.learn
-
-    def learned(student, worlds, teacher, until, progress):
-        noisy.append((bool(worlds.unwrapped.disturbances), until))
-        learn(student, worlds, teacher, until, progress)
-
-    monkeypatch.setattr(Student, "learn", learned)
-    noise = {"disturbances": {"noise": 0.01}}
-    card = train(
-        recipe(training_options=noise, steps=384, judged_steps=128), out=tmp_path / "run", seed=0, progress=False
-    )
-    assert noisy == [(True, 256), (False, 384)]
-    assert (card.training_options, card.training_steps, card.decisions) == (noise, 384, 384)
-
-
 def test_an_agent_of_the_state_teaches_a_student_who_sees_the_camera(state_agent, tmp_path):
     """It labels the states of the very worlds that the student is in."""
     options = {"env": "armctl/BridgeCross-v0", "env_options": CAMERA, "teacher": str(state_agent)}
@@ -216,8 +199,7 @@ def test_an_agent_of_another_state_is_no_teacher(state_agent, tmp_path):
         ({"shaping": "distance"}, "not learn from rewards"),
         ({"options": {"memory_unit": 3}}, "Did you mean 'memory_units'"),
         ({"options": {"length": 0}}, "length: .*greater than or equal to 1"),
-        ({"options": {"judged_steps": 3}}, "the recipe has none"),
-        ({"options": {"judged_steps": 3, "steps": 2}}, "of 2 steps, 3 cannot be judged_steps"),
+        ({"curriculum": [{"after": 0.5, "reward_weights": {"goal": 2.0}}]}, "not learn from rewards"),
     ],
 )
 def test_mistakes_get_one_clear_error(changes, says, tmp_path):

@@ -21,7 +21,7 @@ SEEDS = "seeds"
 """Folder of further trainings, beside the shipped one: `NAME-SEED.json` and `.onnx`."""
 ALIKE = (
     "learner", "recipe", "env", "env_options", "training_options", "shaping", "shaping_scale", "reward_weights",
-    "teacher", "interface", "learner_options",
+    "curriculum", "teacher", "interface", "learner_options",
 )  # fmt: skip
 """What trainings of one recipe have in common on their cards."""
 _NAME = re.compile(r"(?P<recipe>.+)\[(?P<seed>\*|\d{1,18})\]")
