@@ -1,7 +1,7 @@
 """The IK expert: moves to the configuration in the target sphere that the joints reach in minimum time.
 
-It plans once per episode, from the observation alone, and again if the arm stops elsewhere. A moving target is tracked
-by plain IK at every control step.
+It plans once per episode, from the observation alone, and again if the arm stops elsewhere. After a moving target it
+plans at every control step.
 """
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from armctl.baselines.reach_task import checked_options
 from armctl.envs import ModelInterface
 from armctl.kinematics import ArmModel, MinimumTimeReach
+from armctl.kinematics.damped_least_squares import damped_step
 from armctl.policies import PerWorld, sees
 from armctl.robot_description.joint_profiles import towards
 from armctl.tasks import OBSERVATION, ReachMovingOptions, ReachOptions
@@ -21,6 +22,12 @@ MARGIN = 0.9
 """Fraction of the tolerance to aim at, as a reserve for servo errors."""
 STANDSTILL = 1e-3
 """rad: joint motion per control step below which the arm is at rest."""
+FARTHEST_AHEAD = 0.5
+"""s: a moving target is thought to keep its velocity for so long at most."""
+LAG = 0.05
+"""s from an observation until the arm is where it is commanded to: a control step, and a little."""
+DAMPING = 1e-4
+"""m^2, of joint velocities near singularities."""
 PATIENCE = 5
 """Control steps at rest after which it plans again."""
 
@@ -73,9 +80,37 @@ class ReachIk:
 
 
 class ReachIkTracking(ReachIk):
-    """Tracks a moving target: the solution for its current position that is nearest to the last one."""
+    """Tracks a moving target: goes to where it will be on arrival, and within the tolerance moves along with it.
 
-    def _next_goal(self, q: Array, target: Array) -> Array:
-        seed = self._plan(q, target) if self._goal is None else self._goal
-        self._goal = self._search.ik.position(target, seed).closest
-        return self._goal
+    It remembers nothing: each action follows from the present observation.
+    """
+
+    def reset(self) -> None:
+        """Do nothing."""
+
+    def act(self, observation: NDArray[np.float32]) -> Array:
+        """Action (dof,) for an observation, whose last part is the target's velocity, m/s."""
+        dof = self._search.model.dof
+        tip, q, target, velocity = np.split(observation.astype(float), (3, 3 + dof, 6 + dof))
+        if np.linalg.norm(tip - target) > self._tolerance and (goal := self._meet(q, target, velocity)) is not None:
+            return self._towards(goal, q)
+        return self._towards(self._along(q, target, velocity), q)
+
+    def _meet(self, q: Array, target: Array, velocity: Array) -> Array | None:
+        """The command with which the arm reaches the target as early as possible; None if none was found."""
+        radius = MARGIN * self._tolerance
+        now = self._search.find(q, target, radius)
+        if now is None:
+            return None
+        then = self._search.find(q, target + min(now.time, FARTHEST_AHEAD) * velocity, radius)
+        return (then or now).command
+
+    def _along(self, q: Array, target: Array, velocity: Array) -> Array:
+        """The command with which the joints pass the target's next position at its velocity.
+
+        Drives stop at what is commanded, and so it is farther by their braking distances.
+        """
+        model = self._search.model
+        goal = self._search.ik.position(target + LAG * velocity, q).closest
+        speeds = damped_step(model.jacobian(goal)[:3], velocity, DAMPING)
+        return np.asarray(goal + speeds * np.abs(speeds) / (2 * model.limits.acceleration))
