@@ -4,6 +4,7 @@ Curves are those beside the agents' cards, of held-out episodes; experts play ot
 count of processor time, wall time stands for it.
 """
 
+import math
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated
@@ -22,6 +23,8 @@ from armctl.policies import make_policy
 from armctl.policies.find import is_expert
 from armctl.rl.zoo import HOME
 
+COLUMNS = 3
+
 
 def main(
     picture: Annotated[Path, typer.Argument(metavar="FILE.png", help="Where to plot the curves.")],
@@ -36,16 +39,23 @@ def main(
         (env, name): evaluate(name, env, episodes=episodes, least_lengths=False).success.mean()
         for env, name in track(experts, "experts")
     }
-    figure, axes = plt.subplots(1, len(tasks), figsize=(3.4 * len(tasks), 3.4), sharey=True, layout="constrained")
-    for axis, env in zip(axes, tasks, strict=True):
+    rows = math.ceil(len(tasks) / COLUMNS)
+    figure, axes = plt.subplots(rows, COLUMNS, figsize=(4 * COLUMNS, 3.6 * rows), sharey=True, layout="constrained")
+    for axis in axes.flat[len(tasks) :]:
+        axis.remove()
+    for axis, env in zip(axes.flat, tasks, strict=False):
         _plot(axis, [(card, curve) for card, curve in agents if card.env == env])
         for value in sorted({value for (where, _), value in success.items() if where == env}):
             names = ", ".join(name for (where, name), same in success.items() if (where, same) == (env, value))
             axis.axhline(value, color="black", linewidth=0.8, linestyle=":")
             axis.annotate(names, (0.01, value), xycoords=("axes fraction", "data"), fontsize=7, va="bottom")
         axis.set(title=env.removeprefix("armctl/"), xscale="log", xlabel="minutes of processor", ylim=(0, 1.08))
-        axis.legend(fontsize=7, loc="lower right")
-    axes[0].set_ylabel("success on held-out episodes")
+        axis.xaxis.set_major_formatter("{x:g}")
+        axis.xaxis.set_minor_formatter("")
+        axis.set_xlim(0.5, 100)
+        axis.legend(fontsize=8, loc="lower right")
+    for axis in axes[:, 0]:
+        axis.set_ylabel("success on held-out episodes")
     figure.savefig(picture, dpi=110)
 
 
@@ -57,7 +67,7 @@ def _plot(axis: plt.Axes, agents: list[tuple[AgentCard, pd.DataFrame]]) -> None:
         for card, curve in agents:
             if card.recipe == recipe:
                 minutes = (curve.processor_seconds / 60).fillna(curve.minutes)
-                axis.plot(minutes.clip(lower=0.1), curve.success, color=colour, label=label, linewidth=1.2)
+                axis.plot(minutes.clip(lower=0.5), curve.success, color=colour, label=label, linewidth=1.2)
                 label = None
 
 

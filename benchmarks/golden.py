@@ -25,8 +25,8 @@ from armctl.errors import ArmctlError
 REACH, MOVING, OBSTACLES = "armctl/ArmReach-v0", "armctl/ArmReachMoving-v0", "armctl/ArmReachObstacles-v0"
 BRIDGE, BRIDGE_MOVING = "armctl/BridgeCross-v0", "armctl/BridgeCrossMoving-v0"
 EXPERTS = ("reach_ik", "reach_mpc", "reach_ompl", "bridge_ompl", "bridge_mpc")
-AGENTS = ("reach_ppo", "reach_bc", "reach_dagger", "reach_sac", "moving_ppo", "obstacles_dagger")
-DRIVERS = ("bridge_ppo", "bridge_dagger", "bridge_moving_ppo")
+AGENTS = ("reach_ppo", "reach_bc", "reach_dagger", "reach_sac", "moving_ppo")
+DRIVERS = ("bridge_ppo", "bridge_dagger")
 POLICIES = (*EXPERTS, *AGENTS, *DRIVERS, "random")
 SEED = 7
 

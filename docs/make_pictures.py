@@ -1,5 +1,6 @@
 """The pictures of README and docs: python docs/make_pictures.py."""
 
+import itertools
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -55,11 +56,13 @@ framed = [
 ]
 imageio.imwrite(FOLDER / "bridge_cameras.png", np.concatenate(framed, axis=1)[:, :-12])
 
-# A film of both worlds, in real time.
-FRAMES_PER_SECOND, SECONDS = 10, 11
+# Films, in real time: of both worlds, and of how agents fail.
+FRAMES_PER_SECOND = 10
 
 
-def film(env_id: str, name: str, seed: int, distance: float, azimuth: float, look_at: LookAt) -> list[Array]:
+def film(
+    env_id: str, name: str, seed: int, seconds: int, distance: float, azimuth: float, look_at: LookAt
+) -> list[Array]:
     """Pictures of an episode, the last one repeated until the film is over."""
     import mujoco  # after armctl, which chooses its graphics
 
@@ -72,7 +75,7 @@ def film(env_id: str, name: str, seed: int, distance: float, azimuth: float, loo
     observation, _ = env.reset(seed=seed)
     policy.reset(np.zeros(1, dtype=np.int32))
     frames, steps, over = [], 0, False
-    for frame in range(FRAMES_PER_SECOND * SECONDS):
+    for frame in range(FRAMES_PER_SECOND * seconds):
         while not over and steps * FRAMES_PER_SECOND < frame * env.metadata["render_fps"]:
             observation, _, terminated, truncated, _ = env.step(policy.act(batch_of_one(observation))[0])
             steps, over = steps + 1, terminated or truncated
@@ -81,20 +84,46 @@ def film(env_id: str, name: str, seed: int, distance: float, azimuth: float, loo
     return frames
 
 
+def first_failure(env_id: str, name: str, seconds: int) -> int:
+    """The first seed of an episode that a policy fails at a second before this time, or earlier."""
+    env = gymnasium.make(env_id)
+    policy = armctl.make_policy(name, env)
+    for seed in itertools.count():
+        observation, _ = env.reset(seed=seed)
+        policy.reset(np.zeros(1, dtype=np.int32))
+        steps, terminated, truncated = 0, False, False
+        while not (terminated or truncated):
+            observation, _, terminated, truncated, info = env.step(policy.act(batch_of_one(observation))[0])
+            steps += 1
+        if terminated and not info["is_success"] and steps < (seconds - 1) * env.metadata["render_fps"]:
+            return seed
+    raise AssertionError
+
+
+def save(picture: str, left: list[Array], right: list[Array]) -> None:
+    """Save two films side by side."""
+    both = [Image.fromarray(np.concatenate(pair, axis=1)) for pair in zip(left, right, strict=True)]
+    both[0].save(
+        FOLDER / picture,
+        save_all=True,
+        append_images=both[1:],
+        duration=1000 // FRAMES_PER_SECOND,
+        loop=0,
+        quality=60,
+        method=6,
+    )
+
+
 def ahead_of_rover(task: Any) -> tuple[float, float, float]:
     """A place on the bridge that moves with the rover."""
     return min(float(task.state.poses[0, 0]) + 1.5, 18.0), 0.0, 0.3
 
 
-arm = film("armctl/ArmReachMoving-v0", "reach_mpc", 3, 1.8, 135.0, lambda task: (0.0, 0.0, 0.4))
-rover = film("armctl/BridgeCrossMoving-v0", "bridge_mpc", 2, 6.0, 12.0, ahead_of_rover)
-both = [Image.fromarray(np.concatenate(pair, axis=1)) for pair in zip(arm, rover, strict=True)]
-both[0].save(
-    FOLDER / "worlds.webp",
-    save_all=True,
-    append_images=both[1:],
-    duration=1000 // FRAMES_PER_SECOND,
-    loop=0,
-    quality=60,
-    method=6,
-)
+arm, rover = (1.8, 135.0, lambda task: (0.0, 0.0, 0.4)), (6.0, 12.0, ahead_of_rover)
+MOVING, OBSTACLES = "armctl/ArmReachMoving-v0", "armctl/ArmReachObstacles-v0"
+save("worlds.webp", film(MOVING, "reach_mpc", 3, 11, *arm), film(bridge, "bridge_mpc", 2, 11, *rover))
+failing = [
+    film(env_id, name, first_failure(env_id, name, 8), 8, *view)
+    for env_id, name, view in ((OBSTACLES, "obstacles_plan_bc", arm), (bridge, "bridge_moving_distil", rover))
+]
+save("failures.webp", *failing)

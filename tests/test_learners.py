@@ -36,7 +36,7 @@ def test_a_shipped_recipe_can_be_followed(name):
 
 
 def test_what_is_shipped():
-    assert {"reach_ppo", "bridge_ppo", "bridge_moving_ppo", "reach_sac"} <= set(recipe_names())
+    assert {"reach_ppo", "bridge_ppo", "bridge_moving_state_ppo", "reach_sac"} <= set(recipe_names())
     assert {"ppo", "sac"} <= set(learner_names())
 
 

@@ -45,11 +45,6 @@ def moving_ppo(env: Interface) -> OnnxPolicy:
     return load_agent(FOLDER / "moving_ppo.json", env)
 
 
-def obstacles_dagger(env: Interface) -> OnnxPolicy:
-    """DAgger on `armctl/ArmReachObstacles-v0`, from `reach_ompl`; it sees the boxes."""
-    return load_agent(FOLDER / "obstacles_dagger.json", env)
-
-
 @sees("model")
 def obstacles_plan_bc(env: ModelInterface) -> OnnxPolicy:
     """Clone of plans on `armctl/ArmReachObstacles-v0`; it sees the boxes, and knows where the arm's links are."""
@@ -60,11 +55,6 @@ def obstacles_plan_bc(env: ModelInterface) -> OnnxPolicy:
 def obstacles_imagined(env: ModelInterface) -> ImaginingPolicy:
     """`obstacles_plan_bc`, which plays its episodes in imagination first, by kinematics, and executes the best."""
     return ImaginingPolicy(load_agent(FOLDER / "obstacles_plan_bc.json", env), env)
-
-
-def bridge_moving_ppo(env: Interface) -> OnnxPolicy:
-    """PPO on `armctl/BridgeCrossMoving-v0`; it sees the depth camera and its own motion."""
-    return load_agent(FOLDER / "bridge_moving_ppo.json", env)
 
 
 @sees("state")

@@ -39,8 +39,8 @@ def values(estimate):
     ("policy", "found"),
     [
         ("reach_ik", "IK"),
-        ("bridge_moving_ppo", "PPO"),
-        ("obstacles_dagger", "DAgger"),
+        ("bridge_moving_state_ppo", "PPO"),
+        ("reach_dagger", "DAgger"),
         ("hover:Expert", "hover:Expert"),
     ],
 )

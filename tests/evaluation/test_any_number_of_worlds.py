@@ -13,13 +13,12 @@ LINES_UP = {
     "armctl/ArmReachObstacles-v0": (
         "reach_ompl",
         "reach_ik",
-        "obstacles_dagger",
         "obstacles_plan_bc",
         "obstacles_imagined",
         "random",
     ),
     "armctl/BridgeCross-v0": ("bridge_ompl", "bridge_mpc", "bridge_ppo", "bridge_dagger", "random"),
-    "armctl/BridgeCrossMoving-v0": ("bridge_ompl", "bridge_mpc", "bridge_moving_ppo", "random"),
+    "armctl/BridgeCrossMoving-v0": ("bridge_ompl", "bridge_mpc", "bridge_moving_distil", "random"),
 }
 SETTINGS = {"one": (1, 1), "seven": (7, 1), "many": (64, 1), "two workers": (3, 2)}
 

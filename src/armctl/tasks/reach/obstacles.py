@@ -117,7 +117,6 @@ class ReachObstaclesTask(ReachTask):
         "reach_ik",
         "obstacles_imagined",
         "obstacles_plan_bc",
-        "obstacles_dagger",
         "random",
     )
     potentials: ClassVar[Mapping[str, Callable[[Any], Potential]]] = {**ReachTask.potentials, "ompl": PathCostToGo}
