@@ -45,6 +45,11 @@ def moving_ppo(env: Interface) -> OnnxPolicy:
     return load_agent(FOLDER / "moving_ppo.json", env)
 
 
+def moving_dagger(env: Interface) -> OnnxPolicy:
+    """DAgger on `armctl/ArmReachMoving-v0`, from `reach_ik`."""
+    return load_agent(FOLDER / "moving_dagger.json", env)
+
+
 @sees("model")
 def obstacles_plan_bc(env: ModelInterface) -> OnnxPolicy:
     """Clone of plans on `armctl/ArmReachObstacles-v0`; it sees the boxes, and knows where the arm's links are."""

@@ -9,7 +9,7 @@ from armctl.evaluation.record import TIME_COLUMNS
 
 LINES_UP = {
     "armctl/ArmReach-v0": ("reach_ik", "reach_mpc", "reach_ppo", "reach_sac", "reach_bc", "reach_dagger", "random"),
-    "armctl/ArmReachMoving-v0": ("reach_ik", "reach_mpc", "moving_ppo", "random"),
+    "armctl/ArmReachMoving-v0": ("reach_ik", "reach_mpc", "moving_dagger", "moving_ppo", "random"),
     "armctl/ArmReachObstacles-v0": (
         "reach_ompl",
         "reach_ik",
