@@ -6,6 +6,7 @@ quadrupedal locomotion over challenging terrain, Science Robotics 2020). The stu
 through which gradients flow back (truncated backpropagation through time), and then forgets their labels.
 """
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,6 +17,7 @@ from pydantic import Field
 from tqdm import tqdm
 
 from armctl.agents import AgentCard
+from armctl.errors import ConfigurationError
 from armctl.learners import Recipe
 from armctl.options import options
 from armctl.policies import Policy
@@ -42,7 +44,9 @@ class DistilOptions(TrainingOptions):
     length: Count = 32
     """Control steps of each world that are learned from at once, and through which gradients flow back."""
     epochs: Count = 4
-    """Gradient steps on these."""
+    """How often these are learned from."""
+    minibatches: Count = 1
+    """Groups of worlds into which they are split, with a gradient step for each."""
     mixed_steps: Steps = 200_000
     """Environment steps until the student acts alone. Until then, each action is the teacher's with a probability that
     decays linearly from 1."""
@@ -50,6 +54,10 @@ class DistilOptions(TrainingOptions):
     """Gradients are clipped to this norm."""
     features: Features = "invariant"
     evaluation_every: Count = 100_000
+
+    def __post_init__(self) -> None:
+        if self.minibatches > self.worlds:
+            raise ConfigurationError(f"{self.worlds} worlds cannot be split into {self.minibatches} minibatches")
 
 
 def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True) -> AgentCard:
@@ -104,8 +112,8 @@ class Student:
                     teacher = teacher_in(training.worlds.unwrapped, training.recipe)
                     lesson = Lesson(self, training.worlds, teacher)
                 lesson.play()
-                for _ in range(self.options.epochs):
-                    self._descend(lesson.loss())
+                for rows in lesson.minibatches(self.options.epochs, self.options.minibatches):
+                    self._descend(lesson.loss(rows))
                 taught = self.options.length * training.worlds.num_envs
                 self.steps += taught
                 bar.update(taught)
@@ -138,13 +146,18 @@ class Lesson:
         with torch.no_grad():
             self._played = [self._step() for _ in range(self._student.options.length)]
 
-    def loss(self) -> torch.Tensor:
-        """The mean squared difference to the labels of what was played, in the network's unit of actions."""
-        memory, losses = self._first, []
+    def minibatches(self, epochs: int, count: int) -> Iterator[NDArray[np.intp]]:
+        """All worlds in `count` random groups, anew in each epoch."""
+        for _ in range(epochs):
+            yield from np.array_split(self._rng.permutation(self._worlds.num_envs), count)
+
+    def loss(self, rows: NDArray[np.intp]) -> torch.Tensor:
+        """The mean squared difference to the labels of what was played in some worlds, in the network's unit."""
+        memory, losses = [remembered[rows] for remembered in self._first], []
         for seen, wanted, lasting in self._played:
-            actions, *memory = self._student.network(seen, *memory)
-            memory = [remembered * lasting for remembered in memory]
-            losses.append((actions - wanted).square().mean())
+            actions, *memory = self._student.network(_some(seen, rows), *memory)
+            memory = [remembered * lasting[rows] for remembered in memory]
+            losses.append((actions - wanted[rows]).square().mean())
         return torch.stack(losses).mean()
 
     def _step(self) -> tuple[Any, torch.Tensor, torch.Tensor]:
@@ -170,3 +183,7 @@ class Lesson:
         if ended.any():
             self._teacher.reset(np.flatnonzero(ended).astype(np.int32))
         return ended
+
+
+def _some(seen: Any, rows: NDArray[np.intp]) -> Any:
+    return {name: part[rows] for name, part in seen.items()} if isinstance(seen, dict) else seen[rows]

@@ -146,8 +146,20 @@ def test_gradients_flow_through_a_lesson_and_no_further(tmp_path):
     for _ in range(2):
         lesson.play()
         student.network.zero_grad()
-        lesson.loss().backward()  # which fails if a graph is used again
+        lesson.loss(np.arange(16)).backward()  # which fails if a graph is used again
         assert student.network.unit.weight_hh.grad.abs().max() > 0
+
+
+def test_minibatches_are_all_worlds_once_in_an_epoch(tmp_path):
+    training, student = started(recipe(), tmp_path / "run")
+    lesson = Lesson(student, training.worlds, make_policy(TEACHER, training.worlds.unwrapped))
+    lesson.play()
+    groups = list(lesson.minibatches(2, 4))
+    assert [len(rows) for rows in groups] == [4] * 8
+    for epoch in (groups[:4], groups[4:]):
+        assert sorted(np.concatenate(epoch)) == list(range(16))
+        losses = [lesson.loss(rows).item() for rows in epoch]
+        assert np.mean(losses) == pytest.approx(lesson.loss(np.arange(16)).item(), rel=1e-5)
 
 
 @pytest.mark.parametrize(("mixed_steps", "share"), [(10**9, 1.0), (0, 0.0)])
@@ -198,6 +210,7 @@ def test_an_agent_of_another_state_is_no_teacher(state_agent, tmp_path):
         ({"teacher": "reach_ik"}, "physical units"),
         ({"shaping": "distance"}, "not learn from rewards"),
         ({"options": {"memory_unit": 3}}, "Did you mean 'memory_units'"),
+        ({"options": {"minibatches": 17, "worlds": 16}}, "16 worlds cannot be split into 17 minibatches"),
         ({"options": {"length": 0}}, "length: .*greater than or equal to 1"),
         ({"curriculum": [{"after": 0.5, "reward_weights": {"goal": 2.0}}]}, "not learn from rewards"),
     ],
