@@ -15,8 +15,9 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 from numpy.typing import NDArray
-from tqdm import tqdm
+from rich.progress import Progress
 
+from armctl.console import PlainConsole
 from armctl.disturbances import episode_entropy
 from armctl.errors import ConfigurationError, ResultsError
 from armctl.files import bounded_bytes, bounded_text, one_writer, sealed, short_checksum, unsealed, write_atomically
@@ -91,17 +92,20 @@ def make(folder: Path, count: int, seed: int, arm: ArmDescription, tolerance: fl
             if card.get(name) != wanted:
                 raise ResultsError(f"{folder} holds layouts with {name} {card.get(name)!r}, not {wanted!r}")
         solver = _Solver(arm, tolerance, seed)
-        starts = range(0, count, PART)
-        for start in tqdm(starts, "layouts", leave=False, disable=not progress):
-            name = f"part_{start}.npz"
-            if name not in card["parts"]:
-                content = _packed(solver.solve(number) for number in range(start, min(start + PART, count)))
-                try:
-                    write_atomically(folder / name, functools.partial(_write, content))
-                    card["parts"][name] = short_checksum(content)
-                    write_atomically(folder / CARD, sealed(card))
-                except OSError as error:
-                    raise ResultsError(f"layouts cannot be written to {folder}: {error.strerror}") from error
+        with Progress(console=PlainConsole(stderr=True), disable=not progress) as shown:
+            bar = shown.add_task("layouts", total=count)
+            for start in range(0, count, PART):
+                numbers = range(start, min(start + PART, count))
+                name = f"part_{start}.npz"
+                if name not in card["parts"]:
+                    content = _packed(map(solver.solve, numbers))
+                    try:
+                        write_atomically(folder / name, functools.partial(_write, content))
+                        card["parts"][name] = short_checksum(content)
+                        write_atomically(folder / CARD, sealed(card))
+                    except OSError as error:
+                        raise ResultsError(f"layouts cannot be written to {folder}: {error.strerror}") from error
+                shown.advance(bar, len(numbers))
 
 
 def read(folder: Path) -> SolvedLayouts:
