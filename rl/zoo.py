@@ -28,9 +28,10 @@ unmodified task. Decisions are control steps in simulation, by the agent, a teac
 actions of a teacher; gradient steps are updates of the network. Minutes are wall time on one core of a busy machine,
 two or three times those of an idle one; processor minutes are those of all cores. A dash is unknown: these agents are
 older than the counters, and only what follows exactly from their options was filled in. Agents in bold come with
-armctl, and so do those of other seeds of `reach_bc` and `moving_dagger`: `reach_bc[*]` is all three, of which seeds 1
-and 2 were trained by a later version. All of them were evaluated with the present physics, on episodes of the test's
-seed; the other seed of `reach_dagger` after its training, on those of seed 0, when impacts were softer.
+armctl, and are the median ones of their training seeds by success; rows below them are the other seeds. Where these
+have a file, `NAME[*]` is the whole group, as `moving_dagger[*]`. Seeds 1 and 2 of `reach_bc` were trained by a later
+version. All agents were evaluated with the present physics, on episodes of the test's seed; the other seed of
+`reach_dagger` after its training, on those of seed 0, when impacts were softer.
 
 """
 COLUMNS = (
