@@ -19,6 +19,11 @@ from armctl.rl.vector import StableBaselinesVectorEnv
 REPLAY = "replay_buffer.pkl"
 
 
+def decaying(rate: float) -> Callable[[float], float]:
+    """A learning rate that decays linearly from `rate` to a twentieth of it: a function of the share that is left."""
+    return lambda left: rate * max(left, 0.05)
+
+
 def learn(
     training: Training,
     model: BaseAlgorithm,

@@ -18,7 +18,7 @@ from armctl.options import options
 from armctl.rl.actor import Actor
 from armctl.rl.asymmetric import AsymmetricPolicy, AsymmetricVectorEnv
 from armctl.rl.frames import FrameOptions, actor_in, features_of, shown_worlds
-from armctl.rl.learning import learn
+from armctl.rl.learning import decaying, learn
 from armctl.rl.training import Count, Positive, Share, Training
 from armctl.rl.vector import StableBaselinesVectorEnv
 from armctl.rl.view import View
@@ -85,7 +85,7 @@ def new_model(venv: StableBaselinesVectorEnv, view: View, options: PpoOptions, s
         n_steps=options.rollout_length,
         batch_size=options.batch_size,
         n_epochs=options.epochs,
-        learning_rate=_decaying(options.learning_rate),
+        learning_rate=decaying(options.learning_rate),
         gamma=options.gamma,
         gae_lambda=options.gae_lambda,
         clip_range=options.clip_range,
@@ -117,10 +117,3 @@ class MeanAction(torch.nn.Module):
         """Actions (n, ...), mostly in [-1, 1]."""
         features = self.policy.extract_features(observation, self.policy.pi_features_extractor)
         return self.policy.action_net(self.policy.mlp_extractor.forward_actor(features))
-
-
-def _decaying(initial: float) -> Any:
-    def rate(progress_remaining: float) -> float:
-        return initial * max(progress_remaining, 0.05)
-
-    return rate

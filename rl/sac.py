@@ -21,7 +21,7 @@ from armctl.learners import Recipe
 from armctl.options import options
 from armctl.rl.frames import FrameOptions, actor_in, features_of, shown_worlds
 from armctl.rl.hindsight import GoalFeatures, GoalVectorEnv, HindsightBuffer, split
-from armctl.rl.learning import REPLAY, learn
+from armctl.rl.learning import REPLAY, decaying, learn
 from armctl.rl.training import Count, Positive, Share, Training, check_no_curriculum
 from armctl.rl.vector import StableBaselinesVectorEnv
 from armctl.tasks import ReachTask
@@ -32,7 +32,7 @@ NOISE_TIME_CONSTANT = 10
 
 @options
 class SacOptions(FrameOptions):
-    """Options of SAC."""
+    """Options of SAC. The learning rate decays linearly to a twentieth."""
 
     steps: Count = 200_000
     worlds: Count = 64
@@ -116,7 +116,7 @@ def _new_model(venv: StableBaselinesVectorEnv, training: Training, options: SacO
     return SAC(
         "MultiInputPolicy" if several else "MlpPolicy",
         venv,
-        learning_rate=options.learning_rate,
+        learning_rate=decaying(options.learning_rate),
         buffer_size=options.buffer_size,
         learning_starts=max(options.random_steps, longest),
         batch_size=options.batch_size,
