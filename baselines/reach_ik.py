@@ -85,9 +85,6 @@ class ReachIkTracking(ReachIk):
     It remembers nothing: each action follows from the present observation.
     """
 
-    def reset(self) -> None:
-        """Do nothing."""
-
     def act(self, observation: NDArray[np.float32]) -> Array:
         """Action (dof,) for an observation, whose last part is the target's velocity, m/s."""
         dof = self._search.model.dof

@@ -40,7 +40,9 @@ def main(
         for env, name in track(experts, "experts")
     }
     rows = math.ceil(len(tasks) / COLUMNS)
-    figure, axes = plt.subplots(rows, COLUMNS, figsize=(4 * COLUMNS, 3.6 * rows), sharey=True, layout="constrained")
+    figure, axes = plt.subplots(
+        rows, COLUMNS, figsize=(4 * COLUMNS, 3.6 * rows), sharey=True, squeeze=False, layout="constrained"
+    )
     for axis in axes.flat[len(tasks) :]:
         axis.remove()
     for axis, env in zip(axes.flat, tasks, strict=False):
@@ -52,7 +54,7 @@ def main(
         axis.set(title=env.removeprefix("armctl/"), xscale="log", xlabel="minutes of processor", ylim=(0, 1.08))
         axis.xaxis.set_major_formatter("{x:g}")
         axis.xaxis.set_minor_formatter("")
-        axis.set_xlim(0.5, 100)
+        axis.set_xlim(left=0.5)
         axis.legend(fontsize=8, loc="lower right")
     for axis in axes[:, 0]:
         axis.set_ylabel("success on held-out episodes")

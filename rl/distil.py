@@ -7,6 +7,7 @@ through which gradients flow back (truncated backpropagation through time), and 
 """
 
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,6 +18,7 @@ from pydantic import Field
 from tqdm import tqdm
 
 from armctl.agents import AgentCard
+from armctl.envs import make_worlds
 from armctl.errors import ConfigurationError
 from armctl.learners import Recipe
 from armctl.options import options
@@ -64,12 +66,14 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
     """Train an agent into the folder `out`. See `armctl.rl.training.Training`, also for the errors raised."""
     options = recipe.read_options(DistilOptions)
     check_teaching(recipe)
+    for stage in recipe.stages:
+        with closing(make_worlds(stage.env, 1, stage.options_in_training)) as worlds:
+            teacher_in(worlds, stage)  # raises an error now rather than in hours
     training = Training(recipe, options, out, seed, resume)
-    teacher = teacher_in(training.worlds.unwrapped, recipe)
     with training:
         student = Student(training, options)
         try:
-            student.learn(teacher, progress)
+            student.learn(progress)
         finally:
             student.save()
         return training.finish(student.actor, student.steps)
@@ -99,24 +103,27 @@ class Student:
         saved = {"actor": self.actor.state_dict(), "optimizer": self._optimizer.state_dict()}
         self.training.checkpoint(self.steps, lambda path: save_torch(saved, path))
 
-    def learn(self, teacher: Policy, progress: bool) -> None:
-        """Learn from a teacher in the training's worlds until its steps are done."""
+    def learn(self, progress: bool) -> None:
+        """Learn from the teacher in the training's worlds until the steps are done."""
         training, total = self.training, self.options.steps
-        lesson = Lesson(self, training.worlds, teacher)
+        lesson = self._lesson()
         with tqdm(total=total, initial=self.steps, desc="distil", leave=False, disable=not bar_fits(progress)) as bar:
             while self.steps < total:
                 if training.due(self.steps):
                     self.save()
                     training.evaluate(self.actor, self.steps)
                 if training.enter_stage(self.steps):
-                    teacher = teacher_in(training.worlds.unwrapped, training.recipe)
-                    lesson = Lesson(self, training.worlds, teacher)
+                    lesson = self._lesson()
                 lesson.play()
                 for rows in lesson.minibatches(self.options.epochs, self.options.minibatches):
                     self._descend(lesson.loss(rows))
                 taught = self.options.length * training.worlds.num_envs
                 self.steps += taught
                 bar.update(taught)
+
+    def _lesson(self) -> "Lesson":
+        worlds = self.training.worlds
+        return Lesson(self, worlds, teacher_in(worlds.unwrapped, self.training.stage))
 
     def _descend(self, loss: torch.Tensor) -> None:
         for group in self._optimizer.param_groups:

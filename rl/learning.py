@@ -29,11 +29,11 @@ def learn(
     model: BaseAlgorithm,
     actor: Actor,
     progress: bool,
-    show: Callable[[], StableBaselinesVectorEnv],
+    show: Callable[[], StableBaselinesVectorEnv] | None = None,
 ) -> AgentCard:
     """Train the model for the remaining steps, and finish the training.
 
-    `show` gives the training's present worlds as the model is shown them.
+    `show` gives the training's present worlds as the model is shown them; a learner without curricula needs none.
     An interrupt or an error leaves a checkpoint. `actor`, which shares the model's network, is evaluated and exported.
     """
     model.set_logger(training.logger)
@@ -61,7 +61,7 @@ def save(model: BaseAlgorithm, path: Path) -> None:
 class TrainingCallback(BaseCallback):
     """Saves a checkpoint and evaluates the actor whenever this is due, and changes worlds with the curriculum."""
 
-    def __init__(self, training: Training, actor: Actor, show: Callable[[], StableBaselinesVectorEnv]) -> None:
+    def __init__(self, training: Training, actor: Actor, show: Callable[[], StableBaselinesVectorEnv] | None) -> None:
         super().__init__()
         self._training, self._actor, self._show = training, actor, show
 
@@ -71,7 +71,7 @@ class TrainingCallback(BaseCallback):
             self._training.evaluate(self._actor, self.num_timesteps)
 
     def _on_rollout_end(self) -> None:
-        if self._training.enter_stage(self.num_timesteps):
+        if self._show and self._training.enter_stage(self.num_timesteps):
             worlds = self._show()
             worlds.seed(self._training.first_seed(self.num_timesteps))
             self.model.set_env(worlds)

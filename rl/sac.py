@@ -3,7 +3,6 @@
 `armctl train reach_sac` runs this.
 """
 
-import functools
 import warnings
 from pathlib import Path
 from typing import Annotated, Any
@@ -73,7 +72,7 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
     with training:
         dof = venv.dof if isinstance(venv, GoalVectorEnv) else None
         actor = actor_in(venv, SquashedMean(model.policy, dof), training)
-        return learn(training, model, actor, progress, functools.partial(_vector_env, training, options))
+        return learn(training, model, actor, progress)
 
 
 class SquashedMean(torch.nn.Module):

@@ -6,7 +6,7 @@ import logging
 import math
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
 from importlib.metadata import version
 from pathlib import Path
@@ -95,16 +95,18 @@ class Training:
         self.recipe, self.options, self.out, self.seed = recipe, options, out, seed
         self.held_out = make_worlds(recipe.env, min(VALIDATION_WORLDS, options.validation_episodes), recipe.env_options)
         with ExitStack() as opened:
-            shares = (0.0, *(stage.after for stage in recipe.curriculum))
-            stages = [opened.enter_context(closing(self._make_worlds(recipe.after(share), 1))) for share in shares]
+            stages = [opened.enter_context(closing(self._make_worlds(stage, 1))) for stage in recipe.stages]
             self.view = view_of(self.held_out, features=options.features, relative=options.relative)
             for worlds in stages:
                 _check_alike(worlds, self.held_out, self.view)
+            if getattr(options, "privileged_critic", False):
+                _check_states(stages)
         self._check_folder(resume)
         newest = self.newest_checkpoint()
         self.meter = Meter(out / CLOCK, resumed=newest is not None)
-        self._stage = self._stage_at(int(newest.stem) if newest else 0)
-        self.worlds = Metered(self._make_worlds(self._stage, options.worlds), self.meter)
+        self.stage = self._stage_at(int(newest.stem) if newest else 0)
+        """The recipe as it is at present."""
+        self.worlds = Metered(self._make_worlds(self.stage, options.worlds), self.meter)
         """Those to train in at present. They are others in another stage of the curriculum: see `enter_stage`."""
         curve = self.curve()
         self._evaluated = curve[-1]["steps"] if curve else -math.inf
@@ -137,11 +139,11 @@ class Training:
 
     def enter_stage(self, steps: int) -> bool:
         """Whether a stage of the curriculum has begun since the last call, so that `worlds` are others."""
-        before, self._stage = self._stage, self._stage_at(steps)
-        if self._stage == before:
+        before, self.stage = self.stage, self._stage_at(steps)
+        if self.stage == before:
             return False
         self.worlds.close()
-        self.worlds = Metered(self._make_worlds(self._stage, self.options.worlds), self.meter)
+        self.worlds = Metered(self._make_worlds(self.stage, self.options.worlds), self.meter)
         return True
 
     def curve(self) -> list[dict[Any, Any]]:
@@ -316,6 +318,12 @@ def _check_alike(trained: Any, judged: EpisodeVectorEnv, view: View) -> None:
         raise ConfigurationError(
             "training_options must not change what the agent sees or how it acts: that belongs in env_options"
         )
+
+
+def _check_states(stages: Sequence[Any]) -> None:
+    """Raise `ConfigurationError` if the states that a critic sees differ in shape between stages."""
+    if len({str(shapes(worlds.unwrapped.task.state_space)) for worlds in stages}) > 1:
+        raise ConfigurationError("a privileged critic sees the state, whose shape no stage of a curriculum may change")
 
 
 def _plain(recipe: Recipe) -> dict[str, Any]:

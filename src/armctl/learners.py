@@ -76,6 +76,11 @@ class Recipe(BaseModel):
         begun = [stage for stage in self.curriculum if stage.after <= share]
         return self.model_copy(update=begun[-1].model_dump(exclude={"after"})) if begun else self
 
+    @property
+    def stages(self) -> list["Recipe"]:
+        """The recipe as it is at first, and in each stage of its curriculum."""
+        return [self.after(share) for share in (0.0, *(stage.after for stage in self.curriculum))]
+
     @field_validator("curriculum")
     @classmethod
     def _in_order(cls, stages: list[Stage]) -> list[Stage]:

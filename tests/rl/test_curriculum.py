@@ -5,7 +5,7 @@ from contextlib import ExitStack
 import numpy as np
 import pytest
 
-from armctl.errors import ConfigurationError
+from armctl.errors import AgentFileError, ConfigurationError
 from armctl.learners import Recipe
 from armctl.rl import bc, dagger, distil, ppo, sac
 from armctl.rl.meter import Metered
@@ -120,4 +120,27 @@ def test_others_have_one_stage(module, tmp_path):
 def test_a_mistake_in_a_later_stage_is_told_at_once(stage, says, tmp_path):
     with pytest.raises(ConfigurationError, match=says):
         ppo.train(recipe(curriculum=[{"after": 0.9, **stage}]), out=tmp_path / "run", seed=0, progress=False)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_privileged_critic_s_state_keeps_its_shape(tmp_path):
+    people = [{"after": 0.5, "training_options": {"walkers": 3}}]
+    chosen = recipe(
+        options=SHORT | {"privileged_critic": True}, env="armctl/BridgeCrossMoving-v0", reward_weights={},
+        training_options={"walkers": 1}, curriculum=people,
+    )  # fmt: skip
+    with pytest.raises(ConfigurationError, match="privileged critic"):
+        ppo.train(chosen, out=tmp_path / "run", seed=0, progress=False)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_teacher_who_does_not_fit_a_later_stage_is_told_at_once(tmp_path):
+    planar = {"observation": "ranges", "dynamics": "kinematic"}
+    chosen = recipe(
+        "distil", FEW, env="armctl/BridgeCrossMoving-v0", env_options={}, teacher="bridge_moving_state_ppo",
+        training_options=planar, reward_weights={},
+        curriculum=[{"after": 0.5, "training_options": planar | {"walkers": 1}}],
+    )  # fmt: skip
+    with pytest.raises(AgentFileError, match="observation"):
+        distil.train(chosen, out=tmp_path / "run", seed=0, progress=False)
     assert not (tmp_path / "run").exists()

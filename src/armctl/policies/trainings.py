@@ -84,7 +84,7 @@ def trainings_of(recipe: str) -> dict[int, Path]:
     by_seed: dict[int, Path] = {}
     for path in paths:
         card = read_card(path)
-        _check_alike(recipe, first, card, path)
+        check_alike(recipe, first, card, path)
         if card.training_seed is None:
             raise AgentFileError(f"{path} does not say with which seed it was trained, and so is none of {recipe}[*]")
         if card.training_seed in by_seed:
@@ -94,6 +94,16 @@ def trainings_of(recipe: str) -> dict[int, Path]:
             )
         by_seed[card.training_seed] = path
     return dict(sorted(by_seed.items()))
+
+
+def check_alike(recipe: str, first: AgentCard, card: AgentCard, path: Path) -> None:
+    """Raise `ConfigurationError` if a `card`, read from `path`, differs from the `first` in more than its seed."""
+    for name in ALIKE:
+        for what, one, other in _differences(name, getattr(first, name), getattr(card, name)):
+            raise ConfigurationError(
+                f"{recipe}[*] are trainings that differ only in their seed, and {path} has the {what} {other!r} "
+                f"instead of {one!r}"
+            )
 
 
 def expanded(policies: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, list[str]]]:
@@ -141,15 +151,6 @@ def card_of(given: Any) -> AgentCard | None:
     if path is None and Path(given).suffix in FILES and os.path.isfile(given):  # also for a name that no file can have
         path = Path(given).with_suffix(".json")
     return None if path is None else read_card(path)
-
-
-def _check_alike(recipe: str, first: AgentCard, card: AgentCard, path: Path) -> None:
-    for name in ALIKE:
-        for what, one, other in _differences(name, getattr(first, name), getattr(card, name)):
-            raise ConfigurationError(
-                f"{recipe}[*] are trainings that differ only in their seed, and {path} has the {what} {other!r} "
-                f"instead of {one!r}"
-            )
 
 
 def _differences(name: str, one: Any, other: Any) -> Iterator[tuple[str, Any, Any]]:
