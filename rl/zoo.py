@@ -28,8 +28,9 @@ unmodified task. Decisions are control steps in simulation, by the agent, a teac
 actions of a teacher; gradient steps are updates of the network. Minutes are wall time on one core of a busy machine,
 two or three times those of an idle one; processor minutes are those of all cores. A dash is unknown: these agents are
 older than the counters, and only what follows exactly from their options was filled in. Agents in bold come with
-armctl: of three training seeds, the one with the median success (of `reach_bc`, seed 0; its others were trained by a
-later version). Rows below them are the other seeds: `NAME[*]` is all of them, as in `moving_dagger[*]`. All agents
+armctl: where there are several training seeds, the one with the median success, of two the lower one (of `reach_bc`,
+seed 0; its others were trained by a later version). Rows below them are the other seeds: `NAME[*]` is all of them, as
+in `moving_dagger[*]`. All agents
 were evaluated with the present physics, on episodes of the test's seed; the other seed of `reach_dagger` after its
 training, on those of seed 0, when impacts were softer.
 
