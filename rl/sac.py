@@ -51,6 +51,8 @@ class SacOptions(FrameOptions):
     """Relabelled transitions for each real one, in `armctl/ArmReach-v0`."""
     entropy: Positive = 0.1
     """Initial weight of the action distribution's entropy. It is tuned during training."""
+    target_entropy: float = -1.0
+    """To which it is tuned, per number of an action: ln 2 is that of uniformly random actions."""
     reward_scale: Positive = 0.1
     evaluation_every: Count = 20_000
 
@@ -125,6 +127,7 @@ def _new_model(venv: StableBaselinesVectorEnv, training: Training, options: SacO
         gradient_steps=options.gradient_steps,
         action_noise=_noise(options, venv.action_space.shape),
         ent_coef=f"auto_{options.entropy}",
+        target_entropy=options.target_entropy * venv.action_space.shape[0],
         replay_buffer_class=HindsightBuffer if goals else None,
         replay_buffer_kwargs={"n_sampled_goal": options.relabelled} if goals else None,
         policy_kwargs={
