@@ -321,9 +321,10 @@ def _check_alike(trained: Any, judged: EpisodeVectorEnv, view: View) -> None:
 
 
 def _check_states(stages: Sequence[Any]) -> None:
-    """Raise `ConfigurationError` if the states that a critic sees differ in shape between stages."""
-    if len({str(shapes(worlds.unwrapped.task.state_space)) for worlds in stages}) > 1:
-        raise ConfigurationError("a privileged critic sees the state, whose shape no stage of a curriculum may change")
+    """Raise `ConfigurationError` if the states that a critic sees differ between stages."""
+    first, *others = (worlds.unwrapped.task.state_space for worlds in stages)
+    if any(space != first for space in others):
+        raise ConfigurationError("a privileged critic sees the state, whose space no stage of a curriculum may change")
 
 
 def _plain(recipe: Recipe) -> dict[str, Any]:
