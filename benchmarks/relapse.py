@@ -5,7 +5,7 @@
     python benchmarks/relapse.py --check    # fail if a ratio is more than 1.5 times the one kept, as CI does
 
 References are what armctl is built on: EAIK alone, OSQP alone, raw `mj_step`; or Python's sort for what has no such
-core (NumPy's is several times as fast where a processor has AVX-512, and so no reference for another machine).
+core (NumPy's uses the vector instructions that a processor has, and so is no reference for another machine).
 """
 
 import time

@@ -18,21 +18,16 @@ from armctl.evaluation.curves import CURVE
 from armctl.evaluation.trials import TRIALS, read_trials, write_trials
 from armctl.files import write_atomically
 from armctl.learners import recipe_names
-from armctl.policies.trainings import check_alike
+from armctl.policies.trainings import by_seed
 from armctl.rl import zoo
-
-SUFFIXES = (".onnx", ".csv", ".json")
 
 
 class TrainedAgent(NamedTuple):
     """An agent's files."""
 
-    path: Path
-    """Of its card."""
     card: AgentCard
     graph: bytes
     curve: bytes
-    success: float
 
 
 def publish(folders: Sequence[Path], home: Path = zoo.HOME, *, replace: bool = False) -> Path:
@@ -43,40 +38,33 @@ def publish(folders: Sequence[Path], home: Path = zoo.HOME, *, replace: bool = F
     Raises `AgentFileError` if a folder has no finished agent, `ConfigurationError` if trainings differ in more than
     their seed or have the same one. Nothing has been changed then.
     """
-    new = [_read(folder / "agent.json", folder / CURVE) for folder in folders]
-    name = str(new[0].card.recipe)
+    name = str(read_card(folders[0] / "agent.json").recipe)
     if name not in recipe_names():
         raise ConfigurationError(f"{folders[0]} was trained by {name}, which is no recipe of armctl")
-    for agent in new:
-        check_alike(name, new[0].card, agent.card, agent.path)
-    by_seed = {agent.card.training_seed: agent for agent in new}
-    if len(by_seed) < len(new):
-        raise ConfigurationError(f"of {len(new)} trainings, some have the same seed")
     shipped, seeds = home / "agents" / f"{name}.json", home / "agents" / "seeds"
-    cards = [path for path in (shipped, *seeds.glob(f"{name}-[0-9]*.json")) if path.with_suffix(".onnx").exists()]
-    if not replace:
-        for agent in (_read(path, path.with_suffix(".csv")) for path in cards):
-            check_alike(name, new[0].card, agent.card, agent.path)
-            by_seed.setdefault(agent.card.training_seed, agent)
-    records = _new_trials(folders, home / TRIALS)
-    ranked = sorted(by_seed.values(), key=lambda agent: agent.success)
-    median = ranked[(len(ranked) - 1) // 2]
-    for agent in ranked:
-        _write(agent, shipped if agent is median else seeds / f"{name}-{agent.card.training_seed}.json")
-    written = {shipped, *(seeds / f"{name}-{agent.card.training_seed}.json" for agent in ranked if agent is not median)}
-    for path in set(cards) - written:
-        for suffix in SUFFIXES:
+    there = [path for path in (shipped, *seeds.glob(f"{name}-[0-9]*.json")) if path.with_suffix(".onnx").exists()]
+    new = by_seed(name, [folder / "agent.json" for folder in folders])
+    kept = {} if replace else {seed: path for seed, path in by_seed(name, there).items() if seed not in new}
+    agents = [_read(path) for path in by_seed(name, [*new.values(), *kept.values()]).values()]
+    trials = _new_trials(folders, home / TRIALS)
+    agents.sort(key=lambda agent: agent.card.evaluation.success_rate if agent.card.evaluation else 0.0)
+    median = agents.pop((len(agents) - 1) // 2)
+    placed = {shipped: median} | {seeds / f"{name}-{agent.card.training_seed}.json": agent for agent in agents}
+    for path, agent in placed.items():
+        _write(agent, path)
+    for path in set(there) - placed.keys():
+        for suffix in (".onnx", ".csv", ".json"):
             path.with_suffix(suffix).unlink(missing_ok=True)
-    write_trials(home / TRIALS, records)
+    write_trials(home / TRIALS, trials)
     return shipped
 
 
-def _read(path: Path, curve: Path) -> TrainedAgent:
-    card = read_card(path)
-    graph = path.with_suffix(".onnx")
+def _read(path: Path) -> TrainedAgent:
+    card, graph = read_card(path), path.with_suffix(".onnx")
     if card.evaluation is None or not graph.exists() or sha256(graph) != card.sha256:
         raise AgentFileError(f"{path} is not of a finished training, or its network was changed")
-    return TrainedAgent(path, card, graph.read_bytes(), curve.read_bytes(), card.evaluation.success_rate)
+    curve = path.with_name(CURVE) if path.name == "agent.json" else path.with_suffix(".csv")
+    return TrainedAgent(card, graph.read_bytes(), curve.read_bytes())
 
 
 def _write(agent: TrainedAgent, path: Path) -> None:

@@ -127,8 +127,8 @@ def test_a_training_by_its_seed():
 
 
 def test_a_single_training_is_no_group():
-    made = armctl.compare(["reach_sac[*]", "random"], episodes=2, worlds=2)
-    assert [policy.policy for policy in made.policies] == ["reach_sac[0]", "random"]
+    made = armctl.compare(["reach_dagger[*]", "random"], episodes=2, worlds=2)
+    assert [policy.policy for policy in made.policies] == ["reach_dagger[0]", "random"]
     assert any("a single training, which says nothing of others" in note for note in made.notes)
 
 

@@ -140,7 +140,7 @@ def own_recipe(folder):
     ("made", "why"),
     [
         (two_recipes, "differ only in their seed"),
-        (one_seed_twice, "the same seed"),
+        (one_seed_twice, "both of training seed 0"),
         (unfinished, "not of a finished training"),
         (another_network, "was changed"),
         (own_recipe, "no recipe of armctl"),

@@ -80,30 +80,27 @@ def trainings_of(recipe: str) -> dict[int, Path]:
             f"there are no trainings {recipe}[*]: neither is {recipe} a shipped agent, nor are there folders "
             f"{recipe}-0, {recipe}-1 and so on with an agent.json, as armctl train makes them"
         )
-    first = read_card(paths[0])
-    by_seed: dict[int, Path] = {}
-    for path in paths:
-        card = read_card(path)
-        check_alike(recipe, first, card, path)
+    return by_seed(recipe, paths)
+
+
+def by_seed(recipe: str, paths: Sequence[Path]) -> dict[int, Path]:
+    """Cards of a recipe's trainings, by training seed.
+
+    Raises `ConfigurationError` if they differ in more than the seed or have the same one, and `AgentFileError`.
+    """
+    cards = [read_card(path) for path in paths]
+    found: dict[int, Path] = {}
+    for path, card in zip(paths, cards, strict=True):
+        _check_alike(recipe, cards[0], card, path)
         if card.training_seed is None:
             raise AgentFileError(f"{path} does not say with which seed it was trained, and so is none of {recipe}[*]")
-        if card.training_seed in by_seed:
+        if card.training_seed in found:
             raise ConfigurationError(
-                f"{path} and {by_seed[card.training_seed]} are both of training seed {card.training_seed}: each counts "
+                f"{path} and {found[card.training_seed]} are both of training seed {card.training_seed}: each counts "
                 f"once in {recipe}[*]"
             )
-        by_seed[card.training_seed] = path
-    return dict(sorted(by_seed.items()))
-
-
-def check_alike(recipe: str, first: AgentCard, card: AgentCard, path: Path) -> None:
-    """Raise `ConfigurationError` if a `card`, read from `path`, differs from the `first` in more than its seed."""
-    for name in ALIKE:
-        for what, one, other in _differences(name, getattr(first, name), getattr(card, name)):
-            raise ConfigurationError(
-                f"{recipe}[*] are trainings that differ only in their seed, and {path} has the {what} {other!r} "
-                f"instead of {one!r}"
-            )
+        found[card.training_seed] = path
+    return dict(sorted(found.items()))
 
 
 def expanded(policies: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, list[str]]]:
@@ -151,6 +148,15 @@ def card_of(given: Any) -> AgentCard | None:
     if path is None and Path(given).suffix in FILES and os.path.isfile(given):  # also for a name that no file can have
         path = Path(given).with_suffix(".json")
     return None if path is None else read_card(path)
+
+
+def _check_alike(recipe: str, first: AgentCard, card: AgentCard, path: Path) -> None:
+    for name in ALIKE:
+        for what, one, other in _differences(name, getattr(first, name), getattr(card, name)):
+            raise ConfigurationError(
+                f"{recipe}[*] are trainings that differ only in their seed, and {path} has the {what} {other!r} "
+                f"instead of {one!r}"
+            )
 
 
 def _differences(name: str, one: Any, other: Any) -> Iterator[tuple[str, Any, Any]]:
