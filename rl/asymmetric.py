@@ -79,7 +79,7 @@ class AsymmetricPolicy(MultiInputActorCriticPolicy):
     def _build_mlp_extractor(self) -> None:
         """Give the critic its own features: they have another size than the actor's."""
         super()._build_mlp_extractor()
-        self.vf_features_extractor = StateFeatures(self.observation_space)
+        self.vf_features_extractor = StateFeatures(self.observation_space, self._view)
         critic = MlpExtractor(self.vf_features_extractor.features_dim, self.net_arch, self.activation_fn, self.device)
         self.mlp_extractor.value_net = critic.value_net
 
@@ -107,16 +107,30 @@ class ObservedFeatures(BaseFeaturesExtractor):
 
 
 class StateFeatures(BaseFeaturesExtractor):
-    """The state, as shares of its bounds."""
+    """A view's features of the state, or without any its numbers as shares of their bounds."""
 
-    def __init__(self, observation_space: gymnasium.spaces.Dict) -> None:
-        high = np.asarray(observation_space[STATE].high)  # type: ignore[attr-defined]
-        super().__init__(observation_space, high.size)
-        self.register_buffer("scale", torch.as_tensor(1 / np.where(np.isfinite(high) & (high > 0), high, 1.0)).float())
+    def __init__(self, observation_space: gymnasium.spaces.Dict, view: View) -> None:
+        space = observation_space[STATE]
+        features = Shares(space) if view.state_features is None else view.state_features(space)
+        super().__init__(observation_space, features.features_dim)
+        self.features = features
 
     def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
         """Features (n, k)."""
-        return self.scale * observations[STATE]
+        return self.features(observations[STATE])
+
+
+class Shares(BaseFeaturesExtractor):
+    """Numbers as shares of their bounds, where these are finite."""
+
+    def __init__(self, observation_space: gymnasium.Space[Any]) -> None:
+        high = np.asarray(observation_space.high)  # type: ignore[attr-defined]
+        super().__init__(observation_space, high.size)
+        self.register_buffer("scale", torch.as_tensor(1 / np.where(np.isfinite(high) & (high > 0), high, 1.0)).float())
+
+    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+        """Shares (n, k) of numbers (n, k)."""
+        return self.scale * observations
 
 
 def _beside(observations: Any, state: NDArray[np.float32]) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 While it learns, its worlds show the stack. The exported agent keeps the earlier observations in its memory.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import gymnasium
@@ -135,8 +135,8 @@ class FramesVectorEnv(StableBaselinesVectorEnv):
                 final = _arrays(self.history(tensors(last), *(part[ended] for part in self._memory))[0])
             for k, i in enumerate(ended):
                 infos[i]["terminal_observation"] = one_of(final, k)
-            for part in self._memory:
-                part[ended] = 0.0
+            # in place, it would change the stacks that the learner has been shown, which share their memory
+            self._memory = [part.index_fill(0, torch.as_tensor(ended), 0.0) for part in self._memory]
         return self._stacked(observations), rewards, done, infos
 
     def _stacked(self, observations: Any) -> Any:
@@ -146,7 +146,7 @@ class FramesVectorEnv(StableBaselinesVectorEnv):
 
 
 def shown_worlds(
-    worlds: Any, view: View, options: FrameOptions, kind: type[FramesVectorEnv] | None = None
+    worlds: Any, view: View, options: FrameOptions, kind: Callable[..., FramesVectorEnv] | None = None
 ) -> StableBaselinesVectorEnv:
     """Worlds as a learner with these options is shown them: of a `kind`, or without stacks where there is no need."""
     if kind is None and options.frames == 1 and view.prepare is None:

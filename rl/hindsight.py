@@ -3,6 +3,7 @@
 An episode that missed its target has reached other positions: with one of them as the target, it is a success.
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,39 +14,52 @@ from stable_baselines3 import HerReplayBuffer
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 
-from armctl.rl.vector import StableBaselinesVectorEnv
+from armctl.rl.frames import FrameFeatures, FramesVectorEnv
 from armctl.rl.view import View
-from armctl.tasks.reach import observation_slices
 from armctl.tasks.reach.state import GOAL_REWARD, STEP_REWARD
 
-PARTS = {
-    "achieved_goal": "end_effector_position",
-    "observation": "joint_positions",
-    "desired_goal": "target_position",
-}
-"""Names of a goal-conditioned environment for the parts of the task's observation, in the task's order."""
+POSITION = 3
+"""Numbers of a position, with which the task's observation begins (the end-effector's) and ends (the target's)."""
 
 
-def split(observations: Any, dof: int) -> dict[str, Any]:
-    """The task's observations (..., 6 + dof), arrays or tensors, as those of a goal-conditioned environment."""
-    slices = observation_slices(dof)
-    return {name: observations[..., slices[part]] for name, part in PARTS.items()}
+def split(stacks: Any) -> dict[str, Any]:
+    """Stacks of the task's observations (..., frames, 6 + dof), arrays or tensors, as a goal-conditioned environment's.
+
+    What is left of them without the target is `observation` (..., frames, 3 + dof).
+    """
+    own = stacks[..., :-POSITION]
+    return {
+        "achieved_goal": own[..., -1, :POSITION],
+        "desired_goal": stacks[..., -1, -POSITION:],
+        "observation": own,
+    }
 
 
-class GoalVectorEnv(StableBaselinesVectorEnv):
+def joined(shown: Mapping[str, torch.Tensor]) -> torch.Tensor:
+    """Stacks (n, frames, 6 + dof) in which each frame has the goal that is desired: the inverse of `split`."""
+    own, goal = shown["observation"], shown["desired_goal"]
+    return torch.cat((own, goal[:, None].expand(-1, own.shape[1], -1)), dim=2)
+
+
+class GoalVectorEnv(FramesVectorEnv):
     """Reach worlds with `achieved_goal`, the end-effector's position, and `desired_goal`, the target's (m)."""
 
     def __init__(self, tolerance: float, *args: Any) -> None:
         super().__init__(*args)
         self.tolerance, self.reward_scale = tolerance, self.env.unwrapped.reward_scale
-        plain = self.env.single_observation_space
-        self.dof = self.action_space.shape[0]
-        low, high = split(plain.low, self.dof), split(plain.high, self.dof)
+        low, high = split(self.history.space.low), split(self.history.space.high)
         self.observation_space = spaces.Dict({name: spaces.Box(low[name], high[name]) for name in low})
 
-    def _shown(self, observations: Any) -> Any:
-        """Observations (..., 6 + dof) by name."""
-        return split(observations, self.dof)
+    def reset(self) -> Any:
+        """Start new episodes in all worlds."""
+        return split(super().reset())
+
+    def step_wait(self) -> Any:
+        """Step all worlds."""
+        observations, rewards, done, infos = super().step_wait()
+        for i in np.flatnonzero(done):
+            infos[i]["terminal_observation"] = split(infos[i]["terminal_observation"])
+        return split(observations), rewards, done, infos
 
     def compute_reward(self, achieved: NDArray[np.floating[Any]], desired: NDArray[np.floating[Any]]) -> Any:
         """Scaled reward (n,) of a step that ends at positions `achieved` (n, 3), for targets `desired` (n, 3)."""
@@ -60,17 +74,17 @@ class GoalVectorEnv(StableBaselinesVectorEnv):
 
 
 class GoalFeatures(BaseFeaturesExtractor):
-    """A view's features of the task's observation, which is concatenated again from its parts."""
+    """A view's features of the stacks of which goals were split."""
 
     def __init__(self, observation_space: spaces.Dict, view: View) -> None:
-        size = spaces.flatdim(observation_space)
-        plain = view.extractor(spaces.Box(-np.inf, np.inf, (size,)))
-        super().__init__(observation_space, plain.features_dim)
-        self.plain = plain
+        frames, own = observation_space["observation"].shape  # type: ignore[misc]
+        features = FrameFeatures(spaces.Box(-np.inf, np.inf, (frames, own + POSITION)), view)
+        super().__init__(observation_space, features.features_dim)
+        self.features = features
 
     def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
         """Features (n, k) of observations by name."""
-        return self.plain(torch.cat([observations[name] for name in PARTS], dim=1))
+        return self.features(joined(observations))
 
 
 class HindsightBuffer(HerReplayBuffer):

@@ -3,6 +3,7 @@
 `armctl train reach_sac` runs this.
 """
 
+import functools
 import warnings
 from pathlib import Path
 from typing import Annotated, Any
@@ -24,6 +25,7 @@ from armctl.rl.learning import REPLAY, decaying, learn
 from armctl.rl.training import Count, Positive, Share, Training, check_no_curriculum
 from armctl.rl.vector import StableBaselinesVectorEnv
 from armctl.tasks import ReachTask
+from armctl.tasks.reach import OBSERVATION
 
 NOISE_TIME_CONSTANT = 10
 """Control steps in which the exploration noise decays to about a third."""
@@ -72,36 +74,35 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
     model = _new_model(venv, training, options) if newest is None else _load(newest, venv)
     training.meter.watch(model)
     with training:
-        dof = venv.dof if isinstance(venv, GoalVectorEnv) else None
-        actor = actor_in(venv, SquashedMean(model.policy, dof), training)
-        return learn(training, model, actor, progress)
+        network = SquashedMean(model.policy, goals=isinstance(venv, GoalVectorEnv))
+        return learn(training, model, actor_in(venv, network, training), progress)
 
 
 class SquashedMean(torch.nn.Module):
     """The mean of a policy's action distribution, squashed into [-1, 1].
 
-    A goal-conditioned policy needs the arm's `dof`, to split observations into goal and rest.
+    A goal-conditioned policy has `goals` split from observations.
     """
 
-    def __init__(self, policy: torch.nn.Module, dof: int | None) -> None:
+    def __init__(self, policy: torch.nn.Module, *, goals: bool) -> None:
         super().__init__()
-        self.actor, self.dof = policy.actor, dof
+        self.actor, self.goals = policy.actor, goals
 
     def forward(self, observation: Any) -> torch.Tensor:
-        """Actions (n, ...) for observations as the task gives them."""
-        shown = observation if self.dof is None else split(observation, self.dof)
+        """Actions (n, ...) for observations of the task, or stacks of them."""
+        shown = split(observation) if self.goals else observation
         return torch.tanh(self.actor.get_action_dist_params(shown)[0])
 
 
 def _vector_env(training: Training, options: SacOptions) -> StableBaselinesVectorEnv:
-    task, view = training.held_out.task, training.view
-    if not (options.relabelled and type(task) is ReachTask):
-        return shown_worlds(training.worlds, view, options)
-    if options.frames > 1:
+    task = training.held_out.task
+    with_goals = options.relabelled and type(task) is ReachTask
+    if with_goals and list(task.options.parts) != list(OBSERVATION):
         raise ConfigurationError(
-            "relabelled transitions are without earlier frames: set the option relabelled to 0, or leave frames out"
+            "hindsight knows the observation 'paper' only: choose that, or set the option relabelled to 0"
         )
-    return GoalVectorEnv(task.options.tolerance, training.worlds, view.action_scale)
+    kind = functools.partial(GoalVectorEnv, task.options.tolerance) if with_goals else None
+    return shown_worlds(training.worlds, training.view, options, kind)
 
 
 def _new_model(venv: StableBaselinesVectorEnv, training: Training, options: SacOptions) -> SAC:

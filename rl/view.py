@@ -31,6 +31,8 @@ class View:
     features_options: Mapping[str, Any] = field(default_factory=dict)
     prepare: Callable[[gymnasium.Space[Any]], torch.nn.Module] | None = None
     """Made with the observation space, it maps observations to smaller ones; None: they stay as they are."""
+    state_features: Callable[[gymnasium.Space[Any]], BaseFeaturesExtractor] | None = None
+    """Made with the space of states, it extracts their features, for a critic that sees them; None: the bare state."""
 
     def preparation(self, observed: gymnasium.Space[Any]) -> torch.nn.Module:
         """From observations to prepared ones."""
@@ -93,7 +95,10 @@ def view_of(worlds: TaskVectorEnv, *, features: Features = "plain", relative: bo
         scale = ActionScale(-largest, largest, declared.relative_to)
     else:
         scale = ActionScale(*worlds.task.action_range)
-    return View(scale, extractor, dict(chosen.options) if chosen else {}, prepare)
+    state_features = None
+    if (states := declared.state_features) is not None:
+        state_features = functools.partial(features_by_name(states.name, worlds.task.state_space), **states.options)
+    return View(scale, extractor, dict(chosen.options) if chosen else {}, prepare, state_features)
 
 
 def _space_of(values: torch.Tensor) -> gymnasium.spaces.Box:

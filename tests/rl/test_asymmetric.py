@@ -1,3 +1,4 @@
+import gymnasium
 import numpy as np
 import pytest
 import torch
@@ -8,8 +9,9 @@ from armctl.envs import make_worlds
 from armctl.errors import ConfigurationError
 from armctl.learners import Recipe, load_recipe
 from armctl.rl import cloned_ppo, ppo
-from armctl.rl.asymmetric import STATE
+from armctl.rl.asymmetric import STATE, Shares
 from armctl.rl.training import Training
+from armctl.rl.view import view_of
 
 BRIDGE = "armctl/BridgeCross-v0"
 CAMERA = {"resolution": (8, 6), "max_episode_steps": 5}
@@ -67,6 +69,22 @@ def test_the_critic_sees_the_state_alone_and_the_actor_does_not(tmp_path):
     assert torch.equal(value, same_value)
     assert not torch.allclose(value, another_value)
     assert not torch.allclose(action, another_action)
+
+
+def test_the_critic_sees_a_state_as_an_agent_of_the_state_does(tmp_path):
+    _, model = untrained(recipe(), tmp_path / "run")
+    worlds = make_worlds(BRIDGE, 3, {"observation": "state"})
+    states, _ = worlds.reset(seed=0)
+    view = view_of(worlds)
+    scans = view.features(worlds.single_observation_space, **view.features_options)
+    found = model.policy.vf_features_extractor({STATE: torch.as_tensor(states)})
+    torch.testing.assert_close(found, scans(torch.as_tensor(states)))
+
+
+def test_numbers_of_a_state_without_features_are_shares_of_their_bounds():
+    shares = Shares(gymnasium.spaces.Box(np.float32([-4, -1, -np.inf, -3]), np.float32([4, 2, np.inf, 0])))
+    found = shares(torch.tensor([[2.0, -1.0, 7.0, -3.0]]))
+    torch.testing.assert_close(found, torch.tensor([[0.5, -0.5, 7.0, -3.0]]))
 
 
 def test_the_state_shown_is_that_of_the_worlds_and_in_the_end_the_last_one(tmp_path):

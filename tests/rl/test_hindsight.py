@@ -1,3 +1,5 @@
+import functools
+
 import numpy as np
 import pytest
 import torch
@@ -5,8 +7,8 @@ from stable_baselines3 import SAC
 
 from armctl import make_policy
 from armctl.envs import TaskVectorEnv
-from armctl.rl.hindsight import GoalFeatures, GoalVectorEnv, HindsightBuffer, split
-from armctl.rl.vector import StableBaselinesVectorEnv
+from armctl.rl.frames import FrameFeatures, FramesVectorEnv, History
+from armctl.rl.hindsight import GoalFeatures, GoalVectorEnv, HindsightBuffer, joined
 from armctl.rl.view import view_of
 from armctl.tasks import ReachTask
 from armctl.tasks.reach.state import GOAL_REWARD, STEP_REWARD
@@ -14,12 +16,12 @@ from armctl.tasks.reach.state import GOAL_REWARD, STEP_REWARD
 TOLERANCE, SCALE = 0.05, 0.1
 
 
-@pytest.fixture(scope="module")
-def model():
-    """SAC in 4 worlds, with some episodes in its buffer, before any learning."""
+@pytest.fixture(scope="module", params=[1, 2])
+def model(request):
+    """SAC in 4 worlds that show 1 or 2 frames, with some episodes in its buffer, before any learning."""
     made = SAC(
         "MultiInputPolicy",
-        goal_worlds(4),
+        goal_worlds(4, request.param),
         learning_starts=10**6,
         buffer_size=2000,
         replay_buffer_class=HindsightBuffer,
@@ -29,24 +31,30 @@ def model():
     return made
 
 
-def goal_worlds(n):
+def worlds_that_show(kind, n, frames):
     env = TaskVectorEnv(n, task=ReachTask, autoreset_mode="same_step", max_episode_steps=30, reward_scale=SCALE)
-    venv = GoalVectorEnv(TOLERANCE, env, view_of(env).action_scale)
+    view = view_of(env)
+    venv = kind(History(view, env.single_observation_space, frames), env, view.action_scale)
     venv.seed(0)
     return venv
 
 
-def test_worlds_with_goals_are_the_same_worlds():
-    env = TaskVectorEnv(3, task=ReachTask, autoreset_mode="same_step", max_episode_steps=4)
-    plain = StableBaselinesVectorEnv(env, view_of(env).action_scale)
-    plain.seed(0)
-    goals = goal_worlds(3)
+def goal_worlds(n, frames=1):
+    return worlds_that_show(functools.partial(GoalVectorEnv, TOLERANCE), n, frames)
+
+
+@pytest.mark.parametrize("frames", [1, 3])
+def test_worlds_with_goals_are_the_same_worlds(frames):
+    goals, plain = goal_worlds(3, frames), worlds_that_show(FramesVectorEnv, 3, frames)
     shown, expected = goals.reset(), plain.reset()
-    assert goals.observation_space.contains({name: values[0] for name, values in shown.items()})
-    for name, values in split(expected, 6).items():
-        np.testing.assert_array_equal(shown[name], values)
-    np.testing.assert_array_equal(shown["achieved_goal"], goals.env.task.state.end_effector_position.astype(np.float32))
-    np.testing.assert_array_equal(shown["desired_goal"], goals.env.task.state.target_position.astype(np.float32))
+    for _ in range(5):
+        assert goals.observation_space.contains({name: values[0] for name, values in shown.items()})
+        np.testing.assert_array_equal(joined({name: torch.as_tensor(part) for name, part in shown.items()}), expected)
+        state = goals.env.task.state
+        np.testing.assert_array_equal(shown["achieved_goal"], state.end_effector_position.astype(np.float32))
+        np.testing.assert_array_equal(shown["desired_goal"], state.target_position.astype(np.float32))
+        action = np.full((3, 6), 0.3, dtype=np.float32)
+        shown, expected = goals.step(action)[0], plain.step(action)[0]
 
 
 def test_the_last_observation_of_an_episode_has_goals_too():
@@ -113,11 +121,18 @@ def test_the_critic_learns_that_nothing_comes_after_a_relabelled_success(model, 
     assert (targets[0][going_on] > 0.9 * promise).all()
 
 
-def test_features_of_goals_are_those_of_the_plain_observation():
-    worlds = TaskVectorEnv(7, task=ReachTask)
-    observations, _ = worlds.reset(seed=0)
-    view = view_of(worlds)
-    goals = GoalFeatures(goal_worlds(1).observation_space, view)
-    plain = view.features(worlds.single_observation_space, **view.features_options)
-    shown = split(torch.as_tensor(observations), 6)
-    torch.testing.assert_close(goals(shown), plain(torch.as_tensor(observations)))
+@pytest.mark.parametrize("frames", [1, 2])
+def test_features_of_goals_are_those_of_stacks_with_another_target(frames):
+    venv = goal_worlds(7, frames)
+    venv.reset()
+    shown = venv.step(np.full((7, 6), 0.5, dtype=np.float32))[0]
+    view = view_of(venv.env)
+    goals, plain = (kind(space, view) for kind, space in (
+        (GoalFeatures, venv.observation_space), (FrameFeatures, venv.history.space)
+    ))  # fmt: skip
+    shown = {name: torch.as_tensor(part) for name, part in shown.items()}
+    elsewhere = shown | {"desired_goal": shown["desired_goal"].flip(0)}
+    stacks = joined(elsewhere)
+    assert (stacks[:, :, -3:] == shown["desired_goal"].flip(0)[:, None]).all()
+    torch.testing.assert_close(goals(elsewhere), plain(stacks))
+    assert not torch.allclose(goals(elsewhere), goals(shown))

@@ -11,6 +11,7 @@ from armctl.envs import TaskVectorEnv
 from armctl.errors import ConfigurationError
 from armctl.evaluation import evaluate
 from armctl.learners import load_recipe
+from armctl.rl.frames import History
 from armctl.rl.hindsight import GoalVectorEnv, split
 from armctl.rl.learning import REPLAY
 from armctl.rl.sac import SacOptions, _noise, train
@@ -25,6 +26,7 @@ SMALL = {
     "buffer_size": 4000,
     "random_steps": 400,
     "features": "invariant",
+    "frames": 2,
     "evaluation_every": 400,
     "validation_episodes": 4,
     "evaluation_episodes": 4,
@@ -53,9 +55,10 @@ def test_exported_graph_is_the_squashed_mean_of_plain_observations(trained):
     worlds = TaskVectorEnv(50, task=ReachTask)
     observations, _ = worlds.reset(seed=0)
     env = TaskVectorEnv(8, task=ReachTask, autoreset_mode="same_step")
-    goals = GoalVectorEnv(0.05, env, view_of(env).action_scale)
+    view = view_of(env)
+    goals = GoalVectorEnv(0.05, History(view, env.single_observation_space, 2), env, view.action_scale)
     model = SAC.load(out / "checkpoints" / f"{card.best_after}.zip", goals, "cpu")
-    raw = model.predict(split(observations, 6), deterministic=True)[0]
+    raw = model.predict(split(np.stack((observations, observations), axis=1)), deterministic=True)[0]
     assert np.ptp(raw) > 0.01
     expected = observations[:, 3:9] + 0.5 * raw
     np.testing.assert_allclose(load_agent(out / "agent.json", worlds).act(observations), expected, atol=1e-5)
@@ -90,9 +93,15 @@ def test_training_is_reproducible(trained, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "changes", [{"shaping": "distance"}, {"reward_weights": {"step": 0.5}}, {"env_options": {"reward": {}}}]
+    "changes",
+    [
+        {"shaping": "distance"},
+        {"reward_weights": {"step": 0.5}},
+        {"env_options": {"reward": {}}},
+        {"env_options": {"observation": "full"}},
+    ],
 )
-def test_hindsight_knows_the_plain_reward_only(tmp_path, changes):
+def test_hindsight_knows_the_plain_reward_and_observation_only(tmp_path, changes):
     with pytest.raises(ConfigurationError, match="relabelled to 0"):
         train(small().changed(**changes), out=tmp_path / "run", seed=0)
     assert not (tmp_path / "run").exists()

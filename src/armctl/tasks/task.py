@@ -86,6 +86,8 @@ class LearnerView:
     """Features that are invariant under the task's symmetries, if it has any."""
     model_features: FeatureSpec | None = None
     """Features that know the robot's geometry, if there are any: an agent with them sees the robot's model."""
+    state_features: FeatureSpec | None = None
+    """Of the state, for a privileged critic; None: the bare state."""
 
 
 class Potential(ABC):

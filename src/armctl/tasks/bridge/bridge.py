@@ -135,26 +135,29 @@ class BridgeTask(Task):
     @property
     def learner_view(self) -> LearnerView:
         """Features: scans of what is around the rover in a state, or how far it is in each column of a depth image."""
-        options = self.options
+        options, half_width = self.options, free_half_width(self.options.deck_width)
+        scans = FeatureSpec(
+            "surroundings",
+            {
+                "blocks": options.blocks,
+                "walkers": options.walkers,
+                "half_width": half_width,
+                "goal_x": self.goal_x,
+                "radius": WALKER_RADIUS,
+                "turn": half_width - TURNING_MARGIN,
+            },
+        )
         if options.view == "state":
-            counts = {"blocks": options.blocks, "walkers": options.walkers}
-            half_width = free_half_width(options.deck_width)
-            sizes = {"half_width": half_width, "goal_x": self.goal_x, "radius": WALKER_RADIUS}
-            return LearnerView(
-                features=FeatureSpec("surroundings", counts | sizes | {"turn": half_width - TURNING_MARGIN})
-            )
-        if options.view != "ranges" and (options.view, options.camera, options.image_format) != (
-            "camera",
-            "depth",
-            "float",
-        ):
-            return LearnerView()
+            return LearnerView(features=scans, state_features=scans)
+        depths = (options.view, options.camera, options.image_format) == ("camera", "depth", "float")
+        if options.view != "ranges" and not depths:
+            return LearnerView(state_features=scans)
         measured = {
             "field_of_view": options.field_of_view,
             "farthest": options.camera_range,
             "pitch": camera_pitch(self.simulation.model),
         }
-        return LearnerView(features=FeatureSpec("nearness", {}, "column_ranges", measured))
+        return LearnerView(features=FeatureSpec("nearness", {}, "column_ranges", measured), state_features=scans)
 
     @property
     def action_range(self) -> tuple[NDArray[Any], NDArray[Any]]:
