@@ -7,7 +7,7 @@ from gymnasium import spaces
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 BEAMS = 48
-AHEAD = (0.0, 0.4, 0.8, 1.2, 1.6, 2.2, 3.0)
+AHEAD = (0.0, 0.4, 0.8, 1.2, 1.6)
 """s: times at which people are predicted. They walk on straight, and turn back before they get to a barrier."""
 NEAR = 0.5
 """m: nearness is NEAR / (NEAR + distance)."""

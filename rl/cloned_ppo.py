@@ -57,8 +57,6 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
     options = recipe.read_options(ClonedPpoOptions)
     if options.frames > 1:
         raise ConfigurationError("cloned_ppo clones from single observations: leave the option frames out")
-    if options.averaging:
-        raise ConfigurationError("cloned_ppo improves the clone itself: leave the option averaging out")
     training = Training(recipe, options, out, seed, resume)
     model, examples = load_or_make(training, options, AnchoredPpo), examples_for(training, options)
     model.anchor_weight, model.anchor_decay = options.clone_weight, options.clone_decay

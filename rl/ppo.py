@@ -17,7 +17,6 @@ from armctl.learners import Recipe
 from armctl.options import options
 from armctl.rl.actor import Actor
 from armctl.rl.asymmetric import AsymmetricPolicy, AsymmetricVectorEnv
-from armctl.rl.averaged_ppo import AveragedPpo
 from armctl.rl.frames import FrameOptions, actor_in, features_of, shown_worlds
 from armctl.rl.learning import decaying, learn
 from armctl.rl.training import Count, Positive, Share, Training
@@ -44,8 +43,6 @@ class PpoOptions(FrameOptions):
     reward_scale: Positive = 0.02
     activation: Literal["elu", "relu"] = "elu"
     """After each layer of the network."""
-    averaging: Annotated[float, Field(ge=0, lt=1)] = 0.0
-    """With more than 0, the agent is a moving average of the policy: the share of it that each update leaves."""
     privileged_critic: bool = False
     """Whether the critic sees the state, which the actor does not. The agent is the actor."""
 
@@ -54,8 +51,7 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
     """Train an agent into the folder `out`. See `armctl.rl.training.Training`, also for the errors raised."""
     options = recipe.read_options(PpoOptions)
     training = Training(recipe, options, out, seed, resume)
-    model = load_or_make(training, options, AveragedPpo if options.averaging else PPO)
-    model.averaging = options.averaging
+    model = load_or_make(training, options, PPO)
     with training:
         return learn(training, model, actor_of(model, training), progress, functools.partial(shown, training, options))
 
@@ -106,8 +102,8 @@ def new_model(venv: StableBaselinesVectorEnv, view: View, options: PpoOptions, s
 
 
 def actor_of(model: PPO, training: Training) -> Actor:
-    """An actor that shares the model's network, or the average of it."""
-    return actor_in(model.env, MeanAction(getattr(model, "average", model.policy)), training)
+    """An actor that shares the model's network."""
+    return actor_in(model.env, MeanAction(model.policy), training)
 
 
 class MeanAction(torch.nn.Module):

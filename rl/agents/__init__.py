@@ -3,9 +3,10 @@
 from pathlib import Path
 
 from armctl.agents import OnnxPolicy, load_agent
-from armctl.envs import EpisodeVectorEnv, Interface, ModelInterface
+from armctl.envs import EpisodeVectorEnv, Interface, ModelInterface, TaskVectorEnv
 from armctl.policies import sees
 from armctl.rl.imagining import ImaginingPolicy
+from armctl.rl.looking_ahead import LookingAheadPolicy, looking_ahead
 
 FOLDER = Path(__file__).parent
 
@@ -72,6 +73,12 @@ def bridge_state_ppo(env: EpisodeVectorEnv) -> OnnxPolicy:
 def bridge_moving_state_ppo(env: EpisodeVectorEnv) -> OnnxPolicy:
     """PPO on `armctl/BridgeCrossMoving-v0`, without physics; it sees the true state."""
     return load_agent(FOLDER / "bridge_moving_state_ppo.json", env)
+
+
+@sees("state")
+def bridge_moving_imagined(env: TaskVectorEnv) -> LookingAheadPolicy:
+    """`bridge_moving_state_ppo`, which looks ahead: where it would touch something, it tries other commands first."""
+    return looking_ahead(FOLDER / "bridge_moving_state_ppo.json", env)
 
 
 def bridge_distil(env: Interface) -> OnnxPolicy:

@@ -4,6 +4,7 @@ It is for training: far faster than MuJoCo (`benchmarks/planar.py`), and near en
 there. Wheels do not skid, nothing topples, and the rover stops at the first contact.
 """
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,7 +12,7 @@ from armctl.kernels import planar as kernel
 from armctl.robots.rover import CAMERA, MAX_VELOCITY, PARTS, PREFIX, WHEEL_RADIUS, WHEELS, Rover
 from armctl.simulation import Simulation
 from armctl.tasks.bridge.furniture import Furniture
-from armctl.tasks.bridge.layout import Layout
+from armctl.tasks.bridge.layout import TURNING_MARGIN, Layout
 from armctl.tasks.bridge.observation import camera_pitch, column_directions
 from armctl.tasks.bridge.options import CONTROL_PERIOD, BridgeOptions
 from armctl.tasks.bridge.world import CONTACT_CLASSES, GOAL_MARGIN, WALKER_RADIUS, free_half_width, segment_names
@@ -29,6 +30,24 @@ FARTHEST_HOLE = 2.5
 """m: holes in the deck are seen up to this distance."""
 
 
+class Geometry:
+    """The sizes of bridges and rovers, which keep `margin` m more than in physics from everything."""
+
+    def __init__(self, options: BridgeOptions, model: mujoco.MjModel, margin: float = 0.0) -> None:
+        half_width = free_half_width(options.deck_width)
+        self.deck = kernel.Deck(options.deck_length, half_width, WALKER_RADIUS, options.deck_width / 2)
+        self.segments = len(segment_names(options.deck_length)) // 2
+        """Jersey barriers on each side."""
+        self.turn = half_width - TURNING_MARGIN
+        """m from the middle of the deck, at which people who walk across turn back."""
+        base, wheel = model.geom(PREFIX + "base").size, model.geom(PREFIX + WHEELS[0]).size
+        self.wheels = np.array([model.body(PREFIX + name).pos[:2] for name in WHEELS])
+        """(4, 2) m from the rover's middle: ahead and to the left."""
+        wheels = self.wheels.max(axis=0) + wheel[:2]
+        self.outline = np.array([base[:2], wheels]) + MARGIN + margin
+        """(2, 2) m: half lengths and half widths of the rectangles of base and wheels."""
+
+
 class PlanarRover(Rover):
     """n rovers without physics. Their poses are in the simulation's `qpos`, where pictures find them."""
 
@@ -39,18 +58,11 @@ class PlanarRover(Rover):
         n, self._furniture, self._options = simulation.n, furniture, options
         self._walkers = walkers = furniture.moves.places
         self._poses, self._velocities, self._commands = np.zeros((n, 3)), np.zeros((n, 2)), np.zeros((n, 2))
-        self._deck = kernel.Deck(
-            options.deck_length, free_half_width(options.deck_width), WALKER_RADIUS, options.deck_width / 2
-        )
-        segments = len(segment_names(options.deck_length)) // 2
+        self._geometry = geometry = Geometry(options, simulation.model)
         self._scenes = kernel.Scenes(
-            np.zeros((n, options.blocks, 6)), np.ones((n, 2, segments), dtype=bool), walkers[-1]
+            np.zeros((n, options.blocks, 6)), np.ones((n, 2, geometry.segments), dtype=bool), walkers[-1]
         )
         model = simulation.model
-        base, wheel = model.geom(PREFIX + "base").size, model.geom(PREFIX + WHEELS[0]).size
-        self._wheel_places = np.array([model.body(PREFIX + name).pos[:2] for name in WHEELS])
-        wheels = self._wheel_places.max(axis=0) + wheel[:2]
-        self._outline = np.array([base[:2], wheels]) + MARGIN
         self._camera_ahead = model.camera(CAMERA).pos[0]
         self._directions = column_directions(options, camera_pitch(model))
         self._goal_x = options.deck_length - GOAL_MARGIN - model.geom("goal_line").size[0]
@@ -78,9 +90,9 @@ class PlanarRover(Rover):
 
     def drive(self, ids: Ids | None) -> None:
         """Drive for one control step, in worlds `ids` or in all."""
-        ids = self._worlds if ids is None else ids
+        ids, sizes = self._worlds if ids is None else ids, self._geometry
         kernel.drive(
-            ids, self._deck, self._scenes, ACCELERATION, self._outline, self._walkers, CONTROL_PERIOD,
+            ids, sizes.deck, self._scenes, ACCELERATION, sizes.outline, self._walkers, CONTROL_PERIOD,
             self._commands, self._poses, self._velocities, self._touched,
         )  # fmt: skip
         self._furniture.move_walkers(self._worlds, self._walkers[-1])
@@ -93,9 +105,9 @@ class PlanarRover(Rover):
         """Ranges (n, columns) from the camera, m, in the directions of its image's columns at the horizon."""
         ids = self._worlds if ids is None else ids
         ranges = np.empty((len(ids), len(self._directions)), dtype=np.float32)
-        half_width = self._deck.half_width + SEEN_BEHIND_FOOT
+        deck, farthest = self._geometry.deck, self._options.camera_range
         kernel.scan(
-            ids, self._deck, self._scenes, half_width, self._camera_ahead, self._directions, self._options.camera_range,
+            ids, deck, self._scenes, deck.half_width + SEEN_BEHIND_FOOT, self._camera_ahead, self._directions, farthest,
             FARTHEST_HOLE, self._poses, ranges,
         )  # fmt: skip
         return ranges
@@ -146,6 +158,6 @@ class PlanarRover(Rover):
     def _wheel_positions(self) -> Array:
         """(n, 4, 2) m."""
         cos, sin = np.cos(self._poses[:, 2])[:, None], np.sin(self._poses[:, 2])[:, None]
-        ahead, left = self._wheel_places.T
+        ahead, left = self._geometry.wheels.T
         turned = np.stack((ahead * cos - left * sin, ahead * sin + left * cos), axis=-1)
         return np.asarray(self._poses[:, None, :2] + turned)
