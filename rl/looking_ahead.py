@@ -53,13 +53,13 @@ class LookAheadOptions:
 class LookingAheadPolicy:
     """n agents that look ahead, each of which acts in its own world like `agent`, which sees the state.
 
-    Raises `ConfigurationError` for an agent or a task of another kind.
+    Raises `ConfigurationError` for an agent of another kind.
     """
 
     sees: Sees = "state"
 
     def __init__(self, agent: OnnxPolicy, env: TaskVectorEnv, options: LookAheadOptions | None = None) -> None:
-        if not isinstance(env.task, BridgeTask) or agent.sees != "state" or agent.card.memory:
+        if agent.sees != "state" or agent.card.memory:
             raise ConfigurationError("only agents without a memory that see a bridge's state look ahead there")
         self.options = options or LookAheadOptions()
         self.training_steps, self.training_cost = agent.training_steps, agent.training_cost
@@ -99,7 +99,12 @@ class LookingAheadPolicy:
 
 
 def looking_ahead(card: Path, env: TaskVectorEnv, options: LookAheadOptions | None = None) -> LookingAheadPolicy:
-    """The agent with a `card`, which sees the state whatever the worlds of `env` show."""
+    """The agent with a `card`, which sees the state whatever the worlds of `env` show.
+
+    Raises `ConfigurationError` for another task than the bridge, and what `LookingAheadPolicy` and `load_agent` raise.
+    """
+    if not isinstance(env.task, BridgeTask):
+        raise ConfigurationError("agents look ahead on bridges only: use armctl/BridgeCrossMoving-v0")
     of_state = dataclasses.replace(env.task.options, observation="state")
     with closing(TaskVectorEnv(1, task=type(env.task), **vars(of_state))) as worlds:
         return LookingAheadPolicy(load_agent(card, worlds), env, options)

@@ -18,7 +18,13 @@ LINES_UP = {
         "random",
     ),
     "armctl/BridgeCross-v0": ("bridge_ompl", "bridge_mpc", "bridge_ppo", "bridge_dagger", "random"),
-    "armctl/BridgeCrossMoving-v0": ("bridge_ompl", "bridge_mpc", "bridge_moving_distil", "random"),
+    "armctl/BridgeCrossMoving-v0": (
+        "bridge_ompl",
+        "bridge_mpc",
+        "bridge_moving_imagined",
+        "bridge_moving_distil",
+        "random",
+    ),
 }
 SETTINGS = {"one": (1, 1), "seven": (7, 1), "many": (64, 1), "two workers": (3, 2)}
 

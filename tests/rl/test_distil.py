@@ -49,8 +49,8 @@ def state_agent(tmp_path_factory):
     out = tmp_path_factory.mktemp("runs") / "state"
     options = {"steps": 16, "worlds": 2, "rollout_length": 4, "batch_size": 8, "validation_episodes": 2,
                "evaluation_episodes": 2}  # fmt: skip
-    chosen = load_recipe("ppo", "armctl/BridgeCross-v0").changed(
-        shaping=None, env_options={"observation": "state", "max_episode_steps": 6}, options=options
+    chosen = load_recipe("bridge_state_ppo").changed(
+        env_options={"observation": "state", "max_episode_steps": 6}, training_options={}, options=options
     )
     ppo.train(chosen, out=out, seed=0, progress=False)
     return out / "agent.json"

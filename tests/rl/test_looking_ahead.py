@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from armctl.envs import make_worlds
-from armctl.errors import ConfigurationError
+from armctl.errors import ArmctlError, ConfigurationError
 from armctl.policies import make_policy, sees
 from armctl.rl.bridge_scans import OWN
 from armctl.rl.looking_ahead import ImaginedRovers, LookAheadOptions, LookingAheadPolicy
@@ -117,15 +117,19 @@ def test_it_sees_the_state_whatever_its_worlds_show():
         np.testing.assert_array_equal(found, expected)
 
 
-def test_agents_with_a_memory_and_other_tasks_are_refused():
+def test_agents_with_a_memory_are_refused(worlds):
     class Remembering(Straight):
         card = type("", (), {"memory": {"hidden": [4]}})()
 
-    arm, bridge = make_worlds("armctl/ArmReach-v0", 1), make_worlds(ENV, 1, STATE)
-    for worlds, agent in ((arm, Straight()), (bridge, Remembering())):
-        with pytest.raises(ConfigurationError, match="without a memory"):
-            look(worlds, agent)
-        worlds.close()
+    with pytest.raises(ConfigurationError, match="without a memory"):
+        look(worlds, Remembering())
+
+
+def test_bridges_with_other_counts_are_refused():
+    worlds = make_worlds(ENV, 1, {"walkers": 2})
+    with pytest.raises(ArmctlError, match=r"maps observations .33. .* here they are .29."):
+        make_policy("bridge_moving_imagined", worlds)
+    worlds.close()
 
 
 @pytest.mark.parametrize("options", [{"steps": 0}, {"steps": 19}, {"held": 0}, {"margin": -0.1}])

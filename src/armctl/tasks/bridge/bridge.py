@@ -325,4 +325,4 @@ class BridgeMovingTask(BridgeTask):
     """The same, with pedestrians who walk across and along the bridge."""
 
     options_type: ClassVar[type[Any]] = BridgeMovingOptions
-    default_policies = ("bridge_ompl", "bridge_mpc", "bridge_moving_distil", "random")
+    default_policies = ("bridge_ompl", "bridge_mpc", "bridge_moving_imagined", "bridge_moving_distil", "random")
