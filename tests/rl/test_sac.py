@@ -43,6 +43,13 @@ def trained(tmp_path_factory):
     return out, train(small(), out=out, seed=1, progress=False)
 
 
+def checkpoint(out, steps):
+    env = TaskVectorEnv(8, task=ReachTask, autoreset_mode="same_step")
+    view = view_of(env)
+    goals = GoalVectorEnv(0.05, History(view, env.single_observation_space, 2), env, view.action_scale)
+    return SAC.load(out / "checkpoints" / f"{steps}.zip", goals, "cpu")
+
+
 def test_training_leaves_a_runnable_agent(trained):
     out, card = trained
     assert (card.recipe, card.learner, card.training_steps) == ("reach_sac", "sac", 800)
@@ -54,10 +61,7 @@ def test_exported_graph_is_the_squashed_mean_of_plain_observations(trained):
     out, card = trained
     worlds = TaskVectorEnv(50, task=ReachTask)
     observations, _ = worlds.reset(seed=0)
-    env = TaskVectorEnv(8, task=ReachTask, autoreset_mode="same_step")
-    view = view_of(env)
-    goals = GoalVectorEnv(0.05, History(view, env.single_observation_space, 2), env, view.action_scale)
-    model = SAC.load(out / "checkpoints" / f"{card.best_after}.zip", goals, "cpu")
+    model = checkpoint(out, card.best_after)
     raw = model.predict(split(np.stack((observations, observations), axis=1)), deterministic=True)[0]
     assert np.ptp(raw) > 0.01
     expected = observations[:, 3:9] + 0.5 * raw
@@ -133,3 +137,10 @@ def test_noise_differs_from_world_to_world():
     assert played[:, 2].std() == pytest.approx(0.4 / np.sqrt(0.2), rel=0.15)
     lasting = np.corrcoef(played[:-1, 2].ravel(), played[1:, 2].ravel())[0, 1]
     assert lasting == pytest.approx(0.9, abs=0.05)
+
+
+def test_the_rate_decays_and_the_entropy_is_tuned_to_its_target(tmp_path):
+    train(small(target_entropy=0.5), out=tmp_path / "small", seed=1, progress=False)
+    model = checkpoint(tmp_path / "small", 800)
+    assert model.target_entropy == 0.5 * 6
+    assert [model.lr_schedule(left) for left in (1.0, 0.5, 0.0)] == pytest.approx([1e-3, 5e-4, 5e-5])
