@@ -26,7 +26,7 @@ REACH, MOVING, OBSTACLES = "armctl/ArmReach-v0", "armctl/ArmReachMoving-v0", "ar
 BRIDGE, BRIDGE_MOVING = "armctl/BridgeCross-v0", "armctl/BridgeCrossMoving-v0"
 EXPERTS = ("reach_ik", "reach_mpc", "reach_ompl", "bridge_ompl", "bridge_mpc")
 AGENTS = ("reach_ppo", "reach_bc", "reach_dagger", "reach_sac", "moving_ppo")
-DRIVERS = ("bridge_ppo", "bridge_dagger")
+DRIVERS = ("bridge_ppo", "bridge_distil")
 POLICIES = (*EXPERTS, *AGENTS, *DRIVERS, "random")
 SEED = 7
 

@@ -31,11 +31,6 @@ def reach_dagger(env: Interface) -> OnnxPolicy:
     return load_agent(FOLDER / "reach_dagger.json", env)
 
 
-def bridge_dagger(env: Interface) -> OnnxPolicy:
-    """DAgger on `armctl/BridgeCross-v0`, from `bridge_ompl`; it sees the depth camera and its own motion."""
-    return load_agent(FOLDER / "bridge_dagger.json", env)
-
-
 def reach_sac(env: Interface) -> OnnxPolicy:
     """SAC with hindsight on `armctl/ArmReach-v0`, without reward shaping."""
     return load_agent(FOLDER / "reach_sac.json", env)

@@ -17,7 +17,7 @@ LINES_UP = {
         "obstacles_imagined",
         "random",
     ),
-    "armctl/BridgeCross-v0": ("bridge_ompl", "bridge_mpc", "bridge_ppo", "bridge_dagger", "random"),
+    "armctl/BridgeCross-v0": ("bridge_ompl", "bridge_mpc", "bridge_ppo", "bridge_distil", "random"),
     "armctl/BridgeCrossMoving-v0": (
         "bridge_ompl",
         "bridge_mpc",

@@ -86,8 +86,10 @@ def test_rounds_need_episodes(tmp_path):
 
 
 def test_a_privileged_teacher_has_a_pupil_who_sees_the_camera(tmp_path):
-    recipe = small("bridge_dagger", demonstrations=2, rounds=2, steps=4, validation_episodes=2, evaluation_episodes=2)
-    recipe = recipe.changed(env_options={"resolution": (8, 6), "max_episode_steps": 8})
+    recipe = small("reach_dagger", demonstrations=2, rounds=2, steps=4, validation_episodes=2, evaluation_episodes=2)
+    recipe = recipe.changed(
+        env="armctl/BridgeCross-v0", env_options={"resolution": (8, 6), "max_episode_steps": 8}, teacher="bridge_ompl"
+    )
     card = dagger(recipe, out=tmp_path / "run", seed=0, progress=False)
     assert card.observation_shape == {"image": [6, 8], "motion": [3]}
     assert card.teacher == "bridge_ompl"
