@@ -69,8 +69,9 @@ class Surroundings(BaseFeaturesExtractor):
 def people_after(people: torch.Tensor, time: float, turn: float) -> torch.Tensor:
     """Positions (n, k, 2) after `time` s of people (n, k, 4) who turn back `turn` m from the middle of the bridge."""
     x, y = (people[..., :2] + time * people[..., 2:]).unbind(-1)
-    beyond = (y.abs() - turn).clamp(min=0.0)
-    return torch.stack((x, y - 2 * beyond * y.sign()), dim=-1)
+    walked = y + turn
+    there_and_back = walked - 4 * turn * torch.floor(walked / (4 * turn))
+    return torch.stack((x, turn - (there_and_back - 2 * turn).abs()), dim=-1)
 
 
 def nearness(distances: torch.Tensor) -> torch.Tensor:

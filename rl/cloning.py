@@ -2,13 +2,11 @@
 
 import itertools
 from collections.abc import Callable, Iterator
-from contextlib import closing
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from tqdm import tqdm
 
 from armctl.agents import AgentCard
@@ -23,6 +21,7 @@ from armctl.policies import Policy, make_policy
 from armctl.policies.trainings import card_of
 from armctl.rl.actor import Actor, tensors
 from armctl.rl.disk import save_torch
+from armctl.rl.of_state import OfState, world_of_states
 from armctl.rl.training import Count, Share, Training, TrainingOptions, bar_fits
 from armctl.rl.view import Features
 from armctl.tasks import ReachMovingTask, ReachTask
@@ -134,19 +133,6 @@ class Teacher:
         return [episode for _, episode in played]
 
 
-class OfState:
-    """An agent that sees the state of worlds, whatever these show."""
-
-    training_steps = 0
-
-    def __init__(self, agent: Policy, worlds: TaskVectorEnv) -> None:
-        self.sees, self.reset, self._agent, self._task = agent.sees, agent.reset, agent, worlds.task
-
-    def act(self, observations: Any) -> NDArray[Any]:
-        """Actions (n, ...) for the present states."""
-        return self._agent.act(self._task.state_observation())
-
-
 def teacher_in(worlds: TaskVectorEnv, recipe: Recipe) -> Policy:
     """The recipe's teacher in these worlds of its environment. An agent that was trained to see the state sees theirs.
 
@@ -157,7 +143,7 @@ def teacher_in(worlds: TaskVectorEnv, recipe: Recipe) -> Policy:
     card = card_of(recipe.teacher)
     if card is None or card.sees != "state" or worlds.task.state_space is None:
         return make_policy(recipe.teacher, worlds)
-    with closing(make_worlds(recipe.env, 1, recipe.options_in_training | {"observation": "state"})) as seen:
+    with world_of_states(worlds) as seen:
         return OfState(make_policy(recipe.teacher, seen), worlds)
 
 

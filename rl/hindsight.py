@@ -16,9 +16,10 @@ from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 
 from armctl.rl.frames import FrameFeatures, FramesVectorEnv
 from armctl.rl.view import View
+from armctl.tasks.reach import observation_sizes
 from armctl.tasks.reach.state import GOAL_REWARD, STEP_REWARD
 
-POSITION = 3
+POSITION = observation_sizes(dof=0)["target_position"]
 """Numbers of a position, with which the task's observation begins (the end-effector's) and ends (the target's)."""
 
 

@@ -8,9 +8,7 @@ with a learned base policy (Bertsekas, "Rollout algorithms for discrete optimiza
 only before a contact.
 """
 
-import dataclasses
 import itertools
-from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -25,29 +23,29 @@ from armctl.errors import ConfigurationError
 from armctl.kernels import planar
 from armctl.options import options
 from armctl.rl.bridge_scans import BLOCK, OWN, WALKER, people_after
+from armctl.rl.of_state import world_of_states
 from armctl.tasks import BridgeTask
 from armctl.tasks.bridge import CONTROL_PERIOD
 from armctl.tasks.bridge.options import MOVES
-from armctl.tasks.bridge.planar import ACCELERATION, Geometry
+from armctl.tasks.bridge.planar import ACCELERATION, Geometry, block_rows
 
 Array = NDArray[np.float64]
 Count = Annotated[int, Field(ge=1)]
+Velocities = Annotated[tuple[float, ...], Field(min_length=1)]
 
 
 @options
 class LookAheadOptions:
-    """Options of a `LookingAheadPolicy`."""
+    """Options of a `LookingAheadPolicy`. Each pair of velocities is tried; agents themselves drive no faster."""
 
-    steps: Annotated[int, Field(ge=1, le=18)] = 18
-    """Control steps that are imagined: in these, nobody walks across the whole bridge and turns back twice."""
+    steps: Count = 18
+    """Control steps that are imagined."""
     held: Count = 5
-    """Control steps for which other commands are tried."""
-    linear: tuple[float, ...] = (-1.0, -0.3, 0.0, 0.4, 0.8, 1.2, 1.6)
-    """m/s, of other commands."""
-    angular: tuple[float, ...] = (-2.0, -1.0, 0.0, 1.0, 2.0)
-    """rad/s, of other commands."""
-    margin: Annotated[float, Field(ge=0)] = 0.0
-    """m, kept from everything in imagination, beyond what worlds without physics keep."""
+    """Control steps for which another command is held."""
+    linear: Velocities = (-0.3, 0.0, 0.4, 0.8, 1.2, 1.6)
+    """m/s."""
+    angular: Velocities = (-2.0, -1.0, 0.0, 1.0, 2.0)
+    """rad/s."""
 
 
 class LookingAheadPolicy:
@@ -65,7 +63,7 @@ class LookingAheadPolicy:
         self.training_steps, self.training_cost = agent.training_steps, agent.training_cost
         self.reset = agent.reset
         self._agent, self._task = agent, env.task
-        self._geometry = Geometry(env.task.options, env.task.simulation.model, self.options.margin)
+        self._geometry = Geometry.of(env.task.options, env.task.simulation.model)
         self._others = np.array(list(itertools.product(self.options.linear, self.options.angular)))
         self.failures = np.zeros(env.num_envs, dtype=np.int64)
         """(n,) in how many control steps everything that was tried ended in a contact."""
@@ -74,28 +72,32 @@ class LookingAheadPolicy:
         """Linear and angular velocities (n, 2), m/s and rad/s."""
         states = self._task.state_observation()
         commands = np.asarray(self._agent.act(states), float)
-        lasted, _ = self._drive_on(states, commands, 1)
-        risky = np.flatnonzero(lasted < self.options.steps)
+        alone = self._driven(states, commands, held=1)
+        risky = np.flatnonzero(alone.free_at_first & (alone.lasted < self.options.steps))
         if len(risky):
             count = len(self._others)
-            tried = np.tile(self._others, (len(risky), 1))
-            others, got_to = self._drive_on(states[risky].repeat(count, 0), tried, self.options.held)
-            best = (others + 1e-3 * got_to).reshape(-1, count).argmax(axis=1)
-            others = others.reshape(-1, count)[np.arange(len(risky)), best]
-            better = others > lasted[risky]
+            tried = self._driven(
+                states[risky].repeat(count, 0), np.tile(self._others, (len(risky), 1)), self.options.held
+            )
+            lasted, got_to = tried.lasted.reshape(-1, count), tried.poses[:, 0].reshape(-1, count)
+            best = np.lexsort((got_to, lasted))[:, -1]
+            longest = lasted[np.arange(len(risky)), best]
+            better = longest > alone.lasted[risky]
             commands[risky[better]] = self._others[best[better]]
-            self.failures[risky] += np.maximum(others, lasted[risky]) < self.options.steps
+            self.failures[risky] += np.maximum(longest, alone.lasted[risky]) < self.options.steps
         return commands
 
-    def _drive_on(self, states: NDArray[np.float32], commands: Array, held: int) -> tuple[NDArray[np.intp], Array]:
-        """How many control steps go well, (n,), if commands (n, 2) are held first; and the x (m) that rovers get to."""
-        rovers, commands = ImaginedRovers(self._task, self._geometry, states), commands.copy()
+    def _driven(self, states: NDArray[np.float32], commands: Array, held: int) -> "ImaginedRovers":
+        """Rovers that hold commands (n, 2) first, and then drive on as the agent does."""
+        rovers, commands = ImaginedRovers(self._geometry, states, self.options.steps), commands.copy()
         for step in range(self.options.steps):
             going = rovers.going
-            if step >= held and len(going):
+            if not len(going):
+                break
+            if step >= held:
                 commands[going] = self._agent.act(rovers.states(going))
             rovers.drive(commands)
-        return rovers.lasted, rovers.poses[:, 0]
+        return rovers
 
 
 def looking_ahead(card: Path, env: TaskVectorEnv, options: LookAheadOptions | None = None) -> LookingAheadPolicy:
@@ -105,59 +107,65 @@ def looking_ahead(card: Path, env: TaskVectorEnv, options: LookAheadOptions | No
     """
     if not isinstance(env.task, BridgeTask):
         raise ConfigurationError("agents look ahead on bridges only: use armctl/BridgeCrossMoving-v0")
-    of_state = dataclasses.replace(env.task.options, observation="state")
-    with closing(TaskVectorEnv(1, task=type(env.task), **vars(of_state))) as worlds:
-        return LookingAheadPolicy(load_agent(card, worlds), env, options)
+    with world_of_states(env) as world:
+        return LookingAheadPolicy(load_agent(card, world), env, options)
 
 
 class ImaginedRovers:
-    """Rovers that are imagined on bridges as observed, without physics: `states` (n, k) are those of `full_state`."""
+    """Rovers that are imagined on bridges for at most so many control steps, without physics.
 
-    def __init__(self, task: BridgeTask, geometry: Geometry, states: NDArray[np.float32]) -> None:
-        n, counts = len(states), (task.options.blocks, task.options.walkers)
-        own, blocks, people = np.split(states.astype(float), np.cumsum((OWN, BLOCK * counts[0])), axis=1)
-        x, y, cos, sin = own.T[:4]
-        self.poses, self.velocities = np.column_stack((x, y, np.arctan2(sin, cos))), own[:, 4:].copy()
-        self.lasted = np.zeros(n, dtype=np.intp)
-        """(n,) control steps so far without a contact."""
-        self._touched, self._goal_x = np.zeros(n, dtype=np.int64), task.goal_x
-        self._seen_blocks, self._people = states[:, OWN : states.shape[1] - WALKER * counts[1]], people
-        self._geometry = geometry
-        places, yaw, sizes = np.split(blocks.reshape(n, -1, BLOCK), (2, 3), axis=2)
+    `states` (n, k) are those of `armctl.tasks.bridge.observation.full_state`.
+    """
+
+    def __init__(self, geometry: Geometry, states: NDArray[np.float32], steps: int) -> None:
+        n = len(states)
+        x, y, cos, sin, *_ = states.T.astype(float)
+        self.poses, self.velocities = np.column_stack((x, y, np.arctan2(sin, cos))), states[:, 4:OWN].astype(float)
+        self._steps, self._step = steps, 0
+        self._geometry, self._ended = geometry, np.zeros(n, dtype=np.int64)
+        self._seen_blocks = states[:, OWN : OWN + BLOCK * geometry.blocks]
+        self._people = self._predicted(states[:, OWN + BLOCK * geometry.blocks :].reshape(n, -1, WALKER))
         self._scenes = planar.Scenes(
-            np.concatenate((places, np.cos(yaw), np.sin(yaw), sizes), axis=2),
+            block_rows(self._seen_blocks.reshape(n, -1, BLOCK).astype(float)),
             np.ones((n, 2, geometry.segments), dtype=bool),
-            np.zeros((n, counts[1], 2)),
+            self._people[0],
         )
-        self._time = 0.0
+        self._drive(np.arange(n), self._people[:1], np.zeros((n, 2)), 0.0)
+        self.free_at_first = self._ended == planar.FREE
+        """(n,) whether it touches nothing before it drives."""
+        self.lasted = np.where(self.free_at_first, steps, 0)
+        """(n,) control steps until it touches something or leaves the bridge backwards: `steps` if it does not."""
 
     @property
     def going(self) -> NDArray[np.intp]:
-        """Those that have neither touched anything nor arrived."""
-        return np.flatnonzero((self._touched == planar.FREE) & (self.poses[:, 0] < self._goal_x))
+        """Those that have neither come to an end nor arrived."""
+        return np.flatnonzero((self._ended == planar.FREE) & ~self._geometry.wheels_at_goal(self.poses).any(axis=1))
 
     def drive(self, commands: Array) -> None:
-        """Drive those that are going for one control step, with commands (n, 2). Those that have arrived stay."""
-        going = self.going
-        ticks = self._time + CONTROL_PERIOD * np.arange(1, MOVES + 1) / MOVES
-        walkers = np.stack([self._places(time) for time in ticks])
-        geometry = self._geometry
-        planar.drive(
-            going, geometry.deck, self._scenes, ACCELERATION, geometry.outline, walkers, CONTROL_PERIOD,
-            commands, self.poses, self.velocities, self._touched,
-        )  # fmt: skip
-        self._time += CONTROL_PERIOD
-        self.lasted += self._touched == planar.FREE
+        """Drive those that are going for one control step, with commands (n, 2)."""
+        going, ticks = self.going, slice(MOVES * self._step + 1, MOVES * (self._step + 1) + 1)
+        self._drive(going, self._people[ticks], commands, CONTROL_PERIOD)
+        self._ended[going[self.poses[going, 0] < 0]] = planar.BARRIER
+        self.lasted[going[self._ended[going] != planar.FREE]] = self._step
+        self._step += 1
 
     def states(self, ids: NDArray[np.intp]) -> NDArray[np.float32]:
         """What is observed of rovers `ids`, (len(ids), k)."""
         x, y, yaw = self.poses[ids].T
-        now, soon = self._places(self._time)[ids], self._places(self._time + CONTROL_PERIOD)[ids]
-        people = np.concatenate((now, (soon - now) / CONTROL_PERIOD), axis=2).reshape(len(ids), -1)
+        now, soon = (self._people[MOVES * self._step + tick, ids] for tick in (0, 1))
+        people = np.concatenate((now, (soon - now) * MOVES / CONTROL_PERIOD), axis=2).reshape(len(ids), -1)
         own = np.column_stack((x, y, np.cos(yaw), np.sin(yaw), self.velocities[ids]))
         return np.concatenate((own, self._seen_blocks[ids], people), axis=1, dtype=np.float32)
 
-    def _places(self, time: float) -> Array:
-        """Where people will be after `time` s, (n, w, 2) m."""
-        people = torch.as_tensor(self._people).unflatten(1, (-1, WALKER))
-        return people_after(people, time, self._geometry.turn).numpy()
+    def _drive(self, ids: NDArray[np.intp], people: Array, commands: Array, period: float) -> None:
+        sizes = self._geometry
+        planar.drive(
+            ids, sizes.deck, self._scenes, ACCELERATION, sizes.outline, people, period,
+            commands, self.poses, self.velocities, self._ended,
+        )  # fmt: skip
+
+    def _predicted(self, people: NDArray[np.float32]) -> Array:
+        """Where people (n, w, 4) will be in each tick, from now on, (ticks, n, w, 2) m."""
+        times = np.arange(MOVES * self._steps + 2)[:, None, None, None] * CONTROL_PERIOD / MOVES
+        moving = torch.as_tensor(people.astype(float))
+        return people_after(moving, torch.as_tensor(times), self._geometry.turn).numpy()

@@ -95,7 +95,7 @@ class SquashedMean(torch.nn.Module):
 
 
 def _vector_env(training: Training, options: SacOptions) -> StableBaselinesVectorEnv:
-    task = training.held_out.task
+    task = training.worlds.unwrapped.task
     with_goals = options.relabelled and type(task) is ReachTask
     if with_goals and list(task.options.parts) != list(OBSERVATION):
         raise ConfigurationError(

@@ -32,7 +32,8 @@ class View:
     prepare: Callable[[gymnasium.Space[Any]], torch.nn.Module] | None = None
     """Made with the observation space, it maps observations to smaller ones; None: they stay as they are."""
     state_features: Callable[[gymnasium.Space[Any]], BaseFeaturesExtractor] | None = None
-    """Made with the space of states, it extracts their features, for a critic that sees them; None: the bare state."""
+    """Made with the space of states, it extracts their features, for a critic that sees them, whatever `features` the
+    actor has; None: their numbers are shares of their bounds."""
 
     def preparation(self, observed: gymnasium.Space[Any]) -> torch.nn.Module:
         """From observations to prepared ones."""

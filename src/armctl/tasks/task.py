@@ -87,7 +87,7 @@ class LearnerView:
     model_features: FeatureSpec | None = None
     """Features that know the robot's geometry, if there are any: an agent with them sees the robot's model."""
     state_features: FeatureSpec | None = None
-    """Of the state, for a privileged critic; None: the bare state."""
+    """Of the state, for a privileged critic, without `prepare`; None: its numbers as shares of their bounds."""
 
 
 class Potential(ABC):

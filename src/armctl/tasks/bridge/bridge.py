@@ -15,7 +15,7 @@ from armctl.robots.rover import MAX_VELOCITY, PARTS, PREFIX, RADIUS, SPEED_LIMIT
 from armctl.scene import BridgeMap, PedestrianTrajectories
 from armctl.simulation import Simulation
 from armctl.tasks.bridge.furniture import Furniture
-from armctl.tasks.bridge.layout import TURNING_MARGIN, Layout, sample_layout
+from armctl.tasks.bridge.layout import Layout, sample_layout, turning_y
 from armctl.tasks.bridge.observation import (
     FASTEST_MOTION,
     See,
@@ -144,7 +144,7 @@ class BridgeTask(Task):
                 "half_width": half_width,
                 "goal_x": self.goal_x,
                 "radius": WALKER_RADIUS,
-                "turn": half_width - TURNING_MARGIN,
+                "turn": turning_y(half_width),
             },
         )
         if options.view == "state":

@@ -38,6 +38,11 @@ ALONG_SECTION = 1.6
 ATTEMPTS = 1000
 
 
+def turning_y(half_width: float) -> float:
+    """M from the middle of a deck, free to both sides for `half_width` m, where people who walk across turn back."""
+    return half_width - TURNING_MARGIN
+
+
 @dataclass(frozen=True, eq=False)
 class Layout:
     """The random part of an episode."""
@@ -81,7 +86,7 @@ def _sample_map(rng: np.random.Generator, length: float, half_width: float, bloc
     placed = np.column_stack((middles[:blocks] + jitter, y, yaw, sizes))
 
     x, reach = middles[blocks:], sections[blocks:] / 2 - WALKER_RADIUS - 0.1
-    side = half_width - TURNING_MARGIN
+    side = turning_y(half_width)
     lane = rng.uniform(-side, side, walkers)
     start = np.where(along[:, None], np.column_stack((x - reach, lane)), np.column_stack((x, np.full(walkers, -side))))
     end = np.where(along[:, None], np.column_stack((x + reach, lane)), np.column_stack((x, np.full(walkers, side))))

@@ -4,6 +4,8 @@ It is for training: far faster than MuJoCo (`benchmarks/planar.py`), and near en
 there. Wheels do not skid, nothing topples, and the rover stops at the first contact.
 """
 
+from dataclasses import dataclass
+
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +14,7 @@ from armctl.kernels import planar as kernel
 from armctl.robots.rover import CAMERA, MAX_VELOCITY, PARTS, PREFIX, WHEEL_RADIUS, WHEELS, Rover
 from armctl.simulation import Simulation
 from armctl.tasks.bridge.furniture import Furniture
-from armctl.tasks.bridge.layout import TURNING_MARGIN, Layout
+from armctl.tasks.bridge.layout import Layout, turning_y
 from armctl.tasks.bridge.observation import camera_pitch, column_directions
 from armctl.tasks.bridge.options import CONTROL_PERIOD, BridgeOptions
 from armctl.tasks.bridge.world import CONTACT_CLASSES, GOAL_MARGIN, WALKER_RADIUS, free_half_width, segment_names
@@ -30,22 +32,56 @@ FARTHEST_HOLE = 2.5
 """m: holes in the deck are seen up to this distance."""
 
 
+@dataclass(frozen=True)
 class Geometry:
-    """The sizes of bridges and rovers, which keep `margin` m more than in physics from everything."""
+    """The sizes of bridges and rovers."""
 
-    def __init__(self, options: BridgeOptions, model: mujoco.MjModel, margin: float = 0.0) -> None:
+    deck: kernel.Deck
+    blocks: int
+    """On each bridge."""
+    segments: int
+    """Jersey barriers on each side."""
+    turn: float
+    """m from the middle of the deck, at which people who walk across turn back."""
+    goal_x: float
+    """m: a rover has crossed when one of its wheels is there."""
+    wheels: Array
+    """(4, 2) m from the rover's middle: ahead and to the left."""
+    outline: Array
+    """(2, 2) m: half lengths and half widths of the rectangles of base and wheels, with `MARGIN`."""
+
+    @classmethod
+    def of(cls, options: BridgeOptions, model: mujoco.MjModel) -> "Geometry":
+        """Those of a bridge's model."""
         half_width = free_half_width(options.deck_width)
-        self.deck = kernel.Deck(options.deck_length, half_width, WALKER_RADIUS, options.deck_width / 2)
-        self.segments = len(segment_names(options.deck_length)) // 2
-        """Jersey barriers on each side."""
-        self.turn = half_width - TURNING_MARGIN
-        """m from the middle of the deck, at which people who walk across turn back."""
-        base, wheel = model.geom(PREFIX + "base").size, model.geom(PREFIX + WHEELS[0]).size
-        self.wheels = np.array([model.body(PREFIX + name).pos[:2] for name in WHEELS])
-        """(4, 2) m from the rover's middle: ahead and to the left."""
-        wheels = self.wheels.max(axis=0) + wheel[:2]
-        self.outline = np.array([base[:2], wheels]) + MARGIN + margin
-        """(2, 2) m: half lengths and half widths of the rectangles of base and wheels."""
+        wheels = np.array([model.body(PREFIX + name).pos[:2] for name in WHEELS])
+        base, wheel = model.geom(PREFIX + "base").size[:2], model.geom(PREFIX + WHEELS[0]).size[:2]
+        return cls(
+            kernel.Deck(options.deck_length, half_width, WALKER_RADIUS, options.deck_width / 2),
+            options.blocks,
+            len(segment_names(options.deck_length)) // 2,
+            turning_y(half_width),
+            options.deck_length - GOAL_MARGIN - model.geom("goal_line").size[0],
+            wheels,
+            np.array([base, wheels.max(axis=0) + wheel]) + MARGIN,
+        )
+
+    def wheel_positions(self, poses: Array) -> Array:
+        """(n, 4, 2) m, of rovers at poses (n, 3)."""
+        cos, sin = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
+        ahead, left = self.wheels.T
+        turned = np.stack((ahead * cos - left * sin, ahead * sin + left * cos), axis=-1)
+        return np.asarray(poses[:, None, :2] + turned)
+
+    def wheels_at_goal(self, poses: Array) -> NDArray[np.bool_]:
+        """Which wheels of rovers at poses (n, 3) have got to the goal line, (n, 4)."""
+        return np.asarray(self.wheel_positions(poses)[..., 0] >= self.goal_x)
+
+
+def block_rows(blocks: Array) -> Array:
+    """Blocks (n, k, 5), as a `BridgeMap` has them, as the kernel's rows (n, k, 6)."""
+    places, yaws, sizes = np.split(blocks, (2, 3), axis=-1)
+    return np.concatenate((places, np.cos(yaws), np.sin(yaws), sizes), axis=-1)
 
 
 class PlanarRover(Rover):
@@ -58,22 +94,19 @@ class PlanarRover(Rover):
         n, self._furniture, self._options = simulation.n, furniture, options
         self._walkers = walkers = furniture.moves.places
         self._poses, self._velocities, self._commands = np.zeros((n, 3)), np.zeros((n, 2)), np.zeros((n, 2))
-        self._geometry = geometry = Geometry(options, simulation.model)
+        self._geometry = geometry = Geometry.of(options, simulation.model)
         self._scenes = kernel.Scenes(
             np.zeros((n, options.blocks, 6)), np.ones((n, 2, geometry.segments), dtype=bool), walkers[-1]
         )
         model = simulation.model
         self._camera_ahead = model.camera(CAMERA).pos[0]
         self._directions = column_directions(options, camera_pitch(model))
-        self._goal_x = options.deck_length - GOAL_MARGIN - model.geom("goal_line").size[0]
         self._touched = np.zeros(n, dtype=np.int64)
         self._worlds = np.arange(n, dtype=np.int32)
 
     def place(self, ids: Ids, layouts: list[Layout]) -> None:
         """Put blocks and barriers of worlds `ids` where their layouts have them."""
-        blocks = np.stack([layout.map.blocks for layout in layouts])
-        places, yaws, sizes = np.split(blocks, (2, 3), axis=-1)
-        self._scenes.blocks[ids] = np.concatenate((places, np.cos(yaws), np.sin(yaws), sizes), axis=-1)
+        self._scenes.blocks[ids] = block_rows(np.stack([layout.map.blocks for layout in layouts]))
         missing = np.stack([layout.missing for layout in layouts])
         self._scenes.barriers[ids] = True
         self._scenes.barriers[ids[:, None], missing % 2, missing // 2] = False
@@ -119,7 +152,7 @@ class PlanarRover(Rover):
         contacts[:, 1:, classes.index("floor")] = True
         contacts[:, 0, classes.index("barrier")] = self._touched == kernel.BARRIER
         contacts[:, 0, classes.index("obstacle")] = self._touched == kernel.OBSTACLE
-        contacts[:, 1:, classes.index("goal")] = self._wheel_positions()[..., 0] >= self._goal_x
+        contacts[:, 1:, classes.index("goal")] = self._geometry.wheels_at_goal(self._poses)
         return contacts
 
     @property
@@ -152,12 +185,5 @@ class PlanarRover(Rover):
     @property
     def wheel_heights(self) -> Array:
         """Heights of the wheel centres, (n, 4) m: 0 beyond the edges of the deck."""
-        beside = np.abs(self._wheel_positions()[..., 1]) > self._options.deck_width / 2
+        beside = np.abs(self._geometry.wheel_positions(self._poses)[..., 1]) > self._options.deck_width / 2
         return np.where(beside, 0.0, WHEEL_RADIUS)
-
-    def _wheel_positions(self) -> Array:
-        """(n, 4, 2) m."""
-        cos, sin = np.cos(self._poses[:, 2])[:, None], np.sin(self._poses[:, 2])[:, None]
-        ahead, left = self._geometry.wheels.T
-        turned = np.stack((ahead * cos - left * sin, ahead * sin + left * cos), axis=-1)
-        return np.asarray(self._poses[:, None, :2] + turned)
