@@ -14,7 +14,8 @@ from armctl.learners import load_recipe
 from armctl.rl.frames import History
 from armctl.rl.hindsight import GoalVectorEnv, split
 from armctl.rl.learning import REPLAY
-from armctl.rl.sac import SacOptions, _noise, train
+from armctl.rl.sac import SacOptions, _noise, _vector_env, train
+from armctl.rl.training import Training
 from armctl.rl.view import view_of
 from armctl.tasks import ReachTask
 
@@ -144,3 +145,10 @@ def test_the_rate_decays_and_the_entropy_is_tuned_to_its_target(tmp_path):
     model = checkpoint(tmp_path / "small", 800)
     assert model.target_entropy == 0.5 * 6
     assert [model.lr_schedule(left) for left in (1.0, 0.5, 0.0)] == pytest.approx([1e-3, 5e-4, 5e-5])
+
+
+def test_hindsight_has_the_tolerance_of_the_training(tmp_path):
+    chosen = small().changed(training_options={"tolerance": 0.2})
+    training = Training(chosen, chosen.read_options(SacOptions), tmp_path / "run", 0, False)
+    assert training.held_out.task.options.tolerance == 0.05
+    assert _vector_env(training, training.options).tolerance == 0.2
