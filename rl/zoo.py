@@ -30,8 +30,7 @@ two or three times those of an idle one; processor minutes are those of all core
 older than the counters, and only what follows exactly from their options was filled in. Agents in bold come with
 armctl: where there are several training seeds, the one with the median success, of two the lower one (of `reach_bc`,
 seed 0; its others were trained by a later version). Rows below them are the other seeds: `NAME[*]` is all of them, as
-in `moving_dagger[*]`. All agents were evaluated with the present physics, on episodes of the test's seed; the other
-seed of `reach_dagger` after its training, on those of seed 0, when impacts were softer.
+in `moving_dagger[*]`. All agents were evaluated with the present physics, on episodes of the test's seed.
 
 """
 COLUMNS = (
