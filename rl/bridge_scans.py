@@ -6,6 +6,9 @@ import torch
 from gymnasium import spaces
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
+from armctl.scene.pedestrians import turned_back
+from armctl.tasks.bridge.observation import BLOCK, OWN, WALKER
+
 BEAMS = 48
 AHEAD = (0.0, 0.4, 0.8, 1.2, 1.6)
 """s: times at which people are predicted. They walk on straight, and turn back before they get to a barrier."""
@@ -14,8 +17,6 @@ NEAR = 0.5
 FAR = 1e3
 """m: what is not hit."""
 FLAT = 1e-6
-OWN, BLOCK, WALKER = 6, 5, 4
-"""Numbers of the observation for the rover itself, for each block and for each walker."""
 
 
 class Surroundings(BaseFeaturesExtractor):
@@ -69,9 +70,7 @@ class Surroundings(BaseFeaturesExtractor):
 def people_after(people: torch.Tensor, time: float, turn: float) -> torch.Tensor:
     """Positions (n, k, 2) after `time` s of people (n, k, 4) who turn back `turn` m from the middle of the bridge."""
     x, y = (people[..., :2] + time * people[..., 2:]).unbind(-1)
-    walked = y + turn
-    there_and_back = walked - 4 * turn * torch.floor(walked / (4 * turn))
-    return torch.stack((x, turn - (there_and_back - 2 * turn).abs()), dim=-1)
+    return torch.stack((x, turned_back(y, turn)), dim=-1)
 
 
 def nearness(distances: torch.Tensor) -> torch.Tensor:

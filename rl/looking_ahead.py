@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from pydantic import Field
 
@@ -22,10 +21,11 @@ from armctl.envs import Sees, TaskVectorEnv
 from armctl.errors import ConfigurationError
 from armctl.kernels import planar
 from armctl.options import options
-from armctl.rl.bridge_scans import BLOCK, OWN, WALKER, people_after
 from armctl.rl.of_state import world_of_states
+from armctl.scene.pedestrians import turned_back
 from armctl.tasks import BridgeTask
 from armctl.tasks.bridge import CONTROL_PERIOD
+from armctl.tasks.bridge.observation import BLOCK, OWN, WALKER
 from armctl.tasks.bridge.options import MOVES
 from armctl.tasks.bridge.planar import ACCELERATION, Geometry, block_rows
 
@@ -167,5 +167,5 @@ class ImaginedRovers:
     def _predicted(self, people: NDArray[np.float32]) -> Array:
         """Where people (n, w, 4) will be in each tick, from now on, (ticks, n, w, 2) m."""
         times = np.arange(MOVES * self._steps + 2)[:, None, None, None] * CONTROL_PERIOD / MOVES
-        moving = torch.as_tensor(people.astype(float))
-        return people_after(moving, torch.as_tensor(times), self._geometry.turn).numpy()
+        x, y = np.moveaxis(people[..., :2] + times * people[..., 2:], -1, 0)
+        return np.stack((x, turned_back(y, self._geometry.turn)), axis=-1)

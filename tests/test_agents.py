@@ -1,6 +1,8 @@
 import json
 import os
 import shutil
+import subprocess
+import sys
 from importlib import resources
 from pathlib import Path
 
@@ -188,3 +190,9 @@ def test_shipped_agent_does_what_its_card_says():
     assert results.success.mean() >= 0.95
     elsewhere = evaluate("reach_ppo", episodes=500, seed=77, worlds=64)
     assert elsewhere.success.mean() >= 0.95
+
+
+def test_agents_need_no_torch():
+    """It belongs to an extra."""
+    code = "import sys, armctl.rl.agents; assert not {'torch', 'stable_baselines3'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -9,6 +10,16 @@ from numpy.typing import ArrayLike, NDArray
 from armctl.errors import ConfigurationError
 
 Array = NDArray[np.float64]
+
+
+def turned_back(y: Any, turn: float) -> Any:
+    """Where people would be who walk across a bridge, and turn back `turn` m from its middle, each time they get there.
+
+    `y` (m), an array or a tensor, is where they would be if they walked on straight.
+    """
+    walked = y + turn
+    there_and_back = walked - 4 * turn * (walked // (4 * turn))
+    return turn - abs(there_and_back - 2 * turn)
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,6 +30,8 @@ OFF_DECK = 10.0
 FASTEST = np.array([20.0, 35.0])
 """Forward velocity (m/s) and yaw rate (rad/s) beyond which sensors do not measure: a gyro's range of 2000 degrees/s."""
 FASTEST_MOTION = FASTEST[[0, 1, 1]].astype(np.float32)
+OWN, BLOCK, WALKER = 6, 5, 4
+"""Numbers of `full_state` for the rover itself, for each block and for each walker."""
 See = Callable[[Ids | None], NDArray[Any]]
 """Images (n, height, width, ...) of some worlds, or of all."""
 
