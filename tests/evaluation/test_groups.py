@@ -126,9 +126,11 @@ def test_a_training_by_its_seed():
         armctl.evaluate("reach_bc[*]", episodes=1)
 
 
-def test_a_single_training_is_no_group():
-    made = armctl.compare(["reach_dagger[*]", "random"], episodes=2, worlds=2)
-    assert [policy.policy for policy in made.policies] == ["reach_dagger[0]", "random"]
+def test_a_single_training_is_no_group(runs):
+    for seed in (1, 2):
+        shutil.rmtree(runs / f"mine-{seed}")
+    made = armctl.compare([f"{runs}/mine[*]", "random"], episodes=2, worlds=2)
+    assert [policy.policy for policy in made.policies] == [f"{runs}/mine[0]", "random"]
     assert any("a single training, which says nothing of others" in note for note in made.notes)
 
 
