@@ -6,13 +6,21 @@ difference of their means, in standard deviations.
 """
 
 import copy
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Callable, Iterator
+from typing import Annotated, Any
 
 import numpy as np
 import torch
+from pydantic import Field
 from stable_baselines3 import PPO
 from stable_baselines3.common.utils import explained_variance
+
+from armctl.agents import AgentCard
+from armctl.options import options
+from armctl.rl.learning import learn
+from armctl.rl.ppo import PpoOptions, actor_of, load_or_make
+from armctl.rl.training import LOG, Count, Positive, Training
+from armctl.rl.vector import StableBaselinesVectorEnv
 
 CRITIC_EPOCHS = 20
 """Of the fit of the critic, on each rollout."""
@@ -20,6 +28,22 @@ LEAST_GAIN = 0.01
 """Of the explained variance of returns: a critic whose gain is smaller is fitted."""
 PATIENCE = 2
 """Rollouts without such a gain until the fit ends: one may be unlike others by chance."""
+
+
+@options
+class AnchoredPpoOptions(PpoOptions):
+    """Options of PPO that starts from a policy worth keeping."""
+
+    critic_steps: Count = 150_000
+    """Environment steps after which PPO begins at the latest; until then, only the critic learns."""
+    critic_rate: Positive = 1e-3
+    """Learning rate of the critic until then."""
+    anchor_weight: Annotated[float, Field(ge=0)] = 0.1
+    """Weight of the penalty on the KL divergence from the start."""
+    anchor_decay: Annotated[float, Field(gt=0, le=1)] = 0.5
+    """Share of the training over which that weight decays to 0, linearly."""
+    learning_rate: Positive = 3e-4
+    initial_log_std: float = -2.0
 
 
 class AnchoredPpo(PPO):
@@ -115,3 +139,40 @@ class AnchoredPpo(PPO):
     def _batches(self, epochs: int) -> Iterator[Any]:
         for _ in range(epochs):
             yield from self.rollout_buffer.get(self.batch_size)
+
+
+def improve(
+    training: Training,
+    options: AnchoredPpoOptions,
+    show: Callable[[], StableBaselinesVectorEnv],
+    start: Callable[[AnchoredPpo], None],
+    progress: bool,
+) -> AgentCard:
+    """Train by PPO from where `start` puts a new model's actor, and finish the training.
+
+    `show` gives the training's present worlds as the model is shown them.
+    """
+    new = training.newest_checkpoint() is None
+    model = load_or_make(training, options, AnchoredPpo, show)
+    model.anchor_weight, model.anchor_decay = options.anchor_weight, options.anchor_decay
+    actor = actor_of(model, training)
+    with training:
+        if new:
+            start(model)
+            model.drop_anchor()
+            training.evaluate(actor, 0)
+            _fit_critic(training, model, min(options.critic_steps, options.steps), options.critic_rate)
+        return learn(training, model, actor, progress, show)
+
+
+def _fit_critic(training: Training, model: AnchoredPpo, steps: int, learning_rate: float) -> None:
+    """Fit the critic on episodes of the actor, which stays as it is."""
+    model.set_logger(training.logger)
+    assert isinstance(model.env, StableBaselinesVectorEnv)
+    model.env.seed(training.first_seed())
+    optimizer = torch.optim.Adam(model.critic_parameters(), learning_rate)
+    optimizer.register_step_post_hook(lambda *_: training.meter.add(gradient_steps=1))
+    for explained in model.fit_critic(steps, optimizer):
+        LOG.info("%s steps: the critic explains %.0f%% of returns", f"{model.num_timesteps:,}", 100 * explained)
+        training.logger.record("train/explained_variance", explained)
+        training.logger.dump(model.num_timesteps)

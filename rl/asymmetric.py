@@ -4,6 +4,7 @@ While an agent learns, its critic sees the state, and its actor the environment'
 it is the actor.
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 import gymnasium
@@ -15,7 +16,7 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, MlpExtr
 
 from armctl.agents import INPUT, inputs
 from armctl.errors import ConfigurationError
-from armctl.rl.frames import FrameFeatures, FramesVectorEnv
+from armctl.rl.frames import FramesVectorEnv
 from armctl.rl.view import View
 
 STATE = "privileged_state"
@@ -60,13 +61,19 @@ class AsymmetricVectorEnv(FramesVectorEnv):
 class AsymmetricPolicy(MultiInputActorCriticPolicy):
     """An actor of the observation, and a critic of the state beside it."""
 
-    def __init__(self, *args: Any, view: View, **kwargs: Any) -> None:
-        self._view = view
+    def __init__(
+        self, *args: Any, view: View, features_extractor_class: Any, features_extractor_kwargs: Any, **kwargs: Any
+    ) -> None:
+        self._given = {
+            "view": view,
+            "features_extractor_class": features_extractor_class,
+            "features_extractor_kwargs": features_extractor_kwargs,
+        }
         super().__init__(
             *args,
             **kwargs,
             features_extractor_class=ObservedFeatures,
-            features_extractor_kwargs={"view": view},
+            features_extractor_kwargs={"kind": features_extractor_class, "options": features_extractor_kwargs},
             share_features_extractor=False,
         )
 
@@ -79,23 +86,23 @@ class AsymmetricPolicy(MultiInputActorCriticPolicy):
     def _build_mlp_extractor(self) -> None:
         """Give the critic its own features: they have another size than the actor's."""
         super()._build_mlp_extractor()
-        self.vf_features_extractor = StateFeatures(self.observation_space, self._view)
+        self.vf_features_extractor = StateFeatures(self.observation_space, self._given["view"])
         critic = MlpExtractor(self.vf_features_extractor.features_dim, self.net_arch, self.activation_fn, self.device)
         self.mlp_extractor.value_net = critic.value_net
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
-        known = super()._get_constructor_parameters()
-        del known["features_extractor_class"], known["features_extractor_kwargs"]
-        return {**known, "view": self._view}
+        return {**super()._get_constructor_parameters(), **self._given}
 
 
 class ObservedFeatures(BaseFeaturesExtractor):
-    """A view's features of the observation's frames, without the state beside them."""
+    """The actor's features, of a `kind` with `options`, of what is shown without the state beside it."""
 
-    def __init__(self, observation_space: gymnasium.spaces.Dict, view: View) -> None:
+    def __init__(
+        self, observation_space: gymnasium.spaces.Dict, kind: type[BaseFeaturesExtractor], options: Mapping[str, Any]
+    ) -> None:
         shown = {name: space for name, space in observation_space.items() if name != STATE}
         one = list(shown) == [INPUT]
-        features = FrameFeatures(shown[INPUT] if one else gymnasium.spaces.Dict(shown), view)
+        features = kind(shown[INPUT] if one else gymnasium.spaces.Dict(shown), **options)
         super().__init__(observation_space, features.features_dim)
         self.features, self.names = features, [INPUT] if one else list(shown)
 

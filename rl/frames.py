@@ -63,6 +63,14 @@ class History(torch.nn.Module):
         self.space = _unbounded({name: (frames, *size) for name, size in sizes.items()})
         """Of stacks."""
 
+    def elsewhere(self, view: View, observed: gymnasium.Space[Any]) -> "History":
+        """The same of other observations, which are prepared alike."""
+        return History(view, observed, self.frames, self.gap)
+
+    def features(self, view: View) -> dict[str, Any]:
+        """Arguments of a policy of Stable-Baselines3 for a view's features of stacks."""
+        return {"features_extractor_class": FrameFeatures, "features_extractor_kwargs": {"view": view}}
+
     def forward(self, observation: Any, *memory: torch.Tensor) -> tuple[Any, ...]:
         """The stack, an array or several by name, and the next memory."""
         prepared = self.prepare(observation)
@@ -158,7 +166,7 @@ def shown_worlds(
 def features_of(venv: StableBaselinesVectorEnv, view: View) -> dict[str, Any]:
     """Arguments of a policy of Stable-Baselines3 for the features of what worlds show."""
     if isinstance(venv, FramesVectorEnv):
-        return {"features_extractor_class": FrameFeatures, "features_extractor_kwargs": {"view": view}}
+        return venv.history.features(view)
     return {"features_extractor_class": view.features, "features_extractor_kwargs": view.features_options}
 
 
@@ -166,7 +174,7 @@ def actor_in(venv: StableBaselinesVectorEnv, network: torch.nn.Module, training:
     """An actor for a training's held-out worlds, with a network of what its own worlds show, prepared alike."""
     view, observed = training.view, training.held_out.single_observation_space
     if isinstance(venv, FramesVectorEnv):
-        history = History(view, observed, venv.history.frames, venv.history.gap)
+        history = venv.history.elsewhere(view, observed)
         return Actor(WithHistory(history, network), view.action_scale, observed, history.memory)
     return Actor(network, view.action_scale, observed)
 

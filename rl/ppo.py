@@ -4,6 +4,7 @@
 """
 
 import functools
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -51,14 +52,17 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
     """Train an agent into the folder `out`. See `armctl.rl.training.Training`, also for the errors raised."""
     options = recipe.read_options(PpoOptions)
     training = Training(recipe, options, out, seed, resume)
-    model = load_or_make(training, options, PPO)
+    show = functools.partial(shown, training, options)
+    model = load_or_make(training, options, PPO, show)
     with training:
-        return learn(training, model, actor_of(model, training), progress, functools.partial(shown, training, options))
+        return learn(training, model, actor_of(model, training), progress, show)
 
 
-def load_or_make(training: Training, options: PpoOptions, kind: type[PPO] = PPO) -> Any:
-    """The model of the newest checkpoint, or an untrained one, of a `kind` of PPO."""
-    venv = shown(training, options)
+def load_or_make(
+    training: Training, options: PpoOptions, kind: type[PPO], show: Callable[[], StableBaselinesVectorEnv]
+) -> Any:
+    """The model of the newest checkpoint, or an untrained one, of a `kind` of PPO, which is shown worlds by `show`."""
+    venv = show()
     newest = training.newest_checkpoint()
     new = newest is None
     model = new_model(venv, training.view, options, training.seed, kind) if new else kind.load(newest, venv, "cpu")
@@ -78,7 +82,7 @@ def new_model(venv: StableBaselinesVectorEnv, view: View, options: PpoOptions, s
     policy: Any = "MultiInputPolicy" if several else "MlpPolicy"
     features = features_of(venv, view)
     if isinstance(venv, AsymmetricVectorEnv):
-        policy, features = AsymmetricPolicy, {"view": view}
+        policy, features = AsymmetricPolicy, {"view": view, **features}
     return kind(
         policy,
         venv,

@@ -28,8 +28,13 @@ class RecurrentNetwork(torch.nn.Module):
             parts += [torch.nn.Linear(fewer, more), torch.nn.ReLU()]
         self.head = torch.nn.Sequential(*parts, torch.nn.Linear(sizes[-1], actions))
 
-    def forward(self, observation: Any, hidden: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Actions (n, k), mostly in [-1, 1], and the next state, for observations (n, ...) and states (n, m)."""
+    def recall(self, observation: Any, hidden: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """What the head sees (n, j), and the next state, for observations (n, ...) and states (n, m)."""
         encoded = self.encoder(observation)
         hidden = self.unit(encoded, hidden)
-        return self.head(torch.cat((encoded, hidden), dim=1)), hidden
+        return torch.cat((encoded, hidden), dim=1), hidden
+
+    def forward(self, observation: Any, hidden: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Actions (n, k), mostly in [-1, 1], and the next state, for observations (n, ...) and states (n, m)."""
+        recalled, hidden = self.recall(observation, hidden)
+        return self.head(recalled), hidden

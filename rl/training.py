@@ -293,7 +293,7 @@ class Training:
 def check_no_curriculum(recipe: Recipe) -> None:
     """Raise `ConfigurationError` for a recipe with a curriculum: for learners whose worlds stay the same."""
     if recipe.curriculum:
-        raise ConfigurationError(f"{recipe.learner} takes no curriculum: ppo, cloned_ppo and distil do")
+        raise ConfigurationError(f"{recipe.learner} takes no curriculum: ppo, cloned_ppo, distil and distilled_ppo do")
 
 
 def bar_fits(progress: bool) -> bool:

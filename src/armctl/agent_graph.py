@@ -63,6 +63,8 @@ class AgentGraph:
         model = _read(path)
         _check_operators(model, path)
         _check_sizes(model, path)
+        self.numbers = {tensor.name: onnx.numpy_helper.to_array(tensor) for tensor in model.graph.initializer}
+        """Its constants, by name."""
         self._alone = any(node.op_type in MIXING for node in model.graph.node)
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = 1

@@ -198,6 +198,11 @@ class OnnxPolicy:
             )
         self._memory: dict[str, NDArray[np.float32]] = {}
 
+    @property
+    def numbers(self) -> dict[str, NDArray[Any]]:
+        """The graph's constants by name, such as a network's weights."""
+        return self._graph.numbers
+
     def reset(self, ids: NDArray[np.int32]) -> None:
         """Forget what it remembers of worlds `ids`, if it has a memory."""
         for remembered in self._memory.values():

@@ -115,7 +115,7 @@ def test_a_checkpoint_has_the_anchor(model, tmp_path):
     assert not any(parameter.requires_grad for parameter in loaded.anchor.parameters())
 
 
-@pytest.mark.parametrize("options", [{"clone_weight": -1.0}, {"clone_decay": 0.0}, {"clone_decay": 2.0}])
+@pytest.mark.parametrize("options", [{"anchor_weight": -1.0}, {"anchor_decay": 0.0}, {"anchor_decay": 2.0}])
 def test_weights_and_decays_out_of_range_are_refused(options):
     recipe = load_recipe("reach_cloned_ppo")
     with pytest.raises(ConfigurationError, match=next(iter(options))):

@@ -27,7 +27,7 @@ def recipe(env=BRIDGE, env_options=CAMERA, **options):
 
 def untrained(chosen, out):
     training = Training(chosen, chosen.read_options(ppo.PpoOptions), out, 0, False)
-    return training, ppo.load_or_make(training, training.options)
+    return training, ppo.load_or_make(training, training.options, PPO, lambda: ppo.shown(training, training.options))
 
 
 @pytest.mark.parametrize(

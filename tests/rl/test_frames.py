@@ -4,6 +4,7 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
+from stable_baselines3 import PPO
 
 from armctl.agents import AgentCard, OnnxPolicy, load_agent, shapes
 from armctl.envs import TaskVectorEnv, make_worlds
@@ -163,13 +164,13 @@ def test_agents_trained_with_frames_remember_and_resume(learner, tmp_path):
 
 def test_one_frame_is_no_memory(tmp_path, prepared):
     training = Training(recipe("ppo"), recipe("ppo").read_options(ppo.PpoOptions), tmp_path / "run", 0, False)
-    model = ppo.load_or_make(training, training.options)
+    model = ppo.load_or_make(training, training.options, PPO, lambda: ppo.shown(training, training.options))
     assert ppo.actor_of(model, training).memory == {}
     chosen = load_recipe("ppo", "armctl/BridgeCross-v0").changed(
         env_options=CAMERA, training_options={}, curriculum=[], options={"worlds": 2}
     )
     training = Training(chosen, chosen.read_options(ppo.PpoOptions), tmp_path / "run", 0, False)
-    model = ppo.load_or_make(training, training.options)
+    model = ppo.load_or_make(training, training.options, PPO, lambda: ppo.shown(training, training.options))
     actor = ppo.actor_of(model, training)
     assert actor.memory == {}
     assert model.observation_space["ranges"].shape == (1, 8)  # buffers hold what is prepared
