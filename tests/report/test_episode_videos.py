@@ -1,0 +1,80 @@
+"""The episodes that the report shows in videos."""
+
+import numpy as np
+import pytest
+
+from armctl.envs import TaskVectorEnv
+from armctl.errors import ConfigurationError
+from armctl.evaluation.results import read_results
+from armctl.report import plots, videos, write_report
+
+from ..forgery import forge
+from .pages import POLICIES, text_of
+
+
+def test_episodes_to_show(finished):
+    episodes = read_results(finished).episodes
+    together = videos.most_different(episodes)
+    assert [result.policy for result in together] == POLICIES
+    assert len({result.episode for result in together}) == 1
+    for result in videos.worst(episodes):
+        assert result.total_reward == min(one.total_reward for one in episodes[result.policy])
+    assert videos.most_different({"reach_ik": episodes["reach_ik"]}) == []
+
+
+def needs_opengl():
+    from armctl.simulation import Camera
+
+    env = plots.make_worlds("armctl/ArmReach-v0", 1)
+    assert isinstance(env, TaskVectorEnv)
+    try:
+        Camera(env.task.simulation.model, env.task.camera, 16, 16).close()
+    except ConfigurationError as error:
+        pytest.skip(f"no OpenGL: another test checks what is said then ({error})")
+
+
+@pytest.mark.slow
+def test_videos_show_the_episodes_of_the_table(finished, tmp_path):
+    needs_opengl()
+    import imageio.v3 as imageio
+
+    results = read_results(finished)
+    together = videos.most_different(results.episodes)
+    clips = videos.film(results, together)
+    assert [clip.problem for clip in clips] == [""] * 3
+    frames = [imageio.imread(clip.video, extension=".mp4") for clip in clips]
+    assert len({one.shape for one in frames}) == 1
+    longest = max(result.length for result in together)
+    assert len(frames[0]) > longest + 1
+    for result, shown in zip(together, frames, strict=True):
+        assert np.abs(shown[0].astype(int) - shown[result.length]).max() > 50  # the arm has moved
+        assert np.abs(shown[-1].astype(int) - shown[result.length]).mean() < 2  # and stands still in the end
+
+
+def test_a_replay_that_goes_otherwise_is_told(finished):
+    needs_opengl()
+    from dataclasses import replace
+
+    results = read_results(finished)
+    (clip,) = videos.film(results, [replace(results.episodes["reach_ik"][0], outcome="fell")])
+    assert clip.problem.startswith("Played again: reached after")
+    assert clip.video
+
+
+@pytest.mark.slow
+def test_policies_that_are_gone_are_told_and_the_others_shown(folder):
+    needs_opengl()
+    forge(folder, "reach_ppo", "gone/agent.json")
+    report = write_report(folder)
+    assert text_of(report).count("No video: there is no agent gone/agent.json") == 2
+    assert report.read_text().count("<video") == 4
+
+
+def test_without_opengl_the_report_says_so(folder, monkeypatch):
+    def none(*arguments):
+        raise ConfigurationError("pictures need OpenGL, and MuJoCo found none")
+
+    monkeypatch.setattr(videos, "Camera", none)
+    report = write_report(folder)
+    assert "There are no videos. pictures need OpenGL" in text_of(report)
+    assert "<video" not in report.read_text()

@@ -1,0 +1,156 @@
+"""Of which folders a report can be made, and of which not."""
+
+import os
+import re
+import shutil
+
+import pandas as pd
+import pytest
+
+from armctl.agents import TrainingCost, read_card
+from armctl.errors import ResultsError
+from armctl.evaluation import compare
+from armctl.evaluation.reproduce import card_path
+from armctl.evaluation.results import read_results
+from armctl.files import sealed, unsealed
+from armctl.options import option_value
+from armctl.report import write_report
+
+from ..forgery import write_sweep
+from .pages import OPTIONS, SWEEP, plots_of, text_of
+
+
+def test_results_read_back_are_those_that_were_written(tmp_path):
+    made = compare(["random", "reach_ik"], episodes=10, out=tmp_path, env_options=OPTIONS)
+    read = read_results(tmp_path)
+    pd.testing.assert_frame_equal(read.comparison.episodes, made.episodes)
+    assert (read.comparison.policies, read.comparison.paired) == (made.policies, made.paired)
+    assert read.comparison.env_options == OPTIONS
+
+
+@pytest.mark.parametrize("value", [3, 0.02, (4, 4), None, True, "ur10", "path/to my.urdf"])
+def test_options_survive_as_text(value):
+    assert option_value(str(value)) == value
+
+
+def test_an_option_of_a_long_text_is_not_read(folder):
+    summary = unsealed((folder / "summary.json").read_text())
+    summary["env_options"] = {"tolerance": f"[{'1,' * 500}]"}
+    (folder / "summary.json").write_text(sealed(summary))
+    with pytest.raises(ResultsError, match="option tolerance has 1,002 characters, more than 1,000"):
+        read_results(folder)
+
+
+def test_a_summary_of_an_older_version_is_read(folder):
+    summary = unsealed((folder / "summary.json").read_text())
+    for policy in summary["policies"]:
+        trained = policy.pop("training")
+        policy |= {"training_steps": trained["steps"], "training_minutes": trained["minutes"] or 0.0}
+        del policy["decision_ms_mean"], policy["decision_seconds"]
+    (folder / "summary.json").write_text(sealed(summary))
+    ik, ppo, _ = read_results(folder).comparison.policies
+    cost = read_card(card_path("reach_ppo")).cost
+    assert (ik.learned, ppo.training) == (False, TrainingCost(cost.steps, cost.minutes))
+    text = text_of(write_report(folder, video=False))
+    assert f"was trained for {cost.steps / 1e6:.3g} million steps ({cost.minutes:.1f} minutes)" in text
+
+
+@pytest.mark.parametrize(
+    ("spoil", "says"),
+    [
+        (lambda folder: shutil.rmtree(folder), "there is no folder"),
+        (lambda folder: (folder / "comparison.json").unlink(), "holds no results"),
+        (lambda folder: (folder / "summary.json").unlink(), "is unfinished"),
+        (lambda folder: (folder / "summary.json").write_text("{"), "cannot be read"),
+        (lambda folder: (folder / "summary.json").write_text("[]"), "cannot be read"),
+        (lambda folder: (folder / "comparison.json").write_bytes(b"\xff\xfe"), "cannot be read"),
+        (lambda folder: (folder / "episodes.csv").unlink(), "cannot be read"),
+        (lambda folder: (folder / "episodes.csv").write_text("policy\nrandom\n"), "line 1"),
+        (
+            lambda folder: (folder / "decisions.csv").write_text("policy,episode,checksum,decision_ms\n"),
+            "not belong to the episodes",
+        ),
+        (lambda folder: write_sweep(folder, "level\n1\n"), "no column disturbance"),
+        (lambda folder: (folder / "sweep.csv").write_text(SWEEP), "sweep.json"),
+        (
+            lambda folder: (write_sweep(folder, SWEEP), (folder / "sweep.csv").write_text(SWEEP.replace("0.9", "1.0"))),
+            "was changed",
+        ),
+        (lambda folder: (folder / "report.html").mkdir(), "cannot be written"),
+    ],
+)
+def test_folders_of_which_no_report_can_be_made(folder, spoil, says):
+    spoil(folder)
+    with pytest.raises(ResultsError, match=says):
+        write_report(folder, video=False)
+    assert not list(folder.glob("unfinished*"))
+
+
+def test_a_damaged_reward_term_is_told(folder):
+    text = (folder / "episodes.csv").read_text()
+    (folder / "episodes.csv").write_text(text.replace('""goal""', '""goal', 1))
+    with pytest.raises(ResultsError, match="damaged in line 2"):
+        write_report(folder, video=False)
+
+
+def test_a_folder_that_cannot_be_written(folder):
+    with pytest.raises(ResultsError, match="cannot be written"):
+        write_report(folder, "/proc/report.html", video=False)
+    if os.geteuid():  # root may write anywhere
+        folder.chmod(0o500)
+        with pytest.raises(ResultsError, match="cannot be written"):
+            write_report(folder, video=False)
+        folder.chmod(0o700)
+
+
+def unscored(folder):
+    """Make the results of an environment that does not say what a success is, and of which little is known."""
+    summary = unsealed((folder / "summary.json").read_text())
+    for policy in summary["policies"]:
+        policy |= dict.fromkeys(("success", "steps_to_goal", "optimality_gap", "missed_deadlines"))
+    for pair in summary["paired"]:
+        pair |= {"mcnemar_p": None, "only_a": 0, "only_b": 0, "steps_difference": None}
+    summary["notes"] = ["mine/Odd-v0 does not obey its seed: <episodes> differ"]
+    (folder / "summary.json").write_text(sealed(summary))
+
+
+def test_an_environment_without_success_is_reported_by_return(folder):
+    unscored(folder)
+    write_sweep(
+        folder,
+        "disturbance,level,policy,success,low,high,return,return_low,return_high,episodes\n"
+        + "".join(f"noise,{i},random,,,,{-i},{-i - 1},{1 - i},20\n" for i in range(3)),
+    )
+    report = write_report(folder, video=False)
+    text = text_of(report)
+    assert "does not say what a success is" in text
+    assert "does not obey its seed: <episodes> differ" in text
+    for word in ("Wilson", "McNemar", "steps to goal", "Success rate", "None", "nan"):
+        assert word not in text
+    drawn = plots_of(report)
+    assert any("reach_ik: return" in name for name in drawn)
+    assert "Return against the level of noise" in drawn
+    assert re.search(r"The first is better in [\d.]+ % of the episodes", text)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda summary: summary["paired"][0].update(a="stranger"), "does not belong to the episodes"),
+        (lambda summary: summary["notes"].append("\ud800"), "surrogates not allowed"),
+    ],
+)
+def test_a_summary_that_nobody_wrote(tmp_path, change, says):
+    """With the right checksum, these ended in tracebacks."""
+    compare(["random", "reach_ik"], episodes=5, out=tmp_path, env_options=OPTIONS)
+    summary = unsealed((tmp_path / "summary.json").read_text())
+    change(summary)
+    (tmp_path / "summary.json").write_text(sealed(summary))
+    with pytest.raises(ResultsError, match=says):
+        write_report(tmp_path, video=False)
+
+
+def test_a_sweep_has_names(tmp_path):
+    write_sweep(tmp_path, "disturbance,level,policy,success,low,high\ndelay,1,,0.5,0.4,0.6\n")
+    with pytest.raises(ResultsError, match="a row without a name"):
+        write_report(tmp_path, video=False)
