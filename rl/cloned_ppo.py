@@ -19,6 +19,7 @@ from armctl.rl.anchored_ppo import AnchoredPpo, AnchoredPpoOptions, improve
 from armctl.rl.cloning import CloningOptions, demonstrations, examples_for, fit
 from armctl.rl.ppo import actor_of, shown
 from armctl.rl.training import Count, Positive, Training
+from armctl.rl.view import Features
 
 
 @options
@@ -29,6 +30,7 @@ class ClonedPpoOptions(AnchoredPpoOptions, CloningOptions):
     worlds: Count = 256
     hidden_units: Count = 256
     layers: Count = 3
+    features: Features = "invariant"
     batch_size: Count = 2048
     evaluation_every: Count = 50_000
     activation: Literal["elu", "relu"] = "relu"

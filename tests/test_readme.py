@@ -22,4 +22,4 @@ def test_it_leads_to_every_page_and_notebook():
 def test_it_counts_the_agents():
     agents = list((ROOT / "rl" / "agents").glob("*.json"))
     assert len(agents) == 12
-    assert "twelve trained ones" in README
+    assert "fourteen trained ones" in README

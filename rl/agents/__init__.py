@@ -36,8 +36,18 @@ def reach_sac(env: Interface) -> OnnxPolicy:
     return load_agent(FOLDER / "reach_sac.json", env)
 
 
+def reach_cloned_ppo(env: Interface) -> OnnxPolicy:
+    """A clone of `reach_ik` on `armctl/ArmReach-v0`, improved by PPO."""
+    return load_agent(FOLDER / "reach_cloned_ppo.json", env)
+
+
+def reach_robust_ppo(env: Interface) -> OnnxPolicy:
+    """PPO on `armctl/ArmReach-v0`, each of whose training episodes was disturbed."""
+    return load_agent(FOLDER / "reach_robust_ppo.json", env)
+
+
 def moving_ppo(env: Interface) -> OnnxPolicy:
-    """PPO on `armctl/ArmReachMoving-v0`, with reward shaping by the least time to the target."""
+    """A clone of `reach_ik` on `armctl/ArmReachMoving-v0`, from which PPO goes on."""
     return load_agent(FOLDER / "moving_ppo.json", env)
 
 

@@ -151,8 +151,8 @@ def test_a_profile_begins_where_policies_differ(returns, start):
     assert profile_start(episodes_of(**returns)) == start
 
 
-def test_the_profile_says_what_it_leaves_out(finished):
-    report = write_report(finished, finished / "profile.html", video=False)
+def test_the_profile_says_what_it_leaves_out(finished, tmp_path):
+    report = write_report(finished, tmp_path / "profile.html", video=False)
     figure = plot_of(report, "Share of episodes above")
     returns = pd.read_csv(finished / "episodes.csv")["return"]
     low, high = figure["layout"]["xaxis"]["range"]
