@@ -47,26 +47,27 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
     if options.frames > 1:
         raise ConfigurationError("distilled_ppo starts from an agent that remembers: leave the option frames out")
     training = Training(recipe, options, out, seed, resume)
-    weights = weights_of(recipe, training)
+    sizes, weights = network_of(recipe, training)
 
     def show() -> StableBaselinesVectorEnv:
         worlds, view = training.worlds, training.view
-        recollection = Recollection(weights, options, view, worlds.single_observation_space)
+        recollection = Recollection(sizes, weights, view, worlds.single_observation_space)
         kind = AsymmetricVectorEnv if options.privileged_critic else FramesVectorEnv
         return kind(recollection, worlds, view.action_scale)
 
     def start(model: AnchoredPpo) -> None:
         head = model.env.history.network.head
-        policy = model.policy
-        with torch.no_grad():
-            policy.mlp_extractor.policy_net.load_state_dict(head[:-1].state_dict())
-            policy.action_net.load_state_dict(head[-1].state_dict())
+        model.policy.mlp_extractor.policy_net.load_state_dict(head[:-1].state_dict())
+        model.policy.action_net.load_state_dict(head[-1].state_dict())
 
     return improve(training, options, show, start, progress)
 
 
-def weights_of(recipe: Recipe, training: Training) -> dict[str, torch.Tensor]:
-    """The weights of the recipe's teacher, by name. Raises `ConfigurationError` if it is no agent with a memory."""
+def network_of(recipe: Recipe, training: Training) -> tuple[dict[str, int], dict[str, torch.Tensor]]:
+    """The sizes and weights of the teacher's network, by name.
+
+    Raises `ConfigurationError` if the recipe's teacher is no agent with a memory, or has a network of other sizes.
+    """
     if recipe.teacher is None:
         raise ConfigurationError("distilled_ppo starts from an agent: name it, --teacher AGENT")
     teacher = make_policy(recipe.teacher, training.held_out)
@@ -80,7 +81,11 @@ def weights_of(recipe: Recipe, training: Training) -> dict[str, torch.Tensor]:
             raise ConfigurationError(
                 f"{recipe.teacher} was trained with {name} {theirs!r}: set that option, not {ours!r}"
             )
-    return {name: torch.tensor(numbers) for name, numbers in teacher.numbers.items()}
+    card, options = teacher.card, training.options
+    (memory_units,), actions = card.memory[MEMORY], card.action_shape[0]
+    sizes = {"hidden_units": options.hidden_units, "layers": options.layers}
+    weights = {name: torch.tensor(numbers) for name, numbers in teacher.numbers.items()}
+    return {**sizes, "memory_units": memory_units, "actions": actions}, weights
 
 
 class Recollection(torch.nn.Module):
@@ -90,22 +95,22 @@ class Recollection(torch.nn.Module):
     """
 
     def __init__(
-        self, weights: dict[str, torch.Tensor], options: DistilledPpoOptions, view: View,
-        observed: gymnasium.Space[Any],
-    ) -> None:  # fmt: skip
+        self, sizes: dict[str, int], weights: dict[str, torch.Tensor], view: View, observed: gymnasium.Space[Any]
+    ) -> None:
         super().__init__()
-        self._made = weights, options
-        memory_units, units = weights["network.unit.weight_hh"].shape[1], options.hidden_units
-        self.network = RecurrentNetwork(
-            view.extractor(observed), hidden_units=units, layers=options.layers, memory_units=memory_units,
-            actions=len(weights["scale.span"]),
-        )  # fmt: skip
-        with torch.no_grad():
-            for name, parameter in self.network.named_parameters():
-                parameter.copy_(weights[f"network.{name}"])
+        self._made = sizes, weights
+        self.network = RecurrentNetwork(view.extractor(observed), **sizes)
         self.network.requires_grad_(False)
+        for name, parameter in self.network.named_parameters():
+            theirs = weights.get(f"network.{name}")
+            if theirs is None or theirs.shape != parameter.shape:
+                raise ConfigurationError(
+                    f"distilled_ppo starts from an agent as distil trains it, with weights network.{name} of shape "
+                    f"{tuple(parameter.shape)}: this one has none"
+                )
+            parameter.copy_(theirs)
         self.memory = self.network.memory
-        self.space = gymnasium.spaces.Box(-np.inf, np.inf, (units + memory_units,), np.float32)
+        self.space = gymnasium.spaces.Box(-np.inf, np.inf, (sizes["hidden_units"] + sizes["memory_units"],), np.float32)
 
     def elsewhere(self, view: View, observed: gymnasium.Space[Any]) -> "Recollection":
         """The same of other observations, which are prepared alike."""

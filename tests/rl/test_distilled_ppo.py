@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from armctl.agents import load_agent
+from armctl.agents import OnnxPolicy, load_agent
 from armctl.envs import make_worlds
 from armctl.errors import AgentFileError, ConfigurationError
 from armctl.learners import Recipe
@@ -116,4 +116,11 @@ def test_stages_that_show_ranges_and_the_camera(student, tmp_path):
 def test_what_it_cannot_start_from_is_refused_before_a_folder_is_made(student, changes, message, tmp_path):
     with pytest.raises((ConfigurationError, AgentFileError), match=message):
         trained(recipe(student).changed(**changes), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_an_agent_whose_network_is_another_is_refused(student, tmp_path, monkeypatch):
+    monkeypatch.setattr(OnnxPolicy, "numbers", {"weights": np.zeros(3)})
+    with pytest.raises(ConfigurationError, match=r"with weights network.encoder.1.weight of shape \(8, 11\)"):
+        trained(recipe(student), tmp_path / "run")
     assert not (tmp_path / "run").exists()
