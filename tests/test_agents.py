@@ -128,6 +128,7 @@ def test_no_file_is_ever_unpickled():
 @pytest.mark.parametrize("path", sorted(SHIPPED.glob("*.json")), ids=lambda path: path.stem)
 def test_a_shipped_card_is_of_the_present_recipe(path):
     from armctl.rl.bc import BcOptions
+    from armctl.rl.cloned_ppo import ClonedPpoOptions
     from armctl.rl.dagger import DaggerOptions
     from armctl.rl.distil import DistilOptions
     from armctl.rl.plan_bc import PlanBcOptions
@@ -142,7 +143,7 @@ def test_a_shipped_card_is_of_the_present_recipe(path):
     assert card.curriculum == [stage.model_dump() for stage in recipe.curriculum]
     assert card.training_seed in recipe.seeds
     kinds = {
-        "bc": BcOptions, "dagger": DaggerOptions, "distil": DistilOptions, "plan_bc": PlanBcOptions, "ppo": PpoOptions,
+        "bc": BcOptions, "cloned_ppo": ClonedPpoOptions, "dagger": DaggerOptions, "distil": DistilOptions, "plan_bc": PlanBcOptions, "ppo": PpoOptions,
         "sac": SacOptions,
     }  # fmt: skip
     kind = kinds[card.learner]
