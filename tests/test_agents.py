@@ -143,8 +143,8 @@ def test_a_shipped_card_is_of_the_present_recipe(path):
     assert card.curriculum == [stage.model_dump() for stage in recipe.curriculum]
     assert card.training_seed in recipe.seeds
     kinds = {
-        "bc": BcOptions, "cloned_ppo": ClonedPpoOptions, "dagger": DaggerOptions, "distil": DistilOptions, "plan_bc": PlanBcOptions, "ppo": PpoOptions,
-        "sac": SacOptions,
+        "bc": BcOptions, "cloned_ppo": ClonedPpoOptions, "dagger": DaggerOptions, "distil": DistilOptions,
+        "plan_bc": PlanBcOptions, "ppo": PpoOptions, "sac": SacOptions,
     }  # fmt: skip
     kind = kinds[card.learner]
     assert kind(**_as_named_now(card.learner_options)) == recipe.read_options(kind)  # later options have their defaults
