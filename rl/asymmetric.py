@@ -16,14 +16,14 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, MlpExtr
 
 from armctl.agents import INPUT, inputs
 from armctl.errors import ConfigurationError
-from armctl.rl.frames import FramesVectorEnv
+from armctl.rl.encoding import EncodedVectorEnv
 from armctl.rl.view import View
 
 STATE = "privileged_state"
 """Name of the state beside the observation's arrays."""
 
 
-class AsymmetricVectorEnv(FramesVectorEnv):
+class AsymmetricVectorEnv(EncodedVectorEnv):
     """Worlds that show the state beside the observation. Raises `ConfigurationError` for tasks that do not say it."""
 
     def __init__(self, *args: Any) -> None:
@@ -37,7 +37,7 @@ class AsymmetricVectorEnv(FramesVectorEnv):
             )
         self._final = np.zeros((self.num_envs, *self._task.state_space.shape), dtype=np.float32)
         worlds.observers.append(self)
-        self.observation_space = gymnasium.spaces.Dict({**inputs(self.history.space), STATE: self._task.state_space})
+        self.observation_space = gymnasium.spaces.Dict({**inputs(self.encoder.space), STATE: self._task.state_space})
 
     def began(self, ids: NDArray[np.int32]) -> None:
         """Do nothing: the states of worlds that have begun an episode are read when they are shown."""

@@ -21,7 +21,7 @@ from armctl.options import options
 from armctl.policies import make_policy
 from armctl.rl.anchored_ppo import AnchoredPpo, AnchoredPpoOptions, improve
 from armctl.rl.asymmetric import AsymmetricVectorEnv
-from armctl.rl.frames import FramesVectorEnv
+from armctl.rl.encoding import EncodedVectorEnv, Encoder
 from armctl.rl.recurrent import MEMORY, RecurrentNetwork
 from armctl.rl.training import Count, Training
 from armctl.rl.vector import StableBaselinesVectorEnv
@@ -52,11 +52,11 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
     def show() -> StableBaselinesVectorEnv:
         worlds, view = training.worlds, training.view
         recollection = Recollection(sizes, weights, view, worlds.single_observation_space)
-        kind = AsymmetricVectorEnv if options.privileged_critic else FramesVectorEnv
+        kind = AsymmetricVectorEnv if options.privileged_critic else EncodedVectorEnv
         return kind(recollection, worlds, view.action_scale)
 
     def start(model: AnchoredPpo) -> None:
-        head = model.env.history.network.head
+        head = model.env.encoder.network.head
         model.policy.mlp_extractor.policy_net.load_state_dict(head[:-1].state_dict())
         model.policy.action_net.load_state_dict(head[-1].state_dict())
 
@@ -88,11 +88,8 @@ def network_of(recipe: Recipe, training: Training) -> tuple[dict[str, int], dict
     return {**sizes, "memory_units": memory_units, "actions": actions}, weights
 
 
-class Recollection(torch.nn.Module):
-    """What an agent makes of an observation and what it remembers, one number (n, k) beside the other.
-
-    It takes the place of `armctl.rl.frames.History`.
-    """
+class Recollection(Encoder):
+    """What an agent makes of an observation and what it remembers, one number (n, k) beside the other."""
 
     def __init__(
         self, sizes: dict[str, int], weights: dict[str, torch.Tensor], view: View, observed: gymnasium.Space[Any]

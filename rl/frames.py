@@ -12,12 +12,10 @@ import torch
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 from armctl.agents import INPUT, inputs
-from armctl.envs import one_of
-from armctl.envs.observations import stacked
 from armctl.errors import ConfigurationError
 from armctl.options import options
-from armctl.rl.actor import Actor, blank, tensors
-from armctl.rl.training import Count, Training, TrainingOptions
+from armctl.rl.encoding import EncodedVectorEnv, Encoder
+from armctl.rl.training import Count, TrainingOptions
 from armctl.rl.vector import StableBaselinesVectorEnv
 from armctl.rl.view import View
 
@@ -39,7 +37,7 @@ class FrameOptions(TrainingOptions):
             raise ConfigurationError("frame_gap is the time between frames, of which there is one: set frames too")
 
 
-class History(torch.nn.Module):
+class History(Encoder):
     """Prepared observations (n, ...) of the last control steps, stacked to (n, frames, ...), the present one last.
 
     Before an episode's first observation, there was always that same one. `memory` is what has to be remembered for
@@ -56,12 +54,11 @@ class History(torch.nn.Module):
                     f"frames are stacked of 32-bit floats, and the observation {name!r} has {space.dtype}"
                 )
         sizes = {name: space.shape or () for name, space in parts.items()}
-        self.memory: dict[str, tuple[int, ...]] = {}
+        self.memory = {}
         if length:
             self.memory = {PAST + name: (length, *size) for name, size in sizes.items()} | {BEGUN: (1,)}
         self.names = list(sizes)
         self.space = _unbounded({name: (frames, *size) for name, size in sizes.items()})
-        """Of stacks."""
 
     def elsewhere(self, view: View, observed: gymnasium.Space[Any]) -> "History":
         """The same of other observations, which are prepared alike."""
@@ -108,75 +105,14 @@ class FrameFeatures(BaseFeaturesExtractor):
         return self.features(each).reshape(-1, self.features_dim)
 
 
-class WithHistory(torch.nn.Module):
-    """A network of stacks, as a network of observations and memory."""
-
-    def __init__(self, history: History, network: torch.nn.Module) -> None:
-        super().__init__()
-        self.history, self.network = history, network
-
-    def forward(self, observation: Any, *memory: torch.Tensor) -> Any:
-        """Actions (n, ...) in [-1, 1], and the next memory if there is one."""
-        stack, *after = self.history(observation, *memory)
-        return (self.network(stack), *after) if memory else self.network(stack)
-
-
-class FramesVectorEnv(StableBaselinesVectorEnv):
-    """Worlds that show stacks."""
-
-    def __init__(self, history: History, *args: Any) -> None:
-        super().__init__(*args)
-        self.history, self.observation_space = history, history.space
-        self._memory = blank(history.memory, self.num_envs)
-
-    def reset(self) -> Any:
-        """Start new episodes in all worlds."""
-        self._memory = blank(self.history.memory, self.num_envs)
-        return self._stacked(super().reset())
-
-    def step_wait(self) -> Any:
-        """Step all worlds."""
-        observations, rewards, done, infos = super().step_wait()
-        if (ended := np.flatnonzero(done)).size:
-            last = stacked([infos[i]["terminal_observation"] for i in ended])
-            with torch.no_grad():
-                final = _arrays(self.history(tensors(last), *(part[ended] for part in self._memory))[0])
-            for k, i in enumerate(ended):
-                infos[i]["terminal_observation"] = one_of(final, k)
-            # in place, it would change the stacks that the learner has been shown, which share their memory
-            self._memory = [part.index_fill(0, torch.as_tensor(ended), 0.0) for part in self._memory]
-        return self._stacked(observations), rewards, done, infos
-
-    def _stacked(self, observations: Any) -> Any:
-        with torch.no_grad():
-            stack, *self._memory = self.history(tensors(observations), *self._memory)
-        return _arrays(stack)
-
-
 def shown_worlds(
-    worlds: Any, view: View, options: FrameOptions, kind: Callable[..., FramesVectorEnv] | None = None
+    worlds: Any, view: View, options: FrameOptions, kind: Callable[..., EncodedVectorEnv] | None = None
 ) -> StableBaselinesVectorEnv:
     """Worlds as a learner with these options is shown them: of a `kind`, or without stacks where there is no need."""
     if kind is None and options.frames == 1 and view.prepare is None:
         return StableBaselinesVectorEnv(worlds, view.action_scale)
-    history = History(view, worlds.single_observation_space, options.frames, options.frame_gap)
-    return (kind or FramesVectorEnv)(history, worlds, view.action_scale)
-
-
-def features_of(venv: StableBaselinesVectorEnv, view: View) -> dict[str, Any]:
-    """Arguments of a policy of Stable-Baselines3 for the features of what worlds show."""
-    if isinstance(venv, FramesVectorEnv):
-        return venv.history.features(view)
-    return {"features_extractor_class": view.features, "features_extractor_kwargs": view.features_options}
-
-
-def actor_in(venv: StableBaselinesVectorEnv, network: torch.nn.Module, training: Training) -> Actor:
-    """An actor for a training's held-out worlds, with a network of what its own worlds show, prepared alike."""
-    view, observed = training.view, training.held_out.single_observation_space
-    if isinstance(venv, FramesVectorEnv):
-        history = venv.history.elsewhere(view, observed)
-        return Actor(WithHistory(history, network), view.action_scale, observed, history.memory)
-    return Actor(network, view.action_scale, observed)
+    encoder = History(view, worlds.single_observation_space, options.frames, options.frame_gap)
+    return (kind or EncodedVectorEnv)(encoder, worlds, view.action_scale)
 
 
 def _each(stacks: torch.Tensor) -> torch.Tensor:
@@ -189,8 +125,3 @@ def _unbounded(sizes: Mapping[str, tuple[int, ...]]) -> gymnasium.Space[Any]:
         name: gymnasium.spaces.Box(-np.inf, np.inf, size, np.float32) for name, size in sizes.items()
     }
     return boxes[INPUT] if list(boxes) == [INPUT] else gymnasium.spaces.Dict(boxes)
-
-
-def _arrays(values: Any) -> Any:
-    """As NumPy arrays: one, or several by name."""
-    return {name: part.numpy() for name, part in values.items()} if isinstance(values, dict) else values.numpy()

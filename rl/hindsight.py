@@ -14,7 +14,8 @@ from stable_baselines3 import HerReplayBuffer
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 
-from armctl.rl.frames import FrameFeatures, FramesVectorEnv
+from armctl.rl.encoding import EncodedVectorEnv
+from armctl.rl.frames import FrameFeatures
 from armctl.rl.view import View
 from armctl.tasks.reach import observation_sizes
 from armctl.tasks.reach.state import GOAL_REWARD, STEP_REWARD
@@ -42,13 +43,13 @@ def joined(shown: Mapping[str, torch.Tensor]) -> torch.Tensor:
     return torch.cat((own, goal[:, None].expand(-1, own.shape[1], -1)), dim=2)
 
 
-class GoalVectorEnv(FramesVectorEnv):
+class GoalVectorEnv(EncodedVectorEnv):
     """Reach worlds with `achieved_goal`, the end-effector's position, and `desired_goal`, the target's (m)."""
 
     def __init__(self, tolerance: float, *args: Any) -> None:
         super().__init__(*args)
         self.tolerance, self.reward_scale = tolerance, self.env.unwrapped.reward_scale
-        low, high = split(self.history.space.low), split(self.history.space.high)
+        low, high = split(self.encoder.space.low), split(self.encoder.space.high)
         self.observation_space = spaces.Dict({name: spaces.Box(low[name], high[name]) for name in low})
 
     def reset(self) -> Any:

@@ -18,7 +18,8 @@ from armctl.learners import Recipe
 from armctl.options import options
 from armctl.rl.actor import Actor
 from armctl.rl.asymmetric import AsymmetricPolicy, AsymmetricVectorEnv
-from armctl.rl.frames import FrameOptions, actor_in, features_of, shown_worlds
+from armctl.rl.encoding import actor_in, features_of
+from armctl.rl.frames import FrameOptions, shown_worlds
 from armctl.rl.learning import decaying, learn
 from armctl.rl.training import Count, Positive, Share, Training
 from armctl.rl.vector import StableBaselinesVectorEnv

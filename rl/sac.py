@@ -19,7 +19,8 @@ from armctl.agents import AgentCard
 from armctl.errors import ConfigurationError
 from armctl.learners import Recipe
 from armctl.options import options
-from armctl.rl.frames import FrameOptions, actor_in, features_of, shown_worlds
+from armctl.rl.encoding import actor_in, features_of
+from armctl.rl.frames import FrameOptions, shown_worlds
 from armctl.rl.hindsight import GoalFeatures, GoalVectorEnv, HindsightBuffer, split
 from armctl.rl.learning import REPLAY, decaying, learn
 from armctl.rl.training import Count, Positive, Share, Training, check_no_curriculum

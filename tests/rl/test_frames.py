@@ -12,7 +12,8 @@ from armctl.errors import ConfigurationError
 from armctl.learners import load_recipe
 from armctl.rl import cloned_ppo, ppo, sac
 from armctl.rl.actor import Actor, tensors
-from armctl.rl.frames import FrameFeatures, FramesVectorEnv, History, WithHistory
+from armctl.rl.encoding import Encoded, EncodedVectorEnv
+from armctl.rl.frames import FrameFeatures, History
 from armctl.rl.training import Training
 from armctl.rl.view import view_of
 from armctl.shaping import Shaped
@@ -50,7 +51,7 @@ def actor_with_frames(worlds, frames, gap):
     last = torch.nn.Linear(features.features_dim, worlds.single_action_space.shape[0])
     torch.nn.init.uniform_(last.weight, -0.02, 0.02)  # actions within the limits tell observations apart
     network = torch.nn.Sequential(features, last)
-    return Actor(WithHistory(history, network), view.action_scale, space, history.memory)
+    return Actor(Encoded(history, network), view.action_scale, space, history.memory)
 
 
 def exported(actor, worlds, path):
@@ -114,7 +115,7 @@ def test_worlds_show_stacks_that_do_not_cross_episodes(prepared):
     worlds = Shaped(make_worlds("armctl/BridgeCross-v0", 2, CAMERA, autoreset_mode="same_step"), "distance", gamma=0.9)
     view = view_of(worlds.unwrapped)
     history = History(view, worlds.single_observation_space, 3, 2)
-    venv = FramesVectorEnv(history, worlds, view.action_scale)
+    venv = EncodedVectorEnv(history, worlds, view.action_scale)
     venv.seed(0)
     shown, seen = venv.reset(), []
     assert {name: space.shape for name, space in venv.observation_space.items()} == {"ranges": (3, 8), "motion": (3, 3)}

@@ -7,7 +7,8 @@ from stable_baselines3 import SAC
 
 from armctl import make_policy
 from armctl.envs import TaskVectorEnv
-from armctl.rl.frames import FrameFeatures, FramesVectorEnv, History
+from armctl.rl.encoding import EncodedVectorEnv
+from armctl.rl.frames import FrameFeatures, History
 from armctl.rl.hindsight import GoalFeatures, GoalVectorEnv, HindsightBuffer, joined
 from armctl.rl.view import view_of
 from armctl.tasks import ReachTask
@@ -45,7 +46,7 @@ def goal_worlds(n, frames=1):
 
 @pytest.mark.parametrize("frames", [1, 3])
 def test_worlds_with_goals_are_the_same_worlds(frames):
-    goals, plain = goal_worlds(3, frames), worlds_that_show(FramesVectorEnv, 3, frames)
+    goals, plain = goal_worlds(3, frames), worlds_that_show(EncodedVectorEnv, 3, frames)
     shown, expected = goals.reset(), plain.reset()
     for _ in range(5):
         assert goals.observation_space.contains({name: values[0] for name, values in shown.items()})
@@ -128,7 +129,7 @@ def test_features_of_goals_are_those_of_stacks_with_another_target(frames):
     shown = venv.step(np.full((7, 6), 0.5, dtype=np.float32))[0]
     view = view_of(venv.env)
     goals, plain = (kind(space, view) for kind, space in (
-        (GoalFeatures, venv.observation_space), (FrameFeatures, venv.history.space)
+        (GoalFeatures, venv.observation_space), (FrameFeatures, venv.encoder.space)
     ))  # fmt: skip
     shown = {name: torch.as_tensor(part) for name, part in shown.items()}
     elsewhere = shown | {"desired_goal": shown["desired_goal"].flip(0)}
