@@ -13,6 +13,11 @@ MKDOCS := NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs
 UV := $(BIN)/uv --quiet
 # It asks for Gymnasium 0.29, and so cannot be resolved beside armctl; what examples/ use of it works with newer ones.
 IMITATION := imitation==1.0.1
+# It asks for Python before 3.11, and is run with newer libraries, unchanged, in examples/cleanrl_unmodified.py.
+CLEANRL := cleanrl==1.2.0
+# LeRobot's own reader, with which the tests read what armctl writes. It asks for older versions of much that armctl needs, so it is
+# beside the other packages, not among them.
+LEROBOT := lerobot==0.4.4 torchvision==0.25.0 accelerate==1.15.0 safetensors==0.8.0
 EXPORT := $(UV) export --frozen --all-extras --no-emit-project --no-hashes --no-annotate
 
 .PHONY: compare test test-all test-thorough check docs docs-serve lock check-lock dist benchmarks clean
@@ -85,6 +90,9 @@ $(VENV)/full: pyproject.toml constraints.txt | $(VENV)/python
 	@echo "Installing armctl with all extras into $(VENV) ..."
 	@$(PIP) --editable '.[rl,dev]' || { echo "The installation failed: see above; it needs a package index and up to 9 GB."; exit 1; }
 	@$(PIP) --no-deps $(IMITATION) || { echo "The installation of $(IMITATION) failed: see above."; exit 1; }
+	@$(PIP) --no-deps --ignore-requires-python $(CLEANRL) || { echo "The installation of $(CLEANRL) failed: see above."; exit 1; }
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --upgrade --target $(VENV)/lerobot $(LEROBOT) || \
+	  { echo "The installation of $(LEROBOT) failed: see above."; exit 1; }
 	@touch $@ $(VENV)/core
 
 $(VENV)/uv: Makefile | $(VENV)/python

@@ -44,6 +44,7 @@ TRAININGS = {
     "sb3_sac_her.py": 3,
     "sb3_ppo_bridge_cnn.py": 3,
     "cleanrl_ppo.py": 1,
+    "cleanrl_unmodified.py": 1,
     "skrl_ppo.py": 1,
     "torchrl_ppo.py": 1,
     "sbx_ppo.py": 1,

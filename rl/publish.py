@@ -14,7 +14,7 @@ import typer
 
 from armctl.agents import AgentCard, read_card, sha256
 from armctl.errors import AgentFileError, ConfigurationError
-from armctl.evaluation.curves import CURVE
+from armctl.evaluation.curves import curve_path
 from armctl.evaluation.trials import TRIALS, read_trials, write_trials
 from armctl.files import write_atomically
 from armctl.learners import recipe_names
@@ -63,8 +63,7 @@ def _read(path: Path) -> TrainedAgent:
     card, graph = read_card(path), path.with_suffix(".onnx")
     if card.evaluation is None or not graph.exists() or sha256(graph) != card.sha256:
         raise AgentFileError(f"{path} is not of a finished training, or its network was changed")
-    curve = path.with_name(CURVE) if path.name == "agent.json" else path.with_suffix(".csv")
-    return TrainedAgent(card, graph.read_bytes(), curve.read_bytes())
+    return TrainedAgent(card, graph.read_bytes(), curve_path(path).read_bytes())
 
 
 def _write(agent: TrainedAgent, path: Path) -> None:

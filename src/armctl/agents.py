@@ -230,6 +230,13 @@ def load_agent(path: Path, worlds: EpisodeVectorEnv | Interface) -> OnnxPolicy:
 
     Raises `AgentFileError` if a file is missing or corrupt, or if the agent was made for another environment.
     """
+    card = read_agent(path)
+    _check_made_for(card, worlds)
+    return OnnxPolicy(path.with_suffix(".onnx"), card)
+
+
+def read_agent(path: Path) -> AgentCard:
+    """The card of an agent whose graph is there and is the one that the card describes. Raises `AgentFileError`."""
     from armctl.agent_graph import LARGEST_FILE  # onnx takes longer to import than the rest, and few need it
 
     graph = path.with_suffix(".onnx")
@@ -240,8 +247,7 @@ def load_agent(path: Path, worlds: EpisodeVectorEnv | Interface) -> OnnxPolicy:
         raise AgentFileError(f"the agent's graph {graph} is missing")
     if sha256(graph, LARGEST_FILE) != card.sha256:
         raise AgentFileError(f"{graph} does not have the checksum on its card: it was changed, or damaged")
-    _check_made_for(card, worlds)
-    return OnnxPolicy(graph, card)
+    return card
 
 
 def read_card(path: Path) -> AgentCard:

@@ -46,6 +46,10 @@ class AgentFileError(ArmctlError):
     """A learned agent's file that is missing, corrupt, or made for something else."""
 
 
+class HubError(ArmctlError):
+    """A model hub that cannot be reached, refuses what was asked, or does not have it."""
+
+
 class ResultsError(ArmctlError):
     """A results folder that cannot be written, or that holds results already."""
 
@@ -83,9 +87,9 @@ def format_cause(error: BaseException) -> str:
     return "".join(traceback.format_exception(error.__cause__ or error))
 
 
-def missing_extra(purpose: str, error: ModuleNotFoundError) -> ConfigurationError:
-    """Error for a feature whose packages are not installed."""
-    how = f"pip install '{DISTRIBUTION}[rl]', or pip install -e '.[rl]' in a clone"
+def missing_extra(purpose: str, error: ModuleNotFoundError, extra: str = "rl") -> ConfigurationError:
+    """Error for a feature whose packages, those of an extra, are not installed."""
+    how = f"pip install '{DISTRIBUTION}[{extra}]', or pip install -e '.[{extra}]' in a clone"
     return ConfigurationError(f"{purpose} needs {error.name}: {how}")
 
 

@@ -60,6 +60,15 @@ def option_value(text: str) -> Any:
         return text
 
 
+def option_arguments(options: Mapping[str, Any]) -> list[str]:
+    """An environment's options as arguments of the command line, which it reads as the same values."""
+    arguments = []
+    for name, value in options.items():
+        text = value if isinstance(value, str) and option_value(value) == value else repr(value)
+        arguments += ["--set", f"{name}={text}"]
+    return arguments
+
+
 def _explained(error: ValidationError) -> ConfigurationError:
     first = error.errors()[0]
     if isinstance(raised := first.get("ctx", {}).get("error"), ConfigurationError):

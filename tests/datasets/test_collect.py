@@ -321,7 +321,7 @@ class Killed(BaseException):
 @pytest.mark.parametrize("step", ["write_dataset", "sealed", "rename", "remove"])
 @pytest.mark.parametrize("after", [False, True])
 def test_an_end_while_the_dataset_is_assembled_loses_nothing(interrupted, tmp_path, monkeypatch, step, after):
-    place = {"write_dataset": collecting, "sealed": minari_files, "rename": Path, "remove": Unfinished}[step]
+    place = {"write_dataset": minari_files, "sealed": minari_files, "rename": Path, "remove": Unfinished}[step]
     real = getattr(place, step)
 
     def killed(*given):

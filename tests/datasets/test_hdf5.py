@@ -60,7 +60,7 @@ def without_checksums(data):
 @pytest.fixture
 def data(tmp_path):
     """A dataset of somebody else: two episodes, no checksums."""
-    write_dataset(tmp_path / "data", [(played(), {"success": i == 1}) for i in range(2)], metadata())
+    write_dataset(tmp_path, [(played(), {"success": i == 1}) for i in range(2)], metadata())
     without_checksums(tmp_path / "data")
     secret = tmp_path / "secret.hdf5"
     with h5py.File(secret, "w") as file:
@@ -78,7 +78,7 @@ def test_what_was_written_is_read(data):
 
 
 def test_dicts_of_arrays_are_read(tmp_path):
-    write_dataset(tmp_path / "data", [(played(IMAGES), {})], metadata(IMAGES, 1))
+    write_dataset(tmp_path, [(played(IMAGES), {})], metadata(IMAGES, 1))
     (read,) = read_demonstrations(tmp_path, worlds(IMAGES))
     for name, values in played(IMAGES).observations.items():
         np.testing.assert_array_equal(read.observations[name], values)
@@ -135,7 +135,7 @@ def test_an_episode_elsewhere_is_not_read(data):
 
 
 def test_parts_of_observations_elsewhere_are_not_read(tmp_path):
-    write_dataset(tmp_path / "data", [(played(IMAGES), {})], metadata(IMAGES, 1))
+    write_dataset(tmp_path, [(played(IMAGES), {})], metadata(IMAGES, 1))
     without_checksums(tmp_path / "data")
     with h5py.File(tmp_path / "data" / hdf5.FILE, "a") as file:
         file["elsewhere"] = file["episode_0/observations/image"]
@@ -291,7 +291,7 @@ def test_a_name_that_is_no_folder_is_refused(name, monkeypatch, tmp_path):
 @pytest.fixture
 def own(tmp_path):
     write_dataset(tmp_path / "own", [(played(), {})] * 2, metadata())
-    return tmp_path / "own"
+    return tmp_path / "own" / "data"
 
 
 def test_a_changed_value_is_noticed(own):

@@ -13,6 +13,7 @@ from joblib.externals.loky import get_reusable_executor
 
 from armctl.errors import ConfigurationError
 from armctl.evaluation import compare
+from armctl.evaluation.engines import Local
 from armctl.evaluation.parallel import _blocks
 from armctl.evaluation.record import TIME_COLUMNS
 from armctl.policies import make_policy
@@ -99,7 +100,7 @@ def test_no_workers_are_refused():
 
 @pytest.mark.parametrize(("episodes", "worlds", "workers"), [(7, 1, 2), (100, 8, 2), (10, 64, 3), (0, 4, 2)])
 def test_blocks_hold_every_episode_once_and_keep_all_workers_busy(episodes, worlds, workers):
-    blocks = list(_blocks(range(episodes), worlds, workers))
+    blocks = list(_blocks(range(episodes), worlds, Local(workers)))
     assert [episode for block in blocks for episode in block] == list(range(episodes))
     assert len(blocks) >= min(workers, episodes)
 

@@ -7,9 +7,9 @@ import shlex
 import pytest
 
 from armctl.agents import read_card
-from armctl.cli.learn import _settings
 from armctl.cli.options import options_of
 from armctl.evaluation.trials import read_trials
+from armctl.options import option_arguments
 from tests.command_line import armctl
 
 QUICK = ["--steps", "300", "--option", "worlds=8", "--option", "batch_size=64", "--option", "evaluation_every=100",
@@ -56,7 +56,7 @@ def test_a_log_gets_a_line_for_each_evaluation_and_no_bars(trained):
 
 def test_options_are_written_as_they_are_read():
     options = {"a": "ur10", "b": "1", "c": (1, 2.5), "d": None, "e": "two words", "f": {"noise": 0.1}, "g": "None"}
-    words = _settings(options)
+    words = option_arguments(options)
     assert words[::2] == ["--set"] * len(options)
     assert options_of(words[1::2]) == options
 

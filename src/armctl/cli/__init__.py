@@ -4,11 +4,11 @@ import os
 import sys
 from typing import NoReturn
 
-from armctl.cli import catalogue, evaluate, learn, play, suite
+from armctl.cli import catalogue, evaluate, learn, play, share, suite
 from armctl.cli.app import app, settings
 from armctl.errors import ArmctlError, format_cause
 
-__all__ = ["app", "catalogue", "evaluate", "learn", "main", "play", "suite"]
+__all__ = ["app", "catalogue", "evaluate", "learn", "main", "play", "share", "suite"]
 
 TRACEBACK = "--traceback"
 

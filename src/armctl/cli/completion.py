@@ -36,6 +36,11 @@ def recipes(incomplete: str) -> list[str]:
     return _starting({*named, *installed("armctl.learners").names}, incomplete)
 
 
+def trackers(incomplete: str) -> list[str]:
+    """Names of experiment trackers."""
+    return _starting(installed("armctl.trackers").names, incomplete)
+
+
 def disturbances(incomplete: str) -> list[str]:
     """Names of disturbances."""
     from armctl.disturbances import ARM, ROVER  # loads MuJoCo: a second, but only here

@@ -14,6 +14,7 @@ from armctl.cli.options import (
     Env,
     EnvOptions,
     Format,
+    On,
     Overwrite,
     Policies,
     RealTime,
@@ -46,6 +47,7 @@ def compare(
     overwrite: Overwrite = False,
     worlds: Worlds = 1,
     workers: Workers = 1,
+    on: On = "local",
     env_options: EnvOptions = None,
     success_return: SuccessReturn = None,
     baseline: Annotated[
@@ -76,12 +78,13 @@ def compare(
     from armctl.evaluation import EpisodeResult
     from armctl.evaluation import compare as run_comparison
     from armctl.evaluation.compare import default_policies
+    from armctl.evaluation.engines import connect
     from armctl.policies import expanded, named_policies
 
     names = policies or default_policies(env)
     players, _ = expanded(named_policies(names))
     folder = out or new_folder()
-    with progress_bar() as bar:
+    with connect(on, workers) as engine, progress_bar() as bar:
         bars = {name: bar.add_task(name, total=episodes) for name in players}
 
         def progress(result: EpisodeResult) -> None:
@@ -95,7 +98,7 @@ def compare(
             out=folder,
             overwrite=overwrite,
             worlds=worlds,
-            workers=workers,
+            workers=engine,
             env_options=options_of(env_options, success_return=success_return),
             baseline=baseline,
             margin=margin / 100,
@@ -239,6 +242,7 @@ def sweep(
     overwrite: Overwrite = False,
     worlds: Worlds = 1,
     workers: Workers = 1,
+    on: On = "local",
     env_options: EnvOptions = None,
     success_return: SuccessReturn = None,
     slow_down: Annotated[
@@ -270,6 +274,7 @@ def sweep(
     from armctl.evaluation import EpisodeResult
     from armctl.evaluation import sweep as run_sweep
     from armctl.evaluation.compare import default_policies
+    from armctl.evaluation.engines import connect
     from armctl.evaluation.real_time import SLOWER
     from armctl.evaluation.sweep import sweep_levels
     from armctl.policies import expanded, named_policies
@@ -280,7 +285,7 @@ def sweep(
     players, _ = expanded(named_policies(names))
     settings = 1 + sum(len(levels) - 1 for levels in sweep_levels(env, asked, options).values())
     folder = out or new_folder()
-    with progress_bar() as bar:
+    with connect(on, workers) as engine, progress_bar() as bar:
         shown = bar.add_task("", total=settings * len(players) * episodes)
 
         def progress(setting: str, result: EpisodeResult) -> None:
@@ -295,7 +300,7 @@ def sweep(
             out=folder,
             overwrite=overwrite,
             worlds=worlds,
-            workers=workers,
+            workers=engine,
             env_options=options,
             real_time=real_time,
             progress=progress,

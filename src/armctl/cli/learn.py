@@ -1,10 +1,11 @@
 """Verbs that make agents: `train`, and `export` for models of Stable-Baselines3."""
 
+import functools
 import logging
 import os
 import shlex
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
@@ -63,6 +64,15 @@ def train(
             help="Resume from the newest checkpoint in the folder. Checkpoints can run code: only of your own.",
         ),
     ] = False,
+    track: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="TRACKER",
+            help="Record options, learning curve, video and agent in an experiment tracker: `wandb`, `mlflow` (extras "
+            "of the same names) or `tensorboard`; repeatable.",
+            autocompletion=completion.trackers,
+        ),
+    ] = None,
     threads: Annotated[
         int | None,
         typer.Option(
@@ -81,13 +91,18 @@ def train(
 
     During training, the agent is evaluated on held-out episodes (`curve.csv`), and the best version is kept. Ctrl-C
     leaves a checkpoint, and the same command with `--resume` resumes from it. Checkpoints are pickles, which can run
-    any code when they are loaded: resume only trainings of your own. Watch the training with
-    `tensorboard --logdir FOLDER`. Each training, also one that fails, gets a row in `trials.csv` beside its folder.
+    any code when they are loaded: resume only trainings of your own. Each training, also one that fails, gets a row in
+    `trials.csv` beside its folder.
+
+    Watch the training with `tensorboard --logdir FOLDER`, or let `--track wandb` or `--track mlflow` record it where
+    you keep your experiments. A tracker that fails does not harm the training, and `--resume` continues the same run.
     """
     from armctl.envs import task_of
     from armctl.evaluation.trials import TRIALS, add_trial, progress_of, results_of, trial
     from armctl.learners import load_learner, load_recipe
+    from armctl.options import option_arguments
     from armctl.simulation.threads import LIMIT
+    from armctl.tracking import tracked
 
     if threads:
         os.environ[LIMIT] = str(threads)
@@ -113,7 +128,8 @@ def train(
         add_trial(folder.parent / TRIALS, started | {"ended": ended, "note": why} | results)
 
     try:
-        with _evaluations_logged():
+        tell = functools.partial(_say, error=True)
+        with _evaluations_logged(), tracked(track or (), chosen, folder, seed, resume, tell):
             card = load_learner(chosen.learner)(chosen, out=folder, seed=seed, resume=resume)
     except KeyboardInterrupt:
         begun = (folder / "settings.json").exists()
@@ -140,7 +156,7 @@ def train(
         f"on {card.evaluation.episodes} held-out episodes"
     )
     rival, agent = task_of(chosen.env).default_policies[0], folder / "agent.json"
-    environment = ("--env", chosen.env, *_settings(chosen.env_options))
+    environment = ("--env", chosen.env, *option_arguments(chosen.env_options))
     _say(f"The agent is {agent}: {_words('armctl', 'compare', rival, agent, *environment)}")
 
 
@@ -185,6 +201,7 @@ def export(
     only loaded with `--trust`. The agent that comes out cannot run code, and is safe to share. Needs the extra `rl`.
     """
     from armctl.learners import load_exporter
+    from armctl.options import option_arguments
 
     target = out or model.with_suffix(".onnx")
     card = load_exporter(model)(
@@ -208,7 +225,7 @@ def export(
         f"Agent and model act alike on {conversion.observations:,} observations of {env}: "
         f"largest difference {conversion.largest_difference:.1g}"
     )
-    run = _words("armctl", "run", target, "--env", env, *_settings(card.env_options))
+    run = _words("armctl", "run", target, "--env", env, *option_arguments(card.env_options))
     _say(f"The agent is {target}, with its card beside it: {run}")
 
 
@@ -238,14 +255,3 @@ def _say(text: str, error: bool = False) -> None:
 def _words(*words: object) -> str:
     """A command's words as a shell takes them."""
     return shlex.join(str(word) for word in words)
-
-
-def _settings(env_options: Mapping[str, Any]) -> list[str]:
-    """The environment's options as arguments, which `options_of` reads again."""
-    from armctl.options import option_value
-
-    arguments = []
-    for name, value in env_options.items():
-        text = value if isinstance(value, str) and option_value(value) == value else repr(value)
-        arguments += ["--set", f"{name}={text}"]
-    return arguments

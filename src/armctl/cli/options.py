@@ -55,6 +55,15 @@ Workers = Annotated[
         "while the other processes compute, and no deadlines are judged.",
     ),
 ]
+On = Annotated[
+    str,
+    typer.Option(
+        "--on",
+        metavar="ENGINE",
+        help="Where episodes are played: `local`, in so many workers, or on a cluster: `ray://HOST:PORT`, "
+        "`dask://HOST:PORT`, or `ray` for the one that this machine belongs to; needs the extra `cluster`.",
+    ),
+]
 Policies = Annotated[
     list[str] | None,
     typer.Argument(

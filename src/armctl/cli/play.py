@@ -29,12 +29,16 @@ def run(
     episode: Annotated[int, typer.Option(min=0, help="Number of the first episode.")] = 0,
     video: Annotated[Path | None, typer.Option(metavar="FILE.mp4", help="Record a video.")] = None,
     watch: Annotated[bool, typer.Option("--watch", help="Show it in a window, in real time.")] = False,
+    rerun: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.rrd", help="Record everything for Rerun's viewer; needs the extra `rerun`."),
+    ] = None,
     env_options: EnvOptions = None,
 ) -> None:
     """Play episodes with one policy, and print its states, actions and rewards."""
     from armctl.viewer.terminal import run_episodes
 
-    if not run_episodes(policy, env, episodes, steps, seed, video, watch, options_of(env_options), episode):
+    if not run_episodes(policy, env, episodes, steps, seed, video, watch, options_of(env_options), episode, rerun):
         raise typer.Exit(130)
 
 
@@ -82,9 +86,12 @@ def collect(
     ] = 10**9,
     worlds: Annotated[int, typer.Option(min=1, help="Worlds stepped at once.")] = 50,
     env_options: EnvOptions = None,
+    format: Annotated[
+        str, typer.Option(help="`minari`, from which `bc` can learn (extra `rl`), or `lerobot` (extra `lerobot`).")
+    ] = "minari",
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the dataset in the folder.")] = False,
 ) -> None:
-    """Write a policy's episodes to a Minari dataset, from which `bc` can learn; needs the extra `rl`.
+    """Write a policy's episodes to a dataset for learners, in the format of Minari or LeRobot.
 
     Ctrl-C keeps the finished episodes, and the same command resumes. So it does after a full disk or a crash.
     """
@@ -95,7 +102,7 @@ def collect(
         task = bar.add_task(policy, total=episodes)
         collection = run_collection(
             policy, env, episodes=episodes, out=out, seed=seed, worlds=worlds, env_options=options_of(env_options),
-            overwrite=overwrite, progress=lambda finished: bar.update(task, completed=finished),
+            format=format, overwrite=overwrite, progress=lambda finished: bar.update(task, completed=finished),
         )  # fmt: skip
     console = PlainConsole()
     if collection.resumed:

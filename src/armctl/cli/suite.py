@@ -10,6 +10,7 @@ from armctl.cli.app import app
 from armctl.cli.evaluate import exit_if_interrupted, make_report, print_tracebacks
 from armctl.cli.options import (
     Format,
+    On,
     Overwrite,
     Seed,
     TableFormat,
@@ -48,6 +49,7 @@ def suite(
     overwrite: Overwrite = False,
     worlds: Worlds = 1,
     workers: Workers = 1,
+    on: On = "local",
     video: Annotated[bool, typer.Option("--video", help="Film episodes for the tasks' own reports: minutes.")] = False,
     table_format: Format = TableFormat.TABLE,
 ) -> None:
@@ -61,10 +63,11 @@ def suite(
     command with the same `--out` resumes the suite. A task that fails is told, and does not stop the others.
     """
     from armctl.evaluation import suite as run_suite
+    from armctl.evaluation.engines import connect
     from armctl.evaluation.suite import ALL
 
     folder = out or new_folder()
-    with progress_bar() as bar:
+    with connect(on, workers) as engine, progress_bar() as bar:
         shown = bar.add_task("", total=None)
 
         def progress(setting: str, total: int) -> None:
@@ -78,7 +81,7 @@ def suite(
             out=folder,
             overwrite=overwrite,
             worlds=worlds,
-            workers=workers,
+            workers=engine,
             progress=progress,
         )
     console = print_document(found.document(), table_format)

@@ -1,4 +1,4 @@
-"""Records a policy's episodes as a Minari dataset, so that nothing finished is lost.
+"""Records a policy's episodes as a dataset, in one of several formats, so that nothing finished is lost.
 
 Each finished episode is a file in the folder `unfinished`. At the end, the dataset is assembled of them there, moved
 into its place, and `unfinished` is deleted. So a dataset is whole, and an interrupted collection resumes.
@@ -15,15 +15,8 @@ from typing import Any
 
 from armctl import DEFAULT_ENV
 from armctl.datasets.demonstrations import Demonstration, demonstrate
-from armctl.datasets.minari import (
-    DATA,
-    METADATA,
-    UNFINISHED,
-    check_recordable,
-    describe,
-    require_minari,
-    write_dataset,
-)
+from armctl.datasets.formats import FORMATS, Format, format_of
+from armctl.datasets.minari import UNFINISHED, check_recordable
 from armctl.datasets.unfinished import OTHERWISE, Unfinished, check_same
 from armctl.envs import full_id, make_worlds
 from armctl.errors import EnvironmentFailed, ResultsError
@@ -57,14 +50,17 @@ def collect(
     seed: int = 0,
     worlds: int = 1,
     env_options: Mapping[str, Any] | None = None,
+    format: str = "minari",
     overwrite: bool = False,
     progress: Callable[[int], None] | None = None,
 ) -> Collection:
-    """Write a policy's episodes 0 to `episodes` - 1 of `seed` to a Minari dataset in the folder `out`.
+    """Write a policy's episodes 0 to `episodes` - 1 of `seed` to a dataset in the folder `out`.
 
-    The episodes are in the order of their numbers, however many worlds play at once. `minari.MinariDataset(out /
-    "data")` opens it. So does `minari.load_dataset(out.name)` if `MINARI_DATASETS_PATH` is the parent folder and
-    `out.name` ends with a version, such as `-v0`.
+    The episodes are in the order of their numbers, however many worlds play at once. `format` is one of `FORMATS`:
+
+    - `minari`: `minari.MinariDataset(out / "data")` opens it. So does `minari.load_dataset(out.name)` if
+      `MINARI_DATASETS_PATH` is the parent folder and `out.name` ends with a version, such as `-v0`.
+    - `lerobot`: `LeRobotDataset("any/name", root=out)` opens it, and so does Rerun (`rerun OUT`).
 
     After an interrupt (Ctrl-C) or a failing policy, the dataset has the episodes that were finished. After these, a
     full disk or the end of the process, the same call resumes, and gives the same dataset as one without interruption.
@@ -73,7 +69,8 @@ def collect(
     Raises `ConfigurationError`, `AgentFileError`, `PolicyFailed`, and `ResultsError` if `out` holds another dataset
     (unless `overwrite`), cannot be written or is written by another process, or if no episode was finished.
     """
-    require_minari()
+    kind = format_of(format)
+    libraries = kind.library_versions()
     check_counts(episodes=episodes, worlds=worlds)
     check_training_data_seed(seed)
     folder, name, options = Path(out).absolute(), policy_name(policy), dict(env_options or {})
@@ -81,13 +78,13 @@ def collect(
         made_env.reset(seed=seed)  # raises for an invalid seed, before anything is written
         check_recordable(made_env)
         made = make_policy(policy, made_env)
-        own = identity(full_id(env), options, seed, {name: policy}, {name: made}, made_env)
-        about = describe(folder, env, options, made_env) | {
+        own = identity(full_id(env), options, seed, {name: policy}, {name: made}, made_env) | {"format": format}
+        about = kind.describe(folder, env, options, made_env) | {
             "algorithm_name": name, "sees": made.sees, "seed": seed, "identity": own,
-            "versions": versions() | {"minari": require_minari().__version__},
+            "versions": versions() | libraries,
         }  # fmt: skip
-        with _claimed(folder, overwrite):
-            if (finished := _finished(folder, own, episodes)) is not None:
+        with _claimed(folder, kind, overwrite):
+            if (finished := _finished(folder, kind, own, episodes)) is not None:
                 return finished
             unfinished = Unfinished(folder / UNFINISHED, own)
             if beyond := [number for number in unfinished.outcomes if number >= episodes]:
@@ -114,7 +111,7 @@ def collect(
                 if not unfinished.outcomes:
                     unfinished.remove()
             if unfinished.outcomes:
-                _assemble(folder, unfinished, about, seed)
+                _assemble(folder, kind, unfinished, about, seed)
             if len(unfinished.outcomes) == episodes:
                 unfinished.remove()
             if failure is not None:
@@ -127,10 +124,11 @@ def collect(
 
 
 @contextlib.contextmanager
-def _claimed(folder: Path, overwrite: bool) -> Iterator[None]:
-    """Keep other processes from writing to the folder; with `overwrite`, delete its dataset."""
-    parts = [folder / DATA, folder / UNFINISHED]
+def _claimed(folder: Path, kind: Format, overwrite: bool) -> Iterator[None]:
+    """Keep other processes from writing to the folder; with `overwrite`, delete its dataset, of whatever format."""
     with one_writer(folder):
+        there = [one for one in FORMATS.values() if one is kind or (folder / one.MANIFEST).exists()]
+        parts = [folder / part for part in dict.fromkeys(part for one in there for part in (*one.PARTS, UNFINISHED))]
         if link := next((part for part in parts if part.is_symlink()), None):
             raise ResultsError(f"{link} is a symbolic link, through which armctl does not write: choose another folder")
         for part in parts if overwrite else ():
@@ -145,20 +143,25 @@ def _claimed(folder: Path, overwrite: bool) -> Iterator[None]:
                     folder.rmdir()  # fails if it holds something else
 
 
-def _finished(folder: Path, own: Mapping[str, Any], episodes: int) -> Collection | None:
+def _finished(folder: Path, kind: Format, own: Mapping[str, Any], episodes: int) -> Collection | None:
     """The dataset that this call would make, if it is there already; None if some of it is missing.
 
     Raises `ResultsError` if another dataset is there.
     """
-    if (folder / UNFINISHED).exists() or not (folder / DATA).exists():
+    if (folder / UNFINISHED).exists():
         return None
-    values = check_same(folder / DATA / METADATA, own, folder)
+    for name, other in FORMATS.items():
+        if other is not kind and (folder / other.MANIFEST).exists():
+            raise ResultsError(f"{folder} already holds a dataset in the format {name}: {OTHERWISE}")
+    if not any((folder / part).exists() for part in kind.PARTS):
+        return None
+    values = check_same(folder / kind.MANIFEST, own, folder)
     if (there := values["total_episodes"]) != episodes:
         raise ResultsError(f"{folder} already holds a dataset, of {there} episodes, not {episodes}: {OTHERWISE}")
     return Collection(folder, episodes, values["total_steps"], values["successes"], resumed=episodes)
 
 
-def _assemble(folder: Path, unfinished: Unfinished, about: Mapping[str, Any], seed: int) -> None:
+def _assemble(folder: Path, kind: Format, unfinished: Unfinished, about: Mapping[str, Any], seed: int) -> None:
     """Make the dataset of the finished episodes. Raises `ResultsError`, and then keeps the episodes."""
     numbers = sorted(unfinished.outcomes)
 
@@ -174,13 +177,16 @@ def _assemble(folder: Path, unfinished: Unfinished, about: Mapping[str, Any], se
         "outcomes": dict(sorted(Counter(unfinished.outcomes.values()).items())),
         "successes": unfinished.successes,
     }
-    made = unfinished.folder / DATA
+    made = [unfinished.folder / part for part in kind.PARTS]
     try:
-        for old in (made, folder / DATA):
+        for old in (*made, *(folder / part for part in kind.PARTS)):
             if old.exists():
                 shutil.rmtree(old)
-        write_dataset(made, episodes(), json.loads(json.dumps({**about, **counts})))
-        made.rename(folder / DATA)
+        kind.write_dataset(unfinished.folder, episodes(), json.loads(json.dumps({**about, **counts})))
+        for part in made:
+            if part.exists():
+                part.rename(folder / part.name)
     except OSError as error:
-        shutil.rmtree(made, ignore_errors=True)
+        for part in made:
+            shutil.rmtree(part, ignore_errors=True)
         raise unfinished.not_written(error) from error

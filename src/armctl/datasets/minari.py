@@ -25,9 +25,13 @@ from armctl.files import CHECKSUM, bounded_text, file_checksum, sealed, unsealed
 
 DATA = "data"
 """Minari's folder within the dataset's folder."""
+PARTS: tuple[str, ...] = (DATA,)
+"""The folders within the dataset's folder of which it consists."""
 UNFINISHED = "unfinished"
 """The folder within the dataset's folder that keeps the finished episodes of an interrupted collection."""
 METADATA = "metadata.json"
+MANIFEST = f"{DATA}/{METADATA}"
+"""Where, within the dataset's folder, its identity is."""
 SHA256 = "sha256"
 """The metadata's entry with the HDF5 file's checksum."""
 
@@ -35,14 +39,14 @@ SHA256 = "sha256"
 def write_dataset(
     folder: Path, episodes: Iterable[tuple[Demonstration, Mapping[str, Any]]], metadata: Mapping[str, Any]
 ) -> None:
-    """Write a dataset's files to a new folder: episodes with their attributes, and metadata. Raises `OSError`."""
+    """Write `PARTS` to a folder: episodes with their attributes, and metadata. Raises `OSError`."""
     from armctl.datasets import hdf5
 
-    folder.mkdir()
-    hdf5.write_episodes(folder / hdf5.FILE, episodes)
-    size = (folder / hdf5.FILE).stat().st_size
-    about = {**metadata, "dataset_size": round(size / 1e6, 1), SHA256: file_checksum(folder / hdf5.FILE)}
-    write_atomically(folder / METADATA, sealed(about))
+    (folder / DATA).mkdir(parents=True)
+    file = folder / DATA / hdf5.FILE
+    hdf5.write_episodes(file, episodes)
+    about = {**metadata, "dataset_size": round(file.stat().st_size / 1e6, 1), SHA256: file_checksum(file)}
+    write_atomically(folder / MANIFEST, sealed(about))
 
 
 def describe(folder: Path, env: str, env_options: Mapping[str, Any], worlds: EpisodeVectorEnv) -> dict[str, Any]:
@@ -176,6 +180,11 @@ def _declared_shapes(space: Mapping[str, Any]) -> Any:
 def _short(value: Any) -> str:
     """A value from a file as messages show it."""
     return reprlib.repr(value)
+
+
+def library_versions() -> dict[str, str]:
+    """Versions of what writes the dataset; raises `ConfigurationError` if it is not installed."""
+    return {"minari": require_minari().__version__}
 
 
 def require_minari() -> ModuleType:

@@ -13,13 +13,14 @@ from armctl.envs import ThirdPartyVectorEnv, full_id, task_of
 from armctl.errors import ConfigurationError, ResultsError, unknown_name
 from armctl.evaluation.comparison import Comparison, summary
 from armctl.evaluation.decision_times import load_notes, timing_notes, unjudged
+from armctl.evaluation.engines import Engine, WorkersFailed, engine_of
 from armctl.evaluation.episode_table import EpisodeTable
 from armctl.evaluation.identity import identity
 from armctl.evaluation.paired import MARGIN
 from armctl.evaluation.parallel import (
     RolloutBatch,
+    Setting,
     WorkerConfig,
-    WorkersFailed,
     check_sendable,
     play_here,
     play_in_workers,
@@ -56,7 +57,7 @@ def compare(
     out: str | Path | None = None,
     overwrite: bool = False,
     worlds: int = 1,
-    workers: int = 1,
+    workers: int | Engine = 1,
     env_options: Mapping[str, Any] | None = None,
     baseline: str | None = None,
     margin: float = MARGIN,
@@ -75,8 +76,8 @@ def compare(
     are judged; with more worlds, each is a batch's time divided by the number of worlds. The first decision of an
     episode includes the policy's reset; the policy's first in a process is told apart.
 
-    With `workers`, that many processes play, each with `worlds` worlds on one core. Decision times are then measured
-    while the other processes compute.
+    With `workers`, that many processes play, each with `worlds` worlds on one core; an engine's workers play, if one
+    is given (`armctl.evaluation.engines.connect`). Decision times are then measured while the other processes compute.
 
     With `real_time`, the world does not wait: a decision that takes longer than the control period takes effect when it
     is ready (see `armctl.evaluation.real_time`). It is `measured`, which needs one world and one worker, or the folder
@@ -103,7 +104,8 @@ def compare(
         policies = default_policies(env)
     asked = named_policies(policies)
     by_name, groups = expanded(asked)
-    check_counts(episodes=episodes, worlds=worlds, workers=workers)
+    engine = engine_of(workers)
+    check_counts(episodes=episodes, worlds=worlds, **({"workers": workers} if isinstance(workers, int) else {}))
     check_evaluation_seed(seed)
     if baseline is not None and baseline not in (compared := learners(list(by_name), groups)):
         raise unknown_name("baseline among the compared policies", baseline, compared)
@@ -112,7 +114,7 @@ def compare(
     paced = real_time_of(real_time, slow_down, env, seed)
     if paced is not None:
         if paced.recorded is None:
-            check_measurable(worlds, workers)
+            check_measurable(worlds, engine.workers)
         check_recorded(paced, by_name, episodes)
         worlds = 1
     comparison = Comparison(env, seed, dict(env_options or {}), EpisodeTable())
@@ -122,7 +124,7 @@ def compare(
     ]
     worlds = min(worlds, episodes)
     with ExitStack() as stack:
-        interfaces = WorldsByInterface(env, worlds if workers == 1 else 1, env_options)
+        interfaces = WorldsByInterface(env, worlds if engine.is_here else 1, env_options)
         stack.callback(interfaces.close)
         made_env = interfaces.asked
         with wrap_environment_errors("a trial", 0):
@@ -132,7 +134,7 @@ def compare(
             check_real_time(bare_id(env), made_env)
             comparison.real_time = {"latency": paced.latency, "slow_down": paced.slow_down}
             comparison.notes.append(paced.in_words(made_env.task.control_period))
-        if workers > 1:
+        if not engine.is_here:
             check_sendable(by_name)
         comparison.notes += seed_notes(env, env_options) if seeding is None else seeding
         if isinstance(made_env, ThirdPartyVectorEnv):
@@ -141,7 +143,7 @@ def compare(
         if out is not None:
             late = None if paced is None else paced.identity(by_name)
             own = identity(env, comparison.env_options, seed, by_name, made, made_env, late)
-        meter, log = RunMeter(own, worlds, workers), None
+        meter, log = RunMeter(own, worlds, engine.workers), None
         if out is not None:
             log = stack.enter_context(EpisodeLog(Path(out), own, episodes, overwrite, meter.run))
         results = EpisodeTable() if log is None else log.kept  # what is played now is added to it
@@ -153,12 +155,12 @@ def compare(
         waiting = {name: np.setdiff1d(np.arange(episodes), finished.get(name, [])).tolist() for name in made}
         least = {} if least_lengths is None else least_lengths
         least.update(zip(*(results.column(name).tolist() for name in ("episode", "least_length")), strict=True))
-        if workers == 1:
+        if engine.is_here:
             played_in = {name: interfaces.of(policy) for name, policy in by_name.items()}
             stream = play_here(made, played_in, seed, waiting, least, paced)
         else:
-            config = WorkerConfig(env, worlds, comparison.env_options, seed, workers)
-            stream = play_in_workers(by_name, config, waiting, least, workers, paced)
+            setting = Setting(WorkerConfig(env, worlds, comparison.env_options, seed, engine.workers), by_name)
+            stream = play_in_workers(setting, made, interfaces, waiting, least, engine, paced)
         try:
             with closing(stream):
                 for played in stream:

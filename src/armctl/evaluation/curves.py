@@ -37,8 +37,6 @@ def training_curves(
     """The learning curve of each agent that has one beside its card, and error messages for unreadable curves.
 
     It is of the card's environment and options: where these are others than `env` and `env_options`, it is left out.
-
-    The curve is `curve.csv` in a training's folder, beside its `agent.json`; for a card `name.json`, it is `name.csv`.
     """
     curves, problems = {}, []
     for policy in policies:
@@ -46,7 +44,7 @@ def training_curves(
             card = card_path(policy)
         except ArmctlError:  # not an agent
             continue
-        beside = card.with_name(CURVE) if card.name == "agent.json" else card.with_suffix(".csv")
+        beside = curve_path(card)
         if beside.is_file():
             try:
                 trained = read_card(card)
@@ -55,6 +53,11 @@ def training_curves(
             except ArmctlError as error:
                 problems.append(str(error))
     return curves, problems
+
+
+def curve_path(card: Path) -> Path:
+    """Where an agent's learning curve is, if it has one: `curve.csv` beside `agent.json`, `name.csv` by `name.json`."""
+    return card.with_name(CURVE) if card.name == "agent.json" else card.with_suffix(".csv")
 
 
 def read_curve(path: Path) -> pd.DataFrame:

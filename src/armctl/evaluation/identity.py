@@ -64,7 +64,7 @@ def identity(
         "objects": {name: fingerprint(given) for name, given in definitions.items() if given is not None},
         **checksums(env, worlds, env_options, definitions.values()),
         "versions": versions(),
-        "source": _checksum_of_core(),
+        "source": checksum_of_core(),
     }
 
 
@@ -110,10 +110,30 @@ def checksums_of_code(things: Iterable[Any]) -> dict[str, str]:
             continue
         seen.add(file)
         sources.setdefault(file.name, []).append(content := file.read_bytes())
-        if _first_seen.setdefault(file, content) != content:
-            raise ConfigurationError(f"{file} has changed since Python imported it: start Python again")
+        _check_unchanged(file, content)
         waiting += _imports_of(file, content)
     return {name: short_checksum(b"".join(sorted(parts))) for name, parts in sorted(sources.items())}
+
+
+def own_modules() -> dict[str, Path]:
+    """Files of all imported modules that belong to no installed package, by name.
+
+    Raises `ConfigurationError` if a file has changed since this process has first seen it.
+    """
+    found = {name: _file_of(module) for name, module in list(sys.modules.items()) if name != "__main__"}
+    own = {
+        name: file
+        for name, file in found.items()
+        if file is not None and not is_library(file) and not f"{name}.".startswith("armctl.")
+    }
+    for file in own.values():
+        _check_unchanged(file, file.read_bytes())
+    return own
+
+
+def _check_unchanged(file: Path, content: bytes) -> None:
+    if _first_seen.setdefault(file, content) != content:
+        raise ConfigurationError(f"{file} has changed since Python imported it: start Python again")
 
 
 def _definition(policy: Any) -> Any:
@@ -192,7 +212,7 @@ def _imports_of(file: Path, content: bytes) -> Iterator[Path]:
             if module is not None and _is_own(module) and (found := _file_of(module)):
                 yield found
             beside = folder.joinpath(*name.split("."))
-            if not _is_library(beside):
+            if not is_library(beside):
                 yield from filter(Path.is_file, (beside.with_suffix(".py"), beside / "__init__.py"))
 
 
@@ -215,10 +235,11 @@ def _is_own(module: ModuleType) -> bool:
     file = _file_of(module)
     if file is None or _is_core(module):
         return False
-    return _is_plugin(module) or not _is_library(file)
+    return _is_plugin(module) or not is_library(file)
 
 
-def _is_library(file: Path) -> bool:
+def is_library(file: Path) -> bool:
+    """Whether a file or folder belongs to Python or to an installed package."""
     return any(map(file.is_relative_to, _libraries()))
 
 
@@ -243,7 +264,7 @@ def _checksum_of_model(worlds: EpisodeVectorEnv) -> str | None:
 
 
 @functools.cache
-def _checksum_of_core() -> str:
+def checksum_of_core() -> str:
     """Checksum of armctl's own files that may take part in an episode."""
     package = importlib.util.find_spec("armctl")
     assert package is not None

@@ -1,43 +1,33 @@
-"""Plays blocks of episodes: one after the other in this process, or in parallel in several, through joblib.
-
-By default, joblib starts processes on this machine (loky). Wrap a comparison in `joblib.parallel_config` to use a
-cluster's backend instead.
-"""
+"""Plays blocks of episodes: one after the other in this process, or in parallel by an engine's workers."""
 
 import contextlib
 import functools
 import os
 import signal
-import threading
-import time
 import uuid
 from collections.abc import Generator, Iterator, Mapping, Sequence
-from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import cloudpickle
-import joblib
-from joblib.parallel import LokyBackend, get_active_backend
 
+from armctl.agents import FILES
 from armctl.envs import EpisodeVectorEnv
-from armctl.errors import ArmctlError, ConfigurationError, EnvironmentFailed, format_cause
+from armctl.errors import ConfigurationError, EnvironmentFailed, format_cause
 from armctl.evaluation.decision_times import TimedPolicy
+from armctl.evaluation.engines import Cluster, Engine, check_alike
+from armctl.evaluation.identity import identity
 from armctl.evaluation.real_time import RealTime, RealTimePolicy
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.rollouts import PolicyDisqualified, PolicyFailed, rollouts
+from armctl.evaluation.sending import relative
 from armctl.policies import Policy, PolicyFactory, WorldsByInterface, make_policy
+from armctl.policies.trainings import training_card
 
 ROUNDS = 4
 """Episodes per world in a block. With so many, little time is lost waiting for the last episodes of a block."""
-
-PARENT_CHECK = 1.0
-"""s between two looks of a worker whether its parent still lives."""
-
-
-class WorkersFailed(ArmctlError):
-    """A worker process died, or could not load what it was sent."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +42,16 @@ class WorkerConfig:
     home: int = field(default_factory=os.getpid, compare=False)
     """Id of the process that waits for the workers."""
     key: str = field(default_factory=lambda: uuid.uuid4().hex)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What all blocks of a comparison share."""
+
+    config: WorkerConfig
+    policies: Mapping[str, str | PolicyFactory]
+    identities: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """What determines each policy's episodes, to be found alike on other machines."""
 
 
 @dataclass(frozen=True)
@@ -92,39 +92,41 @@ def play_here(
 
 
 def play_in_workers(
-    policies: Mapping[str, str | PolicyFactory],
-    config: WorkerConfig,
+    setting: Setting,
+    made: Mapping[str, Policy],
+    worlds: WorldsByInterface,
     waiting: Mapping[str, Sequence[int]],
     least_lengths: dict[int, float],
-    workers: int,
+    engine: Engine,
     real_time: RealTime | None = None,
 ) -> Generator[RolloutBatch, None, None]:
-    """The same in `workers` processes, by blocks of episodes. Closing the iterator discards unfinished blocks.
+    """The same by an engine's workers, by blocks of episodes. Closing the iterator discards unfinished blocks.
 
-    Raises `WorkersFailed`.
+    `made` are the setting's policies, as made here in `worlds`. Raises `WorkersFailed`.
     """
     failed: set[str] = set()
 
     def blocks() -> Iterator[Any]:
-        for name, policy in policies.items():
-            for block in _blocks(waiting[name], config.worlds, workers):
+        for name in setting.policies:
+            for block in _blocks(waiting[name], setting.config.worlds, engine):
                 if name not in failed:
                     known = {episode: least_lengths[episode] for episode in block if episode in least_lengths}
-                    late = real_time and real_time.of(name, block)
-                    yield joblib.delayed(_play)(config, name, policy, block, known, late)
+                    yield name, block, known, real_time and real_time.of(name, block)
 
-    parallel = joblib.Parallel(n_jobs=workers, return_as="generator_unordered", **_ending_with_this_process())
-    try:
-        with closing(parallel(blocks())) as everything:
-            for played in everything:
-                least_lengths.update((result.episode, result.least_length) for result in played.results)
-                if played.failure:
-                    if played.policy in failed:
-                        continue
-                    failed.add(played.policy)
-                yield played
-    except BrokenProcessPool as error:
-        raise WorkersFailed(f"a worker process died, or could not load what it was sent: {error}") from error
+    if isinstance(engine, Cluster):
+        sent, files = _for_sending(setting, made, worlds)
+        everything = engine.run(_play, sent, blocks(), files)
+    else:
+        alone = {name: replace(setting, policies={name: policy}) for name, policy in setting.policies.items()}
+        everything = engine.run(_play_alone, None, ((alone[block[0]], *block) for block in blocks()))
+    with closing(everything):
+        for played in everything:
+            least_lengths.update((result.episode, result.least_length) for result in played.results)
+            if played.failure:
+                if played.policy in failed:
+                    continue
+                failed.add(played.policy)
+            yield played
 
 
 def check_sendable(policies: Mapping[str, Any]) -> None:
@@ -139,48 +141,36 @@ def check_sendable(policies: Mapping[str, Any]) -> None:
             ) from error
 
 
-def _ending_with_this_process() -> dict[str, Any]:
-    """Arguments for loky, whose workers would outlive a killed parent by minutes. A cluster's are not children."""
-    backend, _ = get_active_backend()
-    return {"initializer": _begin, "initargs": (os.getpid(),)} if isinstance(backend, LokyBackend) else {}
-
-
-def _begin(parent: int) -> None:
-    """Let this worker end when its parent has gone, however that ended, and not by Ctrl-C before."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(PARENT_CHECK)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
-
-
-def _blocks(episodes: Sequence[int], worlds: int, workers: int) -> Iterator[Sequence[int]]:
-    """Blocks small enough that every worker gets one; of one episode if one world plays (joblib groups those)."""
-    size = 1 if worlds == 1 else max(1, min(ROUNDS * worlds, -(-len(episodes) // workers)))
+def _blocks(episodes: Sequence[int], worlds: int, engine: Engine) -> Iterator[Sequence[int]]:
+    """Blocks small enough that every worker gets one; of one episode if one world plays and the engine groups those."""
+    size = (
+        1 if worlds == 1 and engine.groups_units else max(1, min(ROUNDS * worlds, -(-len(episodes) // engine.workers)))
+    )
     return (episodes[i : i + size] for i in range(0, len(episodes), size))
 
 
+def _play_alone(_: None, setting: Setting, *block: Any) -> RolloutBatch:
+    """Play a block in a worker to which the setting is sent with each block, with no other policy then."""
+    return _play(setting, *block)
+
+
 def _play(
-    config: WorkerConfig,
+    setting: Setting,
     name: str,
-    policy: str | PolicyFactory,
     episodes: Sequence[int],
     least_lengths: dict[int, float],
     real_time: RealTime | None,
 ) -> RolloutBatch:
     """Play a block of episodes in a worker."""
-    if os.getpid() != config.home:
+    if os.getpid() != setting.config.home:
         with contextlib.suppress(ValueError):  # threads of a cluster's worker get no signals
             signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the process that waits
-    worlds, timed = _worlds(config).of(policy), _made(config, name, policy)
+    worlds, timed = _worlds(setting.config).of(setting.policies[name]), _made(setting, name)
     if real_time:
         timed = RealTimePolicy(timed.policy, worlds, real_time, name)
     results: list[EpisodeResult] = []
     try:
-        results.extend(rollouts(timed, worlds, episodes, config.seed, name, least_lengths))
+        results.extend(rollouts(timed, worlds, episodes, setting.config.seed, name, least_lengths))
     except (PolicyFailed, EnvironmentFailed) as failure:
         return _failed(name, results, failure)
     return RolloutBatch(name, results)
@@ -200,8 +190,49 @@ def _worlds(config: WorkerConfig) -> WorldsByInterface:
     return WorldsByInterface(config.env, config.worlds, config.env_options, threads=1)
 
 
-def _made(config: WorkerConfig, name: str, policy: str | PolicyFactory) -> TimedPolicy:
-    worlds = _worlds(config).of(policy)
+def _made(setting: Setting, name: str) -> TimedPolicy:
+    config, policy = setting.config, setting.policies[name]
     if (config, name) not in _policies:
-        _policies[config, name] = TimedPolicy(make_policy(policy, worlds), worlds.num_envs, config.workers)
+        worlds = _worlds(config).of(policy)
+        made = make_policy(policy, worlds)
+        if expected := setting.identities.get(name):
+            check_alike(expected, _known_there(setting, name, made, worlds))
+        _policies[config, name] = TimedPolicy(made, worlds.num_envs, config.workers)
     return _policies[config, name]
+
+
+def _for_sending(setting: Setting, made: Mapping[str, Policy], worlds: WorldsByInterface) -> tuple[Setting, list[Path]]:
+    """The setting as another machine can use it, and the files that it names."""
+    config, files = setting.config, []
+    options, policies = dict(config.env_options), dict(setting.policies)
+    for name, value in options.items():
+        if isinstance(value, (str, Path)) and os.path.isfile(value):
+            files.append(Path(value))
+            options[name] = type(value)(relative(str(value)))
+    for name, policy in policies.items():
+        if isinstance(policy, (str, Path)):
+            if (card := training_card(str(policy)) or Path(policy)).suffix in FILES:
+                files += [card.with_suffix(suffix) for suffix in FILES if card.with_suffix(suffix).exists()]
+                policies[name] = relative(str(card))
+            else:
+                policies[name] = relative(str(policy))
+                files += _file_named(str(policy))
+    files += _file_named(config.env)
+    sent = Setting(replace(config, env=relative(config.env), env_options=options), policies)
+    alike = {name: _known_there(sent, name, policy, worlds.of(setting.policies[name])) for name, policy in made.items()}
+    return replace(sent, identities=alike), files
+
+
+def _file_named(name: str) -> list[Path]:
+    """The file of `path/to/file.py:NAME`, none of another name."""
+    path = Path(name.rpartition(":")[0])
+    return [path] if path.suffix == ".py" else []
+
+
+def _known_there(setting: Setting, name: str, made: Policy, worlds: EpisodeVectorEnv) -> dict[str, Any]:
+    """What determines a policy's episodes, but for what is sent: own code and objects."""
+    config, policy = setting.config, setting.policies[name]
+    known = identity(config.env, config.env_options, config.seed, {name: policy}, {name: made}, worlds)
+    installed = isinstance(policy, str) and ":" not in policy and ":" not in config.env
+    sent = {"objects"} if installed else {"objects", "code", "registered"}
+    return {key: value for key, value in known.items() if key not in sent}

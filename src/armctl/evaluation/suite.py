@@ -15,6 +15,7 @@ from armctl.errors import ArmctlError, ConfigurationError, ResultsError
 from armctl.evaluation.across_tasks import family, mean_over_tasks, rank
 from armctl.evaluation.answers import Answer, answer, corrected
 from armctl.evaluation.compare import default_policies
+from armctl.evaluation.engines import Engine
 from armctl.evaluation.notebook import Displayed
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.rollouts import check_counts
@@ -141,7 +142,7 @@ def suite(
     out: str | Path | None = None,
     overwrite: bool = False,
     worlds: int = 1,
-    workers: int = 1,
+    workers: int | Engine = 1,
     progress: Callable[[str, int], None] | None = None,
 ) -> Suite:
     """Let all policies of all tasks play, undisturbed and under the main disturbances.
@@ -161,7 +162,7 @@ def suite(
     """
     size = QUICK if quick else FULL
     episodes = size.episodes if episodes is None else episodes
-    check_counts(episodes=episodes, worlds=worlds, workers=workers)
+    check_counts(episodes=episodes, worlds=worlds, **({"workers": workers} if isinstance(workers, int) else {}))
     check_evaluation_seed(seed)
     names = [name for env in envs for name in (environment_names() if env == ALL else [env])]
     wanted = {folder_of(name): name for name in dict.fromkeys(map(full_id, names))}

@@ -20,6 +20,7 @@ from armctl.evaluation.compare import compare, default_policies
 from armctl.evaluation.comparison import Comparison
 from armctl.evaluation.curves import COMPARISONS, PAIRS, POINTS, RECORDED, SWEEP, comparison_in
 from armctl.evaluation.endurance import NEUTRAL, Pair
+from armctl.evaluation.engines import Engine, engine_of
 from armctl.evaluation.notebook import Displayed
 from armctl.evaluation.paired import mcnemar
 from armctl.evaluation.real_time import (
@@ -116,7 +117,7 @@ def sweep(
     out: str | Path | None = None,
     overwrite: bool = False,
     worlds: int = 1,
-    workers: int = 1,
+    workers: int | Engine = 1,
     env_options: Mapping[str, Any] | None = None,
     real_time: str | Path | None = None,
     progress: Callable[[str, EpisodeResult], None] | None = None,
@@ -147,7 +148,7 @@ def sweep(
         with closing(make_worlds(env, 1, options)) as made:
             check_real_time(bare_id(env), made)
         if recorded is None:
-            check_measurable(worlds, workers)
+            check_measurable(worlds, engine_of(workers).workers)
             found.recorded = "the undisturbed comparison"
         else:
             check_recorded(recorded, players, episodes)

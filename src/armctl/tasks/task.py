@@ -150,6 +150,8 @@ class TaskFacts(ABC):
 
     interface_options: ClassVar[frozenset[str]] = frozenset()
     """Options that say how a policy sees and commands the robot. A learned agent brings its own."""
+    instruction: ClassVar[str] = ""
+    """What the robot should do, as a sentence for models that take language; empty: unknown."""
     n: int
 
     @property

@@ -1,7 +1,7 @@
 """Videos that are written whole or not at all. ffmpeg writes them, and does not say when a disk is full."""
 
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -77,15 +77,21 @@ def check_frames(path: Path, frames: int, name: object) -> None:
 
 def check_video(video: Path) -> None:
     """Raise `ConfigurationError` or `ResultsError` for a video that cannot be written, before anything is played."""
-    if video.suffix.lower() not in VIDEO_FORMATS:
-        raise ConfigurationError(f"a video's name ends in one of {', '.join(VIDEO_FORMATS)}; {str(video)!r} does not")
-    missing = not video.exists()
+    check_writable("video", video, VIDEO_FORMATS)
+
+
+def check_writable(kind: str, file: Path, suffixes: Sequence[str]) -> None:
+    """Raise `ConfigurationError` or `ResultsError` for a file of some kind that cannot be written."""
+    if file.suffix.lower() not in suffixes:
+        ending = suffixes[0] if len(suffixes) == 1 else f"one of {', '.join(suffixes)}"
+        raise ConfigurationError(f"a {kind}'s name ends in {ending}; {str(file)!r} does not")
+    missing = not file.exists()
     try:
-        video.parent.mkdir(parents=True, exist_ok=True)
-        video.open("ab").close()
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.open("ab").close()
         if missing:
-            video.unlink()
+            file.unlink()
     except FileExistsError as error:
-        raise ResultsError(f"the video {video} cannot be written: {video.parent} is not a folder") from error
+        raise ResultsError(f"the {kind} {file} cannot be written: {file.parent} is not a folder") from error
     except OSError as error:
-        raise ResultsError(f"the video {video} cannot be written: {error.strerror}") from error
+        raise ResultsError(f"the {kind} {file} cannot be written: {error.strerror}") from error

@@ -1,4 +1,4 @@
-"""Plays N episodes of M steps, prints states, actions and rewards, and records a video."""
+"""Plays N episodes of M steps, prints states, actions and rewards, and records them for later."""
 
 import time
 from collections.abc import Mapping
@@ -12,8 +12,9 @@ from rich.text import Text
 from armctl.console import PlainConsole
 from armctl.errors import ConfigurationError
 from armctl.evaluation.rollouts import wrap_environment_errors, wrap_policy_errors
-from armctl.policies import Policy, WorldsByInterface, make_policy
+from armctl.policies import Plans, Policy, WorldsByInterface, make_policy
 from armctl.viewer.recording import Film, check_video, recording
+from armctl.viewer.rerun import EpisodeLog, check_rerun, rerun_log
 
 MOST_NUMBERS = 200
 """Of an array that is printed."""
@@ -29,24 +30,28 @@ def run_episodes(
     watch: bool,
     env_options: Mapping[str, Any],
     first: int = 0,
+    rerun: Path | None = None,
 ) -> bool:
     """Play episodes with one policy, from number `first` on, and print each step. Returns False if interrupted.
 
-    Raises `ConfigurationError`, `AgentFileError`, `PolicyFailed`, and `ResultsError` if the video cannot be written.
+    Raises `ConfigurationError`, `AgentFileError`, `PolicyFailed`, and `ResultsError` if the video or
+    the recording for Rerun cannot be written.
     """
     if watch and video:
         raise ConfigurationError("--watch and --video exclude each other: choose one")
     if video:
         check_video(video)
+    if rerun:
+        check_rerun(rerun)
     console = PlainConsole()
     interfaces = _make(env, steps, "human" if watch else "rgb_array" if video else None, env_options)
     try:
         worlds = interfaces.of(policy)
         actor = make_policy(policy, worlds)
-        with _film(video, worlds.metadata["render_fps"], console) as film:
+        with _film(video, worlds.metadata["render_fps"], console) as film, _log(rerun, worlds, console) as log:
             for episode in range(first, first + episodes):
                 console.rule(f"{policy}, episode {episode} of seed {seed}", align="left")
-                _play(console, policy, actor, worlds, seed, episode, film, watch, steps)
+                _play(console, policy, actor, worlds, seed, episode, film, log, watch, steps)
     except KeyboardInterrupt:
         console.print("Interrupted.")
         return False
@@ -63,6 +68,7 @@ def _play(
     seed: int,
     episode: int,
     film: Film | None,
+    log: EpisodeLog | None,
     watch: bool,
     asked: int | None,
 ) -> None:
@@ -84,9 +90,14 @@ def _play(
         state = {part: np.array(values[0]) for part, values in worlds.task.observation_parts().items()}
         with wrap_policy_errors(name, episode):
             actions = actor.act(observations)
+            plans = actor.plans(0) if log and isinstance(actor, Plans) else {}
+        if log:
+            log.decision(observations, actions, plans)
         with wrap_environment_errors(name, episode):
             observations, rewards, terminated, truncated, infos = worlds.step(actions)
         terms = {term: float(earned[0]) for term, earned in infos["reward_terms"].items()}
+        if log:
+            log.rewards(terms, float(rewards[0]))
         _print_step(console, step, state | {"action": actions[0]}, terms, float(rewards[0]))
         total, step = total + float(rewards[0]), step + 1
     if film:
@@ -95,6 +106,8 @@ def _play(
     stopped = truncated[0] and not terminated[0] and step == asked  # the environment itself would have gone on
     ending = worlds.outcomes[infos["outcome_id"][0]]
     ending = f"stopped after {_steps(step)}, as asked" if stopped else f"{ending} after {_steps(step)}"
+    if log:
+        log.end(observations, f"{name}, episode {episode} of seed {seed}: {ending}")
     console.print(Text(f"{ending}, return {total:g}", "bold"), end="\n\n")
 
 
@@ -129,3 +142,10 @@ def _film(video: Path | None, fps: int, console: PlainConsole) -> AbstractContex
     if video is None:
         return nullcontext()
     return recording(video, fps, lambda frames: console.print(f"{video}: {frames} frames", soft_wrap=True))
+
+
+def _log(file: Path | None, worlds: Any, console: PlainConsole) -> AbstractContextManager[EpisodeLog | None]:
+    """What records episodes for Rerun in a file; None without a file."""
+    if file is None:
+        return nullcontext()
+    return rerun_log(file, worlds, lambda steps: console.print(f"{file}: {_steps(steps)}", soft_wrap=True))

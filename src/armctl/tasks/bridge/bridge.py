@@ -64,6 +64,7 @@ class BridgeTask(Task):
 
     options_type: ClassVar[type[Any]] = BridgeOptions
     outcomes = BridgeOutcome
+    instruction: ClassVar[str] = "Drive across the bridge to the goal line without touching anything."
     default_policies: ClassVar[tuple[str, ...]] = ("bridge_ompl", "bridge_distil", "random")
     disturbances = ROVER
     interface_options = Task.interface_options | {
@@ -325,4 +326,5 @@ class BridgeMovingTask(BridgeTask):
     """The same, with pedestrians who walk across and along the bridge."""
 
     options_type: ClassVar[type[Any]] = BridgeMovingOptions
+    instruction = "Drive across the bridge to the goal line, and avoid the barriers and the pedestrians."
     default_policies = ("bridge_ompl", "bridge_mpc", "bridge_moving_imagined", "bridge_moving_distil", "random")

@@ -85,6 +85,7 @@ class ReachMovingTask(ReachTask):
     options: ReachMovingOptions
     options_type: ClassVar[type[Any]] = ReachMovingOptions
     default_policies = ("reach_mpc", "reach_ik", "moving_dagger", "moving_ppo", "random")
+    instruction = "Move the end-effector to the moving target."
     stops_at_target = False
     potentials: ClassVar[Mapping[str, Callable[[Any], Potential]]] = {
         **ReachTask.potentials,

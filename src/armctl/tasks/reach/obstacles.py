@@ -112,6 +112,7 @@ class ReachObstaclesTask(ReachTask):
 
     options: ReachObstaclesOptions
     options_type: ClassVar[type[Any]] = ReachObstaclesOptions
+    instruction = "Move the end-effector to the target without touching the obstacles."
     default_policies = (
         "reach_ompl",
         "reach_ik",

@@ -68,6 +68,7 @@ class ReachTask(Task):
 
     options_type: ClassVar[type[Any]] = ReachOptions
     outcomes = ReachOutcome
+    instruction: ClassVar[str] = "Move the end-effector to the target."
     default_policies: ClassVar[tuple[str, ...]] = ("reach_ik", "reach_ppo", "random")
     disturbances = ARM
     potentials: ClassVar[Mapping[str, Callable[[Any], Potential]]] = {

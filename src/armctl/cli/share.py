@@ -1,0 +1,77 @@
+"""Verbs that share agents through a model hub: `push` and `pull`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from armctl.cli import completion
+from armctl.cli.app import app
+
+
+@app.command()
+def push(
+    agent: Annotated[
+        str,
+        typer.Argument(
+            help="Agent: a name, the path of its card or graph, or a training's folder.",
+            autocompletion=completion.agents,
+        ),
+    ],
+    repository: Annotated[str, typer.Argument(metavar="OWNER/NAME", help="Repository; it is made if need be.")],
+    private: Annotated[bool, typer.Option("--private", help="Make it a repository that only you see.")] = False,
+    message: Annotated[
+        str | None, typer.Option(help="Message of the commit.", show_default="the agent's name, and armctl's version")
+    ] = None,
+    licence: Annotated[
+        str | None, typer.Option(help="Licence of the agent, by the hub's names, such as `mit`.", show_default="none")
+    ] = None,
+) -> None:
+    """Upload an agent to Hugging Face's hub, with a model card; needs the extra `hub`.
+
+    The extra: `pip install 'armctl-suite[hub]'`, or `pip install -e '.[hub]'` in a clone. `hf auth login` or the
+    variable HF_TOKEN tells the hub who you are, and HF_ENDPOINT can name another hub.
+
+    What is uploaded: `agent.onnx`, `agent.json`, `curve.csv` if there is a learning curve, and a model card made of
+    them, `README.md`. The card has all options of the training, paths among them: look at it before you share it.
+    """
+    from armctl.console import PlainConsole
+    from armctl.hub import push as upload
+
+    address = upload(agent, repository, private=private, message=message, licence=licence)
+    PlainConsole().print(
+        f"{agent} is at {address}. To get it: armctl pull {repository}", soft_wrap=True, highlight=False
+    )
+
+
+@app.command()
+def pull(
+    repository: Annotated[
+        str,
+        typer.Argument(
+            metavar="OWNER/NAME[@REVISION]", help="Repository; of a branch, a tag or a commit, if one is named."
+        ),
+    ],
+    out: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Folder for the agent.", show_default="agents/OWNER/NAME")
+    ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace another agent in the folder.")] = False,
+) -> None:
+    """Download an agent from Hugging Face's hub; needs the extra `hub`.
+
+    An agent cannot run code: `agent.onnx` is a graph of standard operators, `agent.json` is its card, and nothing else
+    but a learning curve is downloaded. The graph is checked as each stranger's is, and has to be the one that the card
+    describes; otherwise nothing is written.
+    """
+    from armctl.agents import read_card
+    from armctl.console import PlainConsole
+    from armctl.errors import ConfigurationError
+    from armctl.hub import comparison_command
+    from armctl.hub import pull as download
+
+    path = download(repository, out, overwrite=overwrite)
+    try:
+        how = comparison_command(read_card(path), path)
+    except ConfigurationError as error:
+        how = str(error)
+    PlainConsole().print(f"The agent is {path}: {how}", soft_wrap=True, highlight=False)

@@ -1,0 +1,33 @@
+"""Image observations as 8-bit pictures, for videos and viewers."""
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+LEAST_SIDE = 4
+"""Pixels; what is smaller is a matrix."""
+
+
+def is_image(space: gymnasium.Space[Any]) -> bool:
+    """Whether a space is of images: bounded, and of shape (height, width), (height, width, 1) or (height, width, 3)."""
+    if not isinstance(space, gymnasium.spaces.Box) or not space.is_bounded() or len(space.shape) not in (2, 3):
+        return False
+    return min(space.shape[:2]) >= LEAST_SIDE and space.shape[2:] in ((), (1,), (3,))
+
+
+def bounds_of(space: gymnasium.spaces.Box) -> tuple[float, float]:
+    """The least and the largest value of an image."""
+    return float(space.low.min()), float(space.high.max())
+
+
+def pictures(images: NDArray[Any], low: float, high: float) -> NDArray[np.uint8]:
+    """Images (n, height, width) or (n, height, width, 1 or 3) as pictures (n, height, width, 3).
+
+    The bounds become 0 and 255, so depths get shades of grey, and pixels from 0 to 255 stay as they are.
+    """
+    shades = np.clip((images.astype(np.float32) - low) * (255 / (high - low)), 0, 255).round().astype(np.uint8)
+    if shades.ndim == 3:
+        shades = shades[..., None]
+    return np.broadcast_to(shades, (*shades.shape[:3], 3))

@@ -1,0 +1,80 @@
+"""The hub's side: its API, which names a repository can have, and what its failures are called here."""
+
+import contextlib
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from armctl.errors import ArmctlError, ConfigurationError, HubError, missing_extra
+
+if TYPE_CHECKING:
+    from huggingface_hub import HfApi
+
+GRAPH, CARD, MODEL_CARD = "agent.onnx", "agent.json", "README.md"
+"""Files of a repository, beside the learning curve."""
+LONGEST_MESSAGE = 300
+"""Characters of what a hub says that are shown."""
+
+
+def hub_api() -> "HfApi":
+    """The API of the hub that the environment variable `HF_ENDPOINT` names, by default Hugging Face's.
+
+    Raises `ConfigurationError` if the extra `hub` is not installed.
+    """
+    try:
+        from huggingface_hub import HfApi
+    except ModuleNotFoundError as error:
+        raise missing_extra("sharing agents", error, "hub") from error
+    from armctl import __version__
+
+    return HfApi(library_name="armctl", library_version=__version__)
+
+
+def check_repository(name: str) -> None:
+    """Check that a name is OWNER/NAME, as the hub spells it, and so no path. Raises `ConfigurationError`."""
+    from huggingface_hub.errors import HFValidationError
+    from huggingface_hub.utils import validate_repo_id  # type: ignore[attr-defined]  # not in `__all__`
+
+    try:
+        validate_repo_id(name)
+    except HFValidationError as error:
+        raise ConfigurationError(f"{name!r} is not the name of a repository, OWNER/NAME. {error}") from error
+    if "/" not in name:
+        raise ConfigurationError(f"{name!r} is not the name of a repository: whose is it, OWNER/{name}?")
+
+
+@contextlib.contextmanager
+def hub_errors(api: "HfApi", asked: str) -> Iterator[None]:
+    """What goes wrong with the hub becomes a `HubError` of one line. `asked` is the repository, with its revision."""
+    import httpx2  # of huggingface_hub
+    from huggingface_hub.errors import (
+        HfHubHTTPError,
+        OfflineModeIsEnabled,
+        RepositoryNotFoundError,
+        RevisionNotFoundError,
+    )
+
+    hub, who = api.endpoint, "`hf auth login` or the variable HF_TOKEN tells the hub who you are"
+    try:
+        yield
+    except ArmctlError:
+        raise
+    except RevisionNotFoundError as error:
+        raise HubError(f"{hub} has no such revision as {asked}") from error
+    except RepositoryNotFoundError as error:
+        raise HubError(f"{hub} has no {asked}, or it is not for you: {who}") from error
+    except HfHubHTTPError as error:
+        status, said = error.response.status_code, _brief(error.server_message or error.response.reason_phrase)
+        hint = f". {who}" if status in (401, 403) else ""
+        raise HubError(f"{hub} answers for {asked} with status {status}: {said}{hint}") from error
+    except OfflineModeIsEnabled as error:
+        raise HubError(f"{hub} is not asked, since HF_HUB_OFFLINE is set") from error
+    except (httpx2.HTTPError, httpx2.InvalidURL) as error:
+        raise HubError(f"{hub} cannot be reached, or broke off: {error or type(error).__name__}") from error
+    except (ValueError, KeyError, TypeError, AttributeError, RuntimeError) as error:  # its answers make no sense
+        raise HubError(
+            f"{hub} did not take or give {asked}: {_brief(f'{error} {error.__cause__ or str()}')}"
+        ) from error
+
+
+def _brief(text: str) -> str:
+    return " ".join(text.split())[:LONGEST_MESSAGE]

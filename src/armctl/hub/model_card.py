@@ -1,0 +1,204 @@
+"""The model card of an agent: a page for readers, and metadata by which a hub finds and lists it.
+
+All its numbers are those of the agent's own card.
+"""
+
+import shlex
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from armctl import DISTRIBUTION
+from armctl.agents import AgentCard
+from armctl.console import printable
+from armctl.envs import check_from_file, task_of
+from armctl.errors import ConfigurationError
+from armctl.hub.client import CARD, GRAPH
+from armctl.options import option_arguments
+from armctl.registration import bare_id
+
+TAGS = ("reinforcement-learning", "robotics", "onnx", "armctl")
+PAGE = """---
+{metadata}
+---
+
+# {name}
+
+An agent for {env}, made with [armctl](https://github.com/armctl/armctl), which compares planners and controllers with
+learned agents on the same robot episodes.
+
+## Use
+
+```sh
+pip install '{distribution}[hub]'
+armctl pull {repository}
+{command}
+```
+
+## Task
+
+{task}
+
+## Evaluation
+
+{evaluation}
+
+## Training
+
+{training}
+
+`{card}` has all the options.
+
+## Safety
+
+`{graph}` is data: numbers, and standard operators without loops, functions or code. Nothing is unpickled. `armctl pull`
+downloads the graph, its card and its learning curve, never another file, and refuses a graph with other operators or
+with another checksum than its card's. A checksum shows damage, but not who made a file.
+
+SHA-256 of the graph: `{sha256}`
+
+## Licence
+
+{licence}
+"""
+
+
+def model_card(card: AgentCard, repository: str, licence: str | None = None) -> str:
+    """The text of a repository's `README.md`, in Markdown with metadata in YAML. `licence` is None if none is given."""
+    local = folder_of(repository) / CARD
+    try:
+        command = comparison_command(card, local)
+    except ConfigurationError:
+        command = shlex.join(("armctl", "compare", str(local)))
+    return PAGE.format(
+        metadata=_metadata(card, licence),
+        name=_plain(card.name),
+        env=_code(card.env),
+        distribution=DISTRIBUTION,
+        repository=repository,
+        command=_plain(command),
+        task=_list(_task(card)),
+        evaluation=_evaluation(card),
+        training=_list(_training(card)),
+        card=CARD,
+        graph=GRAPH,
+        sha256=card.sha256,
+        licence=_code(licence) if licence else "None is stated: ask whoever published it.",
+    )
+
+
+def comparison_command(card: AgentCard, path: Path) -> str:
+    """The command that compares the agent at `path` with its task's first expert.
+
+    Raises `ConfigurationError` if the environment on its card is unknown here, or is code that the user has not named.
+    """
+    check_from_file(card.env, card.env_options, str(path))
+    rival = task_of(card.env).default_policies[0]
+    return shlex.join(("armctl", "compare", rival, str(path), "--env", card.env, *option_arguments(card.env_options)))
+
+
+def folder_of(repository: str) -> Path:
+    """Where `armctl pull` puts an agent by default."""
+    return Path("agents", repository)
+
+
+def _metadata(card: AgentCard, licence: str | None) -> str:
+    from huggingface_hub import EvalResult, ModelCardData
+
+    results = None
+    if card.evaluation is not None:
+        measured = {"success_rate": card.evaluation.success_rate, "mean_reward": card.evaluation.mean_return}
+        results = [
+            EvalResult(
+                task_type="reinforcement-learning",
+                task_name="reinforcement-learning",
+                dataset_type=card.env,
+                dataset_name=card.env,
+                dataset_args={"episodes": card.evaluation.episodes, "seed": card.evaluation.seed, **card.env_options},
+                metric_type=metric,
+                metric_name=metric.replace("_", " "),
+                metric_value=value,
+            )
+            for metric, value in measured.items()
+        ]
+    return ModelCardData(
+        model_name=card.name,
+        library_name="armctl",
+        license=licence,
+        pipeline_tag="reinforcement-learning",
+        tags=[*TAGS, bare_id(card.env)],
+        eval_results=results,
+    ).to_yaml()
+
+
+def _task(card: AgentCard) -> Iterable[tuple[str, str]]:
+    yield "Environment", _code(card.env)
+    if card.env_options:
+        yield "Options other than the defaults", _values(card.env_options)
+    yield "It sees", f"{card.sees}: {_sizes(card.observation_shape)}"
+    yield "It returns", f"actions: {_sizes(card.action_shape)}"
+    if card.memory:
+        yield "It remembers", _sizes(card.memory)
+    if card.interface:
+        yield "The task must share with the training", _values(card.interface)
+
+
+def _evaluation(card: AgentCard) -> str:
+    found = card.evaluation
+    if found is None:
+        return "It has not been evaluated."
+    low, high = (f"{100 * bound:.1f}" for bound in found.success_interval)
+    steps = "" if found.mean_steps_to_goal is None else f", steps to the goal {found.mean_steps_to_goal:g}"
+    return (
+        f"Success: **{100 * found.success_rate:.1f} % [{low}, {high}]** of {found.episodes:,} held-out episodes, seed "
+        f"{found.seed} (exact 95 % interval of Clopper and Pearson). Means: return {found.mean_return:g}{steps}.\n\n"
+        "`armctl reproduce` plays these episodes again, and says whether the agent does what is claimed here."
+    )
+
+
+def _training(card: AgentCard) -> Iterable[tuple[str, str]]:
+    yield "Learner", _code(card.learner)
+    if card.recipe is not None:
+        yield "Recipe", _code(card.recipe)
+    if card.training_seed is not None:
+        yield "Seed", str(card.training_seed)
+    yield "Cost", str(card.cost)
+    if card.best_after is not None:
+        yield "Best after", f"{card.best_after:,} steps"
+    if card.shaping is not None:
+        scale = "" if card.shaping_scale is None else f", scale {card.shaping_scale:g}"
+        yield "Reward shaping", f"potential {_code(card.shaping)}{scale}"
+    if card.reward_weights:
+        yield "Weights of reward terms", _values(card.reward_weights)
+    if card.teacher is not None:
+        yield "Teacher", _code(card.teacher)
+    if card.training_options:
+        yield "Options in training only", _values(card.training_options)
+    if card.curriculum:
+        yield "Later stages", str(len(card.curriculum))
+    if card.conversion is not None:
+        yield "Converted from a model of", _code(card.conversion.saved_with)
+    yield "Versions", _values(card.versions, " ")
+
+
+def _list(items: Iterable[tuple[str, str]]) -> str:
+    return "\n".join(f"- {what}: {text}" for what, text in items)
+
+
+def _values(values: Mapping[str, Any], between: str = "=") -> str:
+    return ", ".join(_code(f"{name}{between}{value}") for name, value in values.items())
+
+
+def _sizes(shape: Sequence[int] | Mapping[str, Sequence[int]]) -> str:
+    if isinstance(shape, Mapping):
+        return ", ".join(f"{_code(name)} {_sizes(size)}" for name, size in shape.items())
+    return f"{' x '.join(map(str, shape)) or 1} numbers"
+
+
+def _plain(text: str) -> str:
+    """A text in one line, without control characters."""
+    return printable(" ".join(text.split()))
+
+
+def _code(text: object) -> str:
+    return f"`{_plain(str(text)).replace('`', chr(39))}`"

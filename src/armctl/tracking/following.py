@@ -1,0 +1,173 @@
+"""Follows trainings by their folders, and hands what is new there to trackers, each in a thread of its own.
+
+So learners need not know of trackers, and one that hangs or fails costs a training nothing. What a tracker has been
+given is noted in the training's folder: a resumed training continues its run, and catches up on what is missing there.
+"""
+
+import contextlib
+import json
+import math
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from armctl.agents import read_card
+from armctl.errors import FAILURES, ResultsError, described
+from armctl.evaluation.curves import CURVE, read_curve
+from armctl.files import bounded_text, inside, write_atomically
+from armctl.learners import Recipe
+from armctl.tracking.film import film_agent
+from armctl.tracking.tracker import Ending, Tracker, load_tracker
+
+FOLDER = "tracking"
+"""In a training's folder: what trackers were given, their own files, and the video."""
+SETTINGS, CARD, GRAPH, VIDEO = "settings.json", "agent.json", "agent.onnx", "agent.mp4"
+POLLING = 1.0
+"""s between two looks at the folder."""
+PATIENCE = 60.0
+"""s to wait for uploads after the training."""
+
+
+@contextlib.contextmanager
+def tracked(
+    trackers: Sequence[str], recipe: Recipe, out: Path, seed: int, resume: bool, say: Callable[[str], object]
+) -> Iterator[None]:
+    """Let trackers follow the training that is made in the folder `out`, or resumed there.
+
+    In the end, an agent is filmed. `say` is told where the runs are, and once of each tracker that fails, which the
+    training does not notice. A training that is refused leaves no run. Raises `ConfigurationError` for a tracker that
+    there is not.
+    """
+    kinds = {name: load_tracker(name) for name in trackers}
+    config = recipe.model_dump(mode="json", fallback=str, exclude={"seeds"}) | {"seed": seed}
+    followers = [Follower(name, kind, out, config, resume, say) for name, kind in kinds.items()]
+    for follower in followers:
+        follower.start()
+    ending: Ending = "failed"
+    try:
+        yield
+        ending = "finished"
+    except KeyboardInterrupt:
+        ending = "interrupted"
+        raise
+    finally:
+        try:
+            if followers and ending == "finished":
+                _film(recipe, out, say)
+            _end(followers, ending, say)
+        except KeyboardInterrupt:
+            say("Interrupted before all was tracked. With --resume, the same command catches up.")
+
+
+class Follower(threading.Thread):
+    """Gives one tracker what a training writes to its folder, from the first file that it writes on."""
+
+    def __init__(
+        self, name: str, kind: type[Tracker], out: Path, config: dict[str, Any], resume: bool, say: Callable[[str], Any]
+    ) -> None:
+        super().__init__(name=f"Tracking by {name}", daemon=True)
+        self._kind, self._out, self._config, self._say = kind, out, config, say
+        self._note = out / FOLDER / f"{name}.json"
+        self._resumes = resume and self._note.exists()
+        self._tracker: Tracker | None = None
+        self._steps = -1
+        """Steps of the last row of the curve that the tracker has."""
+        self._seen = self._stamps()
+        self._ended = threading.Event()
+        self._ending: Ending = "failed"
+
+    def end(self, ending: Ending) -> None:
+        """Let the tracker finish its run. Returns at once."""
+        self._ending = ending
+        self._ended.set()
+
+    def run(self) -> None:
+        """Follow the training until it ends, or the tracker fails."""
+        try:
+            while not self._ended.wait(POLLING):
+                self._look()
+            self._look()
+            if self._tracker is not None:
+                if self._ending == "finished":
+                    self._hand_over(self._tracker)
+                self._tracker.finish(self._ending)
+                self._say(f"{self.name}: {self._tracker.where}")
+        except FAILURES as error:
+            self._say(
+                f"{self.name} failed, which does not affect the training: {_line(error)}. "
+                "With --resume, the same command catches up."
+            )
+
+    def _look(self) -> None:
+        """Give the tracker what is new, if anything is."""
+        stamps = self._stamps()
+        if stamps == self._seen:
+            return
+        self._seen = stamps
+        tracker = self._tracker = self._tracker or self._begin()
+        with contextlib.suppress(ResultsError):  # there is no curve yet, or half a one that is whole at the next look
+            for row in read_curve(self._out / CURVE).select_dtypes("number").to_dict("records"):
+                if row["steps"] > self._steps:
+                    values = {str(name): float(value) for name, value in row.items() if name != "steps"}
+                    tracker.log(int(row["steps"]), {k: value for k, value in values.items() if math.isfinite(value)})
+                    self._steps = int(row["steps"])
+                    self._remember(tracker)
+
+    def _begin(self) -> Tracker:
+        folder = inside(self._out, FOLDER)
+        folder.mkdir(exist_ok=True)
+        run = None
+        if self._resumes:
+            note = json.loads(bounded_text(self._note))
+            run, self._steps = note["run"], note["steps"]
+        settings = self._out / SETTINGS
+        config = json.loads(bounded_text(settings)) if settings.exists() else self._config
+        tracker = self._kind(self._out.resolve().name, folder.resolve(), config, run)
+        self._remember(tracker)
+        return tracker
+
+    def _remember(self, tracker: Tracker) -> None:
+        write_atomically(self._note, json.dumps({"run": tracker.run, "steps": self._steps}))
+
+    def _hand_over(self, tracker: Tracker) -> None:
+        """Give the tracker the finished agent."""
+        card = read_card(self._out / CARD)
+        if card.evaluation is not None:
+            tracker.log(card.training_steps, {"final_success": card.evaluation.success_rate})
+        tracker.agent([file for file in (self._out / name for name in (GRAPH, CARD, CURVE)) if file.exists()])
+        video = self._out / FOLDER / VIDEO
+        if video.exists():
+            tracker.video(video, card.training_steps)
+
+    def _stamps(self) -> list[tuple[int, int]]:
+        """What changes when the training begins, resumes, or writes a row."""
+        files = [self._out / name for name in (SETTINGS, CURVE, CARD)]
+        return [(file.stat().st_ino, file.stat().st_mtime_ns) if file.exists() else (0, 0) for file in files]
+
+
+def _film(recipe: Recipe, out: Path, say: Callable[[str], object]) -> None:
+    """Film the finished agent, if scenes can be rendered on this machine."""
+    try:
+        folder = inside(out, FOLDER)
+        folder.mkdir(exist_ok=True)
+        (folder / VIDEO).unlink(missing_ok=True)
+        film_agent(out / CARD, recipe.env, recipe.env_options, folder / VIDEO)
+    except FAILURES as error:
+        say(f"There is no video of the agent: {_line(error)}")
+
+
+def _end(followers: Sequence[Follower], ending: Ending, say: Callable[[str], object]) -> None:
+    for follower in followers:
+        follower.end(ending)
+    latest = time.monotonic() + PATIENCE
+    for follower in followers:
+        follower.join(max(0.0, latest - time.monotonic()))
+        if follower.is_alive():
+            say(f"{follower.name} did not end within {PATIENCE:g} s. With --resume, the same command catches up.")
+
+
+def _line(error: BaseException) -> str:
+    """An error in a line; those of MLflow's database have several."""
+    return " ".join(described(error).split())

@@ -1,0 +1,29 @@
+"""Reads a LeRobot dataset with LeRobot's own reader, and writes what it finds to an npz file.
+
+`python read_lerobot.py LIBRARY DATASET FILE.npz`: the folder LIBRARY has lerobot, torchvision, accelerate and
+safetensors, installed without what they require (see the Makefile).
+"""
+
+import sys
+
+import numpy as np
+import torch
+
+sys.path.append(sys.argv[1])
+# torchvision's compiled part is for the PyTorch that lerobot asks for: its Python needs no more than this to exist
+operators = torch.library.Library("torchvision", "DEF")
+operators.define("nms(Tensor dets, Tensor scores, float iou_threshold) -> Tensor")
+
+from lerobot.datasets.lerobot_dataset import LeRobotDataset  # noqa: E402
+
+dataset = LeRobotDataset("armctl/test", root=sys.argv[2], video_backend="pyav")
+frames = [dataset[i] for i in range(len(dataset))]
+found = {key: np.array([np.asarray(frame[key]) for frame in frames]) for key in frames[0] if key != "task"}
+found |= {f"stats/{key}/{name}": value for key, one in dataset.meta.stats.items() for name, value in one.items()}
+np.savez(
+    sys.argv[3],
+    fps=dataset.fps,
+    episodes=dataset.num_episodes,
+    tasks=[frame["task"] for frame in frames],
+    **found,
+)

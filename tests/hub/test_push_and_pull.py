@@ -1,0 +1,359 @@
+"""An agent's way to a hub and back, and what on that way may go wrong."""
+
+import hashlib
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+from huggingface_hub import constants
+
+from armctl.agents import load_agent, read_card
+from armctl.envs import make_worlds
+from armctl.errors import AgentFileError, ConfigurationError, HubError, ResultsError
+from armctl.evaluation.reproduce import card_path
+from armctl.hub import model_card, pull, push
+from armctl.hub.download import LARGEST
+
+from ..command_line import armctl, program
+from .fake_hub import broken_off, endless, huge
+
+NAME = "owner/reach"
+FILES = ("agent.onnx", "agent.json", "curve.csv")
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.name in FILES}
+
+
+def published(hub, folder, **changes):
+    """Put an agent on the hub as it is, with some files changed; None leaves one out."""
+    files = contents(folder) | changes
+    return hub.put(NAME, {name: content for name, content in files.items() if content is not None})
+
+
+def edit(folder, **changes):
+    card = folder / "agent.json"
+    card.write_text(json.dumps(json.loads(card.read_text()) | changes))
+
+
+@pytest.fixture
+def nothing_written(tmp_path):
+    before = set(tmp_path.rglob("*"))
+    yield
+    assert set(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize("lfs", [False, True])
+def test_what_is_pulled_is_what_was_pushed(hub, agent, lfs):
+    hub.lfs = lfs
+    assert push(agent, NAME) == f"{hub.address}/{NAME}"
+    assert sorted(hub.files(NAME)) == sorted([*FILES, "README.md"])
+    card = pull(NAME)
+    assert card == Path("agents/owner/reach/agent.json")
+    assert contents(card.parent) == contents(agent)
+    worlds = make_worlds("armctl/ArmReach-v0", 3)
+    observations, _ = worlds.reset(seed=0)
+    pushed, pulled = (load_agent(path, worlds) for path in (agent / "agent.json", card))
+    np.testing.assert_array_equal(pulled.act(observations), pushed.act(observations))
+
+
+def test_the_model_card_is_on_the_hub(hub, agent):
+    push(agent, NAME, licence="mit")
+    text = hub.files(NAME)["README.md"].decode()
+    assert text == model_card(read_card(agent / "agent.json"), NAME, "mit")
+
+
+@pytest.mark.parametrize("name", ["reach_ppo", "trained/agent.json", "trained/agent.onnx", "reach_ppo[1]"])
+def test_an_agent_may_be_named_in_several_ways(hub, agent, name):
+    push(name, NAME)
+    assert hub.files(NAME)["agent.onnx"] == (agent / "agent.onnx").read_bytes()
+    assert "curve.csv" in hub.files(NAME)
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("reach_pppo", "Did you mean 'reach_ppo'"),
+        ("reach_ik", "not a learned agent"),
+        ("missing.json", "there is no agent"),
+        ("empty", "has no agent.json"),
+    ],
+)
+def test_what_is_no_agent_is_not_pushed(hub, tmp_path, name, says):
+    (tmp_path / "empty").mkdir()
+    with pytest.raises((ConfigurationError, AgentFileError), match=says):
+        push(name, NAME)
+    assert hub.asked == []
+
+
+def test_what_pull_would_refuse_is_not_pushed(hub, agent):
+    (agent / "curve.csv").write_text("steps\nmany\n")
+    with pytest.raises(ResultsError, match=r"curve\.csv"):
+        push(agent, NAME)
+    edit(agent, sha256="0" * 64)
+    with pytest.raises(AgentFileError, match="changed, or damaged"):
+        push(agent, NAME)
+    assert hub.asked == []
+
+
+def test_pushing_again_replaces_the_curve_too(hub, agent):
+    push(agent, NAME, message="first")
+    (agent / "curve.csv").unlink()
+    push(agent, NAME)
+    assert "curve.csv" not in hub.files(NAME)
+    commits = list(hub.repositories[NAME]["commits"])
+    first = pull(f"{NAME}@{commits[1]}", Path("first"))
+    assert (first.parent / "curve.csv").exists()
+    pull(NAME, Path("first"), overwrite=True)
+    assert not (first.parent / "curve.csv").exists()
+
+
+def test_a_private_agent_stays_private(hub, agent, monkeypatch, nothing_written):
+    push(agent, NAME, private=True)
+    assert hub.repositories[NAME]["private"]
+    push(agent, NAME, private=True)
+    monkeypatch.delenv("HF_TOKEN")
+    with pytest.raises(HubError, match=r"has no owner/reach, or it is not for you: `hf auth login`"):
+        pull(NAME)
+
+
+def test_a_private_agent_is_not_pushed_into_a_public_repository(hub, agent):
+    hub.put(NAME, {})
+    with pytest.raises(ConfigurationError, match="is public: nothing was uploaded"):
+        push(agent, NAME, private=True)
+    assert hub.files(NAME) == {}
+
+
+def test_a_licence_that_the_hub_does_not_know(hub, agent):
+    with pytest.raises(HubError, match=r"must be one of \[apache-2.0, mit\]"):
+        push(agent, NAME, licence="mine")
+    assert hub.files(NAME) == {}
+
+
+@pytest.mark.parametrize("token", ["", "hf_of_another"])
+def test_without_the_right_token(hub, agent, monkeypatch, token):
+    monkeypatch.setenv("HF_TOKEN", token)
+    with pytest.raises(HubError, match=r"status 401.*HF_TOKEN") as raised:
+        push(agent, NAME)
+    assert not token or token not in str(raised.value)
+
+
+def test_what_is_others_is_not_written_to(hub, agent):
+    with pytest.raises(HubError, match="status 403: You don't have the rights"):
+        push(agent, "somebody/reach")
+
+
+def test_nothing_else_is_downloaded(hub, agent):
+    commit = published(hub, agent, **{"model.pkl": b"\x80", "evil.py": b"", "README.md": b"", "agent.onnx.data": b""})
+    folder = pull(NAME).parent
+    assert sorted(contents(folder)) == sorted(path.name for path in folder.iterdir() if path.name != ".lock")
+    assert hub.asked == [
+        f"GET /api/models/{NAME}", *(f"GET /{NAME}/resolve/{commit}/{file}" for file in LARGEST)
+    ]  # fmt: skip
+
+
+def foreign_graph():
+    value = onnx.helper.make_tensor_value_info("observation", onnx.TensorProto.FLOAT, [None, 12])
+    other = onnx.helper.make_tensor_value_info("action", onnx.TensorProto.FLOAT, [None, 12])
+    node = onnx.helper.make_node("Loader", ["observation"], ["action"], domain="com.evil")
+    graph = onnx.helper.make_graph([node], "foreign", [value], [other])
+    return onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", 18)]).SerializeToString()
+
+
+def spoilt(agent):
+    """What is said, and the changes of an agent's files of which it is said."""
+    graph, card = (agent / "agent.onnx").read_bytes(), json.loads((agent / "agent.json").read_text())
+    foreign = foreign_graph()
+    its_card = json.dumps(card | {"sha256": hashlib.sha256(foreign).hexdigest()}).encode()
+    other_memory = json.dumps(card | {"memory": {"lstm": [8]}}).encode()
+    return [
+        ("changed, or damaged", {"agent.onnx": graph[:-1] + b"x"}),
+        ("changed, or damaged", {"agent.json": card_path("reach_bc").read_bytes()}),
+        ("do not use the operator 'com.evil.Loader'", {"agent.onnx": foreign, "agent.json": its_card}),
+        ("by its card, it maps", {"agent.json": other_memory}),
+        ("not an agent's card", {"agent.json": b"\x80\x04cos\nsystem"}),
+        ("has no agent.json", {"agent.json": None}),
+        ("has no agent.onnx", {"agent.onnx": None}),
+        ("curve.csv", {"curve.csv": b"<html>"}),
+        ("agent.onnx of owner/reach has 1,000,000,000,000 bytes", {"agent.onnx": huge}),
+        ("agent.json of owner/reach has", {"agent.json": endless}),
+        ("broke off", {"agent.onnx": broken_off(graph)}),
+        ("broke off", {"agent.json": broken_off(its_card)}),
+    ]
+
+
+@pytest.mark.parametrize("case", range(12))
+def test_what_is_not_whole_is_refused_and_not_written(hub, agent, monkeypatch, case, request):
+    says, changes = spoilt(agent)[case]
+    published(hub, agent, **changes)
+    monkeypatch.setitem(LARGEST, "agent.json", 10**6)
+    request.getfixturevalue("nothing_written")
+    with pytest.raises((AgentFileError, HubError), match=re.escape(says)) as raised:
+        pull(NAME)
+    assert tempfile.gettempdir() not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["", "reach", "../reach", "owner/..", "owner/../../x", "/etc/passwd", "owner/a b", "owner//x", "own\ner/x", "~/x",
+     "https://huggingface.co/owner/reach", "owner\\reach", "owner/x.git", "owner/reach@", "@main"],
+)  # fmt: skip
+def test_a_name_that_no_repository_has(hub, agent, name, nothing_written):
+    with pytest.raises(ConfigurationError, match=r"repository|revision"):
+        pull(name)
+    if "@" not in name:
+        with pytest.raises(ConfigurationError, match="repository"):
+            push(agent, name)
+    assert hub.asked == []
+
+
+@pytest.mark.parametrize("revision", ["v9", "../../main", "a b", "x" * 300, "main/../../secret", "\x1b[2J"])
+def test_a_revision_that_there_is_not(hub, agent, revision):
+    published(hub, agent)
+    with pytest.raises(HubError, match="no such revision"):
+        pull(f"{NAME}@{revision}")
+    assert not Path("agents").exists()
+
+
+def test_a_repository_that_there_is_not(hub, nothing_written):
+    with pytest.raises(HubError, match="has no owner/none"):
+        pull("owner/none")
+
+
+@pytest.mark.parametrize("status", [400, 403, 404, 418, 500, 503])
+@pytest.mark.parametrize("where", ["GET /api", "resolve"])
+def test_a_hub_that_fails(hub, agent, where, status, request):
+    published(hub, agent)
+    hub.failing[where] = status
+    request.getfixturevalue("nothing_written")
+    with pytest.raises(HubError, match=f"status {status}: so it was decided"):
+        pull(NAME)
+
+
+@pytest.mark.parametrize("where", ["create", "validate", "preupload", "commit", "batch", "stored"])
+def test_a_hub_that_fails_while_it_is_given_something(hub, agent, where):
+    hub.lfs = True
+    hub.failing[where] = 418
+    with pytest.raises(HubError):
+        push(agent, NAME)
+    hub.failing.clear()
+    push(agent, NAME)
+    assert contents(pull(NAME).parent) == contents(agent)
+
+
+@pytest.mark.parametrize("address", ["http://127.0.0.1:9", "nowhere", "http://[::bad", "ftp://127.0.0.1"])
+def test_a_hub_that_is_not_there(hub, agent, monkeypatch, address):
+    monkeypatch.setattr(constants, "ENDPOINT", address)
+    with pytest.raises(HubError, match="cannot be reached"):
+        pull(NAME)
+    with pytest.raises(HubError, match="cannot be reached"):
+        push(agent, NAME)
+
+
+@pytest.mark.parametrize("answer", [b"<html>", b"[]", b"{}", b'{"id": "owner/reach"}', b"null"])
+def test_what_is_no_hub(hub, agent, monkeypatch, answer):
+    monkeypatch.setattr(hub.RequestHandlerClass, "do_GET", lambda self: self.send(answer))
+    with pytest.raises(HubError, match=hub.address):
+        pull(NAME)
+
+
+def test_another_agent_is_not_overwritten(hub, agent, tmp_path):
+    published(hub, agent)
+    pull(NAME, agent)  # the same
+    other = tmp_path / "other"
+    other.mkdir()
+    for suffix in (".json", ".onnx"):
+        shutil.copy(card_path("reach_bc").with_suffix(suffix), other / f"agent{suffix}")
+    before = contents(other)
+    with pytest.raises(ConfigurationError, match=r"agent\.json is there already, and differs: --overwrite"):
+        pull(NAME, other)
+    assert contents(other) == before
+    pull(NAME, other, overwrite=True)
+    assert contents(other) == contents(agent)
+
+
+def test_nothing_is_written_through_a_link(hub, agent, tmp_path):
+    published(hub, agent)
+    (tmp_path / "mine.txt").write_text("mine")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "agent.onnx").symlink_to(tmp_path / "mine.txt")
+    with pytest.raises(ConfigurationError, match="is there already"):
+        pull(NAME, tmp_path / "out")
+    pull(NAME, tmp_path / "out", overwrite=True)
+    assert (tmp_path / "mine.txt").read_text() == "mine"
+
+
+def test_a_folder_that_cannot_be_written_to(hub, agent, tmp_path):
+    published(hub, agent)
+    (tmp_path / "file").touch()
+    for out in (tmp_path / "file", tmp_path / "file" / "below", Path("/proc/agents"), tmp_path / ("x" * 300)):
+        with pytest.raises(ResultsError):
+            pull(NAME, out)
+    if os.geteuid():  # root may write anywhere
+        (tmp_path / "closed").mkdir(mode=0o500)
+        with pytest.raises(ResultsError, match="Permission denied"):
+            pull(NAME, tmp_path / "closed")
+
+
+def test_on_a_full_disk_nothing_is_written(hub, agent, tmp_path):
+    published(hub, agent)
+    done = program("pull", NAME, cwd=tmp_path, check=False, disk=100_000)
+    assert done.returncode == 2
+    assert "cannot be written to agents/owner/reach: File too large" in done.stderr
+    assert not (tmp_path / "agents").exists()
+
+
+def test_the_verbs(hub, agent, tmp_path):
+    done = program("push", agent, NAME, "--licence", "mit", "--message", "An agent", cwd=tmp_path)
+    assert done.stdout == f"{agent} is at {hub.address}/{NAME}. To get it: armctl pull {NAME}\n"
+    done = program("pull", NAME, "--out", "here", cwd=tmp_path)
+    command = "armctl compare reach_ik here/agent.json --env armctl/ArmReach-v0"
+    assert done.stdout == f"The agent is here/agent.json: {command}\n"
+    armctl(*command.split()[1:], "--episodes", "2", "--out", "results", cwd=tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"env": "evil:Maze"}, "names the code evil:Maze, and a file never runs code"),
+        ({"env": "evil.py:Maze"}, "names the code evil.py:Maze"),
+        ({"env": "Nowhere-v7"}, "there is no environment 'Nowhere-v7'"),
+        ({"env": "armctl/\x1b[2J-v0"}, "\\x1b[2J"),
+        ({"env_options": {"robot": "$(touch ran); 'x"}}, """--set 'robot=$(touch ran); '"'"'x'"""),
+    ],
+)
+def test_what_is_said_of_a_strangers_card(hub, agent, tmp_path, changes, says):
+    edit(agent, **changes)
+    published(hub, agent)
+    (tmp_path / "evil.py").write_text("from pathlib import Path\nPath('ran').touch()\n")
+    done = armctl("pull", NAME, cwd=tmp_path)
+    assert says in done.stdout
+    assert "\x1b" not in done.stdout
+    assert not (tmp_path / "ran").exists()
+
+
+def test_without_the_extra_one_line_says_what_to_install(tmp_path):
+    code = """
+import sys
+class NoHub:
+    def find_spec(name, path, target=None):
+        if name.startswith("huggingface_hub"):
+            raise ModuleNotFoundError("No module named 'huggingface_hub'", name="huggingface_hub")
+sys.meta_path.insert(0, NoHub)
+from armctl.cli import main
+main()
+"""
+    for words in (("push", "reach_ppo", NAME), ("pull", NAME)):
+        command = [sys.executable, "-c", code, *words]
+        done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
+        assert done.returncode == 2
+        assert done.stderr.startswith("armctl: sharing agents needs huggingface_hub: pip install 'armctl-suite[hub]'")
+        assert done.stderr.count("\n") == 1
