@@ -38,7 +38,7 @@ class Study(NamedTuple):
 STUDIES = {
     "armctl/ArmReach-v0": Study("reach_ppo", {"distance": 120.0, "ik": 150.0}, ["--steps", "700000"]),
     "armctl/BridgeCross-v0": Study(
-        "bridge_ppo",
+        "bridge_depth_ppo",
         {"ompl": 5.0},
         ["--steps", "300000", "--set", "resolution=(24, 16)", "--option", "validation_episodes=50"],
     ),

@@ -131,6 +131,7 @@ def test_a_shipped_card_is_of_the_present_recipe(path):
     from armctl.rl.cloned_ppo import ClonedPpoOptions
     from armctl.rl.dagger import DaggerOptions
     from armctl.rl.distil import DistilOptions
+    from armctl.rl.distilled_ppo import DistilledPpoOptions
     from armctl.rl.plan_bc import PlanBcOptions
     from armctl.rl.ppo import PpoOptions
     from armctl.rl.sac import SacOptions
@@ -144,7 +145,7 @@ def test_a_shipped_card_is_of_the_present_recipe(path):
     assert card.training_seed in recipe.seeds
     kinds = {
         "bc": BcOptions, "cloned_ppo": ClonedPpoOptions, "dagger": DaggerOptions, "distil": DistilOptions,
-        "plan_bc": PlanBcOptions, "ppo": PpoOptions, "sac": SacOptions,
+        "distilled_ppo": DistilledPpoOptions, "plan_bc": PlanBcOptions, "ppo": PpoOptions, "sac": SacOptions,
     }  # fmt: skip
     kind = kinds[card.learner]
     assert kind(**_as_named_now(card.learner_options)) == recipe.read_options(kind)  # later options have their defaults

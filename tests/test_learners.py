@@ -48,7 +48,7 @@ def test_recipes_are_package_data():
 def test_a_recipe_is_found_by_name_file_or_learner(recipe_file):
     assert load_recipe("reach_ppo").name == "reach_ppo"
     assert load_recipe("ppo").name == "reach_ppo"
-    assert load_recipe("ppo", "armctl/BridgeCross-v0").name == "bridge_ppo"
+    assert load_recipe("ppo", "armctl/BridgeCross-v0").name == "bridge_depth_ppo"
     assert load_recipe("ppo", "mine:mine/Task-v0") == Recipe(name="ppo", learner="ppo", env="mine:mine/Task-v0")
     mine = load_recipe(recipe_file(GOOD + "[options]\nsteps = 5\n"))
     assert (mine.name, mine.learner, mine.options, mine.seeds) == ("mine", "ppo", {"steps": 5}, [0])

@@ -36,7 +36,7 @@ def no_policy(env):
 
 
 SEEN = dict.fromkeys(("reach_ik", "reach_mpc", "reach_ompl", "obstacles_imagined", "obstacles_plan_bc"), "model")
-SEEN |= dict.fromkeys(("bridge_mpc", "bridge_ompl", "bridge_state_ppo"), "state")
+SEEN |= dict.fromkeys(("bridge_mpc", "bridge_ompl", "bridge_robust_ppo", "bridge_state_ppo"), "state")
 SEEN |= dict.fromkeys(("bridge_moving_state_ppo", "bridge_moving_imagined"), "state")
 MEETINGS = [(name, env) for env in environment_names() for name in default_policies(env)]
 MEETINGS += sorted({(path.stem, read_card(path).env) for path in AGENTS.glob("*.json")} - set(MEETINGS))

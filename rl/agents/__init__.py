@@ -17,7 +17,7 @@ def reach_ppo(env: Interface) -> OnnxPolicy:
 
 
 def bridge_ppo(env: Interface) -> OnnxPolicy:
-    """PPO on `armctl/BridgeCross-v0`; it sees the depth camera and its own motion."""
+    """`bridge_distil`, improved by PPO; it sees the depth camera and its own motion."""
     return load_agent(FOLDER / "bridge_ppo.json", env)
 
 
@@ -72,6 +72,12 @@ def obstacles_imagined(env: ModelInterface) -> ImaginingPolicy:
 def bridge_state_ppo(env: EpisodeVectorEnv) -> OnnxPolicy:
     """PPO on `armctl/BridgeCross-v0`, without physics; it sees the true state."""
     return load_agent(FOLDER / "bridge_state_ppo.json", env)
+
+
+@sees("state")
+def bridge_robust_ppo(env: EpisodeVectorEnv) -> OnnxPolicy:
+    """PPO on `armctl/BridgeCross-v0`, in training episodes that were disturbed; it sees the true state."""
+    return load_agent(FOLDER / "bridge_robust_ppo.json", env)
 
 
 @sees("state")

@@ -56,9 +56,9 @@ def test_every_task_of_armctl_has_both_kinds_and_main_disturbances(size):
         plan = plan_task(env, size)
         assert set(plan.disturbances) == set(size.disturbances)
         assert {len(levels) for levels in plan.disturbances.values()} == {len(size.levels)}
-    learned = {"bridge_distil", "bridge_ppo", "bridge_state_ppo"}
+    learned = {"bridge_distil", "bridge_ppo", "bridge_robust_ppo", "bridge_state_ppo"}
     assert set(plan.policies) == {"bridge_ompl", "bridge_mpc"} | learned
-    assert plan.runs == 5 * (1 + len(size.disturbances) * len(size.levels))
+    assert plan.runs == 6 * (1 + len(size.disturbances) * len(size.levels))
 
 
 def test_random_actions_play_only_where_there_is_nothing_else():

@@ -135,7 +135,7 @@ CAMERA = {"resolution": [8, 6], "max_episode_steps": 40}
 def trained_on_bridge(tmp_path_factory):
     out = tmp_path_factory.mktemp("runs") / "bridge"
     options = {"steps": 512, "worlds": 16, "validation_episodes": 2, "evaluation_episodes": 2, "batch_size": 256}
-    recipe = load_recipe("bridge_ppo").changed(env_options=CAMERA, options=options)
+    recipe = load_recipe("bridge_depth_ppo").changed(env_options=CAMERA, options=options)
     return out, train(recipe, out=out, seed=0, progress=False)
 
 
