@@ -34,7 +34,8 @@ def holding(observation):
 
 @pytest.fixture(autouse=True)
 def mine(tmp_path, monkeypatch):
-    """A working directory with a policy in a file, which imports another."""
+    """A working directory with a policy in a file, which imports another; and Ray asks nobody for a token."""
+    monkeypatch.setenv("RAY_AUTH_MODE", "disabled")
     (tmp_path / "mine.py").write_text(MINE)
     (tmp_path / "helpers_of_mine.py").write_text("def still(observation):\n    return observation[3:9]\n")
     monkeypatch.chdir(tmp_path)

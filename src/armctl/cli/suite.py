@@ -1,25 +1,128 @@
-"""The verb that plays all tasks with all their policies: `suite`."""
+"""Verbs that compare in many settings: `sweep` under disturbances, `suite` in all tasks."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from armctl import DEFAULT_ENV
 from armctl.cli import completion
 from armctl.cli.app import app
 from armctl.cli.evaluate import exit_if_interrupted, make_report, print_tracebacks
 from armctl.cli.options import (
+    Env,
+    EnvOptions,
     Format,
     On,
     Overwrite,
+    Policies,
     Seed,
+    SuccessReturn,
     TableFormat,
     Workers,
     Worlds,
+    levels_of,
     new_folder,
+    options_of,
     print_document,
     progress_bar,
 )
+
+
+@app.command()
+def sweep(
+    policies: Policies = None,
+    env: Env = DEFAULT_ENV,
+    disturbances: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--disturbance",
+            metavar="NAME[=LEVELS]",
+            help="Disturbance; can be repeated: `--disturbance noise --disturbance payload=0,1,2,4`.",
+            show_default="all of the environment's",
+            autocompletion=completion.disturbances,
+        ),
+    ] = None,
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes that every policy plays at each level.")] = 100,
+    seed: Seed = 0,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for sweep.csv and all comparisons.", show_default="results/<date and time>"),
+    ] = None,
+    overwrite: Overwrite = False,
+    worlds: Worlds = 1,
+    workers: Workers = 1,
+    on: On = "local",
+    env_options: EnvOptions = None,
+    success_return: SuccessReturn = None,
+    slow_down: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LEVELS",
+            help="Slower computers, in real time: `--slow-down 1,2,5,10,30`, short for `--disturbance slow-down=...`.",
+        ),
+    ] = None,
+    real_time: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Results folder whose decision times `--slow-down` repeats.",
+            show_default="those of the undisturbed comparison, with one world and one worker",
+        ),
+    ] = None,
+    table_format: Format = TableFormat.TABLE,
+) -> None:
+    """Let policies play the same episodes under increasing disturbances, and print how robust each is.
+
+    Disturbances: `noise` of sensors, `delay` of actions, `payload`, `friction`, `strength` of motors, `pushes`,
+    `mismatch` between the robot and the controllers' model of it, and `dropout` of camera images. Noise and dropout do
+    not affect policies that see the state. `armctl list` shows the levels. With `--slow-down`, success is against the
+    slowness of the computer, in a world that does not wait.
+
+    Every episode is written as it ends. After Ctrl-C, the same command with the same `--out` resumes the sweep.
+    """
+    from armctl.evaluation import EpisodeResult
+    from armctl.evaluation import sweep as run_sweep
+    from armctl.evaluation.compare import default_policies
+    from armctl.evaluation.engines import connect
+    from armctl.evaluation.real_time import SLOWER
+    from armctl.evaluation.sweep import sweep_levels
+    from armctl.policies import expanded, named_policies
+
+    names, options = policies or default_policies(env), options_of(env_options, success_return=success_return)
+    given = (disturbances or []) + ([f"{SLOWER}={slow_down}"] if slow_down else [])
+    asked = levels_of(given) if given else None
+    players, _ = expanded(named_policies(names))
+    settings = 1 + sum(len(levels) - 1 for levels in sweep_levels(env, asked, options).values())
+    folder = out or new_folder()
+    with connect(on, workers) as engine, progress_bar() as bar:
+        shown = bar.add_task("", total=settings * len(players) * episodes)
+
+        def progress(setting: str, result: EpisodeResult) -> None:
+            bar.update(shown, description=setting, advance=1)
+
+        found = run_sweep(
+            names,
+            env,
+            disturbances=asked,
+            episodes=episodes,
+            seed=seed,
+            out=folder,
+            overwrite=overwrite,
+            worlds=worlds,
+            workers=engine,
+            env_options=options,
+            real_time=real_time,
+            progress=progress,
+        )
+    console = print_document(found.document(), table_format)
+    if "results" not in found.failures:
+        console.print(f"{folder / 'sweep.csv'} has the curves; each comparison has a folder beside it.", soft_wrap=True)
+    exit_if_interrupted(found.interrupted, folder, console)
+    for one in found.comparisons.values():
+        print_tracebacks(one.tracebacks)
+    if found.failures:
+        raise typer.Exit(1)
 
 
 @app.command()

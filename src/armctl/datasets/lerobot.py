@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from armctl.datasets.demonstrations import Demonstration
 from armctl.datasets.lerobot_features import features_of, observed_parts
 from armctl.datasets.lerobot_stats import Stats, aggregated, picture_stats, stats_of
-from armctl.datasets.pictures import bounds_of, is_image, pictures
+from armctl.datasets.pictures import bounds_of, count_frames, is_image, pictures
 from armctl.envs import EpisodeVectorEnv, full_id
 from armctl.errors import missing_extra
 from armctl.files import sealed, write_atomically
@@ -212,10 +212,5 @@ def _to_disk(folder: Path) -> None:
 
 def _check_video(path: Path, frames: int) -> None:
     """Raise `OSError` if a video does not have so many frames: ffmpeg does not say when a disk is full."""
-    try:
-        with imageio.get_reader(path) as reader:
-            written = reader.count_frames()
-    except (OSError, RuntimeError, ValueError):  # whatever imageio raises of a video that breaks off
-        written = 0
-    if written != frames:
+    if (written := count_frames(path)) != frames:
         raise OSError(f"{written} of the {frames} frames of {path.name} arrived, as on a full disk")

@@ -1,8 +1,10 @@
-"""Image observations as 8-bit pictures, for videos and viewers."""
+"""Image observations as 8-bit pictures, for videos and viewers; and how many of them a video has."""
 
+from pathlib import Path
 from typing import Any
 
 import gymnasium
+import imageio
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,3 +33,12 @@ def pictures(images: NDArray[Any], low: float, high: float) -> NDArray[np.uint8]
     if shades.ndim == 3:
         shades = shades[..., None]
     return np.broadcast_to(shades, (*shades.shape[:3], 3))
+
+
+def count_frames(video: Path) -> int:
+    """How many frames a video has; 0 if it breaks off."""
+    try:
+        with imageio.get_reader(video) as reader:
+            return int(reader.count_frames())
+    except (OSError, RuntimeError, ValueError):  # whatever imageio raises then
+        return 0

@@ -155,7 +155,9 @@ class Ray(Cluster):
             try:
                 ray.init(address, log_to_driver=False, logging_level="ERROR", include_dashboard=False)
             except (ConnectionError, ValueError, RuntimeError) as error:
-                raise ConfigurationError(f"no cluster of Ray answers at {address}: {error}") from error
+                raise ConfigurationError(
+                    f"no cluster of Ray answers at {address}: {error}. If it asks for a token, set RAY_AUTH_MODE=token"
+                ) from error
         self.workers = max(LEAST, self.count())
 
     def count(self) -> int:

@@ -9,6 +9,7 @@ import imageio
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.datasets.pictures import count_frames
 from armctl.errors import ConfigurationError, ResultsError
 from armctl.files import write_atomically
 
@@ -64,12 +65,7 @@ def _publish(unfinished: Path, video: Path) -> None:
 
 def check_frames(path: Path, frames: int, name: object) -> None:
     """Raise `ResultsError`, which calls the video by `name`, if it does not have so many frames."""
-    try:
-        with imageio.get_reader(path) as reader:
-            written = reader.count_frames()
-    except (OSError, RuntimeError, ValueError):  # whatever imageio raises of a video that breaks off
-        written = 0
-    if written != frames:
+    if (written := count_frames(path)) != frames:
         raise ResultsError(
             f"the video {name} cannot be written: {written} of its {frames} frames arrived, as on a full disk"
         )
