@@ -185,7 +185,7 @@ class Ray(Cluster):
         except ray.exceptions.RayTaskError as error:
             raise _told(error.cause) from None
         except (ray.exceptions.RayError, ConnectionError) as error:
-            raise WorkersFailed(f"workers died again and again, or the cluster was lost: {error}") from error
+            raise _lost(error) from error
         finally:
             with contextlib.suppress(Exception):  # of a cluster that was lost
                 for one in running:
@@ -214,36 +214,52 @@ class Dask(Cluster):
     def _results(self, function: Work, first: tuple[Any, ...], units: Iterable[Any]) -> Generator[Any, None, None]:
         # sent as tasks, which the scheduler keeps: data that is scattered is lost with the workers that hold it
         sent = [self._client.submit(_itself, one, pure=False) for one in first]
-        waiting, finished = iter(units), self._dask.as_completed(loop=self._client.loop, timeout=SILENCE)
+        waiting = iter(units)
+        running: set[Any] = set()
         try:
             while True:
-                for unit in _some(waiting, AHEAD * self.workers - finished.count()):
-                    finished.add(self._client.submit(function, *sent, unit, pure=False))
-                if not finished.count():
+                for unit in _some(waiting, AHEAD * self.workers - len(running)):
+                    running.add(self._client.submit(function, *sent, unit, pure=False))
+                if not running:
                     return
-                yield self._next(finished)
+                finished = self._first_of(running)
+                running -= finished
+                for one in finished:
+                    yield self._result_of(one)
         finally:
             with contextlib.suppress(Exception):  # of a cluster that was lost
-                self._client.cancel(list(finished.futures))
+                self._client.cancel(list(running))
 
-    def _next(self, finished: Any) -> Any:
-        """The next result. Raises `WorkersFailed`, also if no worker is left that could give one."""
+    def _first_of(self, running: set[Any]) -> set[Any]:
+        """Those that have finished, as soon as one has. Raises `WorkersFailed` if no worker is left for that."""
         while True:
             try:
-                return next(finished).result()
+                with self._client.as_current():
+                    done: set[Any] = self._dask.wait(list(running), SILENCE, "FIRST_COMPLETED").done
+                return done
             except TimeoutError:
                 if not self.count():
                     raise WorkersFailed(
                         "no worker of the cluster is left: they died, or have no armctl like this one"
                     ) from None
-            except WorkersFailed:
-                raise
             except Exception as error:  # whatever becomes of a cluster that was lost
-                raise WorkersFailed(f"workers died again and again, or the cluster was lost: {error}") from error
+                raise _lost(error) from error
+
+    def _result_of(self, finished: Any) -> Any:
+        try:
+            return finished.result()
+        except WorkersFailed:
+            raise
+        except Exception as error:
+            raise _lost(error) from error
 
     def count(self) -> int:
         """Worker processes of the cluster at present."""
         return len(self._client.scheduler_info(n_workers=-1)["workers"])
+
+
+def _lost(error: Exception) -> WorkersFailed:
+    return WorkersFailed(f"workers died again and again, or the cluster was lost: {error}")
 
 
 def _told(error: BaseException) -> WorkersFailed:
