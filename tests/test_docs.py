@@ -29,7 +29,7 @@ from armctl.registration import environment_names
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-GROUPS = {f"armctl.{kind}" for kind in ("learners", "policies", "recipes", "tasks")}
+GROUPS = {f"armctl.{kind}" for kind in ("learners", "policies", "recipes", "tasks", "trackers")}
 SECONDS = 600
 """That a page's examples may take."""
 
@@ -116,7 +116,7 @@ def test_every_command_is_one_that_there_is(page):
                 case ["python", script, *_]:
                     assert (ROOT / script).exists(), script
                 case [program, *_]:
-                    assert program in ("cp", "pip", ".venv/bin/pip", "source", "ssh"), words
+                    assert program in ("cp", "pip", ".venv/bin/pip", "rerun", "source", "ssh"), words
 
 
 def _check(verb, arguments):

@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 from importlib import resources
 from pathlib import Path
@@ -89,11 +90,18 @@ def answers(port):
 
 
 @pytest.fixture
-def ray_cluster(processes):
+def ray_folder():
+    """One of Ray's own: its sockets' paths must not be long."""
+    with tempfile.TemporaryDirectory(prefix="ray-", ignore_cleanup_errors=True) as folder:
+        yield folder
+
+
+@pytest.fixture
+def ray_cluster(ray_folder, processes):
     """The address of a cluster of two nodes, each with a core, and the second node's process."""
     port, client = free_port(), 9000 + free_port() % 900
     quiet = {"RAY_USAGE_STATS_ENABLED": "0"}
-    common = ["--num-cpus=1", "--block", "--disable-usage-stats", f"--temp-dir={processes.folder}"]
+    common = ["--num-cpus=1", "--block", "--disable-usage-stats", f"--temp-dir={ray_folder}"]
     head = ["--head", "--node-ip-address=127.0.0.1", f"--port={port}", f"--ray-client-server-port={client}"]
     processes.start(BIN / "ray", "start", *head, "--include-dashboard=false", *common, environment=quiet)
     address = f"ray://127.0.0.1:{client}"
@@ -163,9 +171,9 @@ def test_a_worker_with_other_versions_is_refused_by_name(dask_cluster, processes
     address, node = dask_cluster
     processes.kill(node)
     (tmp_path / "older.py").write_text(
-        "from armctl.evaluation import engines\n"
-        "versions = engines.versions()\n"
-        "engines.versions = lambda: versions | {'numpy': '1.0'}\n"
+        "from armctl.evaluation import workers\n"
+        "versions = workers.versions()\n"
+        "workers.versions = lambda: versions | {'numpy': '1.0'}\n"
     )
     port = address.rpartition(":")[2]
     dask_worker(processes, port, "--preload", tmp_path / "older.py")

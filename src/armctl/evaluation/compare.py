@@ -13,7 +13,7 @@ from armctl.envs import ThirdPartyVectorEnv, full_id, task_of
 from armctl.errors import ConfigurationError, ResultsError, unknown_name
 from armctl.evaluation.comparison import Comparison, summary
 from armctl.evaluation.decision_times import load_notes, timing_notes, unjudged
-from armctl.evaluation.engines import Engine, WorkersFailed, engine_of
+from armctl.evaluation.engines import Engine, engine_of
 from armctl.evaluation.episode_table import EpisodeTable
 from armctl.evaluation.identity import identity
 from armctl.evaluation.paired import MARGIN
@@ -39,6 +39,7 @@ from armctl.evaluation.seeding import seed_notes
 from armctl.evaluation.seeds import check_evaluation_seed
 from armctl.evaluation.store import EpisodeLog
 from armctl.evaluation.summary import certificate_notes, counted_results, summarise
+from armctl.evaluation.workers import WorkersFailed
 from armctl.policies import Policy, WorldsByInterface, expanded, is_group, learners, make_policy, named_policies
 from armctl.registration import bare_id, remember_named
 

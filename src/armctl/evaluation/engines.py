@@ -2,35 +2,24 @@
 
 An engine does units of work and yields their results as they come. Units of a worker that is lost are done again by
 another; each unit has one result. Ray and Dask are used directly: joblib's backend for Ray cannot yield results as they
-come, and none of joblib's yields again what was lost.
+come.
 """
 
 import contextlib
-import functools
 import os
-import platform
 import re
-import shutil
-import signal
-import tempfile
-import threading
-import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from collections.abc import Generator, Iterable, Iterator
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any, Self
 
 import joblib
-from joblib.externals.loky import ProcessPoolExecutor
 
-from armctl.errors import FAILURES, ArmctlError, ConfigurationError, described, missing_extra, unknown_name
-from armctl.evaluation.identity import checksum_of_core, differences
-from armctl.evaluation.provenance import versions
+from armctl.errors import ConfigurationError, described, missing_extra, unknown_name
 from armctl.evaluation.sending import Parcel
+from armctl.evaluation.workers import Work, WorkersFailed, end_with_parent, here, work_in_child
 
-PARENT_CHECK = 1.0
-"""s between two looks of a worker whether its parent still lives."""
 RETRIES = 3
 """How often a unit is done again whose worker was lost."""
 SILENCE = 30.0
@@ -40,13 +29,6 @@ AHEAD = 2
 
 LEAST = 2
 """Workers that are assumed: other machines' decision times are never judged as those of this one, working alone."""
-
-Work = Callable[..., Any]
-"""A function of what all units share, and of a unit's own arguments. It lies in a module of armctl."""
-
-
-class WorkersFailed(ArmctlError):
-    """Workers died, could not load what they were sent, or have other versions than this process."""
 
 
 class Engine(ABC):
@@ -111,7 +93,11 @@ class Local(Engine):
     def run(self, work: Work, shared: Any, units: Iterable[tuple[Any, ...]]) -> Generator[Any, None, None]:
         """Yield results; see `Engine`. What this process has imported, or has in memory, its workers can use."""
         parallel = joblib.Parallel(
-            self.workers, backend="loky", return_as="generator_unordered", initializer=_begin, initargs=(os.getpid(),)
+            self.workers,
+            backend="loky",
+            return_as="generator_unordered",
+            initializer=end_with_parent,
+            initargs=(os.getpid(),),
         )
         try:
             with contextlib.closing(parallel(joblib.delayed(work)(shared, *unit) for unit in units)) as results:
@@ -128,7 +114,7 @@ class Cluster(Engine):
     ) -> Generator[Any, None, None]:
         """Yield results; see `Engine`. `files` are sent along, which `shared` names by relative paths."""
         parcel = Parcel.of(shared, files)
-        yield from self._results(_work_in_child, (work, parcel, _here()), units)
+        yield from self._results(work_in_child, (work, parcel, here()), units)
 
     @abstractmethod
     def count(self) -> int:
@@ -272,101 +258,3 @@ def _some(units: Iterator[Any], count: int) -> Iterator[Any]:
 
 def _itself(value: Any) -> Any:
     return value
-
-
-@functools.cache
-def _here() -> dict[str, Any]:
-    """What must be alike on all machines, or their results must not be mixed."""
-    return {"machine": platform.machine(), "versions": versions(), "source": checksum_of_core()}
-
-
-def _work_in_child(work: Work, parcel: Parcel, expected: Mapping[str, Any], unit: tuple[Any, ...]) -> Any:
-    """Do a unit in a worker of a cluster: in a process of its own, in which nothing is left of other work."""
-    check_alike(expected, _here())
-    with _ONE_AT_A_TIME:
-        child = _Child.of(parcel)
-        try:
-            return child.executor.submit(_work, work, unit).result()
-        except BrokenProcessPool:
-            child.end()
-            raise WorkersFailed(f"{unit[0]}: its process on {platform.node()} died") from None
-        except (KeyboardInterrupt, SystemExit):  # by which Ray cancels
-            child.end()
-            raise
-
-
-_ONE_AT_A_TIME = threading.Lock()
-"""A worker of Dask may have several threads, but it has one core for each worker that we count."""
-
-
-class _Child:
-    """A process of a cluster's worker, made for one parcel, and the folder in which it works."""
-
-    _present: "_Child | None" = None
-
-    def __init__(self, parcel: Parcel) -> None:
-        self.parcel, self.root = parcel, Path(tempfile.mkdtemp(prefix="armctl-"))
-        parcel.write(self.root)
-        self.executor = ProcessPoolExecutor(1, initializer=_open, initargs=(os.getpid(), parcel, self.root))
-
-    @classmethod
-    def of(cls, parcel: Parcel) -> "_Child":
-        """The present one, or a new one if that has another parcel."""
-        if cls._present is None or cls._present.parcel != parcel:
-            if cls._present is not None:
-                cls._present.end()
-            cls._present = cls(parcel)
-        return cls._present
-
-    def end(self) -> None:
-        """Kill the process, and delete its folder."""
-        self.executor.shutdown(kill_workers=True)
-        shutil.rmtree(self.root, ignore_errors=True)
-        _Child._present = None
-
-
-_opened: dict[str, Any] = {}
-"""In a child: how to open what was sent, and then that."""
-
-
-def _open(parent: int, parcel: Parcel, root: Path) -> None:
-    _begin(parent, root)
-    _opened["open"] = functools.partial(parcel.open_in, root)
-
-
-def _work(work: Work, unit: tuple[Any, ...]) -> Any:
-    """Do a unit in a child. Whatever is raised can be sent back."""
-    try:
-        if "objects" not in _opened:
-            _opened["objects"] = _opened["open"]()
-        return work(_opened["objects"], *unit)
-    except WorkersFailed:
-        raise
-    except FAILURES as error:
-        raise WorkersFailed(f"{unit[0]} cannot be done on {platform.node()}: {described(error)}") from None
-
-
-def check_alike(expected: Mapping[str, Any], here: Mapping[str, Any]) -> None:
-    """Raise `WorkersFailed` in a worker for whatever is otherwise than where the work comes from."""
-    if others := differences(here, expected):
-        raise WorkersFailed(
-            f"the worker on {platform.node()} differs, and its results must not be mixed with others: "
-            + "; ".join(others)
-        )
-
-
-def _begin(parent: int, folder: Path | None = None) -> None:
-    """Let this process end when its parent has gone, however that ended, and not by Ctrl-C before.
-
-    A folder of its own is deleted then.
-    """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(PARENT_CHECK)
-        if folder is not None:
-            shutil.rmtree(folder, ignore_errors=True)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()

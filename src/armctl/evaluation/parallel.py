@@ -17,12 +17,13 @@ from armctl.agents import FILES
 from armctl.envs import EpisodeVectorEnv
 from armctl.errors import ConfigurationError, EnvironmentFailed, format_cause
 from armctl.evaluation.decision_times import TimedPolicy
-from armctl.evaluation.engines import Cluster, Engine, check_alike
+from armctl.evaluation.engines import Cluster, Engine
 from armctl.evaluation.identity import identity
 from armctl.evaluation.real_time import RealTime, RealTimePolicy
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.rollouts import PolicyDisqualified, PolicyFailed, rollouts
 from armctl.evaluation.sending import relative
+from armctl.evaluation.workers import check_alike
 from armctl.policies import Policy, PolicyFactory, WorldsByInterface, make_policy
 from armctl.policies.trainings import training_card
 
