@@ -6,8 +6,10 @@ and named parts of the observation. Everything else plays with the one that was 
 """
 
 from collections.abc import Mapping
+from contextlib import closing
 from typing import Any
 
+from armctl.disturbances import available
 from armctl.envs import EpisodeVectorEnv, make_worlds, task_of
 from armctl.policies.find import is_expert
 from armctl.policies.trainings import card_of
@@ -38,7 +40,8 @@ class WorldsByInterface:
         for known, worlds in self._made:
             if known == options:
                 return worlds
-        self._made.append((options, make_worlds(self._env, options=options, **self._arguments)))
+        felt = self._felt(options)
+        self._made.append((options, make_worlds(self._env, options=felt, **self._arguments)))
         return self._made[-1][1]
 
     def options_of(self, policy: Any) -> dict[str, Any]:
@@ -52,6 +55,15 @@ class WorldsByInterface:
             kept = {name: value for name, value in self._options.items() if _is_for_experts(name, value)}
             return others | kept
         return self._options
+
+    def _felt(self, options: dict[str, Any]) -> dict[str, Any]:
+        """The options without disturbances of what is not in this interface: who gets no image loses none."""
+        if not (levels := options.get("disturbances")):
+            return options
+        undisturbed = {name: value for name, value in options.items() if name != "disturbances"}
+        with closing(make_worlds(self._env, options=undisturbed, **self._arguments | {"worlds": 1})) as plain:
+            there = available(plain.task.disturbances, plain.task)
+        return undisturbed | {"disturbances": {name: level for name, level in levels.items() if name in there}}
 
     def close(self) -> None:
         """Close all of them."""
