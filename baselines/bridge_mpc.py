@@ -5,12 +5,18 @@ goes around them. The path passes beside the lanes along the bridge. It sees the
 privileged state.
 """
 
+import functools
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from armctl.baselines.bridge_controllers import BridgePolicy, distance_from_path, path_from
 from armctl.control.drive_mpc import DriveMpc, DriveMpcOptions
 from armctl.envs import TaskVectorEnv
+from armctl.options import changed_options
 from armctl.policies import sees
 from armctl.robots.rover import MAX_VELOCITY, MAX_WHEEL_SPEED, RADIUS, TRACK, WHEEL_RADIUS, WHEEL_SEPARATION_MULTIPLIER
 from armctl.scene import BridgeMap
@@ -30,17 +36,17 @@ REPLAN_DISTANCE = 1.0
 
 
 @sees("state")
-def make(env: TaskVectorEnv) -> BridgePolicy:
+def make(env: TaskVectorEnv, options: Mapping[str, Any] = MappingProxyType({})) -> BridgePolicy:
     """OMPL path on the true map, and nonlinear MPC along it, around the predicted pedestrians."""
-    return BridgePolicy("bridge_mpc", env, BridgeMpc)
+    return BridgePolicy("bridge_mpc", env, functools.partial(BridgeMpc, options=options))
 
 
 class BridgeMpc:
-    """Crosses one bridge."""
+    """Crosses one bridge. `options` are those of `DriveMpcOptions` that differ from the ones here."""
 
-    def __init__(self, bridge: BridgeMap, goal_x: float) -> None:
+    def __init__(self, bridge: BridgeMap, goal_x: float, options: Mapping[str, Any] = MappingProxyType({})) -> None:
         self._bridge, self._goal_x = bridge, goal_x
-        self._options = DriveMpcOptions(
+        usual = DriveMpcOptions(
             max_speed=float(MAX_VELOCITY[0]),
             max_acceleration=ACCELERATION,
             max_rim_speed=MAX_WHEEL_SPEED * WHEEL_RADIUS,
@@ -49,6 +55,7 @@ class BridgeMpc:
             distance=RADIUS + bridge.pedestrians.radius + PEOPLE_MARGIN,
             period=CONTROL_PERIOD,
         )
+        self._options = changed_options(usual, options, "option of bridge_mpc")
         self._clock = CONTROL_PERIOD * np.arange(self._options.steps + 1)
         self._mpc: DriveMpc | None = None
         self._plans: dict[str, Array] = {}

@@ -4,6 +4,10 @@ It looks up a posture once per episode in a table of configurations, since the o
 then plans 0.8 s and commands the first period. It sees only the observation, which includes the boxes if there are any.
 """
 
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +17,7 @@ from armctl.control.reach_problem import JointTrajectory
 from armctl.control.streaming import CommandStream
 from armctl.envs import ModelInterface
 from armctl.kinematics import ArmModel, ReachabilityMap
+from armctl.options import changed_options
 from armctl.policies import PerWorld, sees
 from armctl.tasks import OBSERVATION, ReachOptions
 from armctl.tasks.reach import read_boxes
@@ -24,26 +29,29 @@ PATIENCE, MIN_PROGRESS = 12, 0.005
 posture first."""
 POSTURE_TOLERANCE = 0.02
 """rad: largest joint error at which a posture counts as reached."""
-MARGIN, INFLUENCE = 0.01, 0.06
-"""m: margin and influence distance for floor and self-collisions; larger ones are used among boxes."""
+AMONG_BOXES = ReachMpcOptions()
+ALONE = ReachMpcOptions(margin=0.01, influence_distance=0.06)
+"""Nearer to the floor and to itself than an arm goes to boxes."""
 
 
 @sees("model")
-def make(env: ModelInterface) -> PerWorld:
+def make(env: ModelInterface, options: Mapping[str, Any] = MappingProxyType({})) -> PerWorld:
     """MPC with OSQP on Pinocchio's kinematics: keeps joint limits and predicts the target's motion."""
-    options = checked_options("reach_mpc", env, ReachOptions, "armctl/ArmReach-v0", OBSERVATION, ["position"])
-    configurations, parts = ReachabilityMap(ArmModel(env.robot)), list(options.parts)
-    return PerWorld([ReachWithMpc(configurations, options.tolerance, parts) for _ in range(env.num_envs)])
+    task = checked_options("reach_mpc", env, ReachOptions, "armctl/ArmReach-v0", OBSERVATION, ["position"])
+    configurations, parts = ReachabilityMap(ArmModel(env.robot)), list(task.parts)
+    mpc = changed_options(AMONG_BOXES if "boxes" in parts else ALONE, options, "option of reach_mpc")
+    return PerWorld([ReachWithMpc(configurations, task.tolerance, parts, mpc) for _ in range(env.num_envs)])
 
 
 class ReachWithMpc:
     """Reaches with one arm, given an observation of these parts, in order."""
 
-    def __init__(self, reachability_map: ReachabilityMap, tolerance: float, parts: list[str]) -> None:
+    def __init__(
+        self, reachability_map: ReachabilityMap, tolerance: float, parts: list[str], options: ReachMpcOptions
+    ) -> None:
         self._model, self._map, self._tolerance = reachability_map.model, reachability_map, tolerance
         self._moving, self._boxed = "target_velocity" in parts, "boxes" in parts
-        tight = ReachMpcOptions(margin=MARGIN, influence_distance=INFLUENCE)
-        self.mpc = ReachMpc(self._model, ReachMpcOptions() if self._boxed else tight)
+        self.mpc = ReachMpc(self._model, options)
         self._ahead = self.mpc.problem.period * np.arange(1, self.mpc.problem.horizon + 1)[:, None]
 
     @property

@@ -252,7 +252,7 @@ class Training:
 
     def _settings(self) -> dict[str, Any]:
         settings = _plain(self.recipe) | {"seed": self.seed, "options": dataclasses.asdict(self.options)}
-        del settings["seeds"]
+        del settings["seeds"], settings["tune"]
         return settings | checksums(self.recipe.env, self.held_out, self.recipe.env_options)
 
     def _check_folder(self, resume: bool) -> None:

@@ -21,5 +21,5 @@ def test_it_leads_to_every_page_and_notebook():
 
 def test_it_counts_the_agents():
     agents = list((ROOT / "rl" / "agents").glob("*.json"))
-    assert len(agents) == 15
-    assert "fifteen trained ones" in README
+    assert len(agents) == 16
+    assert "sixteen trained ones" in README

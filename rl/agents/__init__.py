@@ -100,3 +100,8 @@ def bridge_distil(env: Interface) -> OnnxPolicy:
 def bridge_moving_distil(env: Interface) -> OnnxPolicy:
     """`bridge_moving_state_ppo`, distilled into a network with a memory; it sees the depth camera and its motion."""
     return load_agent(FOLDER / "bridge_moving_distil.json", env)
+
+
+def bridge_moving_ppo(env: Interface) -> OnnxPolicy:
+    """PPO on `armctl/BridgeCrossMoving-v0`, from `bridge_moving_distil`; it sees the depth camera and its own motion."""
+    return load_agent(FOLDER / "bridge_moving_ppo.json", env)

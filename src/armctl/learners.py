@@ -65,6 +65,8 @@ class Recipe(BaseModel):
     """Training seeds of the published results."""
     options: dict[str, Any] = {}
     """Options of the learner, such as `steps`."""
+    tune: dict[str, Any] = {}
+    """The search space of `armctl tune` (see `armctl.search_space`), which a training does not use."""
 
     @property
     def options_in_training(self) -> dict[str, Any]:

@@ -52,6 +52,22 @@ def make_options(
     return options_type(**values)
 
 
+def changed_options(options: Options, values: Mapping[str, Any], kind: str = "option") -> Options:
+    """Options with other values, as a TOML file has them: by name, options within as tables, and tuples as lists.
+
+    Raises `ConfigurationError` as `make_options` does.
+    """
+    present = {field.name: getattr(options, field.name) for field in dataclasses.fields(options)}  # type: ignore[arg-type]
+    changed = dict(values)
+    for name, value in values.items():
+        match present.get(name), value:
+            case object(__dataclass_fields__=_) as within, Mapping():
+                changed[name] = changed_options(within, value, f"{kind}: {name}")
+            case tuple(), list():
+                changed[name] = tuple(value)
+    return make_options(type(options), present | changed, kind)
+
+
 def option_value(text: str) -> Any:
     """A number, tuple, True, False or None as Python writes it; anything else is text."""
     try:

@@ -4,11 +4,11 @@ import os
 import sys
 from typing import NoReturn
 
-from armctl.cli import catalogue, evaluate, learn, play, share, suite
+from armctl.cli import catalogue, evaluate, export, learn, play, share, suite, tune
 from armctl.cli.app import app, settings
 from armctl.errors import ArmctlError, format_cause
 
-__all__ = ["app", "catalogue", "evaluate", "learn", "main", "play", "share", "suite"]
+__all__ = ["app", "catalogue", "evaluate", "export", "learn", "main", "play", "share", "suite", "tune"]
 
 TRACEBACK = "--traceback"
 

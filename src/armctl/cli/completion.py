@@ -36,6 +36,13 @@ def recipes(incomplete: str) -> list[str]:
     return _starting({*named, *installed("armctl.learners").names}, incomplete)
 
 
+def tunable(incomplete: str) -> list[str]:
+    """Names of recipes, and of policies with a file of options beside their module."""
+    homes = {entry.name: find_spec(entry.module) for entry in installed("armctl.policies")}
+    files = {name: Path(home.origin).with_name(f"{name}.toml") for name, home in homes.items() if home and home.origin}
+    return _starting({*recipes(incomplete), *(name for name, file in files.items() if file.exists())}, incomplete)
+
+
 def trackers(incomplete: str) -> list[str]:
     """Names of experiment trackers."""
     return _starting(installed("armctl.trackers").names, incomplete)

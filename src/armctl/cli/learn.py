@@ -1,4 +1,4 @@
-"""Verbs that make agents: `train`, and `export` for models of Stable-Baselines3."""
+"""The verb that makes agents: `train`."""
 
 import functools
 import logging
@@ -8,14 +8,18 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from armctl.cli import completion
 from armctl.cli.app import app
-from armctl.cli.options import EnvOptions, options_of
-from armctl.errors import ConfigurationError, ResultsError
+from armctl.cli.options import EnvOptions, On, options_of, progress_bar
+from armctl.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from armctl.agents import AgentCard
+    from armctl.training import Job
 
 
 @app.command()
@@ -31,7 +35,12 @@ def train(
         str | None, typer.Option("--env", help="Environment to train in.", show_default="the recipe's")
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(min=0, help="Seed of the training.", show_default="the recipe's first")
+        str | None,
+        typer.Option(
+            metavar="SEEDS",
+            help="Seed of the training, several such as `0,1,2`, or `all` of the recipe's.",
+            show_default="the recipe's first",
+        ),
     ] = None,
     steps: Annotated[int | None, typer.Option(min=1, help="Environment steps.", show_default="the recipe's")] = None,
     shaping: Annotated[
@@ -55,7 +64,10 @@ def train(
     env_options: EnvOptions = None,
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder for the agent, logs and checkpoints.", show_default="runs/<recipe>-<seed>"),
+        typer.Option(
+            help="Folder for the agent, logs and checkpoints; of several seeds, what theirs begin with.",
+            show_default="runs/<recipe>-<seed>",
+        ),
     ] = None,
     resume: Annotated[
         bool,
@@ -79,6 +91,8 @@ def train(
             min=1, help="Threads of physics and network: 1 for trainings beside each other.", show_default="all cores"
         ),
     ] = None,
+    workers: Annotated[int, typer.Option(min=1, help="Trainings at once, with several seeds, each on one core.")] = 1,
+    on: On = "local",
 ) -> None:
     """Train an agent by a recipe; needs the extra `rl`.
 
@@ -89,6 +103,8 @@ def train(
     `armctl train ppo --env armctl/BridgeCross-v0`. A recipe's file never runs code: name an environment or a teacher of
     your own with `--env` or `--teacher`, even if the recipe names it too.
 
+    `armctl train reach_ppo --seed all --workers 3` trains with each of the recipe's seeds; with `--on`, on a cluster.
+
     During training, the agent is evaluated on held-out episodes (`curve.csv`), and the best version is kept. Ctrl-C
     leaves a checkpoint, and the same command with `--resume` resumes from it. Checkpoints are pickles, which can run
     any code when they are loaded: resume only trainings of your own. Each training, also one that fails, gets a row in
@@ -98,11 +114,11 @@ def train(
     you keep your experiments. A tracker that fails does not harm the training, and `--resume` continues the same run.
     """
     from armctl.envs import task_of
-    from armctl.evaluation.trials import TRIALS, add_trial, progress_of, results_of, trial
     from armctl.learners import load_learner, load_recipe
     from armctl.options import option_arguments
     from armctl.simulation.threads import LIMIT
     from armctl.tracking import tracked
+    from armctl.training import SETTINGS, Job, recorded
 
     if threads:
         os.environ[LIMIT] = str(threads)
@@ -117,116 +133,88 @@ def train(
         options=chosen.options | learner_options,
         env_options=chosen.env_options | options_of(env_options),
     )
-    seed = chosen.seeds[0] if seed is None else seed
-    folder = out or Path("runs") / f"{chosen.name}-{seed}"
-    if resume and (folder / "settings.json").exists():
-        _say(f"Resuming {folder}. Its checkpoints are pickles, which can run code: go on only if it is your own.", True)
+    seeds = _seeds(seed, chosen.seeds)
     changed = given | {"options": learner_options, "env_options": options_of(env_options), "teacher": teacher}
-    started = trial(chosen.name, chosen.learner, chosen.env, seed, changed, "finished")
-
-    def record(ended: str, why: str, results: dict[str, Any]) -> None:
-        add_trial(folder.parent / TRIALS, started | {"ended": ended, "note": why} | results)
-
+    job = Job(chosen, changed, resume)
+    start = out or Path("runs") / chosen.name
+    if len(seeds) > 1 or on != "local":
+        if track:
+            raise ConfigurationError("a tracker follows one training, in this process: without --track, or one seed")
+        folders = {one: start.with_name(f"{start.name}-{one}") for one in seeds}
+        _train_several(job, folders, on, workers)
+        return
+    seed_here = seeds[0]
+    folder = out or Path("runs") / f"{chosen.name}-{seed_here}"
+    if resume and (folder / SETTINGS).exists():
+        say(f"Resuming {folder}. Its checkpoints are pickles, which can run code: go on only if it is your own.", True)
     try:
-        tell = functools.partial(_say, error=True)
-        with _evaluations_logged(), tracked(track or (), chosen, folder, seed, resume, tell):
-            card = load_learner(chosen.learner)(chosen, out=folder, seed=seed, resume=resume)
+        tell = functools.partial(say, error=True)
+        with (
+            recorded(job, seed_here, folder),
+            _evaluations_logged(),
+            tracked(track or (), chosen, folder, seed_here, resume, tell),
+        ):
+            card = load_learner(chosen.learner)(chosen, out=folder, seed=seed_here, resume=resume)
     except KeyboardInterrupt:
-        begun = (folder / "settings.json").exists()
-        if begun:
-            record("interrupted", "", progress_of(folder))
-        how = f"with --resume {_words('--out', folder)} resumes the training" if begun else "starts it again"
-        _say(f"Interrupted. The same command {how}.")
+        begun = (folder / SETTINGS).exists()
+        how = f"with --resume {words('--out', folder)} resumes the training" if begun else "starts it again"
+        say(f"Interrupted. The same command {how}.")
         raise typer.Exit(130) from None
-    except ConfigurationError:  # it was refused, and is no training
-        raise
-    except Exception as error:
-        if (folder / "settings.json").exists():
-            try:
-                record("failed", str(error), progress_of(folder))
-            except ResultsError as untold:
-                error.add_note(str(untold))
-        raise
-    record("finished", "", results_of(card))
+    say(_result(card))
+    rival, agent = task_of(chosen.env).default_policies[0], folder / "agent.json"
+    environment = ("--env", chosen.env, *option_arguments(chosen.env_options))
+    say(f"The agent is {agent}: {words('armctl', 'compare', rival, agent, *environment)}")
+
+
+def _train_several(job: "Job", folders: dict[int, Path], on: str, workers: int) -> None:
+    """Train with several seeds, and say how each training has ended."""
+    from armctl.envs import task_of
+    from armctl.evaluation.engines import connect
+    from armctl.options import option_arguments
+    from armctl.training import train_seeds
+
+    failed = 0
+    try:
+        with connect(on, workers) as engine, progress_bar() as bar:
+            shown = bar.add_task("trainings", total=len(folders))
+            for ended in train_seeds(job, folders, engine):
+                bar.advance(shown)
+                failed += ended.failure is not None
+                say(f"Seed {ended.seed}: {_result(ended.card) if ended.card else f'failed: {ended.failure}'}")
+    except KeyboardInterrupt:
+        say("Interrupted. The same command with --resume resumes the trainings.")
+        raise typer.Exit(130) from None
+    if failed:
+        raise ConfigurationError(f"{failed} of {len(folders)} trainings failed")
+    group = next(iter(folders.values()))
+    recipe = group.with_name(group.name.rpartition("-")[0])
+    rival = task_of(job.recipe.env).default_policies[0]
+    environment = ("--env", job.recipe.env, *option_arguments(job.recipe.env_options))
+    say(f"All of them as one learner: {words('armctl', 'compare', rival, f'{recipe}[*]', *environment)}")
+
+
+def _result(card: "AgentCard") -> str:
     assert card.evaluation is not None
     low, high = card.evaluation.success_interval
-    _say(
+    return (
         f"Trained for {card.cost}, in {card.training_minutes} minutes; best after {card.best_after:,} steps: "
         f"success {card.evaluation.success_rate:.1%} [{low:.1%}, {high:.1%}] "
         f"on {card.evaluation.episodes} held-out episodes"
     )
-    rival, agent = task_of(chosen.env).default_policies[0], folder / "agent.json"
-    environment = ("--env", chosen.env, *option_arguments(chosen.env_options))
-    _say(f"The agent is {agent}: {_words('armctl', 'compare', rival, agent, *environment)}")
 
 
-@app.command()
-def export(
-    model: Annotated[Path, typer.Argument(help="Model that Stable-Baselines3 or sb3-contrib saved: a file .zip.")],
-    env: Annotated[str, typer.Option("--env", help="Environment that the model was trained in.")],
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.onnx", help="Agent to write; its card is beside it.", show_default="the model's name"
-        ),
-    ] = None,
-    env_options: EnvOptions = None,
-    normalisation: Annotated[
-        Path | None,
-        typer.Option(
-            "--vecnormalize",
-            metavar="FILE",
-            help="Statistics of the observations, saved by VecNormalize; or `none`.",
-            show_default="vecnormalize.pkl or vec_normalize.pkl beside the model, if there is one",
-        ),
-    ] = None,
-    algorithm: Annotated[
-        str | None, typer.Option(help="Such as `ppo`, `sac` or `recurrent_ppo`.", show_default="as the model tells")
-    ] = None,
-    trust: Annotated[
-        bool, typer.Option("--trust", help="Load the model, although its pickles can run any code.")
-    ] = False,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an agent of that name.")] = False,
-) -> None:
-    """Make an agent of a model of Stable-Baselines3 (A2C, DDPG, DQN, PPO, RecurrentPPO, SAC, TD3, TQC).
-
-    `armctl export model.zip --env Pendulum-v1 --out agent.onnx --trust` writes `agent.onnx`, a graph that acts as
-    `model.predict(observation, deterministic=True)` does, and `agent.json`, its card. The graph holds the statistics
-    of `VecNormalize`: it takes the observations of the environment as they are. `--set` gives the environment the
-    options that the training had.
-
-    Before anything is written, both act on 1,000 observations of the environment, and must agree.
-
-    A model's file is a set of pickles, and whoever made it can make them run any code when they are loaded. So it is
-    only loaded with `--trust`. The agent that comes out cannot run code, and is safe to share. Needs the extra `rl`.
-    """
-    from armctl.learners import load_exporter
-    from armctl.options import option_arguments
-
-    target = out or model.with_suffix(".onnx")
-    card = load_exporter(model)(
-        model,
-        env=env,
-        out=target,
-        env_options=options_of(env_options),
-        normalisation=normalisation,
-        algorithm=algorithm,
-        trust=trust,
-        overwrite=overwrite,
-    )
-    conversion = card.conversion
-    assert conversion is not None
-    statistics = conversion.normalisation
-    _say(
-        f"{model} is a model of {card.learner.removeprefix('sb3-')} after {card.training_steps:,} steps; its "
-        + (f"observations are normalised by {statistics}" if statistics else "observations are not normalised")
-    )
-    _say(
-        f"Agent and model act alike on {conversion.observations:,} observations of {env}: "
-        f"largest difference {conversion.largest_difference:.1g}"
-    )
-    run = _words("armctl", "run", target, "--env", env, *option_arguments(card.env_options))
-    _say(f"The agent is {target}, with its card beside it: {run}")
+def _seeds(text: str | None, all_of_them: list[int]) -> list[int]:
+    """Training seeds from what was asked for. Raises `ConfigurationError`."""
+    if text is None:
+        return all_of_them[:1]
+    if text == "all":
+        return all_of_them
+    parts = [part.strip() for part in text.split(",")]
+    if not all(part.isascii() and part.isdecimal() for part in parts):
+        raise ConfigurationError(f"--seed takes whole numbers from 0 on, such as 0 or 0,1,2, or `all`, not {text!r}")
+    if len(set(seeds := [int(part) for part in parts])) < len(seeds):
+        raise ConfigurationError(f"--seed names a seed twice: {text}")
+    return seeds
 
 
 @contextmanager
@@ -246,12 +234,13 @@ def _evaluations_logged() -> Iterator[None]:
         log.removeHandler(lines)
 
 
-def _say(text: str, error: bool = False) -> None:
+def say(text: str, error: bool = False) -> None:
+    """Say something in a line."""
     from armctl.console import printable
 
     typer.echo(printable(text), err=error)
 
 
-def _words(*words: object) -> str:
+def words(*words: object) -> str:
     """A command's words as a shell takes them."""
     return shlex.join(str(word) for word in words)

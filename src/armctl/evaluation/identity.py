@@ -23,7 +23,7 @@ from armctl.errors import ConfigurationError
 from armctl.evaluation.fingerprint import fingerprint
 from armctl.evaluation.provenance import versions
 from armctl.files import short_checksum
-from armctl.policies import GROUP, Policy, policy_names
+from armctl.policies import GROUP, Policy, configured, policy_names
 from armctl.registration import import_attribute, import_named, installed
 
 WITHOUT_EFFECT = {"baselines", "cli", "datasets", "models", "report", "rl", "viewer"}
@@ -141,6 +141,8 @@ def _definition(policy: Any) -> Any:
     if not isinstance(policy, (str, Path)):
         return policy
     name = str(policy)
+    if (found := configured(name)) is not None:
+        return found.make()
     if name in policy_names():
         return installed(GROUP)[name].load()
     return import_attribute(name, "policy") if ":" in name else None

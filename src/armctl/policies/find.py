@@ -13,6 +13,7 @@ import gymnasium
 from armctl.agents import FILES, load_agent
 from armctl.envs import EpisodeVectorEnv, Interface, TaskEnv
 from armctl.errors import FAILURES, ArmctlError, ConfigurationError, described, unknown_name
+from armctl.policies.configured import configured
 from armctl.policies.plain import adapted
 from armctl.policies.policy import Policy
 from armctl.policies.privilege import declared
@@ -38,6 +39,8 @@ def declared_sees(name: str) -> str:
 def is_expert(policy: Any) -> bool:
     """Whether this names an installed policy that works with a model of the robot, a map or the state."""
     name = str(policy) if isinstance(policy, (str, Path)) else ""
+    if (found := configured(name)) is not None:
+        name = found.policy
     return name in policy_names() and name not in agent_cards() and declared_sees(name) != "observation"
 
 
@@ -73,6 +76,7 @@ def make_policy(policy: Any, env: gymnasium.Env[Any, Any] | EpisodeVectorEnv | I
 
     - the name of an installed policy;
     - the path of a learned agent's `.json` card or `.onnx` graph;
+    - the path of a `.toml` file with an installed policy's options (see `armctl.policies.configured`);
     - `NAME[SEED]`, one training of a recipe (see `armctl.policies.trainings`);
     - a function of one world's observation that returns an action;
     - a class with `act(observation)`, and `reset()` if it has memory. Each world gets an instance, made without
@@ -117,12 +121,16 @@ def _made(policy: Any, worlds: EpisodeVectorEnv | Interface) -> Policy:
             f"{name} may be a model of Stable-Baselines3's, which holds pickles: "
             f"`armctl export {name} --env ID --out agent.onnx --trust` makes an agent of it"
         )
+    if worlds.normalized and is_expert(name):
+        raise ConfigurationError(f"{name} acts in physical units, not in worlds with actions='normalized'")
+    if (found := configured(name)) is not None:
+        return adapted(found.make(), worlds, name)
     if name in policy_names():
-        if worlds.normalized and is_expert(name):
-            raise ConfigurationError(f"{name} acts in physical units, not in worlds with actions='normalized'")
         return adapted(installed(GROUP)[name].load(), worlds, name)
     if name.endswith(".py"):
         raise ConfigurationError(f"there is no policy {name!r}. Name a function or class in that file: {name}:NAME")
     if ":" not in name:
-        raise unknown_name("policy", name, [*policy_names(), "path/to/agent.json", "file.py:NAME"])
+        raise unknown_name(
+            "policy", name, [*policy_names(), "path/to/agent.json", "path/to/options.toml", "file.py:NAME"]
+        )
     return adapted(import_attribute(name, "policy"), worlds, name)

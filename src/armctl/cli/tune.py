@@ -1,0 +1,90 @@
+"""The verb that looks for better values of a recipe's or an expert's options: `tune`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from armctl.cli import completion
+from armctl.cli.app import app
+from armctl.cli.evaluate import exit_if_interrupted
+from armctl.cli.options import Format, On, TableFormat, Workers, print_document, progress_bar
+
+if TYPE_CHECKING:
+    from armctl.tuning import Tuned
+
+
+@app.command()
+def tune(
+    name: Annotated[
+        str,
+        typer.Argument(
+            help="Recipe or expert with a search space, such as `reach_sac` or `reach_mpc`, or path/to/file.toml.",
+            autocompletion=completion.tunable,
+        ),
+    ],
+    trials: Annotated[
+        int | None, typer.Option(min=1, help="Trials in all.", show_default="50, unless hours are given")
+    ] = None,
+    hours: Annotated[
+        float | None, typer.Option(help="Processor hours of all trials together: ends at whichever comes first.")
+    ] = None,
+    score: Annotated[str, typer.Option(help="What is maximised: `return` or `success`.")] = "return",
+    training_seeds: Annotated[
+        int, typer.Option(min=1, help="Trainings of each trial of a recipe; their median counts.")
+    ] = 2,
+    episodes: Annotated[int, typer.Option(min=1, help="Development episodes of each trial of an expert.")] = 200,
+    env: Annotated[
+        str | None, typer.Option("--env", help="Environment.", show_default="the recipe's, or the expert's")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the search.")] = 0,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder of the tuning; the same one resumes it.", show_default="tuned/<name>"),
+    ] = None,
+    workers: Workers = 1,
+    on: On = "local",
+    table_format: Format = TableFormat.TABLE,
+) -> None:
+    """Tune a recipe's or an expert's options with Optuna; needs the extra `tune`.
+
+    `armctl tune reach_sac --trials 30` and `armctl tune reach_mpc --hours 2`: both sides of a comparison can be tuned
+    for as long, in processor hours. What may be varied stands in the table `[tune]` of a recipe
+    (`hidden_units = { choices = [64, 128] }`, `gamma = { low = 0.9, high = 0.999 }`), or in a file like it beside an
+    expert.
+
+    The first trial is the present values. Neither side sees the test episodes: agents are judged by the held-out
+    episodes by which the best one of a training is chosen, experts by the same. A trial that is worse than the median
+    of the others at the same point is pruned.
+
+    The folder has the journal, which other processes may join by the same command, also from other machines; a row for
+    each trial in `trials.csv`; `tuning.html` with Optuna's plots; and the best values as a file, for `armctl train` or
+    `armctl compare`. After Ctrl-C, or anything worse, the same command resumes.
+    """
+    from armctl.errors import missing_extra
+
+    try:
+        import optuna  # noqa: F401
+    except ModuleNotFoundError as error:
+        raise missing_extra("tuning", error, "tune") from error
+    from armctl.evaluation.engines import connect
+    from armctl.report.tuning_page import document, write_tuning_page
+    from armctl.tuning import candidate_of
+    from armctl.tuning import tune as run_tuning
+
+    candidate = candidate_of(name, score=score, training_seeds=training_seeds, episodes=episodes, env=env)  # type: ignore[arg-type]
+    folder = out or Path("tuned") / Path(name).stem
+    budget = 50 if trials is None and hours is None else trials
+    with connect(on, workers) as engine, progress_bar() as bar:
+        shown = bar.add_task("trials", total=budget)
+
+        def progress(found: "Tuned") -> None:
+            best = found.best
+            said = f"best {best.value:.4g}" if best else "trials"
+            bar.update(shown, description=said, completed=len(found.trials))
+
+        found = run_tuning(candidate, folder, trials=budget, hours=hours, seed=seed, workers=engine, progress=progress)
+    page = write_tuning_page(found)
+    console = print_document(document(found), table_format)
+    console.print(f"{page} shows all trials; what they found is beside it.", soft_wrap=True)
+    exit_if_interrupted(found.interrupted, folder, console)

@@ -1,0 +1,121 @@
+"""What a tuning found: a table for the terminal, and a page with Optuna's own plots."""
+
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import optuna
+import optuna.visualization as plots
+import plotly.graph_objects as go
+from optuna.importance import PedAnovaImportanceEvaluator
+from optuna.trial import TrialState
+
+from armctl.evaluation.tables import UNKNOWN, Cell, Column, Document, Remark, Table
+from armctl.report.colours import COLOURS
+from armctl.report.plots import Plot
+from armctl.report.render import write_page
+from armctl.report.style import dress
+from armctl.tuning import Tuned
+
+PAGE = "tuning.html"
+HEIGHT, ROW = 380, 150
+"""px: of a plot, and of each row of a plot with several."""
+MARGIN = {"l": 56, "r": 16, "t": 24, "b": 48}
+LEAST = 4
+"""Finished trials from which on it is worth telling which options matter."""
+
+BEST_OF_MANY = (
+    "Whether they are better on new episodes, or in new trainings, is still to be shown: the best of many trials looks "
+    "better than it is."
+)
+
+
+def document(found: Tuned) -> Document:
+    """The present and the best values beside each other, and what they cost."""
+    before, best = found.before, found.best
+    shown = {"present": before} | ({"best": best} if best is not before else {})
+    columns = [Column(found.candidate.name), *(Column(name) for name in shown)]
+    rows = [[Cell("trial"), *(_number(one and one.number) for one in shown.values())]]
+    rows += [
+        [Cell(path), *(_number(one and one.params[path]) for one in shown.values())] for path in found.candidate.space
+    ]
+    rows.append([Cell(found.candidate.score), *(_number(one and one.value) for one in shown.values())])
+    records = [
+        {"values": name, "trial": one.number, found.candidate.score: one.value} | one.params
+        for name, one in shown.items()
+        if one
+    ]
+    parts: list[Table | Remark] = [Table("values", "", columns, rows, records, f"By {found.candidate.judged_by}.")]
+    parts.append(Remark(_spent(found)))
+    if best is None:
+        parts.append(Remark("No trial has finished.", "note"))
+    elif best is before:
+        parts.append(Remark("No values are better than the present ones.", "verdict"))
+    else:
+        parts.append(Remark(f"{found.best_file.name} has the best values. {BEST_OF_MANY}", "verdict"))
+    return Document(parts, {"tuned": found.candidate.name, "processor_seconds": found.processor_seconds})
+
+
+def write_tuning_page(found: Tuned) -> Path:
+    """Write the page into the tuning's folder, and return its path. Raises `ResultsError`."""
+    out = found.folder / PAGE
+    shown = document(found)
+    write_page(out, "tuning.html.j2", {
+        "name": found.candidate.name,
+        "table": shown.tables[0],
+        "remarks": [part.text for part in shown.parts if isinstance(part, Remark)],
+        "plots": _plots(found),
+        "interrupted": found.interrupted,
+    })  # fmt: skip
+    return out
+
+
+def _spent(found: Tuned) -> str:
+    states = [one.state for one in found.trials]
+    counts = {
+        "finished": states.count(TrialState.COMPLETE),
+        "pruned": states.count(TrialState.PRUNED),
+        "failed": states.count(TrialState.FAIL),
+    }
+    told = ", ".join(f"{count} {what}" for what, count in counts.items() if count)
+    return f"{len(states)} trials ({told or 'none ended'}) in {found.processor_seconds / 60:.1f} processor minutes."
+
+
+def _plots(found: Tuned) -> list[Plot]:
+    """Optuna's plots, as far as there are trials enough for them."""
+    study, score = found.study, found.candidate.score
+    names = list(found.candidate.space)
+    made = []
+    if found.finished:
+        made.append(_plot(lambda: plots.plot_optimization_history(study, target_name=score), "History",
+                          "Each trial, and the best so far."))  # fmt: skip
+        made.append(_plot(lambda: plots.plot_slice(study, target_name=score), "Options",
+                          "Each trial by the value of each option.", ROW + HEIGHT // 2))  # fmt: skip
+        made.append(_plot(lambda: plots.plot_parallel_coordinate(study, target_name=score), "Together",
+                          "Each line is a trial."))  # fmt: skip
+    if len(found.finished) >= LEAST and len(names) > 1:
+        evaluator = PedAnovaImportanceEvaluator()
+        made.append(_plot(lambda: plots.plot_param_importances(study, evaluator=evaluator, target_name=score),
+                          "What matters", "Importance by PED-ANOVA (Watanabe et al., IJCAI 2023)."))  # fmt: skip
+    if any(one.intermediate_values for one in found.trials):
+        made.append(_plot(lambda: plots.plot_intermediate_values(study), "Curves",
+                          "Reports of each trial; those that end early were pruned."))  # fmt: skip
+    made.append(_plot(lambda: plots.plot_timeline(study), "Times", "When each trial ran."))
+    return [one for one in made if one is not None]
+
+
+def _plot(make: Callable[[], go.Figure], title: str, note: str, height: int = HEIGHT) -> Plot | None:
+    with warnings.catch_warnings(action="ignore", category=optuna.exceptions.ExperimentalWarning):
+        figure = make()
+    figure.update_layout(title=None, template="none", colorway=COLOURS, width=None, autosize=True)
+    dress(figure, height, MARGIN)
+    figure.for_each_xaxis(lambda axis: axis.update(nticks=4, tickangle=0, exponentformat="power"))
+    figure.for_each_xaxis(lambda axis: axis.update(title_text=(axis.title.text or "").rpartition(".")[2]))
+    return Plot(figure, f"{title}: {note}", title, note)
+
+
+def _number(value: Any) -> Cell:
+    if value is None:
+        return Cell(UNKNOWN)
+    return Cell(f"{value:.4g}" if isinstance(value, float) else str(value))

@@ -1,0 +1,277 @@
+"""What can be tuned: a recipe, by trainings, and an installed policy with options, by playing."""
+
+import contextlib
+import itertools
+import os
+import signal
+import threading
+import tomllib
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from armctl.envs import full_id
+from armctl.errors import ConfigurationError, ResultsError, unknown_name
+from armctl.evaluation.curves import CURVE, read_curve
+from armctl.evaluation.rollouts import rollouts
+from armctl.evaluation.seeds import VALIDATION_SEED
+from armctl.files import bounded_text
+from armctl.learners import Recipe, load_learner, load_recipe, recipe_names
+from armctl.policies import (
+    PolicyConfiguration,
+    WorldsByInterface,
+    configuration_beside,
+    make_policy,
+    policy_names,
+    read_configuration,
+)
+from armctl.search_space import Range, SearchSpace, search_space, value_at, with_values
+from armctl.simulation.threads import LIMIT
+
+RECIPE_KEYS = ("options", "shaping_scale", "reward_weights", "training_options")
+POLICY_KEYS = ("options",)
+"""What can be tuned."""
+Score = Literal["return", "success"]
+SCORES: tuple[Score, ...] = ("return", "success")
+FIRST_TRAINING_SEED = 1000
+"""Tuning trains with other seeds than a recipe's own: its published figures are of seeds that it was not tuned on."""
+BLOCK = 25
+"""Episodes of an expert between two reports."""
+WORLDS = 5
+"""An expert plays in, so that batches save time and no block waits long for its last episode."""
+MOST_EVALUATIONS = 1000
+"""Of a training: by so much, the steps of its trial's next one are higher."""
+POLLING = 0.5
+"""s between two looks at a learning curve."""
+
+Report = Callable[[int, float], None]
+"""Told the score so far after each of a trial's steps; it raises `Pruned` when the trial is not worth more time."""
+
+
+class Pruned(BaseException):
+    """A trial is ended early, since it is worse than most others were at this point.
+
+    Like `KeyboardInterrupt` it is no `Exception`: nothing on the way should take it for a failure.
+    """
+
+
+@dataclass(frozen=True)
+class Candidate(ABC):
+    """Something with a search space, whose score can be measured with other values."""
+
+    name: str
+    space: SearchSpace
+    score: Score
+
+    @property
+    @abstractmethod
+    def content(self) -> dict[str, Any]:
+        """The content of its file."""
+
+    @property
+    def present(self) -> dict[str, Any]:
+        """Present values by path."""
+        return {path: value_at(self.content, path) for path in self.space}
+
+    @abstractmethod
+    def measure(self, values: Mapping[str, Any], folder: Path, report: Report) -> list[float]:
+        """Scores with these values, of whose median a trial is judged. `folder` is for what it writes."""
+
+    @property
+    @abstractmethod
+    def judged_by(self) -> str:
+        """In words, by what a trial is judged."""
+
+    @property
+    @abstractmethod
+    def env(self) -> str:
+        """Id of the environment."""
+
+    @property
+    def learner(self) -> str:
+        """Name of the learner; empty if nothing learns."""
+        return ""
+
+
+@dataclass(frozen=True)
+class RecipeCandidate(Candidate):
+    """A recipe. Its score is that of the best agent of a training, on the held-out episodes by which it is chosen."""
+
+    recipe: Recipe
+    seeds: tuple[int, ...]
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """The content of its file."""
+        return self.recipe.model_dump(mode="json", exclude={"name"}, exclude_none=True)
+
+    def measure(self, values: Mapping[str, Any], folder: Path, report: Report) -> list[float]:
+        """A score for each training seed. Each is trained on one core, or resumed; curves are reported as they grow."""
+        os.environ[LIMIT] = "1"
+        recipe = self.recipe.changed(**with_values(self.content, values))
+        learn, scores = load_learner(recipe.learner), []
+        for i, seed in enumerate(self.seeds):
+            home, steps = folder / f"seed-{seed}", itertools.count(i * MOST_EVALUATIONS)
+            with _followed(home / CURVE, self.score, steps, report):
+                if not (home / "agent.json").exists():
+                    begun = (home / "settings.json").exists()
+                    learn(recipe, out=home, seed=seed, resume=begun, progress=False)
+            curve = read_curve(home / CURVE)
+            scores.append(float(curve.sort_values(["success", "return"])[self.score].iloc[-1]))
+        return scores
+
+    @property
+    def learner(self) -> str:
+        """Name of the learner."""
+        return self.recipe.learner
+
+    @property
+    def env(self) -> str:
+        """Id of the environment."""
+        return self.recipe.env
+
+    @property
+    def judged_by(self) -> str:
+        """In words, by what a trial is judged."""
+        seeds = " and ".join(map(str, self.seeds))
+        return f"the {self.score} of the best agent on held-out episodes; training seeds {seeds}, of several the median"
+
+
+@dataclass(frozen=True)
+class PolicyCandidate(Candidate):
+    """An installed policy with options. Its score is a mean over development episodes."""
+
+    configuration: PolicyConfiguration
+    episodes: int
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """The content of its file."""
+        return self.configuration.model_dump(mode="json")
+
+    def measure(self, values: Mapping[str, Any], folder: Path, report: Report) -> list[float]:
+        """The mean over episodes of the validation seed, reported after each block."""
+        configuration = PolicyConfiguration.model_validate(with_values(self.content, values))
+        env, known, scores = full_id(configuration.env), dict[int, float](), list[float]()
+        with contextlib.closing(
+            WorldsByInterface(env, min(WORLDS, self.episodes), configuration.env_options, threads=1)
+        ) as made:
+            worlds = made.of(configuration.policy)
+            policy = make_policy(configuration.make(), worlds)
+            for step, first in enumerate(range(0, self.episodes, BLOCK)):
+                block = range(first, min(first + BLOCK, self.episodes))
+                known |= dict.fromkeys(block, float("nan"))  # least lengths are not needed, and take long
+                for result in rollouts(policy, worlds, block, VALIDATION_SEED, self.name, known):
+                    scores.append(result.total_reward if self.score == "return" else float(bool(result.success)))
+                report(step, float(np.mean(scores)))
+        return [float(np.mean(scores))]
+
+    @property
+    def env(self) -> str:
+        """Id of the environment."""
+        return self.configuration.env
+
+    @property
+    def judged_by(self) -> str:
+        """In words, by what a trial is judged."""
+        return f"the mean {self.score} of {self.episodes} development episodes"
+
+
+def candidate_of(
+    name: str, *, score: Score = "return", training_seeds: int = 2, episodes: int = 200, env: str | None = None
+) -> Candidate:
+    """What a name means: a recipe or an installed policy, or the path of a file of one.
+
+    A recipe is trained with so many `training_seeds` for a trial, a policy plays so many `episodes`.
+
+    Raises `ConfigurationError` for another name, and for what has no search space.
+    """
+    if score not in SCORES:
+        raise unknown_name("score", score, SCORES)
+    for what, count in {"training seeds": training_seeds, "episodes": episodes}.items():
+        if count < 1:
+            raise ConfigurationError(f"a trial needs at least one of its {what}, not {count}")
+    if (file := _file_of_policy(name)) is not None:
+        configuration = read_configuration(file)
+        if env is not None:
+            configuration = configuration.model_copy(update={"env": env})
+        space = _space(configuration.tune, configuration.model_dump(), file.name, POLICY_KEYS)
+        return PolicyCandidate(name, space, score, configuration, episodes)
+    if name not in recipe_names() and Path(name).suffix != ".toml":
+        raise unknown_name("recipe or expert with a search space", name, [*tunable(), "path/to/recipe.toml"])
+    recipe = load_recipe(name, env)
+    space = _space(recipe.tune, recipe.model_dump(exclude={"seeds"}), f"the recipe {name}", RECIPE_KEYS)
+    seeds = tuple(range(FIRST_TRAINING_SEED, FIRST_TRAINING_SEED + training_seeds))
+    return RecipeCandidate(name, space, score, recipe, seeds)
+
+
+def tunable() -> list[str]:
+    """Names of installed recipes and policies that have a search space."""
+    recipes = [name for name in recipe_names() if load_recipe(name).tune]
+    return sorted([*recipes, *(name for name in policy_names() if configuration_beside(name))])
+
+
+def _file_of_policy(name: str) -> Path | None:
+    """The file with the options of a policy; None for a recipe, which has a learner."""
+    if name in policy_names() and (beside := configuration_beside(name)) is not None:
+        return beside
+    path = Path(name)
+    if path.suffix != ".toml" or not path.is_file():
+        return None
+    try:
+        return path if "policy" in tomllib.loads(bounded_text(path)) else None
+    except (OSError, ValueError, RecursionError):  # to be told by whoever reads it
+        return None
+
+
+def _space(table: Mapping[str, Any], values: Mapping[str, Any], source: str, keys: Sequence[str]) -> dict[str, Range]:
+    if not table:
+        raise ConfigurationError(f"{source} has no search space: add a table [tune], with ranges of its options")
+    for key in table:
+        if key not in keys:
+            raise unknown_name(f"key of [tune] in {source}:", key, keys)
+    return search_space(table, values, source)
+
+
+@contextlib.contextmanager
+def _followed(curve: Path, score: Score, steps: Iterator[int], report: Report) -> Iterator[None]:
+    """Report each row of a learning curve when it is written. A training that is to be pruned is ended by `Pruned`.
+
+    Learners need not know of it: they are interrupted as by Ctrl-C.
+    """
+    ended, reported = threading.Event(), 0
+
+    def look() -> None:
+        nonlocal reported
+        with contextlib.suppress(ResultsError):  # there is no curve yet
+            for value in read_curve(curve)[score].tolist()[reported:]:
+                reported += 1
+                report(next(steps), value)
+
+    def follow() -> None:
+        while not ended.wait(POLLING):
+            try:
+                look()
+            except Pruned:
+                signal.pthread_kill(main, signal.SIGUSR1)
+                return
+
+    def prune(*_: object) -> None:
+        raise Pruned
+
+    main = threading.get_ident()
+    before = signal.signal(signal.SIGUSR1, prune)
+    follower = threading.Thread(target=follow, daemon=True)
+    follower.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        follower.join()
+        signal.signal(signal.SIGUSR1, before)
+    with contextlib.suppress(Pruned):  # it has finished
+        look()

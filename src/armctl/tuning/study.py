@@ -1,0 +1,175 @@
+"""Tunes: asks Optuna for values, lets an engine's workers measure them, and writes down whatever was tried."""
+
+import contextlib
+import dataclasses
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import optuna
+import tomli_w
+from optuna.trial import FrozenTrial, TrialState
+
+from armctl.errors import ConfigurationError, ResultsError
+from armctl.evaluation.engines import Cluster, Engine, engine_of
+from armctl.evaluation.trials import TRIALS, add_trial, trial
+from armctl.files import inside, write_atomically
+from armctl.search_space import with_values
+from armctl.tuning.candidates import Candidate
+from armctl.tuning.journal import FOLDER, PROCESS, joined
+from armctl.tuning.trials import Measured, distributions, measure
+
+FOLDERS = "trials"
+SECONDS, SCORES, FAILURE = "processor_seconds", "scores", "failure"
+"""What is noted of a trial."""
+IN_A_ROW = 3
+"""So many failed trials one after the other end the tuning: something is wrong with more than their values."""
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """What a tuning has found so far."""
+
+    candidate: Candidate
+    study: optuna.Study
+    folder: Path
+    interrupted: bool = False
+
+    @property
+    def trials(self) -> list[FrozenTrial]:
+        """All that have ended, but for those that were lost with their processes."""
+        return [one for one in self.study.get_trials(deepcopy=False) if SECONDS in one.user_attrs]
+
+    @property
+    def finished(self) -> list[FrozenTrial]:
+        """Those that have a value."""
+        return [one for one in self.trials if one.state is TrialState.COMPLETE]
+
+    @property
+    def processor_seconds(self) -> float:
+        """Spent by all trials."""
+        return float(sum(one.user_attrs[SECONDS] for one in self.trials))
+
+    @property
+    def best(self) -> FrozenTrial | None:
+        """The trial with the highest value, of equal ones the first; None if none was finished."""
+        return max(self.finished, key=lambda one: (one.value, -one.number), default=None)
+
+    @property
+    def before(self) -> FrozenTrial | None:
+        """The trial with the present values, if it was finished."""
+        return next((one for one in self.finished if one.params == self.candidate.present), None)
+
+    @property
+    def best_file(self) -> Path:
+        """Where the best values are written, as soon as they are better than the present ones."""
+        return self.folder / f"{Path(self.candidate.name).stem}_tuned.toml"
+
+
+def tune(
+    candidate: Candidate,
+    out: str | Path,
+    *,
+    trials: int | None = None,
+    hours: float | None = None,
+    seed: int = 0,
+    workers: int | Engine = 1,
+    progress: Callable[[Tuned], None] = lambda so_far: None,
+) -> Tuned:
+    """Try values until `trials` have ended, or they have spent so many processor `hours`, whichever comes first.
+
+    The first trial is the present values. Then Optuna proposes values by the tree-structured Parzen estimator in its
+    multivariate form (Bergstra et al., "Algorithms for hyper-parameter optimization", NIPS 2011; Falkner et al.,
+    "BOHB", ICML 2018), after some at random, by `seed`. A trial that is worse than the median of those before at the
+    same point is pruned. Trials that run when the budget is spent are finished. What earlier calls, or other processes
+    at the same time, have tried in the folder `out` counts.
+
+    The folder holds `journal.log`, which is Optuna's, `trials.csv`, with a row for each trial, what the trials write,
+    and the best values in a TOML file. `progress` is told of each trial that has ended.
+
+    Raises `ConfigurationError`, also if the present values fail, `ResultsError` if the folder cannot be written or
+    holds another tuning, and `WorkersFailed`.
+    """
+    if trials is None and hours is None:
+        raise ConfigurationError("a tuning needs a budget: a number of trials, or processor hours")
+    for name, budget in {"trials": trials, "hours": hours}.items():
+        if budget is not None and not budget > 0:
+            raise ConfigurationError(f"{name} must be more than 0, not {budget}")
+    engine, folder = engine_of(workers), Path(out)
+    with joined(candidate, folder, seed) as (study, process):
+        found, running = Tuned(candidate, study, folder), dict[int, optuna.Trial]()
+        home = Path(FOLDERS) if isinstance(engine, Cluster) else inside(folder, FOLDERS).absolute()
+
+        def proposals() -> Iterator[tuple[Any, ...]]:
+            while _is_left(found, trials, hours):
+                asked = study.ask(distributions(candidate.space))
+                running[asked.number] = asked
+                asked.set_user_attr(PROCESS, process)
+                name = asked.user_attrs.get(FOLDER, f"{asked.number:04d}")  # of a lost trial, which is tried again
+                asked.set_user_attr(FOLDER, name)
+                others = [one for one in found.trials if one.state is not TrialState.FAIL]
+                yield asked.number, asked.params, home / name, others
+
+        try:
+            with contextlib.closing(engine.run(measure, candidate, proposals())) as results:
+                for measured in results:
+                    _note(found, running.pop(measured.number), measured)
+                    progress(found)
+        except KeyboardInterrupt:
+            found = dataclasses.replace(found, interrupted=True)
+        except OSError as error:
+            raise ResultsError(f"{folder} could not be written any further: {error.strerror}") from error
+    return found
+
+
+def _is_left(found: Tuned, trials: int | None, hours: float | None) -> bool:
+    """Whether there is budget for another trial. One that failed, or was lost, does not count."""
+    asked = [one for one in found.study.get_trials(deepcopy=False) if one.state is not TrialState.FAIL]
+    begun = [one for one in asked if one.state is not TrialState.WAITING]
+    few = trials is None or len(begun) < trials
+    return few and (hours is None or found.processor_seconds < 3600 * hours)
+
+
+def _note(found: Tuned, asked: optuna.Trial, measured: Measured) -> None:
+    """Write down what became of a trial. Raises `ConfigurationError` if trials fail whatever their values are."""
+    candidate = found.candidate
+    for step, score in measured.reports.items():
+        asked.report(score, step)
+    about = {SECONDS: measured.processor_seconds, SCORES: list(measured.scores), FAILURE: measured.failure}
+    for name, value in about.items():
+        asked.set_user_attr(name, value)
+    state = TrialState.FAIL if measured.failure else TrialState.PRUNED if measured.pruned else TrialState.COMPLETE
+    found.study.tell(asked, measured.value if state is TrialState.COMPLETE else None, state)
+    _add_to_ledger(found, asked, measured)
+    best = found.best
+    if best is not None and best.number == measured.number and best.params != candidate.present:
+        write_atomically(found.best_file, _document(found, best))
+    if measured.failure:
+        last = found.trials[-IN_A_ROW:]
+        if asked.params == candidate.present:
+            raise ConfigurationError(f"{candidate.name} fails with its present values: {measured.failure}")
+        if len(last) == IN_A_ROW and all(one.state is TrialState.FAIL for one in last):
+            raise ConfigurationError(f"{IN_A_ROW} trials in a row failed, the last one so: {measured.failure}")
+
+
+def _add_to_ledger(found: Tuned, asked: optuna.Trial, measured: Measured) -> None:
+    candidate = found.candidate
+    changed = {path: value for path, value in asked.params.items() if value != candidate.present[path]}
+    ended = "failed" if measured.failure else "pruned" if measured.pruned else "finished"
+    scores = ", ".join(f"{score:.4g}" for score in measured.scores)
+    note = f"tuning, trial {measured.number}: {measured.failure or f'{candidate.score} {scores}'.strip()}"
+    row = trial(candidate.name, candidate.learner, candidate.env, None, changed, ended, note)
+    add_trial(found.folder / TRIALS, row | {"minutes": round(measured.processor_seconds / 60, 3)})
+
+
+def _document(found: Tuned, best: FrozenTrial) -> str:
+    """The candidate's file with the best values, and in its first lines where they come from."""
+    candidate, before = found.candidate, found.before
+    known = f"; {before.value:.5g} with the values of {candidate.name}" if before else ""
+    head = (
+        f"# {candidate.name}, tuned by `armctl tune`: trial {best.number}.\n"
+        f"# Judged by {candidate.judged_by}: {best.value:.5g}{known}.\n\n"
+    )
+    content = with_values(candidate.content, best.params)
+    return head + tomli_w.dumps({name: value for name, value in content.items() if value not in ({}, [])})

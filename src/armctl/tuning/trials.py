@@ -1,0 +1,98 @@
+"""A trial of a tuning: values are proposed here, and measured by a worker, wherever that is."""
+
+import os
+import statistics
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import optuna
+from optuna.distributions import (
+    BaseDistribution,
+    CategoricalDistribution,
+    FloatDistribution,
+    IntDistribution,
+)
+from optuna.pruners import MedianPruner
+from optuna.trial import FrozenTrial
+
+from armctl.errors import FAILURES, described
+from armctl.search_space import Range, SearchSpace
+from armctl.tuning.candidates import Candidate, Pruned
+
+STARTUP_TRIALS = 5
+"""No trial is pruned before so many have finished, nor by its first report."""
+
+Value = bool | int | float | str
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What became of a trial."""
+
+    number: int
+    scores: tuple[float, ...] = ()
+    """Of each training seed; one of an expert."""
+    reports: Mapping[int, float] = field(default_factory=dict)
+    pruned: bool = False
+    failure: str | None = None
+    processor_seconds: float = 0.0
+
+    @property
+    def value(self) -> float:
+        """By which it is judged."""
+        return statistics.median(self.scores)
+
+
+def pruner() -> MedianPruner:
+    """Ends a trial whose best report is worse than the median of the others' at the same point."""
+    return MedianPruner(n_startup_trials=STARTUP_TRIALS, n_warmup_steps=1)
+
+
+def distributions(space: SearchSpace) -> dict[str, BaseDistribution]:
+    """Optuna's own description of a search space."""
+    return {path: _distribution(one) for path, one in space.items()}
+
+
+def measure(
+    candidate: Candidate, number: int, values: Mapping[str, Value], folder: Path, others: Sequence[FrozenTrial]
+) -> Measured:
+    """Measure a trial in a worker; what else was tried before it was begun decides whether it is pruned."""
+    reports: dict[int, float] = {}
+    with warnings.catch_warnings(action="ignore", category=optuna.exceptions.ExperimentalWarning):
+        study = optuna.create_study(direction="maximize", pruner=pruner())
+        study.add_trials(others)
+        judged = study.ask(distributions(candidate.space))
+
+    def report(step: int, score: float) -> None:
+        reports[step] = score
+        judged.report(score, step)
+        if judged.should_prune():
+            raise Pruned
+
+    before = _processor_seconds()
+    scores: list[float] = []
+    pruned, failure = False, None
+    try:
+        scores = candidate.measure(values, folder, report)
+    except Pruned:
+        pruned = True
+    except FAILURES as error:
+        failure = described(error)
+    return Measured(number, tuple(scores), reports, pruned, failure, _processor_seconds() - before)
+
+
+def _distribution(one: Range) -> BaseDistribution:
+    if one.choices:
+        return CategoricalDistribution(one.choices)
+    assert one.low is not None
+    assert one.high is not None
+    if one.is_whole:
+        return IntDistribution(int(one.low), int(one.high), log=one.log)
+    return FloatDistribution(one.low, one.high, log=one.log)
+
+
+def _processor_seconds() -> float:
+    spent = os.times()
+    return spent.user + spent.system + spent.children_user + spent.children_system

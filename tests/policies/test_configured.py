@@ -1,0 +1,104 @@
+"""Installed policies with options of their own, from TOML files."""
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+
+import armctl
+from armctl.control.drive_nlp import DriveMpcOptions
+from armctl.control.reach_mpc import ReachMpcOptions
+from armctl.envs import make_worlds
+from armctl.errors import ConfigurationError
+from armctl.evaluation import compare
+from armctl.evaluation.identity import identity
+from armctl.options import changed_options
+from armctl.policies import configuration_beside, make_policy, policy_names, read_configuration
+from armctl.policies.find import is_expert
+
+REACH = "armctl/ArmReach-v0"
+SHORT = 'policy = "reach_mpc"\nenv = "armctl/ArmReach-v0"\n[options.problem]\nhorizon = 4\n'
+
+
+@pytest.fixture
+def short(tmp_path):
+    file = tmp_path / "short.toml"
+    file.write_text(SHORT)
+    return file
+
+
+def test_it_acts_by_its_own_options(short):
+    both = compare({"usual": "reach_mpc", "short": str(short)}, REACH, episodes=3).results.by_policy()
+    usual, shorter = ([one.total_reward for one in played] for played in both.values())
+    assert usual != shorter
+    worlds = make_worlds(REACH, 2)
+    made = make_policy(short, worlds)
+    assert [one.mpc.problem.horizon for one in made.controllers] == [4, 4]
+    assert made.sees == "model"
+    assert is_expert(short)
+
+
+def test_other_options_are_another_comparison(short, tmp_path):
+    def known():
+        worlds = make_worlds(REACH, 1)
+        return identity(REACH, {}, 0, {"it": str(short)}, {"it": make_policy(short, worlds)}, worlds)["objects"]
+
+    before = known()
+    assert known() == before
+    short.write_text(SHORT.replace("4", "5"))
+    assert known() != before
+
+
+@pytest.mark.parametrize("name", [name for name in policy_names() if configuration_beside(name)])
+def test_the_files_beside_experts_have_their_present_options(name):
+    """So that a tuning begins where the expert is."""
+    told = read_configuration(configuration_beside(name))
+    if told.policy == "reach_mpc":
+        usual = ReachMpcOptions()
+        assert changed_options(usual, told.options) == usual
+    else:
+        usual = DriveMpcOptions()
+        assert changed_options(usual, told.options) == usual
+    plain, same = compare({"plain": name, "same": str(configuration_beside(name))}, told.env, episodes=2).policies
+    assert plain.episode_return.value == same.episode_return.value
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('policy = "reach_mcp"\nenv = "armctl/ArmReach-v0"', "Did you mean 'reach_mpc'"),
+        ('policy = "mine.py:pd"\nenv = "armctl/ArmReach-v0"', "no installed policy"),
+        ('policy = "reach_mpc"', "env: Field required"),
+        ('policy = "reach_mpc"\nenv = "armctl/ArmReach-v0"\noption = {}', "Did you mean 'options'"),
+        ('policy = "reach_mpc"\nenv = 3', "env: Input should be a valid string"),
+        ("policy = ", "is not TOML"),
+        ("a = " + "[" * 3000, "is not TOML"),
+        ('policy = "reach_ik"\nenv = "armctl/ArmReach-v0"', "takes no options; those that do: bridge_mpc, reach_mpc"),
+        (SHORT.replace("horizon", "horizn"), "Did you mean 'horizon'"),
+        (SHORT.replace("4", "1"), "horizon: input should be greater than or equal to 2, not 1"),
+        (SHORT.replace("4", "nan"), "horizon"),
+        (SHORT.replace("[options.problem]\nhorizon", "[options]\nproblem"), "problem"),
+    ],
+)  # fmt: skip
+def test_what_is_no_configuration_is_refused(tmp_path, text, message):
+    file = tmp_path / "it.toml"
+    file.write_text(text)
+    with pytest.raises(ConfigurationError, match=message):
+        make_policy(file, make_worlds(REACH, 1))
+
+
+def test_a_missing_file_is_told(tmp_path):
+    with pytest.raises(ConfigurationError, match=r"cannot be read: No such file"):
+        armctl.make_policy(tmp_path / "no.toml", make_worlds(REACH, 1))
+
+
+def test_options_within_options_change_alone():
+    usual = DriveMpcOptions()
+    changed = changed_options(usual, {"acceleration": [0.1, 0.2], "steps": 9})
+    assert (changed.acceleration, changed.steps) == ((0.1, 0.2), 9)
+    assert dataclasses.replace(changed, acceleration=usual.acceleration, steps=usual.steps) == usual
+
+
+def test_it_can_be_named_from_elsewhere(short, monkeypatch):
+    monkeypatch.chdir(short.parent)
+    assert compare([Path("short.toml").name], REACH, episodes=1).policies[0].episodes == 1

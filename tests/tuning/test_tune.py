@@ -1,0 +1,303 @@
+"""Tunings, of small recipes and few episodes: everything else is as for large ones."""
+
+import dataclasses
+import json
+import multiprocessing
+import os
+import signal
+import tomllib
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from optuna.trial import TrialState
+
+from armctl.errors import ConfigurationError, ResultsError
+from armctl.evaluation import compare
+from armctl.evaluation.trials import read_trials
+from armctl.learners import load_recipe
+from armctl.search_space import value_at
+from armctl.tuning import candidate_of, tunable, tune
+from armctl.tuning.candidates import BLOCK, Pruned
+from armctl.tuning.journal import JOURNAL
+from armctl.tuning.trials import measure
+
+RECIPE = """
+learner = "bc"
+env = "armctl/ArmReach-v0"
+teacher = "reach_ik"
+
+[options]
+demonstrations = 4
+steps = 60
+worlds = 4
+evaluation_every = 20
+validation_episodes = 4
+evaluation_episodes = 4
+learning_rate = 1e-3
+hidden_units = 16
+
+[tune.options]
+learning_rate = { low = 1e-4, high = 1e-2, log = true }
+hidden_units = { choices = [8, 16] }
+"""
+CRASHING = RECIPE.replace("low = 1e-4, high = 1e-2", "low = 1e-4, high = 1e300")
+
+
+@pytest.fixture
+def recipe(tmp_path):
+    file = tmp_path / "small.toml"
+    file.write_text(RECIPE)
+    return str(file)
+
+
+def expert(episodes=3, **options):
+    return candidate_of("reach_mpc", episodes=episodes, **options)
+
+
+def test_the_first_trial_is_the_present_values(tmp_path):
+    found = tune(expert(), tmp_path, trials=2)
+    assert found.trials[0].params == found.candidate.present
+    assert found.before is found.trials[0]
+    played = compare(["reach_mpc"], "armctl/ArmReach-v0", episodes=3, seed=7)
+    assert len(found.trials) == 2
+    assert found.processor_seconds > 0
+    assert played.policies[0].episodes == 3
+
+
+def test_more_trials_resume_and_the_same_number_does_nothing(tmp_path):
+    first, again, more = (
+        [one.params for one in tune(expert(), tmp_path, trials=trials).trials] for trials in (2, 2, 4)
+    )
+    assert first == again == more[:2]
+    assert len(more) == 4
+    rows = read_trials(tmp_path / "trials.csv")
+    assert [row["ended"] for row in rows] == ["finished"] * 4
+    assert not list((tmp_path / "processes").iterdir())
+
+
+def test_the_same_seed_proposes_the_same_values(tmp_path):
+    found = [tune(expert(), tmp_path / str(i), trials=3, seed=seed) for i, seed in enumerate((3, 3, 4))]
+    proposed = [[one.params for one in one.trials] for one in found]
+    assert proposed[0] == proposed[1] != proposed[2]
+
+
+def test_an_hour_of_nothing_is_no_budget(tmp_path):
+    found = tune(expert(), tmp_path, hours=1e-9)
+    assert len(found.trials) == 1
+    for wrong in ({}, {"trials": 0}, {"hours": -1.0}, {"hours": float("nan")}):
+        with pytest.raises(ConfigurationError, match=r"budget|more than 0"):
+            tune(expert(), tmp_path / "other", **wrong)
+
+
+def test_a_recipe_is_judged_by_the_median_of_its_trainings(recipe, tmp_path):
+    candidate = candidate_of(recipe, training_seeds=3)
+    found = tune(candidate, tmp_path / "out", trials=2)
+    for one in found.trials:
+        curves = [
+            pd.read_csv(file)
+            for file in sorted((tmp_path / "out" / "trials" / f"{one.number:04d}").glob("*/curve.csv"))
+        ]
+        best = [curve.sort_values(["success", "return"])["return"].iloc[-1] for curve in curves]
+        assert one.value == pytest.approx(sorted(best)[1])
+        assert one.user_attrs["scores"] == pytest.approx(best)
+    seeds = {json.loads(file.read_text())["training_seed"] for file in tmp_path.glob("out/trials/0000/*/agent.json")}
+    assert seeds.isdisjoint(load_recipe("reach_sac").seeds)
+
+
+def test_the_best_values_are_a_recipe(recipe, tmp_path):
+    found = tune(candidate_of(recipe, training_seeds=1, score="success"), tmp_path / "out", trials=4)
+    best = found.best
+    assert best.value == max(one.value for one in found.finished)
+    if best is found.before:
+        assert not found.best_file.exists()
+        return
+    tuned = load_recipe(found.best_file)
+    assert tuned.name == "small_tuned"
+    assert {path: value_at(tuned.model_dump(), path) for path in best.params} == best.params
+    assert tuned.changed(options=load_recipe(recipe).options, name="small") == load_recipe(recipe)
+
+
+def test_the_best_options_of_an_expert_can_be_compared(tmp_path):
+    found = tune(expert(), tmp_path, trials=8)
+    if found.best is found.before:
+        pytest.fail("no trial was better than the present values: choose another seed for this test")
+    values = tomllib.loads(found.best_file.read_text())
+    assert {path: value_at(values, path) for path in found.best.params} == found.best.params
+    result = compare([str(found.best_file)], "armctl/ArmReach-v0", episodes=2)
+    assert not result.failures
+
+
+def test_workers_measure_as_this_process_does(tmp_path):
+    candidate = expert()
+    found = tune(candidate, tmp_path, trials=3, workers=2)
+    for one in found.finished:
+        here = measure(candidate, 0, one.params, tmp_path, [])
+        assert here.value == one.value
+
+
+def test_a_hopeless_trial_is_pruned(tmp_path):
+    candidate = expert(episodes=3 * BLOCK)
+    ended = tune(expert(episodes=3), tmp_path / "few", trials=1).study.trials[0]
+    others = []
+    for number in range(6):
+        good = type(ended)(
+            number=number, state=TrialState.COMPLETE, value=1e6, datetime_start=ended.datetime_start,
+            datetime_complete=ended.datetime_complete, params=ended.params, distributions=ended.distributions,
+            user_attrs={}, system_attrs={}, intermediate_values={0: 1e6, 1: 1e6, 2: 1e6}, trial_id=number,
+        )  # fmt: skip
+        others.append(good)
+    pruned, kept = (measure(candidate, 9, candidate.present, tmp_path, past) for past in (others, []))
+    assert pruned.pruned
+    assert len(pruned.reports) == 2
+    assert not kept.pruned
+    assert len(kept.reports) == 3
+    assert pruned.processor_seconds < kept.processor_seconds
+
+
+def test_a_training_is_interrupted_where_it_is_pruned(recipe, tmp_path):
+    candidate, told = candidate_of(recipe, training_seeds=1), []
+
+    def report(step, score):
+        told.append(step)
+        raise Pruned
+
+    slow = candidate.recipe.changed(options=candidate.recipe.options | {"steps": 20_000})
+    slower = dataclasses.replace(candidate, recipe=slow)
+    with pytest.raises(Pruned):
+        slower.measure(candidate.present, tmp_path / "run", report)
+    assert told == [0]
+    assert not list(tmp_path.glob("run/*/agent.json"))
+    assert signal.getsignal(signal.SIGUSR1) == signal.SIG_DFL
+
+
+def test_values_that_fail_are_noted_and_three_in_a_row_end_it(tmp_path):
+    file = tmp_path / "crashing.toml"
+    file.write_text(CRASHING)
+    with pytest.raises(ConfigurationError, match="3 trials in a row failed"):
+        tune(candidate_of(str(file), training_seeds=1), tmp_path / "out", trials=30, seed=1)
+    rows = read_trials(tmp_path / "out" / "trials.csv")
+    assert [row["ended"] for row in rows[-3:]] == ["failed"] * 3
+    assert rows[0]["ended"] == "finished"
+
+
+def test_present_values_that_fail_end_it_at_once(recipe, tmp_path):
+    candidate = candidate_of(recipe, training_seeds=1)
+    broken = candidate.recipe.changed(options=candidate.recipe.options | {"demonstrations": 0})
+    with pytest.raises(ConfigurationError, match=r"fails with its present values.*demonstrations"):
+        tune(dataclasses.replace(candidate, recipe=broken), tmp_path / "out", trials=3)
+
+
+def _tune_until_killed(folder, episodes):
+    tune(expert(episodes=episodes), folder, trials=50, progress=lambda found: None)
+
+
+def test_after_kill_9_a_lost_trial_is_tried_again(tmp_path):
+    context = multiprocessing.get_context("spawn")
+    process = context.Process(target=_tune_until_killed, args=(tmp_path, 6))
+    process.start()
+    while not (tmp_path / "trials.csv").exists() or len(read_trials(tmp_path / "trials.csv")) < 2:
+        assert process.is_alive()
+    os.kill(process.pid, signal.SIGKILL)
+    process.join()
+    with (tmp_path / JOURNAL).open("ab") as journal:  # it may die in the middle of a line
+        journal.write(b'{"op_code": 4, "worker_')
+    before = len(read_trials(tmp_path / "trials.csv"))
+    found = tune(expert(episodes=6), tmp_path, trials=before + 2)
+    assert len(found.trials) == before + 2
+    states = [one.state for one in found.study.trials]
+    lost = [one for one in found.study.trials if one.state is TrialState.FAIL]
+    assert states.count(TrialState.RUNNING) == 0
+    for one in lost:
+        assert sum(other.params == one.params for other in found.trials) == 1
+
+
+def test_two_processes_share_a_study(tmp_path):
+    context = multiprocessing.get_context("spawn")
+    processes = [context.Process(target=_tune_some, args=(tmp_path, seed)) for seed in (1, 2)]
+    for one in processes:
+        one.start()
+    for one in processes:
+        one.join()
+        assert one.exitcode == 0
+    found = tune(expert(), tmp_path, trials=6)
+    assert 6 <= len(found.trials) <= 7  # each may have asked for the last one
+    assert len({one.number for one in found.trials}) == len(found.trials) == len(read_trials(tmp_path / "trials.csv"))
+
+
+def _tune_some(folder, seed):
+    tune(expert(), folder, trials=6, seed=seed)
+
+
+@pytest.mark.parametrize("change", ["episodes", "score", "options"])
+def test_another_tuning_is_not_mixed_with_it(tmp_path, change):
+    tune(expert(), tmp_path, trials=1)
+    other = {"episodes": expert(episodes=4), "score": expert(score="success")}
+    if change == "options":
+        configuration = expert().configuration.model_copy(update={"env_options": {"tolerance": 0.02}})
+        other["options"] = dataclasses.replace(expert(), configuration=configuration)
+    with pytest.raises(ResultsError, match="holds another tuning"):
+        tune(other[change], tmp_path, trials=2)
+
+
+@pytest.mark.parametrize("damage", [b"what\n", b'{"op_code": 99}\n', b"\x00\n"])
+def test_a_damaged_journal_is_told(tmp_path, damage):
+    tune(expert(), tmp_path, trials=1)
+    journal = tmp_path / JOURNAL
+    journal.write_bytes(damage + journal.read_bytes())
+    with pytest.raises(ResultsError, match=r"journal.log is damaged"):
+        tune(expert(), tmp_path, trials=2)
+
+
+def test_nothing_is_written_through_a_link(tmp_path):
+    (tmp_path / "elsewhere").write_text("")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / JOURNAL).symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(ResultsError):
+        tune(expert(), tmp_path / "out", trials=1)
+    assert (tmp_path / "elsewhere").read_text() == ""
+
+
+def test_a_folder_that_cannot_be_made_is_told(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ResultsError, match="cannot be written to"):
+        tune(expert(), tmp_path / "file" / "out", trials=1)
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("reach_mcp", {}, "Did you mean 'reach_mpc'"),
+        ("reach_bc", {}, "no search space"),
+        ("reach_ik", {}, "There are: .*reach_mpc"),
+        ("nowhere.toml", {}, "cannot be read"),
+        ("reach_mpc", {"score": "sucess"}, "Did you mean 'success'"),
+        ("reach_mpc", {"episodes": 0}, "at least one of its episodes"),
+        ("reach_sac", {"training_seeds": 0}, "at least one of its training seeds"),
+    ],
+)
+def test_what_cannot_be_tuned_is_told(name, options, message):
+    with pytest.raises(ConfigurationError, match=message):
+        candidate_of(name, **options)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[tune]\nlearner = { choices = ['bc', 'sac'] }", "no key of .tune. in .*'learner'"),
+        ("[tune.seeds]\nx = { low = 1, high = 2 }", "no key of .tune."),
+        ("[tune.options]\ngamma = { low = 0.9, high = 0.99 }", "does not say which value options.gamma has now"),
+    ],
+)
+def test_a_recipe_whose_space_is_wrong_is_refused(tmp_path, text, message):
+    file = tmp_path / "it.toml"
+    file.write_text(RECIPE.partition("[tune")[0] + text)
+    with pytest.raises(ConfigurationError, match=message):
+        candidate_of(str(file))
+
+
+@pytest.mark.parametrize("name", tunable())
+def test_each_shipped_search_space_has_its_present_values(name):
+    candidate = candidate_of(name)
+    assert all(candidate.present[path] in one for path, one in candidate.space.items())
+    assert Path(name).suffix == ""
