@@ -1,14 +1,15 @@
 """What grows with the number of worlds, and with the number of episodes.
 
     python benchmarks/growth.py worlds [--steps 4]        # processor time and memory of a world
-    python benchmarks/growth.py table [--rows 1000000]    # time and memory of a comparison's summary and report
+    python benchmarks/growth.py table [--rows 1000000] [--store csv] [--store parquet]    # of a comparison's results
 
 `worlds` steps environments with random actions and without resets (`benchmarks/resets.py` has these), beside raw
 `mj_step` on as many worlds. `table` fills the folder of a comparison of the default policies with episodes that were
 never played, of lengths as theirs and with a return of its own each; then `armctl compare` resumes it and finds nothing
-left to play, and `armctl report` reads it. Each figure is of a fresh process.
+left to play, its episodes are read, and `armctl report` reads it. Each figure is of a fresh process.
 """
 
+import itertools
 import json
 import resource
 import subprocess
@@ -29,7 +30,7 @@ from rich.table import Table
 
 import armctl
 from armctl.evaluation.record import EpisodeResult
-from armctl.evaluation.store import COMPARISON, EPISODES, EpisodeLog
+from armctl.evaluation.store import COMPARISON, STORES, EpisodeLog, read_episodes
 from armctl.files import unsealed
 from armctl.report import write_report
 
@@ -52,21 +53,20 @@ def worlds(steps: int = 4, env: ENVS = [REACH, BRIDGE], count: list[int] = list(
 
 
 @app.command()
-def table(rows: int = 1_000_000, env: ENVS = [REACH, BRIDGE]) -> None:  # noqa: B006
-    """Measure the summary and the report of a comparison with so many episodes in all, and print a table."""
-    shown = _table("", "episodes", "decisions", "", "processor s", "peak MB", "peak MB of 30 episodes", "page MB")
-    for name in env:
+def table(rows: int = 1_000_000, env: ENVS = [REACH, BRIDGE], store: list[str] = list(STORES)) -> None:  # noqa: B006
+    """Measure the results of a comparison with so many episodes in all, and print a table."""
+    shown = _table("", "episodes", "decisions", "", "processor s", "peak MB", "peak MB of 30 episodes", "MB on disk")
+    for name, kind in itertools.product(env, store):
         with tempfile.TemporaryDirectory() as home:
             few, many = Path(home, "few"), Path(home, "many")
-            _in_a_fresh_process("fill", few, name, 30)
-            made = _in_a_fresh_process("fill", many, name, rows)
+            _in_a_fresh_process("fill", few, name, 30, kind)
+            made = _in_a_fresh_process("fill", many, name, rows, kind)
             counts = f"{made['episodes']:,}", f"{made['decisions'] / 1e6:.0f} M"
-            for what in ("summary", "report"):
-                start, found = (_in_a_fresh_process(what, folder, name) for folder in (few, many))
-                page = f"{found['page']:.1f}" if what == "report" else ""
+            for what in ("summary", "read", "report"):
+                start, found = (_in_a_fresh_process(what, folder, name, kind) for folder in (few, many))
                 shown.add_row(
-                    f"`{name}`", *counts, what, f"{found['seconds']:.0f}", f"{found['peak']:,.0f}",
-                    f"{start['peak']:,.0f}", page,
+                    f"`{name}`", *counts, f"{what}, {kind}", f"{found['seconds']:.1f}", f"{found['peak']:,.0f}",
+                    f"{start['peak']:,.0f}", f"{found['size']:,.1f}",
                 )  # fmt: skip
     Console().print(shown)
 
@@ -92,12 +92,12 @@ def step(env: str, n: int, steps: int) -> None:
 
 
 @app.command(hidden=True)
-def fill(folder: Path, env: str, rows: int) -> None:
+def fill(folder: Path, env: str, rows: int, store: str) -> None:
     """Play an episode with each policy, and write others that look like it."""
     played: list[EpisodeResult] = []
-    armctl.compare(env=env, episodes=1, out=folder, progress=played.append)
+    armctl.compare(env=env, episodes=1, out=folder, store=store, progress=played.append)
     each, decisions = rows // len(played), 0
-    with EpisodeLog(folder, unsealed((folder / COMPARISON).read_text()), each) as log:
+    with EpisodeLog(folder, unsealed((folder / COMPARISON).read_text()), each, store=store) as log:
         for first in played:
             decisions += first.length
             for result in _others(first, each):
@@ -125,29 +125,41 @@ def _others(first: EpisodeResult, episodes: int) -> Iterator[EpisodeResult]:
 
 
 @app.command(hidden=True)
-def summary(folder: Path, env: str) -> None:
-    """Resume a comparison of which everything is played, and print what it took."""
-    policies = unsealed((folder / COMPARISON).read_text())["policies"]
-    with (folder / EPISODES).open() as file:
-        rows = sum(1 for _ in file) - 1
+def summary(folder: Path, env: str, store: str) -> None:
+    """Resume a comparison of which everything is played, and print what it took, and its folder's size."""
+    own = unsealed((folder / COMPARISON).read_text())
+    rows = int(_in_a_fresh_process("read", folder, env, store)["rows"])
     start = time.process_time()
-    found = armctl.compare(env=env, episodes=rows // len(policies), out=folder)
+    found = armctl.compare(env=env, episodes=rows // len(own["policies"]), out=folder, store=store)
     if found.resumed != rows or found.failures:
         raise SystemExit(f"{found.resumed} of {rows} episodes were read: {found.failures}")
-    _print_cost(start)
+    _print_cost(start, _size(*folder.iterdir()))
 
 
 @app.command(hidden=True)
-def report(folder: Path, env: str) -> None:
-    """Write a report without videos, and print what it took."""
+def read(folder: Path, env: str, store: str) -> None:
+    """Read a comparison's episodes, and print what it took, and the size of their files."""
+    start = time.process_time()
+    rows = len(read_episodes(folder, unsealed((folder / COMPARISON).read_text())))
+    _print_cost(start, _size(*folder.glob(f"*.{store}")), rows=rows)
+
+
+@app.command(hidden=True)
+def report(folder: Path, env: str, store: str) -> None:
+    """Write a report without videos, and print what it took, and the page's size."""
     start = time.process_time()
     page = write_report(folder, video=False, env=env)
-    _print_cost(start, page=page.stat().st_size / 1e6)
+    _print_cost(start, _size(page))
 
 
-def _print_cost(start: float, **more: float) -> None:
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
-    print(json.dumps({"seconds": time.process_time() - start, "peak": peak, **more}))
+def _print_cost(start: float, size: float, **more: float) -> None:
+    spent, peak = time.process_time() - start, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+    print(json.dumps({"seconds": spent, "peak": peak, "size": size, **more}))
+
+
+def _size(*files: Path) -> float:
+    """MB."""
+    return sum(file.stat().st_size for file in files) / 1e6
 
 
 def _in_a_fresh_process(*command: object) -> dict[str, float]:

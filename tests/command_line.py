@@ -17,11 +17,19 @@ ARMCTL = str(Path(sys.executable).parent / "armctl")
 ENVIRONMENT = {"COLUMNS": "100", "NO_COLOR": "1"}
 
 
-def program(*arguments, cwd, check=True, disk=None, **variables):
-    """Run armctl as a program, which has never seen another folder's modules.
+@contextlib.contextmanager
+def full_disk(size):
+    """Longer files than `size` bytes cannot be written, as on a full disk, here and by processes that begin here."""
+    before, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (before, hard))
 
-    `disk` is the size of the largest file that it can write, in bytes: a longer one fails as it does on a full disk.
-    """
+
+def program(*arguments, cwd, check=True, disk=None, **variables):
+    """Run armctl as a program, which has never seen another folder's modules; `disk` is as for `full_disk`."""
     done = subprocess.run(
         [ARMCTL, *map(str, arguments)],
         capture_output=True,
@@ -34,17 +42,21 @@ def program(*arguments, cwd, check=True, disk=None, **variables):
     return done
 
 
-def armctl(*arguments, cwd, check=True):
-    """Run armctl in this process, where everything is imported already; what it imports from `cwd` is forgotten."""
+def armctl(*arguments, cwd, check=True, disk=None):
+    """Run armctl in this process, where everything is imported already; what it imports from `cwd` is forgotten.
+
+    `disk` is as for `full_disk`. Kernels should be compiled by then, as numba cannot write them either.
+    """
     with pytest.MonkeyPatch.context() as patch, io.StringIO() as out, io.StringIO() as err:
         patch.chdir(cwd)
-        patch.setattr(sys, "argv", ["armctl", *arguments])
+        patch.setattr(sys, "argv", ["armctl", *map(str, arguments)])
         patch.setattr(sys, "path", list(sys.path))
         patch.setenv("PYTHONSAFEPATH", "")  # `main` sets it, and processes that tests start would inherit that
         for name, value in ENVIRONMENT.items():
             patch.setenv(name, value)
         status = 0
-        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        limited = contextlib.nullcontext() if disk is None else full_disk(disk)
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), limited:
             try:
                 main()
             except SystemExit as exit:

@@ -284,11 +284,11 @@ def test_a_file_that_is_too_large(tmp_path):
 
 
 def test_a_graph_that_is_too_slow(tmp_path, monkeypatch):
-    monkeypatch.setattr(agent_graph, "LONGEST_TRIAL", 0.05)
+    monkeypatch.setattr(agent_graph, "LONGEST_TRIAL", 0.02)
     monkeypatch.setattr(agent_graph, "MOST_WORK", 10**12)
     size = 1500
-    nodes = [helper.make_node("Gemm", [f"x{i}" if i else "observation", "w"], [f"x{i + 1}"]) for i in range(3000)]
-    nodes.append(helper.make_node("Identity", ["x3000"], ["action"]))
+    nodes = [helper.make_node("Gemm", [f"x{i}" if i else "observation", "w"], [f"x{i + 1}"]) for i in range(300)]
+    nodes.append(helper.make_node("Identity", ["x300"], ["action"]))
     weights = {"w": np.eye(size, dtype=np.float32)}
     with pytest.raises(AgentFileError, match="takes more than"):
         AgentGraph(saved(model_of(nodes, constants=weights, shape=(size,), result=(size,)), tmp_path))

@@ -7,6 +7,7 @@ and `toml mine.toml` are files for the blocks after them. `python docs/examples/
 
 import importlib
 import importlib.util
+import json
 import os
 import re
 import runpy
@@ -89,15 +90,20 @@ def test_every_block_says_what_it_is(page):
 @pytest.mark.parametrize("page", [page for page in PAGES if to_run(page)], ids=name_of)
 def test_examples_run(page, tmp_path):
     (tmp_path / "docs").symlink_to(ROOT / "docs")
-    environment = os.environ | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}", "COLUMNS": "100"}
+    steps = []
     for kind, note, text in to_run(page):
         if note:
-            (tmp_path / note).write_text(text)
-            continue
-        python = [sys.executable, "-W", "error::DeprecationWarning", "-c", text]
-        command = python if kind == "python" else ["bash", "-euxc", text]
-        done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=environment, timeout=SECONDS)
-        assert done.returncode == 0, f"{text}\n{done.stdout[-3000:]}{done.stderr[-3000:]}"
+            steps.append(("file", note, text))
+        elif kind == "python":
+            steps.append(("python", text))
+        else:
+            steps += [("command", *words) for words in commands(text)]
+    command = [sys.executable, "-P", "-W", "error::DeprecationWarning", ROOT / "tests" / "run_page.py"]
+    done = subprocess.run(
+        command, input=json.dumps(steps), capture_output=True, text=True, cwd=tmp_path,
+        env=os.environ | {"COLUMNS": "100"}, timeout=SECONDS,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
 
 
 @each_page

@@ -12,6 +12,8 @@ import pytest
 import armctl
 from armctl.evaluation.seeds import TRAINING_SEEDS
 
+from . import command_line
+
 ROOT = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"
 SCRIPTS = sorted(path.stem for path in EXAMPLES.glob("*.py") if path.stem != "held_out")
@@ -59,7 +61,7 @@ def test_the_zoo_trains_what_becomes_an_agent(algorithm, tmp_path):
     run(tmp_path, "-m", "rl_zoo3.train", *train.split(), "--conf-file", settings)
     [model] = tmp_path.glob(f"logs/{algorithm}/*/armctl-ArmReach-v0.zip")
     export = f"export {model} --env {env} {ZOO[algorithm]} --out agent.onnx --trust"
-    run(tmp_path, "-m", "armctl", *export.split())
+    command_line.armctl(*export.split(), cwd=tmp_path)
     played = armctl.evaluate(tmp_path / "agent.json", env, episodes=2, least_lengths=False)
     assert len(played) == 2
 

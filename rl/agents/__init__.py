@@ -103,5 +103,5 @@ def bridge_moving_distil(env: Interface) -> OnnxPolicy:
 
 
 def bridge_moving_ppo(env: Interface) -> OnnxPolicy:
-    """PPO on `armctl/BridgeCrossMoving-v0`, from `bridge_moving_distil`; it sees the depth camera and its own motion."""
+    """PPO on `armctl/BridgeCrossMoving-v0`, from `bridge_moving_distil`; it sees the depth camera and its motion."""
     return load_agent(FOLDER / "bridge_moving_ppo.json", env)

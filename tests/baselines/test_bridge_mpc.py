@@ -15,7 +15,7 @@ FAST = {"observation": "state"}
 
 @pytest.mark.parametrize("env", [STATIC, MOVING])
 def test_it_crosses_nearly_always_and_decides_in_time(env, sized):
-    results = evaluate("bridge_mpc", env, episodes=sized(2, 100), seed=0, worlds=1, env_options=FAST)
+    results = evaluate("bridge_mpc", env, episodes=sized(2, 50), seed=0, worlds=1, env_options=FAST)
     assert results.success.mean() >= 0.97
     assert results.length[results.success].mean() < 105
     assert results.decision_ms_p50.median() < 100

@@ -85,7 +85,8 @@ def test_choosing_by_the_same_episodes_costs_no_more_than_is_said():
         choices = [choose(success, success, list(names)) for names in ("ab", "cd")]
         (found,) = heads_to_head({"none": success}, "none", *choices).values()
         errors += found.better != 0
-        holds += found.difference.low <= 0 <= found.difference.high
+        difference = found.difference
+        holds += difference.low <= 0 <= difference.high
     assert 0.06 < errors / count < 0.09
     assert 0.91 < holds / count < 0.94
 

@@ -16,7 +16,7 @@ from armctl.planning import PathCertificate, PathCertificateOptions
 from armctl.report.terminal import tables
 from armctl.tasks import ReachObstaclesTask
 
-from ..command_line import program
+from .. import command_line
 
 TIMES = list(TIME_COLUMNS)
 BOX = {"target": "box", "max_episode_steps": 30}
@@ -151,18 +151,19 @@ def test_results_where_no_folder_can_be(tmp_path):
 
 @pytest.mark.parametrize("workers", ["1", "2"])
 def test_a_full_disk_is_reported_and_nothing_that_was_written_is_lost(tmp_path, workers):
-    command = ["compare", "random", "--episodes", "300", "--worlds", "20", "--workers", workers, "--out", "out"]
-    full = program(*command, cwd=tmp_path, check=False, disk=100_000)
+    short = ["--worlds", "10", "--set", "max_episode_steps=5"]
+    command = ["compare", "random", "--episodes", "60", *short, "--out", "out"]
+    full = command_line.program(*command, "--workers", workers, cwd=tmp_path, check=False, disk=10_000)
     assert full.returncode == 1
     assert "could not be written any further" in full.stdout
     assert "has every episode" not in full.stdout
     assert "Traceback" not in full.stdout + full.stderr
     assert not (tmp_path / "out" / "summary.json").exists()
     kept = len((tmp_path / "out" / "episodes.csv").read_text().splitlines()) - 2  # the header, and half a line
-    assert 20 < kept < 300
-    again = program(*command, cwd=tmp_path)
+    assert 10 < kept < 60
+    again = command_line.armctl(*command, cwd=tmp_path)
     assert "episodes were finished by an earlier run" in again.stdout
-    assert len(pd.read_csv(tmp_path / "out" / "episodes.csv")) == 300
+    assert len(pd.read_csv(tmp_path / "out" / "episodes.csv")) == 60
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from armctl.datasets.collect import collect
 from armctl.errors import ConfigurationError
 from armctl.evaluation import compare, sweep
 from armctl.evaluation.engines import Dask, Local, Ray, connect
@@ -165,6 +166,25 @@ def test_a_cluster_plays_what_one_process_plays_also_if_a_node_is_killed(cluster
     assert not compared.failures
     assert len(told) == 160
     assert timeless(tmp_path / "one").equals(timeless(tmp_path / "two"))
+
+
+def test_a_cluster_records_what_one_process_records_also_if_a_node_is_killed(cluster, processes, tmp_path):
+    address, node = cluster
+    given = {"episodes": 40, "env_options": OPTIONS}
+    collect("mine.py:holding", out=tmp_path / "one", **given)
+
+    def killing(finished):
+        if finished == 8:
+            processes.kill(node)
+
+    with connect(address) as engine:
+        collection = collect("mine.py:holding", out=tmp_path / "two", workers=engine, progress=killing, **given)
+    assert collection.episodes == 40
+    one, two = (
+        {file.name: file.read_bytes() for file in (tmp_path / name / "data").iterdir()} for name in ("one", "two")
+    )
+    del one["metadata.json"], two["metadata.json"]  # it has the dataset's name
+    assert one == two
 
 
 def test_a_worker_with_other_versions_is_refused_by_name(dask_cluster, processes, tmp_path):

@@ -10,14 +10,14 @@ import pytest
 
 from armctl.evaluation import statistics
 from armctl.evaluation.episode_table import EpisodeTable
-from armctl.evaluation.metrics import Metrics
-from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.statistics import MOST_VALUES, RandomWeights, bounded_mean, grouped, random_weights, worst_decile
 from armctl.evaluation.store import EpisodeLog, read_episodes
 from armctl.evaluation.summary import summarise
 from armctl.files import sealed
 
-OWN = {"env": "armctl/ArmReach-v0", "seed": 3, "policies": ["b", "a"]}
+from .made_up import OWN, played, same
+
+APART = ("reward_terms", "metrics", "decision_ms")
 BYTES = 1_000
 """That an episode of some 15 decisions may take while it is read and summarised. It takes 400."""
 
@@ -26,38 +26,12 @@ class Still:
     sees, training_steps = "observation", 0
 
 
-def played(episodes, policies=("a",), steps=30):
-    rng = np.random.default_rng(0)
-    for policy in policies:
-        for k in range(episodes):
-            contacts, missed = (int(x) if x >= 0 else None for x in rng.integers(-1, 3, 2))
-            numbers = [*rng.random(6), math.nan]
-            metrics = Metrics(*numbers, contacts, 0, missed, 0.1, 0.2, 0.3, math.nan if k else 7.0)
-            length = int(rng.integers(1, steps + 1))
-            terms = {"step": -1.0 * length} | ({"goal": rng.random()} if k % 3 else {})
-            success, earned = [None, False, True][k % 3], sum(terms.values())
-            times = np.round(rng.random(length), 4)
-            times[1::4] = math.nan
-            yield EpisodeResult(
-                policy, OWN["env"], k, 3, ["lost", "won"][k % 2], success, bool(k % 5), earned, terms, length,
-                max(1.0, length - 2.0), math.nan, metrics, 1, 1, times,
-            )  # fmt: skip
-
-
-def told(results):
-    return [(one.row(), one.decision_ms.tolist()) for one in results]
-
-
 @pytest.fixture
 def results():
     found = list(played(12, "ba"))
     odd = np.array([0.123456, math.nan, 1e6, 0.0])  # no whole number of 0.1 us, and too long for 32 bits
     found[3] = replace(found[3], length=4, decision_ms=odd, seed=2**70)
     return found
-
-
-def same(one, other):
-    np.testing.assert_equal(told(one), told(other))
 
 
 def test_a_table_is_a_sequence_of_the_results(results):
@@ -86,13 +60,26 @@ def test_columns_are_those_of_the_results(results):
     np.testing.assert_array_equal(part.warm_ms(), np.concatenate([one.warm_ms for one in results[6:]]))
     np.testing.assert_array_equal(part.optimality_gap, [one.optimality_gap for one in results[6:]])
     seconds = [float(np.nansum(one.decision_ms)) / 1e3 for one in results]
-    assert table.decision_seconds().tolist() == seconds
+    np.testing.assert_allclose(table.decision_seconds(), seconds, rtol=1e-12)
     earned = part.earned()
     for term in ("step", "goal"):
         assert sorted(earned[term]) == sorted(one.reward_terms[term] for one in results[6:] if term in one.reward_terms)
     changed = part.with_column("missed_deadlines", [None] * len(part))
     assert set(changed.column("missed_deadlines")) == {None}
     assert part.column("missed_deadlines").tolist() == [one.metrics.missed_deadlines for one in results[6:]]
+
+
+def test_many_at_once_are_as_one_after_the_other(results):
+    table, added = EpisodeTable(results), EpisodeTable(results[:5])
+    rest = table[5:]
+    names = [name for name in vars(results[0]) | vars(results[0].metrics) if name not in APART]
+    columns = {name: rest.column(name) for name in names}
+    repeated = {name: (values.tolist(), np.arange(len(values))) for name, values in columns.items()}
+    added.extend(columns, repeated, rest.reward_terms(), rest.decision_ms())
+    same(added, results)
+    assert not table.repeats.any()
+    added.append(results[7])
+    assert added.repeats.tolist() == [False] * 24 + [True]
 
 
 def test_rows_are_found_in_whatever_order_they_are(tmp_path, results):

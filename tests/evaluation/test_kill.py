@@ -73,28 +73,25 @@ def kill_at(moment, command, cwd, rng, of_worker):
     assert "Traceback" not in complaint
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("trial", [0, *(pytest.param(trial, marks=pytest.mark.thorough) for trial in range(1, 6))])
 @pytest.mark.parametrize(
-    ("verb", "of_worker"), [("compare", False), ("workers", False), ("workers", True), ("sweep", False)]
+    ("verb", "of_worker"),
+    [
+        pytest.param("compare", False, marks=pytest.mark.slow),
+        pytest.param("workers", False, marks=pytest.mark.slow),
+        ("workers", True),
+        ("sweep", False),
+    ],
 )
-def test_what_is_killed_again_and_again(tmp_path, verb, of_worker, trial):
-    killed_and_finished(tmp_path, verb, of_worker, random.Random(trial), KILLS)
-
-
-@pytest.mark.parametrize(("verb", "of_worker"), [("workers", True), ("sweep", False)])
-def test_what_is_killed_once(tmp_path, verb, of_worker):
-    killed_and_finished(tmp_path, verb, of_worker, random.Random(verb), 1)
-
-
-def killed_and_finished(home, verb, of_worker, rng, kills):
-    out, kept = home / "out", {}
-    for _ in range(kills):
-        kill_at(rng.randrange(EPISODES[verb]), COMMANDS[verb], home, rng, of_worker)
+def test_what_is_killed_again_and_again(tmp_path, verb, of_worker, trial, sized):
+    """In a quick run, it is killed once."""
+    out, kept, rng = tmp_path / "out", {}, random.Random(trial)
+    for _ in range(sized(1, KILLS)):
+        kill_at(rng.randrange(EPISODES[verb]), COMMANDS[verb], tmp_path, rng, of_worker)
         now = finished(out)
         assert kept.items() <= now.items()
         kept = now
-    armctl(*COMMANDS[verb], cwd=home)
+    armctl(*COMMANDS[verb], cwd=tmp_path)
     after = finished(out)
     assert kept.items() <= after.items()
     assert len(after) == EPISODES[verb] == written(out)

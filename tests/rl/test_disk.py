@@ -8,7 +8,7 @@ import torch
 
 from armctl.errors import ResultsError
 from armctl.rl.disk import full_disk_told, save_torch
-from tests.command_line import program
+from tests.command_line import armctl
 
 COMMON = ["--set", "max_episode_steps=9", "--option", "validation_episodes=2", "--option", "evaluation_episodes=2"]
 TRAININGS = {
@@ -29,7 +29,7 @@ TRAININGS = {
 
 
 def train(recipe, folder, *more, **options):
-    return program("train", recipe, *TRAININGS[recipe], *COMMON, "--out", "run", *more, cwd=folder, **options)
+    return armctl("train", recipe, *TRAININGS[recipe], *COMMON, "--out", "run", *more, cwd=folder, **options)
 
 
 def files(run):

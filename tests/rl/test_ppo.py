@@ -106,26 +106,29 @@ def test_another_gamma_is_another_training(trained):
 @pytest.mark.slow
 def test_an_interrupted_training_leaves_a_checkpoint_and_resumes(tmp_path):
     armctl = str(Path(sys.executable).parent / "armctl")
-    command = [armctl, "train", "reach_ppo", "--shaping", "none", "--steps", "60000", "--out", "run"]
-    command += ["--option", "evaluation_every=20000", "--option", "evaluation_episodes=10"]
+    options = ("evaluation_every=20000", "validation_episodes=10", "evaluation_episodes=10")
+    command = [armctl, "train", "reach_ppo", "--shaping", "none", "--out", "run"]
+    command += [word for option in options for word in ("--option", option)]
     with subprocess.Popen(
-        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        [*command, "--steps", "1000000"], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     ) as process:
         for _ in range(900):
             time.sleep(0.1)
             if (tmp_path / "run" / "curve.csv").exists():
                 break
-        time.sleep(2)
+        time.sleep(1)
         process.send_signal(signal.SIGINT)
         output, _ = process.communicate(timeout=120)
     assert process.returncode == 130, output
     assert "--resume" in output
-    assert list((tmp_path / "run" / "checkpoints").glob("[1-9]*.zip"))
+    at = max(int(path.stem) for path in (tmp_path / "run" / "checkpoints").glob("[0-9]*.zip"))
+    assert at > 0
     before = (tmp_path / "run" / "curve.csv").read_text()
-    subprocess.run([*command, "--resume"], cwd=tmp_path, check=True, env=os.environ, capture_output=True)
+    longer = ["--resume", "--steps", str(at + 4000)]
+    subprocess.run([*command, *longer], cwd=tmp_path, check=True, env=os.environ, capture_output=True)
     assert (tmp_path / "run" / "curve.csv").read_text().startswith(before)
     card = json.loads((tmp_path / "run" / "agent.json").read_text())
-    assert 60_000 <= card["training_steps"] < 70_000
+    assert at + 4000 <= card["training_steps"] < at + 14_000
 
 
 CAMERA = {"resolution": [8, 6], "max_episode_steps": 40}

@@ -13,12 +13,14 @@ from armctl.cli.app import app, settings
 from armctl.cli.options import (
     Env,
     EnvOptions,
+    EpisodeStore,
     Format,
     On,
     Overwrite,
     Policies,
     RealTime,
     Seed,
+    Store,
     SuccessReturn,
     TableFormat,
     Workers,
@@ -64,6 +66,7 @@ def compare(
     slow_down: Annotated[
         float, typer.Option(metavar="FACTOR", help="In real time, decisions take so many times as long.")
     ] = 1.0,
+    store: Store = EpisodeStore.CSV,
     report: Annotated[bool, typer.Option("--report", help="Also write report.html, with figures and videos.")] = False,
     table_format: Format = TableFormat.TABLE,
 ) -> None:
@@ -104,12 +107,13 @@ def compare(
             progress=progress,
             real_time=real_time,
             slow_down=slow_down,
+            store=store,
         )
     console = print_document(comparison.document(), table_format)
     written = "results" not in comparison.failures
     if written:
         console.print(
-            f"{folder / 'episodes.csv'} has every episode, {folder / 'summary.json'} the tables.", soft_wrap=True
+            f"{folder / f'episodes.{store}'} has every episode, {folder / 'summary.json'} the tables.", soft_wrap=True
         )
     exit_if_interrupted(comparison.interrupted, folder, console)
     if report and written:

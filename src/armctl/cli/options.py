@@ -60,7 +60,7 @@ On = Annotated[
     typer.Option(
         "--on",
         metavar="ENGINE",
-        help="Where episodes are played: `local`, in so many workers, or on a cluster: `ray://HOST:PORT`, "
+        help="Where the work is done: `local`, in so many workers, or on a cluster: `ray://HOST:PORT`, "
         "`dask://HOST:PORT`, or `ray` for the one that this machine belongs to; needs the extra `cluster`.",
     ),
 ]
@@ -107,6 +107,23 @@ SuccessReturn = Annotated[
         metavar="RETURN",
         help="Return from which on an episode counts as a success, in an environment that is not made of a task.",
         show_default='the environment\'s info["is_success"] or info["success"]',
+    ),
+]
+
+
+class EpisodeStore(StrEnum):
+    """What a results folder holds its episodes as."""
+
+    CSV = "csv"
+    PARQUET = "parquet"
+
+
+Store = Annotated[
+    EpisodeStore,
+    typer.Option(
+        "--store",
+        help="What the folder holds its episodes as: `parquet` is smaller, and quick to read; needs the extra "
+        "`parquet`. The same command with the other one converts them.",
     ),
 ]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the results in the folder.")]

@@ -10,8 +10,10 @@ from armctl.cli.app import app
 from armctl.cli.options import (
     Env,
     EnvOptions,
+    On,
     PolicyName,
     Seed,
+    Workers,
     options_of,
     progress_bar,
 )
@@ -84,7 +86,9 @@ def collect(
     seed: Annotated[
         int, typer.Option(min=0, help="Seed of the episodes; training seed k plays those from (k + 1) * 10^9.")
     ] = 10**9,
-    worlds: Annotated[int, typer.Option(min=1, help="Worlds stepped at once.")] = 50,
+    worlds: Annotated[int, typer.Option(min=1, help="Worlds stepped at once, in each worker.")] = 50,
+    workers: Workers = 1,
+    on: On = "local",
     env_options: EnvOptions = None,
     format: Annotated[
         str, typer.Option(help="`minari`, from which `bc` can learn (extra `rl`), or `lerobot` (extra `lerobot`).")
@@ -93,16 +97,19 @@ def collect(
 ) -> None:
     """Write a policy's episodes to a dataset for learners, in the format of Minari or LeRobot.
 
-    Ctrl-C keeps the finished episodes, and the same command resumes. So it does after a full disk or a crash.
+    Ctrl-C keeps the finished episodes, and the same command resumes. So it does after a full disk or a crash. The
+    dataset is the same wherever its episodes are played; workers play blocks of 4 episodes per world.
     """
     from armctl.console import PlainConsole
     from armctl.datasets.collect import collect as run_collection
+    from armctl.evaluation.engines import connect
 
-    with progress_bar() as bar:
+    with connect(on, workers) as engine, progress_bar() as bar:
         task = bar.add_task(policy, total=episodes)
         collection = run_collection(
-            policy, env, episodes=episodes, out=out, seed=seed, worlds=worlds, env_options=options_of(env_options),
-            format=format, overwrite=overwrite, progress=lambda finished: bar.update(task, completed=finished),
+            policy, env, episodes=episodes, out=out, seed=seed, worlds=worlds, workers=engine,
+            env_options=options_of(env_options), format=format, overwrite=overwrite,
+            progress=lambda finished: bar.update(task, completed=finished),
         )  # fmt: skip
     console = PlainConsole()
     if collection.resumed:

@@ -12,11 +12,13 @@ from armctl.cli.evaluate import exit_if_interrupted, make_report, print_tracebac
 from armctl.cli.options import (
     Env,
     EnvOptions,
+    EpisodeStore,
     Format,
     On,
     Overwrite,
     Policies,
     Seed,
+    Store,
     SuccessReturn,
     TableFormat,
     Workers,
@@ -70,6 +72,7 @@ def sweep(
             show_default="those of the undisturbed comparison, with one world and one worker",
         ),
     ] = None,
+    store: Store = EpisodeStore.CSV,
     table_format: Format = TableFormat.TABLE,
 ) -> None:
     """Let policies play the same episodes under increasing disturbances, and print how robust each is.
@@ -111,6 +114,7 @@ def sweep(
             overwrite=overwrite,
             worlds=worlds,
             workers=engine,
+            store=store,
             env_options=options,
             real_time=real_time,
             progress=progress,
@@ -154,6 +158,7 @@ def suite(
     workers: Workers = 1,
     on: On = "local",
     video: Annotated[bool, typer.Option("--video", help="Film episodes for the tasks' own reports: minutes.")] = False,
+    store: Store = EpisodeStore.CSV,
     table_format: Format = TableFormat.TABLE,
 ) -> None:
     """Let all policies of all tasks play, undisturbed and under the main disturbances, and write one report.
@@ -185,6 +190,7 @@ def suite(
             overwrite=overwrite,
             worlds=worlds,
             workers=engine,
+            store=store,
             progress=progress,
         )
     console = print_document(found.document(), table_format)

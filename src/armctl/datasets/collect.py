@@ -17,13 +17,17 @@ from armctl import DEFAULT_ENV
 from armctl.datasets.demonstrations import Demonstration, demonstrate
 from armctl.datasets.formats import FORMATS, Format, format_of
 from armctl.datasets.minari import UNFINISHED, check_recordable
+from armctl.datasets.parallel import WorldsAsAsked, demonstrate_in_workers
 from armctl.datasets.unfinished import OTHERWISE, Unfinished, check_same
-from armctl.envs import full_id, make_worlds
+from armctl.envs import full_id
 from armctl.errors import EnvironmentFailed, ResultsError
+from armctl.evaluation.engines import Engine, engine_of
 from armctl.evaluation.identity import identity
+from armctl.evaluation.parallel import WorkerConfig, check_sendable
 from armctl.evaluation.provenance import versions
 from armctl.evaluation.rollouts import PolicyFailed, check_counts
 from armctl.evaluation.seeds import check_training_data_seed
+from armctl.evaluation.workers import WorkersFailed
 from armctl.files import LOCK, one_writer
 from armctl.policies import PolicyFactory, make_policy, policy_name
 
@@ -49,6 +53,7 @@ def collect(
     out: str | Path,
     seed: int = 0,
     worlds: int = 1,
+    workers: int | Engine = 1,
     env_options: Mapping[str, Any] | None = None,
     format: str = "minari",
     overwrite: bool = False,
@@ -56,28 +61,37 @@ def collect(
 ) -> Collection:
     """Write a policy's episodes 0 to `episodes` - 1 of `seed` to a dataset in the folder `out`.
 
-    The episodes are in the order of their numbers, however many worlds play at once. `format` is one of `FORMATS`:
+    The episodes are in the order of their numbers, and the same however many worlds play at once, and wherever: with
+    `workers`, that many processes play, each with `worlds` worlds on one core; an engine's workers play, if one is
+    given (`armctl.evaluation.engines.connect`). They play blocks of 4 episodes per world, which come back whole, so
+    that an interrupt loses those that are not finished. `format` is one of `FORMATS`:
 
     - `minari`: `minari.MinariDataset(out / "data")` opens it. So does `minari.load_dataset(out.name)` if
       `MINARI_DATASETS_PATH` is the parent folder and `out.name` ends with a version, such as `-v0`.
     - `lerobot`: `LeRobotDataset("any/name", root=out)` opens it, and so does Rerun (`rerun OUT`).
 
-    After an interrupt (Ctrl-C) or a failing policy, the dataset has the episodes that were finished. After these, a
-    full disk or the end of the process, the same call resumes, and gives the same dataset as one without interruption.
-    `progress` is called with the number of finished episodes.
+    After an interrupt (Ctrl-C), a failing policy or lost workers, the dataset has the episodes that were finished.
+    After these, a full disk or the end of the process, the same call resumes, and gives the same dataset as one without
+    interruption. `progress` is called with the number of finished episodes.
 
-    Raises `ConfigurationError`, `AgentFileError`, `PolicyFailed`, and `ResultsError` if `out` holds another dataset
-    (unless `overwrite`), cannot be written or is written by another process, or if no episode was finished.
+    Raises `ConfigurationError`, `AgentFileError`, `PolicyFailed`, `WorkersFailed`, and `ResultsError` if `out` holds
+    another dataset (unless `overwrite`), cannot be written or is written by another process, or if no episode was
+    finished.
     """
     kind = format_of(format)
     libraries = kind.library_versions()
-    check_counts(episodes=episodes, worlds=worlds)
+    engine = engine_of(workers)
+    check_counts(episodes=episodes, worlds=worlds, **({"workers": workers} if isinstance(workers, int) else {}))
     check_training_data_seed(seed)
     folder, name, options = Path(out).absolute(), policy_name(policy), dict(env_options or {})
-    with contextlib.closing(make_worlds(env, min(worlds, episodes), options)) as made_env:
+    worlds = min(worlds, episodes)
+    with contextlib.closing(WorldsAsAsked(env, worlds if engine.is_here else 1, options)) as interfaces:
+        made_env = interfaces.asked
         made_env.reset(seed=seed)  # raises for an invalid seed, before anything is written
         check_recordable(made_env)
         made = make_policy(policy, made_env)
+        if not engine.is_here:
+            check_sendable({name: policy})
         own = identity(full_id(env), options, seed, {name: policy}, {name: made}, made_env) | {"format": format}
         about = kind.describe(folder, env, options, made_env) | {
             "algorithm_name": name, "sees": made.sees, "seed": seed, "identity": own,
@@ -93,19 +107,25 @@ def collect(
                     f"{OTHERWISE}"
                 )
             collection = Collection(folder, resumed=len(unfinished.outcomes))
-            failure: PolicyFailed | EnvironmentFailed | None = None
+            failure: PolicyFailed | EnvironmentFailed | WorkersFailed | None = None
             waiting = [number for number in range(episodes) if number not in unfinished.outcomes]
+            if engine.is_here:
+                stream = demonstrate(made, made_env, waiting, seed, name)
+            else:
+                config = WorkerConfig(env, worlds, options, seed, engine.workers, interfaces=WorldsAsAsked)
+                stream = demonstrate_in_workers(policy, made, interfaces, config, name, waiting, engine)
             try:
                 if progress is not None:
                     progress(len(unfinished.outcomes))
-                for result, demonstration in demonstrate(made, made_env, waiting, seed, name) if waiting else ():
-                    unfinished.add(result.episode, result.outcome, demonstration)
-                    if progress is not None:
-                        progress(len(unfinished.outcomes))
+                with contextlib.closing(stream):
+                    for result, demonstration in stream if waiting else ():
+                        unfinished.add(result.episode, result.outcome, demonstration)
+                        if progress is not None:
+                            progress(len(unfinished.outcomes))
             except KeyboardInterrupt:
                 collection.interrupted = True
                 unfinished.count_again()
-            except (PolicyFailed, EnvironmentFailed) as error:
+            except (PolicyFailed, EnvironmentFailed, WorkersFailed) as error:
                 failure = error
             finally:
                 if not unfinished.outcomes:

@@ -1,6 +1,6 @@
 """Demonstrations: whole episodes of a policy, played in many worlds at once."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -98,7 +98,7 @@ def demonstrate(
     seed: int,
     name: str = "policy",
     acting: Callable[[Observations, NDArray[Any]], NDArray[Any]] | None = None,
-) -> Iterator[tuple[EpisodeResult, Demonstration]]:
+) -> Generator[tuple[EpisodeResult, Demonstration], None, None]:
     """Play episodes of `seed`, and yield each as it ends. `episodes` is how many, from 0 on, or their numbers.
 
     `acting`, a function of the observations and the policy's actions, returns actions to execute in place of the

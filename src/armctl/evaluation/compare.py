@@ -37,7 +37,7 @@ from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.rollouts import check_counts, wrap_environment_errors
 from armctl.evaluation.seeding import seed_notes
 from armctl.evaluation.seeds import check_evaluation_seed
-from armctl.evaluation.store import EpisodeLog
+from armctl.evaluation.store import CSV, EpisodeLog, check_store
 from armctl.evaluation.summary import certificate_notes, counted_results, summarise
 from armctl.evaluation.workers import WorkersFailed
 from armctl.policies import Policy, WorldsByInterface, expanded, is_group, learners, make_policy, named_policies
@@ -66,6 +66,7 @@ def compare(
     seeding: Sequence[str] | None = None,
     real_time: str | Path | RealTime | None = None,
     slow_down: float = 1.0,
+    store: str = CSV,
     progress: Callable[[EpisodeResult], None] | None = None,
 ) -> Comparison:
     """Let policies play the same episodes 0 to `episodes` - 1 of `seed`.
@@ -73,9 +74,10 @@ def compare(
     With `out`, every episode is written to `out/episodes.csv` as soon as it ends, and the summary to
     `out/summary.json`. After an interrupt (Ctrl-C), a failing policy or a full disk, finished episodes are kept, and
     the same call resumes the comparison. Except for decision times, `episodes.csv` does not depend on the number of
-    worlds and workers. With one world and one worker (the default), decision times are latencies, by which deadlines
-    are judged; with more worlds, each is a batch's time divided by the number of worlds. The first decision of an
-    episode includes the policy's reset; the policy's first in a process is told apart.
+    worlds and workers. With the `store` `parquet`, all are in `out/episodes.parquet` in the end, and in no CSV table;
+    the same call with `csv` writes the tables again. With one world and one worker (the default), decision times are
+    latencies, by which deadlines are judged; with more worlds, each is a batch's time divided by the number of worlds.
+    The first decision of an episode includes the policy's reset; the policy's first in a process is told apart.
 
     With `workers`, that many processes play, each with `worlds` worlds on one core; an engine's workers play, if one
     is given (`armctl.evaluation.engines.connect`). Decision times are then measured while the other processes compute.
@@ -99,6 +101,7 @@ def compare(
     `ResultsError` if `out` cannot be written, is damaged, or holds the results of another comparison (unless
     `overwrite`).
     """
+    check_store(store)
     env = full_id(env)
     remember_named(env)
     if policies is None:
@@ -146,7 +149,7 @@ def compare(
             own = identity(env, comparison.env_options, seed, by_name, made, made_env, late)
         meter, log = RunMeter(own, worlds, engine.workers), None
         if out is not None:
-            log = stack.enter_context(EpisodeLog(Path(out), own, episodes, overwrite, meter.run))
+            log = stack.enter_context(EpisodeLog(Path(out), own, episodes, overwrite, meter.run, store))
         results = EpisodeTable() if log is None else log.kept  # what is played now is added to it
         if progress is not None:
             for result in results:

@@ -4,10 +4,10 @@ A table takes 220 bytes an episode, and 4 for each decision. Numbers are kept by
 that come again and again, one each is kept.
 """
 
+import itertools
 import json
 import math
-from array import array
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
 from typing import Any, get_type_hints, overload
 
@@ -15,19 +15,17 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from armctl.evaluation.episode_columns import Array, Lists, Numbers, Repeated, Rows, Times
 from armctl.evaluation.metrics import Metrics, warm_times
 from armctl.evaluation.record import COLUMNS, EpisodeResult
-
-Array = NDArray[np.float64]
 
 _APART = ("reward_terms", "metrics", "decision_ms")
 _PLAIN = [one.name for one in fields(EpisodeResult) if one.name not in _APART]
 _METRICS = [one.name for one in fields(Metrics)]
-_TYPES = get_type_hints(EpisodeResult) | get_type_hints(Metrics)
-_TICKS = 1e4
-"""In a ms: decision times are whole numbers of 0.1 us."""
-_UNKNOWN = -1
-"""In place of a decision time that is NaN."""
+TYPES: dict[str, Any] = get_type_hints(EpisodeResult) | get_type_hints(Metrics)
+"""Of the fields of results and their metrics."""
+_AT_ONCE = 10_000
+"""Episodes whose decision times are looked at together: more take memory, and fewer time."""
 
 
 class EpisodeTable(Sequence[EpisodeResult]):
@@ -37,9 +35,9 @@ class EpisodeTable(Sequence[EpisodeResult]):
     """
 
     def __init__(self, results: Iterable[EpisodeResult] = ()) -> None:
-        self._columns: dict[str, _Column] = {name: _column(name) for name in (*_PLAIN, *_METRICS)}
-        self._terms, self._earned, self._decision_ms = _Repeated(), _Lists("d"), _Times()
-        self._rows: NDArray[np.intp] | None = None
+        self._columns: dict[str, Numbers | Repeated] = {name: _column(name) for name in (*_PLAIN, *_METRICS)}
+        self._terms, self._earned, self._decision_ms = Repeated(), Lists("d"), Times()
+        self._rows: Rows | None = None
         """The rows of the columns; None for all."""
         for result in results:
             self.append(result)
@@ -53,6 +51,27 @@ class EpisodeTable(Sequence[EpisodeResult]):
         self._terms.append(tuple(result.reward_terms))
         self._earned.append(result.reward_terms.values())
         self._decision_ms.append(result.decision_ms)
+
+    def extend(
+        self,
+        numbers: Mapping[str, NDArray[Any]],
+        repeated: Mapping[str, tuple[Sequence[Any], NDArray[np.integer[Any]]]],
+        reward_terms: tuple[Sequence[tuple[str, ...]], Array],
+        decision_ms: tuple[Array, NDArray[np.integer[Any]]],
+    ) -> None:
+        """Add many episodes to a table that is not part of another one, by column.
+
+        Columns of numbers are arrays; others are values and, for each episode, the index of its own. Reward terms and
+        decision times are as `reward_terms` and `decision_ms` return them.
+        """
+        assert self._rows is None
+        for name, column in self._columns.items():
+            column.extend(numbers[name]) if isinstance(column, Numbers) else column.extend(*repeated[name])
+        names, earned = reward_terms
+        for terms in names:
+            self._terms.append(terms)
+        self._earned.extend(earned, np.array(list(map(len, names))))
+        self._decision_ms.extend(*decision_ms)
 
     def __len__(self) -> int:
         return len(self._decision_ms) if self._rows is None else len(self._rows)
@@ -71,13 +90,13 @@ class EpisodeTable(Sequence[EpisodeResult]):
 
     def column(self, name: str) -> NDArray[Any]:
         """A field of the results or of their metrics, (len(self),); of objects if it is a text, or None in some."""
-        values = self._columns[name].values()
-        return values if self._rows is None else values[self._rows]
+        return self._columns[name].take(self._all_rows)
 
     def with_column(self, name: str, values: Iterable[Any]) -> "EpisodeTable":
         """The same episodes with other values of a field."""
         changed = self._sharing(self._all_rows)
-        column, new = _column(name), self._columns[name].values().astype(object)
+        all_rows = np.arange(len(self._decision_ms))
+        column, new = _column(name), self._columns[name].take(all_rows).astype(object)
         new[self._all_rows] = list(values)
         for value in new.tolist():
             column.append(value)
@@ -101,6 +120,11 @@ class EpisodeTable(Sequence[EpisodeResult]):
         return self[np.lexsort((self.column("episode"), order))]
 
     @property
+    def repeats(self) -> NDArray[np.bool_]:
+        """Whether each is in an earlier row, too: the same episode of the same policy."""
+        return pd.DataFrame({name: self.column(name) for name in ("policy", "episode")}).duplicated().to_numpy()
+
+    @property
     def won(self) -> NDArray[np.bool_]:
         """Whether each was a success; False where that is unknown."""
         return self.column("success").astype(bool)
@@ -108,13 +132,14 @@ class EpisodeTable(Sequence[EpisodeResult]):
     @property
     def optimality_gap(self) -> Array:
         """As `EpisodeResult.optimality_gap`, of each."""
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore", over="ignore"):
             return np.where(self.won, self.column("length") / self.column("least_length") - 1, math.nan)
 
     def earned(self) -> dict[str, Array]:
         """The sums of each reward term, by its name, in the episodes that have it."""
         rows, found = self._all_rows, dict[str, list[Array]]()
-        values, starts, codes = np.asarray(self._earned.flat), self._earned.starts()[rows], self._terms.codes()[rows]
+        (values, lengths), codes = self._earned.take(rows), self._terms.codes(rows)
+        starts = np.cumsum(lengths) - lengths
         order = np.argsort(codes, kind="stable")
         alike = np.split(order, np.flatnonzero(np.diff(codes[order])) + 1) if len(order) else []
         for those in sorted(alike, key=lambda those: int(those[0])):
@@ -122,17 +147,32 @@ class EpisodeTable(Sequence[EpisodeResult]):
                 found.setdefault(name, []).append(values[starts[those] + i])
         return {name: np.concatenate(parts) for name, parts in found.items()}
 
+    def reward_terms(self) -> tuple[list[tuple[str, ...]], Array]:
+        """The names of each episode's reward terms, and the sums of these, of one episode after the other."""
+        rows = self._all_rows
+        return [self._terms[row] for row in rows.tolist()], self._earned.take(rows)[0]
+
+    def decision_ms(self) -> tuple[Array, NDArray[np.int64]]:
+        """The decision times, of one episode after the other, and (len(self),) how many each has."""
+        return self._decision_ms.take(self._all_rows)
+
     def decision_seconds(self) -> Array:
         """(len(self),) the time of all decisions of each episode."""
-        times = (self._decision_ms[row] for row in self._all_rows.tolist())
-        return np.array([float(np.nansum(spent)) / 1e3 for spent in times])
+        parts = [self[first : first + _AT_ONCE].decision_ms() for first in range(0, len(self), _AT_ONCE)]
+        found = [
+            np.bincount(np.repeat(np.arange(len(lengths)), lengths), np.nan_to_num(times, nan=0.0), len(lengths))
+            for times, lengths in parts
+        ]
+        return np.concatenate([np.empty(0), *found]) / 1e3
 
     def warm_ms(self) -> Array:
         """The times of all warm decisions, of one episode after the other, in an array of its own."""
-        cold = (~np.isnan(self.column("decision_ms_cold"))).tolist()
+        cold = ~np.isnan(self.column("decision_ms_cold"))
+        (alone,) = np.nonzero(cold)
+        bounds = np.unique(np.concatenate((alone, alone + 1, np.arange(0, len(self), _AT_ONCE), [len(self)])))
         found, end = np.empty(int(self.column("length").sum())), 0
-        for row, first in zip(self._all_rows.tolist(), cold, strict=True):
-            times = warm_times(self._decision_ms[row], first)
+        for first, last in itertools.pairwise(bounds.tolist()):
+            times = warm_times(self[first:last].decision_ms()[0], bool(cold[first]))
             found[end : (end := end + len(times))] = times
         return found[:end]
 
@@ -152,10 +192,10 @@ class EpisodeTable(Sequence[EpisodeResult]):
         return pd.DataFrame(values)
 
     @property
-    def _all_rows(self) -> NDArray[np.intp]:
+    def _all_rows(self) -> Rows:
         return np.arange(len(self)) if self._rows is None else self._rows
 
-    def _sharing(self, rows: NDArray[np.intp]) -> "EpisodeTable":
+    def _sharing(self, rows: Rows) -> "EpisodeTable":
         part = object.__new__(EpisodeTable)
         vars(part).update(vars(self), _rows=rows)
         return part
@@ -176,99 +216,7 @@ def table_of(results: Iterable[EpisodeResult]) -> EpisodeTable:
     return results if isinstance(results, EpisodeTable) else EpisodeTable(results)
 
 
-class _Numbers:
-    """A column of numbers of 8 bytes."""
-
-    def __init__(self, kind: str) -> None:
-        self._values: array[Any] = array(kind)
-        self.append = self._values.append
-
-    def __getitem__(self, row: int) -> Any:
-        return self._values[row]
-
-    def values(self) -> NDArray[Any]:
-        return np.array(self._values)
-
-
-class _Repeated:
-    """A column of values that come again and again, each of which is kept once."""
-
-    def __init__(self) -> None:
-        self._kept: list[Any] = []
-        self._places: dict[Any, int] = {}
-        self._codes = array("i")
-
-    def append(self, value: Any) -> None:
-        place = self._places.setdefault(value, len(self._kept))
-        if place == len(self._kept):
-            self._kept.append(value)
-        self._codes.append(place)
-
-    def __getitem__(self, row: int) -> Any:
-        return self._kept[self._codes[row]]
-
-    def values(self) -> NDArray[Any]:
-        plain = set(map(type, self._kept)) in ({bool}, {int})
-        kept = np.array(self._kept, dtype=None if plain else object)
-        return np.asarray(kept[self.codes()])
-
-    def codes(self) -> NDArray[np.intc]:
-        """Equal numbers for equal values."""
-        return np.array(self._codes)
-
-
-_Column = _Numbers | _Repeated
-
-
-def _column(name: str) -> _Column:
+def _column(name: str) -> Numbers | Repeated:
     if name == "episode":
-        return _Numbers("q")
-    return _Numbers("d") if _TYPES[name] is float else _Repeated()
-
-
-class _Lists:
-    """Lists of numbers, one after the other."""
-
-    def __init__(self, kind: str) -> None:
-        self.flat: array[Any] = array(kind)
-        self._ends = array("q", [0])
-
-    def append(self, values: Iterable[float]) -> None:
-        self.flat.extend(values)
-        self._ends.append(len(self.flat))
-
-    def __len__(self) -> int:
-        return len(self._ends) - 1
-
-    def __getitem__(self, row: int) -> NDArray[Any]:
-        return np.array(self.flat[self._ends[row] : self._ends[row + 1]])
-
-    def starts(self) -> NDArray[np.int64]:
-        return np.array(self._ends)[:-1]
-
-
-class _Times:
-    """Decision times: as whole numbers of 0.1 us, but for episodes with others."""
-
-    def __init__(self) -> None:
-        self._ticks = _Lists("i")
-        self._others: dict[int, Array] = {}
-
-    def append(self, decision_ms: Array) -> None:
-        ticks = np.rint(decision_ms * _TICKS)
-        ticks[np.isnan(ticks)] = _UNKNOWN
-        small = np.abs(ticks).max(initial=0) < 2**31
-        if not small or not np.array_equal(self._ms(ticks), decision_ms, equal_nan=True):
-            self._others[len(self)] = np.array(decision_ms)
-            ticks = ticks[:0]
-        self._ticks.append(array("i", ticks.astype(np.int32).tobytes()))
-
-    def __len__(self) -> int:
-        return len(self._ticks)
-
-    def __getitem__(self, row: int) -> Array:
-        return self._others[row] if row in self._others else self._ms(self._ticks[row])
-
-    @staticmethod
-    def _ms(ticks: NDArray[Any]) -> Array:
-        return np.where(ticks == _UNKNOWN, math.nan, ticks / _TICKS)
+        return Numbers("q")
+    return Numbers("d") if TYPES[name] is float else Repeated()

@@ -5,11 +5,11 @@ import functools
 import os
 import signal
 import uuid
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import cloudpickle
 
@@ -23,12 +23,19 @@ from armctl.evaluation.real_time import RealTime, RealTimePolicy
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.rollouts import PolicyDisqualified, PolicyFailed, rollouts
 from armctl.evaluation.sending import relative
-from armctl.evaluation.workers import check_alike
-from armctl.policies import Policy, PolicyFactory, WorldsByInterface, make_policy
+from armctl.evaluation.workers import Work, check_alike
+from armctl.policies import Policy, PolicyFactory, WorldsByInterface, configured, make_policy
 from armctl.policies.trainings import training_card
 
 ROUNDS = 4
 """Episodes per world in a block. With so many, little time is lost waiting for the last episodes of a block."""
+
+
+class Interfaces(Protocol):
+    """Worlds by what plays in them."""
+
+    def of(self, policy: Any) -> EpisodeVectorEnv:
+        """Those of a policy."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +49,8 @@ class WorkerConfig:
     workers: int = field(compare=False, default=1)
     home: int = field(default_factory=os.getpid, compare=False)
     """Id of the process that waits for the workers."""
+    interfaces: Callable[..., Interfaces] = field(default=WorldsByInterface, compare=False)
+    """What makes the worlds, of armctl's."""
     key: str = field(default_factory=lambda: uuid.uuid4().hex)
 
 
@@ -50,7 +59,7 @@ class Setting:
     """What all blocks of a comparison share."""
 
     config: WorkerConfig
-    policies: Mapping[str, str | PolicyFactory]
+    policies: Mapping[str, str | Path | PolicyFactory]
     identities: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """What determines each policy's episodes, to be found alike on other machines."""
 
@@ -60,7 +69,8 @@ class RolloutBatch:
     """Results of some of a policy's episodes."""
 
     policy: str
-    results: list[EpisodeResult]
+    results: list[Any]
+    """An `EpisodeResult` of each, or what else `batch` was to yield."""
     failure: str | None = None
     """Error message, if the policy or the environment failed after these."""
     traceback: str = ""
@@ -95,15 +105,37 @@ def play_here(
 def play_in_workers(
     setting: Setting,
     made: Mapping[str, Policy],
-    worlds: WorldsByInterface,
+    worlds: Interfaces,
     waiting: Mapping[str, Sequence[int]],
     least_lengths: dict[int, float],
     engine: Engine,
     real_time: RealTime | None = None,
 ) -> Generator[RolloutBatch, None, None]:
-    """The same by an engine's workers, by blocks of episodes. Closing the iterator discards unfinished blocks.
+    """The same by an engine's workers; see `do_in_workers`."""
 
-    `made` are the setting's policies, as made here in `worlds`. Raises `WorkersFailed`.
+    def known(name: str, block: Sequence[int]) -> tuple[Any, ...]:
+        least = {episode: least_lengths[episode] for episode in block if episode in least_lengths}
+        return least, real_time and real_time.of(name, block)
+
+    with closing(do_in_workers(_play, setting, made, worlds, waiting, engine, known)) as everything:
+        for played in everything:
+            least_lengths.update((result.episode, result.least_length) for result in played.results)
+            yield played
+
+
+def do_in_workers(
+    work: Work,
+    setting: Setting,
+    made: Mapping[str, Policy],
+    worlds: Interfaces,
+    waiting: Mapping[str, Sequence[int]],
+    engine: Engine,
+    more: Callable[[str, Sequence[int]], tuple[Any, ...]] = lambda name, block: (),
+) -> Generator[RolloutBatch, None, None]:
+    """Yield `work(setting, name, block, *more(name, block))` for blocks of each policy's `waiting` episodes.
+
+    `made` are the setting's policies, as made here in `worlds`. After a policy has failed, no more of its blocks are
+    begun. Closing the iterator discards unfinished blocks. Raises `WorkersFailed`.
     """
     failed: set[str] = set()
 
@@ -111,18 +143,16 @@ def play_in_workers(
         for name in setting.policies:
             for block in _blocks(waiting[name], setting.config.worlds, engine):
                 if name not in failed:
-                    known = {episode: least_lengths[episode] for episode in block if episode in least_lengths}
-                    yield name, block, known, real_time and real_time.of(name, block)
+                    yield name, block, *more(name, block)
 
     if isinstance(engine, Cluster):
         sent, files = _for_sending(setting, made, worlds)
-        everything = engine.run(_play, sent, blocks(), files)
+        everything = engine.run(work, sent, blocks(), files)
     else:
         alone = {name: replace(setting, policies={name: policy}) for name, policy in setting.policies.items()}
-        everything = engine.run(_play_alone, None, ((alone[block[0]], *block) for block in blocks()))
+        everything = engine.run(_do_alone, work, ((alone[block[0]], *block) for block in blocks()))
     with closing(everything):
         for played in everything:
-            least_lengths.update((result.episode, result.least_length) for result in played.results)
             if played.failure:
                 if played.policy in failed:
                     continue
@@ -150,9 +180,9 @@ def _blocks(episodes: Sequence[int], worlds: int, engine: Engine) -> Iterator[Se
     return (episodes[i : i + size] for i in range(0, len(episodes), size))
 
 
-def _play_alone(_: None, setting: Setting, *block: Any) -> RolloutBatch:
-    """Play a block in a worker to which the setting is sent with each block, with no other policy then."""
-    return _play(setting, *block)
+def _do_alone(work: Work, setting: Setting, *block: Any) -> Any:
+    """Do a block in a worker to which the setting is sent with each block, with no other policy then."""
+    return work(setting, *block)
 
 
 def _play(
@@ -163,21 +193,29 @@ def _play(
     real_time: RealTime | None,
 ) -> RolloutBatch:
     """Play a block of episodes in a worker."""
+
+    def play(timed: TimedPolicy, worlds: EpisodeVectorEnv) -> Iterator[EpisodeResult]:
+        policy = RealTimePolicy(timed.policy, worlds, real_time, name) if real_time else timed
+        return rollouts(policy, worlds, episodes, setting.config.seed, name, least_lengths)
+
+    return batch(setting, name, play)
+
+
+def batch(setting: Setting, name: str, play: Callable[[TimedPolicy, EpisodeVectorEnv], Iterable[Any]]) -> RolloutBatch:
+    """In a worker: all that `play` yields with a policy in its worlds, until it fails."""
     if os.getpid() != setting.config.home:
         with contextlib.suppress(ValueError):  # threads of a cluster's worker get no signals
             signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the process that waits
     worlds, timed = _worlds(setting.config).of(setting.policies[name]), _made(setting, name)
-    if real_time:
-        timed = RealTimePolicy(timed.policy, worlds, real_time, name)
-    results: list[EpisodeResult] = []
+    results: list[Any] = []
     try:
-        results.extend(rollouts(timed, worlds, episodes, setting.config.seed, name, least_lengths))
+        results.extend(play(timed, worlds))
     except (PolicyFailed, EnvironmentFailed) as failure:
         return _failed(name, results, failure)
     return RolloutBatch(name, results)
 
 
-def _failed(name: str, results: list[EpisodeResult], failure: PolicyFailed | EnvironmentFailed) -> RolloutBatch:
+def _failed(name: str, results: list[Any], failure: PolicyFailed | EnvironmentFailed) -> RolloutBatch:
     disqualified = isinstance(failure, PolicyDisqualified)
     return RolloutBatch(name, results, str(failure), format_cause(failure), disqualified)
 
@@ -186,9 +224,9 @@ _policies: dict[tuple[WorkerConfig, str], TimedPolicy] = {}
 
 
 @functools.lru_cache(maxsize=1)
-def _worlds(config: WorkerConfig) -> WorldsByInterface:
+def _worlds(config: WorkerConfig) -> Interfaces:
     _policies.clear()
-    return WorldsByInterface(config.env, config.worlds, config.env_options, threads=1)
+    return config.interfaces(config.env, config.worlds, config.env_options, threads=1)
 
 
 def _made(setting: Setting, name: str) -> TimedPolicy:
@@ -202,7 +240,7 @@ def _made(setting: Setting, name: str) -> TimedPolicy:
     return _policies[config, name]
 
 
-def _for_sending(setting: Setting, made: Mapping[str, Policy], worlds: WorldsByInterface) -> tuple[Setting, list[Path]]:
+def _for_sending(setting: Setting, made: Mapping[str, Policy], worlds: Interfaces) -> tuple[Setting, list[Path]]:
     """The setting as another machine can use it, and the files that it names."""
     config, files = setting.config, []
     options, policies = dict(config.env_options), dict(setting.policies)
@@ -225,7 +263,9 @@ def _for_sending(setting: Setting, made: Mapping[str, Policy], worlds: WorldsByI
 
 
 def _file_named(name: str) -> list[Path]:
-    """The file of `path/to/file.py:NAME`, none of another name."""
+    """The file of `path/to/file.py:NAME` or `path/to/options.toml`, none of another name."""
+    if configured(name) is not None:
+        return [Path(name)]
     path = Path(name.rpartition(":")[0])
     return [path] if path.suffix == ".py" else []
 

@@ -21,6 +21,7 @@ from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.rollouts import check_counts
 from armctl.evaluation.seeds import check_evaluation_seed
 from armctl.evaluation.statistics import Estimate
+from armctl.evaluation.store import CSV, check_store
 from armctl.evaluation.suite_tables import rank_table, task_table
 from armctl.evaluation.sweep import Sweep, sweep, sweep_levels
 from armctl.evaluation.tables import Document, Remark, Table
@@ -143,6 +144,7 @@ def suite(
     overwrite: bool = False,
     worlds: int = 1,
     workers: int | Engine = 1,
+    store: str = CSV,
     progress: Callable[[str, int], None] | None = None,
 ) -> Suite:
     """Let all policies of all tasks play, undisturbed and under the main disturbances.
@@ -164,6 +166,7 @@ def suite(
     episodes = size.episodes if episodes is None else episodes
     check_counts(episodes=episodes, worlds=worlds, **({"workers": workers} if isinstance(workers, int) else {}))
     check_evaluation_seed(seed)
+    check_store(store)
     names = [name for env in envs for name in (environment_names() if env == ALL else [env])]
     wanted = {folder_of(name): name for name in dict.fromkeys(map(full_id, names))}
     if not wanted or len(wanted) < len(set(map(full_id, names))):
@@ -192,7 +195,7 @@ def suite(
                     swept = sweep(
                         plan.policies, plan.env, disturbances=plan.disturbances, episodes=episodes, seed=seed,
                         out=folder and inside(folder, name), overwrite=overwrite, worlds=worlds, workers=workers,
-                        progress=functools.partial(_told, progress, name, total),
+                        store=store, progress=functools.partial(_told, progress, name, total),
                     )  # fmt: skip
                 except ArmctlError as error:
                     found.failures[plan.env] = "; ".join(filter(None, (found.failures.get(plan.env), str(error))))

@@ -38,6 +38,7 @@ from armctl.evaluation.scores import counted_rows
 from armctl.evaluation.seeding import seed_notes
 from armctl.evaluation.seeds import check_evaluation_seed
 from armctl.evaluation.statistics import Estimate, paired_superiority
+from armctl.evaluation.store import CSV, check_store
 from armctl.evaluation.summary import PolicySummary
 from armctl.evaluation.summary_tables import sweep_parts
 from armctl.evaluation.tables import Document, Remark
@@ -120,6 +121,7 @@ def sweep(
     workers: int | Engine = 1,
     env_options: Mapping[str, Any] | None = None,
     real_time: str | Path | None = None,
+    store: str = CSV,
     progress: Callable[[str, EpisodeResult], None] | None = None,
 ) -> Sweep:
     """Compare policies on the same episodes, undisturbed and at each level of each disturbance.
@@ -138,6 +140,7 @@ def sweep(
     """
     env, options = full_id(env), dict(env_options or {})
     check_evaluation_seed(seed)
+    check_store(store)
     specs = _specs(env, options)
     levels = _levels(specs, disturbances)
     by_name = named_policies(default_policies(env) if policies is None else policies)
@@ -189,7 +192,8 @@ def sweep(
                 comparison = compare(
                     playing, env, episodes=episodes, seed=seed, out=folder and inside(folder, name),
                     overwrite=overwrite, worlds=worlds, workers=workers, env_options=options | disturbing,
-                    least_lengths=least, seeding=seeding, real_time=late, progress=functools.partial(told, name),
+                    least_lengths=least, seeding=seeding, real_time=late, store=store,
+                    progress=functools.partial(told, name),
                 )  # fmt: skip
             except ResultsError as error:
                 if name == UNDISTURBED:

@@ -1,0 +1,61 @@
+"""Demonstrations by an engine's workers: blocks of episodes, which come back whole."""
+
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+from armctl.datasets.demonstrations import Demonstration, demonstrate
+from armctl.envs import EpisodeVectorEnv, make_worlds
+from armctl.evaluation.engines import Engine
+from armctl.evaluation.parallel import RolloutBatch, Setting, WorkerConfig, batch, do_in_workers
+from armctl.evaluation.record import EpisodeResult
+from armctl.evaluation.rollouts import PolicyFailed
+from armctl.policies import Policy, PolicyFactory
+
+Played = tuple[EpisodeResult, Demonstration]
+
+
+class WorldsAsAsked:
+    """Worlds with the interface that was asked for, whoever plays in them: it is what is recorded."""
+
+    def __init__(self, env: str, worlds: int, options: Mapping[str, Any], threads: int = 0) -> None:
+        self.asked = make_worlds(env, worlds, options, threads)
+
+    def of(self, _: Any) -> EpisodeVectorEnv:
+        """These worlds, whatever the policy."""
+        return self.asked
+
+    def close(self) -> None:
+        """Close them."""
+        self.asked.close()
+
+
+def demonstrate_in_workers(
+    policy: str | Path | PolicyFactory,
+    made: Policy,
+    interfaces: WorldsAsAsked,
+    config: WorkerConfig,
+    name: str,
+    episodes: Sequence[int],
+    engine: Engine,
+) -> Generator[Played, None, None]:
+    """Yield what `demonstrate` yields, of a policy that is `made` here in the worlds of `interfaces`.
+
+    Raises `PolicyFailed` when all that was begun has ended, and `WorkersFailed`.
+    """
+    failure: PolicyFailed | None = None
+    setting = Setting(config, {name: policy})
+    with closing(do_in_workers(_play, setting, {name: made}, interfaces, {name: episodes}, engine)) as everything:
+        for played in everything:
+            yield from played.results
+            if played.failure:
+                failure = PolicyFailed(played.failure)
+                failure.add_note(played.traceback)
+    if failure is not None:
+        raise failure
+
+
+def _play(setting: Setting, name: str, episodes: Sequence[int]) -> RolloutBatch:
+    seed = setting.config.seed
+    return batch(setting, name, lambda timed, worlds: demonstrate(timed.policy, worlds, episodes, seed, name))
