@@ -16,8 +16,8 @@ from onnx import AttributeProto, TensorProto, helper
 from armctl.agent_graph import OPERATORS
 from armctl.agents import sha256
 from armctl.evaluation import compare, sweep
+from armctl.evaluation.episodes_csv import lines, row_checksum
 from armctl.evaluation.reproduce import card_path
-from armctl.evaluation.store import _checksum, _lines
 from armctl.files import digest, sealed, unsealed
 
 from ..forgery import write_sweep
@@ -161,9 +161,9 @@ def results_forged(load, rng):
             row = rng.choice(rng.choice([rows, rows, others]))
             row[rng.randrange(len(row))] = rng.choice([str(rng.choice(HOSTILE)), *rng.choice(rows)])
         for row, other in zip(rows, others, strict=True):
-            other[:3] = row[0], row[2], _checksum(digest(own), row, other[3])
-        for name, lines in (("episodes.csv", [header, *rows]), ("decisions.csv", [other_header, *others])):
-            (folder / name).write_text(_lines(lines), errors="replace")
+            other[:3] = row[0], row[2], row_checksum(digest(own), row, other[3])
+        for name, rows_here in (("episodes.csv", [header, *rows]), ("decisions.csv", [other_header, *others])):
+            (folder / name).write_text(lines(rows_here), errors="replace")
         (folder / "comparison.json").write_text(sealed(own))
         (folder / "summary.json").write_text(sealed(mutated_values(rng, summary) | {"comparison": digest(own)}))
 
