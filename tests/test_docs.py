@@ -1,8 +1,9 @@
 """The README and the pages in docs/: their examples run, what they name exists, and the site has all of them.
 
 A fence says what its block is. `python` and `sh` are run, all of a page in one folder, in their order. `python mine.py`
-and `toml mine.toml` are files for the blocks after them. `python docs/examples/hover.py NAME` is an excerpt of a file.
-`text` is what something prints. `not run: REASON` is not run: its commands are checked as far as they can be.
+and `toml mine.toml` are files for the blocks after them; `toml` alone is an excerpt of a recipe, and
+`python docs/examples/hover.py NAME` one of a file. `text` is what something prints. `not run: REASON` is not run: its
+commands are checked as far as they can be.
 """
 
 import importlib
@@ -61,6 +62,8 @@ def to_run(page):
 
 
 def _is_used(block):
+    if block.kind == "toml" and not block.note:
+        return False
     return not block.note.startswith("not run: ") and " " not in block.note
 
 

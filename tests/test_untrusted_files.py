@@ -108,7 +108,7 @@ def test_a_text_for_an_environment_of_others_may_be_a_path(home, agent):
 def test_a_report_says_how_to_run_code_that_one_trusts(home, results):
     (home / "mine.py").write_text("def still(observation):\n    return observation[3:9]\n")
     program("compare", "mine.py:still", "--episodes", "2", "--out", "own", "--set", "max_episode_steps=5", cwd=home)
-    armctl("report", "own", cwd=home)  # not the process in which that was named
+    program("report", "own", cwd=home)  # in a process in which that was not named
     page = (home / "own" / "report.html").read_text()
     assert "name it yourself, --policy mine.py:still" in page
     armctl("report", "own", "--policy", "mine.py:still", cwd=home)

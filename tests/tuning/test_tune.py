@@ -209,7 +209,8 @@ def test_after_kill_9_a_lost_trial_is_tried_again(tmp_path):
     lost = [one for one in found.study.trials if one.state is TrialState.FAIL]
     assert states.count(TrialState.RUNNING) == 0
     for one in lost:
-        assert sum(other.params == one.params for other in found.trials) == 1
+        values = one.params.items()  # some of them, if it died while they were proposed
+        assert any(values <= other.params.items() for other in found.trials)
 
 
 def test_two_processes_share_a_study(tmp_path):

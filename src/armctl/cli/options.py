@@ -1,5 +1,6 @@
 """Options that several verbs share, and parsers for their text."""
 
+import itertools
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -130,10 +131,12 @@ Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the result
 
 
 def new_folder() -> Path:
-    """A folder for results, named after the current time."""
+    """A folder for results that is not there yet, named after the current time."""
     from datetime import datetime
 
-    return Path("results") / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+    now = datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+    names = itertools.chain([now], (f"{now}_{i}" for i in itertools.count(2)))  # of commands in the same second
+    return next(folder for folder in (Path("results", name) for name in names) if not folder.exists())
 
 
 def print_document(document: "Document", table_format: TableFormat) -> "Console":
