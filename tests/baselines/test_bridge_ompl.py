@@ -15,7 +15,7 @@ FAST = {"observation": "state"}
 
 @pytest.mark.parametrize(("env", "least"), [(STATIC, 0.99), (MOVING, 0.97)])
 def test_it_crosses_nearly_always(env, least, sized):
-    results = evaluate("bridge_ompl", env, episodes=sized(10, 200), seed=0, worlds=sized(10, 40), env_options=FAST)
+    results = evaluate("bridge_ompl", env, episodes=sized(10, 100), seed=0, worlds=sized(10, 40), env_options=FAST)
     assert results.success.mean() >= least
     assert results.length[results.success].mean() < 150
 

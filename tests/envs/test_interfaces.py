@@ -11,7 +11,6 @@ from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_env_for_stable_baselines
 
 from armctl.errors import ConfigurationError, UnknownOption
-from armctl.tasks.reach.state import GOAL_REWARD, STEP_REWARD
 
 REACH = ("armctl/ArmReach-v0", "armctl/ArmReachMoving-v0", "armctl/ArmReachObstacles-v0")
 BRIDGE = ("armctl/BridgeCross-v0", "armctl/BridgeCrossMoving-v0")
@@ -57,7 +56,7 @@ def test_every_number_observed_is_within_finite_bounds(env, options, sized):
     assert all(np.isfinite(part.low).all() and np.isfinite(part.high).all() for part in parts)
     worlds.action_space.seed(1)
     assert space.contains(worlds.reset(seed=1)[0])
-    for _ in range(sized(60, 600)):
+    for _ in range(sized(60, 200)):  # of episodes of 40 steps
         assert space.contains(worlds.step(worlds.action_space.sample())[0])
 
 
@@ -101,24 +100,23 @@ def test_crashing_at_once_is_worth_less_than_standing_still(env, sized):
     worlds = vector(env, sized(4, 16), autoreset_mode="disabled", **options)
     space, task = worlds.single_action_space, worlds.task
     crash = np.where(np.arange(space.shape[0]) == 1, np.pi / 2, task.idle_action) if env in REACH else [2.0, 1.5]
-    for discount in (1.0, 0.999, 0.99, 0.9):
-        still, crashed = (
-            _discounted(worlds, np.tile(action, (worlds.num_envs, 1)), discount) for action in (task.idle_action, crash)
-        )
-        failed = crashed[1] > 0
-        if env in (REACH[2], *BRIDGE):
-            assert failed.any()
-        assert (crashed[0][failed] <= still[0][failed] + 1e-9).all()
+    discounts = np.array([[1.0], [0.999], [0.99], [0.9]])
+    (still, _), (crashed, failed) = (
+        _discounted(worlds, np.tile(action, (worlds.num_envs, 1)), discounts) for action in (task.idle_action, crash)
+    )
+    if env in (REACH[2], *BRIDGE):
+        assert failed.any()
+    assert (crashed[:, failed] <= still[:, failed] + 1e-9).all()
 
 
-def _discounted(worlds, actions, discount):
-    """Discounted returns, and whether each episode ended in a failure."""
+def _discounted(worlds, actions, discounts):
+    """Returns by each discount (one a row), and whether each episode ended in a failure."""
     n = worlds.num_envs
     worlds.reset(seed=3)
-    total, running, failed = np.zeros(n), np.ones(n, dtype=bool), np.zeros(n, dtype=bool)
+    total, running, failed = np.zeros((len(discounts), n)), np.ones(n, dtype=bool), np.zeros(n, dtype=bool)
     for step in range(worlds.max_episode_steps):
         _, rewards, terminated, truncated, infos = worlds.step(actions)
-        total += discount**step * rewards * running
+        total += discounts**step * rewards * running
         failed |= running & terminated & ~infos["is_success"]
         running &= ~(terminated | truncated)
         if not running.any():
@@ -224,63 +222,6 @@ def test_seeds_of_any_size_are_obeyed(seed):
     one = gymnasium.make(REACH[0])
     np.testing.assert_array_equal(one.reset(seed=seed)[0], one.reset(seed=seed)[0])
     assert (one.reset(seed=seed)[0] != one.reset(seed=seed + 1)[0]).any()
-
-
-class TestGoals:
-    """Goal-conditioned observation of `armctl/ArmReach-v0`."""
-
-    @pytest.fixture
-    def worlds(self):
-        made = vector(REACH[0], 64, goal=True, tolerance=0.2, max_episode_steps=30, autoreset_mode="same_step")
-        made.reset(seed=0)
-        return made
-
-    def steps(self, worlds, count=60):
-        """What each step ended with, before any autoreset."""
-        rng = np.random.default_rng(0)
-        for _ in range(count):
-            seen, rewards, terminated, truncated, infos = worlds.step(rng.uniform(-np.pi, np.pi, (64, 6)))
-            yield infos.get("final_obs", seen), rewards, terminated, truncated
-
-    def test_the_reward_is_a_function_of_what_is_observed(self, worlds):
-        reached = 0
-        for seen, rewards, terminated, _ in self.steps(worlds):
-            goals = seen["achieved_goal"], seen["desired_goal"]
-            np.testing.assert_array_equal(worlds.compute_reward(*goals, {}), rewards)
-            np.testing.assert_array_equal(worlds.compute_terminated(*goals, {}), terminated)
-            assert not worlds.compute_truncated(*goals, {}).any()
-            reached += terminated.sum()
-        assert reached > 10
-
-    def test_one_goal_or_many(self, worlds):
-        at, goals = np.zeros(3), np.array([[0.1, 0, 0], [0, 0.3, 0]])
-        assert worlds.compute_reward(at, goals[0], {}) == STEP_REWARD + GOAL_REWARD
-        assert worlds.compute_reward(np.tile(at, (2, 1)), goals, [{}, {}]).tolist() == [99.0, -1.0]
-        assert vector(REACH[0], goal=True, reward_scale=0.1).compute_reward(at, goals[1], {}) == -0.1
-
-    def test_with_another_goal_reward_too(self):
-        made = vector(REACH[0], 64, goal=True, tolerance=0.3, goal_reward=1.0, autoreset_mode="same_step")
-        made.reset(seed=0)
-        for seen, rewards, terminated, _ in self.steps(made, 20):
-            np.testing.assert_array_equal(made.compute_reward(seen["achieved_goal"], seen["desired_goal"], {}), rewards)
-            np.testing.assert_array_equal(rewards, terminated - 1.0)
-        assert made.task.return_bounds(100) == (-100.0, 0.0)
-
-    @pytest.mark.parametrize("name", ["paper", "features", "full"])
-    def test_the_rest_of_the_observation_does_not_know_the_goal(self, name):
-        made = vector(REACH[0], 2, goal=True, observation=name)
-        seen, _ = made.reset(seed=[1, 2])
-        assert (seen["desired_goal"][0] != seen["desired_goal"][1]).any()
-        np.testing.assert_array_equal(seen["observation"][0], seen["observation"][1])
-
-    def test_only_with_goals_there_is_compute_reward(self):
-        assert not hasattr(gymnasium.make(REACH[0]).unwrapped, "compute_reward")
-        assert gymnasium.make(REACH[0], goal=True).unwrapped.compute_reward(np.zeros(3), np.ones(3), {}) == -1
-
-    @pytest.mark.parametrize("env", REACH[1:])
-    def test_other_tasks_say_that_they_have_none(self, env):
-        with pytest.raises(ConfigurationError, match="ArmReach-v0"):
-            vector(env, goal=True)
 
 
 def test_the_features_do_not_change_when_the_scene_is_turned():

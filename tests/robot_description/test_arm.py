@@ -1,6 +1,5 @@
 import contextlib
 import itertools
-import signal
 import xml.etree.ElementTree as ElementTree
 
 import mujoco
@@ -13,71 +12,11 @@ from armctl.kinematics import ArmModel
 from armctl.robot_description import BUILTIN_ARMS, load_arm
 from armctl.robot_description import arm as arms
 from armctl.robot_description.collision_pairs import FLOOR
-from armctl.robots import build_arm_world
 from armctl.simulation.worlds import world_path
 
-BOX, CYLINDER, SPHERE = '<box size=".1 .1 .3"/>', '<cylinder radius=".05" length=".3"/>', '<sphere radius=".05"/>'
-LIMIT = '<limit lower="-2" upper="2" velocity="3" effort="50"/>'
+from .small_arm import BOX, CYLINDER, FINGER, SPHERE, continuous, everywhere, joint, limited, link
 
-
-def link(name, shape, mass=1, moment=0.01, origin=""):
-    inertia = f'<inertia ixx="0.01" iyy="0.01" izz="{moment}" ixy="0" ixz="0" iyz="0"/>'
-    inertial = f'<inertial><mass value="{mass}"/><origin xyz="0 0 .1"/>{inertia}</inertial>'
-    return f'<link name="{name}">{inertial}<collision>{origin}<geometry>{shape}</geometry></collision></link>'
-
-
-def joint(name, parent, child, kind="revolute", limit=LIMIT, axis="0 1 0"):
-    return (
-        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
-        f'<origin xyz="0 0 .4"/><axis xyz="{axis}"/>{limit}</joint>'
-    )
-
-
-def continuous(limit):
-    return {"j1": joint("j1", "base", "l1", "continuous", limit)}
-
-
-def limited(**numbers):
-    """The good arm's second joint with other limits; None leaves one out."""
-    numbers = {"lower": -2, "upper": 2, "velocity": 3, "effort": 50} | numbers
-    attributes = " ".join(f'{name}="{number}"' for name, number in numbers.items() if number is not None)
-    return {"j2": joint("j2", "l1", "l2", limit=f"<limit {attributes}/>")}
-
-
-def shaped(shape):
-    return {"l1": link("l1", shape)}
-
-
-GOOD = {
-    "base": link("base", CYLINDER),
-    "l1": link("l1", BOX),
-    "l2": link("l2", CYLINDER),
-    "l3": link("l3", SPHERE),
-    "j1": joint("j1", "base", "l1", axis="0 0 1"),
-    "j2": joint("j2", "l1", "l2"),
-    "j3": joint("j3", "l2", "l3"),
-}
-FINGER = {"finger": link("finger", BOX), "slide": joint("slide", "l2", "finger", "prismatic")}
 WORLD_ROOT = {"world": '<link name="world"/>', "fixed": joint("fixed", "world", "base", "fixed")}
-
-
-@pytest.fixture
-def urdf(tmp_path):
-    """Writes a URDF: the good arm of three joints, with these parts in the place of its own."""
-
-    def write(text=None, **parts):
-        path = tmp_path / "arm.urdf"
-        path.write_text(text or f'<robot name="small">{"".join((GOOD | parts).values())}</robot>')
-        return path
-
-    (tmp_path / "junk.stl").write_text("junk")
-    return write
-
-
-def everywhere(path, **options):
-    """All that armctl makes of a URDF: description, Pinocchio's model and MuJoCo's."""
-    description = load_arm(path, **options)
-    return description, ArmModel(description), build_arm_world(description, "position")
 
 
 def tip_position(q):
@@ -94,20 +33,6 @@ def outermost(capsule, points):
 
 def example_data(path):
     return arms.robot_data() / path
-
-
-@contextlib.contextmanager
-def time_limit(seconds):
-    def expire(*_):
-        raise TimeoutError
-
-    before = signal.signal(signal.SIGALRM, expire)
-    signal.alarm(seconds)
-    try:
-        yield
-    finally:
-        signal.alarm(0)
-        signal.signal(signal.SIGALRM, before)
 
 
 # Built-in arms
@@ -337,100 +262,3 @@ def test_limits_and_joint_order_are_the_same_in_every_library(urdf):
         ):
             np.testing.assert_allclose(lower, description.limits.lower)
             np.testing.assert_allclose(upper, description.limits.upper)
-
-
-# What is wrong with a file is said
-
-BAD_FILES = {
-    "no velocity limit": (limited(velocity=None), "'j2'.*no velocity"),
-    "no effort limit": (limited(effort=None), "'j2'.*no effort"),
-    "no limits": ({"j2": joint("j2", "l1", "l2", limit="")}, "'j2'.*lower.*upper"),
-    "continuous without limits": (continuous(""), "'j1'.*velocity.*effort"),
-    "zero effort": (limited(effort=0), "'j2'.*effort"),
-    "negative velocity": (limited(velocity=-1), "'j2'.*velocity"),
-    "limits swapped": (limited(lower=1, upper=-1), "'j2'.*lower"),
-    "limit not a number": (limited(lower="nan"), "'j2'.*lower"),
-    "limit infinite": (limited(lower="-inf"), "j2"),
-    "limit a word": (limited(lower="low"), "j2"),
-    "prismatic": ({"j2": joint("j2", "l1", "l2", "prismatic")}, "'j2'.*prismatic"),
-    "floating": ({"j2": joint("j2", "l1", "l2", "floating")}, "'j2'.*floating"),
-    "axis zero": ({"j2": joint("j2", "l1", "l2", axis="0 0 0")}, "j2"),
-    "no joints that move": (
-        {f"j{i}": joint(f"j{i}", parent, f"l{i}", "fixed") for i, parent in enumerate(["base", "l1", "l2"], 1)},
-        "no revolute joint.*'l3'",
-    ),
-    "mesh missing": (shaped('<mesh filename="package://arm/none.stl"/>'), r"none\.stl"),
-    "mesh corrupt": (shaped('<mesh filename="junk.stl"/>'), r"junk\.stl"),
-    "shape unknown": (shaped('<cone radius="1"/>'), "cone"),
-    "shape missing": (shaped(""), "without a shape"),
-    "box without size": (shaped("<box/>"), "box|l1"),
-    "box flat": (shaped('<box size="1 1"/>'), "box|l1"),
-    "sphere without radius": (shaped("<sphere/>"), "sphere|l1"),
-    "sphere inside out": (shaped('<sphere radius="-1"/>'), "sphere|l1"),
-    "no mass behind a joint": ({"l2": link("l2", BOX, mass=0)}, "l2"),
-    "inertia of no body": ({"l2": link("l2", BOX, moment=1)}, "l2"),
-    "inertia of no body at the base": ({"base": link("base", CYLINDER, moment=1)}, "base"),
-    "several leaves": (FINGER, "2 leaf links.*finger.*tip="),
-    "two links of one name": ({"again": link("l1", BOX)}, "l1"),
-    "two joints of one name": ({"again": joint("j1", "l3", "l4"), "l4": link("l4", BOX)}, "j1"),
-    "joint to nowhere": ({"astray": joint("astray", "l3", "nowhere")}, "nowhere"),
-    "joint from nowhere": ({"astray": joint("astray", "nowhere", "base")}, "nowhere"),
-}
-
-
-@pytest.mark.parametrize(("parts", "culprit"), BAD_FILES.values(), ids=BAD_FILES)
-def test_what_is_wrong_with_a_urdf_is_named(urdf, parts, culprit):
-    with pytest.raises(ConfigurationError, match=culprit):
-        everywhere(urdf(**parts))
-
-
-def test_a_ring_of_joints_is_refused(urdf):
-    with time_limit(2), pytest.raises(ConfigurationError, match=r"arm\.urdf"):
-        everywhere(urdf(ring=joint("ring", "l3", "base")), tip="l3")
-
-
-@pytest.mark.parametrize(
-    ("text", "culprit"),
-    [
-        ("junk", "cannot be read as XML"),
-        ("<robot>", "cannot be read as XML"),
-        ("\x00\x01\xff", "cannot be read as XML"),
-        ("<sdf/>", "not a URDF.*<sdf>"),
-        ('<robot name="x"/>', "0 leaf links"),
-        (f"<robot>{''.join(GOOD.values())}</robot>", "name"),
-    ],
-)
-def test_what_is_no_urdf_is_refused(urdf, text, culprit):
-    with pytest.raises(ConfigurationError, match=culprit) as error:
-        everywhere(urdf(text))
-    assert "arm.urdf" in str(error.value)
-
-
-BAD_OPTIONS = {
-    "unknown tip": ({"tip": "l33"}, "'l33'.*Did you mean 'l3'"),
-    "tip is the root": ({"tip": "base"}, "'base'"),
-    "home too short": ({"home": [0, 0]}, r"home.*\(3,\).*\(2,\)"),
-    "home empty": ({"home": []}, "home"),
-    "home a table": ({"home": [[0, 0, 0]]}, "home"),
-    "home out of limits": ({"home": [0, 0, 2.1]}, "home.*2.1.*limits"),
-    "home not a number": ({"home": [0, 0, np.nan]}, "home.*nan"),
-    "home of words": ({"home": ["up", "up", "down"]}, "home"),
-    "srdf missing": ({"srdf": "none.srdf"}, r"none\.srdf"),
-    "acceleration below zero": ({"max_acceleration": -1.0}, "acceleration.*-1"),
-    "acceleration zero": ({"max_acceleration": 0.0}, "acceleration.*0"),
-    "accelerations of other joints": ({"max_acceleration": (1.0, 2.0)}, "acceleration.*, or 3 of them"),
-    "acceleration in words": ({"max_acceleration": "fast"}, "acceleration.*fast"),
-    "jerk not a number": ({"max_jerk": np.nan}, "jerk.*nan"),
-}
-
-
-@pytest.mark.parametrize(("options", "culprit"), BAD_OPTIONS.values(), ids=BAD_OPTIONS)
-def test_what_is_wrong_with_an_option_is_named(urdf, options, culprit):
-    with pytest.raises(ConfigurationError, match=culprit):
-        load_arm(urdf(), **options)
-
-
-@pytest.mark.parametrize("home", [[], [0] * 5, [0, 0, 4, 0, 0, 0]])
-def test_home_of_a_builtin_arm_is_checked_too(home):
-    with pytest.raises(ConfigurationError, match="home"):
-        load_arm("ur5", home=home)
