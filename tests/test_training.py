@@ -107,20 +107,10 @@ def test_how_a_training_ends_is_recorded(tmp_path):
     folder = tmp_path / "small-0"
     folder.mkdir()
     job = Job(RECIPE, {"options": {"steps": 40}})
-    for error in (KeyboardInterrupt, RuntimeError("it diverged"), ConfigurationError("refused")):
-        with (
-            pytest.raises(BaseException, match=str(error) if isinstance(error, Exception) else ""),
-            recorded(job, 0, folder),
-        ):
-            raise error
+    end_in_all_ways(job, folder)
     assert not (tmp_path / "trials.csv").exists()  # nothing had begun
     (folder / "settings.json").write_text("{}")
-    for error in (KeyboardInterrupt, RuntimeError("it diverged"), ConfigurationError("refused")):
-        with (
-            pytest.raises(BaseException, match=str(error) if isinstance(error, Exception) else ""),
-            recorded(job, 0, folder),
-        ):
-            raise error
+    end_in_all_ways(job, folder)
     rows = read_trials(tmp_path / "trials.csv")
     assert [(row["ended"], row["note"]) for row in rows] == [("interrupted", ""), ("failed", "it diverged")]
 

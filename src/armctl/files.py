@@ -11,7 +11,9 @@ import os
 import re
 import stat
 import tempfile
+import tomllib
 from collections.abc import Callable, Iterator, Mapping
+from importlib.resources.abc import Traversable
 from io import BufferedReader
 from pathlib import Path
 from typing import Any
@@ -69,6 +71,18 @@ def bounded_bytes(path: Path, largest: int) -> bytes:
     """The content of a regular file of at most `largest` bytes. Raises `OSError` or `ValueError`."""
     with opened_regular(path, largest) as file:
         return file.read(largest)
+
+
+def read_toml(file: Traversable, what: str) -> dict[str, Any]:
+    """The values of a TOML file, `what` in words. Raises `ConfigurationError`."""
+    try:
+        return tomllib.loads(bounded_text(file) if isinstance(file, Path) else file.read_text("utf-8"))
+    except OSError as error:
+        raise ConfigurationError(f"the {what} {file} cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise ConfigurationError(f"{file} is not TOML: {error}") from error
+    except RecursionError:
+        raise ConfigurationError(f"{file} is nested too deeply for a {what}") from None
 
 
 def file_checksum(path: Path, largest: float = math.inf) -> str:

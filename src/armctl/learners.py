@@ -5,20 +5,19 @@ A package offers learners under the entry-point group `armctl.learners`, package
 """
 
 import itertools
-import tomllib
 from collections.abc import Mapping
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Annotated, Any, Protocol, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator
 
 from armctl import DEFAULT_ENV
 from armctl.agents import FILES, AgentCard
 from armctl.errors import ConfigurationError, missing_extra, unknown_name
-from armctl.files import bounded_text, checked_name
-from armctl.options import make_options
+from armctl.files import checked_name, read_toml
+from armctl.options import checked_model, make_options
 from armctl.registration import check_named, installed
 
 LEARNERS, RECIPES, EXPORTERS = "armctl.learners", "armctl.recipes", "armctl.exporters"
@@ -204,25 +203,9 @@ def _recipe_of(learner: str, env: str) -> Recipe:
 
 
 def _read(file: Traversable, name: str) -> Recipe:
-    try:
-        values = tomllib.loads(bounded_text(file) if isinstance(file, Path) else file.read_text("utf-8"))
-    except OSError as error:
-        raise ConfigurationError(f"the recipe {file} cannot be read: {error.strerror}") from error
-    except ValueError as error:
-        raise ConfigurationError(f"{file} is not TOML: {error}") from error
-    except RecursionError:
-        raise ConfigurationError(f"{file} is nested too deeply for a recipe") from None
-    return _recipe({"name": name, **values}, str(file))
+    return _recipe({"name": name, **read_toml(file, "recipe")}, str(file))
 
 
 def _recipe(values: dict[str, Any], source: str) -> Recipe:
-    for key in values:
-        if key not in Recipe.model_fields:
-            raise unknown_name(f"key of a recipe in {source}:", key, Recipe.model_fields)
     checked_name("recipe", str(values.get("name")))
-    try:
-        return Recipe.model_validate(values)
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise ConfigurationError(f"{source} is not a recipe: {where}: {first['msg']}") from error
+    return checked_model(Recipe, values, "recipe", source)

@@ -13,6 +13,7 @@ from pydantic import ConfigDict, ValidationError
 from armctl.errors import ConfigurationError, UnknownOption, unknown_name
 
 Options = TypeVar("Options")
+Model = TypeVar("Model", bound=pydantic.BaseModel)
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(dataclasses.field,))
@@ -50,6 +51,19 @@ def make_options(
             unknown = unknown_name(kind, name, [*names, *others])
             raise UnknownOption(f"{unknown} (unexpected keyword argument {name!r})")
     return options_type(**values)
+
+
+def checked_model(model: type[Model], values: Mapping[str, Any], what: str, source: str) -> Model:
+    """A pydantic model of values, which are `what` in words, from `source`. Raises `ConfigurationError`."""
+    for key in values:
+        if key not in model.model_fields:
+            raise unknown_name(f"key of a {what} in {source}:", key, model.model_fields)
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise ConfigurationError(f"{source} is not a {what}: {where}: {first['msg']}") from error
 
 
 def changed_options(options: Options, values: Mapping[str, Any], kind: str = "option") -> Options:

@@ -73,6 +73,13 @@ def installed(group: str) -> EntryPoints:
     return entry_points(group=group)
 
 
+def files_beside(group: str, suffix: str) -> dict[str, Path]:
+    """Files `NAME` + `suffix` beside the modules of what is installed in a group, by name. No module is imported."""
+    homes = {entry.name: importlib.util.find_spec(entry.module) for entry in installed(group)}
+    files = {name: Path(home.origin).with_name(name + suffix) for name, home in homes.items() if home and home.origin}
+    return {name: file for name, file in files.items() if file.exists()}
+
+
 def load_task(task: "str | type[Any]") -> type[Any]:
     """The task class that was registered, imported if it was registered by name; raises `ConfigurationError`."""
     return import_attribute(task, "task") if isinstance(task, str) else task

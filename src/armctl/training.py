@@ -6,20 +6,22 @@ lost, another one begins anew.
 """
 
 import contextlib
-import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from armctl.agents import FILES, AgentCard, read_card
+from armctl.envs import task_of
 from armctl.errors import FAILURES, ArmctlError, ConfigurationError, ResultsError, described
 from armctl.evaluation.engines import Cluster, Engine
+from armctl.evaluation.identity import checksums_of_code
 from armctl.evaluation.sending import relative
 from armctl.evaluation.trials import TRIALS, add_trial, progress_of, read_trials, results_of, trial
+from armctl.evaluation.workers import check_alike
 from armctl.files import write_atomically
 from armctl.learners import Recipe, load_learner
-from armctl.simulation.threads import LIMIT
+from armctl.simulation.threads import one_thread
 
 SETTINGS, CARD = "settings.json", "agent.json"
 AWAY = Path("runs")
@@ -34,6 +36,15 @@ class Job:
     changed: Mapping[str, Any] = field(default_factory=dict)
     """What differs from the recipe as it was read, for the ledger."""
     resume: bool = False
+    code: Mapping[str, str] = field(default_factory=dict)
+    """Checksums of the learner's code, to be found alike on other machines."""
+
+    def record(self, seed: int, folder: Path, ended: str, why: str, results: dict[str, Any]) -> None:
+        """Give a training in a folder, if one has begun there, a row in the ledger beside it. Raises `ResultsError`."""
+        if (folder / SETTINGS).exists():
+            recipe = self.recipe
+            row = trial(recipe.name, recipe.learner, recipe.env, seed, self.changed, ended, why)
+            add_trial(folder.parent / TRIALS, row | results)
 
 
 @dataclass(frozen=True)
@@ -56,27 +67,20 @@ def recorded(job: Job, seed: int, folder: Path) -> Iterator[None]:
 
     Raises `ResultsError` if that cannot be written.
     """
-    recipe = job.recipe
-    started = trial(recipe.name, recipe.learner, recipe.env, seed, job.changed, "finished")
-
-    def record(ended: str, why: str, results: dict[str, Any]) -> None:
-        if (folder / SETTINGS).exists():
-            add_trial(folder.parent / TRIALS, started | {"ended": ended, "note": why} | results)
-
     try:
         yield
     except KeyboardInterrupt:
-        record("interrupted", "", progress_of(folder))
+        job.record(seed, folder, "interrupted", "", progress_of(folder))
         raise
     except ConfigurationError:  # it was refused, and is no training
         raise
     except Exception as error:
         try:
-            record("failed", str(error), progress_of(folder))
+            job.record(seed, folder, "failed", str(error), progress_of(folder))
         except ResultsError as untold:
             error.add_note(str(untold))
         raise
-    record("finished", "", results_of(read_card(folder / CARD)))
+    job.record(seed, folder, "finished", "", results_of(read_card(folder / CARD)))
 
 
 def train_seeds(job: Job, folders: Mapping[int, Path], engine: Engine) -> Iterator[Trained]:
@@ -85,18 +89,19 @@ def train_seeds(job: Job, folders: Mapping[int, Path], engine: Engine) -> Iterat
     A job that resumes leaves out what has finished, and begins what has not begun. Raises `WorkersFailed`, and
     `ResultsError` if an agent that comes from another machine cannot be written.
     """
-    waiting = {seed: folder for seed, folder in folders.items() if not (job.resume and _has_finished(folder))}
-    for seed in folders.keys() - waiting.keys():
-        yield Trained(seed, folders[seed], read_card(folders[seed] / CARD))
+    left = dict(folders)
+    for seed, folder in folders.items() if job.resume else ():
+        if (card := finished(folder)) is not None:
+            yield Trained(seed, left.pop(seed), card)
     if not isinstance(engine, Cluster):
-        units = [(seed, folder.absolute(), False) for seed, folder in waiting.items()]
+        units = [(seed, folder.absolute(), False) for seed, folder in left.items()]
         ended = engine.run(_train, job, units)
     else:
-        if begun := [folder for folder in waiting.values() if (folder / SETTINGS).exists()]:
+        if begun := [folder for folder in left.values() if (folder / SETTINGS).exists()]:
             raise ConfigurationError(f"{begun[0]} holds a training already: a cluster's workers begin anew")
-        sent, files = _for_sending(job)
-        ended = engine.run(_train, sent, [(seed, AWAY / waiting[seed].name, True) for seed in waiting], files)
-    left = dict(waiting)
+        recipe, files = for_sending(job.recipe)
+        sent = replace(job, recipe=recipe, code=code_of(recipe))
+        ended = engine.run(_train, sent, [(seed, AWAY / folder.name, True) for seed, folder in left.items()], files)
     try:
         with contextlib.closing(ended):
             for one in ended:
@@ -106,18 +111,18 @@ def train_seeds(job: Job, folders: Mapping[int, Path], engine: Engine) -> Iterat
     except KeyboardInterrupt:
         for seed, folder in left.items():
             with contextlib.suppress(ArmctlError):
-                _note_interrupted(job, seed, folder)
+                job.record(seed, folder, "interrupted", "", progress_of(folder))
         raise
 
 
 def _train(job: Job, seed: int, folder: Path, brings: bool) -> Trained:
     """Train in a worker."""
-    os.environ[LIMIT] = "1"
+    if brings:
+        check_alike(job.code, code_of(job.recipe))
     card, failure = None, None
     try:
         with recorded(job, seed, folder):
-            resume = job.resume and (folder / SETTINGS).exists()
-            card = load_learner(job.recipe.learner)(job.recipe, out=folder, seed=seed, resume=resume, progress=False)
+            card = train_here(job.recipe, seed, folder, job.resume)
     except FAILURES as error:
         failure = str(error) if isinstance(error, ArmctlError) else described(error)
     if not brings:
@@ -139,22 +144,28 @@ def _bring(one: Trained, folder: Path) -> None:
         add_trial(folder.parent / TRIALS, row)
 
 
-def _note_interrupted(job: Job, seed: int, folder: Path) -> None:
-    if (folder / SETTINGS).exists():
-        recipe = job.recipe
-        row = trial(recipe.name, recipe.learner, recipe.env, seed, job.changed, "interrupted")
-        add_trial(folder.parent / TRIALS, row | progress_of(folder))
+def finished(folder: Path) -> AgentCard | None:
+    """The card of the training in a folder; None if it has not finished. Raises `AgentFileError`."""
+    card = read_card(folder / CARD) if (folder / CARD).exists() else None
+    return card if card and card.evaluation else None
 
 
-def _has_finished(folder: Path) -> bool:
-    return (folder / CARD).exists() and read_card(folder / CARD).evaluation is not None
+def train_here(recipe: Recipe, seed: int, folder: Path, resume: bool) -> AgentCard:
+    """Train in a worker, on one core; with `resume`, go on from what is in the folder, if there is anything."""
+    with one_thread():
+        begun = resume and (folder / SETTINGS).exists()
+        return load_learner(recipe.learner)(recipe, out=folder, seed=seed, resume=begun, progress=False)
 
 
-def _for_sending(job: Job) -> tuple[Job, list[Path]]:
-    """The job as another machine can use it, and the files that it names: a teacher's."""
-    teacher = job.recipe.teacher
+def code_of(recipe: Recipe) -> dict[str, str]:
+    """Checksums of the code by which a recipe trains, by file name."""
+    return checksums_of_code([load_learner(recipe.learner), task_of(recipe.env)])
+
+
+def for_sending(recipe: Recipe) -> tuple[Recipe, list[Path]]:
+    """A recipe as another machine can use it, and the files that it names: a teacher's."""
+    teacher = recipe.teacher
     if teacher is None or Path(teacher).suffix not in FILES:
-        return job, []
-    files = [Path(teacher).with_suffix(suffix) for suffix in FILES]
-    recipe = job.recipe.changed(teacher=relative(teacher))
-    return Job(recipe, job.changed, job.resume), [file for file in files if file.exists()]
+        return recipe, []
+    files = (Path(teacher).with_suffix(suffix) for suffix in FILES)
+    return recipe.changed(teacher=relative(teacher)), [file for file in files if file.exists()]

@@ -1,6 +1,5 @@
 """Nothing that a collection has finished is lost: by kill -9, Ctrl-C, a full disk or a failing policy."""
 
-import json
 import os
 import random
 import signal
@@ -18,16 +17,12 @@ from armctl.datasets import minari as minari_files
 from armctl.datasets.collect import collect
 from armctl.datasets.minari import check_recordable, read_demonstrations
 from armctl.datasets.unfinished import Unfinished
-from armctl.envs import make_worlds
 from armctl.errors import ConfigurationError, ResultsError
 from armctl.evaluation import PolicyFailed
-from armctl.evaluation.workers import WorkersFailed
 from armctl.files import one_writer
 
-ARMCTL = str(Path(sys.executable).parent / "armctl")
-SHORT = {"max_episode_steps": 12}
-EPISODES = 150
-COMMAND = ["collect", "random", "--episodes", str(EPISODES), "--worlds", "7", "--set", "max_episode_steps=12"]
+from .collections_of_random import ARMCTL, COMMAND, EPISODES, SHORT, files, same_dataset, wait_for_episodes, worlds
+
 LIMITED = """
 import resource, signal, sys
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
@@ -37,37 +32,8 @@ main()
 """
 
 
-def worlds():
-    return make_worlds("armctl/ArmReach-v0", 1)
-
-
-def files(out):
-    return {file.name: file.read_bytes() for file in (out / "data").iterdir()}
-
-
-def same_dataset(out, other):
-    """Whether two datasets hold the same; their names may differ."""
-    ours, theirs = files(out), files(other)
-    about, about_other = json.loads(ours.pop("metadata.json")), json.loads(theirs.pop("metadata.json"))
-    for one in (about, about_other):
-        del one["dataset_id"], one["checksum"]
-    return ours == theirs and about == about_other and not (out / "unfinished").exists()
-
-
-@pytest.fixture(scope="module")
-def uninterrupted(tmp_path_factory):
-    out = tmp_path_factory.mktemp("whole") / "random-v0"
-    subprocess.run([ARMCTL, *COMMAND, "--out", out], check=True, capture_output=True)
-    return out
-
-
 def begin(out):
     return subprocess.Popen([ARMCTL, *COMMAND, "--out", out], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-
-
-def wait_for_episodes(process, out, count):
-    while process.poll() is None and len(list((out / "unfinished").glob("episode_*.npz"))) < count:
-        time.sleep(0.005)
 
 
 def kill_until_finished(out, kills, rng):
@@ -150,94 +116,6 @@ def test_a_full_disk_is_told_in_a_line_and_the_same_command_resumes(uninterrupte
     again = subprocess.run([ARMCTL, *COMMAND, "--out", out], check=True, capture_output=True, text=True)
     assert same_dataset(out, uninterrupted)
     assert ("were there already" in again.stdout) == bool(kept)
-
-
-@pytest.mark.parametrize("policy", ["random", "reach_ppo", "reach_ik"])
-def test_workers_record_what_one_process_records(policy, tmp_path):
-    """Also with another interface than the policy's own in a comparison, and with rewards of another scale."""
-    options = SHORT | {"reward_scale": 0.5} | ({"actions": "normalized"} if policy == "random" else {})
-    given = {"episodes": 21, "env_options": options}
-    seen = []
-    alone = collect(policy, out=tmp_path / "alone", **given)
-    workers = collect(policy, out=tmp_path / "workers", worlds=2, workers=2, progress=seen.append, **given)
-    assert seen == list(range(22))
-    assert (workers.episodes, workers.steps, workers.successes) == (21, alone.steps, alone.successes)
-    assert same_dataset(tmp_path / "alone", tmp_path / "workers")
-
-
-def test_what_one_process_began_workers_finish(interrupted, tmp_path):
-    assert collect("random", episodes=9, out=interrupted, env_options=SHORT, workers=2).resumed == 5
-    collect("random", episodes=9, out=tmp_path / "whole", env_options=SHORT)
-    assert same_dataset(interrupted, tmp_path / "whole")
-
-
-@pytest.mark.slow
-def test_ctrl_c_keeps_what_workers_have_finished_and_the_same_command_resumes(uninterrupted, tmp_path):
-    """Sent to all processes, as a terminal does."""
-    command = [ARMCTL, *COMMAND, "--worlds", "2", "--workers", "2", "--out", tmp_path / "here-v0"]
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
-    ) as process:
-        wait_for_episodes(process, tmp_path / "here-v0", 10)
-        os.killpg(process.pid, signal.SIGINT)
-        output, errors = process.communicate(timeout=120)
-    assert process.returncode == 130, errors
-    assert "The same command resumes" in output
-    assert "Traceback" not in errors
-    assert 10 <= len(read_demonstrations(tmp_path / "here-v0", worlds())) < EPISODES
-    again = subprocess.run(command, check=True, capture_output=True, text=True)
-    assert "were there already" in again.stdout
-    assert same_dataset(tmp_path / "here-v0", uninterrupted)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("end", "error", "says"),
-    [("raise RuntimeError('tired')", PolicyFailed, "tired"), ("os._exit(1)", WorkersFailed, "a worker process died")],
-)
-def test_what_ends_in_a_worker_is_told_and_finished_episodes_are_kept(end, error, says, tmp_path):
-    """Once it plays episode 12; without that, the same call resumes."""
-    tired = tmp_path / "tired"
-    tired.touch()
-    module = tmp_path / "ends_in_a_worker.py"
-    module.write_text(
-        "import os\nimport armctl\n\n@armctl.sees('state')\ndef ending(env):\n"
-        "    policy = armctl.make_policy('random', env)\n    plain = policy.act\n"
-        f"    def act(observations):\n        if env.episodes.max() >= 12 and os.path.exists({str(tired)!r}):\n"
-        f"            {end}\n        return plain(observations)\n    policy.act = act\n    return policy\n"
-    )
-    given = {"episodes": 16, "out": tmp_path / "d", "env_options": SHORT}
-    with pytest.raises(error, match=says) as told:
-        collect(f"{module}:ending", workers=2, **given)
-    kept = len(read_demonstrations(tmp_path / "d", worlds()))
-    assert 1 <= kept <= 15
-    if error is PolicyFailed:
-        assert kept >= 12
-        assert "in act" in "".join(told.value.__notes__)
-    tired.unlink()
-    assert collect(f"{module}:ending", **given).resumed == kept
-    collect("random", episodes=16, out=tmp_path / "whole", env_options=SHORT)
-    assert len(read_demonstrations(tmp_path / "d", worlds())) == 16
-
-
-@pytest.mark.parametrize("workers", [0, 10**6])
-def test_numbers_of_workers_that_are_mistakes_are_refused(workers, tmp_path):
-    with pytest.raises(ConfigurationError, match=r"workers must be at least 1 and at most 1,000"):
-        collect("random", episodes=1, out=tmp_path / "d", workers=workers)
-    assert not (tmp_path / "d").exists()
-
-
-@pytest.fixture
-def interrupted(tmp_path):
-    """A collection of 9 episodes with 5 finished; the folder."""
-
-    def progress(finished):
-        if finished == 5:
-            raise KeyboardInterrupt
-
-    collection = collect("random", episodes=9, out=tmp_path / "d", env_options=SHORT, progress=progress)
-    assert (collection.episodes, collection.interrupted) == (5, True)
-    return tmp_path / "d"
 
 
 def test_a_resumed_collection_plays_only_what_is_missing(interrupted, tmp_path):

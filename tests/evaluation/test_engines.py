@@ -20,6 +20,15 @@ from armctl.errors import ConfigurationError
 from armctl.evaluation import compare, sweep
 from armctl.evaluation.engines import Dask, Local, Ray, connect
 from armctl.evaluation.record import TIME_COLUMNS
+from armctl.learners import load_learner
+from armctl.search_space import Range
+from armctl.simulation.threads import LIMIT
+from armctl.training import Job, train_seeds
+from armctl.tuning import candidate_of, tune
+from armctl.tuning.candidates import RecipeCandidate
+from armctl.tuning.trials import measure
+
+from ..test_training import RECIPE
 
 pytestmark = pytest.mark.slow
 BIN = Path(sys.executable).parent
@@ -185,6 +194,24 @@ def test_a_cluster_records_what_one_process_records_also_if_a_node_is_killed(clu
     )
     del one["metadata.json"], two["metadata.json"]  # it has the dataset's name
     assert one == two
+
+
+def test_a_cluster_trains_and_tunes_as_this_machine_does(cluster, tmp_path, monkeypatch):
+    monkeypatch.setenv(LIMIT, "1")
+    shutil.copy(Path(str(resources.files("armctl.rl.agents"))) / "reach_bc.onnx", tmp_path / "teacher.onnx")
+    shutil.copy(Path(str(resources.files("armctl.rl.agents"))) / "reach_bc.json", tmp_path / "teacher.json")
+    recipe = RECIPE.changed(teacher=str(tmp_path / "teacher.json"))
+    alone = load_learner("bc")(recipe, out=tmp_path / "alone" / "small-0", seed=0, progress=False)
+    expert = candidate_of("reach_mpc", episodes=2)
+    learner = RecipeCandidate("small", {"options.hidden_units": Range(choices=(8, 16))}, "return", recipe, (0,))
+    with connect(cluster[0]) as engine:
+        trained = list(train_seeds(Job(recipe), {seed: tmp_path / "runs" / f"small-{seed}" for seed in (0, 1)}, engine))
+        tuned = [tune(one, tmp_path / one.name, trials=3, workers=engine) for one in (expert, learner)]
+    assert [one.failure for one in trained] == [None, None]
+    assert {one.seed: one.card.sha256 for one in trained}[0] == alone.sha256
+    for found in tuned:
+        assert len(found.finished) >= 3
+        assert measure(found.candidate, 0, found.best.params, tmp_path / "again", []).value == found.best.value
 
 
 def test_a_worker_with_other_versions_is_refused_by_name(dask_cluster, processes, tmp_path):

@@ -13,7 +13,7 @@ from armctl.errors import ConfigurationError
 from armctl.evaluation import compare
 from armctl.evaluation.identity import identity
 from armctl.options import changed_options
-from armctl.policies import configuration_beside, make_policy, policy_names, read_configuration
+from armctl.policies import configurations, make_policy, read_configuration
 from armctl.policies.find import is_expert
 
 REACH = "armctl/ArmReach-v0"
@@ -49,17 +49,17 @@ def test_other_options_are_another_comparison(short, tmp_path):
     assert known() != before
 
 
-@pytest.mark.parametrize("name", [name for name in policy_names() if configuration_beside(name)])
+@pytest.mark.parametrize("name", configurations())
 def test_the_files_beside_experts_have_their_present_options(name):
     """So that a tuning begins where the expert is."""
-    told = read_configuration(configuration_beside(name))
+    told = read_configuration(configurations()[name])
     if told.policy == "reach_mpc":
         usual = ReachMpcOptions()
         assert changed_options(usual, told.options) == usual
     else:
         usual = DriveMpcOptions()
         assert changed_options(usual, told.options) == usual
-    plain, same = compare({"plain": name, "same": str(configuration_beside(name))}, told.env, episodes=2).policies
+    plain, same = compare({"plain": name, "same": str(configurations()[name])}, told.env, episodes=2).policies
     assert plain.episode_return.value == same.episode_return.value
 
 
@@ -72,7 +72,7 @@ def test_the_files_beside_experts_have_their_present_options(name):
         ('policy = "reach_mpc"\nenv = "armctl/ArmReach-v0"\noption = {}', "Did you mean 'options'"),
         ('policy = "reach_mpc"\nenv = 3', "env: Input should be a valid string"),
         ("policy = ", "is not TOML"),
-        ("a = " + "[" * 3000, "is not TOML"),
+        ("a = " + "[" * 3000, "is nested too deeply"),
         ('policy = "reach_ik"\nenv = "armctl/ArmReach-v0"', "takes no options; those that do: bridge_mpc, reach_mpc"),
         (SHORT.replace("horizon", "horizn"), "Did you mean 'horizon'"),
         (SHORT.replace("4", "1"), "horizon: input should be greater than or equal to 2, not 1"),

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from importlib.util import find_spec
 from pathlib import Path
 
-from armctl.registration import environment_names, installed
+from armctl.registration import environment_names, files_beside, installed
 
 
 def _starting(names: Iterable[str], incomplete: str) -> list[str]:
@@ -23,9 +23,7 @@ def policies(incomplete: str) -> list[str]:
 
 def agents(incomplete: str) -> list[str]:
     """Names of learned agents: policies with a card beside their module."""
-    homes = {entry.name: find_spec(entry.module) for entry in installed("armctl.policies")}
-    cards = {name: Path(home.origin).with_name(f"{name}.json") for name, home in homes.items() if home and home.origin}
-    return _starting((name for name, card in cards.items() if card.exists()), incomplete)
+    return _starting(files_beside("armctl.policies", ".json"), incomplete)
 
 
 def recipes(incomplete: str) -> list[str]:
@@ -38,9 +36,7 @@ def recipes(incomplete: str) -> list[str]:
 
 def tunable(incomplete: str) -> list[str]:
     """Names of recipes, and of policies with a file of options beside their module."""
-    homes = {entry.name: find_spec(entry.module) for entry in installed("armctl.policies")}
-    files = {name: Path(home.origin).with_name(f"{name}.toml") for name, home in homes.items() if home and home.origin}
-    return _starting({*recipes(incomplete), *(name for name, file in files.items() if file.exists())}, incomplete)
+    return _starting({*recipes(incomplete), *files_beside("armctl.policies", ".toml")}, incomplete)
 
 
 def trackers(incomplete: str) -> list[str]:

@@ -1,8 +1,9 @@
 """Policies, which map observations to actions, classical or learned; and how they are found."""
 
 from armctl.policies.configured import (
+    SUFFIX,
     PolicyConfiguration,
-    configuration_beside,
+    configurations,
     configured,
     read_configuration,
 )
@@ -20,8 +21,8 @@ from armctl.policies.trainings import GROUP, agent_cards, expanded, is_group, le
 from armctl.policies.worlds import WorldsByInterface
 
 __all__ = [
-    "GROUP", "Actions", "Controller", "PerWorld", "Plans", "Policy", "PolicyConfiguration", "PolicyFactory",
-    "WorldsByInterface", "agent_cards", "configuration_beside", "configured", "declared_sees", "describe_policy",
+    "GROUP", "SUFFIX", "Actions", "Controller", "PerWorld", "Plans", "Policy", "PolicyConfiguration", "PolicyFactory",
+    "WorldsByInterface", "agent_cards", "configurations", "configured", "declared_sees", "describe_policy",
     "expanded", "is_group", "learners", "make_policy", "named_policies", "policy_name", "policy_names", "privileges",
     "read_configuration", "sees", "training_card",
 ]  # fmt: skip

@@ -12,20 +12,20 @@ itself. A file beside the function's module, of the policy's name, may list them
 
 import functools
 import inspect
-import tomllib
 from collections.abc import Callable
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict
 
 from armctl.errors import ConfigurationError, unknown_name
-from armctl.files import bounded_text
+from armctl.files import read_toml
+from armctl.options import checked_model
 from armctl.policies.trainings import GROUP
-from armctl.registration import installed
+from armctl.registration import files_beside, installed
 
 SUFFIX = ".toml"
+WHAT = "file of a policy's options"
 
 
 class PolicyConfiguration(BaseModel):
@@ -45,8 +45,9 @@ class PolicyConfiguration(BaseModel):
         """The function that makes the policy, with these options. Raises `ConfigurationError` if it takes none."""
         factory = installed(GROUP)[self.policy].load()
         if "options" not in inspect.signature(factory).parameters:
-            able = [name for name in sorted(installed(GROUP).names) if configuration_beside(name)]
-            raise ConfigurationError(f"{self.policy} takes no options; those that do: {', '.join(able)}")
+            raise ConfigurationError(
+                f"{self.policy} takes no options; those that do: {', '.join(sorted(configurations()))}"
+            )
         return functools.partial(factory, options=self.options)
 
 
@@ -62,28 +63,12 @@ def read_configuration(file: Path) -> PolicyConfiguration:
 
     Raises `ConfigurationError`.
     """
-    try:
-        values = tomllib.loads(bounded_text(file))
-    except OSError as error:
-        raise ConfigurationError(f"the policy's options {file} cannot be read: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:
-        raise ConfigurationError(f"{file} is not TOML: {error}") from error
-    for key in values:
-        if key not in PolicyConfiguration.model_fields:
-            raise unknown_name(f"key of a policy's options in {file}:", key, PolicyConfiguration.model_fields)
-    try:
-        found = PolicyConfiguration.model_validate(values)
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise ConfigurationError(f"{file} is not a policy's options: {where}: {first['msg']}") from error
+    found = checked_model(PolicyConfiguration, read_toml(file, WHAT), WHAT, str(file))
     if found.policy not in installed(GROUP).names:
         raise unknown_name(f"installed policy in {file}:", found.policy, installed(GROUP).names)
     return found
 
 
-def configuration_beside(name: str) -> Path | None:
-    """The file with an installed policy's own options, which is beside its module; None if there is none."""
-    home = find_spec(installed(GROUP)[name].module)
-    beside = Path(home.origin).with_name(f"{name}{SUFFIX}") if home and home.origin else None
-    return beside if beside is not None and beside.is_file() else None
+def configurations() -> dict[str, Path]:
+    """The files with the own options of installed policies that take options, by name."""
+    return files_beside(GROUP, SUFFIX)

@@ -8,13 +8,12 @@ import contextlib
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from armctl.agents import FILES, AgentCard, read_card
 from armctl.errors import AgentFileError, ConfigurationError
-from armctl.registration import installed
+from armctl.registration import files_beside
 
 GROUP = "armctl.policies"
 SEEDS = "seeds"
@@ -29,9 +28,7 @@ _NAME = re.compile(r"(?P<recipe>.+)\[(?P<seed>\*|\d{1,18})\]")
 
 def agent_cards() -> dict[str, Path]:
     """The cards of installed agents, by name."""
-    homes = {entry.name: find_spec(entry.module) for entry in installed(GROUP)}
-    beside = {name: Path(home.origin).with_name(f"{name}.json") for name, home in homes.items() if home and home.origin}
-    return {name: card for name, card in beside.items() if card.exists()}
+    return files_beside(GROUP, ".json")
 
 
 def is_group(name: object) -> bool:

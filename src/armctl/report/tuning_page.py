@@ -1,7 +1,6 @@
 """What a tuning found: a table for the terminal, and a page with Optuna's own plots."""
 
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +18,8 @@ from armctl.report.style import dress
 from armctl.tuning import Tuned
 
 PAGE = "tuning.html"
-HEIGHT, ROW = 380, 150
-"""px: of a plot, and of each row of a plot with several."""
-MARGIN = {"l": 56, "r": 16, "t": 24, "b": 48}
+HEIGHT, MARGIN = 380, {"l": 56, "r": 16, "t": 24, "b": 48}
+"""px."""
 LEAST = 4
 """Finished trials from which on it is worth telling which options matter."""
 
@@ -85,31 +83,28 @@ def _spent(found: Tuned) -> str:
 def _plots(found: Tuned) -> list[Plot]:
     """Optuna's plots, as far as there are trials enough for them."""
     study, score = found.study, found.candidate.score
-    names = list(found.candidate.space)
-    made = []
-    if found.finished:
-        made.append(_plot(lambda: plots.plot_optimization_history(study, target_name=score), "History",
-                          "Each trial, and the best so far."))  # fmt: skip
-        made.append(_plot(lambda: plots.plot_slice(study, target_name=score), "Options",
-                          "Each trial by the value of each option.", ROW + HEIGHT // 2))  # fmt: skip
-        made.append(_plot(lambda: plots.plot_parallel_coordinate(study, target_name=score), "Together",
-                          "Each line is a trial."))  # fmt: skip
-    if len(found.finished) >= LEAST and len(names) > 1:
-        evaluator = PedAnovaImportanceEvaluator()
-        made.append(_plot(lambda: plots.plot_param_importances(study, evaluator=evaluator, target_name=score),
-                          "What matters", "Importance by PED-ANOVA (Watanabe et al., IJCAI 2023)."))  # fmt: skip
+    made = [_plot(plots.plot_timeline(study), "Times", "When each trial ran.")]
     if any(one.intermediate_values for one in found.trials):
-        made.append(_plot(lambda: plots.plot_intermediate_values(study), "Curves",
-                          "Reports of each trial; those that end early were pruned."))  # fmt: skip
-    made.append(_plot(lambda: plots.plot_timeline(study), "Times", "When each trial ran."))
-    return [one for one in made if one is not None]
+        note = "Reports of each trial; those that end early were pruned."
+        made.append(_plot(plots.plot_intermediate_values(study), "Curves", note))
+    if len(found.finished) >= LEAST and len(found.candidate.space) > 1:
+        with warnings.catch_warnings(action="ignore", category=optuna.exceptions.ExperimentalWarning):
+            evaluator = PedAnovaImportanceEvaluator()
+            importances = plots.plot_param_importances(study, evaluator=evaluator, target_name=score)
+        made.append(_plot(importances, "What matters", "Importance by PED-ANOVA (Watanabe et al., IJCAI 2023)."))
+    if found.finished:
+        history = plots.plot_optimization_history(study, target_name=score)
+        made += [
+            _plot(plots.plot_parallel_coordinate(study, target_name=score), "Together", "Each line is a trial."),
+            _plot(plots.plot_slice(study, target_name=score), "Options", "Each trial by the value of each option."),
+            _plot(history, "History", "Each trial, and the best so far."),
+        ]
+    return made[::-1]
 
 
-def _plot(make: Callable[[], go.Figure], title: str, note: str, height: int = HEIGHT) -> Plot | None:
-    with warnings.catch_warnings(action="ignore", category=optuna.exceptions.ExperimentalWarning):
-        figure = make()
+def _plot(figure: go.Figure, title: str, note: str) -> Plot:
     figure.update_layout(title=None, template="none", colorway=COLOURS, width=None, autosize=True)
-    dress(figure, height, MARGIN)
+    dress(figure, HEIGHT, MARGIN)
     figure.for_each_xaxis(lambda axis: axis.update(nticks=4, tickangle=0, exponentformat="power"))
     figure.for_each_xaxis(lambda axis: axis.update(title_text=(axis.title.text or "").rpartition(".")[2]))
     return Plot(figure, f"{title}: {note}", title, note)

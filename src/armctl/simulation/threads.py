@@ -1,6 +1,8 @@
 """How many threads a process computes on, so that several can share a machine."""
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from armctl.errors import ConfigurationError
 
@@ -16,3 +18,16 @@ def usable_threads() -> int:
     if not limit.isdecimal() or int(limit) < 1:
         raise ConfigurationError(f"{LIMIT} is a number of threads from 1 on, not {limit!r}")
     return min(cores, int(limit))
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Let this process compute on one thread meanwhile: others work beside it."""
+    before = os.environ.get(LIMIT)
+    os.environ[LIMIT] = "1"
+    try:
+        yield
+    finally:
+        del os.environ[LIMIT]
+        if before is not None:
+            os.environ[LIMIT] = before

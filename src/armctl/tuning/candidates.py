@@ -2,35 +2,34 @@
 
 import contextlib
 import itertools
-import os
 import signal
 import threading
-import tomllib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from armctl.envs import full_id
+from armctl.envs import full_id, task_of
 from armctl.errors import ConfigurationError, ResultsError, unknown_name
 from armctl.evaluation.curves import CURVE, read_curve
+from armctl.evaluation.identity import checksums_of_code
 from armctl.evaluation.rollouts import rollouts
 from armctl.evaluation.seeds import VALIDATION_SEED
-from armctl.files import bounded_text
-from armctl.learners import Recipe, load_learner, load_recipe, recipe_names
+from armctl.files import read_toml
+from armctl.learners import Recipe, load_recipe, recipe_names
 from armctl.policies import (
+    SUFFIX,
     PolicyConfiguration,
     WorldsByInterface,
-    configuration_beside,
+    configurations,
     make_policy,
-    policy_names,
     read_configuration,
 )
 from armctl.search_space import Range, SearchSpace, search_space, value_at, with_values
-from armctl.simulation.threads import LIMIT
+from armctl.training import code_of, finished, for_sending, train_here
 
 RECIPE_KEYS = ("options", "shaping_scale", "reward_weights", "training_options")
 POLICY_KEYS = ("options",)
@@ -96,6 +95,15 @@ class Candidate(ABC):
         """Name of the learner; empty if nothing learns."""
         return ""
 
+    @property
+    @abstractmethod
+    def code(self) -> dict[str, str]:
+        """Checksums of the code that is measured, by file name."""
+
+    def for_sending(self) -> "tuple[Candidate, list[Path]]":
+        """The candidate as another machine can use it, and the files that it names."""
+        return self, []
+
 
 @dataclass(frozen=True)
 class RecipeCandidate(Candidate):
@@ -111,15 +119,12 @@ class RecipeCandidate(Candidate):
 
     def measure(self, values: Mapping[str, Any], folder: Path, report: Report) -> list[float]:
         """A score for each training seed. Each is trained on one core, or resumed; curves are reported as they grow."""
-        os.environ[LIMIT] = "1"
-        recipe = self.recipe.changed(**with_values(self.content, values))
-        learn, scores = load_learner(recipe.learner), []
+        recipe, scores = self.recipe.changed(**with_values(self.content, values)), list[float]()
         for i, seed in enumerate(self.seeds):
             home, steps = folder / f"seed-{seed}", itertools.count(i * MOST_EVALUATIONS)
             with _followed(home / CURVE, self.score, steps, report):
-                if not (home / "agent.json").exists():
-                    begun = (home / "settings.json").exists()
-                    learn(recipe, out=home, seed=seed, resume=begun, progress=False)
+                if finished(home) is None:
+                    train_here(recipe, seed, home, resume=True)
             curve = read_curve(home / CURVE)
             scores.append(float(curve.sort_values(["success", "return"])[self.score].iloc[-1]))
         return scores
@@ -128,6 +133,16 @@ class RecipeCandidate(Candidate):
     def learner(self) -> str:
         """Name of the learner."""
         return self.recipe.learner
+
+    @property
+    def code(self) -> dict[str, str]:
+        """Checksums of the learner's and the task's code."""
+        return code_of(self.recipe)
+
+    def for_sending(self) -> tuple[Candidate, list[Path]]:
+        """The candidate as another machine can use it, and its teacher's files."""
+        recipe, files = for_sending(self.recipe)
+        return replace(self, recipe=recipe), files
 
     @property
     def env(self) -> str:
@@ -176,6 +191,11 @@ class PolicyCandidate(Candidate):
         return self.configuration.env
 
     @property
+    def code(self) -> dict[str, str]:
+        """Checksums of the policy's and the task's code."""
+        return checksums_of_code([self.configuration.make(), task_of(self.env)])
+
+    @property
     def judged_by(self) -> str:
         """In words, by what a trial is judged."""
         return f"the mean {self.score} of {self.episodes} development episodes"
@@ -201,7 +221,7 @@ def candidate_of(
             configuration = configuration.model_copy(update={"env": env})
         space = _space(configuration.tune, configuration.model_dump(), file.name, POLICY_KEYS)
         return PolicyCandidate(name, space, score, configuration, episodes)
-    if name not in recipe_names() and Path(name).suffix != ".toml":
+    if name not in recipe_names() and Path(name).suffix != SUFFIX:
         raise unknown_name("recipe or expert with a search space", name, [*tunable(), "path/to/recipe.toml"])
     recipe = load_recipe(name, env)
     space = _space(recipe.tune, recipe.model_dump(exclude={"seeds"}), f"the recipe {name}", RECIPE_KEYS)
@@ -211,21 +231,15 @@ def candidate_of(
 
 def tunable() -> list[str]:
     """Names of installed recipes and policies that have a search space."""
-    recipes = [name for name in recipe_names() if load_recipe(name).tune]
-    return sorted([*recipes, *(name for name in policy_names() if configuration_beside(name))])
+    return sorted([*(name for name in recipe_names() if load_recipe(name).tune), *configurations()])
 
 
 def _file_of_policy(name: str) -> Path | None:
     """The file with the options of a policy; None for a recipe, which has a learner."""
-    if name in policy_names() and (beside := configuration_beside(name)) is not None:
-        return beside
     path = Path(name)
-    if path.suffix != ".toml" or not path.is_file():
-        return None
-    try:
-        return path if "policy" in tomllib.loads(bounded_text(path)) else None
-    except (OSError, ValueError, RecursionError):  # to be told by whoever reads it
-        return None
+    if path.suffix != SUFFIX:
+        return configurations().get(name)
+    return path if "policy" in read_toml(path, "recipe") else None
 
 
 def _space(table: Mapping[str, Any], values: Mapping[str, Any], source: str, keys: Sequence[str]) -> dict[str, Range]:

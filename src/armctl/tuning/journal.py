@@ -81,6 +81,7 @@ def _identity(candidate: Candidate) -> dict[str, Any]:
         "content": candidate.content,
         "space": {path: one.model_dump(mode="json") for path, one in candidate.space.items()},
         "judged": candidate.judged_by,
+        "code": candidate.code,
         "versions": versions() | {"optuna": optuna.__version__},
         "source": checksum_of_core(),
     }

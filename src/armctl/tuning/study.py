@@ -18,7 +18,7 @@ from armctl.files import inside, write_atomically
 from armctl.search_space import with_values
 from armctl.tuning.candidates import Candidate
 from armctl.tuning.journal import FOLDER, PROCESS, joined
-from armctl.tuning.trials import Measured, distributions, measure
+from armctl.tuning.trials import Measured, distributions, measure, measure_away
 
 FOLDERS = "trials"
 SECONDS, SCORES, FAILURE = "processor_seconds", "scores", "failure"
@@ -99,7 +99,6 @@ def tune(
     engine, folder = engine_of(workers), Path(out)
     with joined(candidate, folder, seed) as (study, process):
         found, running = Tuned(candidate, study, folder), dict[int, optuna.Trial]()
-        home = Path(FOLDERS) if isinstance(engine, Cluster) else inside(folder, FOLDERS).absolute()
 
         def proposals() -> Iterator[tuple[Any, ...]]:
             while _is_left(found, trials, hours):
@@ -111,8 +110,15 @@ def tune(
                 others = [one for one in found.trials if one.state is not TrialState.FAIL]
                 yield asked.number, asked.params, home / name, others
 
+        if isinstance(engine, Cluster):
+            home = Path(FOLDERS)
+            sent, files = candidate.for_sending()
+            measuring = engine.run(measure_away, (sent, candidate.code), proposals(), files)
+        else:
+            home = inside(folder, FOLDERS).absolute()
+            measuring = engine.run(measure, candidate, proposals())
         try:
-            with contextlib.closing(engine.run(measure, candidate, proposals())) as results:
+            with contextlib.closing(measuring) as results:
                 for measured in results:
                     _note(found, running.pop(measured.number), measured)
                     progress(found)

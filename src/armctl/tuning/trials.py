@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import optuna
 from optuna.distributions import (
@@ -18,6 +19,7 @@ from optuna.pruners import MedianPruner
 from optuna.trial import FrozenTrial
 
 from armctl.errors import FAILURES, described
+from armctl.evaluation.workers import check_alike
 from armctl.search_space import Range, SearchSpace
 from armctl.tuning.candidates import Candidate, Pruned
 
@@ -81,6 +83,13 @@ def measure(
     except FAILURES as error:
         failure = described(error)
     return Measured(number, tuple(scores), reports, pruned, failure, _processor_seconds() - before)
+
+
+def measure_away(sent: tuple[Candidate, Mapping[str, str]], *trial: Any) -> Measured:
+    """Measure a trial in a cluster's worker, with the same code as where it was proposed. Raises `WorkersFailed`."""
+    candidate, code = sent
+    check_alike(code, candidate.code)
+    return measure(candidate, *trial)
 
 
 def _distribution(one: Range) -> BaseDistribution:

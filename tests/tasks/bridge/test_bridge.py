@@ -17,16 +17,7 @@ from armctl.tasks.bridge.layout import CLEARANCE, sample_layout
 from armctl.tasks.bridge.observation import PIXEL_CLASSES
 from armctl.tasks.bridge.world import CONTACT_CLASSES
 
-STATIC, MOVING = "armctl/BridgeCross-v0", "armctl/BridgeCrossMoving-v0"
-SMALL = {"resolution": (8, 6)}
-
-
-def single(env=STATIC, **options):
-    return gymnasium.make(env, **{**SMALL, **options})
-
-
-def batch(n, env=STATIC, **options):
-    return gymnasium.make_vec(env, num_envs=n, **{**SMALL, **options})
+from .worlds import MOVING, STATIC, batch, single
 
 
 def same(a, b):

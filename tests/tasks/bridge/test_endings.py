@@ -1,21 +1,11 @@
 """How episodes on the bridge end, and what is paid for it."""
 
-import gymnasium
 import numpy as np
 import pytest
 
 from armctl.robots.rover import PARTS
 
-STATIC, MOVING = "armctl/BridgeCross-v0", "armctl/BridgeCrossMoving-v0"
-SMALL = {"resolution": (8, 6)}
-
-
-def single(env=STATIC, **options):
-    return gymnasium.make(env, **{**SMALL, **options})
-
-
-def batch(n, env=STATIC, **options):
-    return gymnasium.make_vec(env, num_envs=n, **{**SMALL, **options})
+from .worlds import MOVING, STATIC, batch, single
 
 
 @pytest.mark.parametrize(
