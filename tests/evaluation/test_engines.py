@@ -196,7 +196,7 @@ def test_a_cluster_records_what_one_process_records_also_if_a_node_is_killed(clu
     assert one == two
 
 
-def test_a_cluster_trains_and_tunes_as_this_machine_does(cluster, tmp_path, monkeypatch):
+def test_a_cluster_trains_and_tunes_as_this_machine_does(dask_cluster, tmp_path, monkeypatch):
     monkeypatch.setenv(LIMIT, "1")
     shutil.copy(Path(str(resources.files("armctl.rl.agents"))) / "reach_bc.onnx", tmp_path / "teacher.onnx")
     shutil.copy(Path(str(resources.files("armctl.rl.agents"))) / "reach_bc.json", tmp_path / "teacher.json")
@@ -204,7 +204,7 @@ def test_a_cluster_trains_and_tunes_as_this_machine_does(cluster, tmp_path, monk
     alone = load_learner("bc")(recipe, out=tmp_path / "alone" / "small-0", seed=0, progress=False)
     expert = candidate_of("reach_mpc", episodes=2)
     learner = RecipeCandidate("small", {"options.hidden_units": Range(choices=(8, 16))}, "return", recipe, (0,))
-    with connect(cluster[0]) as engine:
+    with connect(dask_cluster[0]) as engine:
         trained = list(train_seeds(Job(recipe), {seed: tmp_path / "runs" / f"small-{seed}" for seed in (0, 1)}, engine))
         tuned = [tune(one, tmp_path / one.name, trials=3, workers=engine) for one in (expert, learner)]
     assert [one.failure for one in trained] == [None, None]
