@@ -4,11 +4,12 @@ import contextlib
 import operator
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import cloudpickle
 import numpy as np
@@ -16,6 +17,7 @@ import psutil
 from cluster_servers import dask_cluster, ray_cluster
 
 import armctl
+from armctl.evaluation import engines
 from armctl.evaluation.engines import AHEAD, Cluster, Engine, Local, connect
 from armctl.evaluation.parallel import ROUNDS, RolloutBatch
 from armctl.evaluation.record import EpisodeResult
@@ -93,18 +95,18 @@ def sizes() -> dict[str, int]:
 
 
 def of_ray() -> dict[str, Any]:
-    """The costs of Ray: one call waits for one unit."""
+    """The costs of Ray."""
     with ray_cluster(2) as address:
-        return _costs(address, takes_all=False)
+        return _costs(address)
 
 
 def of_dask() -> dict[str, Any]:
-    """The costs of Dask: one call waits for a unit, and gives all that is finished."""
+    """The costs of Dask."""
     with dask_cluster(2) as address:
-        return _costs(address, takes_all=True)
+        return _costs(address)
 
 
-def _costs(address: str, takes_all: bool) -> dict[str, Any]:
+def _costs(address: str) -> dict[str, Any]:
     """Seconds by the names of `cluster_model.Costs`, from units that do nothing but return the result of a block.
 
     A worker's start is the time to its first unit of a real comparison, less what one process needs for that.
@@ -131,30 +133,35 @@ def _costs(address: str, takes_all: bool) -> dict[str, Any]:
         results = run(UNDER_WAY, UNDER_WAY // AHEAD, sent)
         next(results)
         time.sleep(1.5 * UNDER_WAY * round_trip / AHEAD)  # all are finished then
-        took = np.array(list(_pulls(results)))
-    left = np.arange(len(took), 0, -1)
-    if takes_all:
-        receive = float(np.median(took))
-        wait = float((took.max() - receive) / left[took.argmax()])
-    else:
-        wait, receive = map(float, np.polyfit(left, took, 1))
+        with _fetches() as fetches:
+            start = time.perf_counter()
+            left = len(list(results))
+            took = time.perf_counter() - start
+    fetched = sum(fetches)
+    receive, wait = fetched / left, (took - fetched) / left
     schedule = max(its for (kind, _), its in spent.items() if kind == "scheduler")
     work = sum(its for (kind, _), its in spent.items() if kind == "worker")
     send = (sent[-1] - sent[0]) / (UNDER_WAY - 1)
     spent_beside = send + schedule + work + receive + AHEAD * wait
     return {
         "send": send, "schedule": schedule, "transport": max(0.0, round_trip - spent_beside), "work": work,
-        "wait": max(0.0, wait), "receive": receive, "takes_all": takes_all,
+        "wait": wait, "receive": receive,
     }  # fmt: skip
 
 
-def _pulls(results: Iterator[Any]) -> Iterator[float]:
-    """Seconds that each result takes to come, when all are ready."""
-    while True:
+@contextlib.contextmanager
+def _fetches() -> Iterator[list[float]]:
+    """Seconds that each call takes which fetches what is finished, meanwhile."""
+    took: list[float] = []
+
+    def timed(fetch: Callable[[list[Any]], list[Any]], finished: list[Any]) -> list[Any]:
         start = time.perf_counter()
-        if next(results, None) is None:
-            return
-        yield time.perf_counter() - start
+        results = fetch(finished)
+        took.append(time.perf_counter() - start)
+        return results
+
+    with mock.patch.object(engines, "_fetched", timed):
+        yield took
 
 
 def _a_batch(episodes: int) -> RolloutBatch:

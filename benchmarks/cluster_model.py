@@ -5,7 +5,6 @@ until one is finished, and writes the episodes of what is, one after the other. 
 free.
 """
 
-import bisect
 import math
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -18,8 +17,6 @@ from armctl.evaluation.engines import AHEAD
 
 DETECTION = 30.0
 """s until the cluster knows that a worker is lost, and gives its unit to another."""
-MOST = 10**7
-"""Workers among which the fewest are sought."""
 
 Process = Generator[simpy.Event, Any, None]
 
@@ -39,33 +36,20 @@ class Costs:
     work: float = 0.0
     """The worker's."""
     wait: float = 0.0
-    """The client's for each call that waits, per unit under way."""
+    """The client's for each call that waits and gives all that is finished, per unit under way."""
     receive: float = 0.0
     """The client's."""
     write: float = 0.0
     """The client's per episode."""
-    takes_all: bool = False
-    """Whether a call that waits gives all that is finished, or else one unit."""
 
-    def limit(self, episodes: int, under_way: float) -> float:
-        """Units of so many episodes per second, which client and scheduler can do while so many are under way."""
-        waited = 1 if self.takes_all else under_way
-        client = self.send + self.receive + self.wait * waited + self.write * episodes
+    def limit(self, episodes: int) -> float:
+        """Units of so many episodes per second, which client and scheduler can do; then each call gives all of them."""
+        client = self.send + self.wait + self.receive + self.write * episodes
         return 1 / max(client, self.schedule, 1e-12)
 
     def saturated_by(self, seconds: float, episodes: int) -> int:
         """The fewest workers that do units of so many seconds and episodes as fast as that limit."""
-
-        def are_enough(workers: int) -> bool:
-            return workers / (seconds + self.work) >= self.limit(episodes, AHEAD * workers)
-
-        return bisect.bisect_left(range(MOST), True, 1, key=are_enough)
-
-
-def mean_under_way(units: int, workers: int) -> float:
-    """Units under way, where the client is always late: `AHEAD` per worker, until none is left to send."""
-    most = min(units, AHEAD * workers)
-    return most - most**2 / (2 * units)
+        return max(1, math.ceil((seconds + self.work) * self.limit(episodes)))
 
 
 @dataclass
@@ -129,10 +113,8 @@ class _Cluster:
                 under_way += 1
             if not under_way:
                 return
-            done = [(yield self._finished.get())]
-            if costs.takes_all:
-                done += self._finished.items
-                self._finished.items.clear()
+            done = [(yield self._finished.get()), *self._finished.items]
+            self._finished.items.clear()
             yield self._busy(costs.wait * under_way)
             for unit in done:
                 yield self._busy(costs.receive + costs.write * self._episodes)

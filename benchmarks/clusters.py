@@ -20,7 +20,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import typer
 from cluster_costs import LONG, SHORT
-from cluster_model import Costs, Outcome, mean_under_way, simulated
+from cluster_model import Costs, Outcome, simulated
 from numpy.typing import NDArray
 from rich.box import MARKDOWN
 from rich.console import Console
@@ -122,9 +122,7 @@ def simulate(episodes: int = 50_000, measured: Path = MEASURED, out: Path = PICT
         (env, engine, block, workers): _steady(known, env, engine, block, workers, episodes)
         for env, engine, block, workers in track(settings, console=Console(stderr=True), transient=True)
     }
-    Console().print(
-        _checks_table(known), _rates_table(known, rates, episodes), _losses_table(known, LONGER * episodes), sep="\n"
-    )
+    Console().print(_checks_table(known), _rates_table(known, rates), _losses_table(known, LONGER * episodes), sep="\n")
     _draw(known, rates, out)
 
 
@@ -170,7 +168,7 @@ def _checks_table(known: dict[str, Any]) -> Table:
     return table
 
 
-def _rates_table(known: dict[str, Any], rates: dict[tuple[str, str, int, int], float], episodes: int) -> Table:
+def _rates_table(known: dict[str, Any], rates: dict[tuple[str, str, int, int], float]) -> Table:
     table = _table(
         "", "engine", "episodes a block", "one client keeps up with workers",
         *(f"episodes/s of {workers:,}" for workers in TOLD), f"of ideal, {TOLD[-1]:,}",
@@ -181,8 +179,7 @@ def _rates_table(known: dict[str, Any], rates: dict[tuple[str, str, int, int], f
         for engine in known["engines"]:
             for block in BLOCKS:
                 costs, its = costs_of(known, engine, block), [rates[env, engine, block, workers] for workers in TOLD]
-                under_way = mean_under_way(episodes // block, TOLD[-1])
-                most = block * min(costs.limit(block, under_way), TOLD[-1] / (block * episode_s + costs.work))
+                most = block * min(costs.limit(block), TOLD[-1] / (block * episode_s + costs.work))
                 table.add_row(
                     f"`{bare_id(env)}`, {episode_s:.2g} s an episode", engine, str(block),
                     f"{costs.saturated_by(block * episode_s, block):,}", *(f"{rate:,.0f}" for rate in its),

@@ -10,9 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 model = runpy.run_path(str(Path(__file__).parents[1] / "benchmarks" / "cluster_model.py"))
-simulated, Costs, AHEAD = model["simulated"], model["Costs"], model["AHEAD"]
+simulated, Costs = model["simulated"], model["Costs"]
 DURATIONS = np.random.default_rng(0).exponential(1.0, 2000).tolist()
-ENGINES = pytest.mark.parametrize("takes_all", [False, True], ids=["one at a time", "all that is finished"])
 
 
 def test_one_worker_takes_the_sum_of_all_times():
@@ -27,29 +26,33 @@ def test_without_costs_all_workers_are_busy_to_the_end(workers):
     assert found.client_busy == 0
 
 
-@ENGINES
-def test_a_slow_writer_sets_the_pace(takes_all):
-    costs = Costs(send=0.1, receive=0.2, write=0.3, takes_all=takes_all)
+def test_a_slow_writer_sets_the_pace():
+    costs = Costs(send=0.1, receive=0.2, write=0.3)
     found = simulated([0.01] * 500, 4, 100, costs)
-    assert costs.limit(4, AHEAD * 100) == pytest.approx(1 / 1.5)
+    assert costs.limit(4) == pytest.approx(1 / 1.5)
     assert found.seconds == pytest.approx(500 * 1.5, rel=0.01)
     assert found.client_busy == pytest.approx(500 * 1.5)
 
 
-@ENGINES
-def test_waiting_costs_each_result_or_all_of_a_call(takes_all):
-    """In a crowd of finished units, a call that gives one of them is paid for each."""
-    workers, units = 50, 5000
-    costs = Costs(receive=0.01, wait=0.001, takes_all=takes_all)
-    found = simulated([0.0] * units, 1, workers, costs)
-    under_way = model["mean_under_way"](units, workers)
-    assert 0.9 < units / found.seconds / costs.limit(1, under_way) <= 1.001
+def test_in_a_crowd_of_finished_units_each_is_paid_for_once():
+    costs = Costs(receive=0.01, wait=0.001)
+    found = simulated([0.0] * 5000, 1, 50, costs)
+    assert 5000 / found.seconds == pytest.approx(costs.limit(1), rel=0.1)
+
+
+def test_few_finished_units_cost_as_many_calls_as_many_do():
+    """Each call costs for all that is under way."""
+    costs = Costs(wait=0.001)
+    one_by_one = simulated(np.arange(1.0, 101.0).tolist(), 1, 100, costs)
+    assert one_by_one.client_busy == pytest.approx(0.001 * 100 * 101 / 2)
+    at_once = simulated([1.0] * 100, 1, 100, costs)
+    assert at_once.client_busy == pytest.approx(0.001 * 100)
 
 
 def test_a_slow_scheduler_sets_the_pace():
     costs = Costs(schedule=0.5, receive=0.1)
     assert simulated([0.01] * 500, 1, 100, costs).seconds == pytest.approx(250, rel=0.01)
-    assert costs.limit(1, AHEAD * 100) == 2
+    assert costs.limit(1) == 2
 
 
 @pytest.mark.parametrize("costs", [Costs(receive=0.02, write=0.005), Costs(send=0.01, wait=0.0001, work=0.3)])
@@ -61,7 +64,7 @@ def test_one_client_keeps_up_with_as_many_workers_as_computed(costs):
     assert 50 * (1.0 + costs.work) <= busy.seconds <= 1.1 * 50 * (1.0 + costs.work)
     late = simulated([1.0] * 50 * many, 4, many, costs)
     assert late.client_busy > 0.9 * late.seconds
-    assert 50 * many / late.seconds == pytest.approx(costs.limit(4, AHEAD * many), rel=0.1)
+    assert 50 * many / late.seconds == pytest.approx(costs.limit(4), rel=0.1)
 
 
 def test_transport_is_hidden_by_the_units_that_wait_at_the_workers():
@@ -70,12 +73,9 @@ def test_transport_is_hidden_by_the_units_that_wait_at_the_workers():
     assert simulated([1.0] * 400, 1, 4, Costs(transport=10.0)).seconds > 2 * quick
 
 
-@given(
-    workers=st.integers(1, 30), units=st.integers(0, 200), per_hour=st.floats(0, 400), seed=st.integers(0, 1000),
-    takes_all=st.booleans(),
-)  # fmt: skip
-def test_each_unit_has_one_result_while_a_worker_is_left(workers, units, per_hour, seed, takes_all):
-    costs = Costs(start=1.0, send=0.01, schedule=0.01, transport=0.1, receive=0.01, takes_all=takes_all)
+@given(workers=st.integers(1, 30), units=st.integers(0, 200), per_hour=st.floats(0, 400), seed=st.integers(0, 1000))
+def test_each_unit_has_one_result_while_a_worker_is_left(workers, units, per_hour, seed):
+    costs = Costs(start=1.0, send=0.01, schedule=0.01, transport=0.1, receive=0.01)
     found = simulated(DURATIONS[:units], 1, workers, costs, per_hour / 3600, np.random.default_rng(seed))
     assert len(found.results) == len(set(found.results)) <= units
     assert found.lost <= workers

@@ -1,15 +1,18 @@
 """Comparisons and sweeps that are killed at any moment go on: nothing finished is lost, doubled or mixed."""
 
+import contextlib
 import functools
 import os
 import random
 import signal
 import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
 
 import pandas as pd
+import pyarrow.parquet as pq
 import pytest
 
 from armctl.evaluation.record import TIME_COLUMNS
@@ -21,19 +24,26 @@ from ..command_line import ARMCTL, armctl
 PLAYED = ["random", "reach_ik", "--out", "out", "--set", "max_episode_steps=12"]
 COMMANDS = {
     "compare": ["compare", *PLAYED, "--episodes", "60", "--worlds", "3"],
+    "parquet": ["compare", *PLAYED, "--episodes", "60", "--worlds", "3", "--store", "parquet"],
     "workers": ["compare", *PLAYED, "--episodes", "60", "--worlds", "3", "--workers", "2"],
     "sweep": ["sweep", *PLAYED, "--episodes", "12", "--disturbance", "delay=1,2", "--disturbance", "noise=0.02"],
 }
-EPISODES = {"compare": 120, "workers": 120, "sweep": 96}
+EPISODES = {"compare": 120, "parquet": 120, "workers": 120, "sweep": 96}
+SMALL_PARTS = """
+from armctl.cli import main
+from armctl.evaluation import store
+store.ROWS = 7
+main()
+"""
 KILLS = 3
 
 
 def finished(out):
     """All columns of each finished episode, with those of time, by its comparison's folder, policy and number."""
     return {
-        (str(path.parent.relative_to(out)), result.policy, result.episode): tuple(map(str, result.row().values()))
-        for path in out.rglob("episodes.csv")
-        for result in read_episodes(path.parent, unsealed((path.parent / "comparison.json").read_text()))
+        (str(folder.relative_to(out)), result.policy, result.episode): tuple(map(str, result.row().values()))
+        for folder in {path.parent for path in out.rglob("episodes*.*")}
+        for result in read_episodes(folder, unsealed((folder / "comparison.json").read_text()))
     }
 
 
@@ -51,7 +61,12 @@ def uninterrupted(verb):
 
 
 def written(out):
-    return sum(path.read_bytes().count(b"\n") - 1 for path in out.rglob("episodes.csv"))
+    """How many episodes are in files, for the moment."""
+    found = sum(path.read_bytes().count(b"\n") - 1 for path in out.rglob("episodes.csv"))
+    for path in out.rglob("episodes*.parquet"):
+        with contextlib.suppress(FileNotFoundError):
+            found += pq.read_metadata(path).num_rows
+    return found
 
 
 def workers_of(process):
@@ -62,7 +77,8 @@ def workers_of(process):
 
 def kill_at(moment, command, cwd, rng, of_worker):
     """Kill a run, or one of its workers, as soon as so many episodes are written, or a little later."""
-    with subprocess.Popen([ARMCTL, *command], cwd=cwd, stdout=-1, stderr=-1, text=True) as process:
+    program = [sys.executable, "-c", SMALL_PARTS] if "parquet" in command else [ARMCTL]
+    with subprocess.Popen([*program, *command], cwd=cwd, stdout=-1, stderr=-1, text=True) as process:
         while process.poll() is None and written(cwd / "out") < moment:
             time.sleep(0.002)
         time.sleep(rng.choice([0.0, rng.uniform(0.0, 0.1)]))
@@ -78,6 +94,7 @@ def kill_at(moment, command, cwd, rng, of_worker):
     ("verb", "of_worker"),
     [
         pytest.param("compare", False, marks=pytest.mark.slow),
+        pytest.param("parquet", False, marks=pytest.mark.slow),
         pytest.param("workers", False, marks=pytest.mark.slow),
         ("workers", True),
         ("sweep", False),
@@ -95,6 +112,8 @@ def test_what_is_killed_again_and_again(tmp_path, verb, of_worker, trial, sized)
     after = finished(out)
     assert kept.items() <= after.items()
     assert len(after) == EPISODES[verb] == written(out)
+    if verb == "parquet":
+        armctl(*COMMANDS["compare"], cwd=tmp_path)
     assert tables(out) == uninterrupted("sweep" if verb == "sweep" else "compare")
     assert not list(out.rglob("*unfinished*"))
 

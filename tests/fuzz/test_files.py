@@ -6,8 +6,11 @@ import importlib
 import io
 import itertools
 import json
+import math
 import shutil
 from pathlib import Path
+from types import NoneType
+from typing import get_args
 
 import onnx
 import pytest
@@ -16,8 +19,11 @@ from onnx import AttributeProto, TensorProto, helper
 from armctl.agent_graph import OPERATORS
 from armctl.agents import sha256
 from armctl.evaluation import compare, sweep
+from armctl.evaluation.episode_table import TYPES
 from armctl.evaluation.episodes_csv import lines, row_checksum
+from armctl.evaluation.episodes_parquet import write_parquet
 from armctl.evaluation.reproduce import card_path
+from armctl.evaluation.store import read_episodes
 from armctl.files import digest, sealed, unsealed
 
 from ..forgery import write_sweep
@@ -81,6 +87,7 @@ def originals(tmp_path_factory):
     """Folders of a comparison, a sweep, a suite, an agent, a recipe and a curve."""
     home = tmp_path_factory.mktemp("originals")
     compare(["random", "reach_ppo"], episodes=3, out=home / "results", env_options=OPTIONS)
+    compare(["random", "reach_ppo"], episodes=3, out=home / "parquet", env_options=OPTIONS, store="parquet")
     sweep(["random"], disturbances={"delay": [1]}, episodes=2, out=home / "swept", env_options=OPTIONS)
     with pytest.MonkeyPatch.context() as patch:
         suites = importlib.import_module("armctl.evaluation.suite")
@@ -168,6 +175,36 @@ def results_forged(load, rng):
         (folder / "summary.json").write_text(sealed(mutated_values(rng, summary) | {"comparison": digest(own)}))
 
     return load("results", entry(rng, "report", "report", "resume"), change)
+
+
+HOSTILE_VALUES = {
+    str: ["", "x" * 5_000, "[/]", "\x1b[2J", "../../x", "random", "reach_ppo"],
+    float: [0.0, -1.0, 5e-324, 1e300, math.inf, -math.inf, math.nan],
+    int: [-(2**62), -1, 0, 1, 2**62],
+    bool: [True, False],
+    NoneType: [None],
+}
+
+
+def results_parquet(load, rng):
+    """Any bytes, or hostile values of the right types with the right checksum."""
+
+    def change(folder):
+        path = folder / "episodes.parquet"
+        if rng.random() < 0.4:
+            path.write_bytes(mutated_bytes(rng, path.read_bytes()))
+            return
+        own = unsealed((folder / "comparison.json").read_text())
+        changed = read_episodes(folder, own)
+        columns = sorted(set(TYPES) - {"reward_terms", "metrics", "decision_ms"})
+        for name in rng.sample(columns, rng.randint(1, 3)):
+            kinds = get_args(TYPES[name]) or (TYPES[name],)
+            values = changed.column(name).tolist()
+            values[rng.randrange(len(values))] = rng.choice(HOSTILE_VALUES[rng.choice(kinds)])
+            changed = changed.with_column(name, values)
+        write_parquet(path, digest(own), changed)
+
+    return load("parquet", entry(rng, "report", "report", "resume"), change)
 
 
 def table(path):
@@ -311,9 +348,9 @@ def curve(load, rng):
 
 
 KINDS = {
-    results_bytes: 300, results_summary: 400, results_forged: 400, sweep_bytes: 400, sweep_cells: 600,
-    suite_bytes: 400, suite_values: 600, agent_card: 1000,
-    agent_graph: 1000, recipe: 1000, curve: 1000,
+    results_bytes: 300, results_summary: 400, results_forged: 400, results_parquet: 500, sweep_bytes: 400,
+    sweep_cells: 600, suite_bytes: 400, suite_values: 600, agent_card: 1000, agent_graph: 1000, recipe: 1000,
+    curve: 1000,
 }  # fmt: skip
 """How often each is tried: 1,000 times or more for results, sweeps, suites, cards, graphs, recipes and curves."""
 
@@ -323,6 +360,8 @@ KINDS = {
     [
         ("results", "report"),
         ("results", "resume"),
+        ("parquet", "report"),
+        ("parquet", "resume"),
         ("swept", "report"),
         ("suite", "report"),
         ("agent", "agent"),

@@ -9,7 +9,7 @@ import contextlib
 import os
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any, Self
@@ -114,7 +114,7 @@ class Cluster(Engine):
     ) -> Generator[Any, None, None]:
         """Yield results; see `Engine`. `files` are sent along, which `shared` names by relative paths."""
         parcel = Parcel.of(shared, files)
-        yield from self._results(work_in_child, (work, parcel, here()), units)
+        yield from self._results(work_in_child, (work, parcel, here(work)), units)
 
     @abstractmethod
     def count(self) -> int:
@@ -166,8 +166,9 @@ class Ray(Cluster):
                     running.append(task.remote(*sent, unit))  # noqa: PERF401  # after Ctrl-C, all that run are known
                 if not running:
                     return
-                (finished,), running = ray.wait(running)
-                yield ray.get(finished)
+                ray.wait(running)
+                finished, running = ray.wait(running, num_returns=len(running), timeout=0)
+                yield from _fetched(ray.get, finished)
         except ray.exceptions.RayTaskError as error:
             raise _told(error.cause) from None
         except (ray.exceptions.RayError, ConnectionError) as error:
@@ -210,8 +211,7 @@ class Dask(Cluster):
                     return
                 finished = self._first_of(running)
                 running -= finished
-                for one in finished:
-                    yield self._result_of(one)
+                yield from _fetched(self._fetch, list(finished))
         finally:
             with contextlib.suppress(Exception):  # of a cluster that was lost
                 self._client.cancel(list(running))
@@ -231,9 +231,9 @@ class Dask(Cluster):
             except Exception as error:  # whatever becomes of a cluster that was lost
                 raise _lost(error) from error
 
-    def _result_of(self, finished: Any) -> Any:
+    def _fetch(self, finished: list[Any]) -> Any:
         try:
-            return finished.result()
+            return self._client.gather(finished)
         except WorkersFailed:
             raise
         except Exception as error:
@@ -242,6 +242,18 @@ class Dask(Cluster):
     def count(self) -> int:
         """Worker processes of the cluster at present."""
         return len(self._client.scheduler_info(n_workers=-1)["workers"])
+
+
+def _fetched(fetch: Callable[[list[Any]], list[Any]], finished: list[Any]) -> Iterator[Any]:
+    """Results of what has finished, by one call, since a call takes longer than a result; if one failed, by one each.
+
+    So those before it are kept. Raises what `fetch` raises for it.
+    """
+    try:
+        results: Iterable[Any] = fetch(finished)
+    except Exception:  # whatever a unit raises
+        results = (fetch([one])[0] for one in finished)
+    yield from results
 
 
 def _lost(error: Exception) -> WorkersFailed:

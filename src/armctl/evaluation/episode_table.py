@@ -132,8 +132,9 @@ class EpisodeTable(Sequence[EpisodeResult]):
     @property
     def optimality_gap(self) -> Array:
         """As `EpisodeResult.optimality_gap`, of each."""
-        with np.errstate(divide="ignore", over="ignore"):
-            return np.where(self.won, self.column("length") / self.column("least_length") - 1, math.nan)
+        least = np.where(self.column("least_length") > 0, self.column("least_length"), math.nan)
+        with np.errstate(over="ignore"):
+            return np.where(self.won, self.column("length") / least - 1, math.nan)
 
     def earned(self) -> dict[str, Array]:
         """The sums of each reward term, by its name, in the episodes that have it."""

@@ -266,8 +266,8 @@ def _checksum_of_model(worlds: EpisodeVectorEnv) -> str | None:
 
 
 @functools.cache
-def checksum_of_core() -> str:
-    """Checksum of armctl's own files that may take part in an episode."""
+def checksum_of_core(also: str = "") -> str:
+    """Checksum of armctl's own files that may take part in an episode, and of those in the folder `also`."""
     package = importlib.util.find_spec("armctl")
     assert package is not None
     files = {
@@ -275,5 +275,5 @@ def checksum_of_core() -> str:
         for root in package.submodule_search_locations or ()
         for file in Path(root).rglob("*.py")
     }
-    taking_part = [name for name in sorted(files) if name.parts[0] not in WITHOUT_EFFECT]
+    taking_part = [name for name in sorted(files) if name.parts[0] not in WITHOUT_EFFECT - {also}]
     return short_checksum(b"".join(files[name].read_bytes() for name in taking_part))

@@ -64,8 +64,8 @@ class EpisodeResult:
 
     @property
     def optimality_gap(self) -> float:
-        """Relative excess of the episode's length over the least possible; NaN unless it was a success."""
-        return self.length / self.least_length - 1 if self.success else math.nan
+        """Relative excess of the length over the least possible; NaN unless that is known, and it was a success."""
+        return self.length / self.least_length - 1 if self.success and self.least_length > 0 else math.nan
 
     @property
     def warm_ms(self) -> NDArray[np.float64]:

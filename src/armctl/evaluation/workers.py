@@ -35,14 +35,15 @@ class WorkersFailed(ArmctlError):
 
 
 @functools.cache
-def here() -> dict[str, Any]:
-    """What must be alike on all machines, or their results must not be mixed."""
-    return {"machine": platform.machine(), "versions": versions(), "source": checksum_of_core()}
+def here(work: Work) -> dict[str, Any]:
+    """What must be alike on all machines that do this work, or their results must not be mixed."""
+    _, *folders = work.__module__.split(".")
+    return {"machine": platform.machine(), "versions": versions(), "source": checksum_of_core(*folders[:1])}
 
 
 def work_in_child(work: Work, parcel: Parcel, expected: Mapping[str, Any], unit: tuple[Any, ...]) -> Any:
     """Do a unit in a worker of a cluster: in a process of its own, in which nothing is left of other work."""
-    check_alike(expected, here())
+    check_alike(expected, here(work))
     with _ONE_AT_A_TIME:
         child = _Child.of(parcel)
         try:
