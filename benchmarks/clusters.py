@@ -170,7 +170,7 @@ def _checks_table(known: dict[str, Any]) -> Table:
 
 def _rates_table(known: dict[str, Any], rates: dict[tuple[str, str, int, int], float]) -> Table:
     table = _table(
-        "", "engine", "episodes a block", "one client keeps up with workers",
+        "", "engine", "episodes a block", "client and scheduler keep up with workers",
         *(f"episodes/s of {workers:,}" for workers in TOLD), f"of ideal, {TOLD[-1]:,}",
         f"limit of {TOLD[-1]:,} by the closed form",
     )  # fmt: skip
