@@ -24,9 +24,9 @@ COLUMNS = (
     "date", "recipe", "changed", "env", "learner", "seed", "steps", "minutes", "ended", "note",
     "success", "low", "high", "episodes", "episode_seed", "sha256",
 )  # fmt: skip
-"""`changed` is what differs from the recipe, as JSON; `seed` is the training's. `ended` is `finished`, `interrupted` or
-`failed`, and `note` the reason. `success` has its 95 % interval, over `episodes` of `episode_seed`; `sha256` is the
-agent's. What is unknown is empty."""
+"""`changed` is what differs from the recipe, as JSON; `seed` is the training's. `ended` is `finished`, `interrupted`,
+`pruned` or `failed`, and `note` the reason. `success` has its 95 % interval, over `episodes` of `episode_seed`;
+`sha256` is the agent's. What is unknown is empty."""
 PATIENCE = 60.0
 """s to wait for another process that writes a row."""
 

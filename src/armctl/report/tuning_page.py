@@ -106,6 +106,7 @@ def _plot(figure: go.Figure, title: str, note: str) -> Plot:
     figure.update_layout(title=None, template="none", colorway=COLOURS, width=None, autosize=True)
     dress(figure, HEIGHT, MARGIN)
     figure.for_each_xaxis(lambda axis: axis.update(nticks=4, tickangle=0, exponentformat="power"))
+    figure.update_xaxes(selector={"type": "log"}, dtick=1, tickfont_size=9)
     figure.for_each_xaxis(lambda axis: axis.update(title_text=(axis.title.text or "").rpartition(".")[2]))
     return Plot(figure, f"{title}: {note}", title, note)
 
