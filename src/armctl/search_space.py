@@ -49,7 +49,7 @@ class Range(BaseModel):
         elif self.low is None or self.high is None:
             raise ValueError("a range has low and high, or choices")
         elif not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
-            raise ValueError(f"low must be less than high, not {self.low!r} and {self.high!r}")
+            raise ValueError(f"low must be less than high, and both finite, not {self.low!r} and {self.high!r}")
         elif self.log and self.low <= 0:
             raise ValueError(f"with log, low must be more than 0, not {self.low!r}")
         return self
