@@ -2,46 +2,72 @@
 
     python benchmarks/tables.py                  # all of them: hours, on a machine that does nothing else
     python benchmarks/tables.py ik optimality    # those of the commands that contain one of these words
+    python benchmarks/tables.py --stale          # those that are older than a policy they show
+    python benchmarks/tables.py --check          # only name these, and fail if there are any
 
 A page names the command between two comments. What lies between them is replaced by what the command prints: the tables
-of a benchmark, or the results and the verdict of a comparison, without the table of pairs:
+of a benchmark, or the results and the verdict of a comparison, without the table of pairs; with `in short`, without how
+episodes ended either, and with fewer columns:
 
     <!-- python benchmarks/ik.py -->
     <!-- end -->
 
-    <!-- armctl compare reach_ik reach_ppo --seed 2026 -->
+    <!-- armctl compare reach_ik reach_ppo --seed test -->
+    <!-- end -->
+
+    <!-- in short: armctl compare --seed test -->
+    <!-- end -->
+
+The last comment before the end has a checksum of each policy that the block shows: of its networks, and of its episodes
+in `benchmarks/golden.json`, which is recorded anew whenever episodes change on purpose. A block of the sealed test has
+the seed as well. Where one of them is another today, the block is stale. A record of what can no longer be played is
+not made anew:
+
+    <!-- record of 2026-11-25: reach_sac as it was -->
     <!-- end -->
 """
 
+import argparse
 import datetime
+import functools
+import hashlib
 import itertools
+import json
 import os
 import re
 import shlex
 import subprocess
 import sys
-from collections.abc import Collection
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import armctl
+from armctl.policies import policy_names
+from armctl.seeds import TEST_SEED
 
 ROOT = Path(__file__).parents[1]
-BLOCK = re.compile(r"^<!-- ((?:python benchmarks/|armctl ).*?) -->$.*?^<!-- end -->$", re.MULTILINE | re.DOTALL)
+PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+BLOCK = re.compile(
+    r"^<!-- (?P<heading>(?P<brief>in short: )?(?P<command>(?:python benchmarks/|armctl )[^>]*?)|record of [^>]*?) -->$"
+    r"(?P<body>.*?)^<!-- end -->$",
+    re.MULTILINE | re.DOTALL,
+)
+SHOWN = re.compile(r"^<!-- shows (.*) -->$", re.MULTILINE)
 WIDTH = "400"
 """Characters of the terminal that a benchmark gets, so that no cell is wrapped."""
+BRIEF_COLUMNS = 6
+"""Of a comparison's table in short: those up to what a policy sees."""
+TEST = "test seed"
 
 
-def renewed(page: str, words: Collection[str] = ()) -> str:
-    """A page with new tables from the commands that contain one of the words, or from all."""
-    return BLOCK.sub(lambda block: _run(block[1]) if _is_asked(block[1], words) else block[0], page)
+def renewed(page: str, chosen: Callable[[re.Match[str]], bool] = lambda block: True) -> str:
+    """A page with new tables from the commands of the chosen blocks, or of all."""
+    return BLOCK.sub(lambda block: _run(block) if block["command"] and chosen(block) else block[0], page)
 
 
-def _is_asked(command: str, words: Collection[str]) -> bool:
-    return not words or any(word in command for word in words)
-
-
-def _run(command: str) -> str:
+def _run(block: re.Match[str]) -> str:
+    command = block["command"]
     print(f"{command} ...", flush=True)
     program, *words = shlex.split(command)
     with TemporaryDirectory() as folder:
@@ -50,13 +76,12 @@ def _run(command: str) -> str:
             [sys.executable, *(started if program == "armctl" else words)], cwd=ROOT,
             env=os.environ | {"COLUMNS": WIDTH}, stdout=subprocess.PIPE, text=True, check=True,
         )  # fmt: skip
-    parts = (
-        f"<!-- {command} -->",
-        *(results(done.stdout) if program == "armctl" else tables(done.stdout)),
-        f"`{command}`, {datetime.date.today()}, armctl {armctl.__version__}",
-        "<!-- end -->",
-    )
-    return "\n\n".join(parts)
+    parts = results(done.stdout) if program == "armctl" else tables(done.stdout)
+    made = f"`{command}`, {datetime.date.today()}, armctl {armctl.__version__}"
+    body = "\n\n".join([*(brief(parts) if block["brief"] else parts), made])
+    marks = ", ".join(f"{name} {checksum}" for name, checksum in checksums(command, body).items())
+    shown = f"\n\n<!-- shows {marks} -->" if marks else ""
+    return f"<!-- {block['heading']} -->\n\n{body}{shown}\n\n<!-- end -->"
 
 
 def results(printed: str) -> list[str]:
@@ -64,6 +89,13 @@ def results(printed: str) -> list[str]:
     paragraphs = [part.strip() for part in printed.split("\n\n")]
     dropped = re.compile(r"\*\*[^\n]*episodes of seed|\*\*Paired|\| a - b|p: McNemar")
     return [re.sub(r"^(\S+: \d)", r"- \1", part) for part in paragraphs if not dropped.match(part)]
+
+
+def brief(parts: Sequence[str]) -> list[str]:
+    """The first columns of a comparison's table, and its verdict."""
+    rows = (line.split(" | ") for line in parts[0].splitlines())
+    table = "\n".join(" | ".join(row[:BRIEF_COLUMNS]) + " |" for row in rows)
+    return [table, *(f"> {part.strip('*')}" for part in parts if part.startswith("**"))]
 
 
 def tables(printed: str) -> list[str]:
@@ -79,8 +111,63 @@ def _narrow(line: str) -> str:
     return line
 
 
-if __name__ == "__main__":
-    for path in sorted((ROOT / "docs").glob("*.md")):
+def stale(block: re.Match[str]) -> list[str]:
+    """The policies in a block, or the test's seed, that are others now than when it was made."""
+    if not block["command"]:
+        return []
+    stored = SHOWN.search(block["body"])
+    before = dict(one.rsplit(" ", 1) for one in stored[1].split(", ")) if stored else {}
+    now = checksums(block["command"], block["body"])
+    return [name for name in {**before, **now} if before.get(name) != now.get(name)]
+
+
+def checksums(command: str, body: str) -> dict[str, str]:
+    """A checksum of each policy that a block's command or body names, and the test's seed if that is played."""
+    words = set(re.findall(r"\w+", SHOWN.sub("", f"{command} {body}").replace("\\", "")))
+    shown = {name: _checksum_of(name) for name in policy_names() if name in words}
+    return shown | ({TEST: str(TEST_SEED)} if "--seed test" in command else {})
+
+
+@functools.cache
+def _checksum_of(policy: str) -> str:
+    golden = json.loads((ROOT / "benchmarks" / "golden.json").read_text())
+    episodes = {
+        name: [run.get("outcomes"), run.get("lengths")] for name, run in golden.items() if name.endswith(f" {policy}")
+    }
+    agents = ROOT / "rl" / "agents"
+    graphs = [agents / f"{policy}.onnx", *sorted((agents / "seeds").glob(f"{policy}-*.onnx"))]
+    networks = [hashlib.sha256(graph.read_bytes()).hexdigest() for graph in graphs if graph.exists()]
+    return hashlib.sha256(json.dumps([episodes, networks]).encode()).hexdigest()[:8]
+
+
+def _stale_blocks() -> Iterator[str]:
+    for path in PAGES:
+        for block in BLOCK.finditer(path.read_text()):
+            if others := stale(block):
+                yield f"{path.relative_to(ROOT)}: {block['command']}: {', '.join(others)}"
+
+
+def main() -> None:
+    """Make tables anew, or name those that are stale."""
+    parser = argparse.ArgumentParser(description="Make the published tables anew by the commands that stand there.")
+    parser.add_argument("words", nargs="*", help="only commands that contain one of these words")
+    parser.add_argument("--stale", action="store_true", help="only tables older than a policy that they show")
+    parser.add_argument("--check", action="store_true", help="make none; name the stale ones, and fail if there are")
+    arguments = parser.parse_args()
+    if arguments.check:
+        found = list(_stale_blocks())
+        print("\n".join(found) or "No table is older than a policy that it shows.")
+        sys.exit(bool(found))
+
+    def chosen(block: re.Match[str]) -> bool:
+        named = not arguments.words or any(word in block["command"] for word in arguments.words)
+        return named and (not arguments.stale or bool(stale(block)))
+
+    for path in PAGES:
         page = path.read_text()
-        if (new := renewed(page, sys.argv[1:])) != page:
+        if (new := renewed(page, chosen)) != page:
             path.write_text(new)
+
+
+if __name__ == "__main__":
+    main()

@@ -24,6 +24,7 @@ import pytest
 import typer.main
 import yaml
 
+from armctl import DEFAULT_ENV
 from armctl.cli import app
 from armctl.learners import learner_names, load_recipe, recipe_names
 from armctl.policies import policy_names
@@ -304,8 +305,8 @@ Console().print("Python", table, sep="\\n")
     renewed = tables["renewed"]
     monkeypatch.setitem(renewed.__globals__, "ROOT", tmp_path)
     page = "Before\n<!-- python benchmarks/one.py -->\nold\n<!-- end -->\nAfter\n"
-    assert renewed(page, ["another"]) == page
-    once = renewed(page, ["one"])
+    assert renewed(page, lambda block: "another" in block["command"]) == page
+    once = renewed(page, lambda block: "one" in block["command"])
     assert "| | share |\n|---|---|\n| armctl, a long name armctl" in once
     assert "| 7 % |\n\n`python benchmarks/one.py`, 20" in once
     assert "old" not in once
@@ -323,14 +324,52 @@ def test_tables_are_what_a_comparison_prints():
     assert f"\n\n`{command}`, 20" in once
     assert "old" not in once
     assert "reach\\_ik - random" not in once
+    assert "<!-- shows random " in once
+    assert "- reach\\_ik: 3 reached" in once
+    brief = renewed(f"<!-- in short: {command} -->\n<!-- end -->\n")
+    assert brief.startswith(
+        f"<!-- in short: {command} -->\n\n| policy | success | return | steps | decision ms | sees |\n"
+    )
+    assert "> No verdict from 3 episodes: it takes 10.\n\n`armctl" in brief
+    assert "3 reached" not in brief
 
 
 def test_every_table_of_benchmarks_has_its_command():
     block = runpy.run_path(str(ROOT / "benchmarks/tables.py"))["BLOCK"]
     for page in PAGES:
-        for command in block.findall(page.read_text()):
+        for found in block.finditer(page.read_text()):
+            command = found["command"] or "armctl "
             assert command.startswith("armctl ") or (ROOT / command.split()[1]).exists(), command
     assert not re.search(r"^\|", block.sub("", (ROOT / "docs/performance.md").read_text()), re.MULTILINE)
+
+
+def test_a_table_is_stale_once_what_it_shows_is_another(monkeypatch, tmp_path):
+    tables = runpy.run_path(str(ROOT / "benchmarks/tables.py"))
+    block, stale = tables["BLOCK"], tables["stale"]
+    command = "armctl compare reach_ik reach_ppo --seed test"
+    shown = tables["checksums"](command, "")
+    assert list(shown) == ["reach_ik", "reach_ppo", "test seed"]
+    marks = ", ".join(f"{name} {checksum}" for name, checksum in shown.items())
+
+    def found(marks, command=command):
+        return stale(block.search(f"<!-- {command} -->\n| reach\\_ik |\n<!-- shows {marks} -->\n<!-- end -->"))
+
+    assert found(marks) == []
+    assert found(marks.replace(shown["reach_ppo"], "00000000")) == ["reach_ppo"]
+    assert found(marks.partition(", ")[0]) == ["reach_ppo", "test seed"]
+    assert found(marks, command.replace("reach_ppo", "reach_mpc")) == ["reach_ppo", "reach_mpc"]
+    assert stale(block.search("<!-- record of 2026-11-25: why -->\n| reach_ik |\n<!-- end -->")) == []
+    for path in ("benchmarks/golden.json", "rl/agents/seeds/reach_ppo-0.onnx"):
+        (tmp_path / path).parent.mkdir(parents=True)
+        (tmp_path / path).write_bytes((ROOT / path).read_bytes())
+    monkeypatch.setitem(stale.__globals__, "ROOT", tmp_path)
+    tables["_checksum_of"].cache_clear()
+    assert found(marks) == ["reach_ppo"]  # fewer trainings
+    golden = json.loads((ROOT / "benchmarks/golden.json").read_text())
+    golden[f"{DEFAULT_ENV} {{}} reach_ik"]["lengths"][0] += 1
+    (tmp_path / "benchmarks/golden.json").write_text(json.dumps(golden))
+    tables["_checksum_of"].cache_clear()
+    assert found(marks) == ["reach_ik", "reach_ppo"]
 
 
 def navigation():
