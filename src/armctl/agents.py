@@ -92,6 +92,15 @@ class Evaluation(BaseModel):
     """Exact 95 % interval of Clopper and Pearson."""
     mean_return: float
     mean_steps_to_goal: float | None
+    """Over successful episodes."""
+    mean_steps: float | None = None
+    """Over all episodes. It and the next three are unknown (None) on cards of older versions."""
+    std_return: float | None = None
+    """Sample standard deviation of the return over episodes."""
+    std_steps: float | None = None
+    """Sample standard deviation of the number of control steps over episodes."""
+    digest: str | None = None
+    """Checksum of all episodes' outcomes and lengths, in their order."""
 
 
 class Conversion(BaseModel):

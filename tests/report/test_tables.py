@@ -16,6 +16,7 @@ from armctl.agents import Evaluation, TrainingCost
 from armctl.evaluation import Comparison, Sweep
 from armctl.evaluation.notebook import html_of
 from armctl.evaluation.paired import PairedDifference
+from armctl.evaluation.reproduce import Reproduction
 from armctl.evaluation.statistics import Estimate, Superiority
 from armctl.evaluation.summary import PolicySummary
 from armctl.evaluation.sweep import COLUMNS
@@ -228,10 +229,10 @@ def test_a_reproduction_is_shown_in_the_same_tables():
         )
         for rate in (0.5, 0.4)
     )  # fmt: skip
-    document = reproduction_document([SimpleNamespace(card=card, claimed=claimed, found=found, agrees=False)])
+    document = reproduction_document([Reproduction(card, claimed, found)])
     for width in (40, 80):
         text = " ".join(printed(document, width).split())
-        for word in ("mine", "50.0 %", "45.0 to 50.0", "40.0 %", "no"):
+        for word in ("mine", "50.0 %", "45.0 to 50.0", "40.0 %", "no", "success 0.5 on the card, 0.4 now (-0.1)"):
             assert word in text
     (row,) = csv.DictReader(io.StringIO(as_csv(document)))
     assert (row["card_success_rate"], row["now_success_rate"], row["agrees"]) == ("0.5", "0.4", "False")

@@ -242,7 +242,8 @@ def reproduce(
 ) -> None:
     """Evaluate learned agents again, and compare the results with their cards.
 
-    An agent agrees unless Fisher's exact test at 5 % tells its success rate from its card's; else the exit status is 1.
+    On the card's own episodes, all of its figures have to come out the same; on those of another --seed, tests of
+    success, return and steps must not tell both apart (5 %). Otherwise the exit status is 1.
     """
     from rich.text import Text
 

@@ -14,12 +14,30 @@ COLUMNS = (
 
 def reproduction_document(again: Sequence[Reproduction]) -> Document:
     """A row for each agent that was evaluated again."""
-    caption = "An agent agrees unless Fisher's exact test tells both success rates apart, at 5 %. Steps: to the goal."
+    caption = " ".join(dict.fromkeys(_rule(one) for one in again)) + " Steps: to the goal."
     rows = [_row(one) for one in again]
     title = "Success of agents, on their cards and now"
     table = Table("agents", title, COLUMNS, rows, [_record(one) for one in again], caption)
-    lost = [Remark(f"{one.card.name} does not agree with its card.", "problem") for one in again if not one.agrees]
-    return Document([table, *lost])
+    return Document([table, *(_disagreement(one) for one in again if not one.agrees)])
+
+
+def _rule(again: Reproduction) -> str:
+    if again.same_episodes:
+        return "On a card's own episodes, an agent agrees if all of the card's figures are the same."
+    return (
+        "On other episodes, an agent agrees unless Fisher's exact test of success, or Welch's test of return or steps "
+        "if the card has their deviations, tells both apart, at 5 % after Holm's correction."
+    )
+
+
+def _disagreement(again: Reproduction) -> Remark:
+    differences = "; ".join(map(str, again.differences))
+    hint = (
+        " Other versions or processors may compute actions that differ in the last digits."
+        if again.same_episodes and not {"success_rate", "digest"} & {one.figure for one in again.differences}
+        else ""
+    )
+    return Remark(f"{again.card.name} does not agree with its card: {differences}.{hint}", "problem")
 
 
 def _row(again: Reproduction) -> list[Cell]:
@@ -45,6 +63,7 @@ def _record(again: Reproduction) -> dict[str, object]:
         "agent": again.card.name,
         "env": again.card.env,
         "agrees": again.agrees,
+        "differences": [str(one) for one in again.differences],
         "card": again.claimed.model_dump(),
         "now": again.found.model_dump(),
     }
