@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from armctl.evaluation.degradation import Onset
-from armctl.evaluation.endurance import NEUTRAL, endurance_headline
+from armctl.evaluation.endurance import NEUTRAL, PairTest, endurance_headline
 from armctl.evaluation.endurance import endurances as endurances_of
 from armctl.evaluation.paired import mcnemar
 from armctl.evaluation.statistics import success_rate
@@ -84,12 +84,12 @@ def test_the_same_episodes_decide_where_they_are_known():
     table = points({"noise": {"a": (50, 25), "b": (50, 17)}}, levels=(0.0, 1.0))
     both = frozenset(("a", "b"))
     assert endurances(table)[0].behind == {}
-    assert endurances(table, {(*NEUTRAL, both): 1.0, ("noise", 1.0, both): mcnemar(8, 0)})[0].behind == {
-        "b": Onset(1.0)
-    }
+    tests = {(*NEUTRAL, both): PairTest(1.0, 0.0), ("noise", 1.0, both): PairTest(mcnemar(8, 0), 8 / 50)}
+    assert endurances(table, tests)[0].behind == {"b": Onset(1.0)}
     other = points({"noise": {"a": (50, 50), "b": (50, 42)}}, levels=(0.0, 1.0))
     assert endurances(other)[0].behind == {"b": Onset(1.0)}
-    assert endurances(other, {(*NEUTRAL, both): 1.0, ("noise", 1.0, both): 0.2})[0].behind == {}
+    tests["noise", 1.0, both] = PairTest(0.2, 8 / 50)
+    assert endurances(other, tests)[0].behind == {}
 
 
 def test_several_trainings_are_not_one_network():
@@ -104,9 +104,10 @@ def test_the_undisturbed_level_counts_once():
     names = [f"noise {i}" for i in range(8)]
     table = points({name: {"a": (50, 50), "b": (10, 50), "c": (50, 50)} for name in names}, levels=(0.0, 1.0))
     table.loc[(table.disturbance == names[0]) & (table.policy == "c") & (table.level == 1), "success"] = 0.9
-    pairs = {(name, 1.0, frozenset(two)): 1.0 for name in names for two in ("ab", "ac", "bc")}
-    pairs |= {(*NEUTRAL, frozenset(two)): 0.0 if "b" in two else 1.0 for two in ("ab", "ac", "bc")}
-    pairs[names[0], 1.0, frozenset("ac")] = 0.01
+    pairs = {(name, 1.0, frozenset(two)): PairTest(1.0, 0.0) for name in names for two in ("ab", "ac", "bc")}
+    lead = {"ab": 0.8, "ac": 0.0, "bc": -0.8}
+    pairs |= {(*NEUTRAL, frozenset(two)): PairTest(0.0 if "b" in two else 1.0, lead[two]) for two in lead}
+    pairs[names[0], 1.0, frozenset("ac")] = PairTest(0.01, 0.1)
     found = endurances(table, pairs)
     assert all("c" in one.leaders and one.behind == {} for one in found)
     assert all("b" in one.behind or "b" in one.from_the_start for one in found)
@@ -143,14 +144,22 @@ def test_many_levels_are_corrected_for():
     assert endurances(points(noise | many, levels=(0.0, 1.0)))[0].behind == {}
 
 
-def test_returns_must_have_intervals_apart():
+def test_returns_go_by_the_sign_test_and_never_by_means():
+    """b has the higher return in most episodes, and the lower mean, because it has disasters."""
     table = points({"noise": {"a": (1, 1, 1), "b": (1, 1, 1)}})
-    middle = [10.0, 10, 10, 4, 10, 2]
-    table = table.assign(success=math.nan, **{"return": middle})
-    table = table.assign(return_low=table["return"] - [1, 1, 1, 6, 1, 1], return_high=table["return"] + 1.0)
-    (noise,) = endurances(table)
-    assert noise.behind == {"b": Onset(1.0)}
-    assert "a 10.0 [9.0, 11.0], b 2.0 [1.0, 3.0]" in str(noise)
+    table = table.assign(success=math.nan, **{"return": [10.0, 10, 10, 4, 10, 2]})
+    unknown = table.assign(return_low=math.nan, return_high=math.nan)
+    both = frozenset("ab")
+    tests = {(*NEUTRAL, both): PairTest(1.0, 0.0), ("noise", 1.0, both): PairTest(0.3, -0.1)}
+    tests["noise", 2.0, both] = PairTest(1e-9, -0.9)
+    (noise,) = endurances(unknown, tests)
+    assert (noise.leaders, noise.behind) == (["b"], {"a": Onset(2.0)})
+    assert "b 2.0, a 10.0" in str(noise)
+    bounded = table.assign(return_low=table["return"] - 1.0, return_high=table["return"] + 1.0)
+    assert "b 2.0 [1.0, 3.0], a 10.0 [9.0, 11.0]" in str(endurances(bounded, tests)[0])
+    for older in (unknown, bounded):  # an older version's sweep has no tests, and its intervals did not hold
+        (noise,) = endurances(older)
+        assert (set(noise.leaders), noise.behind) == ({"a", "b"}, {})
 
 
 @pytest.mark.parametrize(

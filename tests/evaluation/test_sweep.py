@@ -12,7 +12,7 @@ from armctl.errors import ConfigurationError, ResultsError
 from armctl.evaluation import compare
 from armctl.evaluation.curves import read_pairs
 from armctl.evaluation.degradation import Onset, degradations
-from armctl.evaluation.endurance import NEUTRAL
+from armctl.evaluation.endurance import NEUTRAL, PairTest
 from armctl.evaluation.episode_table import EpisodeTable
 from armctl.evaluation.paired import mcnemar
 from armctl.evaluation.record import TIME_COLUMNS
@@ -82,7 +82,10 @@ def test_the_points_are_those_of_the_comparisons(finished):
 def test_the_pairs_of_a_sweep_are_kept(finished):
     found, folder = finished
     both = frozenset(POLICIES)
-    pairs = {name: one.paired[0].mcnemar_p for name, one in found.comparisons.items()}
+    pairs = {
+        name: PairTest(one.paired[0].mcnemar_p, -one.paired[0].success_difference.value)  # random before reach_ik
+        for name, one in found.comparisons.items()
+    }
     assert found.pairs == {
         (*NEUTRAL, both): pairs["none"],
         ("noise", 0.05, both): pairs["noise-0.05"],
@@ -277,18 +280,27 @@ def test_only_what_counts_is_held_against_the_undisturbed():
             "x": replace(found.comparisons["none"], results=EpisodeTable(spoilt)),
         }
         only = replace(found, comparisons=comparisons)
-        assert _against_undisturbed(only, comparisons["x"], comparisons["x"].policies[0]) == mcnemar(4, 0)
+        assert _against_undisturbed(only, comparisons["x"], comparisons["x"].policies[0]) == (mcnemar(4, 0), -1.0)
 
 
 @pytest.mark.parametrize(
-    "pairs", ["x", [["noise", 0.05, "a", "b", 7]], [["noise", 0.05, "a", "b", None]], [[]], {"a": 1}]
+    "pairs",
+    [
+        "x",
+        [["noise", 0.05, "a", "b", 7, 0.1]],
+        [["noise", 0.05, "a", "b", 0.5, -2]],
+        [["noise", 0.05, "a", "b", None, 0]],
+        [["noise", 0.05, "a", "b", 0.5]],
+        [[]],
+        {"a": 1},
+    ],
 )
 def test_hostile_pairs_are_an_error(pairs, finished, tmp_path):
     told = unsealed((finished[1] / "sweep.json").read_text())
-    (tmp_path / "sweep.json").write_text(sealed(told | {"pairs": pairs}))
+    (tmp_path / "sweep.json").write_text(sealed(told | {"paired": pairs}))
     with pytest.raises(ResultsError, match="cannot be read"):
         read_pairs(tmp_path)
-    (tmp_path / "sweep.json").write_text(sealed({name: value for name, value in told.items() if name != "pairs"}))
+    (tmp_path / "sweep.json").write_text(sealed({name: value for name, value in told.items() if name != "paired"}))
     assert read_pairs(tmp_path) == {}  # an older version's
 
 

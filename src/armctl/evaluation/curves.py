@@ -12,7 +12,7 @@ from pydantic import Field, TypeAdapter
 from armctl.agents import read_card
 from armctl.envs import full_id
 from armctl.errors import ArmctlError, ResultsError
-from armctl.evaluation.endurance import Pair
+from armctl.evaluation.endurance import Pair, PairTest
 from armctl.evaluation.reproduce import card_path
 from armctl.evaluation.store import COMPARISON
 from armctl.files import bounded_text, digest, unsealed
@@ -26,8 +26,8 @@ SWEEP, POINTS, COMPARISONS = "sweep.json", "sweep.csv", "comparisons"
 """Files of a sweep, and the first's key for the identities of its comparisons."""
 RECORDED = "real_time"
 """The key, in the first of them and in its table's attributes, of the folder whose decision times were repeated."""
-PAIRS = "pairs"
-"""The key of the p-values of each two policies: `[disturbance, level, policy, policy, p]`, as in `Sweep.pairs`."""
+PAIRS = "paired"
+"""The key of the tests of each two policies: `[disturbance, level, policy, policy, p, lead]`, as in `Sweep.pairs`."""
 SWEEP_COLUMNS = ("disturbance", "level", "policy", "success", "low", "high")
 
 
@@ -83,14 +83,15 @@ def read_sweep(folder: Path) -> pd.DataFrame:
     return table
 
 
-def read_pairs(folder: Path) -> dict[Pair, float]:
-    """The p-values of each two policies of a sweep; none in sweeps of older versions. Raises `ResultsError`."""
-    kind = TypeAdapter(list[tuple[str, float, str, str, Annotated[float, Field(ge=0, le=1)]]])
+def read_pairs(folder: Path) -> dict[Pair, PairTest]:
+    """The tests of each two policies of a sweep; none in sweeps of older versions. Raises `ResultsError`."""
+    p, lead = Annotated[float, Field(ge=0, le=1)], Annotated[float, Field(ge=-1, le=1)]
+    kind = TypeAdapter(list[tuple[str, float, str, str, p, lead]])  # type: ignore[valid-type]
     try:
         found = kind.validate_python(unsealed(bounded_text(folder / SWEEP)).get(PAIRS, []))
     except (OSError, ValueError) as error:
         raise ResultsError(f"{folder / SWEEP} cannot be read: {error}") from error
-    return {(name, level, frozenset((a, b))): p for name, level, a, b, p in found}
+    return {(name, level, frozenset((a, b))): PairTest(p, lead) for name, level, a, b, p, lead in found}
 
 
 def comparison_in(folder: Path) -> str:

@@ -30,20 +30,26 @@ class Degradation:
     policy: str
     sees: str
     drops: Onset | None
-    """The first significant drop in success, or in return if it is unknown; it lasts until figures are as before."""
+    """The first significant drop in success, or if it is unknown, in the chance of the higher return.
+
+    It lasts until figures are as before."""
     below_half: Onset | None
     """The first level with a success rate below one half; None if there is none."""
 
 
 def degradations(points: pd.DataFrame) -> list[Degradation]:
-    """The effect of each disturbance on each policy, from the rows of `sweep.csv`."""
+    """The effect of each disturbance on each policy, from the rows of `sweep.csv`.
+
+    The direction of a change is that of the statistic that `p` tests (the column `change`). Sweeps of older versions
+    have none: differences in success take its place, and of returns no drop is shown.
+    """
     points = points.assign(neutral=~points.duplicated(["disturbance", "policy"]))
     levels = points[~points.neutral]
     significant = pd.Series(False, index=points.index)
     if len(levels):
         significant[levels.index] = stats.false_discovery_control(levels.p) < FALSE_DISCOVERY_RATE
-    score = "success" if points.success.notna().any() else "return"
-    fell = points[score] < points.groupby(["disturbance", "policy"])[score].transform("first")
+    by_success = points.success - points.groupby(["disturbance", "policy"]).success.transform("first")
+    fell = pd.to_numeric(points["change"], errors="coerce") < 0 if "change" in points else by_success < 0
     points = points.assign(fell=fell, drops=significant & fell, below_half=points.success < 0.5)
     return [
         Degradation(

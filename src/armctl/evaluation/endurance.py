@@ -3,7 +3,7 @@
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -17,6 +17,17 @@ MOST_EPISODES = 10**6
 """Fisher's test of more takes too long for a row that somebody else has written."""
 Pair = tuple[str, float, frozenset[str]]
 """A disturbance, a level, and two policies."""
+
+
+class PairTest(NamedTuple):
+    """A test of two policies on the same episodes, and the statistic that it tests."""
+
+    p: float
+    lead: float
+    """Success of the policy whose name comes first minus that of the other; if success is unknown, the share of
+    episodes in which it has the higher return minus the share in which it has the lower one."""
+
+
 NEUTRAL = ("none", 0.0)
 """The disturbance and level of a pair without any: all disturbances share these episodes."""
 GROUP = "[*]"
@@ -29,7 +40,8 @@ class Endurance:
 
     disturbance: str
     leaders: Sequence[str]
-    """The policy with the best mean over all disturbed levels, and those that are at no level shown to be worse."""
+    """The policy with the largest mean lead over all others and disturbed levels, and those that are at no level
+    shown to be worse."""
     behind: Mapping[str, Onset]
     """Where a policy is shown to be worse than the first leader. It lasts if it is not better at any later level."""
     from_the_start: Sequence[str]
@@ -62,13 +74,13 @@ class Endurance:
         return f"{told}: at {self.strongest}, {at}. {'; '.join(after)}{'.' if after else ''}".rstrip()
 
 
-def endurances(points: pd.DataFrame, pairs: Mapping[Pair, float]) -> list[Endurance]:
+def endurances(points: pd.DataFrame, pairs: Mapping[Pair, PairTest]) -> list[Endurance]:
     """Who holds out longest against each disturbance, from the rows of `sweep.csv`.
 
-    `pairs` are the p-values of each two policies in the same episodes (`Sweep.pairs`). They differ at a level if that
-    shows it at a false discovery rate of 5 % over all pairs, levels and disturbances. Sweeps of older versions have no
-    such p-values: Fisher's exact test takes their place, or where it does not apply (groups of trainings, returns),
-    whether 95 % intervals overlap.
+    `pairs` are the tests of each two policies in the same episodes (`Sweep.pairs`). They differ at a level if that
+    shows it at a false discovery rate of 5 % over all pairs, levels and disturbances, in the direction of the statistic
+    that was tested. Sweeps of older versions have no such tests: Fisher's exact test takes their place, for groups of
+    trainings whether 95 % intervals overlap, and returns show no difference.
     """
     score, low, high = SUCCESS if points.success.notna().any() else RETURN
     if not {score, low, high} <= set(points):
@@ -77,21 +89,19 @@ def endurances(points: pd.DataFrame, pairs: Mapping[Pair, float]) -> list[Endura
     if known.empty:
         return []
     neutral = known.groupby("disturbance")["level"].transform("first")
-    p: dict[Pair, float] = {}
+    tests: dict[Pair, PairTest] = {}
     for (disturbance, level, first), rows in known.groupby(["disturbance", "level", neutral.rename("neutral")]):
         for a, b in itertools.combinations(rows.to_dict("records"), 2):
             pair = _pair(str(disturbance), float(str(level)), float(str(first)), str(a["policy"]), str(b["policy"]))
             if pair in pairs:
-                p[pair] = pairs[pair]
-            elif pair not in p:
-                overlap = not (a[low] > b[high] or b[low] > a[high])
-                fisher = _fisher(a, b) if score == "success" else None
-                p[pair] = float(overlap) if fisher is None else fisher
-    corrected: Any = stats.false_discovery_control(list(p.values())) if p else []
-    apart = {pair for pair, one in zip(p, corrected, strict=True) if one < FALSE_DISCOVERY_RATE}
+                tests[pair] = pairs[pair]
+            elif pair not in tests:
+                tests[pair] = _from_rows(a, b) if score == "success" else PairTest(1.0, 0.0)
+    corrected: Any = stats.false_discovery_control([test.p for test in tests.values()]) if tests else []
+    apart = {pair for pair, one in zip(tests, corrected, strict=True) if one < FALSE_DISCOVERY_RATE}
     harmed = _harmed(known)
     return [
-        _endurance(str(name), rows, score, (low, high), apart, harmed)
+        _endurance(str(name), rows, score, (low, high), tests, apart, harmed)
         for name, rows in known.groupby("disturbance", sort=False)
     ]
 
@@ -129,18 +139,30 @@ def _endurance(
     rows: pd.DataFrame,
     score: str,
     bounds: tuple[str, str],
+    tests: Mapping[Pair, PairTest],
     apart: set[Pair],
     harmed: set[tuple[str, str]],
 ) -> Endurance:
     levels = [float(level) for level in rows.level.unique()]
-    values: dict[str, dict[float, float]] = {}
+    played: dict[str, list[float]] = {}
     for one in rows.to_dict("records"):
-        values.setdefault(str(one["policy"]), {})[float(one["level"])] = float(one[score])
-    leader = max(values, key=lambda name: np.mean([values[name].get(level, -np.inf) for level in levels[1:]]))
+        played.setdefault(str(one["policy"]), []).append(float(one["level"]))
+
+    def gain(level: float, name: str, other: str) -> float:
+        lead = tests[_pair(disturbance, level, levels[0], name, other)].lead
+        return lead if name < other else -lead
+
+    def mean_lead(name: str) -> float:
+        if set(levels[1:]) - set(played[name]):
+            return -np.inf
+        others = [(level, other) for other in played if other != name for level in levels[1:] if level in played[other]]
+        return float(np.mean([gain(level, name, other) for level, other in others])) if others else 0.0
+
+    leader = max(played, key=mean_lead)
     leaders, behind, before = [leader], {}, []
-    for name in (name for name in values if name != leader):
-        shared = [level for level in levels if level in values[name] and level in values[leader]]
-        gains = [values[name][level] - values[leader][level] for level in shared]
+    for name in (name for name in played if name != leader):
+        shared = [level for level in levels if level in played[name] and level in played[leader]]
+        gains = [gain(level, name, leader) for level in shared]
         worse = [
             gain < 0 and _pair(disturbance, level, levels[0], name, leader) in apart
             for level, gain in zip(shared, gains, strict=True)
@@ -155,15 +177,23 @@ def _endurance(
         else:
             behind[name] = onset
     percent, digits = (100.0, 0) if score == "success" else (1.0, 1)
-    at = {
-        str(one["policy"]): f"{percent * one[score]:.{digits}f}{' %' * (percent > 1)} "
-        f"[{percent * one[bounds[0]]:.{digits}f}, {percent * one[bounds[1]]:.{digits}f}]"
-        for one in rows[rows.level == levels[-1]].to_dict("records")
-    }
+    at = {}
+    for one in rows[rows.level == levels[-1]].to_dict("records"):
+        value, low, high = (percent * one[column] for column in (score, *bounds))
+        interval = "" if np.isnan(low) else f" [{low:.{digits}f}, {high:.{digits}f}]"
+        at[str(one["policy"])] = f"{value:.{digits}f}{' %' * (percent > 1)}{interval}"
     unit = rows["unit"].iloc[0] if "unit" in rows else None
     strongest = f"{levels[-1]:g}{f' ({unit})' if isinstance(unit, str) else ''}"
     unharmed = not any((disturbance, name) in harmed for name in leaders)
     return Endurance(disturbance, leaders, behind, before, unharmed, strongest, at)
+
+
+def _from_rows(a: Mapping[Any, Any], b: Mapping[Any, Any]) -> PairTest:
+    """The test of a pair whose episodes are unknown: Fisher's, or whether intervals overlap."""
+    first, second = sorted((a, b), key=lambda row: str(row["policy"]))
+    (score, low, high), fisher = SUCCESS, _fisher(a, b)
+    overlap = not (a[low] > b[high] or b[low] > a[high])
+    return PairTest(float(overlap) if fisher is None else fisher, first[score] - second[score])
 
 
 def _fisher(a: Mapping[Any, Any], b: Mapping[Any, Any]) -> float | None:

@@ -8,7 +8,7 @@ import pandas as pd
 
 from armctl.agents import TrainingCost
 from armctl.evaluation.degradation import FALSE_DISCOVERY_RATE, Degradation, degradations
-from armctl.evaluation.endurance import GROUP, Pair, endurance_headline, endurances
+from armctl.evaluation.endurance import GROUP, Pair, PairTest, endurance_headline, endurances
 from armctl.evaluation.paired import PairedDifference, corrected
 from armctl.evaluation.statistics import Estimate
 from armctl.evaluation.summary import PolicySummary
@@ -125,10 +125,10 @@ def paired_table(pairs: Sequence[PairedDifference], baseline: str | None = None)
     return Table("paired", "Paired differences, on the same episodes", columns, rows, records, caption)
 
 
-def sweep_parts(points: pd.DataFrame, pairs: Mapping[Pair, float]) -> list[Table | Remark]:
+def sweep_parts(points: pd.DataFrame, pairs: Mapping[Pair, PairTest]) -> list[Table | Remark]:
     """A table for each disturbance, of all policies at all levels, and from which level each policy gets worse.
 
-    `pairs` are the p-values of each two policies, as `Sweep.pairs` has them.
+    `pairs` are the tests of each two policies, as `Sweep.pairs` has them.
     """
     parts: list[Table | Remark] = []
     by_success, policies = bool(points.success.notna().any()), points.policy.nunique()

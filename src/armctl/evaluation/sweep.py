@@ -19,10 +19,10 @@ from armctl.errors import ConfigurationError, ResultsError, unknown_name
 from armctl.evaluation.compare import compare, default_policies
 from armctl.evaluation.comparison import Comparison
 from armctl.evaluation.curves import COMPARISONS, PAIRS, POINTS, RECORDED, SWEEP, comparison_in
-from armctl.evaluation.endurance import NEUTRAL, Pair
+from armctl.evaluation.endurance import NEUTRAL, Pair, PairTest
 from armctl.evaluation.engines import Engine, engine_of
 from armctl.evaluation.notebook import Displayed
-from armctl.evaluation.paired import mcnemar
+from armctl.evaluation.paired import PairedDifference, mcnemar
 from armctl.evaluation.real_time import (
     SLOW_DOWN,
     SLOWER,
@@ -49,11 +49,12 @@ from armctl.registration import bare_id
 
 COLUMNS = (
     "disturbance", "level", "policy", "episodes", "success", "low", "high", "return", "return_low", "return_high",
-    "steps_to_goal", "steps_low", "steps_high", "p", "unit", "sees",
+    "steps_to_goal", "steps_low", "steps_high", "p", "change", "unit", "sees",
 )  # fmt: skip
 """Of `sweep.csv`: one row per disturbance, level and policy, with 95 % intervals. `p` is McNemar's p-value for equal
 success in the same episodes without the disturbance, or the sign test's for equal return if success is unknown; for a
-group of trainings, that of a crossed analysis over trainings and episodes."""
+group of trainings, that of a crossed analysis over trainings and episodes. `change` is what it tests: success minus
+that without the disturbance, or the share of episodes with a higher return minus the share with a lower one."""
 UNDISTURBED = "none"
 Asked = Mapping[str, Sequence[float] | None] | Sequence[str] | None
 
@@ -91,15 +92,14 @@ class Sweep(Displayed):
         return Document(parts, {"env": self.env, "seed": self.seed})
 
     @property
-    def pairs(self) -> dict[Pair, float]:
-        """The p-value of each two policies in the same episodes: of equal success, or equal return if it is unknown."""
+    def pairs(self) -> dict[Pair, PairTest]:
+        """The test of each two policies in the same episodes: for equal success, or the sign test if it is unknown."""
         where = {folder_name(name, level): (name, level) for name, levels in self.levels.items() for level in levels}
         where[UNDISTURBED] = NEUTRAL
         return {
-            (*where[name], frozenset((pair.a, pair.b))): p
+            (*where[name], frozenset((pair.a, pair.b))): _test_of(pair)
             for name, comparison in self.comparisons.items()
             for pair in comparison.paired
-            if (p := pair.return_p if pair.mcnemar_p is None else pair.mcnemar_p) is not None
         }
 
     def __repr__(self) -> str:
@@ -226,7 +226,7 @@ def _write(folder: Path, found: Sweep, asked: Mapping[str, Any]) -> None:
         told = {
             "env": found.env, "seed": found.seed, **asked, "disturbances": found.levels,
             "interrupted": found.interrupted, "failures": found.failures, POINTS: digest(points),
-            PAIRS: [(*where, *sorted(both), p) for (*where, both), p in found.pairs.items()],
+            PAIRS: [(*where, *sorted(both), *test) for (*where, both), test in found.pairs.items()],
             COMPARISONS: {name: comparison_in(folder / name) for name in found.comparisons},
         }  # fmt: skip
         write_atomically(folder / POINTS, points)
@@ -291,7 +291,8 @@ def _points(found: Sweep, specs: Mapping[str, DisturbanceSpec]) -> pd.DataFrame:
                 values = (
                     name, level, policy.policy, policy.episodes, *_numbers(policy.success),
                     *_numbers(policy.episode_return), *_numbers(policy.steps_to_goal),
-                    _against_undisturbed(found, comparison, policy) if i else 1.0, specs[name].unit, policy.sees,
+                    *(_against_undisturbed(found, comparison, policy) if i else (1.0, 0.0)), specs[name].unit,
+                    policy.sees,
                 )  # fmt: skip
                 rows.append(dict(zip(COLUMNS, values, strict=True)))
     return pd.DataFrame(rows, columns=list(COLUMNS))
@@ -305,28 +306,44 @@ def _numbers(estimate: Estimate | None) -> tuple[float, float, float]:
     return estimate.value, low, high
 
 
-def _against_undisturbed(found: Sweep, comparison: Comparison | None, policy: PolicySummary) -> float:
+def _test_of(pair: PairedDifference) -> PairTest:
+    success = pair.success_difference
+    if pair.mcnemar_p is None or success is None:
+        p, lead = pair.superiority.p, 2 * pair.superiority.probability.value - 1
+    else:
+        p, lead = pair.mcnemar_p, success.value
+    return PairTest(p, lead if pair.a < pair.b else -lead)
+
+
+def _against_undisturbed(found: Sweep, comparison: Comparison | None, policy: PolicySummary) -> tuple[float, float]:
+    """The p-value for no change in the same episodes, and the change: see `COLUMNS`."""
     played = [counted_rows(one.episodes) for one in (found.comparisons[UNDISTURBED], comparison) if one is not None]
     before, after = (rows[rows.policy.isin(policy.trainings or [policy.policy])] for rows in played)
-    if policy.trainings:
-        return _p_of_group(before, after, "return" if policy.success is None else "success")
+    score = "return" if policy.success is None else "success"
+    return (_change_of_group if policy.trainings else change_between)(before, after, score)
+
+
+def change_between(before: pd.DataFrame, after: pd.DataFrame, score: str) -> tuple[float, float]:
+    """The p-value for no change in the `score` of one policy, from its rows of `episodes.csv`, and the change."""
     before, after = before.set_index("episode"), after.set_index("episode")
     both = before.index.intersection(after.index)
     if both.empty:
-        return 1.0
+        return 1.0, 0.0
     before, after = before.loc[both], after.loc[both]
-    if policy.success is None:
-        return paired_superiority(before["return"].to_numpy(), after["return"].to_numpy()).p
+    if score == "return":
+        higher = paired_superiority(after["return"].to_numpy(), before["return"].to_numpy())
+        return higher.p, 2 * higher.probability.value - 1
     won, won_after = before.success.astype(bool), after.success.astype(bool)
-    return mcnemar(int((won & ~won_after).sum()), int((~won & won_after).sum()))
+    lost, gained = int((won & ~won_after).sum()), int((~won & won_after).sum())
+    return mcnemar(lost, gained), (gained - lost) / len(both)
 
 
-def _p_of_group(before: pd.DataFrame, after: pd.DataFrame, score: str) -> float:
-    """The p-value of a group's mean change, over trainings and episodes; 1 if there is nothing to compare."""
+def _change_of_group(before: pd.DataFrame, after: pd.DataFrame, score: str) -> tuple[float, float]:
+    """The same over a group's trainings and episodes; (1, 0) if there is nothing to compare."""
     tables = (one.pivot(index="policy", columns="episode", values=score).astype(float) for one in (before, after))
     first, second = tables
-    changes = (second - first).dropna(axis=1).to_numpy()
+    changes = np.sign((second - first).dropna(axis=1).to_numpy())  # of success they are -1, 0 and 1 themselves
     if 0 in changes.shape:
-        return 1.0
-    bounds = (-1.0, 1.0) if score == "success" else (changes.min(), changes.max())
-    return difference_over_trainings(changes, np.zeros((1, changes.shape[1])), bounds).p
+        return 1.0, 0.0
+    change = difference_over_trainings(changes, np.zeros((1, changes.shape[1])), (-1.0, 1.0))
+    return change.p, change.estimate.value
