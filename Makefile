@@ -1,6 +1,7 @@
 # make compare: set up, then let the IK expert, the PPO agent and random actions meet the same 200 episodes, of the test seed.
 # make test:    set up with everything, then run the quick tests; make test-all: the slow ones too; make test-thorough: thousands of trials.
 # make check:   lint, format, types. make lock: after a change of dependencies. make dist: sdist and wheel.
+# make mutants: plant faults in the statistics and the verdict, one at a time, and list those that no quick test notices: hours.
 # make docs:    the documentation as a site, in site/; make docs-serve: the same in the browser, while you write.
 # For some of the tests: make test ARGS="tests/kinematics -k jacobian"
 
@@ -20,7 +21,7 @@ CLEANRL := cleanrl==1.2.0
 LEROBOT := lerobot==0.4.4 torchvision==0.25.0 accelerate==1.15.0 safetensors==0.8.0
 EXPORT := $(UV) export --frozen --all-extras --no-emit-project --no-hashes --no-annotate
 
-.PHONY: compare test test-all test-thorough check docs docs-serve lock check-lock dist benchmarks clean
+.PHONY: compare test test-all test-thorough mutants check docs docs-serve lock check-lock dist benchmarks clean
 
 compare: $(VENV)/core
 	$(BIN)/armctl compare --seed 2026
@@ -33,6 +34,11 @@ test-all: $(VENV)/full
 
 test-thorough: $(VENV)/full
 	$(PYTEST) --all --thorough -m thorough $(ARGS)
+
+mutants: $(VENV)/full
+	@$(PIP) mutmut==3.8.1
+	OMP_NUM_THREADS=1 $(BIN)/mutmut run --max-children 2 $(ARGS)
+	$(BIN)/mutmut results
 
 check: $(VENV)/full
 	$(BIN)/ruff check .
