@@ -14,6 +14,7 @@ class RandomActions:
     """Uniform random actions that depend only on seed and episode."""
 
     sees: Sees = "observation"
+    reads = ()
     training_steps = 0
 
     def __init__(self, env: Interface) -> None:

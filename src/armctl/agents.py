@@ -191,6 +191,8 @@ class OnnxPolicy:
     """A learned agent, run by onnxruntime. It sees only the observation, and what it remembers of earlier ones."""
 
     sees: Any = "observation"
+    reads = ("observation",)
+    """Also if that shows it the state."""
 
     def __init__(self, graph: Path, card: AgentCard) -> None:
         from armctl.agent_graph import AgentGraph  # onnx takes longer to import than the rest, and few need it

@@ -1,8 +1,8 @@
 """Base class of disturbances: what may go wrong between a policy and its robot, without the policy's knowledge."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Literal, Protocol
 
 import gymnasium
 import numpy as np
@@ -14,6 +14,8 @@ from armctl.simulation import Simulation
 
 Array = NDArray[np.float64]
 Observations = NDArray[np.float32] | dict[str, NDArray[Any]]
+Channel = Literal["observation", "state", "action", "physics"]
+"""What a disturbance acts on. A policy reads observation, state, both or none; actions and physics reach everybody."""
 
 
 class Disturbable(Protocol):
@@ -52,6 +54,8 @@ class Disturbance:
     policy nor on the other worlds.
     """
 
+    channels: ClassVar[frozenset[Channel]] = frozenset({"physics"})
+    """What it acts on. Subclasses that override `observe` act on the observation, unless they say more themselves."""
     per_episode: ClassVar[bool] = False
     """Whether each episode can have a level of its own: the class goes by `levels`, not by `level`."""
     renewed = False
@@ -65,6 +69,16 @@ class Disturbance:
         """Where each episode's level is drawn from; None: all are `level`."""
         self.worlds = np.arange(task.n, dtype=np.int32)
         self.rngs = [np.random.default_rng(0)] * task.n
+
+    def __init_subclass__(cls) -> None:
+        """Derive the channel of a subclass that changes observations."""
+        super().__init_subclass__()
+        if "observe" in vars(cls) and "channels" not in vars(cls):
+            cls.channels = frozenset({"observation"})
+
+    def reaches(self, reads: Collection[str]) -> bool:
+        """Return whether it reaches a policy that reads these of `observation` and `state`."""
+        return not self.channels.isdisjoint({*reads, "action", "physics"})
 
     def undo(self, ids: NDArray[np.int32]) -> None:
         """Take back what `apply` has changed in worlds `ids`."""

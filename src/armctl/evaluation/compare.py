@@ -134,6 +134,7 @@ def compare(
         with wrap_environment_errors("a trial", 0):
             made_env.reset(seed=seed)  # raises for an invalid seed, before anything is written
         made = {name: make_policy(policy, interfaces.of(policy)) for name, policy in by_name.items()}
+        comparison.spared = {name: interfaces.spared(policy, made[name]) for name, policy in by_name.items()}
         if paced is not None:
             check_real_time(bare_id(env), made_env)
             comparison.real_time = {"latency": paced.latency, "slow_down": paced.slow_down}
@@ -210,7 +211,9 @@ def _judge(comparison: Comparison, results: EpisodeTable, made: Mapping[str, Pol
     steps = env.max_episode_steps
     if (bounds := env.task.return_bounds(steps)) is None:
         comparison.notes.append(UNBOUNDED)
-    comparison.policies, comparison.paired = summarise(results, made, episodes, bounds, steps, comparison.groups)
+    comparison.policies, comparison.paired = summarise(
+        results, made, episodes, bounds, steps, comparison.groups, comparison.spared
+    )
     comparison.notes += certificate_notes(results)
     counted, _ = counted_results(results)
     comparison.notes += timing_notes((name, played) for name, played in counted.items() if played)

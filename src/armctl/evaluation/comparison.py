@@ -43,6 +43,8 @@ class Comparison(Displayed):
     """The `latency` (`measured`, or the folder of recorded times) and `slow_down`, if the world did not wait."""
     groups: dict[str, list[str]] = field(default_factory=dict)
     """The trainings that count as one learner: their names in `episodes`, by the group's name."""
+    spared: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    """The disturbances that do not reach a policy, by its name in `episodes`."""
     disqualified: list[str] = field(default_factory=list)
     """Policies that wrote to the world, so that none of their episodes count."""
     interrupted: bool = False
@@ -57,12 +59,14 @@ class Comparison(Displayed):
     @property
     def verdict(self) -> str:
         """Which policy is better, by how much, at what cost; empty for a single policy."""
-        return verdict(self.policies, self.paired, self.baseline, self.margin) if self.paired else ""
+        several = len(self.policies) > 1
+        return verdict(self.policies, self.paired, self.baseline, self.margin) if several else ""
 
     @property
     def headline(self) -> tuple[str, str]:
         """The verdict in short: who is better by how much, and at what cost; empty for a single policy."""
-        return headline(self.policies, self.paired, self.baseline, self.margin) if self.paired else ("", "")
+        several = len(self.policies) > 1
+        return headline(self.policies, self.paired, self.baseline, self.margin) if several else ("", "")
 
     def document(self) -> Document:
         """The tables, the verdict, and what else there is to say."""
@@ -71,7 +75,9 @@ class Comparison(Displayed):
             parts.append(policy_table(self.env, self.seed, self.policies, self.disqualified))
         parts += [details(policy) for policy in self.policies]
         if self.paired:
-            parts += [paired_table(self.paired, self.baseline), Remark(self.verdict, "verdict")]
+            parts.append(paired_table(self.paired, self.baseline))
+        if sentence := self.verdict:
+            parts.append(Remark(sentence, "verdict"))
         if self.policies and (infeasible := self.policies[0].infeasible):
             what = f"{infeasible} episodes are labelled infeasible"
             parts.append(Remark(f"{what}; they are left out of all figures, whoever wins them."))
@@ -90,7 +96,7 @@ class Comparison(Displayed):
 
     def __repr__(self) -> str:
         names = ", ".join(policy.policy for policy in self.policies) or "no policy"
-        said = f": {self.verdict}" if self.paired else ""
+        said = f": {sentence}" if (sentence := self.verdict) else ""
         failed = "".join(f"; {failure}" for failure in self.failures.values())
         return f"<Comparison of {names} in {self.env}, seed {self.seed}{said}{failed}>"
 

@@ -86,6 +86,8 @@ class PolicySummary:
     """Of a group: each training's success rate, or return if success is unknown, by its name in `episodes.csv`.
 
     The group's means have intervals over trainings and episodes, its other figures are of all episodes together."""
+    spared: tuple[str, ...] = ()
+    """The disturbances that do not reach it: it reads nothing that they change. No pair with it is tested or ranked."""
     between: float | None = None
     """Standard deviation of these between trainings, without the part due to their episodes."""
 
@@ -123,12 +125,14 @@ def summarise(
     return_bounds: Bounds | None = None,
     time_limit: int | None = None,
     groups: Mapping[str, Sequence[str]] | None = None,
+    spared: Mapping[str, tuple[str, ...]] | None = None,
 ) -> tuple[list[PolicySummary], list[PairedDifference]]:
     """Summaries of policies and of pairs. `results` are sorted by policy and episode.
 
     Each of the `groups`, several trainings by their names, counts as one policy; a group of which one has not finished
     an episode has no figures. `return_bounds` are the least and largest possible return; if they are unknown, those of
-    all results take their place. `time_limit` is the largest number of control steps of an episode.
+    all results take their place. `time_limit` is the largest number of control steps of an episode. `spared` are the
+    disturbances that do not reach a policy, by its name: pairs with such a policy are left out.
     """
     table = table_of(results)
     counted, infeasible = counted_results(table)
@@ -144,8 +148,9 @@ def summarise(
         if len(trainings) > 1:
             summary = _of_group(summary, trainings, scored, limits)
             summary = replace(summary, training=mean_cost([_training_cost(policies[one]) for one in trainings]))
-        found.append(summary)
-    return found, pairs_of({name: list(one.values()) for name, one in trained.items()}, scored, limits)
+        found.append(replace(summary, spared=(spared or {}).get(next(iter(trainings)), ())))
+    reached = {one.policy: list(trained[one.policy].values()) for one in found if not one.spared}
+    return found, pairs_of(reached, scored, limits)
 
 
 def counted_results(results: EpisodeTable) -> tuple[dict[str, EpisodeTable], int]:

@@ -42,6 +42,8 @@ def policy_table(env: str, seed: int, policies: Sequence[PolicySummary], disqual
     )
     if any(policy.trainings for policy in policies):
         caption += " [*]: the intervals of means are for other trainings and other episodes."
+    if any(policy.spared for policy in policies):
+        caption += " Spared: not reached by that disturbance, and so in no pair and no verdict."
     if disqualified:
         caption += " Disqualified: wrote to the world."
     if by_success:
@@ -56,7 +58,8 @@ def policy_table(env: str, seed: int, policies: Sequence[PolicySummary], disqual
 
 
 def _training(policy: PolicySummary) -> str:
-    return f"{len(policy.trainings)} x {trained(policy.training)}" if policy.trainings else trained(policy.training)
+    training = f"{len(policy.trainings)} x {trained(policy.training)}" if policy.trainings else trained(policy.training)
+    return ", ".join((training, *(f"spared {name}" for name in policy.spared)))
 
 
 def trained(cost: TrainingCost) -> str:

@@ -28,7 +28,8 @@ class Point:
 
 
 def points(policies: Sequence[PolicySummary]) -> list[Point]:
-    """A point for each policy; none if decision times were taken in different ways."""
+    """A point for each policy that no disturbance spares; none if decision times were taken in different ways."""
+    policies = [policy for policy in policies if not policy.spared]
     by_success = any(policy.success for policy in policies)
     if len({policy.timing for policy in policies}) > 1:
         return []

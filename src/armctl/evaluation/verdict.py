@@ -55,16 +55,17 @@ def verdict(
 
     With `baseline`, every other policy is held against it instead. Policies that did not come with armctl are always
     named. The best are those of the highest success rate, or return where success is unknown. `margin` is the
-    difference in success below which policies count as equivalent.
+    difference in success below which policies count as equivalent. Policies that a disturbance does not reach are in no
+    pair, and named at the end.
     """
-    fewest = min(pair.episodes for pair in paired)
+    fewest = min((pair.episodes for pair in paired), default=FEWEST)
     if fewest < FEWEST:
         said = [f"No verdict from {fewest} episode{'s' if fewest > 1 else ''}: it takes {FEWEST}."]
     else:
         told = contests(policies, paired, baseline)
         said = [_sentence(contest, margin) for contest in told]
         said += [_cost(told[0]), _privileges(told[0]), _networks(told)] if told else []
-    return " ".join(filter(None, (*said, *map(_physics_failed, policies))))
+    return " ".join(filter(None, (*said, *map(_physics_failed, policies), _not_judged(policies))))
 
 
 def headline(
@@ -75,7 +76,9 @@ def headline(
 ) -> tuple[str, str]:
     """The verdict's first pair in two short sentences: who wins by how much, and at what cost (empty without one)."""
     told = contests(policies, paired, baseline)
-    if not told or min(pair.episodes for pair in paired) < FEWEST:
+    if not told:
+        return verdict(policies, paired, baseline, margin), ""
+    if min(pair.episodes for pair in paired) < FEWEST:
         return verdict(policies, paired, baseline, margin).partition(". ")[0].rstrip(".") + ".", ""
     contest = told[0]
     first, second = contest.first, contest.second
@@ -95,8 +98,14 @@ def headline(
 def contests(
     policies: Sequence[PolicySummary], paired: Sequence[PairedDifference], baseline: str | None
 ) -> list[Contest]:
-    """The pairs that a verdict tells, the most important one first. A `baseline` that has not played is none."""
+    """The pairs that a verdict tells, the most important one first. A `baseline` that has not played is none.
+
+    There is no pair with a policy that a disturbance does not reach: none at all if it is the baseline.
+    """
     baseline = next((one.policy for one in policies if one.policy == baseline), None)
+    policies = [one for one in policies if not one.spared]
+    if len(policies) < 2 or baseline not in (None, *(one.policy for one in policies)):
+        return []
     told = _pairs_to_tell(policies, baseline)
     claims = _claims(policies, len(told), baseline)
     return [_contest(policies, paired, names, baseline, claims) for names in told]
@@ -229,6 +238,12 @@ def _physics_failed(policy: PolicySummary) -> str:
         return ""
     share = f"{policy.unstable} of {sum(policy.outcomes.values())} episodes"
     return f"{policy.policy} counts {share} as failures because their physics became unstable."
+
+
+def _not_judged(policies: Sequence[PolicySummary]) -> str:
+    """Which policies are in no pair, and which disturbances do not reach them."""
+    spared = [f"{one.policy} (spared {', '.join(one.spared)})" for one in policies if one.spared]
+    return f"Not judged: {', '.join(spared)}." if spared else ""
 
 
 def _rank(success: Estimate | None, episode_return: Estimate | None) -> tuple[float, float]:

@@ -63,6 +63,8 @@ class PlainPolicy(PerWorld):
 
     def __init__(self, controllers: list[Any], worlds: Worlds, source: Any) -> None:
         super().__init__(controllers, getattr(controllers[0], "sees", "observation"))
+        if (reads := getattr(controllers[0], "reads", None)) is not None:
+            self.reads = reads
         self.training_steps = int(getattr(controllers[0], "training_steps", 0))
         self._space, self._source = worlds.single_action_space, source
 
@@ -97,6 +99,7 @@ class ModelPolicy:
     """A model with the `predict` of Stable-Baselines3's, recurrent ones included."""
 
     sees: Sees = "observation"
+    reads = ("observation",)
 
     def __init__(self, model: Any, worlds: Worlds, name: str) -> None:
         here = worlds.single_action_space
@@ -129,6 +132,7 @@ class _Function:
     def __init__(self, function: Callable[[Any], Any]) -> None:
         self.act = function
         self.sees = getattr(function, "sees", "observation")
+        self.reads = getattr(function, "reads", ("observation",))  # it is given nothing else
 
 
 def _from_factory(factory: Callable[..., Any], worlds: Worlds, name: str) -> Policy:

@@ -8,6 +8,8 @@ from armctl.envs import SEES, EpisodeVectorEnv, Interface, Sees, how_to_declare,
 from armctl.errors import ConfigurationError, defined_at, unknown_name
 
 Factory = TypeVar("Factory")
+PERCEIVED = ("observation", "state")
+"""Through which of a disturbance's channels policies perceive their worlds."""
 
 
 def sees(what: Sees) -> Callable[[Factory], Factory]:
@@ -70,6 +72,19 @@ def as_declared(policy: Any, what: str, name: str, source: Any) -> Any:
     if own != what:
         policy.sees = what
     return policy
+
+
+def channels_read(policy: Any) -> tuple[str, ...]:
+    """Return which of `observation` and `state` a policy reads: its `reads`, or by default what it declares to see.
+
+    Raises `ConfigurationError` for anything else.
+    """
+    default = ("state",) if declared(policy) == "state" else ("observation",)
+    reads = getattr(policy, "reads", default)
+    for channel in reads:
+        if channel not in PERCEIVED:
+            raise unknown_name("channel that a policy reads", channel, PERCEIVED)
+    return tuple(reads)
 
 
 def privileges(seen: Mapping[str, str]) -> str:

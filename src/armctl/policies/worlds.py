@@ -12,6 +12,8 @@ from typing import Any
 from armctl.disturbances import available
 from armctl.envs import EpisodeVectorEnv, make_worlds, task_of
 from armctl.policies.find import is_expert
+from armctl.policies.policy import Policy
+from armctl.policies.privilege import channels_read
 from armctl.policies.trainings import card_of
 from armctl.registration import bare_id
 
@@ -55,6 +57,15 @@ class WorldsByInterface:
             kept = {name: value for name, value in self._options.items() if _is_for_experts(name, value)}
             return others | kept
         return self._options
+
+    def spared(self, policy: Any, made: Policy) -> tuple[str, ...]:
+        """Return the disturbances that do not reach a policy.
+
+        They change what is not in its interface, or what it does not read.
+        `made` is the policy as made for `of(policy)`. Raises `ConfigurationError` if it reads an unknown channel.
+        """
+        here, reads = self.of(policy).disturbances, channels_read(made)
+        return tuple(name for name in self.asked.disturbances if name not in here or not here[name].reaches(reads))
 
     def _felt(self, options: dict[str, Any]) -> dict[str, Any]:
         """The options without disturbances of what is not in this interface: who gets no image loses none."""

@@ -54,7 +54,8 @@ def success_bars(policies: Sequence[PolicySummary], look: Looks) -> go.Figure:
             hovertemplate=f"{escaped(style.label)}: {value:.1f} % [{low:.1f}, {high:.1f}] of {policy.episodes}"
             "<extra></extra>",
         )  # fmt: skip
-        add_label(figure, style.label, f"<b>{value:.1f} %</b>", f"{low:.1f} to {high:.1f}")
+        small = f"spared {', '.join(policy.spared)}" if policy.spared else f"{low:.1f} to {high:.1f}"
+        add_label(figure, style.label, f"<b>{value:.1f} %</b>", small)
     return with_rows(figure, len(policies), {"range": [0, 101], "ticksuffix": " %", "dtick": 50}, right=100)
 
 

@@ -169,7 +169,8 @@ def _paired(results: Results, look: style.Looks) -> list[Plot]:
     comparison = results.comparison
     pairs = list(zip(comparison.paired, corrected(comparison.paired, comparison.baseline), strict=True))
     if len(pairs) > MOST_PAIRS:
-        best = max(comparison.policies, key=lambda policy: _score(policy.success or policy.episode_return))
+        reached = [policy for policy in comparison.policies if not policy.spared]
+        best = max(reached, key=lambda policy: _score(policy.success or policy.episode_return))
         pairs = [(pair, p) for pair, p in pairs if best.policy in (pair.a, pair.b)]
     return [
         Plot(
