@@ -13,7 +13,7 @@ import pytest
 import armctl
 from armctl.errors import ResultsError
 from armctl.evaluation import compare
-from armctl.evaluation.provenance import BUSY, Run, RunMeter, processor_model
+from armctl.evaluation.provenance import BUSY, Run, RunMeter, earlier_looks, processor_model
 from armctl.evaluation.record import COLUMNS
 from armctl.evaluation.results import read_results
 from armctl.evaluation.store import RUNS, read_runs
@@ -71,7 +71,11 @@ armctl.compare(["random", "reach_ik"], episodes=40, out={str(tmp_path)!r}, env_o
     first, killed = read_runs(tmp_path)
     assert (first.judged, killed.judged, killed.load_end) == (10, None, None)
     resumed = compare(**both, episodes=40)
-    assert [note for note in resumed.notes if "judged before, after 10 episodes" in note]
+    assert resumed.looks == read_results(tmp_path).comparison.looks == [10]
+    words = "; after an earlier look at 10 episodes, p is too small and intervals are too narrow"
+    assert words in resumed.verdict
+    assert words in resumed.headline[0]
+    assert read_results(tmp_path).comparison.verdict == resumed.verdict
     assert [run.judged for run in read_runs(tmp_path)] == [10, None, 40]
 
 
@@ -81,7 +85,8 @@ def test_another_baseline_or_margin_is_told_forever(tmp_path):
     assert told_before(compare(**both, baseline="random")) == ["no baseline, margin 0.02"]
     again = compare(**both, margin=0.1)
     assert told_before(again) == ["baseline random, margin 0.02; no baseline, margin 0.02"]
-    assert not [note for note in again.notes if "judged before" in note]
+    assert again.looks == []
+    assert "earlier look" not in again.verdict
 
 
 def told_before(comparison):
@@ -168,3 +173,10 @@ def lines(rows):
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue()
+
+
+def test_every_look_at_fewer_episodes_counts_once():
+    judged = (100, None, 57, 100, 200, 200)
+    runs = [Run(str(i), "", {}, "", 1, {}, 1, 1, judged=one) for i, one in enumerate(judged)]
+    assert earlier_looks(runs) == [57, 100]
+    assert earlier_looks(runs[:1]) == earlier_looks([]) == []

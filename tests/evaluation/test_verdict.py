@@ -11,11 +11,21 @@ from scipy import stats
 import armctl
 from armctl.agents import TrainingCost
 from armctl.errors import ConfigurationError, ResultsError
-from armctl.evaluation.paired import episodes_to_detect, episodes_to_show_equivalence, mcnemar, paired_difference
+from armctl.evaluation.paired import (
+    PairedDifference,
+    corrected,
+    episodes_to_detect,
+    episodes_to_show_equivalence,
+    holm,
+    mcnemar,
+    mover,
+    paired_difference,
+)
 from armctl.evaluation.sample_size import plan_comparison
-from armctl.evaluation.statistics import Estimate, success_rate
+from armctl.evaluation.statistics import Estimate, Superiority, success_rate
 from armctl.evaluation.summary import PolicySummary
-from armctl.evaluation.verdict import headline, verdict
+from armctl.evaluation.summary_tables import paired_table
+from armctl.evaluation.verdict import contests, headline, verdict
 
 AGENTS = ("reach_ppo", "reach_sac", "reach_bc", "reach_dagger", "moving_ppo")
 TRAINED = dict.fromkeys(AGENTS, 1_500_000) | {"mine.json": 20_000}
@@ -41,13 +51,24 @@ def said(wins, episodes=400, **options):
     return verdict(*played(wins, episodes), **options)
 
 
-def played(wins, episodes=400):
+LIMIT = 100
+
+
+def played(wins, episodes=400, steps=None, returns=None):
+    """Summaries and pairs of policies that won these episodes, in so many steps (their numbers, or those of each)."""
     won = {name: np.isin(np.arange(episodes), list(numbers)) for name, numbers in wins.items()}
-    names = list(won)
+    return compared(won, steps, returns)
+
+
+def compared(won, steps=None, returns=None):
+    earned = returns or {name: of * 1.0 for name, of in won.items()}
+    late = steps and {name: np.where(of, steps[name], LIMIT) for name, of in won.items()}
+    couples = list(itertools.combinations(won, 2))
     pairs = [
-        paired_difference(a, b, (won[a], won[b]), (won[a] * 1.0, won[b] * 1.0), None, (0.0, 1.0))
-        for i, a in enumerate(names)
-        for b in names[i + 1 :]
+        paired_difference(
+            a, b, (won[a], won[b]), (earned[a], earned[b]), late and (late[a], late[b]), (0.0, 1.0), LIMIT, len(couples)
+        )
+        for a, b in couples
     ]
     return [summary_of(name, of) for name, of in won.items()], pairs
 
@@ -55,7 +76,7 @@ def played(wins, episodes=400):
 def test_it_is_about_the_best_planner_and_the_best_agent():
     text = said({"random": [], "reach_ppo": range(300), "reach_ik": range(380), "reach_mpc": range(400)})
     assert text.startswith("reach_mpc is better than reach_ppo: success +25.0 points [")
-    assert "after Holm's correction for 6 pairs" in text
+    assert "after Holm's correction for 12 tests" in text  # six pairs, success and return: without steps
     assert "reach_ppo was trained for 1.5 million decisions and 940,000 gradient steps (12.0 minutes)" in text
     assert "a decision takes reach_mpc 0.25 ms and reach_ppo 0.25 ms" in text
     assert "Their privileges differ: reach_mpc (observation + robot model), reach_ppo (observation)." in text
@@ -73,10 +94,7 @@ def test_the_headline_is_winner_difference_and_cost(ppo, says):
     result, cost = headline(*played({"reach_ik": range(400), "reach_ppo": range(ppo)}))
     assert re.fullmatch(says, result), result
     took = "reach_ppo 0.25 ms after 1.5 million decisions of training"
-    assert cost in (
-        f"On average, a decision takes reach_ik 0.25 ms, and {took}.",
-        f"On average, a decision takes {took}, and reach_ik 0.25 ms.",
-    )
+    assert cost == f"On average, a decision takes reach_ik 0.25 ms, and {took}."
     assert len(f"{result} {cost}".split()) <= 32  # read in ten seconds
 
 
@@ -99,7 +117,7 @@ def test_the_better_one_comes_first_whatever_the_order(order):
 
 def test_equivalence_is_a_claim_of_its_own():
     alike = {"reach_ik": range(398), "reach_ppo": range(397)}
-    assert said(alike).startswith("reach_ik and reach_ppo are equivalent within 2 points: success +0.2 points [")
+    assert said(alike).startswith("reach_ik and reach_ppo are equivalent in success within 2 points: +0.2 points [")
     assert said(alike, margin=0.001).startswith("Undecided between reach_ik and reach_ppo")
     assert "is better than reach_ppo, though by less than 10 points" in said(
         {"reach_ik": range(400), "reach_ppo": range(390)}, margin=0.1
@@ -118,7 +136,7 @@ def test_a_baseline_is_held_against_all_others():
     text = said(wins, baseline="random")
     assert "reach_ik is better than random" in text
     assert "reach_ppo is better than random" in text
-    assert "correction for 2 pairs" in text
+    assert "correction for 4 tests" in text
     assert "reach_ik is better than reach_ppo" not in text
 
 
@@ -128,6 +146,171 @@ def test_a_policy_of_ones_own_is_always_named():
     assert text.startswith("reach_ik is better than reach_ppo")
     assert "reach_ik is better than mine.py:pd" in text
     assert "reach_ik is better than mine.json" in text
+
+
+def quick_and_slow(gap, episodes=500):
+    """Two policies that win all episodes, one of them so many steps faster in each."""
+    won = dict.fromkeys(("reach_ppo", "reach_mpc"), np.ones(episodes, dtype=bool))
+    pace = np.random.default_rng(0).integers(10, 30, episodes).astype(float)
+    return compared(won, {"reach_mpc": pace, "reach_ppo": pace + gap})
+
+
+def test_where_success_does_not_differ_the_steps_are_told():
+    text = verdict(*quick_and_slow(26.0))
+    assert re.match(
+        r"reach_mpc and reach_ppo are equivalent in success within 2 points: \+0\.0 points \[-0\.7, 0\.7\]; "
+        r"reach_mpc takes 26\.0 \[25\.\d, 26\.\d\] steps fewer, p = 0\.0015 after Holm's correction for 3 tests\. "
+        r"reach_ppo was trained",
+        text,
+    ), text
+    assert headline(*quick_and_slow(26.0))[0].startswith(
+        "reach_mpc and reach_ppo are equivalent within 2 points of success; reach_mpc takes 26.0 ["
+    )
+    same = verdict(*quick_and_slow(0.0))
+    assert "steps fewer" not in same
+    assert same.startswith(
+        "reach_ppo and reach_mpc are equivalent in success within 2 points: +0.0 points [-0.7, 0.7]. "
+    )
+
+
+def test_steps_are_told_of_the_undecided_and_not_of_a_winner():
+    fast, slow = np.full(50, 10.0), np.full(50, 30.0)
+    undecided = verdict(
+        *played({"reach_ik": range(50), "reach_ppo": range(48)}, 50, {"reach_ik": fast, "reach_ppo": slow})
+    )
+    assert re.match(
+        r"Undecided between reach_ik and reach_ppo: success \+4\.0 points \[-\d\.\d, 13\.\d\], p = 0\.95 after Holm's "
+        r"correction for 3 tests; reach_ik takes 22\.8 \[13\.\d, \d+\.\d\] steps fewer, p = 0\.0015\. About [\d,]+ more",
+        undecided,
+    ), undecided
+    better = verdict(
+        *played({"reach_ik": range(50), "reach_ppo": range(20)}, 50, {"reach_ik": fast, "reach_ppo": slow})
+    )
+    assert better.startswith("reach_ik is better than reach_ppo: success +60.0 points [")
+    assert "steps" not in better
+
+
+def test_the_faster_one_may_be_the_one_of_less_success():
+    fast, slow = np.full(50, 10.0), np.full(50, 40.0)
+    text = verdict(*played({"reach_ik": range(50), "reach_ppo": range(48)}, 50, {"reach_ik": slow, "reach_ppo": fast}))
+    assert text.startswith("Undecided between reach_ik and reach_ppo: success +4.0 points [")
+    assert "; reach_ppo takes 26.4 [" in text
+
+
+def test_all_that_a_verdict_may_tell_is_corrected_together():
+    wins = {"reach_ik": range(390), "reach_ppo": range(380), "reach_mpc": range(375)}
+    pace = {"reach_ik": np.full(400, 20.0), "reach_ppo": np.arange(400) % 40, "reach_mpc": np.arange(400) % 38}
+    _, pairs = played(wins, steps=pace)
+    tests = [p for pair in pairs for p in (pair.mcnemar_p, pair.steps_p, pair.return_p)]
+    found = corrected(pairs)
+    assert [p for one in found for p in (one.success, one.steps, one.returns)] == holm(tests)
+    assert {one.tests for one in found} == {9}
+    with_ik = [pair for pair in pairs if "reach_ik" in (pair.a, pair.b)]
+    of_ik = corrected(pairs, "reach_ik")
+    assert [one for one in of_ik if one.tests == 6] == corrected(with_ik)
+    assert [one for one in of_ik if one.tests == 9] == [found[2]]
+    assert paired_table(pairs).records[0]["p_corrected"] == found[0].success
+
+
+@pytest.mark.parametrize("policies", [2, 3])
+def test_of_equally_good_policies_anything_is_told_in_five_of_a_hundred_verdicts_at_most(policies, sized):
+    rng, runs = np.random.default_rng(policies), sized(60, 3000)
+    names, wrong = ["reach_ik", "reach_ppo", "reach_mpc"][:policies], 0
+    for _ in range(runs):
+        won = dict(zip(names, rng.random((policies, 60)) < 0.5, strict=True))
+        pace = dict(zip(names, 20.0 * rng.integers(1, 4, (policies, 60)), strict=True))
+        earned = dict(zip(names, rng.integers(0, 2, (policies, 60)) * 1.0, strict=True))
+        text = verdict(*compared(won, pace, earned)).partition("reach_ppo was trained")[0]
+        wrong += any(claim in text for claim in (" is better than ", " steps fewer", " earns "))
+    assert wrong / runs <= 0.05 + 2 * (0.05 * 0.95 / runs) ** 0.5
+
+
+@pytest.mark.parametrize("policies", [3, 10])
+def test_the_interval_of_the_chosen_pair_holds(policies, sized):
+    # Each pair's own 95 % interval holds the difference of the best of five and the best of five in 88 %.
+    rng, runs = np.random.default_rng(0), sized(60, 2000)
+    names = [*AGENTS[: policies // 2], "reach_ik", "reach_mpc", "reach_ompl", "reach_rrt", "random"][:policies]
+    held = 0
+    for _ in range(runs):
+        won = dict(zip(names, rng.random((policies, 100)) < 0.8, strict=True))
+        found = contests([summary_of(name, of) for name, of in won.items()], counted(won), None)[0].first_ahead
+        held += found.low <= 0 <= found.high
+    assert held / runs >= 0.95 - 2 * (0.05 * 0.95 / runs) ** 0.5
+
+
+def counted(won):
+    """Pairs that know only of success."""
+    never = Estimate(0.0, None, None)
+    return [
+        PairedDifference(
+            a, b, len(won[a]), 0, int((won[a] & ~won[b]).sum()), int((won[b] & ~won[a]).sum()), 0, 1.0, never,
+            Superiority(never, 1.0), None,
+        )
+        for a, b in itertools.combinations(won, 2)
+    ]  # fmt: skip
+
+
+def test_intervals_of_the_sentence_hold_for_all_pairs_at_once():
+    rng = np.random.default_rng(0)
+    names = ["reach_ik", "reach_mpc", "reach_ppo", "reach_sac"]
+    won = dict(zip(names, rng.random((4, 200)) < 0.9, strict=True))
+    policies, pairs = compared(won, {name: rng.integers(10, 60, 200) * 1.0 for name in names})
+    (one,) = contests(policies, pairs, None)
+    assert one.claims == 4  # two classical and two learned ones
+    assert abs(one.first_ahead.value) == abs(one.pair.success_difference.value)
+    counts = (one.pair.only_a, one.pair.only_b, 200)
+    assert one.pair.success_among(4) == mover(*counts, 1 - 0.05 / 4)
+    assert one.pair.success_difference == mover(*counts)
+    spans = ((one.steps_ahead, one.pair.steps_difference), (one.return_ahead, one.pair.return_difference))
+    for wide, own in spans:
+        assert wide.high - wide.low > 1.2 * (own.high - own.low)
+        assert abs(wide.value) == abs(own.value)
+    assert contests(policies, pairs, "reach_ik")[0].claims == 3
+    others = [summary_of("mine.py:pd", won["reach_ik"]), *policies[1:]]
+    renamed = [dataclasses.replace(pair, **{side: name.replace("reach_ik", "mine.py:pd") for side, name in
+                                            (("a", pair.a), ("b", pair.b))}) for pair in pairs]  # fmt: skip
+    assert {found.claims for found in contests(others, renamed, None)} <= {4, 6}
+
+
+def test_earlier_looks_are_a_part_of_the_sentence():
+    once, twice = ({"looks": looks} for looks in ([100], [100, 1200]))
+    words = "after 2 earlier looks at 100 and 1,200 episodes, p is too small and intervals are too narrow"
+    for ppo in (300, 399, 396):
+        policies, pairs = played({"reach_ik": range(400), "reach_ppo": range(ppo)})
+        plain, looked = verdict(policies, pairs), verdict(policies, pairs, **twice)
+        assert f"; {words}." in looked
+        assert looked.replace(f"; {words}", "") == plain
+        assert headline(policies, pairs, **twice)[0].endswith(f"; {words}.")
+        assert "; after an earlier look at 100 episodes, p is too small" in verdict(policies, pairs, **once)
+
+
+def test_without_bounds_of_returns_the_sign_test_speaks():
+    returns = {"bold": np.where(np.arange(100) < 71, 1.0, -500.0), "timid": np.zeros(100)}
+    pair = paired_difference("bold", "timid", None, (returns["bold"], returns["timid"]), None, (-500.0, 1.0))
+    unknown = dataclasses.replace(
+        pair, return_p=None, return_difference=dataclasses.replace(pair.return_difference, low=None, high=None),
+        simultaneous=dataclasses.replace(pair.simultaneous, returns=Estimate(-144.3, None, None)),
+    )  # fmt: skip
+    summaries = [
+        dataclasses.replace(
+            summary_of(name, np.ones(100, dtype=bool)), success=None, episode_return=Estimate(mean, None, None)
+        )
+        for name, mean in (("bold", -144.3), ("timid", 0.0))
+    ]
+    sentence = "bold has the higher return in 71 % [61, 80] of episodes (sign test, p = 3.2e-05; ties count half)"
+    for policies, pairs in ((summaries, [unknown]), (summaries[::-1], [unknown])):
+        assert verdict(policies, pairs).startswith(f"{sentence}. On average")
+        assert headline(policies, pairs)[0] == f"{sentence}."
+        assert verdict(policies, pairs, looks=[50]).startswith(
+            f"{sentence}; after an earlier look at 50 episodes, p is"
+        )
+    even = np.where(np.arange(100) < 55, 1.0, -500.0)
+    close = paired_difference("timid", "bold", None, (returns["timid"], even), None, (-500.0, 1.0))
+    text = verdict(summaries, [dataclasses.replace(close, return_p=None)])
+    assert text.startswith(
+        "Undecided between bold and timid: bold has the higher return in 55 % [45, 65] of episodes (sign"
+    )
+    assert "earns" not in verdict(summaries, [unknown])
 
 
 @pytest.mark.slow
@@ -144,7 +327,7 @@ def test_the_best_of_many_is_not_equivalent_for_being_the_best():
             for i, j in itertools.combinations(range(6), 2)
         ]
         text = verdict([summary_of(name, of) for name, of in zip(names, won, strict=True)], pairs)
-        claimed += "are equivalent within 2 points" in text.partition(". ")[0]
+        claimed += "are equivalent in success within 2 points" in text.partition(". ")[0]
     assert claimed <= 9
 
 
@@ -163,8 +346,10 @@ def test_verdicts_by_return_are_corrected_for_their_number():
         )
         for name, one in returns.items()
     ]
-    assert "a earns" in verdict(summaries[:2], pairs[:1])
-    assert "are not shown to differ" in verdict(summaries, pairs)
+    assert re.match(
+        r"a earns 0\.1 \[0\.0, 0\.2\] more an episode than b, p = 0\.0\d+\.", verdict(summaries[:2], pairs[:1])
+    )
+    assert verdict(summaries, pairs).startswith("The returns of a and b are not shown to differ.")
 
 
 def test_a_baseline_must_take_part():
@@ -215,10 +400,11 @@ def test_a_plan_from_a_pilot_has_a_row_for_each_pair(tmp_path):
 def test_a_plan_has_its_power_after_the_corrections_of_the_verdict(tmp_path):
     armctl.compare(["reach_ik", "reach_ppo", "reach_bc", "random"], episodes=10, worlds=10, out=tmp_path)
     document = plan_comparison(0.02, pilot=tmp_path)
-    assert "Bonferroni's correction (to detect, for 6 pairs; to show equivalence, for 4)" in document.tables[0].caption
+    corrections = "to detect, for 18 tests of success, steps and return; to show equivalence, for 4 pairs"
+    assert f"Bonferroni's correction ({corrections})" in document.tables[0].caption
     for record in document.tables[0].records:
         share = record["discordant"]
-        assert record["episodes_to_detect"] == episodes_to_detect(0.02, share, pairs=6)
+        assert record["episodes_to_detect"] == episodes_to_detect(0.02, share, pairs=18)
         assert record["episodes_to_show_equivalence"] == episodes_to_show_equivalence(0.02, share, claims=4)
 
 
@@ -233,7 +419,9 @@ def test_the_planned_episodes_detect_with_their_power_after_correction(pairs, sh
 
 
 def test_a_plan_without_a_pilot_is_for_a_single_pair_or_those_that_are_named():
-    assert "for a single pair" in plan_comparison(0.02).tables[0].caption
+    assert "to detect, for 3 tests of success, steps and return; to show equivalence, for 1 pair)" in (
+        plan_comparison(0.02).tables[0].caption
+    )
     one, six = (plan_comparison(0.02, pairs=pairs).tables[0].records for pairs in (None, 6))
     for name in ("episodes_to_detect", "episodes_to_show_equivalence"):
         assert all(more[name] > few[name] for few, more in zip(one, six, strict=True))

@@ -25,7 +25,7 @@ from armctl.evaluation.parallel import (
     play_here,
     play_in_workers,
 )
-from armctl.evaluation.provenance import RunMeter, look_notes
+from armctl.evaluation.provenance import RunMeter, argument_notes, earlier_looks
 from armctl.evaluation.real_time import (
     RealTime,
     check_measurable,
@@ -188,7 +188,8 @@ def compare(
             latencies = paced is None or paced.recorded is None
             _judge(comparison, unjudged(results, runs) if latencies else results, made, made_env, episodes)
             comparison.notes += load_notes(results, runs) if latencies else []
-            comparison.notes += look_notes(runs) if comparison.paired else []
+            comparison.notes += argument_notes(runs) if comparison.paired else []
+            comparison.looks = earlier_looks(runs)
         if log is not None:
             try:
                 log.finish(results, summary(comparison), runs)

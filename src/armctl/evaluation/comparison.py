@@ -37,6 +37,8 @@ class Comparison(Displayed):
     """The policy that all others are held against, if one was chosen beforehand."""
     margin: float = MARGIN
     """Difference in success below which policies count as equivalent."""
+    looks: list[int] = field(default_factory=list)
+    """The numbers of episodes after which earlier runs told a verdict; its sentence says so."""
     notes: list[str] = field(default_factory=list)
     """Remarks about the environment: what it does not tell, and whether it obeys its seed."""
     real_time: dict[str, Any] | None = None
@@ -60,13 +62,13 @@ class Comparison(Displayed):
     def verdict(self) -> str:
         """Which policy is better, by how much, at what cost; empty for a single policy."""
         several = len(self.policies) > 1
-        return verdict(self.policies, self.paired, self.baseline, self.margin) if several else ""
+        return verdict(self.policies, self.paired, self.baseline, self.margin, self.looks) if several else ""
 
     @property
     def headline(self) -> tuple[str, str]:
         """The verdict in short: who is better by how much, and at what cost; empty for a single policy."""
         several = len(self.policies) > 1
-        return headline(self.policies, self.paired, self.baseline, self.margin) if several else ("", "")
+        return headline(self.policies, self.paired, self.baseline, self.margin, self.looks) if several else ("", "")
 
     def document(self) -> Document:
         """The tables, the verdict, and what else there is to say."""

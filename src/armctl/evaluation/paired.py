@@ -1,7 +1,6 @@
 """Two policies on the same episodes: difference in success, equivalence, and how many episodes it takes."""
 
 import bisect
-import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from armctl.evaluation.statistics import (
     Array,
     Bounds,
     Estimate,
+    MeanDifference,
     Superiority,
     bounded_difference,
     bounded_mean,
@@ -26,8 +26,21 @@ EQUIVALENCE = 0.05
 """Level of each of the two tests that show equivalence."""
 SIGNIFICANT = 0.05
 """Largest p-value of a difference that is told."""
+LEVELS = 3
+"""Tests of a pair: success, steps and return."""
+UNCERTAINTY = 0.05
+"""Of an interval, shared between the pairs for which it is to hold at once."""
 MARGIN = 0.02
 """Largest difference in success of policies that count as equivalent, unless another one is given."""
+
+
+@dataclass(frozen=True)
+class Simultaneous:
+    """Intervals that hold at once for all pairs of a comparison: each at 95 %, its 5 % divided by their number."""
+
+    returns: Estimate
+    superiority: Estimate
+    steps: Estimate | None
 
 
 @dataclass(frozen=True)
@@ -55,13 +68,24 @@ class PairedDifference:
     """Two-sided p-value for equal returns in the mean; None in results of older versions."""
     crossed: CrossedDifference | None = None
     """In success, if a or b is several trainings and success is known."""
+    steps_p: float | None = None
+    """Two-sided p-value for equal steps to the goal in the mean; None without `steps_difference`, and in results of
+    older versions."""
+    simultaneous: Simultaneous | None = None
+    """None in results of older versions."""
 
     @property
     def success_difference(self) -> Estimate | None:
         """Success rate of a minus that of b, with its 95 % interval; None if success is unknown."""
+        return self.success_among(1)
+
+    def success_among(self, claims: int) -> Estimate | None:
+        """The same with an interval that holds at once for so many pairs; over trainings, for all of the comparison."""
         if self.crossed is not None:
-            return self.crossed.estimate
-        return None if self.mcnemar_p is None else mover(self.only_a, self.only_b, self.episodes)
+            return self.crossed.estimate if claims == 1 else self.crossed.wide or self.crossed.estimate
+        if self.mcnemar_p is None:
+            return None
+        return mover(self.only_a, self.only_b, self.episodes, 1 - UNCERTAINTY / claims)
 
     def equivalent(self, margin: float, claims: int = 1) -> bool:
         """Whether success differs by less than `margin`: two one-sided tests (Schuirmann 1987) at 5 % / `claims`."""
@@ -78,14 +102,45 @@ def within(difference: Estimate, margin: float) -> bool:
     return -margin < low and high < margin
 
 
-def corrected(pairs: Sequence[PairedDifference], baseline: str | None = None) -> list[float]:
-    """The p-value of each pair, of equal success, or of equal chances for the higher return, after Holm's correction.
+@dataclass(frozen=True)
+class Corrected:
+    """The p-values of a pair after Holm's correction; None where they are unknown."""
 
-    With a `baseline`, the pairs against it are a family of their own; otherwise, and for all others, it is all pairs.
+    success: float | None
+    """Of equal success."""
+    steps: float | None
+    """Of equal steps to the goal in the mean."""
+    returns: float | None
+    """Of equal returns in the mean."""
+    higher: float
+    """Of equal chances for the higher return (sign test), told only where success is unknown."""
+    tests: int
+    """For how many tests success, steps and returns were corrected together."""
+    pairs: int
+    """For how many pairs the sign test was corrected."""
+
+
+def corrected(pairs: Sequence[PairedDifference], baseline: str | None = None) -> list[Corrected]:
+    """The p-values of each pair, after Holm's correction for all pairs, and for success, steps and returns together.
+
+    A verdict may tell any of the three, also steps and returns where success does not differ significantly, so that no
+    order of tests would make up for their number. The sign test is corrected for all pairs. With a `baseline`, the
+    pairs against it are a family of their own; otherwise, and for all others, it is all pairs.
     """
-    p = [pair.superiority.p if pair.mcnemar_p is None else pair.mcnemar_p for pair in pairs]
     own = [i for i, pair in enumerate(pairs) if baseline in (pair.a, pair.b)]
-    return list((dict(enumerate(holm(p))) | dict(zip(own, holm([p[i] for i in own]), strict=True))).values())
+    among_own = dict(zip(own, _corrected([pairs[i] for i in own]), strict=True))
+    return [among_own.get(i, one) for i, one in enumerate(_corrected(pairs))]
+
+
+def _corrected(pairs: Sequence[PairedDifference]) -> list[Corrected]:
+    p = [one for pair in pairs for one in (pair.mcnemar_p, pair.steps_p, pair.return_p)]
+    known = [i for i, one in enumerate(p) if one is not None]
+    adjusted = dict(zip(known, holm([one for one in p if one is not None]), strict=True))
+    higher = holm([pair.superiority.p for pair in pairs])
+    return [
+        Corrected(*(adjusted.get(LEVELS * i + level) for level in range(LEVELS)), higher[i], len(known), len(pairs))
+        for i in range(len(pairs))
+    ]
 
 
 def mcnemar(only_a: int, only_b: int) -> float:
@@ -174,19 +229,24 @@ def paired_difference(
     steps: tuple[Array, Array] | None,
     return_bounds: Bounds,
     time_limit: int | None = None,
+    claims: int = 1,
 ) -> PairedDifference:
     """Compare two policies. The i-th entries (k,) of both belong to the same episode; k is at least 1.
 
     `success` is None if it is unknown, `steps` are the restricted steps to the goal. `return_bounds` are those of each
-    policy's return.
+    policy's return, `claims` is for how many pairs the simultaneous intervals hold.
     """
     k = len(returns[0])
     success_a, success_b = success or (np.zeros(k, dtype=bool), np.zeros(k, dtype=bool))
     both = success_a & success_b
     only_a, only_b = int((success_a & ~success_b).sum()), int((success_b & ~success_a).sum())
     most = return_bounds[1] - return_bounds[0]
-    gained = bounded_difference(returns[0] - returns[1], (-most, most))
+    level = 1 - UNCERTAINTY / claims
+    gained = bounded_difference(returns[0] - returns[1], (-most, most), level)
+    late = _steps_difference(steps, time_limit, level)
+    higher = bounded_mean((np.sign(returns[0] - returns[1]) + 1) / 2, (0.0, 1.0), level)
     assert gained is not None
+    assert higher is not None
     return PairedDifference(
         a,
         b,
@@ -196,17 +256,21 @@ def paired_difference(
         only_b,
         0 if success is None else int((~success_a & ~success_b).sum()),
         None if success is None else mcnemar(only_a, only_b),
-        gained[0],
+        gained.estimate,
         paired_superiority(*returns),
-        _steps_difference(steps, time_limit),
-        gained[1],
+        late and late.estimate,
+        gained.p,
+        steps_p=late and late.p,
+        simultaneous=Simultaneous(gained.wide, higher, late and late.wide),
     )
 
 
-def _steps_difference(steps: tuple[Array, Array] | None, time_limit: int | None) -> Estimate | None:
+def _steps_difference(
+    steps: tuple[Array, Array] | None, time_limit: int | None, confidence: float
+) -> MeanDifference | None:
     if steps is None or time_limit is None:
         return None
-    return bounded_mean(steps[0] - steps[1], (1.0 - time_limit, time_limit - 1.0))
+    return bounded_difference(steps[0] - steps[1], (1.0 - time_limit, time_limit - 1.0), confidence)
 
 
 def difference_of_groups(
@@ -222,14 +286,17 @@ def difference_of_groups(
     """Compare two learners, at least one of which is several trainings.
 
     As `paired_difference`, for arrays of shape (trainings, episodes), of which a learner has one row or more. `claims`
-    is for how many pairs equivalence may be claimed.
+    is also for how many pairs equivalence may be claimed.
     """
-    earned = difference_over_trainings(*returns, return_bounds)
-    probability = _superiority_of_groups(*returns)
-    late = None if steps is None or time_limit is None else difference_over_trainings(*steps, (1.0, float(time_limit)))
+    narrow, wide = 1 - 2 * EQUIVALENCE / claims, 1 - UNCERTAINTY / claims
+    earned = difference_over_trainings(*returns, return_bounds, wide=wide)
+    higher = _superiority_of_groups(*returns, wide)
+    late = None
+    if steps is not None and time_limit is not None:
+        late = difference_over_trainings(*steps, (1.0, float(time_limit)), wide=wide)
     crossed, both, only_a, only_b, neither = None, 0, 0, 0, 0
     if success is not None:
-        crossed = difference_over_trainings(*success, (0.0, 1.0), 1 - 2 * EQUIVALENCE / claims)
+        crossed = difference_over_trainings(*success, (0.0, 1.0), narrow, wide)
         won, other = success[0][:, None], success[1]
         shares = [float(one.mean()) for one in (won * other, won * (1 - other), (1 - won) * other)]
         ends = np.rint(np.cumsum([0.0, *shares, 1.0 - sum(shares)]) * won.shape[-1])
@@ -244,18 +311,22 @@ def difference_of_groups(
         neither,
         crossed.p if crossed else None,
         earned.estimate,
-        probability,
-        late.estimate if late else None,
+        Superiority(_share_of(higher.estimate), higher.p),
+        late and late.estimate,
         earned.p,
         crossed,
+        late and late.p,
+        Simultaneous(earned.wide or earned.estimate, _share_of(higher.wide or higher.estimate), late and late.wide),
     )
 
 
-def _superiority_of_groups(a: Array, b: Array) -> Superiority:
-    """For returns a (k, n) and b (m, n): the sum of what depends on a's training, and on b's."""
+def _superiority_of_groups(a: Array, b: Array, wide: float) -> CrossedDifference:
+    """For returns a (k, n) and b (m, n): the sum of what depends on a's training, and on b's; equal: 0."""
     ahead = (np.sign(a[:, None] - b) + 1) / 2
     of_b = ahead.mean() - ahead.mean(axis=0) if len(b) > 1 else np.zeros_like(b)
-    found = difference_over_trainings(ahead.mean(axis=1) - 0.5, of_b, (-0.5, 0.5))
-    limits = [None if one is None else float(np.clip(one + 0.5, 0, 1)) for one in dataclasses.astuple(found.estimate)]
-    assert limits[0] is not None
-    return Superiority(Estimate(limits[0], limits[1], limits[2]), found.p)
+    return difference_over_trainings(ahead.mean(axis=1) - 0.5, of_b, (-0.5, 0.5), wide=wide)
+
+
+def _share_of(lead: Estimate) -> Estimate:
+    low, high = (None if bound is None else float(np.clip(bound + 0.5, 0, 1)) for bound in (lead.low, lead.high))
+    return Estimate(float(np.clip(lead.value + 0.5, 0, 1)), low, high)

@@ -88,20 +88,25 @@ class RunMeter:
         )  # fmt: skip
 
 
-def look_notes(runs: Sequence[Run]) -> list[str]:
-    """Remarks on verdicts that were told before the last run's: of fewer episodes, or by other arguments."""
+def earlier_looks(runs: Sequence[Run]) -> list[int]:
+    """The numbers of episodes of every policy after which runs before the last one told a verdict."""
+    return sorted({run.judged for run in runs[:-1] if run.judged} - {run.judged for run in runs[-1:]})
+
+
+def looks_in_words(looks: Sequence[int]) -> str:
+    """What earlier looks mean for a verdict, as a part of its sentence; there is at least one."""
+    counts = [f"{one:,}" for one in looks]
+    listed = counts[0] if len(counts) == 1 else f"{', '.join(counts[:-1])} and {counts[-1]}"
+    times = f"{len(counts)} earlier looks" if len(counts) > 1 else "an earlier look"
+    return f"after {times} at {listed} episodes, p is too small and intervals are too narrow"
+
+
+def argument_notes(runs: Sequence[Run]) -> list[str]:
+    """A remark if a verdict was told before the last run's by other arguments."""
     told, last = [run for run in runs[:-1] if run.judged], runs[-1]
-    notes = []
-    if looks := [f"{run.judged:,}" for run in told if run.judged != last.judged]:
-        notes.append(
-            f"This comparison was judged before, after {', '.join(looks)} episodes: p-values and intervals are those "
-            "of a single look."
-        )
     others = {(run.baseline, run.margin) for run in told if run.margin is not None} - {(last.baseline, last.margin)}
-    if others:
-        said = sorted(f"{f'baseline {name}' if name else 'no baseline'}, margin {margin:g}" for name, margin in others)
-        notes.append(f"A verdict was told before by other arguments: {'; '.join(said)}.")
-    return notes
+    said = sorted(f"{f'baseline {name}' if name else 'no baseline'}, margin {margin:g}" for name, margin in others)
+    return [f"A verdict was told before by other arguments: {'; '.join(said)}."] if said else []
 
 
 def load_average() -> float | None:

@@ -13,7 +13,7 @@ from armctl.errors import ResultsError
 from armctl.evaluation.comparison import Comparison
 from armctl.evaluation.episode_table import EpisodeTable
 from armctl.evaluation.paired import MARGIN, PairedDifference
-from armctl.evaluation.provenance import Run
+from armctl.evaluation.provenance import Run, earlier_looks
 from armctl.evaluation.scores import by_learner
 from armctl.evaluation.store import COMPARISON, SUMMARY, read_episodes
 from armctl.evaluation.summary import PolicySummary, counted_results
@@ -125,6 +125,7 @@ def read_results(folder: Path) -> Results:
         summary.failures,
         baseline=summary.baseline,
         margin=summary.margin,
+        looks=earlier_looks(summary.runs),
         notes=summary.notes,
         real_time=dict(summary.real_time) if summary.real_time else None,
         groups=summary.groups,
@@ -144,11 +145,9 @@ def read_results(folder: Path) -> Results:
 
 def _is_possible(pair: PairedDifference) -> bool:
     counts = (pair.both, pair.only_a, pair.only_b, pair.neither)
-    ends = (
-        [end for one in (pair.crossed.estimate, pair.crossed.narrow) for end in (one.low, one.high)]
-        if pair.crossed
-        else []
-    )
+    crossed = pair.crossed
+    estimates = [crossed.estimate, crossed.narrow, crossed.wide] if crossed else []
+    ends = [end for one in estimates if one for end in (one.low, one.high)]
     return pair.episodes > 0 and min(counts) >= 0 and sum(counts) <= pair.episodes and None not in ends
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from armctl.errors import ConfigurationError, ResultsError
-from armctl.evaluation.paired import episodes_to_detect, episodes_to_show_equivalence
+from armctl.evaluation.paired import LEVELS, episodes_to_detect, episodes_to_show_equivalence
 from armctl.evaluation.results import read_results
 from armctl.evaluation.tables import AGAINST, Cell, Column, Document, Remark, Table
 from armctl.evaluation.verdict import contests
@@ -20,10 +20,10 @@ class _Planned:
 
     shares: dict[Cell, float]
     """Of discordant episodes, by the name of a row."""
-    pairs: int = 1
+    tests: int = LEVELS
     """For how many the verdict corrects a difference."""
     claims: int = 1
-    """For how many it corrects equivalence."""
+    """For how many pairs it corrects equivalence."""
     left_out: list[str] = field(default_factory=list)
     """Pairs that more episodes alone do not decide."""
 
@@ -35,7 +35,8 @@ def plan_comparison(
 
     `power` is the probability of telling it. With the results folder of a pilot, there is a row for each pair of its
     policies, whose share of discordant episodes is estimated with one more of either kind (Laplace's rule). Tests are
-    at 5 % / `pairs` (Bonferroni); by default, they are corrected as the pilot's verdict is, or not at all without one.
+    corrected for success, steps and return of so many `pairs` (Bonferroni); by default, as the pilot's verdict is, or
+    for a single pair without one.
 
     Raises `ConfigurationError`, and `ResultsError` for a folder without results of success.
     """
@@ -46,12 +47,12 @@ def plan_comparison(
     if pairs is not None and pairs < 1:
         raise ConfigurationError(f"a comparison has at least one pair, not {pairs}")
     plan = _Planned({Cell(f"{100 * share:g} %"): share for share in SHARES}) if pilot is None else _planned(pilot)
-    corrected, claims = pairs or plan.pairs, pairs or plan.claims
+    tests, claims = LEVELS * pairs if pairs else plan.tests, pairs or plan.claims
     records = [
         {
             "pair": f"{name.text} {name.small}".strip(),
             "discordant": share,
-            "episodes_to_detect": episodes_to_detect(difference, share, power, corrected),
+            "episodes_to_detect": episodes_to_detect(difference, share, power, tests),
             "episodes_to_show_equivalence": episodes_to_show_equivalence(difference, share, power, claims),
         }
         for name, share in plan.shares.items()
@@ -72,17 +73,15 @@ def plan_comparison(
     ]
     if plan.left_out:
         remarks.append(f"Left out: {', '.join(plan.left_out)}. {TRAININGS}.")
-    table = Table("plan", title, columns, rows, records, _caption(corrected, claims))
+    table = Table("plan", title, columns, rows, records, _caption(tests, claims))
     return Document([table, *map(Remark, remarks)], {"difference": difference, "power": power})
 
 
-def _caption(pairs: int, claims: int) -> str:
+def _caption(tests: int, claims: int) -> str:
     """How the tests are corrected."""
-    same = "on the same episodes for both policies"
-    if pairs == claims == 1:
-        return f"Tests at 5 % for a single pair, {same}."
-    corrections = f"to detect, for {pairs} pair{'s' * (pairs > 1)}; to show equivalence, for {claims}"
-    return f"Tests at 5 % after Bonferroni's correction ({corrections}), {same}."
+    corrections = f"to detect, for {tests} test{'s' * (tests > 1)} of success, steps and return; "
+    corrections += f"to show equivalence, for {claims} pair{'s' * (claims > 1)}"
+    return f"Tests at 5 % after Bonferroni's correction ({corrections}), on the same episodes for both policies."
 
 
 def _planned(pilot: Path) -> _Planned:
@@ -95,4 +94,4 @@ def _planned(pilot: Path) -> _Planned:
         raise ResultsError(f"{pilot} has no pair of policies whose success is known, and so nothing to plan by{why}")
     shares = {name: (pair.only_a + pair.only_b + 1) / (pair.episodes + 2) for name, pair in alone.items()}
     told = contests(found.policies, found.paired, found.baseline)[0]
-    return _Planned(shares, told.pairs, told.claims, left_out)
+    return _Planned(shares, told.p.tests, told.claims, left_out)

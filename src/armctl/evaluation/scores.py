@@ -94,11 +94,12 @@ def pairs_of(trained: Mapping[str, list[EpisodeTable]], scored: bool, limits: Li
         success = of("success") if scored else None
         steps = of("restricted_steps") if scored and limits.steps is not None else None
         returns = of("episode_return")
+        claims = math.comb(len(trained), 2)
         if max(map(len, both)) > 1:
-            claims = math.comb(len(trained), 2)
             found.append(difference_of_groups(a, b, success, returns, steps, limits.returns, limits.steps, claims))
             continue
         won = None if success is None else (success[0][0] > 0, success[1][0] > 0)
         late = None if steps is None else (steps[0][0], steps[1][0])
-        found.append(paired_difference(a, b, won, (returns[0][0], returns[1][0]), late, limits.returns, limits.steps))
+        earned = (returns[0][0], returns[1][0])
+        found.append(paired_difference(a, b, won, earned, late, limits.returns, limits.steps, claims))
     return found

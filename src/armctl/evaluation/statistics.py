@@ -66,7 +66,7 @@ class RandomWeights:
         return min(1.0, 2 * (beyond + 1) / (len(self.low) + 1))
 
 
-def bounded_mean(values: Array, bounds: Bounds) -> Estimate | None:
+def bounded_mean(values: Array, bounds: Bounds, confidence: float = 0.95) -> Estimate | None:
     """Mean of values (k,) that cannot lie outside `bounds`; None without values.
 
     The interval holds for disasters that are too rare to have been seen, which Student's does not know. Its limits are
@@ -74,13 +74,24 @@ def bounded_mean(values: Array, bounds: Bounds) -> Estimate | None:
     97.5 % quantiles of the mean under random weights, with a value at the bound in addition. For values of 0 and 1, it
     is Clopper and Pearson's; for many values and no rare ones, Student's. `benchmarks/intervals.py` simulates it.
     """
-    found = bounded_difference(values, bounds)
-    return None if found is None else found[0]
+    found = bounded_difference(values, bounds, confidence)
+    return None if found is None else found.wide
 
 
-def bounded_difference(values: Array, bounds: Bounds) -> tuple[Estimate, float] | None:
-    """The same for paired differences (k,), and the two-sided p-value for a mean of 0."""
-    return _bounded(values, bounds, lambda ordered, weights: weights @ ordered)
+@dataclass(frozen=True)
+class MeanDifference:
+    """Mean of paired differences."""
+
+    estimate: Estimate
+    wide: Estimate
+    """With the interval of another confidence."""
+    p: float
+    """Two-sided p-value for a mean of 0."""
+
+
+def bounded_difference(values: Array, bounds: Bounds, confidence: float = 0.95) -> MeanDifference | None:
+    """The same for paired differences (k,), with 95 % and another `confidence`, and with its p-value."""
+    return _bounded(values, bounds, lambda ordered, weights: weights @ ordered, confidence)
 
 
 def worst_decile(values: Array, bounds: Bounds) -> Estimate | None:
@@ -91,12 +102,12 @@ def worst_decile(values: Array, bounds: Bounds) -> Estimate | None:
         return np.asarray(np.diff(reached, axis=1, prepend=0.0) @ ordered / 0.1)
 
     found = _bounded(values, bounds, statistic)
-    return None if found is None else found[0]
+    return None if found is None else found.estimate
 
 
 def _bounded(
-    values: Array, bounds: Bounds, statistic: Callable[[Array, Array], Array]
-) -> tuple[Estimate, float] | None:
+    values: Array, bounds: Bounds, statistic: Callable[[Array, Array], Array], confidence: float = 0.95
+) -> MeanDifference | None:
     """`statistic` maps ordered values (m,) and weights (r, m), each row of which adds up to 1, to (r,)."""
     if not len(values):
         return None
@@ -112,8 +123,12 @@ def _bounded(
     ]
     found = RandomWeights(*np.concatenate(draws, axis=1))
     value = float(np.clip(statistic(ordered, counts[None] / counts.sum())[0], ordered[0], ordered[-1]))
-    low, high = np.clip(found.limits(), (lowest, value), (value, highest))
-    return Estimate(value, float(low), float(high)), found.p()
+
+    def estimate(confidence: float) -> Estimate:
+        low, high = np.clip(found.limits(confidence), (lowest, value), (value, highest))
+        return Estimate(value, float(low), float(high))
+
+    return MeanDifference(estimate(0.95), estimate(confidence), found.p())
 
 
 def grouped(ordered: Array, counts: NDArray[np.intp]) -> tuple[Array, NDArray[np.intp]]:

@@ -108,23 +108,30 @@ def paired_table(pairs: Sequence[PairedDifference], baseline: str | None = None)
     p_values = corrected(pairs, baseline)
     family = f"the pairs of {baseline}, and of all others for all pairs" if baseline else "all pairs"
     rows = []
-    for pair, p in zip(pairs, map(p_value, p_values), strict=True):
+    for pair, p in zip(pairs, p_values, strict=True):
         names, difference = Cell(pair.a, AGAINST + pair.b), plain(pair.return_difference, "+")
         if by_success:
             counts = Cell(f"{pair.only_a} / {pair.only_b}")
             success, steps = percent(pair.success_difference, "+"), plain(pair.steps_difference, "+")
-            rows.append([names, success, counts, Cell(p), difference, steps])
+            rows.append([names, success, counts, Cell(p_value(p.success)), difference, steps])
         else:
-            rows.append([names, difference, percent(pair.superiority.probability), Cell(p)])
+            rows.append([names, difference, percent(pair.superiority.probability), Cell(p_value(p.higher))])
     if by_success:
-        caption = f"p: McNemar's exact test for equal success, after Holm's correction for {family}. Intervals: 95 %."
+        caption = f"p: McNemar's exact test for equal success, after Holm's correction for {family}, and for success, "
+        caption += "steps and returns together. Intervals: 95 %, each pair by itself."
         if any(pair.crossed for pair in pairs):
             caption += " [*]: over trainings and episodes, p and intervals are those of a crossed analysis."
     else:
         columns = [name, gain, Column("a is better"), Column("p")]
         caption = "a is better: share of episodes in which a has the higher return; a tie counts half. "
         caption += f"p: sign test, after Holm's correction for {family}."
-    records = [{**dataclasses.asdict(pair), "p_corrected": p} for pair, p in zip(pairs, p_values, strict=True)]
+    records = [
+        {
+            **dataclasses.asdict(pair), "p_corrected": p.success if by_success else p.higher,
+            "steps_p_corrected": p.steps, "return_p_corrected": p.returns,
+        }
+        for pair, p in zip(pairs, p_values, strict=True)
+    ]  # fmt: skip
     return Table("paired", "Paired differences, on the same episodes", columns, rows, records, caption)
 
 

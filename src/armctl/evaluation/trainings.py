@@ -53,6 +53,8 @@ class CrossedDifference:
     """With the narrower interval, which lies within the margin of equivalent learners."""
     p: float
     """Two-sided p-value for no difference."""
+    wide: Estimate | None = None
+    """With the interval that holds at once for all pairs of a comparison; None in results of older versions."""
 
 
 def mean_over_trainings(scores: Array, bounds: Bounds | None = None) -> TrainingMean:
@@ -73,11 +75,14 @@ def mean_over_trainings(scores: Array, bounds: Bounds | None = None) -> Training
     return TrainingMean(_estimate(methods, value, bounds), k, student.between[0], student.episodes)
 
 
-def difference_over_trainings(a: Array, b: Array, bounds: Bounds, narrow: float = 0.90) -> CrossedDifference:
+def difference_over_trainings(
+    a: Array, b: Array, bounds: Bounds, narrow: float = 0.90, wide: float = 0.95
+) -> CrossedDifference:
     """Mean of scores a (trainings, episodes) minus that of b, whose columns are the same episodes.
 
     A learner of a single training counts as it is: what is said holds for that network. `bounds` are those of each
-    score, `narrow` the confidence of the narrower interval. Two groups have Welch's degrees of freedom.
+    score, `narrow` and `wide` the confidences of the narrower and of the wider interval. Two groups have Welch's
+    degrees of freedom.
     """
     a, b = _table(a), _table(b)
     student = _student(a, b)
@@ -88,6 +93,7 @@ def difference_over_trainings(a: Array, b: Array, bounds: Bounds, narrow: float 
         _estimate(methods, student.value, possible),
         _estimate(methods, student.value, possible, narrow),
         max(method.p() for method in methods),
+        _estimate(methods, student.value, possible, wide),
     )
 
 

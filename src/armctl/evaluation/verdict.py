@@ -1,4 +1,7 @@
-"""The verdict of a comparison: whether a planner or a learned agent is better, by how much, and at what cost."""
+"""The verdict of a comparison: whether a planner or a learned agent is better, by how much, and at what cost.
+
+First by success; where that does not differ significantly, by the steps to the goal as well; then by the return.
+"""
 
 import math
 from collections.abc import Sequence
@@ -7,15 +10,16 @@ from dataclasses import dataclass
 from armctl.evaluation.paired import (
     MARGIN,
     SIGNIFICANT,
+    Corrected,
     PairedDifference,
     corrected,
     episodes_to_detect,
     episodes_to_show_equivalence,
-    holm,
 )
+from armctl.evaluation.provenance import looks_in_words
 from armctl.evaluation.statistics import FEWEST, Estimate
 from armctl.evaluation.summary import PolicySummary
-from armctl.evaluation.tables import UNKNOWN, points
+from armctl.evaluation.tables import UNKNOWN, p_value, points
 from armctl.policies import policy_names, privileges
 
 
@@ -26,23 +30,41 @@ class Contest:
     first: PolicySummary
     second: PolicySummary
     pair: PairedDifference
-    p: float | None
-    """McNemar's p-value after Holm's correction for all pairs of the comparison; None if success is unknown."""
-    return_p: float | None
-    """Of equal returns, corrected likewise; None in results of older versions."""
-    pairs: int
-    """Number of pairs."""
+    p: Corrected
     claims: int
     """Number of pairs from which this one was chosen after they had been seen, or which are told beside it."""
 
     @property
     def first_ahead(self) -> Estimate | None:
-        """Success of the first minus that of the second; None if it is unknown."""
-        found = self.pair.success_difference
-        if found is None or self.first.policy == self.pair.a:
-            return found
-        low, high = found.bounds
-        return Estimate(-found.value, -high, -low)
+        """Success of the first minus that of the second; None if it is unknown.
+
+        The interval holds for the chosen pair: at once for all `claims`.
+        """
+        return self._of_first(self.pair.success_among(self.claims))
+
+    @property
+    def steps_ahead(self) -> Estimate | None:
+        """Steps to the goal of the first minus those of the second, with an interval that holds for all pairs."""
+        wide = self.pair.simultaneous
+        return self._of_first(wide.steps if wide else self.pair.steps_difference)
+
+    @property
+    def return_ahead(self) -> Estimate:
+        """Return of the first minus that of the second, with an interval that holds for all pairs."""
+        wide = self.pair.simultaneous
+        found = self._of_first(wide.returns if wide else self.pair.return_difference)
+        assert found is not None
+        return found
+
+    @property
+    def higher(self) -> Estimate:
+        """Share of episodes in which the first has the higher return, with an interval that holds for all pairs."""
+        wide = self.pair.simultaneous
+        found = wide.superiority if wide else self.pair.superiority.probability
+        return found if self.first.policy == self.pair.a else _negated(found, 1.0)
+
+    def _of_first(self, found: Estimate | None) -> Estimate | None:
+        return found if found is None or self.first.policy == self.pair.a else _negated(found)
 
 
 def verdict(
@@ -50,20 +72,21 @@ def verdict(
     paired: Sequence[PairedDifference],
     baseline: str | None = None,
     margin: float = MARGIN,
+    looks: Sequence[int] = (),
 ) -> str:
     """A sentence about the best classical and the best learned policy, or about the two best, and about costs.
 
     With `baseline`, every other policy is held against it instead. Policies that did not come with armctl are always
     named. The best are those of the highest success rate, or return where success is unknown. `margin` is the
-    difference in success below which policies count as equivalent. Policies that a disturbance does not reach are in no
-    pair, and named at the end.
+    difference in success below which policies count as equivalent. `looks` are the numbers of episodes after which a
+    verdict was told before. Policies that a disturbance does not reach are in no pair, and named at the end.
     """
     fewest = min((pair.episodes for pair in paired), default=FEWEST)
     if fewest < FEWEST:
         said = [f"No verdict from {fewest} episode{'s' if fewest > 1 else ''}: it takes {FEWEST}."]
     else:
         told = contests(policies, paired, baseline)
-        said = [_sentence(contest, margin) for contest in told]
+        said = [_sentence(contest, margin, looks) for contest in told]
         said += [_cost(told[0]), _privileges(told[0]), _networks(told)] if told else []
     return " ".join(filter(None, (*said, *map(_physics_failed, policies), _not_judged(policies))))
 
@@ -73,6 +96,7 @@ def headline(
     paired: Sequence[PairedDifference],
     baseline: str | None = None,
     margin: float = MARGIN,
+    looks: Sequence[int] = (),
 ) -> tuple[str, str]:
     """The verdict's first pair in two short sentences: who wins by how much, and at what cost (empty without one)."""
     told = contests(policies, paired, baseline)
@@ -82,17 +106,21 @@ def headline(
         return verdict(policies, paired, baseline, margin).partition(". ")[0].rstrip(".") + ".", ""
     contest = told[0]
     first, second = contest.first, contest.second
-    if contest.p is None:
-        result = _sentence(contest, margin)
-    elif contest.p < SIGNIFICANT:
+    names = f"{first.policy} and {second.policy}"
+    if contest.p.success is None:
+        said = [_by_return(contest, looks)]
+    elif contest.p.success < SIGNIFICANT:
         gain, _, interval = _difference(contest).removeprefix("+").partition(" [")
-        result = f"{first.policy} beats {second.policy} by {gain} of success [{interval}."
+        said = [f"{first.policy} beats {second.policy} by {gain} of success [{interval}"]
     elif contest.pair.equivalent(margin, contest.claims):
-        result = f"{first.policy} and {second.policy} are equivalent within {100 * margin:g} points of success."
+        said = [f"{names} are equivalent within {100 * margin:g} points of success", _by_steps(contest)]
     else:
-        result = f"Undecided between {first.policy} and {second.policy}: success {_difference(contest)}."
+        said = [f"Undecided between {names}: success {_difference(contest)}", _by_steps(contest)]
+    if contest.p.success is not None and looks:
+        said.append(looks_in_words(looks))
     times = [f"{one.policy} {one.decision_ms:.2g} ms{one.training.brief}" for one in (first, second)]
-    return result, f"On average, a decision takes {', and '.join(times)}{_timing(contest)}."
+    cost = f"On average, a decision takes {', and '.join(times)}{_timing(contest)}."
+    return f"{'; '.join(filter(None, said))}.", cost
 
 
 def contests(
@@ -124,10 +152,12 @@ def _pairs_to_tell(policies: Sequence[PolicySummary], baseline: str | None) -> l
 
 
 def _claims(policies: Sequence[PolicySummary], told: int, baseline: str | None) -> int:
-    """The number of pairs among which the best two were chosen, or of those that are told, if that is larger."""
+    """The number of pairs among which the best two were chosen; all pairs if further ones are told beside them."""
     learned = sum(policy.learned for policy in policies)
     between = learned * (len(policies) - learned)
-    return told if baseline else max(told, between or math.comb(len(policies), 2))
+    if baseline:
+        return told
+    return between if between and told == 1 else math.comb(len(policies), 2)
 
 
 def _contest(
@@ -139,35 +169,53 @@ def _contest(
 ) -> Contest:
     by_name = {policy.policy: policy for policy in policies}
     pair = next(pair for pair in paired if {pair.a, pair.b} == set(names))
-    p = None if pair.mcnemar_p is None else corrected(paired, baseline)[paired.index(pair)]
-    family = [one for one in paired if baseline in (None, one.a, one.b)]
-    earned = [one.return_p for one in family if one.return_p is not None]
-    return_p = holm(earned)[family.index(pair)] if len(earned) == len(family) else None
+    p = corrected(paired, baseline)[paired.index(pair)]
     first, second = sorted((by_name[pair.a], by_name[pair.b]), key=lambda one: names.index(one.policy))
-    ahead = pair.success_difference
-    gain = ahead.value if ahead and ahead.value else pair.return_difference.value
+    gain = _gain(pair)
     if gain and (first.policy == pair.a) != (gain > 0):
         first, second = second, first
-    return Contest(first, second, pair, p, return_p, len(family), claims)
+    return Contest(first, second, pair, p, claims)
 
 
-def _sentence(contest: Contest, margin: float) -> str:
-    first, second, pair = contest.first.policy, contest.second.policy, contest.pair
-    by_return = _by_return(contest)
-    if contest.p is None:
-        return f"{by_return or f'The returns of {first} and {second} are not shown to differ'}."
+def _gain(pair: PairedDifference) -> float:
+    """By how much a does better than b, by the first figure in which they differ at all; 0 if there is none."""
+    success, steps = pair.success_difference, pair.steps_difference
+    if success is None and pair.return_p is None:
+        return pair.superiority.probability.value - 0.5
+    gains = (success.value if success else 0.0, -steps.value if steps else 0.0, pair.return_difference.value)
+    return next(filter(None, gains), 0.0)
+
+
+def _sentence(contest: Contest, margin: float, looks: Sequence[int]) -> str:
+    """The difference in success, and if that is not significant, in steps; then that in return."""
+    first, second, p = contest.first.policy, contest.second.policy, contest.p.success
+    if p is None:
+        return f"{_by_return(contest, looks)}."
     difference, least = _difference(contest), f"{100 * margin:g} points"
-    family = f" after Holm's correction for {contest.pairs} pairs" if contest.pairs > 1 else ""
-    p = f"p = {contest.p:.2g}{family}"
-    equivalent = pair.equivalent(margin, contest.claims)
-    if contest.p < SIGNIFICANT:
+    equivalent = contest.pair.equivalent(margin, contest.claims)
+    steps, more = _by_steps(contest), ""
+    if p < SIGNIFICANT:
         within = f", though by less than {least}" if equivalent else ""
-        said = f"{first} is better than {second}{within}: success {difference}, {p}"
+        said = f"{first} is better than {second}{within}: success {difference}, {_p(contest, p)}"
+        steps = ""
     elif equivalent:
-        said = f"{first} and {second} are equivalent within {least}: success {difference}"
+        said = f"{first} and {second} are equivalent in success within {least}: {difference}"
     else:
-        said = f"Undecided between {first} and {second}: success {difference}. {_more(contest, margin, least)} ({p})"
-    return f"{said}. {by_return}{'.' if by_return else ''}".rstrip()
+        said = f"Undecided between {first} and {second}: success {difference}, {_p(contest, p)}"
+        more = f" {_more(contest, margin, least)}."
+    if steps:
+        said += f"; {steps}, p = {p_value(contest.p.steps)}{'' if _p(contest, p) in said else _family(contest)}"
+    caution = f"; {looks_in_words(looks)}" if looks else ""
+    earns = _earns_more(contest)
+    return f"{said}{caution}.{more}{f' {earns}.' if earns else ''}"
+
+
+def _p(contest: Contest, p: float | None) -> str:
+    return f"p = {p_value(p)}{_family(contest)}"
+
+
+def _family(contest: Contest) -> str:
+    return f" after Holm's correction for {contest.p.tests} tests" if contest.p.tests > 1 else ""
 
 
 def _difference(contest: Contest) -> str:
@@ -182,7 +230,8 @@ def _more(contest: Contest, margin: float, least: str) -> str:
         return "More trainings would tell more than more episodes"
     discordant = (pair.only_a + pair.only_b + 1) / (pair.episodes + 2)
     needed = max(
-        episodes_to_detect(margin, discordant), episodes_to_show_equivalence(margin, discordant, claims=contest.claims)
+        episodes_to_detect(margin, discordant, pairs=contest.p.tests),
+        episodes_to_show_equivalence(margin, discordant, claims=contest.claims),
     )
     more = max(needed - pair.episodes, pair.episodes // 2)
     rounded = round(more, 1 - len(str(more)))
@@ -220,17 +269,56 @@ def _networks(contests: Sequence[Contest]) -> str:
     return f"{'; '.join(said)}." if said else ""
 
 
-def _by_return(contest: Contest) -> str:
-    """Which of two policies earns more; empty if that is not significant."""
-    gain = contest.pair.return_difference
-    low, high = gain.bounds
-    if not (low > 0 or high < 0):
+def _by_steps(contest: Contest) -> str:
+    """Which of two policies takes fewer steps to the goal; empty if that is not significant."""
+    lead = contest.steps_ahead
+    if lead is None or not _shown(lead, contest.p.steps):
         return ""
-    if contest.return_p is not None and contest.return_p >= SIGNIFICANT:
+    faster = contest.first if lead.value < 0 else contest.second
+    return f"{faster.policy} takes {_size(lead)} steps fewer"
+
+
+def _earns_more(contest: Contest) -> str:
+    """Which of two policies earns more in the mean; empty if that is not significant, or unknown."""
+    gain, p = contest.return_ahead, contest.p.returns
+    if not _shown(gain, p):
         return ""
-    better, other = (contest.pair.a, contest.pair.b) if gain.value > 0 else (contest.pair.b, contest.pair.a)
-    low, high = sorted((abs(low), abs(high)))
-    return f"{better} earns {abs(gain.value):.1f} [{low:.1f}, {high:.1f}] more an episode than {other}"
+    better, other = (contest.first, contest.second)[:: 1 if gain.value > 0 else -1]
+    return f"{better.policy} earns {_size(gain)} more an episode than {other.policy}, p = {p_value(p)}"
+
+
+def _by_return(contest: Contest, looks: Sequence[int]) -> str:
+    """Which of two policies does better where success is unknown: by its mean return, or else by the sign test."""
+    first, second = contest.first.policy, contest.second.policy
+    if contest.p.returns is not None:
+        earns = _earns_more(contest)
+        said = f"{earns}{_family(contest)}" if earns else f"The returns of {first} and {second} are not shown to differ"
+    else:
+        value, *bounds = (100 * one for one in (contest.higher.value, *contest.higher.bounds))
+        share = f"in {value:.0f} % [{bounds[0]:.0f}, {bounds[1]:.0f}] of episodes"
+        family = f" after Holm's correction for {contest.p.pairs} pairs" if contest.p.pairs > 1 else ""
+        test = f"sign test, p = {p_value(contest.p.higher)}{family}; ties count half"
+        shown = contest.p.higher < SIGNIFICANT and not bounds[0] <= 50 <= bounds[1]
+        than = f"{first} has the higher return {share}"
+        said = f"{than} ({test})" if shown else f"Undecided between {first} and {second}: {than} ({test})"
+    return f"{said}; {looks_in_words(looks)}" if looks else said
+
+
+def _shown(difference: Estimate, p: float | None) -> bool:
+    """Whether a difference is significant, and its interval says so too."""
+    low, high = difference.bounds
+    return p is not None and p < SIGNIFICANT and (low > 0 or high < 0)
+
+
+def _size(difference: Estimate) -> str:
+    low, high = sorted(map(abs, difference.bounds))
+    return f"{abs(difference.value):.1f} [{low:.1f}, {high:.1f}]"
+
+
+def _negated(found: Estimate, whole: float = 0.0) -> Estimate:
+    """`whole` minus a value, with its interval."""
+    low, high = (None if bound is None else whole - bound for bound in (found.low, found.high))
+    return Estimate(whole - found.value, high, low)
 
 
 def _physics_failed(policy: PolicySummary) -> str:

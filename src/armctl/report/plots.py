@@ -14,7 +14,7 @@ from armctl.envs import check_from_file, make_worlds
 from armctl.errors import ArmctlError
 from armctl.evaluation.curves import training_curves
 from armctl.evaluation.endurance import Endurance
-from armctl.evaluation.paired import PairedDifference, corrected
+from armctl.evaluation.paired import Corrected, PairedDifference, corrected
 from armctl.evaluation.results import Results
 from armctl.evaluation.statistics import Estimate
 from armctl.evaluation.summary import PolicySummary
@@ -183,7 +183,7 @@ def _paired(results: Results, look: style.Looks) -> list[Plot]:
     ]
 
 
-def _difference(pair: PairedDifference, p: float) -> str:
+def _difference(pair: PairedDifference, p: Corrected) -> str:
     """What a pair's figure means, in numbers."""
     gain = pair.return_difference
     earns = f"Return {gain.value:+.1f} ({spread(gain, sign='+')})."
@@ -194,7 +194,7 @@ def _difference(pair: PairedDifference, p: float) -> str:
     return (
         f"Success {100 * (success.value if success else 0):+.1f} % ({spread(success, 100, '+')}): "
         f"{pair.only_a} won only by the first, {pair.only_b} only by the second, "
-        f"p = {p_value(p)} after Holm's correction. " + style.signed(earns)
+        f"p = {p_value(p.success)} after Holm's correction. " + style.signed(earns)
     )
 
 
