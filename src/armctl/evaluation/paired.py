@@ -137,10 +137,11 @@ def _corrected(pairs: Sequence[PairedDifference]) -> list[Corrected]:
     known = [i for i, one in enumerate(p) if one is not None]
     adjusted = dict(zip(known, holm([one for one in p if one is not None]), strict=True))
     higher = holm([pair.superiority.p for pair in pairs])
-    return [
-        Corrected(*(adjusted.get(LEVELS * i + level) for level in range(LEVELS)), higher[i], len(known), len(pairs))
-        for i in range(len(pairs))
-    ]
+    found = []
+    for i in range(len(pairs)):
+        success, steps, returns = (adjusted.get(LEVELS * i + level) for level in range(LEVELS))
+        found.append(Corrected(success, steps, returns, higher[i], len(known), len(pairs)))
+    return found
 
 
 def mcnemar(only_a: int, only_b: int) -> float:
@@ -258,10 +259,10 @@ def paired_difference(
         None if success is None else mcnemar(only_a, only_b),
         gained.estimate,
         paired_superiority(*returns),
-        late and late.estimate,
+        late.estimate if late else None,
         gained.p,
-        steps_p=late and late.p,
-        simultaneous=Simultaneous(gained.wide, higher, late and late.wide),
+        steps_p=late.p if late else None,
+        simultaneous=Simultaneous(gained.wide, higher, late.wide if late else None),
     )
 
 
@@ -312,11 +313,13 @@ def difference_of_groups(
         crossed.p if crossed else None,
         earned.estimate,
         Superiority(_share_of(higher.estimate), higher.p),
-        late and late.estimate,
+        late.estimate if late else None,
         earned.p,
         crossed,
-        late and late.p,
-        Simultaneous(earned.wide or earned.estimate, _share_of(higher.wide or higher.estimate), late and late.wide),
+        late.p if late else None,
+        Simultaneous(
+            earned.wide or earned.estimate, _share_of(higher.wide or higher.estimate), late.wide if late else None
+        ),
     )
 
 

@@ -15,6 +15,7 @@ from armctl.evaluation.paired import (
     corrected,
     episodes_to_detect,
     episodes_to_show_equivalence,
+    within,
 )
 from armctl.evaluation.provenance import looks_in_words
 from armctl.evaluation.statistics import FEWEST, Estimate
@@ -195,11 +196,13 @@ def _sentence(contest: Contest, margin: float, looks: Sequence[int]) -> str:
     equivalent = contest.pair.equivalent(margin, contest.claims)
     steps, more = _by_steps(contest), ""
     if p < SIGNIFICANT:
-        within = f", though by less than {least}" if equivalent else ""
-        said = f"{first} is better than {second}{within}: success {difference}, {_p(contest, p)}"
+        though = f", though by less than {least}" if equivalent else ""
+        said = f"{first} is better than {second}{though}: success {difference}, {_p(contest, p)}"
         steps = ""
     elif equivalent:
-        said = f"{first} and {second} are equivalent in success within {least}: {difference}"
+        ahead = contest.first_ahead
+        tests = "" if ahead and within(ahead, margin) else " (two one-sided tests at 5 %)"
+        said = f"{first} and {second} are equivalent in success within {least}{tests}: {difference}"
     else:
         said = f"Undecided between {first} and {second}: success {difference}, {_p(contest, p)}"
         more = f" {_more(contest, margin, least)}."
