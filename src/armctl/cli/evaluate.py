@@ -19,6 +19,7 @@ from armctl.cli.options import (
     Overwrite,
     Policies,
     RealTime,
+    ReturnBounds,
     Seed,
     Store,
     SuccessReturn,
@@ -51,6 +52,7 @@ def compare(
     on: On = "local",
     env_options: EnvOptions = None,
     success_return: SuccessReturn = None,
+    return_bounds: ReturnBounds = None,
     baseline: Annotated[
         str | None,
         typer.Option(
@@ -108,6 +110,7 @@ def compare(
             real_time=real_time,
             slow_down=slow_down,
             store=store,
+            return_bounds=return_bounds,
         )
     console = print_document(comparison.document(), table_format)
     written = "results" not in comparison.failures

@@ -110,6 +110,16 @@ SuccessReturn = Annotated[
         show_default='the environment\'s info["is_success"] or info["success"]',
     ),
 ]
+ReturnBounds = Annotated[
+    tuple[float, float] | None,
+    typer.Option(
+        "--return-bounds",
+        metavar="LOW HIGH",
+        help="Least and largest possible return of any episode, for an environment that does not tell them. Means of "
+        "returns have intervals and tests with such bounds only.",
+        show_default="those of the task, if known",
+    ),
+]
 
 
 class EpisodeStore(StrEnum):

@@ -17,6 +17,7 @@ from armctl.cli.options import (
     On,
     Overwrite,
     Policies,
+    ReturnBounds,
     Seed,
     Store,
     SuccessReturn,
@@ -57,6 +58,7 @@ def sweep(
     on: On = "local",
     env_options: EnvOptions = None,
     success_return: SuccessReturn = None,
+    return_bounds: ReturnBounds = None,
     slow_down: Annotated[
         str | None,
         typer.Option(
@@ -117,6 +119,7 @@ def sweep(
             store=store,
             env_options=options,
             real_time=real_time,
+            return_bounds=return_bounds,
             progress=progress,
         )
     console = print_document(found.document(), table_format)

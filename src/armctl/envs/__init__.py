@@ -14,14 +14,14 @@ from armctl.envs.interface import (
     how_to_declare,
     interface_of,
 )
-from armctl.envs.make import check_from_file, find_spec, full_id, make_worlds, task_of
+from armctl.envs.make import RETURN_BOUNDS, check_from_file, find_spec, full_id, make_worlds, task_of
 from armctl.envs.observations import batch_of_one, one_of
 from armctl.envs.single import TaskEnv
 from armctl.envs.third_party import ThirdPartyVectorEnv, episode_seed
 from armctl.envs.vector import Observer, TaskVectorEnv
 
 __all__ = [
-    "INTERFACES", "SEES", "EpisodeVectorEnv", "Interface", "MapInterface", "ModelInterface", "Observer", "Sees",
-    "TaskEnv", "TaskVectorEnv", "ThirdPartyVectorEnv", "batch_of_one", "check_from_file", "episode_seed", "find_spec",
-    "full_id", "how_to_declare", "interface_of", "make_worlds", "one_of", "task_of",
+    "INTERFACES", "RETURN_BOUNDS", "SEES", "EpisodeVectorEnv", "Interface", "MapInterface", "ModelInterface",
+    "Observer", "Sees", "TaskEnv", "TaskVectorEnv", "ThirdPartyVectorEnv", "batch_of_one", "check_from_file",
+    "episode_seed", "find_spec", "full_id", "how_to_declare", "interface_of", "make_worlds", "one_of", "task_of",
 ]  # fmt: skip

@@ -38,6 +38,8 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     max_episode_steps: int | None
     autoreset_mode: AutoresetMode
     disturbances: dict[str, Disturbance]
+    stated_return_bounds: tuple[float, float] | None = None
+    """Least and largest possible return, as whoever compares policies states them."""
     normalized = False
     """Whether actions are from -1 to 1, and not in the task's units."""
 
@@ -89,6 +91,13 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     def control_period(self) -> float | None:
         """Seconds between two control steps; None if the environment does not say."""
         return self.task.control_period  # type: ignore[no-any-return]
+
+    @property
+    def return_bounds(self) -> tuple[float, float] | None:
+        """Least and largest possible return of an episode: those stated, or those of the task; None if unknown."""
+        if self.stated_return_bounds is not None:
+            return self.stated_return_bounds
+        return self.task.return_bounds(self.max_episode_steps)  # type: ignore[no-any-return]
 
     @property
     def idle_action(self) -> Array:

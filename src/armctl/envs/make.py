@@ -1,6 +1,7 @@
 """Makes environments by their ids."""
 
 import inspect
+import math
 import shlex
 import sys
 from collections.abc import Iterator, Mapping
@@ -36,6 +37,8 @@ RESERVED = {
 """Arguments that callers cannot set as options."""
 SCORING = {"success_return", "disturbances"}
 """Options for environments of others, which these do not get to see."""
+RETURN_BOUNDS = "return_bounds"
+"""The option of any environment with its least and largest possible return, which it does not get to see."""
 
 
 def make_worlds(
@@ -54,6 +57,7 @@ def make_worlds(
     options = dict(options or {})
     if reserved := RESERVED & set(options):
         raise ConfigurationError(f"{reserved.pop()} cannot be set as an option: armctl sets it itself")
+    stated = None if (given := options.pop(RETURN_BOUNDS, None)) is None else _checked_return_bounds(given)
     spec = find_spec(env)
     if is_task(spec):
         vector: dict[str, Any] = {
@@ -65,6 +69,7 @@ def make_worlds(
         with _wrap_errors(spec.id):
             made: Any = gymnasium.make_vec(spec, **vector, **options)
         assert isinstance(made, TaskVectorEnv)
+        made.stated_return_bounds = stated
         return made
     if autoreset_mode is not AutoresetMode.DISABLED:
         raise ConfigurationError(
@@ -74,7 +79,19 @@ def make_worlds(
     scoring = {name: options.pop(name) for name in SCORING & set(options)}
     if not isinstance(scoring.get("success_return", 0.0), (int, float)):
         raise ConfigurationError(f"success_return is a number, not {scoring['success_return']!r}")
-    return ThirdPartyVectorEnv(lambda: _make_third_party(spec, options, render_mode), worlds, **scoring)
+    others = ThirdPartyVectorEnv(lambda: _make_third_party(spec, options, render_mode), worlds, **scoring)
+    others.stated_return_bounds = stated
+    return others
+
+
+def _checked_return_bounds(given: Any) -> tuple[float, float]:
+    numbers = [float(one) for one in given if isinstance(one, (int, float))] if isinstance(given, (tuple, list)) else []
+    if len(numbers) != 2 or len(given) != 2 or not -math.inf < numbers[0] < numbers[1] < math.inf:
+        raise ConfigurationError(
+            f"{RETURN_BOUNDS} are the least and the largest possible return, two finite numbers such as (-200, 0), not "
+            f"{given!r}"
+        )
+    return numbers[0], numbers[1]
 
 
 def task_of(env: str) -> type[Any]:
@@ -195,7 +212,7 @@ def _check_options(spec: EnvSpec, options: Mapping[str, Any]) -> None:
     parameters = inspect.signature(maker).parameters if maker else {}
     if any(one.kind is inspect.Parameter.VAR_KEYWORD for one in parameters.values()):
         return
-    allowed = {*parameters, "max_episode_steps", *SCORING} - RESERVED - {"self"}
+    allowed = {*parameters, "max_episode_steps", *SCORING, RETURN_BOUNDS} - RESERVED - {"self"}
     for name in options:
         if name not in allowed:
             raise unknown_name(f"option of {spec.id}", name, allowed)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from armctl import DEFAULT_ENV
-from armctl.envs import ThirdPartyVectorEnv, full_id, task_of
+from armctl.envs import RETURN_BOUNDS, ThirdPartyVectorEnv, full_id, task_of
 from armctl.errors import ConfigurationError, ResultsError, unknown_name
 from armctl.evaluation.comparison import Comparison, summary
 from armctl.evaluation.decision_times import load_notes, timing_notes, unjudged
@@ -37,6 +37,7 @@ from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.rollouts import check_counts, wrap_environment_errors
 from armctl.evaluation.seeding import seed_notes
 from armctl.evaluation.seeds import check_evaluation_seed
+from armctl.evaluation.statistics import Bounds
 from armctl.evaluation.store import CSV, EpisodeLog, check_store
 from armctl.evaluation.summary import certificate_notes, counted_results, summarise
 from armctl.evaluation.workers import WorkersFailed
@@ -46,7 +47,10 @@ from armctl.registration import bare_id, remember_named
 UNTOLD = "{env} is not made of a task of armctl's: least times, feasibility, contacts and clearances are unknown."
 UNSCORED = "{env} does not say what a success is: the verdict goes by return. --success-return says which is one."
 ONE_TRAINING = "{group} is a single training, which says nothing of others by the same recipe."
-UNBOUNDED = "The possible returns are unknown: their intervals assume that none lies beyond those seen here."
+UNBOUNDED = (
+    "The possible returns are unknown, so that their means and worst tenths have neither intervals nor tests: a "
+    "disaster that none of these episodes had may cost anything. --return-bounds LOW HIGH states the bounds."
+)
 
 
 def compare(
@@ -67,6 +71,7 @@ def compare(
     real_time: str | Path | RealTime | None = None,
     slow_down: float = 1.0,
     store: str = CSV,
+    return_bounds: Bounds | None = None,
     progress: Callable[[EpisodeResult], None] | None = None,
 ) -> Comparison:
     """Let policies play the same episodes 0 to `episodes` - 1 of `seed`.
@@ -95,14 +100,17 @@ def compare(
     those of an earlier run.
 
     The verdict is about the best classical and the best learned policy, or about `baseline` against all others. Success
-    that differs by less than `margin` counts as equivalent.
+    that differs by less than `margin` counts as equivalent. `return_bounds`, short for the option of that name, are the
+    least and largest possible return of an episode, for an environment that does not tell them: means of returns have
+    intervals and tests with such bounds only.
 
-    Raises `ConfigurationError` (also for a seed of training, see `armctl.evaluation.seeds`), `AgentFileError`, and
+    Raises `ConfigurationError` (also for a seed of training, see `armctl.evaluation.seeds`, and for a return that is
+    outside the `return_bounds`), `AgentFileError`, and
     `ResultsError` if `out` cannot be written, is damaged, or holds the results of another comparison (unless
     `overwrite`).
     """
     check_store(store)
-    env = full_id(env)
+    env, env_options = full_id(env), with_return_bounds(env_options, return_bounds)
     remember_named(env)
     if policies is None:
         policies = default_policies(env)
@@ -121,7 +129,7 @@ def compare(
             check_measurable(worlds, engine.workers)
         check_recorded(paced, by_name, episodes)
         worlds = 1
-    comparison = Comparison(env, seed, dict(env_options or {}), EpisodeTable())
+    comparison = Comparison(env, seed, env_options, EpisodeTable())
     comparison.baseline, comparison.margin, comparison.groups = baseline, margin, groups
     comparison.notes += [
         ONE_TRAINING.format(group=name) for name in asked if is_group(asked[name]) and name not in groups
@@ -172,6 +180,7 @@ def compare(
                     _note_failures(comparison, played)
                     meter.look()
                     for result in (replace(one, run=meter.run.id) for one in played.results):
+                        _check_return(result, made_env.stated_return_bounds)
                         results.append(result)
                         if progress is not None:
                             progress(result)
@@ -210,7 +219,7 @@ def _judge(comparison: Comparison, results: EpisodeTable, made: Mapping[str, Pol
     """Summarise the results, and note what is to be known of them."""
     comparison.results = results
     steps = env.max_episode_steps
-    if (bounds := env.task.return_bounds(steps)) is None:
+    if (bounds := env.return_bounds) is None:
         comparison.notes.append(UNBOUNDED)
     comparison.policies, comparison.paired = summarise(
         results, made, episodes, bounds, steps, comparison.groups, comparison.spared
@@ -220,6 +229,23 @@ def _judge(comparison: Comparison, results: EpisodeTable, made: Mapping[str, Pol
     comparison.notes += timing_notes((name, played) for name, played in counted.items() if played)
     if comparison.policies and comparison.policies[0].success is None:
         comparison.notes.append(UNSCORED.format(env=bare_id(comparison.env)))
+
+
+def with_return_bounds(env_options: Mapping[str, Any] | None, bounds: Bounds | None) -> dict[str, Any]:
+    """The options of an environment, with the bounds of its returns if they are stated."""
+    return dict(env_options or {}) | ({} if bounds is None else {RETURN_BOUNDS: bounds})
+
+
+def _check_return(result: EpisodeResult, bounds: Bounds | None) -> None:
+    """Raise `ConfigurationError` for a return beyond the stated bounds, by more than what sums are rounded by."""
+    if bounds is None:
+        return
+    rounding = 1e-9 * max(map(abs, bounds))
+    if not bounds[0] - rounding <= result.total_reward <= bounds[1] + rounding:
+        raise ConfigurationError(
+            f"episode {result.episode} of {result.policy} has the return {result.total_reward:g}, outside the stated "
+            f"{RETURN_BOUNDS} [{bounds[0]:g}, {bounds[1]:g}]: state bounds that hold for every possible episode"
+        )
 
 
 def default_policies(env: str) -> tuple[str, ...]:

@@ -59,13 +59,13 @@ class PairedDifference:
 
     Then counts are 0. With several trainings, they are means over these."""
     return_difference: Estimate
-    """Mean of return a - return b."""
+    """Mean of return a - return b; its interval is unknown where the possible returns are."""
     superiority: Superiority
     """Of return a over return b."""
     steps_difference: Estimate | None
     """Mean of steps to the goal of a - those of b, a failure counting as the time limit; None without a limit."""
     return_p: float | None = None
-    """Two-sided p-value for equal returns in the mean; None in results of older versions."""
+    """Two-sided p-value for equal returns in the mean; None where the possible returns are unknown."""
     crossed: CrossedDifference | None = None
     """In success, if a or b is several trainings and success is known."""
     steps_p: float | None = None
@@ -228,25 +228,23 @@ def paired_difference(
     success: tuple[NDArray[np.bool_], NDArray[np.bool_]] | None,
     returns: tuple[Array, Array],
     steps: tuple[Array, Array] | None,
-    return_bounds: Bounds,
+    return_bounds: Bounds | None,
     time_limit: int | None = None,
     claims: int = 1,
 ) -> PairedDifference:
     """Compare two policies. The i-th entries (k,) of both belong to the same episode; k is at least 1.
 
     `success` is None if it is unknown, `steps` are the restricted steps to the goal. `return_bounds` are those of each
-    policy's return, `claims` is for how many pairs the simultaneous intervals hold.
+    policy's return, None if nobody knows them. `claims` is for how many pairs the simultaneous intervals hold.
     """
     k = len(returns[0])
     success_a, success_b = success or (np.zeros(k, dtype=bool), np.zeros(k, dtype=bool))
     both = success_a & success_b
     only_a, only_b = int((success_a & ~success_b).sum()), int((success_b & ~success_a).sum())
-    most = return_bounds[1] - return_bounds[0]
     level = 1 - UNCERTAINTY / claims
-    gained = bounded_difference(returns[0] - returns[1], (-most, most), level)
+    gained, wide, return_p = _return_difference(returns[0] - returns[1], return_bounds, level)
     late = _steps_difference(steps, time_limit, level)
     higher = bounded_mean((np.sign(returns[0] - returns[1]) + 1) / 2, (0.0, 1.0), level)
-    assert gained is not None
     assert higher is not None
     return PairedDifference(
         a,
@@ -257,13 +255,26 @@ def paired_difference(
         only_b,
         0 if success is None else int((~success_a & ~success_b).sum()),
         None if success is None else mcnemar(only_a, only_b),
-        gained.estimate,
+        gained,
         paired_superiority(*returns),
         late.estimate if late else None,
-        gained.p,
+        return_p,
         steps_p=late.p if late else None,
-        simultaneous=Simultaneous(gained.wide, higher, late.wide if late else None),
+        simultaneous=Simultaneous(wide, higher, late.wide if late else None),
     )
+
+
+def _return_difference(
+    gains: Array, return_bounds: Bounds | None, confidence: float
+) -> tuple[Estimate, Estimate, float | None]:
+    """Mean of gains (k,) in return with both intervals, and its p-value: all unknown if the possible returns are."""
+    if return_bounds is None:
+        unknown = Estimate(float(gains.mean()), None, None)
+        return unknown, unknown, None
+    most = return_bounds[1] - return_bounds[0]
+    found = bounded_difference(gains, (-most, most), confidence)
+    assert found is not None
+    return found.estimate, found.wide, found.p
 
 
 def _steps_difference(
@@ -280,7 +291,7 @@ def difference_of_groups(
     success: tuple[Array, Array] | None,
     returns: tuple[Array, Array],
     steps: tuple[Array, Array] | None,
-    return_bounds: Bounds,
+    return_bounds: Bounds | None,
     time_limit: int | None = None,
     claims: int = 1,
 ) -> PairedDifference:
@@ -290,7 +301,11 @@ def difference_of_groups(
     is also for how many pairs equivalence may be claimed.
     """
     narrow, wide = 1 - 2 * EQUIVALENCE / claims, 1 - UNCERTAINTY / claims
-    earned = difference_over_trainings(*returns, return_bounds, wide=wide)
+    gained, return_p = Estimate(float(returns[0].mean() - returns[1].mean()), None, None), None
+    of_all = gained
+    if return_bounds is not None:
+        earned = difference_over_trainings(*returns, return_bounds, wide=wide)
+        gained, of_all, return_p = earned.estimate, earned.wide or earned.estimate, earned.p
     higher = _superiority_of_groups(*returns, wide)
     late = None
     if steps is not None and time_limit is not None:
@@ -311,15 +326,13 @@ def difference_of_groups(
         only_b,
         neither,
         crossed.p if crossed else None,
-        earned.estimate,
+        gained,
         Superiority(_share_of(higher.estimate), higher.p),
         late.estimate if late else None,
-        earned.p,
+        return_p,
         crossed,
         late.p if late else None,
-        Simultaneous(
-            earned.wide or earned.estimate, _share_of(higher.wide or higher.estimate), late.wide if late else None
-        ),
+        Simultaneous(of_all, _share_of(higher.wide or higher.estimate), late.wide if late else None),
     )
 
 

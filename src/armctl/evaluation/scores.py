@@ -23,7 +23,8 @@ WITHIN_RANGE, WITHIN_SPEED = 1.01, 1.2
 class Limits:
     """Between which numbers returns and times lie."""
 
-    returns: Bounds
+    returns: Bounds | None
+    """None if nobody knows: then no mean of returns has an interval."""
     steps: int | None
 
 

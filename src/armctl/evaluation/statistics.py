@@ -94,13 +94,19 @@ def bounded_difference(values: Array, bounds: Bounds, confidence: float = 0.95) 
     return _bounded(values, bounds, lambda ordered, weights: weights @ ordered, confidence)
 
 
-def worst_decile(values: Array, bounds: Bounds) -> Estimate | None:
-    """Mean of the worst tenth of values (k,), the conditional value at risk, with the interval of `bounded_mean`."""
+def worst_decile(values: Array, bounds: Bounds | None) -> Estimate | None:
+    """Mean of the worst tenth of values (k,), the conditional value at risk, with the interval of `bounded_mean`.
+
+    Without bounds, the interval is unknown.
+    """
 
     def statistic(ordered: Array, weights: Array) -> Array:
         reached = np.minimum(np.cumsum(weights, axis=1), 0.1)
         return np.asarray(np.diff(reached, axis=1, prepend=0.0) @ ordered / 0.1)
 
+    if bounds is None:
+        equal = np.full((1, len(values)), 1 / max(len(values), 1))
+        return Estimate(float(statistic(np.sort(values), equal)[0]), None, None) if len(values) else None
     found = _bounded(values, bounds, statistic)
     return None if found is None else found.estimate
 

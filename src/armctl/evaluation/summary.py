@@ -68,6 +68,8 @@ class PolicySummary:
     """Rate of `clean` successes; None if contacts are unknown."""
     worst_decile: Estimate | None = None
     """Mean of the worst tenth of the returns: the conditional value at risk."""
+    median_return: Estimate | None = None
+    """Where the possible returns are unknown: it has an interval all the same, unlike their mean and worst tenth."""
     restricted_steps: Estimate | None = None
     """Mean steps to the goal over all episodes, a failure counting as the time limit; None without a limit."""
     efficiency: Estimate | None = None
@@ -130,15 +132,15 @@ def summarise(
     """Summaries of policies and of pairs. `results` are sorted by policy and episode.
 
     Each of the `groups`, several trainings by their names, counts as one policy; a group of which one has not finished
-    an episode has no figures. `return_bounds` are the least and largest possible return; if they are unknown, those of
-    all results take their place. `time_limit` is the largest number of control steps of an episode. `spared` are the
-    disturbances that do not reach a policy, by its name: pairs with such a policy are left out.
+    an episode has no figures. `return_bounds` are the least and largest possible return. If they are unknown, means of
+    returns have neither intervals nor tests: no number of episodes tells what a disaster costs that none of them had.
+    `time_limit` is the largest number of control steps of an episode. `spared` are the disturbances that do not reach a
+    policy, by its name: pairs with such a policy are left out.
     """
     table = table_of(results)
     counted, infeasible = counted_results(table)
     scored = any(success is not None for success in table.column("success").tolist())
-    returns = table.column("total_reward")
-    limits = Limits(return_bounds or (float(returns.min()), float(returns.max())), time_limit)
+    limits = Limits(return_bounds, time_limit)
     trained = by_learner(counted, policies, groups or {})
     found = []
     for name, trainings in trained.items():
@@ -206,7 +208,7 @@ def _summary(
         infeasible,
         dict(Counter(results.column("outcome").tolist()).most_common()),
         success_rate(scores("success") == 1) if scored else None,
-        bounded_mean(returns, limits.returns),
+        _mean(returns, limits.returns),
         _mean(won.column("length"), steps),
         median(_known(results.optimality_gap)),
         _mean(_known(results.column("tracking_error"))),
@@ -219,6 +221,7 @@ def _summary(
         _mean(scores("length"), steps),
         success_rate(scores("clean_success") == 1) if scored and not unknown_contacts else None,
         worst_decile(returns, limits.returns),
+        median(returns) if limits.returns is None else None,
         _mean(scores("restricted_steps"), steps) if scored and limits.steps else None,
         bounded_mean(efficiency, (0.0, 1.0)) if scored and np.isfinite(efficiency).all() else None,
         float(cold.max()) if len(cold) else None,
@@ -234,19 +237,19 @@ def _of_group(
 ) -> PolicySummary:
     """The summary of several trainings, from that of all their episodes: intervals are over trainings as well."""
     steps = float(limits.steps or 1)
-    bounds = {
+    bounds: dict[str, Bounds | None] = {
         "success": (0.0, 1.0),
         "clean_success": (0.0, 1.0),
         "efficiency": (0.0, 1.0),
         "episode_return": limits.returns,
         "restricted_steps": (1.0, steps),
-        "length": (1.0, steps),
+        "length": (1.0, steps) if limits.steps else None,
     }
     changes: dict[str, Any] = {
         name: replace(value, low=None, high=None) for name, value in vars(pooled).items() if isinstance(value, Estimate)
     }
     for name, possible in bounds.items():
-        if getattr(pooled, name) is not None and (name != "length" or limits.steps is not None):
+        if possible is not None and getattr(pooled, name) is not None:
             values = scores_of(name, list(trainings.values()), limits)
             changes[name] = mean_over_trainings(values, possible).mean
     main = "success" if scored else "episode_return"

@@ -20,13 +20,16 @@ DISQUALIFIED = "disqualified"
 def policy_table(env: str, seed: int, policies: Sequence[PolicySummary], disqualified: Sequence[str] = ()) -> Table:
     """A row for each policy. An environment that knows no success has no columns of it."""
     by_success = any(policy.success for policy in policies)
-    columns = [Column("policy"), Column("success"), Column("return"), Column("steps"), Column("length")]
+    unbounded = any(policy.median_return for policy in policies)
+    columns = [Column("policy"), Column("success"), Column("return"), Column("median return", optional=by_success)]
+    columns += [Column("steps"), Column("length")]
     columns += [Column(name, optional=True) for name in ("decision ms", "sees", "clean", "worst 10 %")]
     rows = [
         [
             Cell(policy.policy, _training(policy)),
             percent(policy.success),
             plain(policy.episode_return),
+            plain(policy.median_return),
             plain(policy.restricted_steps),
             plain(policy.length),
             Cell(f"{policy.decision_ms_p50:.3f}", f"{policy.decision_ms_p99:.3f}"),
@@ -50,7 +53,10 @@ def policy_table(env: str, seed: int, policies: Sequence[PolicySummary], disqual
         caption += " Clean: without contacts and beyond no limit. Steps: to the goal; failures count as the time limit."
     else:
         caption += " Length: steps of an episode."
-    columns, rows = _without(("length",) if by_success else ("success", "clean", "steps"), columns, rows)
+    if unbounded:
+        caption += " Possible returns are unknown, and with them intervals of their means; medians have one."
+    left_out = ("length",) if by_success else ("success", "clean", "steps")
+    columns, rows = _without((*left_out, *(() if unbounded else ("median return",))), columns, rows)
     records = [dataclasses.asdict(policy) for policy in policies]
     records += [{"policy": name, "disqualified": True} for name in disqualified]
     title = f"{env}: {policies[0].planned} episodes of seed {seed}"
@@ -124,7 +130,7 @@ def paired_table(pairs: Sequence[PairedDifference], baseline: str | None = None)
     else:
         columns = [name, gain, Column("a is better"), Column("p")]
         caption = "a is better: share of episodes in which a has the higher return; a tie counts half. "
-        caption += f"p: sign test, after Holm's correction for {family}."
+        caption += f"p: sign test, after Holm's correction for {family}. Intervals: 95 %."
     records = [
         {
             **dataclasses.asdict(pair), "p_corrected": p.success if by_success else p.higher,

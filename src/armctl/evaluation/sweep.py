@@ -16,7 +16,7 @@ from armctl import DEFAULT_ENV
 from armctl.disturbances import DisturbanceSpec, available
 from armctl.envs import full_id, make_worlds
 from armctl.errors import ConfigurationError, ResultsError, unknown_name
-from armctl.evaluation.compare import compare, default_policies
+from armctl.evaluation.compare import compare, default_policies, with_return_bounds
 from armctl.evaluation.comparison import Comparison
 from armctl.evaluation.curves import COMPARISONS, PAIRS, POINTS, RECORDED, SWEEP, comparison_in
 from armctl.evaluation.endurance import NEUTRAL, Pair, PairTest
@@ -37,7 +37,7 @@ from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.scores import counted_rows
 from armctl.evaluation.seeding import seed_notes
 from armctl.evaluation.seeds import check_evaluation_seed
-from armctl.evaluation.statistics import Estimate, paired_superiority
+from armctl.evaluation.statistics import Bounds, Estimate, paired_superiority
 from armctl.evaluation.store import CSV, check_store
 from armctl.evaluation.summary import PolicySummary
 from armctl.evaluation.summary_tables import sweep_parts
@@ -122,6 +122,7 @@ def sweep(
     env_options: Mapping[str, Any] | None = None,
     real_time: str | Path | None = None,
     store: str = CSV,
+    return_bounds: Bounds | None = None,
     progress: Callable[[str, EpisodeResult], None] | None = None,
 ) -> Sweep:
     """Compare policies on the same episodes, undisturbed and at each level of each disturbance.
@@ -138,7 +139,8 @@ def sweep(
 
     Raises `ConfigurationError`, `AgentFileError`, and `ResultsError` as `compare` does.
     """
-    env, options = full_id(env), dict(env_options or {})
+    env, env_options = full_id(env), with_return_bounds(env_options, return_bounds)
+    options = dict(env_options)
     check_evaluation_seed(seed)
     check_store(store)
     specs = _specs(env, options)

@@ -60,16 +60,17 @@ def success_bars(policies: Sequence[PolicySummary], look: Looks) -> go.Figure:
 
 
 def return_points(policies: Sequence[PolicySummary], look: Looks) -> go.Figure:
-    """Mean return of each policy, with its 95 % interval, where success is unknown."""
+    """Mean return of each policy, with its 95 % interval if it is known, where success is unknown."""
     figure = go.Figure()
     for policy in policies:
         if (earned := policy.episode_return) is None:
             continue
         style = look[policy.policy]
         low, high = (earned.value if bound is None else bound for bound in (earned.low, earned.high))
-        said = f"{earned.value:.4g} [{low:.4g}, {high:.4g}]"
+        known = earned.low is not None
+        said = f"{earned.value:.4g}" + (f" [{low:.4g}, {high:.4g}]" if known else ", interval unknown")
         add_interval(figure, style.label, low, earned.value, high, style.colour, said)
-        bounds = "" if earned.low is None else f"{number(low)} to {number(high)}"
+        bounds = f"{number(low)} to {number(high)}" if known else ""
         add_label(figure, style.label, f"<b>{number(earned.value)}</b>", bounds)
     ends = [float(end) for trace in figure.data for end in trace.x]
     margin = 0.05 * (max(ends) - min(ends) or 1.0)
@@ -114,7 +115,7 @@ def paired(pair: PairedDifference, episodes: Mapping[str, Sequence[EpisodeResult
 
 
 def robustness(sweep: pd.DataFrame, look: Looks) -> go.Figure:
-    """Success, or return if success is unknown, against the levels of one disturbance, with 95 % intervals."""
+    """Success, or return if success is unknown, against the levels of one disturbance, with known 95 % intervals."""
     figure = go.Figure()
     by_success = bool(sweep.success.notna().any())
     for name, rows in sweep.groupby("policy", sort=False):

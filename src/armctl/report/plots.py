@@ -189,7 +189,11 @@ def _difference(pair: PairedDifference, p: Corrected) -> str:
     earns = f"Return {gain.value:+.1f} ({spread(gain, sign='+')})."
     if pair.mcnemar_p is None:
         chance = 100 * pair.superiority.probability.value
-        return style.signed(f"{earns} The first is better in {chance:.1f} % of the episodes.")
+        interval = spread(pair.superiority.probability, 100)
+        return style.signed(
+            f"{earns} The first has the higher return in {chance:.1f} % of the episodes ({interval} %; a tie counts "
+            f"half), sign test p = {p_value(p.higher)} after Holm's correction."
+        )
     success = pair.success_difference
     return (
         f"Success {100 * (success.value if success else 0):+.1f} % ({spread(success, 100, '+')}): "
