@@ -7,10 +7,11 @@ from armctl.evaluation.across_tasks import (
     family,
     heads_to_head,
     improvement,
+    leagues,
     mean_over_tasks,
     rank,
-    success_of,
     success_profile,
+    values_of,
 )
 from armctl.evaluation.paired import holm, mcnemar
 from armctl.evaluation.statistics import Estimate, bounded_mean
@@ -52,7 +53,7 @@ def test_nobody_is_judged_by_the_episodes_that_he_was_chosen_for():
     success = table(a=[1, 0, 1, 0, 1, 0], b=[0, 1, 0, 1, 0, 1])  # each is best in one half, and loses all of the other
     choice = choose(success, success, ["a", "b"])
     assert choice == ("b", "a")
-    assert success_of(success, choice).tolist() == [0] * 6
+    assert values_of(success, choice).tolist() == [0] * 6
 
 
 def test_equal_success_is_decided_by_return_and_then_by_order():
@@ -167,3 +168,24 @@ def test_intervals_over_tasks_hold_near_one_hundred_percent_where_a_bootstrap_do
     assert np.mean(holds) >= 0.93
     if rates == (0.99, 0.98):
         assert np.mean(resampled) < 0.9
+
+
+def test_families_are_compared_only_over_tasks_that_all_of_them_have_played():
+    high, low = Estimate(0.9, 0.8, 1.0), Estimate(0.3, 0.2, 0.4)
+    ranks = {
+        "MPC": {"reach": low, "bridge": high, "moving": high},
+        "PPO": {"reach": high, "bridge": low, "moving": low},
+        "SAC": {"reach": Estimate(0.5, 0.4, 0.6)},
+        "OMPL": {"moving": low, "bridge": low},
+        "none": {},
+    }
+    found = leagues(ranks)
+    assert [(league.tasks, list(league.ranks)) for league in found] == [
+        (("reach", "bridge", "moving"), ["MPC", "PPO"]),
+        (("moving", "bridge"), ["MPC", "PPO", "OMPL"]),
+        (("reach",), ["PPO", "SAC", "MPC"]),
+    ]
+    for league in found:
+        for name, mean in league.ranks.items():
+            assert mean == mean_over_tasks([ranks[name][task] for task in league.tasks])
+    assert leagues({}) == leagues({"none": {}}) == []

@@ -3,11 +3,13 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from armctl.evaluation.across_tasks import HeadToHead
+from armctl.evaluation.across_tasks import HeadToHead, heads_to_head
 from armctl.evaluation.answers import Answer, corrected
 from armctl.evaluation.paired import holm, mcnemar
+from armctl.evaluation.statistics import Estimate, bounded_difference
 from armctl.evaluation.sweep import UNDISTURBED
 from armctl.report.suite_page import headline
 
@@ -37,30 +39,109 @@ def test_few_episodes_give_no_verdict_anywhere(sign):
     (one,) = corrected([answer_of(eight, head(*(0, 8)[::sign], episodes=8))])
     assert one.verdict.startswith("No verdict from 8 episodes")
     assert one.turns == ""
-    assert headline([one]) == "Of 1 task, classical is better in 0, learned in 0, neither is shown to be in 1"
+    assert headline([one]) == (
+        "Of 1 task, by success, classical is better in 0, learned in 0, neither is shown to be in 1"
+    )
 
 
-def test_verdicts_and_headline_are_corrected_for_all_tasks_and_agree():
-    heads = [head(7, 0), head(0, 12), head(8, 1), head(3, 3)]
+def test_verdicts_and_headline_are_corrected_for_all_tasks_and_for_success_and_steps():
+    faster = {"steps": Estimate(-2.3, -4.2, -0.3), "steps_p": 0.012}
+    heads = [head(6, 0), head(0, 12), head(8, 1), replace(head(3, 3), **faster)]
     answers = [answer_of(one, head(0, 20), env=f"armctl/Task{i}-v0") for i, one in enumerate(heads)]
     found = corrected([*answers, Answer("armctl/None-v0", [], {}, {})])
-    assert [one.undisturbed.p for one in found[:-1]] == holm([one.p for one in heads])
+    tests = holm([*(one.p for one in heads), 0.012])
+    assert [one.undisturbed.p for one in found[:-1]] == tests[:4]
+    assert found[3].undisturbed.steps_p == tests[4] == pytest.approx(0.048)
+    assert [one.undisturbed.claims for one in found[:-1]] == [4] * 4
     assert [one.undisturbed.better for one in answers] == [1, -1, 1, 0]
+    assert [one.undisturbed.better for one in found[:-1]] == [0, -1, 0, 0]
     assert [one.verdict.partition(":")[0] for one in found[:-1]] == [
-        "Undecided" if one.undisturbed.better == 0 else ("Classical is better", "Learned is better")[i == 1]
-        for i, one in enumerate(found[:-1])
-    ]
-    counts = [sum(one.undisturbed.better == sign for one in found[:-1]) for sign in (1, -1, 0)]
-    assert counts[0] < 2
+        "Undecided", "Learned is better", "Undecided", "Undecided",
+    ]  # fmt: skip
+    assert found[3].verdict.endswith("; classical takes 2.3 [0.3, 4.2] steps fewer, p = 0.048")
     assert headline(found) == (
-        f"Of 4 tasks, classical is better in {counts[0]}, learned in {counts[1]}, neither is shown to be in {counts[2]}"
+        "Of 4 tasks, by success, classical is better in 0, learned in 1, neither is shown to be in 3; "
+        "there, classical takes fewer steps in 1, learned in 0"
     )
     assert found[0].heads[SETTINGS[0]] == answers[0].heads[SETTINGS[0]]
 
 
-def test_settings_are_counted_as_settings():
-    assert answer_of(head(20, 0), head(20, 0), head(20, 0)).turns == "the order stays in all 2 disturbed settings"
-    assert answer_of(head(3, 3), head(3, 3)).turns == "undecided in the disturbed setting"
+def test_steps_are_told_where_neither_is_better_in_success():
+    slower = {"steps": Estimate(2.34, 0.26, 4.2), "steps_p": 0.01}
+    equal = answer_of(replace(head(0, 0, episodes=500), **slower))
+    assert equal.verdict == (
+        "Equivalent in success within 2 points: reach_ik against reach_ppo, +0.0 points [-0.7, 0.7]; "
+        "learned takes 2.3 [0.3, 4.2] steps fewer, p = 0.01"
+    )
+    for untold in ({"steps_p": 0.06}, {"steps": Estimate(2.34, -0.1, 4.2)}, {"episodes": 9}):
+        assert replace(equal.undisturbed, **untold).faster == 0
+    better = replace(head(12, 0), **slower)
+    assert (better.better, better.faster) == (1, 0)
+    assert "steps" not in answer_of(better).verdict
+
+
+def test_earlier_looks_are_a_part_of_verdict_and_headline():
+    words = "after 2 earlier looks at 20 and 50 episodes, p is too small and intervals are too narrow"
+    one = replace(answer_of(head(20, 0)), looks=[20, 50])
+    assert one.verdict.endswith(f"p = 1.9e-06; {words}")
+    assert headline([one, replace(one, looks=[50])]).endswith(f"neither is shown to be in 0; {words}")
+
+
+def swept(gains):
+    """An answer from differences in success by setting: -1, 0 or 1 for each episode."""
+    cells = {name: pd.DataFrame({"c": gain > 0, "l": gain < 0}, dtype=float) for name, gain in gains.items()}
+    heads = heads_to_head(cells, UNDISTURBED, ("c", "c"), ("l", "l"))
+    return Answer("armctl/Some-v0", [], cells, {name: name for name in cells}, ("c", "c"), ("l", "l"), heads)
+
+
+def lead(won, lost, episodes=100):
+    return np.repeat([1, -1, 0], [won, lost, episodes - won - lost])
+
+
+def test_the_order_turns_where_the_change_is_significant():
+    one = swept({UNDISTURBED: lead(20, 0), "noise 1": lead(0, 20)[::-1], "delay 1": lead(20, 0), "delay 2": lead(4, 0)})
+    assert one.turns == (
+        "the order turns: learned is better with noise 1 (-20.0 points [-29.2, -11.8]); the difference shifts towards "
+        "learned with delay 2 (by 16.0 [6.0, 26.9] points); not shown to change in the other disturbed setting"
+    )
+    same = swept({UNDISTURBED: lead(20, 0), **{f"delay {i}": lead(20, 0) for i in range(3)}})
+    assert same.turns == "not shown to change in any of the 3 disturbed settings"
+    grown = swept({UNDISTURBED: lead(2, 2), "noise 1": lead(40, 0)})
+    assert grown.turns == "the difference shifts towards classical with noise 1 (by 40.0 [26.5, 52.1] points)"
+
+
+def test_a_difference_that_is_significant_and_one_that_is_not_are_no_change():
+    before, after = lead(8, 1), lead(3, 2)  # p = 0.04 and 1
+    one = swept({UNDISTURBED: before, "noise 1": after})
+    assert one.undisturbed.better == 1
+    assert one.heads["noise 1"].better == 0
+    assert one.turns == "not shown to change in the disturbed setting"
+    other = swept({UNDISTURBED: lead(2, 3), "noise 1": lead(1, 8)})
+    assert other.heads["noise 1"].better == -1
+    assert other.turns == "not shown to change in the disturbed setting"
+
+
+def test_changes_are_paired_and_corrected_for_all_disturbed_settings():
+    gains = {UNDISTURBED: lead(10, 0), **{f"delay {i}": lead(5, i)[::-1] for i in range(3)}}
+    one = swept(gains)
+    raw = [bounded_difference((gains[name] - gains[UNDISTURBED]).astype(float), (-2.0, 2.0)) for name in gains][1:]
+    found = [one.heads[name] for name in list(gains)[1:]]
+    assert [head.change for head in found] == [change.estimate for change in raw]
+    assert [head.change_p for head in found] == holm([change.p for change in raw])
+    assert one.undisturbed.change is None
+    few = swept({UNDISTURBED: lead(9, 0, 9), "delay 1": lead(0, 9, 9)})
+    assert few.heads["delay 1"].changed == 0
+
+
+@pytest.mark.parametrize("edge", [0.0, 0.2])
+def test_equal_effects_turn_in_five_of_a_hundred_tasks_at_most(edge, sized):
+    # By significance here and not there, 92 % of tasks with an edge of 20 points had lost it somewhere, or won it.
+    rng, runs, wrong = np.random.default_rng(0), sized(30, 2000), 0
+    for _ in range(runs):
+        settings = (UNDISTURBED, *(f"noise {i}" for i in range(6)))
+        one = swept({name: rng.choice([1, -1, 0], 50, p=[0.2 + edge / 2, 0.2 - edge / 2, 0.6]) for name in settings})
+        wrong += one.turns != "not shown to change in any of the 6 disturbed settings"
+    assert wrong / runs <= 0.05 + 2 * (0.05 * 0.95 / runs) ** 0.5
 
 
 @pytest.mark.parametrize(

@@ -81,7 +81,12 @@ def test_what_is_read_back_is_what_was_found(finished):
     found, folder = finished
     again = read_suite(folder)
     assert [one.sentence for one in again.answers] == [one.sentence for one in found.answers]
-    assert again.ranks == found.ranks
+    assert [one.heads for one in again.answers] == [one.heads for one in found.answers]
+    for one in again.answers:
+        policies = {policy.policy: policy.restricted_steps.value for policy in one.policies}
+        (expert,), (agent,) = set(one.classical), set(one.learned)
+        assert one.undisturbed.steps.value == pytest.approx(policies[expert] - policies[agent])
+    assert again.leagues == found.leagues
     assert repr(again) == repr(found) == "<Suite of armctl/ArmReach-v0, armctl/ArmReachMoving-v0, seed 0>"
 
 
@@ -199,5 +204,5 @@ def test_an_unfinished_task_is_told(folder):
 def test_without_success_a_task_is_no_part_of_the_comparison(tmp_path):
     found = suite(["Pendulum-v1"], episodes=2, out=tmp_path)
     assert [one.sentence for one in found.answers] == ["Pendulum-v1: the environment does not say what a success is."]
-    assert found.ranks == {}
+    assert found.leagues == []
     assert read_suite(tmp_path).answers[0].cells == {}

@@ -11,14 +11,21 @@ success, 0 for a failure, NaN for an episode that does not count.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from armctl.evaluation.paired import EQUIVALENCE, SIGNIFICANT, holm, mcnemar, mover, within
-from armctl.evaluation.statistics import FEWEST, Estimate, bounded_mean, success_rate
+from armctl.evaluation.paired import EQUIVALENCE, SIGNIFICANT, holm, mcnemar, mover, shown, within
+from armctl.evaluation.statistics import (
+    FEWEST,
+    Estimate,
+    MeanDifference,
+    bounded_difference,
+    bounded_mean,
+    success_rate,
+)
 
 FAMILIES = {
     "ik": "IK", "mpc": "MPC", "ompl": "OMPL", "ppo": "PPO", "sac": "SAC", "bc": "BC", "dagger": "DAgger",
@@ -52,10 +59,10 @@ def choose(success: pd.DataFrame, returns: pd.DataFrame, candidates: Sequence[st
     return best(1), best(0)
 
 
-def success_of(success: pd.DataFrame, choice: Choice) -> "pd.Series[float]":
-    """The success of a choice in each episode; NaN where its policy did not play."""
-    even, odd = (success[name] if name in success else pd.Series(math.nan, success.index) for name in choice)
-    return even.where(success.index % 2 == 0, odd)
+def values_of(table: pd.DataFrame, choice: Choice) -> "pd.Series[float]":
+    """The success, or another value, of a choice in each episode; NaN where its policy did not play."""
+    even, odd = (table[name] if name in table else pd.Series(math.nan, table.index) for name in choice)
+    return even.where(table.index % 2 == 0, odd)
 
 
 @dataclass(frozen=True)
@@ -69,9 +76,19 @@ class HeadToHead:
     p: float
     """McNemar's exact p-value; of a disturbed setting after Holm's correction for all of the task.
 
-    In `Suite.answers`, the undisturbed one is after Holm's correction for all tasks."""
+    In `Suite.answers`, the undisturbed one is after Holm's correction for all tasks, and for success and steps."""
     claims: int = 1
     """Number of tasks that are told beside it, for which the tests of equivalence are corrected (Bonferroni)."""
+    steps: Estimate | None = None
+    """Mean steps to the goal of the classical minus those of the learned policy, a failure counting as the time limit.
+
+    None if that is unknown, and in disturbed settings."""
+    steps_p: float | None = None
+    """Of equal steps, corrected like `p`."""
+    change: Estimate | None = None
+    """Of the difference in success, against the same episodes without disturbance; None for few common episodes."""
+    change_p: float | None = None
+    """Of no change, after Holm's correction for all disturbed settings of the task."""
 
     @property
     def difference(self) -> Estimate:
@@ -84,6 +101,21 @@ class HeadToHead:
         shown = self.p < SIGNIFICANT and self.episodes >= FEWEST
         return int(np.sign(self.only_classical - self.only_learned)) if shown else 0
 
+    @property
+    def faster(self) -> int:
+        """1 if the classical policy takes significantly fewer steps, -1 if the learned one does, else 0.
+
+        0 if one of them is better in success: a failure counts as the time limit.
+        """
+        if self.steps is None or self.better or self.episodes < FEWEST or not shown(self.steps, self.steps_p):
+            return 0
+        return int(-np.sign(self.steps.value))
+
+    @property
+    def changed(self) -> int:
+        """1 if the disturbance significantly shifts success towards the classical policy, -1 if away, else 0."""
+        return int(np.sign(self.change.value)) if self.change and shown(self.change, self.change_p) else 0
+
     def equivalent(self, margin: float) -> bool:
         """Whether success differs by less than `margin`: two one-sided tests at 5 % / `claims`."""
         confidence = 1 - 2 * EQUIVALENCE / self.claims
@@ -95,16 +127,30 @@ def heads_to_head(
 ) -> dict[str, HeadToHead]:
     """Both choices in each setting of a task where both have played."""
     found: dict[str, HeadToHead] = {}
-    for setting, success in cells.items():
-        gains = (success_of(success, classical) - success_of(success, learned)).dropna()
-        if len(gains):
-            only_a, only_b = int((gains > 0).sum()), int((gains < 0).sum())
-            found[setting] = HeadToHead(len(gains), only_a, only_b, mcnemar(only_a, only_b))
+    gains = {name: (values_of(table, classical) - values_of(table, learned)).dropna() for name, table in cells.items()}
+    for setting, gain in gains.items():
+        if len(gain):
+            only_a, only_b = int((gain > 0).sum()), int((gain < 0).sum())
+            found[setting] = HeadToHead(len(gain), only_a, only_b, mcnemar(only_a, only_b))
     disturbed = [setting for setting in found if setting != undisturbed]
+    changes = {
+        setting: change
+        for setting in disturbed
+        if undisturbed in found and (change := _change(gains[undisturbed], gains[setting])) is not None
+    }
+    change_p = dict(zip(changes, holm([change.p for change in changes.values()]), strict=True))
     for setting, p in zip(disturbed, holm([found[setting].p for setting in disturbed]), strict=True):
-        one = found[setting]
-        found[setting] = HeadToHead(one.episodes, one.only_classical, one.only_learned, p)
+        change = changes.get(setting)
+        found[setting] = replace(
+            found[setting], p=p, change=change.estimate if change else None, change_p=change_p.get(setting)
+        )
     return found
+
+
+def _change(before: "pd.Series[float]", after: "pd.Series[float]") -> MeanDifference | None:
+    """Change of a difference in success, episode by episode: both are between -1 and 1."""
+    changes = np.asarray((after - before).dropna(), dtype=np.float64)
+    return bounded_difference(changes, (-2.0, 2.0)) if len(changes) >= FEWEST else None
 
 
 def improvement(cells: Mapping[str, pd.DataFrame], classical: Choice, learned: Choice) -> Estimate | None:
@@ -112,7 +158,7 @@ def improvement(cells: Mapping[str, pd.DataFrame], classical: Choice, learned: C
 
     A tie counts half. An episode is a sample with all its settings, as these begin alike.
     """
-    gains = [success_of(success, classical) - success_of(success, learned) for success in cells.values()]
+    gains = [values_of(success, classical) - values_of(success, learned) for success in cells.values()]
     return _mean_of_episodes([0.5 + gain / 2 for gain in gains])
 
 
@@ -129,6 +175,32 @@ def rank(cells: Mapping[str, pd.DataFrame], members: Sequence[str]) -> Estimate 
         if ours and len(played.columns) > 1:
             ranks.append(((played.rank(axis=1) - 1) / (len(played.columns) - 1))[ours].mean(axis=1))
     return _mean_of_episodes(ranks)
+
+
+@dataclass(frozen=True)
+class League:
+    """Families that have all played the same tasks, and their mean ranks in these, the highest first."""
+
+    tasks: tuple[str, ...]
+    ranks: Mapping[str, Estimate]
+
+
+def leagues(ranks: Mapping[str, Mapping[str, Estimate]]) -> list[League]:
+    """Ranks of families by task, as leagues: one for each set of tasks that some family has played.
+
+    In each are all families that have played all of these tasks, so that nobody is compared over other tasks than his
+    rivals. The league of most tasks is the first.
+    """
+    found: dict[frozenset[str], League] = {}
+    for by_task in sorted(ranks.values(), key=len, reverse=True):
+        tasks = tuple(by_task)
+        if tasks and frozenset(tasks) not in found:
+            there = {name: its for name, its in ranks.items() if set(tasks) <= set(its)}
+            means = {name: mean_over_tasks([its[task] for task in tasks]) for name, its in there.items()}
+            known = {name: mean for name, mean in means.items() if mean is not None}
+            best_first = sorted(known.items(), key=lambda item: -item[1].value)
+            found[frozenset(tasks)] = League(tasks, dict(best_first))
+    return list(found.values())
 
 
 def _mean_of_episodes(values: Sequence["pd.Series[float]"]) -> Estimate | None:
@@ -173,4 +245,4 @@ def cell_rates(cells: Mapping[str, pd.DataFrame], choice: Choice) -> list[Estima
 
 def rate_of(success: pd.DataFrame, choice: Choice) -> Estimate | None:
     """The success rate of a choice in one setting; None if it has not played."""
-    return success_rate(success_of(success, choice).dropna().to_numpy() == 1)
+    return success_rate(values_of(success, choice).dropna().to_numpy() == 1)

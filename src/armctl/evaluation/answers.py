@@ -3,16 +3,18 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
 import pandas as pd
 
-from armctl.evaluation.across_tasks import Choice, HeadToHead, choose, heads_to_head, rate_of
+from armctl.evaluation.across_tasks import Choice, HeadToHead, choose, heads_to_head, rate_of, values_of
 from armctl.evaluation.comparison import Comparison
 from armctl.evaluation.paired import MARGIN, holm
+from armctl.evaluation.provenance import looks_in_words
 from armctl.evaluation.scores import counted_rows
-from armctl.evaluation.statistics import FEWEST, Estimate
+from armctl.evaluation.statistics import FEWEST, Estimate, bounded_difference
 from armctl.evaluation.summary import PolicySummary
 from armctl.evaluation.sweep import UNDISTURBED, Sweep, folder_name
-from armctl.evaluation.tables import points
+from armctl.evaluation.tables import p_value, points, size
 from armctl.policies import privileges
 from armctl.registration import bare_id
 
@@ -39,6 +41,8 @@ class Answer:
     learned: Choice | None = None
     heads: dict[str, HeadToHead] = field(default_factory=dict)
     """Classical against learned, by setting."""
+    looks: Sequence[int] = ()
+    """The numbers of episodes after which a verdict was told before."""
 
     @property
     def task(self) -> str:
@@ -56,46 +60,61 @@ class Answer:
 
     @property
     def verdict(self) -> str:
-        """Which kind is better without disturbance, by how much: in a few words."""
+        """Which kind is better without disturbance, by how much: in success, and if neither is, in steps."""
         found = self.undisturbed
         if found is None:
             return _nothing(self)
         names = f"{chosen(self.classical)} against {chosen(self.learned)}"
-        difference = f"success {points(found.difference)}"
+        difference = points(found.difference)
         if found.episodes < FEWEST:
-            return f"No verdict from {found.episodes} episode{'s' * (found.episodes > 1)}: {names}, {difference}"
+            return (
+                f"No verdict from {found.episodes} episode{'s' * (found.episodes > 1)}: {names}, success {difference}"
+            )
         if found.better:
-            kind, p = ("Classical", "Learned")[found.better < 0], f"p = {found.p:.1g}"
-            return f"{kind} is better: {names}, {difference}, {p}"
-        if found.equivalent(MARGIN):
-            return f"Equivalent within {100 * MARGIN:g} points: {names}, {difference}"
-        return f"Undecided: {names}, {difference}"
+            said = [f"{_kind(found.better)} is better: {names}, success {difference}, p = {p_value(found.p)}"]
+        elif found.equivalent(MARGIN):
+            said = [f"Equivalent in success within {100 * MARGIN:g} points: {names}, {difference}"]
+        else:
+            said = [f"Undecided: {names}, success {difference}, p = {p_value(found.p)}"]
+        if found.faster and found.steps:
+            kind = _kind(found.faster).lower()
+            said.append(f"{kind} takes {size(found.steps)} steps fewer, p = {p_value(found.steps_p)}")
+        if self.looks:
+            said.append(looks_in_words(self.looks))
+        return "; ".join(said)
 
     @property
     def turns(self) -> str:
-        """Under which disturbances the order turns, or the lead is lost: significantly, after Holm's correction.
+        """Under which disturbances the order turns, and under which others the difference in success changes.
 
-        Empty if nothing was disturbed, or after too few undisturbed episodes for a verdict.
+        Both only where the change itself is significant, after Holm's correction for all disturbed settings: that one
+        difference is significant and another one is not shows no change. The order turns where the other kind is
+        significantly better then. Empty if nothing was disturbed, or after too few undisturbed episodes for a verdict.
         """
         before = self.undisturbed
         disturbed = {name: one for name, one in self.heads.items() if name != UNDISTURBED}
         if before is None or before.episodes < FEWEST or not disturbed:
             return ""
-        said = []
-        for better, words in ((1, "classical is better"), (-1, "learned is better")):
+        said, rest = [], dict(disturbed)
+        for sign in (1, -1):
+            turned = {name: one for name, one in rest.items() if one.changed == one.better == sign == -before.better}
+            if turned:
+                where = [f"{self.labels[name]} ({points(one.difference)})" for name, one in turned.items()]
+                said.append(f"the order turns: {_kind(sign).lower()} is better with {', '.join(where)}")
+            rest = {name: one for name, one in rest.items() if name not in turned}
+        for sign in (1, -1):
+            lost = {name: one for name, one in rest.items() if one.changed == sign}
             where = [
-                f"{self.labels[name]} ({points(one.difference)})"
-                for name, one in disturbed.items()
-                if one.better == better != before.better
+                f"{self.labels[name]} (by {size(_in_points(one.change))} points)"
+                for name, one in lost.items()
+                if one.change
             ]
-            if where:
-                turned = "the order turns: " if before.better else ""
-                said.append(f"{turned}{words} with {', '.join(where)}")
-        if before.better and (lost := [self.labels[name] for name, one in disturbed.items() if not one.better]):
-            said.append(f"undecided with {', '.join(lost)}")
-        if not said:
-            every = f"all {len(disturbed)} disturbed settings" if len(disturbed) > 1 else "the disturbed setting"
-            said.append(f"the order stays in {every}" if before.better else f"undecided in {every}")
+            said += [f"the difference shifts towards {_kind(sign).lower()} with {', '.join(where)}"] if where else []
+            rest = {name: one for name, one in rest.items() if name not in lost}
+        if rest:
+            others = "other " * bool(said)
+            every = f"{'the' if said else 'any of the'} {len(rest)} {others}disturbed settings"
+            said.append(f"not shown to change in {every if len(rest) > 1 else f'the {others}disturbed setting'}")
         return "; ".join(said)
 
     @property
@@ -132,18 +151,38 @@ def answer(swept: Sweep) -> Answer:
         kinds.append(choose(tables[UNDISTURBED], returns, names) if names else None)
     classical, trained = kinds
     heads = heads_to_head(tables, UNDISTURBED, classical, trained) if classical and trained else {}
-    return Answer(swept.env, plain.policies, tables, labels, classical, trained, heads)
+    if UNDISTURBED in heads:
+        heads[UNDISTURBED] = _with_steps(heads[UNDISTURBED], plain, classical, trained)
+    return Answer(swept.env, plain.policies, tables, labels, classical, trained, heads, swept.looks)
+
+
+def _with_steps(head: HeadToHead, plain: Comparison, classical: Choice | None, learned: Choice | None) -> HeadToHead:
+    """The same with the difference in steps to the goal, a failure counting as the time limit, if that is known."""
+    if plain.time_limit is None or classical is None or learned is None:
+        return head
+    rows = counted_rows(plain.episodes)
+    rows = rows.assign(steps=rows.length.where(rows.success.astype(bool), plain.time_limit))
+    table = rows.pivot(index="episode", columns="policy", values="steps").astype(float)
+    gains = np.asarray((values_of(table, classical) - values_of(table, learned)).dropna(), dtype=np.float64)
+    found = bounded_difference(gains, (1.0 - plain.time_limit, plain.time_limit - 1.0))
+    return replace(head, steps=found.estimate, steps_p=found.p) if found else head
 
 
 def corrected(answers: Sequence[Answer]) -> list[Answer]:
-    """The same answers, the undisturbed tests corrected for all tasks: p-values by Holm, equivalence by Bonferroni."""
+    """The same answers, the undisturbed tests corrected for all tasks: p-values by Holm, equivalence by Bonferroni.
+
+    The tests of success and of steps are corrected together, as either may be told.
+    """
     heads = {one.env: head for one in answers if (head := one.undisturbed)}
-    p_values = dict(zip(heads, holm([head.p for head in heads.values()]), strict=True))
+    tests = {(env, name): p for env, head in heads.items() for name in ("p", "steps_p")
+             if (p := getattr(head, name)) is not None}  # fmt: skip
+    adjusted = dict(zip(tests, holm(list(tests.values())), strict=True))
+    told = {
+        env: replace(head, p=adjusted[env, "p"], steps_p=adjusted.get((env, "steps_p")), claims=len(heads))
+        for env, head in heads.items()
+    }
     return [
-        replace(one, heads={**one.heads, UNDISTURBED: replace(heads[one.env], p=p_values[one.env], claims=len(heads))})
-        if one.env in heads
-        else one
-        for one in answers
+        replace(one, heads={**one.heads, UNDISTURBED: told[one.env]}) if one.env in told else one for one in answers
     ]
 
 
@@ -154,6 +193,15 @@ def success_table(comparison: Comparison) -> pd.DataFrame | None:
         return None
     won = counted_rows(played).pivot(index="episode", columns="policy", values="success").astype(float)
     return won.reindex(columns=[one.policy for one in comparison.policies])
+
+
+def _in_points(share: Estimate) -> Estimate:
+    low, high = (100 * bound for bound in share.bounds)
+    return Estimate(100 * share.value, low, high)
+
+
+def _kind(sign: int) -> str:
+    return "Classical" if sign > 0 else "Learned"
 
 
 def chosen(choice: Choice | None) -> str:

@@ -217,7 +217,7 @@ def _note_failures(comparison: Comparison, played: RolloutBatch) -> None:
 
 def _judge(comparison: Comparison, results: EpisodeTable, made: Mapping[str, Policy], env: Any, episodes: int) -> None:
     """Summarise the results, and note what is to be known of them."""
-    comparison.results = results
+    comparison.results, comparison.time_limit = results, env.max_episode_steps
     steps = env.max_episode_steps
     if (bounds := env.return_bounds) is None:
         comparison.notes.append(UNBOUNDED)

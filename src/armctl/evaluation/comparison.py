@@ -37,6 +37,8 @@ class Comparison(Displayed):
     """The policy that all others are held against, if one was chosen beforehand."""
     margin: float = MARGIN
     """Difference in success below which policies count as equivalent."""
+    time_limit: int | None = None
+    """Largest number of control steps of an episode; None if unknown, and in results of older versions."""
     looks: list[int] = field(default_factory=list)
     """The numbers of episodes after which earlier runs told a verdict; its sentence says so."""
     notes: list[str] = field(default_factory=list)
@@ -116,6 +118,7 @@ def summary(comparison: Comparison) -> dict[str, Any]:
         "notes": comparison.notes,
         "baseline": comparison.baseline,
         "margin": comparison.margin,
+        "time_limit": comparison.time_limit,
         "groups": comparison.groups,
         "disqualified": comparison.disqualified,
         "policies": [dataclasses.asdict(policy) for policy in comparison.policies],

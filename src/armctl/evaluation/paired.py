@@ -102,6 +102,12 @@ def within(difference: Estimate, margin: float) -> bool:
     return -margin < low and high < margin
 
 
+def shown(difference: Estimate, p: float | None) -> bool:
+    """Whether a difference is significant, and its interval says so too."""
+    low, high = difference.bounds
+    return p is not None and p < SIGNIFICANT and (low > 0 or high < 0)
+
+
 @dataclass(frozen=True)
 class Corrected:
     """The p-values of a pair after Holm's correction; None where they are unknown."""

@@ -68,6 +68,7 @@ class _Summary:
     notes: list[str] = field(default_factory=list)
     baseline: str | None = None
     margin: float = MARGIN
+    time_limit: int | None = None
     real_time: _RealTime | None = None
     groups: dict[str, list[str]] = field(default_factory=dict)
     disqualified: list[str] = field(default_factory=list)
@@ -125,6 +126,7 @@ def read_results(folder: Path) -> Results:
         summary.failures,
         baseline=summary.baseline,
         margin=summary.margin,
+        time_limit=summary.time_limit,
         looks=earlier_looks(summary.runs),
         notes=summary.notes,
         real_time=dict(summary.real_time) if summary.real_time else None,

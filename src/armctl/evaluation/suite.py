@@ -12,7 +12,7 @@ from pathlib import Path
 from armctl.agents import read_card
 from armctl.envs import full_id
 from armctl.errors import ArmctlError, ConfigurationError, ResultsError
-from armctl.evaluation.across_tasks import family, mean_over_tasks, rank
+from armctl.evaluation.across_tasks import League, family, leagues, rank
 from armctl.evaluation.answers import Answer, answer, corrected
 from armctl.evaluation.compare import default_policies
 from armctl.evaluation.engines import Engine
@@ -95,19 +95,17 @@ class Suite(Displayed):
         return corrected([answer(swept) for swept in self.tasks.values()])
 
     @functools.cached_property
-    def ranks(self) -> dict[str, tuple[Estimate, int]]:
-        """The mean rank of each family, best first, and in how many tasks it has played (see `across_tasks.rank`)."""
-        found: dict[str, list[Estimate]] = {}
+    def leagues(self) -> list[League]:
+        """The ranks of families in the tasks that they share (see `across_tasks.rank` and `leagues`)."""
+        found: dict[str, dict[str, Estimate]] = {}
         for one in self.answers:
             members: dict[str, list[str]] = {}
             for policy in one.policies:
                 members.setdefault(family(policy.policy), []).append(policy.policy)
             for name, policies in members.items():
                 if (its := rank(one.cells, policies)) is not None:
-                    found.setdefault(name, []).append(its)
-        means = {name: (mean_over_tasks(its), len(its)) for name, its in found.items()}
-        known = {name: (mean, tasks) for name, (mean, tasks) in means.items() if mean is not None}
-        return dict(sorted(known.items(), key=lambda item: -item[1][0].value))
+                    found.setdefault(name, {})[one.task] = its
+        return leagues(found)
 
     @property
     def problems(self) -> list[str]:
@@ -123,8 +121,7 @@ class Suite(Displayed):
         if self.answers:
             parts.append(task_table(self.answers, self.episodes, self.seed))
             parts += [Remark(one.sentence, "verdict") for one in self.answers]
-        if self.ranks:
-            parts.append(rank_table(self.ranks))
+        parts += [rank_table(league) for league in self.leagues]
         parts += [Remark(problem, "problem") for problem in self.problems]
         if self.interrupted:
             parts.append(Remark("Interrupted.", "note"))

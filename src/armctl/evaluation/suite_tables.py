@@ -1,10 +1,10 @@
 """The tables of a suite, from its answers."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 
+from armctl.evaluation.across_tasks import League
 from armctl.evaluation.answers import CHOSEN, Answer, chosen
-from armctl.evaluation.statistics import Estimate
 from armctl.evaluation.tables import UNKNOWN, Cell, Column, Table, p_value, percent
 
 
@@ -33,16 +33,20 @@ def task_table(answers: Sequence[Answer], episodes: int, seed: int) -> Table:
     caption = (
         "The best classical and the best learned policy, undisturbed: the best on odd episodes plays for its kind in "
         "even ones, and vice versa. Difference with MOVER's 95 % interval; p: McNemar's exact test, after Holm's "
-        f"correction for all tasks. {CHOSEN}"
+        f"correction for all tasks, and for success and steps together. {CHOSEN}"
     )
     title = f"{len(rows)} tasks: {episodes} episodes of seed {seed} in each setting"
     return Table("tasks", title, columns, rows, records, caption)
 
 
-def rank_table(ranks: Mapping[str, tuple[Estimate, int]]) -> Table:
-    """A row for each family, and in how many tasks it has played."""
-    rows = [[Cell(name), percent(mean), Cell(str(tasks))] for name, (mean, tasks) in ranks.items()]
-    records = [{"family": name, "rank": asdict(mean), "tasks": tasks} for name, (mean, tasks) in ranks.items()]
-    caption = "Rivals beaten in an episode, ties counting half: the mean over settings and tasks, with 95 % intervals."
-    title = "Ranks of families"
-    return Table("ranks", title, [Column("family"), Column("rivals beaten"), Column("tasks")], rows, records, caption)
+def rank_table(league: League) -> Table:
+    """A row for each family that has played all tasks of a league."""
+    tasks = ", ".join(league.tasks)
+    rows = [[Cell(name), percent(mean)] for name, mean in league.ranks.items()]
+    records = [{"tasks": tasks, "family": name, "rank": asdict(mean)} for name, mean in league.ranks.items()]
+    caption = (
+        "Families that have played all of these tasks. Rivals beaten in an episode, ties counting half: the mean over "
+        "settings and tasks, with 95 % intervals."
+    )
+    title = f"Ranks of families in {tasks}"
+    return Table("ranks", title, [Column("family"), Column("rivals beaten")], rows, records, caption)

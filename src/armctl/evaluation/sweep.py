@@ -102,6 +102,11 @@ class Sweep(Displayed):
             for pair in comparison.paired
         }
 
+    @property
+    def looks(self) -> list[int]:
+        """The numbers of episodes after which earlier runs of any comparison told a verdict."""
+        return sorted({look for comparison in self.comparisons.values() for look in comparison.looks})
+
     def __repr__(self) -> str:
         names = ", ".join(dict.fromkeys(self.points.policy)) or "no policy"
         swept = ", ".join(f"{name} at {len(levels)} levels" for name, levels in self.levels.items())

@@ -106,6 +106,12 @@ def points(difference: Estimate) -> str:
     return f"{value:+.1f} points [{low:.1f}, {high:.1f}]"
 
 
+def size(difference: Estimate) -> str:
+    """How large a difference is, whatever its sign, with its interval, which does not hold 0."""
+    low, high = sorted(map(abs, difference.bounds))
+    return f"{abs(difference.value):.1f} [{low:.1f}, {high:.1f}]"
+
+
 def p_value(p: float | None) -> str:
     """A p-value with two digits, and as many leading zeros as it takes in its exponent."""
     if p is None:

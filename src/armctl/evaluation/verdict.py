@@ -15,12 +15,13 @@ from armctl.evaluation.paired import (
     corrected,
     episodes_to_detect,
     episodes_to_show_equivalence,
+    shown,
     within,
 )
 from armctl.evaluation.provenance import looks_in_words
 from armctl.evaluation.statistics import FEWEST, Estimate
 from armctl.evaluation.summary import PolicySummary
-from armctl.evaluation.tables import UNKNOWN, p_value, points
+from armctl.evaluation.tables import UNKNOWN, p_value, points, size
 from armctl.policies import policy_names, privileges
 
 
@@ -275,19 +276,19 @@ def _networks(contests: Sequence[Contest]) -> str:
 def _by_steps(contest: Contest) -> str:
     """Which of two policies takes fewer steps to the goal; empty if that is not significant."""
     lead = contest.steps_ahead
-    if lead is None or not _shown(lead, contest.p.steps):
+    if lead is None or not shown(lead, contest.p.steps):
         return ""
     faster = contest.first if lead.value < 0 else contest.second
-    return f"{faster.policy} takes {_size(lead)} steps fewer"
+    return f"{faster.policy} takes {size(lead)} steps fewer"
 
 
 def _earns_more(contest: Contest) -> str:
     """Which of two policies earns more in the mean; empty if that is not significant, or unknown."""
     gain, p = contest.return_ahead, contest.p.returns
-    if not _shown(gain, p):
+    if not shown(gain, p):
         return ""
     better, other = (contest.first, contest.second)[:: 1 if gain.value > 0 else -1]
-    return f"{better.policy} earns {_size(gain)} more an episode than {other.policy}, p = {p_value(p)}"
+    return f"{better.policy} earns {size(gain)} more an episode than {other.policy}, p = {p_value(p)}"
 
 
 def _by_return(contest: Contest, looks: Sequence[int]) -> str:
@@ -301,21 +302,10 @@ def _by_return(contest: Contest, looks: Sequence[int]) -> str:
         share = f"in {value:.0f} % [{bounds[0]:.0f}, {bounds[1]:.0f}] of episodes"
         family = f" after Holm's correction for {contest.p.pairs} pairs" if contest.p.pairs > 1 else ""
         test = f"sign test, p = {p_value(contest.p.higher)}{family}; ties count half"
-        shown = contest.p.higher < SIGNIFICANT and not bounds[0] <= 50 <= bounds[1]
+        apart = contest.p.higher < SIGNIFICANT and not bounds[0] <= 50 <= bounds[1]
         than = f"{first} has the higher return {share}"
-        said = f"{than} ({test})" if shown else f"Undecided between {first} and {second}: {than} ({test})"
+        said = f"{than} ({test})" if apart else f"Undecided between {first} and {second}: {than} ({test})"
     return f"{said}; {looks_in_words(looks)}" if looks else said
-
-
-def _shown(difference: Estimate, p: float | None) -> bool:
-    """Whether a difference is significant, and its interval says so too."""
-    low, high = difference.bounds
-    return p is not None and p < SIGNIFICANT and (low > 0 or high < 0)
-
-
-def _size(difference: Estimate) -> str:
-    low, high = sorted(map(abs, difference.bounds))
-    return f"{abs(difference.value):.1f} [{low:.1f}, {high:.1f}]"
 
 
 def _negated(found: Estimate, whole: float = 0.0) -> Estimate:

@@ -10,6 +10,7 @@ import numpy as np
 
 from armctl.evaluation.across_tasks import (
     Choice,
+    League,
     cell_rates,
     family,
     improvement,
@@ -17,6 +18,7 @@ from armctl.evaluation.across_tasks import (
     success_profile,
 )
 from armctl.evaluation.answers import CHOSEN, Answer
+from armctl.evaluation.provenance import looks_in_words
 from armctl.evaluation.statistics import Estimate
 from armctl.evaluation.suite import Suite, folder_of
 from armctl.evaluation.summary import PolicySummary
@@ -50,7 +52,7 @@ def write_suite_page(found: Suite, folder: Path, out: Path, reports: Mapping[str
         "heat": [_heat(found, one, heads, reports.get(one.env)) for one in answers if one.cells],
         "families": _families(answers, names),
         "improvement": _improvement(answers),
-        "ranks": _ranks(found, look),
+        "ranks": [_ranks(league, look) for league in found.leagues],
         "profile": _profile(answers),
         "profile_looks": [CLASSICAL, LEARNED],
         "costs": _costs(answers, look),
@@ -61,14 +63,21 @@ def write_suite_page(found: Suite, folder: Path, out: Path, reports: Mapping[str
 
 
 def headline(answers: Sequence[Answer]) -> str:
-    """In how many tasks which kind is better. `answers` are corrected for all tasks, as `Suite.answers` is."""
+    """In how many tasks which kind is better in success, and in how many others it takes fewer steps.
+
+    `answers` are corrected for all tasks, as `Suite.answers` is.
+    """
     heads = [head for one in answers if (head := one.undisturbed)]
     if not heads:
         return "No task has both classical and learned results"
     classical, learned = (sum(head.better == sign for head in heads) for sign in (1, -1))
     open_ = len(heads) - classical - learned
     parts = [f"classical is better in {classical}", f"learned in {learned}", f"neither is shown to be in {open_}"]
-    return f"Of {len(heads)} task{'s' * (len(heads) > 1)}, {', '.join(parts)}"
+    faster = [sum(head.faster == sign for head in heads) for sign in (1, -1)]
+    said = [f"Of {len(heads)} task{'s' * (len(heads) > 1)}, by success, {', '.join(parts)}"]
+    said += [f"there, classical takes fewer steps in {faster[0]}, learned in {faster[1]}"] if any(faster) else []
+    looks = sorted({look for one in answers for look in one.looks})
+    return "; ".join([*said, looks_in_words(looks)] if looks else said)
 
 
 def _command(found: Suite) -> str:
@@ -139,12 +148,10 @@ def _improvement(answers: Sequence[Answer]) -> Plot | None:
     return Plot(suite_figures.intervals(rows, colours), _said(rows, "probability that classical does better"))
 
 
-def _ranks(found: Suite, look: style.Looks) -> Plot | None:
-    if not found.ranks:
-        return None
-    rows = {f"{name}, {tasks} task{'s' * (tasks > 1)}": mean for name, (mean, tasks) in found.ranks.items()}
-    colours = {row: look[name].colour for row, name in zip(rows, found.ranks, strict=True)}
-    return Plot(suite_figures.intervals(rows, colours), _said(rows, "rivals beaten"))
+def _ranks(league: League, look: style.Looks) -> Plot:
+    colours = {name: look[name].colour for name in league.ranks}
+    said = _said(league.ranks, "rivals beaten")
+    return Plot(suite_figures.intervals(league.ranks, colours), said, ", ".join(league.tasks))
 
 
 def _said(rows: Mapping[str, Estimate], what: str) -> str:
