@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
+from armctl.evaluation.episode_table import table_of
 from armctl.evaluation.paired import (
     episodes_to_detect,
     episodes_to_show_equivalence,
@@ -14,6 +15,11 @@ from armctl.evaluation.paired import (
     mover,
     paired_difference,
 )
+from armctl.evaluation.scores import Limits, pairs_of, scores_of
+from armctl.evaluation.statistics import bounded_difference
+from armctl.evaluation.trainings import difference_over_trainings
+
+from .made_up import played
 
 
 def test_mcnemar_is_exact_and_counts_pairs():
@@ -134,3 +140,33 @@ def test_more_claims_take_more_episodes():
     needed = episodes_to_show_equivalence(0.02, 0.0, claims=6)
     assert pair_of(0, 0, needed).equivalent(0.02, claims=6)
     assert not pair_of(0, 0, needed - 1).equivalent(0.02, claims=6)
+
+
+@pytest.mark.parametrize("trainings", [1, 2])
+def test_intervals_and_equivalence_are_for_all_pairs_of_a_comparison(trainings):
+    played_by = table_of(list(played(40, ("x", "y", "b", "c")))).by_policy()
+    trained = {"x[*]": [played_by["x"], played_by["y"]][:trainings], "b": [played_by["b"]], "c": [played_by["c"]]}
+    limits = Limits((-30.0, 1.0), 30)
+    pairs, narrow, wide = pairs_of(trained, True, limits), 1 - 0.1 / 3, 1 - 0.05 / 3
+    assert [pair.crossed is not None for pair in pairs] == [trainings > 1, trainings > 1, False]
+    for pair in pairs:
+
+        def values(score, pair=pair):
+            return [scores_of(score, trained[name], limits) for name in (pair.a, pair.b)]
+
+        for name, score, bounds in (
+            ("steps", "restricted_steps", (1.0, 30.0)),
+            ("returns", "episode_return", (-30.0, 1.0)),
+        ):
+            a, b = values(score)
+            most = bounds[1] - bounds[0]
+            found = (
+                difference_over_trainings(a, b, bounds, wide=wide)
+                if pair.crossed
+                else bounded_difference(a[0] - b[0], (-most, most), wide)
+            )
+            assert getattr(pair.simultaneous, name) == found.wide
+            assert (pair.steps_p if name == "steps" else pair.return_p) == found.p
+        if pair.crossed:
+            assert pair.crossed == difference_over_trainings(*values("success"), (0.0, 1.0), narrow, wide)
+            assert pair.success_among(3) == pair.crossed.wide != pair.success_difference == pair.crossed.estimate
