@@ -58,10 +58,12 @@ def test_a_group_is_one_learner_of_several_policies(folder, results):
     by_training = rows.groupby("policy").success.mean()
     assert list(group.trainings.values()) == by_training[MEMBERS].tolist()
     scores = np.array([rows[rows.policy == name].success for name in MEMBERS], dtype=float)
-    assert group.success == mean_over_trainings(scores, (0.0, 1.0)).mean
+    crossed = mean_over_trainings(scores, (0.0, 1.0))
+    assert (group.success, group.if_normal, group.between) == (crossed.mean, crossed.if_normal, crossed.between)
     (pair,) = results.comparison.paired
     won = rows[rows.policy == "reach_ik"].success.to_numpy(float)[None]
     assert pair.crossed == difference_over_trainings(won, scores, (0.0, 1.0))
+    assert pair.mcnemar_p == pair.crossed.p
     assert pair.both + pair.only_a + pair.only_b + pair.neither == 12
     assert expert.trainings == {}
 
@@ -105,15 +107,21 @@ def test_two_groups_and_a_baseline(runs, monkeypatch):
     assert made.verdict.startswith("Undecided between reach_ik and mine[*]: success ")
     assert ". Undecided between mine[*] and random: success +" in made.verdict
     assert [pair.crossed is None for pair in made.paired] == [False, False, True]
+    # Two trainings that never fail are one in two with a probability of 1/4: that is no proof against random actions.
+    assert all(rate == 1 for rate in made.policies[0].trainings.values())
+    assert made.policies[1].success.value < 0.5
+    assert made.paired[0].mcnemar_p > 0.05
 
 
 def test_a_group_in_a_sweep(tmp_path):
     found = armctl.sweep(["reach_bc[*]"], disturbances={"delay": [3]}, episodes=8, worlds=8, out=tmp_path)
     assert found.points.policy.unique().tolist() == ["reach_bc[*]"]
-    assert found.points.p.between(0, 1).all()
-    assert found.points.success.iloc[1] == pytest.approx(
-        found.comparisons["delay-3.0"].episodes.success.astype(float).mean()
-    )
+    won = [
+        one.episodes.pivot(index="policy", columns="episode", values="success").to_numpy(float)
+        for one in (found.comparisons["none"], found.comparisons["delay-3.0"])
+    ]
+    assert found.points.success.tolist() == pytest.approx([one.mean() for one in won])
+    assert found.points.p.tolist() == [1, mean_over_trainings(won[1] - won[0], (-1.0, 1.0)).p]
 
 
 def test_a_training_by_its_seed():

@@ -262,7 +262,7 @@ def test_whoever_recovers_is_not_worse_from_there_on():
     assert "a: worse at 1. b: worse from 1 on, below half at 1." in text
     assert "crossed" not in text
     group = frame.replace({"policy": {"b": "b[*]"}})
-    assert "McNemar's exact test; [*]: a crossed analysis" in sweep_parts(group, {})[-2].text
+    assert "McNemar's exact test; [*]: over trainings and episodes" in sweep_parts(group, {})[-2].text
 
 
 def test_only_what_counts_is_held_against_the_undisturbed():

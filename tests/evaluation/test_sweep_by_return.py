@@ -10,6 +10,7 @@ from armctl.evaluation.degradation import FALSE_DISCOVERY_RATE, degradations
 from armctl.evaluation.endurance import endurances
 from armctl.evaluation.paired import paired_difference
 from armctl.evaluation.sweep import _change_of_group, _test_of, change_between
+from armctl.evaluation.trainings import FEWEST_TRAININGS
 
 EPISODES, RUNS = 100, 120
 MOST = 0.025 + 2 * (0.025 * 0.975 / RUNS) ** 0.5
@@ -75,6 +76,19 @@ def test_a_group_of_trainings_goes_by_signs_too():
     _, change = _change_of_group(group(before), group(after), "return")
     assert change > 0.5
     assert after.mean() < before.mean() - 50
+
+
+@pytest.mark.parametrize("score", ["return", "success"])
+@pytest.mark.parametrize("trainings", [FEWEST_TRAININGS - 1, FEWEST_TRAININGS])
+def test_fewer_than_six_trainings_show_no_change_of_their_recipe(trainings, score):
+    """One in two trainings may get better, and none of five shows it in 3 % of cases, which is more than 2.5 %."""
+    names = [f"g[{seed}]" for seed in range(trainings)]
+    episodes = pd.MultiIndex.from_product([names, range(500)], names=["policy", "episode"])
+    before, after = (pd.DataFrame({score: value}, index=episodes).reset_index() for value in (1.0, 0.0))
+    p, change = _change_of_group(before, after, score)
+    assert change == -1
+    assert p == pytest.approx(2 * 0.5**trainings, rel=0.2)
+    assert (p < 0.05) == (trainings >= FEWEST_TRAININGS)
 
 
 def test_nobody_is_behind_who_has_the_higher_return_more_often():

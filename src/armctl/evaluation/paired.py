@@ -20,7 +20,7 @@ from armctl.evaluation.statistics import (
     bounded_mean,
     paired_superiority,
 )
-from armctl.evaluation.trainings import CrossedDifference, difference_over_trainings
+from armctl.evaluation.trainings import CrossedDifference, difference_over_trainings, superiority_over_trainings
 
 EQUIVALENCE = 0.05
 """Level of each of the two tests that show equivalence."""
@@ -307,12 +307,8 @@ def difference_of_groups(
     is also for how many pairs equivalence may be claimed.
     """
     narrow, wide = 1 - 2 * EQUIVALENCE / claims, 1 - UNCERTAINTY / claims
-    gained, return_p = Estimate(float(returns[0].mean() - returns[1].mean()), None, None), None
-    of_all = gained
-    if return_bounds is not None:
-        earned = difference_over_trainings(*returns, return_bounds, wide=wide)
-        gained, of_all, return_p = earned.estimate, earned.wide or earned.estimate, earned.p
-    higher = _superiority_of_groups(*returns, wide)
+    earned = difference_over_trainings(*returns, return_bounds, wide=wide)
+    higher, simultaneous = superiority_over_trainings(*returns, wide)
     late = None
     if steps is not None and time_limit is not None:
         late = difference_over_trainings(*steps, (1.0, float(time_limit)), wide=wide)
@@ -332,23 +328,11 @@ def difference_of_groups(
         only_b,
         neither,
         crossed.p if crossed else None,
-        gained,
-        Superiority(_share_of(higher.estimate), higher.p),
+        earned.estimate,
+        higher,
         late.estimate if late else None,
-        return_p,
+        earned.p,
         crossed,
         late.p if late else None,
-        Simultaneous(of_all, _share_of(higher.wide or higher.estimate), late.wide if late else None),
+        Simultaneous(earned.wide or earned.estimate, simultaneous, late.wide if late else None),
     )
-
-
-def _superiority_of_groups(a: Array, b: Array, wide: float) -> CrossedDifference:
-    """For returns a (k, n) and b (m, n): the sum of what depends on a's training, and on b's; equal: 0."""
-    ahead = (np.sign(a[:, None] - b) + 1) / 2
-    of_b = ahead.mean() - ahead.mean(axis=0) if len(b) > 1 else np.zeros_like(b)
-    return difference_over_trainings(ahead.mean(axis=1) - 0.5, of_b, (-0.5, 0.5), wide=wide)
-
-
-def _share_of(lead: Estimate) -> Estimate:
-    low, high = (None if bound is None else float(np.clip(bound + 0.5, 0, 1)) for bound in (lead.low, lead.high))
-    return Estimate(float(np.clip(lead.value + 0.5, 0, 1)), low, high)

@@ -92,6 +92,10 @@ class PolicySummary:
     """The disturbances that do not reach it: it reads nothing that they change. No pair with it is tested or ranked."""
     between: float | None = None
     """Standard deviation of these between trainings, without the part due to their episodes."""
+    if_normal: Estimate | None = None
+    """Mean of these with Student's interval, which holds if trainings vary normally; nothing is concluded from it.
+
+    None if the score has no bounds."""
 
     @property
     def learned(self) -> bool:
@@ -248,17 +252,19 @@ def _of_group(
     changes: dict[str, Any] = {
         name: replace(value, low=None, high=None) for name, value in vars(pooled).items() if isinstance(value, Estimate)
     }
-    for name, possible in bounds.items():
-        if possible is not None and getattr(pooled, name) is not None:
-            values = scores_of(name, list(trainings.values()), limits)
-            changes[name] = mean_over_trainings(values, possible).mean
     main = "success" if scored else "episode_return"
-    values = scores_of(main, list(trainings.values()), limits)
-    rates = dict(zip(trainings, values.mean(axis=1).tolist(), strict=True))
+    for name, possible in bounds.items():
+        if getattr(pooled, name) is None:
+            continue
+        values = scores_of(name, list(trainings.values()), limits)
+        crossed = mean_over_trainings(values, possible)
+        changes[name] = crossed.mean
+        if name == main:
+            rates = dict(zip(trainings, values.mean(axis=1).tolist(), strict=True))
+            changes |= {"trainings": rates, "between": crossed.between, "episodes": values.shape[1]}
+            changes["if_normal"] = crossed.if_normal if possible else None
     metrics = {name: value and replace(value, low=None, high=None) for name, value in pooled.metrics.items()}
-    changes |= {"metrics": metrics, "trainings": rates, "between": mean_over_trainings(values).between}
-    changes["episodes"] = values.shape[1]
-    return replace(pooled, **changes)
+    return replace(pooled, metrics=metrics, **changes)
 
 
 def _training_cost(policy: Policy) -> TrainingCost:

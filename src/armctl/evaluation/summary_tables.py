@@ -13,6 +13,7 @@ from armctl.evaluation.paired import PairedDifference, corrected
 from armctl.evaluation.statistics import Estimate
 from armctl.evaluation.summary import PolicySummary
 from armctl.evaluation.tables import AGAINST, UNKNOWN, Cell, Column, Remark, Table, p_value, percent, plain
+from armctl.evaluation.trainings import FEWEST_TRAININGS
 
 DISQUALIFIED = "disqualified"
 
@@ -99,11 +100,14 @@ def details(policy: PolicySummary) -> Remark:
 
 
 def trainings_in_words(policy: PolicySummary) -> str:
-    """The scores of a group's trainings, and their standard deviation without the part due to episodes."""
+    """The scores of a group's trainings, their standard deviation without the part due to episodes, and Student's t."""
     scale, unit, points = (100, " %", " points") if policy.success else (1, "", "")
     each = ", ".join(f"{scale * score:.1f}" for score in policy.trainings.values())
     what = "success" if policy.success else "return"
-    return f"{what} by training {each}{unit}, standard deviation {scale * (policy.between or 0):.1f}{points}"
+    spread = f"standard deviation {scale * (policy.between or 0):.1f}{points}"
+    interval = _bracketed(policy.if_normal, scale, 1) if policy.if_normal else ""
+    student = f", mean within{interval}{unit} if trainings vary normally (Student's t, 95 %)" if interval else ""
+    return f"{what} by training {each}{unit}, {spread}{student}"
 
 
 def paired_table(pairs: Sequence[PairedDifference], baseline: str | None = None) -> Table:
@@ -126,7 +130,8 @@ def paired_table(pairs: Sequence[PairedDifference], baseline: str | None = None)
         caption = f"p: McNemar's exact test for equal success, after Holm's correction for {family}, and for success, "
         caption += "steps and returns together. Intervals: 95 %, each pair by itself."
         if any(pair.crossed for pair in pairs):
-            caption += " [*]: over trainings and episodes, p and intervals are those of a crossed analysis."
+            caption += " [*]: for other trainings and other episodes, whatever the distribution of trainings."
+        caption += _if_normal(pairs)
     else:
         columns = [name, gain, Column("a is better"), Column("p")]
         caption = "a is better: share of episodes in which a has the higher return; a tie counts half. "
@@ -139,6 +144,17 @@ def paired_table(pairs: Sequence[PairedDifference], baseline: str | None = None)
         for pair, p in zip(pairs, p_values, strict=True)
     ]  # fmt: skip
     return Table("paired", "Paired differences, on the same episodes", columns, rows, records, caption)
+
+
+def _if_normal(pairs: Sequence[PairedDifference]) -> str:
+    """Student's interval of each pair of which one is several trainings, and what it takes for granted."""
+    known = [(pair, pair.crossed.if_normal) for pair in pairs if pair.crossed and pair.crossed.if_normal]
+    said = [
+        f"{pair.a} - {pair.b} {100 * found.value:+.1f}{interval} points"
+        for pair, found in known
+        if (interval := _bracketed(found, 100, 1))
+    ]
+    return f" Only if trainings vary normally (Student's t): success {', '.join(said)}." if said else ""
 
 
 def sweep_parts(points: pd.DataFrame, pairs: Mapping[Pair, PairTest]) -> list[Table | Remark]:
@@ -172,7 +188,9 @@ def sweep_parts(points: pd.DataFrame, pairs: Mapping[Pair, PairTest]) -> list[Ta
         parts += [Remark(str(one)) for one in enduring if one.disturbance == name and policies > 1]
     test, rate = "McNemar's exact test" if by_success else "sign test", f"{100 * FALSE_DISCOVERY_RATE:g} %"
     if points.policy.str.endswith(GROUP).any():
-        test += f"; {GROUP}: a crossed analysis of trainings and episodes"
+        test += (
+            f"; {GROUP}: over trainings and episodes, which shows nothing of fewer than {FEWEST_TRAININGS} trainings"
+        )
     parts.append(
         Remark(f"Worse: than without disturbance, on the same episodes ({test}, false discovery rate {rate}).")
     )

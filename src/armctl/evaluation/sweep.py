@@ -42,7 +42,7 @@ from armctl.evaluation.store import CSV, check_store
 from armctl.evaluation.summary import PolicySummary
 from armctl.evaluation.summary_tables import sweep_parts
 from armctl.evaluation.tables import Document, Remark
-from armctl.evaluation.trainings import difference_over_trainings
+from armctl.evaluation.trainings import mean_over_trainings
 from armctl.files import digest, inside, one_writer, sealed, write_atomically
 from armctl.policies import expanded, learners, named_policies
 from armctl.registration import bare_id
@@ -53,7 +53,7 @@ COLUMNS = (
 )  # fmt: skip
 """Of `sweep.csv`: one row per disturbance, level and policy, with 95 % intervals. `p` is McNemar's p-value for equal
 success in the same episodes without the disturbance, or the sign test's for equal return if success is unknown; for a
-group of trainings, that of a crossed analysis over trainings and episodes. `change` is what it tests: success minus
+group of trainings, that of random weights of trainings and of episodes. `change` is what it tests: success minus
 that without the disturbance, or the share of episodes with a higher return minus the share with a lower one."""
 UNDISTURBED = "none"
 Asked = Mapping[str, Sequence[float] | None] | Sequence[str] | None
@@ -352,5 +352,5 @@ def _change_of_group(before: pd.DataFrame, after: pd.DataFrame, score: str) -> t
     changes = np.sign((second - first).dropna(axis=1).to_numpy())  # of success they are -1, 0 and 1 themselves
     if 0 in changes.shape:
         return 1.0, 0.0
-    change = difference_over_trainings(changes, np.zeros((1, changes.shape[1])), (-1.0, 1.0))
-    return change.p, change.estimate.value
+    change = mean_over_trainings(changes, (-1.0, 1.0))
+    return 1.0 if change.p is None else change.p, change.mean.value
