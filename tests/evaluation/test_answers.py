@@ -7,12 +7,14 @@ import pandas as pd
 import pytest
 
 from armctl.evaluation.across_tasks import HeadToHead, heads_to_head
-from armctl.evaluation.answers import Answer, corrected
+from armctl.evaluation.answers import Answer, answer, corrected
 from armctl.evaluation.paired import holm, mcnemar
 from armctl.evaluation.statistics import Estimate, bounded_difference
-from armctl.evaluation.sweep import UNDISTURBED
-from armctl.report.suite_page import headline
+from armctl.evaluation.suite import Suite
+from armctl.evaluation.sweep import UNDISTURBED, sweep
+from armctl.report.suite_page import headline, write_suite_page
 
+from ..report.pages import text_of
 from .test_verdict import summary_of
 
 SETTINGS = ("delay 1", "noise 0.1")
@@ -158,3 +160,20 @@ def test_equal_effects_turn_in_five_of_a_hundred_tasks_at_most(edge, sized):
 )
 def test_what_decision_times_are_is_said_of_whom_it_is_true(timing, said):
     assert said in answer_of(head(3, 3), timing=timing).costs
+
+
+def test_a_setting_that_spares_who_stands_for_a_kind_is_not_compared(tmp_path):
+    """The expert reads the true state, which noise leaves alone: no head, and `spared` on the map."""
+    env = "armctl/BridgeCross-v0"
+    swept = sweep(
+        ["bridge_mpc", "bridge_state_ppo"], env, disturbances={"noise": [0.5], "payload": [5]}, episodes=2,
+        env_options={"max_episode_steps": 3},
+    )  # fmt: skip
+    found = answer(swept)
+    assert list(found.heads) == list(found.shared_cells) == [UNDISTURBED, "payload-5.0"]
+    assert list(found.cells["noise-0.5"]) == ["bridge_state_ppo"]
+    assert found.not_compared == "Not compared: noise 0.5 (spares bridge_mpc)."
+    assert found.not_compared in found.sentence
+    page = tmp_path / "page.html"
+    write_suite_page(Suite(0, 2, [env], tasks={env: swept}), tmp_path, page, {})
+    assert "bridge_mpc 0 spared 0" in text_of(page)

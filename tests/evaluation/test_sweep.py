@@ -12,15 +12,16 @@ from armctl.errors import ConfigurationError, ResultsError
 from armctl.evaluation import compare
 from armctl.evaluation.curves import read_pairs
 from armctl.evaluation.degradation import Onset, degradations
-from armctl.evaluation.endurance import NEUTRAL, PairTest
 from armctl.evaluation.episode_table import EpisodeTable
 from armctl.evaluation.paired import mcnemar
 from armctl.evaluation.record import TIME_COLUMNS
+from armctl.evaluation.robustness import NEUTRAL, PairTest
 from armctl.evaluation.summary_tables import sweep_parts
 from armctl.evaluation.sweep import COLUMNS, _against_undisturbed, sweep, sweep_levels
 from armctl.files import sealed, unsealed
 from armctl.report import write_report
 from armctl.report.terminal import tables
+from tests.report.pages import plot_of
 
 POLICIES = ["reach_ik", "random"]
 LEVELS = {"noise": [0.05], "delay": [2, 0, 2]}
@@ -85,13 +86,28 @@ def test_the_pairs_of_a_sweep_are_kept(finished):
     pairs = {
         name: PairTest(one.paired[0].mcnemar_p, -one.paired[0].success_difference.value)  # random before reach_ik
         for name, one in found.comparisons.items()
+        if name != "noise-0.05"  # which spares random: it reads no observation
     }
     assert found.pairs == {
         (*NEUTRAL, both): pairs["none"],
-        ("noise", 0.05, both): pairs["noise-0.05"],
         ("delay", 2.0, both): pairs["delay-2.0"],
     }
     assert read_pairs(folder) == found.pairs
+
+
+def test_a_spared_policy_is_told_so_and_in_no_test(finished):
+    found, folder = finished
+    spared = found.points[found.points.spared]
+    assert list(zip(spared.disturbance, spared.level, spared.policy, strict=True)) == [("noise", 0.05, "random")]
+    assert spared[["p", "change"]].isna().all(axis=None)
+    noise = next(table for table in found.document().tables if table.title.startswith("noise"))
+    assert [[cell.text for cell in row] for row in noise.rows][1][2] == "spared"
+    assert "Spared, and so not ranked: random." in " ".join(printed(found).split())
+    lines = [one for one in plot_of(write_report(folder, video=False), "level of noise")["data"] if one.get("name")]
+    assert [(line["name"], line["line"]["dash"]) for line in lines] == [
+        ("reach_ik", "solid"),
+        ("random (spared)", "dot"),
+    ]
 
 
 def test_p_is_mcnemars_on_the_same_episodes():
@@ -312,8 +328,11 @@ def test_a_comparison_that_was_replaced_is_not_the_sweeps(tmp_path):
         write_report(tmp_path, video=False)
 
 
-def test_who_holds_out_is_the_verdict(finished):
+def test_the_ranking_is_the_verdict(finished):
     found, _ = finished
     *_, last = (part for part in found.document().parts if getattr(part, "kind", "") == "verdict")
-    assert last.text.endswith("nobody is shown to fall behind.")  # four episodes show nothing
+    assert last.text == (
+        "Under noise, no ranking: no two policies that it reaches are tested; "
+        "under delay, no significant difference between policies."  # four episodes show nothing
+    )
     assert last.text in " ".join(printed(found).split())

@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from armctl.evaluation.degradation import FALSE_DISCOVERY_RATE, degradations
-from armctl.evaluation.endurance import endurances
+from armctl.evaluation.degradation import FALSE_DISCOVERY_RATE, Onset, degradations
 from armctl.evaluation.paired import paired_difference
+from armctl.evaluation.robustness import robustness_rankings
 from armctl.evaluation.sweep import _change_of_group, _test_of, change_between
 from armctl.evaluation.trainings import FEWEST_TRAININGS
 
@@ -105,9 +105,9 @@ def test_nobody_is_behind_who_has_the_higher_return_more_often():
         gains = np.where(rng.random(EPISODES) < 0.05, -2000.0, 1.0)
         pair = paired_difference("a", "b", None, (np.zeros(EPISODES), gains), None, (-2000.0, 1.0))
         test = _test_of(pair)
-        (noise,) = endurances(table, {("none", 0.0, both): test, ("noise", 1.0, both): test})
-        assert noise.leaders == ["b"]
-        assert noise.from_the_start == ["a"]
+        (noise,) = robustness_rankings(table, {("none", 0.0, both): test, ("noise", 1.0, both): test})
+        assert (noise.first, noise.leads) == ("b", True)
+        assert noise.worse == {"a": Onset(0.0)}
 
 
 def test_the_false_discovery_rate_is_five_percent():

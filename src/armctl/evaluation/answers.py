@@ -43,6 +43,8 @@ class Answer:
     """Classical against learned, by setting."""
     looks: Sequence[int] = ()
     """The numbers of episodes after which a verdict was told before."""
+    spared: dict[str, set[str]] = field(default_factory=dict)
+    """The policies that a setting's disturbance does not reach: they have no success in `cells` there."""
 
     @property
     def task(self) -> str:
@@ -53,6 +55,12 @@ class Answer:
     def undisturbed(self) -> HeadToHead | None:
         """Classical against learned without disturbance; None unless both have played."""
         return self.heads.get(UNDISTURBED)
+
+    @property
+    def shared_cells(self) -> dict[str, pd.DataFrame]:
+        """The cells of settings that reach all policies which stand for the two kinds."""
+        ours = {*(self.classical or ()), *(self.learned or ())}
+        return {name: table for name, table in self.cells.items() if ours.isdisjoint(self.spared.get(name, ()))}
 
     def rate(self, choice: Choice | None) -> Estimate | None:
         """The undisturbed success rate of a choice, each episode by the policy that stands for it there."""
@@ -118,6 +126,17 @@ class Answer:
         return "; ".join(said)
 
     @property
+    def not_compared(self) -> str:
+        """Which settings spare a policy that stands for its kind; empty if none does."""
+        shared, ours = self.shared_cells, {*(self.classical or ()), *(self.learned or ())}
+        said = [
+            f"{self.labels[name]} (spares {', '.join(sorted(ours & self.spared[name]))})"
+            for name in self.cells
+            if name not in shared
+        ]
+        return f"Not compared: {', '.join(said)}." if said else ""
+
+    @property
     def costs(self) -> str:
         """Training, decision times and privileges of those who stand for the two kinds."""
         by_name = {policy.policy: policy for policy in self.policies}
@@ -132,7 +151,7 @@ class Answer:
         if self.undisturbed is None:
             return f"{self.task}: {self.verdict}."
         turns = f"{self.turns[:1].upper()}{self.turns[1:]}." if self.turns else ""
-        return " ".join(filter(None, (f"{self.task}: {self.verdict}.", turns, self.costs)))
+        return " ".join(filter(None, (f"{self.task}: {self.verdict}.", turns, self.not_compared, self.costs)))
 
 
 def answer(swept: Sweep) -> Answer:
@@ -140,9 +159,10 @@ def answer(swept: Sweep) -> Answer:
     tables = {name: table for name, one in swept.comparisons.items() if (table := success_table(one)) is not None}
     named = {folder_name(name, level): f"{name} {level:g}" for name, levels in swept.levels.items() for level in levels}
     labels = {name: named.get(name, name) for name in swept.comparisons} | {UNDISTURBED: "undisturbed"}
+    spared = {name: {one.policy for one in at.policies if one.spared} for name, at in swept.comparisons.items()}
     plain = swept.comparisons.get(UNDISTURBED)
     if plain is None or UNDISTURBED not in tables:
-        return Answer(swept.env, plain.policies if plain else [], {}, labels)
+        return Answer(swept.env, plain.policies if plain else [], {}, labels, spared=spared)
     played = plain.episodes
     returns = played.pivot(index="episode", columns="policy", values="return").reindex(tables[UNDISTURBED].index)
     kinds: list[Choice | None] = []
@@ -150,10 +170,11 @@ def answer(swept: Sweep) -> Answer:
         names = [one.policy for one in plain.policies if one.learned == learned]
         kinds.append(choose(tables[UNDISTURBED], returns, names) if names else None)
     classical, trained = kinds
-    heads = heads_to_head(tables, UNDISTURBED, classical, trained) if classical and trained else {}
+    found = Answer(swept.env, plain.policies, tables, labels, classical, trained, {}, swept.looks, spared)
+    heads = heads_to_head(found.shared_cells, UNDISTURBED, classical, trained) if classical and trained else {}
     if UNDISTURBED in heads:
         heads[UNDISTURBED] = _with_steps(heads[UNDISTURBED], plain, classical, trained)
-    return Answer(swept.env, plain.policies, tables, labels, classical, trained, heads, swept.looks)
+    return replace(found, heads=heads)
 
 
 def _with_steps(head: HeadToHead, plain: Comparison, classical: Choice | None, learned: Choice | None) -> HeadToHead:
@@ -187,12 +208,15 @@ def corrected(answers: Sequence[Answer]) -> list[Answer]:
 
 
 def success_table(comparison: Comparison) -> pd.DataFrame | None:
-    """Success by episode and policy; None if it is unknown. Which episodes count is as in `counted_results`."""
+    """Success by episode and policy; None if it is unknown. Which episodes count is as in `counted_results`.
+
+    Policies that the disturbance does not reach are left out.
+    """
     played = comparison.episodes
     if not len(played) or not comparison.policies or played.success.isna().any():
         return None
     won = counted_rows(played).pivot(index="episode", columns="policy", values="success").astype(float)
-    return won.reindex(columns=[one.policy for one in comparison.policies])
+    return won.reindex(columns=[one.policy for one in comparison.policies if not one.spared])
 
 
 def _in_points(share: Estimate) -> Estimate:

@@ -12,8 +12,8 @@ from pydantic import Field, TypeAdapter
 from armctl.agents import read_card
 from armctl.envs import full_id
 from armctl.errors import ArmctlError, ResultsError
-from armctl.evaluation.endurance import Pair, PairTest
 from armctl.evaluation.reproduce import card_path
+from armctl.evaluation.robustness import Pair, PairTest
 from armctl.evaluation.store import COMPARISON
 from armctl.files import bounded_text, digest, unsealed
 

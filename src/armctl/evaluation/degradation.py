@@ -38,11 +38,12 @@ class Degradation:
 
 
 def degradations(points: pd.DataFrame) -> list[Degradation]:
-    """The effect of each disturbance on each policy, from the rows of `sweep.csv`.
+    """The effect of each disturbance on each policy that it reaches, from the rows of `sweep.csv`.
 
     The direction of a change is that of the statistic that `p` tests (the column `change`). Sweeps of older versions
     have none: differences in success take its place, and of returns no drop is shown.
     """
+    points = points[~spares(points)]
     points = points.assign(neutral=~points.duplicated(["disturbance", "policy"]))
     levels = points[~points.neutral]
     significant = pd.Series(False, index=points.index)
@@ -61,6 +62,14 @@ def degradations(points: pd.DataFrame) -> list[Degradation]:
         )
         for (disturbance, policy), rows in points.groupby(["disturbance", "policy"], sort=False)
     ]
+
+
+def spares(points: pd.DataFrame) -> "pd.Series[bool]":
+    """Return which rows of `sweep.csv` are of a disturbance and of a policy that it does not reach at some level."""
+    if "spared" not in points:  # by an older version
+        return pd.Series(False, points.index)
+    spared = points.spared.astype(str) == "True"
+    return spared.groupby([points.disturbance, points.policy]).transform("any")
 
 
 def onsets(levels: Iterable[float], shown: Iterable[bool], holds: Iterable[bool]) -> list[Onset]:

@@ -8,14 +8,14 @@ import pandas as pd
 
 from armctl.agents import TrainingCost
 from armctl.evaluation.degradation import FALSE_DISCOVERY_RATE, Degradation, degradations
-from armctl.evaluation.endurance import GROUP, Pair, PairTest, endurance_headline, endurances
 from armctl.evaluation.paired import PairedDifference, corrected
+from armctl.evaluation.robustness import GROUP, Pair, PairTest, robustness_headline, robustness_rankings
 from armctl.evaluation.statistics import Estimate
 from armctl.evaluation.summary import PolicySummary
 from armctl.evaluation.tables import AGAINST, UNKNOWN, Cell, Column, Remark, Table, p_value, percent, plain
 from armctl.evaluation.trainings import FEWEST_TRAININGS
 
-DISQUALIFIED = "disqualified"
+DISQUALIFIED, SPARED = "disqualified", "spared"
 
 
 def policy_table(env: str, seed: int, policies: Sequence[PolicySummary], disqualified: Sequence[str] = ()) -> Table:
@@ -164,7 +164,7 @@ def sweep_parts(points: pd.DataFrame, pairs: Mapping[Pair, PairTest]) -> list[Ta
     """
     parts: list[Table | Remark] = []
     by_success, policies = bool(points.success.notna().any()), points.policy.nunique()
-    found, enduring = degradations(points), endurances(points, pairs)
+    found, rankings = degradations(points), robustness_rankings(points, pairs)
     for name, rows in points.groupby("disturbance", sort=False):
         levels = list(dict.fromkeys(rows.level))
         if len(levels) == 1:  # the undisturbed one: cut short
@@ -173,7 +173,15 @@ def sweep_parts(points: pd.DataFrame, pairs: Mapping[Pair, PairTest]) -> list[Ta
         table_rows = []
         for policy, its in rows.groupby("policy", sort=False):
             values = its.set_index("level")[column]
-            cells = [_at_level(float(values[x]), by_success) if x in values else Cell(UNKNOWN) for x in levels]
+            spared = set(its.level[its.spared]) if "spared" in its else set()
+            cells = [
+                Cell(SPARED)
+                if x in spared
+                else _at_level(float(values[x]), by_success)
+                if x in values
+                else Cell(UNKNOWN)
+                for x in levels
+            ]
             table_rows.append([Cell(str(policy)), *cells])
         parts.append(
             Table(
@@ -185,7 +193,7 @@ def sweep_parts(points: pd.DataFrame, pairs: Mapping[Pair, PairTest]) -> list[Ta
             )
         )
         parts.append(Remark(_degradation_text([one for one in found if one.disturbance == name])))
-        parts += [Remark(str(one)) for one in enduring if one.disturbance == name and policies > 1]
+        parts += [Remark(str(ranking)) for ranking in rankings if ranking.disturbance == name and policies > 1]
     test, rate = "McNemar's exact test" if by_success else "sign test", f"{100 * FALSE_DISCOVERY_RATE:g} %"
     if points.policy.str.endswith(GROUP).any():
         test += (
@@ -194,8 +202,8 @@ def sweep_parts(points: pd.DataFrame, pairs: Mapping[Pair, PairTest]) -> list[Ta
     parts.append(
         Remark(f"Worse: than without disturbance, on the same episodes ({test}, false discovery rate {rate}).")
     )
-    if enduring and policies > 1:
-        parts.append(Remark(endurance_headline(enduring), "verdict"))
+    if rankings and policies > 1:
+        parts.append(Remark(robustness_headline(rankings), "verdict"))
     return parts
 
 

@@ -19,7 +19,6 @@ from armctl.errors import ConfigurationError, ResultsError, unknown_name
 from armctl.evaluation.compare import compare, default_policies, with_return_bounds
 from armctl.evaluation.comparison import Comparison
 from armctl.evaluation.curves import COMPARISONS, PAIRS, POINTS, RECORDED, SWEEP, comparison_in
-from armctl.evaluation.endurance import NEUTRAL, Pair, PairTest
 from armctl.evaluation.engines import Engine, engine_of
 from armctl.evaluation.notebook import Displayed
 from armctl.evaluation.paired import PairedDifference, mcnemar
@@ -34,6 +33,7 @@ from armctl.evaluation.real_time import (
     recorded_times,
 )
 from armctl.evaluation.record import EpisodeResult
+from armctl.evaluation.robustness import NEUTRAL, Pair, PairTest
 from armctl.evaluation.scores import counted_rows
 from armctl.evaluation.seeding import seed_notes
 from armctl.evaluation.seeds import check_evaluation_seed
@@ -50,11 +50,13 @@ from armctl.registration import bare_id
 COLUMNS = (
     "disturbance", "level", "policy", "episodes", "success", "low", "high", "return", "return_low", "return_high",
     "steps_to_goal", "steps_low", "steps_high", "p", "change", "unit", "sees",
+    "spared",
 )  # fmt: skip
 """Of `sweep.csv`: one row per disturbance, level and policy, with 95 % intervals. `p` is McNemar's p-value for equal
 success in the same episodes without the disturbance, or the sign test's for equal return if success is unknown; for a
 group of trainings, that of random weights of trainings and of episodes. `change` is what it tests: success minus
-that without the disturbance, or the share of episodes with a higher return minus the share with a lower one."""
+that without the disturbance, or the share of episodes with a higher return minus the share with a lower one.
+`spared` is True where the disturbance does not reach the policy, which is in no test then: `p` and `change` are NaN."""
 UNDISTURBED = "none"
 Asked = Mapping[str, Sequence[float] | None] | Sequence[str] | None
 
@@ -299,7 +301,7 @@ def _points(found: Sweep, specs: Mapping[str, DisturbanceSpec]) -> pd.DataFrame:
                     name, level, policy.policy, policy.episodes, *_numbers(policy.success),
                     *_numbers(policy.episode_return), *_numbers(policy.steps_to_goal),
                     *(_against_undisturbed(found, comparison, policy) if i else (1.0, 0.0)), specs[name].unit,
-                    policy.sees,
+                    policy.sees, bool(policy.spared),
                 )  # fmt: skip
                 rows.append(dict(zip(COLUMNS, values, strict=True)))
     return pd.DataFrame(rows, columns=list(COLUMNS))
@@ -324,6 +326,8 @@ def _test_of(pair: PairedDifference) -> PairTest:
 
 def _against_undisturbed(found: Sweep, comparison: Comparison | None, policy: PolicySummary) -> tuple[float, float]:
     """The p-value for no change in the same episodes, and the change: see `COLUMNS`."""
+    if policy.spared:
+        return math.nan, math.nan
     played = [counted_rows(one.episodes) for one in (found.comparisons[UNDISTURBED], comparison) if one is not None]
     before, after = (rows[rows.policy.isin(policy.trainings or [policy.policy])] for rows in played)
     score = "return" if policy.success is None else "success"

@@ -25,6 +25,7 @@ from armctl.report.style import (
     add_interval,
     add_label,
     add_line,
+    add_spared_line,
     escaped,
     framed,
     number,
@@ -120,7 +121,9 @@ def robustness(sweep: pd.DataFrame, look: Looks) -> go.Figure:
     by_success = bool(sweep.success.notna().any())
     for name, rows in sweep.groupby("policy", sort=False):
         levels = [f"{level:g}" for level in rows.level]
-        if by_success:
+        if "spared" in rows and rows.spared.any():
+            add_spared_line(figure, levels, rows["success" if by_success else "return"], look[str(name)])
+        elif by_success:
             add_band(figure, levels, rows.low, rows.high, look[str(name)])
             add_line(figure, levels, rows.success, look[str(name)], "linear", "%{y:.1%} at %{x}", markers=True)
         else:

@@ -13,9 +13,9 @@ import pandas as pd
 from armctl.envs import full_id
 from armctl.errors import ResultsError
 from armctl.evaluation.curves import POINTS, RECORDED, read_pairs, read_sweep
-from armctl.evaluation.endurance import endurance_headline, endurances
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.results import Results, read_results
+from armctl.evaluation.robustness import robustness_headline, robustness_rankings
 from armctl.evaluation.store import COMPARISON
 from armctl.evaluation.suite import SUITE
 from armctl.evaluation.suite_results import read_suite
@@ -71,12 +71,13 @@ def write_report(
     look = style.looks(names)
     groups = results.comparison.groups if results else {}
     look |= {member: replace(look[name], label=member) for name in groups for member in groups[name]}
-    enduring = [] if sweep is None or sweep.policy.nunique() < 2 else endurances(sweep, read_pairs(folder))
+    several = sweep is not None and sweep.policy.nunique() > 1
+    rankings = robustness_rankings(sweep, read_pairs(folder)) if sweep is not None and several else []
     page: dict[str, Any] = {
         "look": look,
         "folder": folder.resolve().name,
-        "robustness": [] if sweep is None else sweep_plots(sweep, enduring, look),
-        "endurance": renamed(endurance_headline(enduring), look),
+        "robustness": [] if sweep is None else sweep_plots(sweep, rankings, look),
+        "ranking": renamed(robustness_headline(rankings), look),
         "swept_by_success": sweep is not None and bool(sweep.success.notna().any()),
         "swept": [] if sweep is None else [look[name] for name in sweep.policy.unique()],
         "results": results,

@@ -13,9 +13,9 @@ from markupsafe import Markup
 from armctl.envs import check_from_file, make_worlds
 from armctl.errors import ArmctlError
 from armctl.evaluation.curves import training_curves
-from armctl.evaluation.endurance import Endurance
 from armctl.evaluation.paired import Corrected, PairedDifference, corrected
 from armctl.evaluation.results import Results
+from armctl.evaluation.robustness import RobustnessRanking
 from armctl.evaluation.statistics import Estimate
 from armctl.evaluation.summary import PolicySummary
 from armctl.evaluation.tables import p_value
@@ -136,10 +136,10 @@ def renamed(text: str, look: style.Looks) -> str:
     return text
 
 
-def sweep_plots(sweep: pd.DataFrame, found: Sequence[Endurance], look: style.Looks) -> list[Plot]:
-    """A figure for each disturbance of a sweep, and who holds out longest."""
+def sweep_plots(sweep: pd.DataFrame, rankings: Sequence[RobustnessRanking], look: style.Looks) -> list[Plot]:
+    """A figure for each disturbance of a sweep, and its robustness ranking."""
     what = "Success" if sweep.success.notna().any() else "Return"
-    said = {one.disturbance: renamed(str(one), look) for one in found}
+    said = {ranking.disturbance: renamed(str(ranking), look) for ranking in rankings}
     return [
         Plot(figures.robustness(rows, look), f"{what} against the level of {name}", str(name), said.get(str(name), ""))
         for name, rows in sweep.groupby("disturbance", sort=False)

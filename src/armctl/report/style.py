@@ -153,6 +153,19 @@ def add_line(
     )
 
 
+def add_spared_line(figure: go.Figure, x: Any, y: Any, style: Look) -> None:
+    """Add the line of a policy that the disturbance does not reach: dotted and thin, with hollow points."""
+    figure.add_scatter(
+        x=listed(x),
+        y=listed(y),
+        name=f"{escaped(style.label)} (spared)",
+        mode="lines+markers",
+        marker={"size": 8, "symbol": "circle-open"},
+        line={"color": style.colour, "width": 1.5, "dash": "dot"},
+        hovertemplate=f"{escaped(style.label)}: spared<extra></extra>",
+    )
+
+
 def add_point(figure: go.Figure, x: Any, y: Any, low: Any, high: Any, style: Look, hover: str) -> None:
     """Add a policy's points with vertical intervals. `hover` is the text at one, in Plotly's template language."""
     y, low, high = (np.asarray(values, dtype=float) for values in (y, low, high))

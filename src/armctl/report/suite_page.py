@@ -22,6 +22,7 @@ from armctl.evaluation.provenance import looks_in_words
 from armctl.evaluation.statistics import Estimate
 from armctl.evaluation.suite import Suite, folder_of
 from armctl.evaluation.summary import PolicySummary
+from armctl.evaluation.summary_tables import SPARED
 from armctl.evaluation.sweep import UNDISTURBED, folder_name
 from armctl.report import style, suite_figures
 from armctl.report.colours import INK
@@ -95,18 +96,25 @@ def _heads(found: Suite) -> list[tuple[str, int]]:
 
 
 def _heat(found: Suite, one: Answer, heads: Sequence[tuple[str, int]], link: str | None) -> dict[str, Any]:
-    """A task's rows of the heat map: for each policy, its success in percent in each column, None where unknown."""
+    """A task's rows of the heat map: for each policy, its success in percent in each column, None where unknown.
+
+    It is `spared` where the disturbance does not reach the policy.
+    """
     levels = found.tasks[one.env].levels
     settings: list[tuple[str, str] | None] = [(UNDISTURBED, "")]
     for name, i in heads:
         known = i < len(levels.get(name, ()))
         settings.append((folder_name(name, levels[name][i]), f"{levels[name][i]:g}") if known else None)
     rows = [
-        (policy.policy, [None if at is None else _percent(one, policy.policy, at[0]) for at in settings])
+        (policy.policy, [None if at is None else _shown(one, policy.policy, at[0]) for at in settings])
         for policy in sorted(one.policies, key=lambda policy: policy.learned)
     ]
     shown = [None if at is None else at[1] for at in settings]
     return {"task": folder_of(one.env), "link": link, "levels": shown[1:], "rows": rows}
+
+
+def _shown(one: Answer, policy: str, setting: str) -> float | str | None:
+    return SPARED if policy in one.spared.get(setting, ()) else _percent(one, policy, setting)
 
 
 def _percent(one: Answer, policy: str, setting: str) -> float | None:
@@ -138,7 +146,7 @@ def _both(answers: Sequence[Answer]) -> list[tuple[Answer, Choice, Choice]]:
 def _improvement(answers: Sequence[Answer]) -> Plot | None:
     rows: dict[str, Estimate] = {}
     for one, classical, learned in _both(answers):
-        if (found := improvement(one.cells, classical, learned)) is not None:
+        if (found := improvement(one.shared_cells, classical, learned)) is not None:
             rows[folder_of(one.env)] = found
     mean = mean_over_tasks(list(rows.values()))
     if mean is None:
@@ -163,8 +171,8 @@ def _profile(answers: Sequence[Answer]) -> Plot | None:
     if not both:
         return None
     lines = [
-        (CLASSICAL, [rate for one, classical, _ in both for rate in cell_rates(one.cells, classical)]),
-        (LEARNED, [rate for one, _, learned in both for rate in cell_rates(one.cells, learned)]),
+        (CLASSICAL, [rate for one, classical, _ in both for rate in cell_rates(one.shared_cells, classical)]),
+        (LEARNED, [rate for one, _, learned in both for rate in cell_rates(one.shared_cells, learned)]),
     ]
     drawn = [(look, success_profile(rates, THRESHOLDS)) for look, rates in lines]
     return Plot(suite_figures.profiles(drawn, THRESHOLDS), "Share of tasks and settings with at least some success")
