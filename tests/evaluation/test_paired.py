@@ -8,13 +8,11 @@ from scipy import stats
 
 from armctl.evaluation.episode_table import table_of
 from armctl.evaluation.paired import (
-    episodes_to_detect,
-    episodes_to_show_equivalence,
     holm,
-    mcnemar,
     mover,
     paired_difference,
 )
+from armctl.evaluation.power import episodes_to_show_equivalence
 from armctl.evaluation.scores import Limits, pairs_of, scores_of
 from armctl.evaluation.statistics import bounded_difference
 from armctl.evaluation.trainings import difference_over_trainings
@@ -114,24 +112,6 @@ def test_holm_against_holm():
     assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
     assert holm([0.5, 0.9]) == [1, 1]
     assert holm([]) == []
-
-
-@pytest.mark.parametrize(("difference", "discordant"), [(0.02, 0.02), (0.02, 0.1), (0.1, 0.3)])
-def test_planned_episodes_have_the_power_that_was_asked_for(difference, discordant):
-    episodes = episodes_to_detect(difference, discordant)
-    rng = np.random.default_rng(0)
-    only_a, only_b = (discordant + difference) / 2, (discordant - difference) / 2
-    counts = rng.multinomial(episodes, [only_a, only_b, 1 - discordant], size=2000)
-    told = np.mean([mcnemar(a, b) < 0.05 for a, b, _ in counts])
-    assert told == pytest.approx(0.8, abs=0.05)
-
-
-@pytest.mark.parametrize("discordant", [0.0, 0.02, 0.1])
-def test_planned_episodes_show_equivalence_as_often_as_was_asked_for(discordant):
-    episodes = episodes_to_show_equivalence(0.03, discordant)
-    counts = np.random.default_rng(0).multinomial(episodes, [discordant / 2, discordant / 2, 1 - discordant], size=500)
-    told = np.mean([(found := mover(a, b, episodes, 0.9)).low > -0.03 and found.high < 0.03 for a, b, _ in counts])
-    assert told >= 0.75
 
 
 def test_more_claims_take_more_episodes():

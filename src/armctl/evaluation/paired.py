@@ -1,8 +1,7 @@
-"""Two policies on the same episodes: difference in success, equivalence, and how many episodes it takes."""
+"""Two policies on the same episodes: difference in success, and equivalence."""
 
-import bisect
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -188,44 +187,6 @@ def holm(p_values: Sequence[float]) -> list[float]:
     result = np.empty(len(p_values))
     result[order] = np.minimum(np.maximum.accumulate(corrected), 1.0)
     return [float(p) for p in result]
-
-
-def episodes_to_detect(difference: float, discordant: float, power: float = 0.8, pairs: int = 1) -> int:
-    """How many episodes show a difference in success, with a two-sided test at 5 % (Connor, Biometrics 43, 1987).
-
-    `discordant` is the share of episodes that exactly one of the two wins; it is at least the difference. With several
-    `pairs`, the test is at 5 % / `pairs` (Bonferroni); Holm's correction needs no more.
-    """
-    discordant = max(discordant, difference)
-    z_level, z_power = (float(stats.norm.ppf(one)) for one in (1 - 0.025 / pairs, power))
-    spread = z_level * math.sqrt(discordant) + z_power * math.sqrt(discordant - difference**2)
-    return math.ceil((spread / difference) ** 2)
-
-
-def episodes_to_show_equivalence(margin: float, discordant: float, power: float = 0.8, claims: int = 1) -> int:
-    """How many episodes show that two equally good policies differ by less than `margin` (two tests at 5 % / `claims`).
-
-    When as many episodes are discordant as is expected, and one of the two wins so many more of them as happens with a
-    probability of `power` at most.
-    """
-    z_power = float(stats.norm.ppf((1 + power) / 2))
-
-    def shown(episodes: int) -> bool:
-        count = discordant * episodes
-        ahead = z_power * math.sqrt(count)
-        least = max(0.0, count - ahead) / 2
-        found = mover(min(count - least, episodes), least, episodes, 1 - 2 * EQUIVALENCE / claims)
-        return found.high is not None and found.high < margin
-
-    return _least(shown)
-
-
-def _least(holds: Callable[[int], bool]) -> int:
-    """The least number for which something holds that holds for all larger ones."""
-    high = 1
-    while not holds(high):
-        high *= 2
-    return 1 + bisect.bisect_left(range(1, high + 1), True, key=holds)
 
 
 def paired_difference(

@@ -4,7 +4,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from armctl.errors import ConfigurationError, ResultsError
-from armctl.evaluation.paired import LEVELS, episodes_to_detect, episodes_to_show_equivalence
+from armctl.evaluation.paired import LEVELS
+from armctl.evaluation.power import episodes_to_detect, episodes_to_show_equivalence
 from armctl.evaluation.results import read_results
 from armctl.evaluation.tables import AGAINST, Cell, Column, Document, Remark, Table
 from armctl.evaluation.verdict import contests

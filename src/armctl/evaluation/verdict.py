@@ -13,11 +13,10 @@ from armctl.evaluation.paired import (
     Corrected,
     PairedDifference,
     corrected,
-    episodes_to_detect,
-    episodes_to_show_equivalence,
     shown,
     within,
 )
+from armctl.evaluation.power import episodes_to_detect, episodes_to_show_equivalence
 from armctl.evaluation.provenance import looks_in_words
 from armctl.evaluation.statistics import FEWEST, Estimate
 from armctl.evaluation.summary import PolicySummary
@@ -234,7 +233,7 @@ def _more(contest: Contest, margin: float, least: str) -> str:
         return "More trainings would tell more than more episodes"
     discordant = (pair.only_a + pair.only_b + 1) / (pair.episodes + 2)
     needed = max(
-        episodes_to_detect(margin, discordant, pairs=contest.p.tests),
+        episodes_to_detect(margin, discordant, tests=contest.p.tests),
         episodes_to_show_equivalence(margin, discordant, claims=contest.claims),
     )
     more = max(needed - pair.episodes, pair.episodes // 2)
