@@ -25,6 +25,9 @@ class BridgeController(Protocol):
     def act(self, pose: Array, velocity: Array, time: float) -> tuple[float, float]:
         """Linear (m/s) and angular velocity (rad/s) for a pose (x, y, yaw), current velocities, and time (s)."""
 
+    def see(self, bridge: BridgeMap) -> None:
+        """Go by this map from now on: it is where things are believed to be, and noise may move them."""
+
     def plans(self) -> dict[str, Array]:
         """Planned paths by name: lines of points (m, 2) m."""
 
@@ -56,7 +59,7 @@ class BridgePolicy:
     def __init__(self, name: str, env: TaskVectorEnv, make_one: Callable[[BridgeMap, float], BridgeController]) -> None:
         if not isinstance(env.task, BridgeTask):
             raise ConfigurationError(f"{name} cannot play this task: use it with armctl/BridgeCross-v0")
-        self._task, self._make_one = env.task, make_one
+        self._env, self._make_one = env, make_one
         self._controllers: list[BridgeController | None] = [None] * env.num_envs
         self._failed_before = np.zeros(env.num_envs, dtype=np.int64)
 
@@ -76,10 +79,15 @@ class BridgePolicy:
         """Make new controllers for worlds `ids`, which have new maps."""
         for i in ids:
             self._failed_before[i] += getattr(self._controllers[i], "failures", 0)
-            self._controllers[i] = self._make_one(self._task.map(i), self._task.goal_x)
+            self._controllers[i] = self._make_one(self._env.perceived().map(i), self._env.task.goal_x)
 
     def act(self, observations: Any) -> Array:
         """Linear and angular velocities (n, 2), m/s and rad/s."""
-        state = self._task.state
+        perceived = self._env.perceived()
+        if perceived is not self._env.task:
+            for i, controller in enumerate(self._controllers):
+                if controller:
+                    controller.see(perceived.map(i))
+        state = perceived.state
         states = zip(self._controllers, state.poses, state.velocities, state.time, strict=True)
         return np.array([controller.act(*known) if controller else (0.0, 0.0) for controller, *known in states])

@@ -70,6 +70,10 @@ class BridgeMpc:
         """The path (m, 2) and the predicted positions (steps + 1, 2) of the rover, m."""
         return self._plans
 
+    def see(self, bridge: BridgeMap) -> None:
+        """Go by this map from now on."""
+        self._bridge = bridge
+
     def act(self, pose: Array, velocity: Array, time: float) -> tuple[float, float]:
         """Linear and angular velocity for a pose (x, y, yaw), current velocities (m/s, rad/s) and time (s)."""
         if self._mpc is None or distance_from_path(self._mpc, pose) > REPLAN_DISTANCE:
@@ -77,7 +81,7 @@ class BridgeMpc:
             if not len(path):
                 return 0.0, 0.0
             self._failed_before = self.failures
-            self._mpc = DriveMpc(path, self._bridge.nearest, self._options)
+            self._mpc = DriveMpc(path, lambda points: self._bridge.nearest(points), self._options)
             self._plans["path"] = path
         result = self._mpc.decide(pose, velocity, self._bridge.pedestrians.positions(time + self._clock))
         self._plans["horizon"] = result.poses[:, :2]

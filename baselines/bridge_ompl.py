@@ -41,14 +41,18 @@ class BridgeOmpl:
     """Crosses one bridge."""
 
     def __init__(self, bridge: BridgeMap, goal_x: float) -> None:
-        self._bridge, self._goal_x = bridge, goal_x
-        self._crossing = bridge.pedestrians.across()
+        self._goal_x = goal_x
+        self.see(bridge)
         self._path: Array | None = None
         self._pursuit: RegulatedPurePursuit | None = None
 
     def plans(self) -> dict[str, Array]:
         """The path, (m, 2) m."""
         return {} if self._path is None else {"path": self._path}
+
+    def see(self, bridge: BridgeMap) -> None:
+        """Go by this map from now on."""
+        self._bridge, self._crossing = bridge, bridge.pedestrians.across()
 
     def act(self, pose: Array, velocity: Array, time: float) -> tuple[float, float]:
         """Linear and angular velocity for a pose (x, y, yaw), current velocities (m/s, rad/s) and time (s)."""

@@ -62,7 +62,7 @@ class LookingAheadPolicy:
         self.options = options or LookAheadOptions()
         self.training_steps, self.training_cost = agent.training_steps, agent.training_cost
         self.reset = agent.reset
-        self._agent, self._task = agent, env.task
+        self._agent, self._env = agent, env
         self._geometry = Geometry.of(env.task.options, env.task.simulation.model)
         self._others = np.array(list(itertools.product(self.options.linear, self.options.angular)))
         self.failures = np.zeros(env.num_envs, dtype=np.int64)
@@ -70,7 +70,7 @@ class LookingAheadPolicy:
 
     def act(self, observations: Any) -> Array:
         """Linear and angular velocities (n, 2), m/s and rad/s."""
-        states = self._task.state_observation()
+        states = self._env.perceived().state_observation()
         commands = np.asarray(self._agent.act(states), float)
         alone = self._driven(states, commands, held=1)
         risky = np.flatnonzero(alone.free_at_first & (alone.lasted < self.options.steps))

@@ -13,7 +13,8 @@ RANGES = {
         "pushes": (0.0, 10.0), "mismatch": (0.0, 0.1),
     },
     BRIDGE: {
-        "noise": (0.0, 0.2), "delay": (0, 2), "payload": (0.0, 20.0), "friction": (0.5, 1.0), "strength": (0.6, 1.0),
+        "noise": (0.0, 0.2), "noise_on_state": (0.0, 0.2),
+        "delay": (0, 2), "payload": (0.0, 20.0), "friction": (0.5, 1.0), "strength": (0.6, 1.0),
         "pushes": (0.0, 10.0), "mismatch": (0.0, 0.1), "dropout": (0.0, 0.5),
     },
 }  # fmt: skip

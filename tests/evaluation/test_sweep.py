@@ -111,8 +111,8 @@ def test_a_spared_policy_is_told_so_and_in_no_test(finished):
 
 
 def test_p_is_mcnemars_on_the_same_episodes():
-    found = run(policies=["reach_ik"], disturbances={"mismatch": [0.2]}, episodes=12, worlds=6)
-    before, after = (found.comparisons[name].episodes.set_index("episode").success for name in ("none", "mismatch-0.2"))
+    found = run(policies=["reach_ik"], disturbances={"payload": [20]}, episodes=12, worlds=6)
+    before, after = (found.comparisons[name].episodes.set_index("episode").success for name in ("none", "payload-20.0"))
     expected = mcnemar(int((before & ~after).sum()), int((~before & after).sum()))
     assert found.points.p.tolist() == [1.0, expected]
     assert expected < 1

@@ -6,10 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from armctl.evaluation.degradation import FALSE_DISCOVERY_RATE, Onset, degradations
+from armctl.evaluation.degradation import FALSE_DISCOVERY_RATE, Onset, change_between, change_of_group, degradations
 from armctl.evaluation.paired import paired_difference
 from armctl.evaluation.robustness import robustness_rankings
-from armctl.evaluation.sweep import _change_of_group, _test_of, change_between
+from armctl.evaluation.sweep import _test_of
 from armctl.evaluation.trainings import FEWEST_TRAININGS
 
 EPISODES, RUNS = 100, 120
@@ -73,7 +73,7 @@ def group(values):
 def test_a_group_of_trainings_goes_by_signs_too():
     rng = np.random.default_rng(2)
     before, after = np.concatenate([returns(rng, 0.95) for _ in range(3)], axis=1)
-    _, change = _change_of_group(group(before), group(after), "return")
+    _, change = change_of_group(group(before), group(after), "return")
     assert change > 0.5
     assert after.mean() < before.mean() - 50
 
@@ -85,7 +85,7 @@ def test_fewer_than_six_trainings_show_no_change_of_their_recipe(trainings, scor
     names = [f"g[{seed}]" for seed in range(trainings)]
     episodes = pd.MultiIndex.from_product([names, range(500)], names=["policy", "episode"])
     before, after = (pd.DataFrame({score: value}, index=episodes).reset_index() for value in (1.0, 0.0))
-    p, change = _change_of_group(before, after, score)
+    p, change = change_of_group(before, after, score)
     assert change == -1
     assert p == pytest.approx(2 * 0.5**trainings, rel=0.2)
     assert (p < 0.05) == (trainings >= FEWEST_TRAININGS)

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from armctl.disturbances.disturbance import Disturbable, Disturbance, DisturbanceSpec, LevelRange
 from armctl.disturbances.fields import JointFriction, LinkMismatch, Payload, Slipperiness, Strength, WheelMismatch
-from armctl.disturbances.signals import Delay, Dropout, Noise, Pushes
+from armctl.disturbances.signals import Delay, Dropout, Noise, Pushes, StateNoise
 from armctl.errors import ConfigurationError, unknown_name
 
 __all__ = [
     "ARM", "GENERIC", "ROVER", "Delay", "Disturbable", "Disturbance", "DisturbanceSpec", "Dropout", "JointFriction",
-    "LevelRange", "LinkMismatch", "Noise", "Payload", "Pushes", "Slipperiness", "Strength", "WheelMismatch",
-    "available", "begin_episodes", "disturb", "episode_rng",
+    "LevelRange", "LinkMismatch", "Noise", "Payload", "Pushes", "Slipperiness", "StateNoise", "Strength",
+    "WheelMismatch", "available", "begin_episodes", "disturb", "episode_rng",
 ]  # fmt: skip
 
 ON_TOP = (0.0, 0.0, 0.22)
@@ -38,8 +38,9 @@ def _has_camera(task: Disturbable) -> bool:
 
 def _observes_numbers(task: Disturbable) -> bool:
     space = task.observation_space
-    parts = space.spaces.values() if isinstance(space, gymnasium.spaces.Dict) else (space,)
-    return all(isinstance(part, gymnasium.spaces.Box) for part in parts)
+    parts = [*space.spaces.values()] if isinstance(space, gymnasium.spaces.Dict) else [space]
+    numbers = [part for part in parts if isinstance(part, gymnasium.spaces.Box)]
+    return len(numbers) == len(parts) and any(part.dtype.kind == "f" for part in numbers if part.dtype is not None)
 
 
 def _has_physics(task: Disturbable) -> bool:
@@ -83,7 +84,14 @@ ARM: dict[str, DisturbanceSpec] = {
 }  # fmt: skip
 """For an arm."""
 ROVER: dict[str, DisturbanceSpec] = {
-    "noise": DisturbanceSpec(Noise, "sensor noise, standard deviation", "m, m/s, rad/s", (0, 0.05, 0.1, 0.2, 0.5), 10),
+    "noise": DisturbanceSpec(
+        Noise, "sensor noise, standard deviation", "m, m/s, rad/s", (0, 0.05, 0.1, 0.2, 0.5), 10,
+        applies=_observes_numbers,
+    ),
+    "noise_on_state": DisturbanceSpec(
+        StateNoise, "the same, also on the true state for policies that see it", "m, m/s, rad/s",
+        (0, 0.05, 0.1, 0.2, 0.5), 10, applies=_observes_numbers,
+    ),
     "delay": DisturbanceSpec(Delay, "late actions", "control steps of 100 ms", (0, 1, 2, 3, 5), 100, whole=True),
     "payload": DisturbanceSpec(
         functools.partial(Payload, offset=ON_TOP), "a ball on top", "kg", (0, 5, 10, 20, 40), 100,

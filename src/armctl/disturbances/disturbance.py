@@ -97,6 +97,10 @@ class Disturbance:
         """The observations that policies see in worlds `ids`. Repeated calls return the same."""
         return observations
 
+    def perceive(self, numbers: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The state's numbers (n, k) that policies read which see the state. Repeated calls return the same."""
+        return numbers
+
 
 @dataclass(frozen=True)
 class LevelRange:

@@ -1,11 +1,12 @@
 """Disturbances of sensors and commands, and external pushes."""
 
-from typing import Any
+import copy
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.disturbances.disturbance import Array, Disturbable, Disturbance, Observations
+from armctl.disturbances.disturbance import Array, Channel, Disturbable, Disturbance, Observations
 
 PUSH_INTERVAL = 1.0
 """s between two pushes, on average."""
@@ -29,28 +30,66 @@ class Noise(Disturbance):
 
     def begin(self, ids: NDArray[np.int32]) -> None:
         """Sample the noise of the first observation."""
-        for noise in self._noise.values():
-            for i in ids:
-                self.rngs[i].standard_normal(out=noise[i], dtype=np.float32)
+        self._sample(ids)
 
     def command(self, actions: Array) -> Array:
         """Sample the noise of the next observation."""
-        self.begin(self.worlds)
+        self._sample(self.worlds)
         return actions
+
+    def _sample(self, ids: NDArray[np.int32]) -> None:
+        for noise in self._noise.values():
+            for i in ids:
+                self.rngs[i].standard_normal(out=noise[i], dtype=np.float32)
 
     def observe(self, observations: Observations, ids: NDArray[np.int32] | slice) -> Observations:
         """Observations with noise."""
         space: Any = self.task.observation_space
         if isinstance(observations, dict):
-            return {name: self._noisy(values, name, space[name], ids) for name, values in observations.items()}
-        return self._noisy(observations, "", space, ids)
+            return {
+                name: self._noisy(values, self._noise.get(name), space[name], ids)
+                for name, values in observations.items()
+            }
+        return self._noisy(observations, self._noise.get(""), space, ids)
 
-    def _noisy(self, values: NDArray[Any], name: str, space: Any, ids: NDArray[np.int32] | slice) -> NDArray[Any]:
-        if name not in self._noise:
+    def _noisy(
+        self, values: NDArray[Any], noise: NDArray[np.float32] | None, space: Any, ids: NDArray[np.int32] | slice
+    ) -> NDArray[Any]:
+        if noise is None:
             return values
-        noise = self._noise[name][ids]
+        noise = noise[ids]
         noise = self.levels[ids].astype(np.float32).reshape(-1, *[1] * (noise.ndim - 1)) * noise
         return np.where(values == 0, values, np.clip(values + noise, space.low, space.high))
+
+
+class StateNoise(Noise):
+    """Noise on the observation, and on the state that policies read instead (`EpisodeVectorEnv.perceived`).
+
+    Who observes the state's numbers and who reads them get the same ones in the same episode, by generators alike.
+    """
+
+    channels: ClassVar[frozenset[Channel]] = frozenset({"observation", "state"})
+
+    def __init__(self, task: Any, level: float) -> None:
+        super().__init__(task, level)
+        self._state_noise = np.zeros(task.state_observation().shape, dtype=np.float32)
+        self._state_rngs = list(self.rngs)
+
+    def begin(self, ids: NDArray[np.int32]) -> None:
+        """Sample the noise of the first observation and state."""
+        for i in ids:
+            self._state_rngs[i] = copy.deepcopy(self.rngs[i])
+        super().begin(ids)
+
+    def _sample(self, ids: NDArray[np.int32]) -> None:
+        super()._sample(ids)
+        for i in ids:
+            self._state_rngs[i].standard_normal(out=self._state_noise[i], dtype=np.float32)
+
+    def perceive(self, numbers: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The state's numbers with noise."""
+        task: Any = self.task
+        return self._noisy(numbers, self._state_noise, task.state_space, slice(None))
 
 
 class Dropout(Disturbance):

@@ -114,6 +114,20 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         """Number of each world's current episode under its seed, (n,)."""
         return self._episodes.copy()
 
+    def perceived(self) -> Any:
+        """Return what policies that see the state read it from: the task, or what disturbances let them know of it.
+
+        A disturbance acts on the numbers of `task.state_observation()`, of which `task.perceived(numbers)` makes what
+        is read in place of the task. Rewards and outcomes stay true.
+        """
+        acting = [disturbance for disturbance in self.disturbances.values() if "state" in disturbance.channels]
+        if not acting:
+            return self.task
+        numbers = self.task.state_observation()
+        for disturbance in acting:
+            numbers = disturbance.perceive(numbers)
+        return self.task.perceived(numbers)
+
     @abstractmethod
     def _infos(self) -> Infos:
         """What `reset` tells of the new episodes."""

@@ -1,5 +1,6 @@
 """One world as an ordinary Gymnasium environment."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -82,11 +83,15 @@ class OneWorld:
     action_space: gymnasium.spaces.Space[Any]
     task: Any
     spec: Any
+    perceived: Callable[[], Any]
+    """What a controller that sees the state reads it from: see `EpisodeVectorEnv.perceived`."""
 
     @classmethod
     def of(cls, worlds: EpisodeVectorEnv) -> "OneWorld":
         """What there is to say about any of these worlds."""
-        return cls(worlds.single_observation_space, worlds.single_action_space, worlds.task, worlds.spec)
+        return cls(
+            worlds.single_observation_space, worlds.single_action_space, worlds.task, worlds.spec, worlds.perceived
+        )
 
 
 def _first(infos: Infos) -> Infos:

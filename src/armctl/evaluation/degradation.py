@@ -3,8 +3,13 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+import numpy as np
 import pandas as pd
 from scipy import stats
+
+from armctl.evaluation.paired import mcnemar
+from armctl.evaluation.statistics import paired_superiority
+from armctl.evaluation.trainings import mean_over_trainings
 
 FALSE_DISCOVERY_RATE = 0.05
 """Of the significant drops in success of a sweep (Benjamini and Hochberg 1995)."""
@@ -80,3 +85,29 @@ def onsets(levels: Iterable[float], shown: Iterable[bool], holds: Iterable[bool]
         for i, (level, one) in enumerate(zip(levels, shown, strict=True))
         if one
     ]
+
+
+def change_between(before: pd.DataFrame, after: pd.DataFrame, score: str) -> tuple[float, float]:
+    """The p-value for no change in the `score` of one policy, from its rows of `episodes.csv`, and the change."""
+    before, after = before.set_index("episode"), after.set_index("episode")
+    both = before.index.intersection(after.index)
+    if both.empty:
+        return 1.0, 0.0
+    before, after = before.loc[both], after.loc[both]
+    if score == "return":
+        higher = paired_superiority(after["return"].to_numpy(), before["return"].to_numpy())
+        return higher.p, 2 * higher.probability.value - 1
+    won, won_after = before.success.astype(bool), after.success.astype(bool)
+    lost, gained = int((won & ~won_after).sum()), int((~won & won_after).sum())
+    return mcnemar(lost, gained), (gained - lost) / len(both)
+
+
+def change_of_group(before: pd.DataFrame, after: pd.DataFrame, score: str) -> tuple[float, float]:
+    """The same over a group's trainings and episodes; (1, 0) if there is nothing to compare."""
+    tables = (one.pivot(index="policy", columns="episode", values=score).astype(float) for one in (before, after))
+    first, second = tables
+    changes = np.sign((second - first).dropna(axis=1).to_numpy())  # of success they are -1, 0 and 1 themselves
+    if 0 in changes.shape:
+        return 1.0, 0.0
+    change = mean_over_trainings(changes, (-1.0, 1.0))
+    return 1.0 if change.p is None else change.p, change.mean.value

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from armctl import DEFAULT_ENV
@@ -19,9 +18,10 @@ from armctl.errors import ConfigurationError, ResultsError, unknown_name
 from armctl.evaluation.compare import compare, default_policies, with_return_bounds
 from armctl.evaluation.comparison import Comparison
 from armctl.evaluation.curves import COMPARISONS, PAIRS, POINTS, RECORDED, SWEEP, comparison_in
+from armctl.evaluation.degradation import change_between, change_of_group
 from armctl.evaluation.engines import Engine, engine_of
 from armctl.evaluation.notebook import Displayed
-from armctl.evaluation.paired import PairedDifference, mcnemar
+from armctl.evaluation.paired import PairedDifference
 from armctl.evaluation.real_time import (
     SLOW_DOWN,
     SLOWER,
@@ -37,12 +37,11 @@ from armctl.evaluation.robustness import NEUTRAL, Pair, PairTest
 from armctl.evaluation.scores import counted_rows
 from armctl.evaluation.seeding import seed_notes
 from armctl.evaluation.seeds import check_evaluation_seed
-from armctl.evaluation.statistics import Bounds, Estimate, paired_superiority
+from armctl.evaluation.statistics import Bounds, Estimate
 from armctl.evaluation.store import CSV, check_store
 from armctl.evaluation.summary import PolicySummary
 from armctl.evaluation.summary_tables import sweep_parts
 from armctl.evaluation.tables import Document, Remark
-from armctl.evaluation.trainings import mean_over_trainings
 from armctl.files import digest, inside, one_writer, sealed, write_atomically
 from armctl.policies import expanded, learners, named_policies
 from armctl.registration import bare_id
@@ -331,30 +330,4 @@ def _against_undisturbed(found: Sweep, comparison: Comparison | None, policy: Po
     played = [counted_rows(one.episodes) for one in (found.comparisons[UNDISTURBED], comparison) if one is not None]
     before, after = (rows[rows.policy.isin(policy.trainings or [policy.policy])] for rows in played)
     score = "return" if policy.success is None else "success"
-    return (_change_of_group if policy.trainings else change_between)(before, after, score)
-
-
-def change_between(before: pd.DataFrame, after: pd.DataFrame, score: str) -> tuple[float, float]:
-    """The p-value for no change in the `score` of one policy, from its rows of `episodes.csv`, and the change."""
-    before, after = before.set_index("episode"), after.set_index("episode")
-    both = before.index.intersection(after.index)
-    if both.empty:
-        return 1.0, 0.0
-    before, after = before.loc[both], after.loc[both]
-    if score == "return":
-        higher = paired_superiority(after["return"].to_numpy(), before["return"].to_numpy())
-        return higher.p, 2 * higher.probability.value - 1
-    won, won_after = before.success.astype(bool), after.success.astype(bool)
-    lost, gained = int((won & ~won_after).sum()), int((~won & won_after).sum())
-    return mcnemar(lost, gained), (gained - lost) / len(both)
-
-
-def _change_of_group(before: pd.DataFrame, after: pd.DataFrame, score: str) -> tuple[float, float]:
-    """The same over a group's trainings and episodes; (1, 0) if there is nothing to compare."""
-    tables = (one.pivot(index="policy", columns="episode", values=score).astype(float) for one in (before, after))
-    first, second = tables
-    changes = np.sign((second - first).dropna(axis=1).to_numpy())  # of success they are -1, 0 and 1 themselves
-    if 0 in changes.shape:
-        return 1.0, 0.0
-    change = mean_over_trainings(changes, (-1.0, 1.0))
-    return 1.0 if change.p is None else change.p, change.mean.value
+    return (change_of_group if policy.trainings else change_between)(before, after, score)

@@ -26,6 +26,7 @@ from armctl.tasks.bridge.observation import (
     state_space,
 )
 from armctl.tasks.bridge.options import CONTROL_PERIOD, MOVES, BridgeMovingOptions, BridgeOptions
+from armctl.tasks.bridge.perceived import PerceivedBridges
 from armctl.tasks.bridge.physical import PhysicalRover
 from armctl.tasks.bridge.planar import PlanarRover
 from armctl.tasks.bridge.potentials import CrossingCostToGo, CrossingTimeToGo
@@ -228,6 +229,10 @@ class BridgeTask(Task):
     def state_observation(self, ids: Ids | None = None) -> NDArray[np.float32]:
         """Pose, velocities, blocks and pedestrians (n, k)."""
         return full_state(self.state, self._blocks, self._pedestrians)[slice(None) if ids is None else ids]
+
+    def perceived(self, numbers: NDArray[np.float32]) -> PerceivedBridges:
+        """What policies that see the state read in place of this task, if its state has these numbers for them."""
+        return PerceivedBridges(numbers, self.state, [layout.map for layout in self._layouts], self.goal_x)
 
     def reward_terms(self) -> RewardTerms:
         """The terms of `BridgeOptions.reward`."""

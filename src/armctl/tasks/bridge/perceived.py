@@ -1,0 +1,51 @@
+"""n bridges as policies that see the state believe them to be, where a disturbance acts on the state."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.scene import BridgeMap
+from armctl.tasks.bridge.observation import BLOCK, OWN, WALKER
+from armctl.tasks.bridge.state import BridgeState
+
+
+@dataclass(frozen=True)
+class PerceivedBridges:
+    """Reads like a `BridgeTask`: its state and maps are what the numbers of `full_state` say, and true beyond these."""
+
+    numbers: NDArray[np.float32]
+    """(n, k) of `full_state`, with the disturbance."""
+    truth: BridgeState
+    maps: Sequence[BridgeMap]
+    """The true ones."""
+    goal_x: float
+
+    def state_observation(self) -> NDArray[np.float32]:
+        """The numbers themselves."""
+        return self.numbers
+
+    @property
+    def state(self) -> BridgeState:
+        """The true state with the poses, velocities and distances that the numbers say."""
+        x, y, cos, sin, *velocities = self.numbers[:, :OWN].T.astype(float)
+        poses = np.column_stack((x, y, np.arctan2(sin, cos)))
+        return replace(self.truth, poses=poses, velocities=np.column_stack(velocities), distance=self.goal_x - x)
+
+    def map(self, world: int) -> BridgeMap:
+        """The map with the blocks of the numbers, and with each pedestrian's line moved to where they say it is now."""
+        true, (_, *seen) = (
+            self.maps[world],
+            np.split(self.numbers[world].astype(float), [OWN, self._people_from(world)]),
+        )
+        blocks, people = seen[0].reshape(-1, BLOCK), seen[1].reshape(-1, WALKER)[:, :2]
+        blocks = np.column_stack((blocks[:, :3], np.maximum(blocks[:, 3:], 0.0)))
+        walkers = true.pedestrians
+        off = people - walkers.positions(self.truth.time[world])
+        return replace(
+            true, blocks=blocks, pedestrians=replace(walkers, start=walkers.start + off, end=walkers.end + off)
+        )
+
+    def _people_from(self, world: int) -> int:
+        return OWN + BLOCK * len(self.maps[world].blocks)
