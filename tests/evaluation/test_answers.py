@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from armctl.evaluation.across_tasks import HeadToHead, heads_to_head
+from armctl.evaluation.across_tasks import Choice, HeadToHead, heads_to_head
 from armctl.evaluation.answers import Answer, answer, corrected
 from armctl.evaluation.paired import holm, mcnemar
 from armctl.evaluation.statistics import Estimate, bounded_difference
@@ -31,7 +31,7 @@ def answer_of(undisturbed, *disturbed, env="armctl/Some-v0", timing=((1, 1), (1,
         for name, (worlds, workers) in zip(("reach_ik", "reach_ppo"), timing, strict=True)
     ]
     heads = {UNDISTURBED: undisturbed, **dict(zip(SETTINGS, disturbed, strict=False))}
-    return Answer(env, policies, {}, {name: name for name in heads}, ("reach_ik",) * 2, ("reach_ppo",) * 2, heads)
+    return Answer(env, policies, {}, {name: name for name in heads}, Choice("reach_ik"), Choice("reach_ppo"), heads)
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -92,8 +92,8 @@ def test_earlier_looks_are_a_part_of_verdict_and_headline():
 def swept(gains):
     """An answer from differences in success by setting: -1, 0 or 1 for each episode."""
     cells = {name: pd.DataFrame({"c": gain > 0, "l": gain < 0}, dtype=float) for name, gain in gains.items()}
-    heads = heads_to_head(cells, UNDISTURBED, ("c", "c"), ("l", "l"))
-    return Answer("armctl/Some-v0", [], cells, {name: name for name in cells}, ("c", "c"), ("l", "l"), heads)
+    heads = heads_to_head(cells, UNDISTURBED, Choice("c"), Choice("l"))
+    return Answer("armctl/Some-v0", [], cells, {name: name for name in cells}, Choice("c"), Choice("l"), heads)
 
 
 def lead(won, lost, episodes=100):

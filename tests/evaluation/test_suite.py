@@ -84,8 +84,8 @@ def test_what_is_read_back_is_what_was_found(finished):
     assert [one.heads for one in again.answers] == [one.heads for one in found.answers]
     for one in again.answers:
         policies = {policy.policy: policy.restricted_steps.value for policy in one.policies}
-        (expert,), (agent,) = set(one.classical), set(one.learned)
-        assert one.undisturbed.steps.value == pytest.approx(policies[expert] - policies[agent])
+        expert, agent = (policies[choice.policy] for choice in (one.classical, one.learned))
+        assert one.undisturbed.steps.value == pytest.approx(expert - agent)
     assert again.leagues == found.leagues
     assert repr(again) == repr(found) == "<Suite of armctl/ArmReach-v0, armctl/ArmReachMoving-v0, seed 0>"
 

@@ -2,8 +2,8 @@
 
 Each task weighs the same. Intervals are over episodes: they hold for these tasks and disturbances, not for others. No
 bootstrap makes them: where all episodes are won, each resample is the same, and so an interval of no width, which
-holds in far less than 95 % of all cases (`tests/evaluation/test_across_tasks.py` shows it). Instead, each task has an
-interval that holds near 100 %, and `mean_over_tasks` combines them.
+holds in far less than 95 % of all cases (`tests/evaluation/test_across_tasks.py` shows it). They are by random weights
+of the episodes of each task (`armctl.evaluation.statistics.mean_of_means`).
 
 Success is a table for each setting, undisturbed or disturbed: a row for each episode, a column for each policy, 1 for a
 success, 0 for a failure, NaN for an episode that does not count.
@@ -20,10 +20,11 @@ from numpy.typing import NDArray
 from armctl.evaluation.paired import EQUIVALENCE, SIGNIFICANT, holm, mcnemar, mover, shown, within
 from armctl.evaluation.statistics import (
     FEWEST,
+    Array,
     Estimate,
     MeanDifference,
     bounded_difference,
-    bounded_mean,
+    mean_of_means,
     success_rate,
 )
 
@@ -32,8 +33,17 @@ FAMILIES = {
     "distil": "distillation", "imagined": "imagination",
 }  # fmt: skip
 """By the last word of a policy's name."""
-Choice = tuple[str, str]
-"""The policies that stand for a kind in episodes of even and of odd number."""
+CHOOSING = 3
+"""Of so many episodes, the last is for choosing, and judges nobody."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The policy that stands for a kind."""
+
+    policy: str
+    of_several: bool = False
+    """Whether it was chosen: then the episodes by which it was judge nobody."""
 
 
 def family(policy: str) -> str:
@@ -42,27 +52,27 @@ def family(policy: str) -> str:
 
 
 def choose(success: pd.DataFrame, returns: pd.DataFrame, candidates: Sequence[str]) -> Choice:
-    """Which of several policies stand for the best of them: the best on odd episodes in even ones, and vice versa.
+    """Which of several policies stands for all: the best in every third episode (numbers 2, 5, 8 and so on).
 
-    So nobody is chosen by the episodes that he is judged by, which would flatter the larger group (the winner's curse).
-    The best is the one of highest success, then of highest return, then the first. This cross-fitting makes the two
-    halves depend on each other a little: where all candidates are equally good, McNemar's test at 5 % errs in up to 9 %
-    of all cases (6 % at 50 episodes), and a 95 % interval of the difference holds in as few as 91 %.
+    The other episodes judge it. The best in the episodes that judge it would flatter the larger kind (the winner's
+    curse), and choosing crosswise, each half of the episodes for the other, would make the halves depend on each other:
+    McNemar's test at 5 % erred in up to 9 % of all cases. The best is the one of highest success, then of highest
+    return, then the first.
     """
-
-    def best(parity: int) -> str:
-        half = success.index % 2 == parity
-        rows = success.index[half if half.any() else ~half]
-        scores = {name: (success.loc[rows, name].mean(), returns.loc[rows, name].mean()) for name in candidates}
-        return max(candidates, key=lambda name: tuple(np.nan_to_num(scores[name], nan=-np.inf)))
-
-    return best(1), best(0)
+    rows = success.index[_chooses(success.index)]
+    scores = {name: (success.loc[rows, name].mean(), returns.loc[rows, name].mean()) for name in candidates}
+    best = max(candidates, key=lambda name: tuple(np.nan_to_num(scores[name], nan=-np.inf)))
+    return Choice(best, len(candidates) > 1)
 
 
 def values_of(table: pd.DataFrame, choice: Choice) -> "pd.Series[float]":
-    """The success, or another value, of a choice in each episode; NaN where its policy did not play."""
-    even, odd = (table[name] if name in table else pd.Series(math.nan, table.index) for name in choice)
-    return even.where(table.index % 2 == 0, odd)
+    """The success, or another value, of a choice in each episode; NaN where it did not play, or was chosen."""
+    values = table[choice.policy] if choice.policy in table else pd.Series(math.nan, table.index)
+    return values.mask(_chooses(table.index)) if choice.of_several else values
+
+
+def _chooses(episodes: "pd.Index[int]") -> NDArray[np.bool_]:
+    return np.asarray(episodes % CHOOSING == CHOOSING - 1, dtype=bool)
 
 
 @dataclass(frozen=True)
@@ -153,20 +163,20 @@ def _change(before: "pd.Series[float]", after: "pd.Series[float]") -> MeanDiffer
     return bounded_difference(changes, (-2.0, 2.0)) if len(changes) >= FEWEST else None
 
 
-def improvement(cells: Mapping[str, pd.DataFrame], classical: Choice, learned: Choice) -> Estimate | None:
-    """Probability that the classical choice does better in an episode, in the mean over a task's settings.
+def improvement(cells: Mapping[str, pd.DataFrame], classical: Choice, learned: Choice) -> Array:
+    """Whether the classical choice does better in each episode of a task: 1 or 0, and 1/2 for a tie; mean of settings.
 
-    A tie counts half. An episode is a sample with all its settings, as these begin alike.
+    Its mean is the probability of improvement. An episode is a sample with all its settings, as these begin alike.
     """
     gains = [values_of(success, classical) - values_of(success, learned) for success in cells.values()]
-    return _mean_of_episodes([0.5 + gain / 2 for gain in gains])
+    return _by_episode([0.5 + gain / 2 for gain in gains])
 
 
-def rank(cells: Mapping[str, pd.DataFrame], members: Sequence[str]) -> Estimate | None:
-    """The mean rank of some policies of a task, over its episodes and settings: 0 is the last, 1 the first.
+def rank(cells: Mapping[str, pd.DataFrame], members: Sequence[str]) -> Array:
+    """The mean rank of some policies in each episode of a task, as a mean of settings: 0 is the last, 1 the first.
 
-    In each episode, who wins comes before who does not, and ties share the middle: it is the share of its rivals that
-    a policy beats, ties counting half. So ranks among few and among many rivals can be averaged.
+    Who wins comes before who does not, and ties share the middle: it is the share of its rivals that a policy beats,
+    ties counting half. So ranks among few and among many rivals can be averaged.
     """
     ranks = []
     for success in cells.values():
@@ -174,7 +184,20 @@ def rank(cells: Mapping[str, pd.DataFrame], members: Sequence[str]) -> Estimate 
         ours = [name for name in members if name in played]
         if ours and len(played.columns) > 1:
             ranks.append(((played.rank(axis=1) - 1) / (len(played.columns) - 1))[ours].mean(axis=1))
-    return _mean_of_episodes(ranks)
+    return _by_episode(ranks)
+
+
+def _by_episode(values: Sequence["pd.Series[float]"]) -> Array:
+    """Mean over settings, of which each has a series by episode, for the episodes of all settings."""
+    if not values:
+        return np.empty(0)
+    table = pd.concat(values, axis=1).dropna(axis=1, how="all")
+    return np.asarray(table.dropna().mean(axis=1), dtype=np.float64)
+
+
+def mean_over_tasks(tasks: Sequence[Array]) -> Estimate | None:
+    """Mean of shares by episode, one array for each task, with a 95 % interval; None without any."""
+    return mean_of_means(tasks, (0.0, 1.0))
 
 
 @dataclass(frozen=True)
@@ -185,8 +208,8 @@ class League:
     ranks: Mapping[str, Estimate]
 
 
-def leagues(ranks: Mapping[str, Mapping[str, Estimate]]) -> list[League]:
-    """Ranks of families by task, as leagues: one for each set of tasks that some family has played.
+def leagues(ranks: Mapping[str, Mapping[str, Array]]) -> list[League]:
+    """Ranks of families by task and episode, as leagues: one for each set of tasks that some family has played.
 
     In each are all families that have played all of these tasks, so that nobody is compared over other tasks than his
     rivals. The league of most tasks is the first.
@@ -201,31 +224,6 @@ def leagues(ranks: Mapping[str, Mapping[str, Estimate]]) -> list[League]:
             best_first = sorted(known.items(), key=lambda item: -item[1].value)
             found[frozenset(tasks)] = League(tasks, dict(best_first))
     return list(found.values())
-
-
-def _mean_of_episodes(values: Sequence["pd.Series[float]"]) -> Estimate | None:
-    """Mean of shares (one series by episode for each setting), with an interval over whole episodes."""
-    if not values:
-        return None
-    table = pd.concat(values, axis=1).dropna(axis=1, how="all")
-    return bounded_mean(table.dropna().mean(axis=1).to_numpy(float), (0.0, 1.0))
-
-
-def mean_over_tasks(estimates: Sequence[Estimate | None]) -> Estimate | None:
-    """Mean of independent estimates, one for each task, with a 95 % interval; None without any.
-
-    The distances to the limits add up by their squares (MOVER: Zou and Donner, Statistics in Medicine 27, 2008).
-    """
-    known = [one for one in estimates if one is not None]
-    if not known:
-        return None
-    value = math.fsum(one.value for one in known) / len(known)
-    if any(one.low is None or one.high is None for one in known):
-        return Estimate(value, None, None)
-    low, high = np.array([one.bounds for one in known]).T
-    values = np.array([one.value for one in known])
-    down, up = (float(np.linalg.norm(values - bound)) / len(known) for bound in (low, high))
-    return Estimate(value, value - down, value + up)
 
 
 def success_profile(cells: Sequence[Estimate], thresholds: NDArray[np.float64]) -> list[Estimate]:

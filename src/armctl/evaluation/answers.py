@@ -19,10 +19,10 @@ from armctl.policies import privileges
 from armctl.registration import bare_id
 
 CHOSEN = (
-    "As policies are chosen by the same episodes crosswise, a test at 5 % errs in up to 9 % of all cases where all are "
-    "equally good (6 % at 50 episodes), and a 95 % interval holds in as few as 91 %."
+    "Where a kind has several policies, every third episode undisturbed chooses the best of them, and only the other "
+    "episodes judge it."
 )
-"""What `armctl.evaluation.across_tasks.choose` costs, as tables and pages say it."""
+"""What `armctl.evaluation.across_tasks.choose` does, as tables and pages say it."""
 
 
 @dataclass(frozen=True)
@@ -57,13 +57,18 @@ class Answer:
         return self.heads.get(UNDISTURBED)
 
     @property
+    def contenders(self) -> list[str]:
+        """The policies that stand for the two kinds."""
+        return [choice.policy for choice in (self.classical, self.learned) if choice]
+
+    @property
     def shared_cells(self) -> dict[str, pd.DataFrame]:
         """The cells of settings that reach all policies which stand for the two kinds."""
-        ours = {*(self.classical or ()), *(self.learned or ())}
+        ours = set(self.contenders)
         return {name: table for name, table in self.cells.items() if ours.isdisjoint(self.spared.get(name, ()))}
 
     def rate(self, choice: Choice | None) -> Estimate | None:
-        """The undisturbed success rate of a choice, each episode by the policy that stands for it there."""
+        """The undisturbed success rate of a choice, in the episodes that judge it."""
         return rate_of(self.cells[UNDISTURBED], choice) if choice and self.cells else None
 
     @property
@@ -128,7 +133,7 @@ class Answer:
     @property
     def not_compared(self) -> str:
         """Which settings spare a policy that stands for its kind; empty if none does."""
-        shared, ours = self.shared_cells, {*(self.classical or ()), *(self.learned or ())}
+        shared, ours = self.shared_cells, set(self.contenders)
         said = [
             f"{self.labels[name]} (spares {', '.join(sorted(ours & self.spared[name]))})"
             for name in self.cells
@@ -140,7 +145,7 @@ class Answer:
     def costs(self) -> str:
         """Training, decision times and privileges of those who stand for the two kinds."""
         by_name = {policy.policy: policy for policy in self.policies}
-        ours = [by_name[name] for name in dict.fromkeys((*(self.classical or ()), *(self.learned or ())))]
+        ours = [by_name[name] for name in self.contenders]
         said = [f"{one.policy} was trained for {one.training}" for one in ours if one.learned]
         said.append(f"a decision takes {_times(ours)}")
         return " ".join(filter(None, ("; ".join(said) + ".", privileges({one.policy: one.sees for one in ours}))))
@@ -230,7 +235,7 @@ def _kind(sign: int) -> str:
 
 def chosen(choice: Choice | None) -> str:
     """Who stands for a kind, in words."""
-    return " or ".join(dict.fromkeys(choice)) if choice else "nobody"
+    return choice.policy if choice else "nobody"
 
 
 def _nothing(found: Answer) -> str:

@@ -114,20 +114,11 @@ def worst_decile(values: Array, bounds: Bounds | None) -> Estimate | None:
 def _bounded(
     values: Array, bounds: Bounds, statistic: Callable[[Array, Array], Array], confidence: float = 0.95
 ) -> MeanDifference | None:
-    """`statistic` maps ordered values (m,) and weights (r, m), each row of which adds up to 1, to (r,)."""
     if not len(values):
         return None
+    found = _random_weights(values, bounds, statistic, np.random.default_rng(0))
     ordered, counts = np.unique(values, return_counts=True)
     lowest, highest = min(bounds[0], ordered[0]), max(bounds[1], ordered[-1])
-    drawn, drawn_counts = grouped(ordered, counts)
-    draws = [
-        (
-            statistic(np.concatenate(([lowest], drawn)), np.hstack((at_bound, weights))),
-            statistic(np.concatenate((drawn, [highest])), np.hstack((weights, at_bound))),
-        )
-        for weights, at_bound in random_weights(drawn_counts, np.random.default_rng(0))
-    ]
-    found = RandomWeights(*np.concatenate(draws, axis=1))
     value = float(np.clip(statistic(ordered, counts[None] / counts.sum())[0], ordered[0], ordered[-1]))
 
     def estimate(confidence: float) -> Estimate:
@@ -135,6 +126,37 @@ def _bounded(
         return Estimate(value, float(low), float(high))
 
     return MeanDifference(estimate(0.95), estimate(confidence), found.p())
+
+
+def mean_of_means(samples: Sequence[Array], bounds: Bounds) -> Estimate | None:
+    """Mean of the means of independent samples, (k,) each, which weigh the same however large they are; None without.
+
+    The interval is that of `bounded_mean`, from the mean of the samples' means under random weights.
+    """
+    known, rng = [values for values in samples if len(values)], np.random.default_rng(0)
+    if not known:
+        return None
+    found = [_random_weights(values, bounds, lambda ordered, weights: weights @ ordered, rng) for values in known]
+    lows, highs = ([getattr(one, end) for one in found] for end in ("low", "high"))
+    low, high = RandomWeights(np.mean(lows, axis=0), np.mean(highs, axis=0)).limits()
+    value = float(np.mean([values.mean() for values in known]))
+    return Estimate(value, min(low, value), max(high, value))
+
+
+def _random_weights(
+    values: Array, bounds: Bounds, statistic: Callable[[Array, Array], Array], rng: np.random.Generator
+) -> RandomWeights:
+    """`statistic` maps ordered values (m,) and weights (r, m), each row of which adds up to 1, to (r,)."""
+    ordered, counts = grouped(*np.unique(values, return_counts=True))
+    lowest, highest = min(bounds[0], values.min()), max(bounds[1], values.max())
+    draws = [
+        (
+            statistic(np.concatenate(([lowest], ordered)), np.hstack((at_bound, weights))),
+            statistic(np.concatenate((ordered, [highest])), np.hstack((weights, at_bound))),
+        )
+        for weights, at_bound in random_weights(counts, rng)
+    ]
+    return RandomWeights(*np.concatenate(draws, axis=1))
 
 
 def grouped(ordered: Array, counts: NDArray[np.intp]) -> tuple[Array, NDArray[np.intp]]:

@@ -20,7 +20,7 @@ from armctl.evaluation.notebook import Displayed
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.rollouts import check_counts
 from armctl.evaluation.seeds import check_evaluation_seed
-from armctl.evaluation.statistics import Estimate
+from armctl.evaluation.statistics import Array
 from armctl.evaluation.store import CSV, check_store
 from armctl.evaluation.suite_tables import rank_table, task_table
 from armctl.evaluation.sweep import Sweep, sweep, sweep_levels
@@ -97,13 +97,13 @@ class Suite(Displayed):
     @functools.cached_property
     def leagues(self) -> list[League]:
         """The ranks of families in the tasks that they share (see `across_tasks.rank` and `leagues`)."""
-        found: dict[str, dict[str, Estimate]] = {}
+        found: dict[str, dict[str, Array]] = {}
         for one in self.answers:
             members: dict[str, list[str]] = {}
             for policy in one.policies:
                 members.setdefault(family(policy.policy), []).append(policy.policy)
             for name, policies in members.items():
-                if (its := rank(one.cells, policies)) is not None:
+                if len(its := rank(one.cells, policies)):
                     found.setdefault(name, {})[one.task] = its
         return leagues(found)
 

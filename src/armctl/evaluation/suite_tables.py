@@ -31,8 +31,8 @@ def task_table(answers: Sequence[Answer], episodes: int, seed: int) -> Table:
             }
         )  # fmt: skip
     caption = (
-        "The best classical and the best learned policy, undisturbed: the best on odd episodes plays for its kind in "
-        "even ones, and vice versa. Difference with MOVER's 95 % interval; p: McNemar's exact test, after Holm's "
+        "The best classical and the best learned policy, undisturbed. "
+        "Difference with MOVER's 95 % interval; p: McNemar's exact test, after Holm's "
         f"correction for all tasks, and for success and steps together. {CHOSEN}"
     )
     title = f"{len(rows)} tasks: {episodes} episodes of seed {seed} in each setting"

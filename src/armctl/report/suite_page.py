@@ -144,14 +144,15 @@ def _both(answers: Sequence[Answer]) -> list[tuple[Answer, Choice, Choice]]:
 
 
 def _improvement(answers: Sequence[Answer]) -> Plot | None:
-    rows: dict[str, Estimate] = {}
-    for one, classical, learned in _both(answers):
-        if (found := improvement(one.shared_cells, classical, learned)) is not None:
-            rows[folder_of(one.env)] = found
-    mean = mean_over_tasks(list(rows.values()))
-    if mean is None:
+    found = {
+        folder_of(one.env): improvement(one.shared_cells, classical, learned)
+        for one, classical, learned in _both(answers)
+    }
+    means = {task: mean_over_tasks([values]) for task, values in found.items()}
+    means[ALL_TASKS] = mean_over_tasks(list(found.values()))
+    rows = {name: mean for name, mean in means.items() if mean is not None}
+    if not rows:
         return None
-    rows[ALL_TASKS] = mean
     colours = dict.fromkeys(rows, CLASSICAL.colour) | {ALL_TASKS: INK}
     return Plot(suite_figures.intervals(rows, colours), _said(rows, "probability that classical does better"))
 
