@@ -55,20 +55,26 @@ def test_metrics_of_an_arm_are_those_of_its_motion(played):
     policy.reset(np.zeros(1, dtype=np.int32))
     task, data = env.unwrapped.task, []
     finished, limits, energy = False, env.unwrapped.task.arm.description.limits, 0.0
+    middle, half, away = (limits.lower + limits.upper) / 2, (limits.upper - limits.lower) / 2, []
+    places, contacts = [task.motion().position[0]], 0
     while not finished:
         observation, _, terminated, truncated, _ = env.step(policy.act(observation[None])[0])
         speeds, torques = task.motion().joints[:, :, 0]
         assert speeds[-1] == pytest.approx(task.arm.joint_velocities[0])
         energy += 0.008 * np.abs(speeds * torques).sum()
+        places.append(task.motion().position[0])
+        away.append(np.abs(task.arm.joint_positions[0] - middle) / half)
+        contacts += int(task.motion().contact[0])
         data.append((np.abs(speeds / limits.velocity).max(), np.abs(torques / limits.effort).max()))
         finished = terminated or truncated
     row = played.iloc[1]
     assert (row.speed_use, row.torque_use) == pytest.approx(np.max(data, axis=0))
     assert row.torque_use <= 1 + 1e-9
     assert row.energy == pytest.approx(energy)
-    assert row.path_length > 0.5
-    assert 0 < row.range_use < 1.05
-    assert 0 < row.contacts <= row.length
+    assert row.path_length == pytest.approx(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
+    assert row.range_use == pytest.approx(np.max(away))
+    assert row.contacts == contacts > 0
+    assert row.smoothness == pytest.approx(smoothness(np.array(places), 0.04))
 
 
 def test_a_robot_that_stands_does_nothing():
@@ -85,8 +91,10 @@ def test_a_robot_that_stands_does_nothing():
 
 def test_an_episode_that_ends_by_a_collision_has_one_contact_and_no_clearance():
     arm = evaluate("random", "armctl/ArmReachObstacles-v0", episodes=2, least_lengths=False)
-    assert (arm[arm.outcome == "collided"].contacts == 1).all()
-    assert (arm[arm.outcome == "collided"].clearance < 0.03).all()
+    collided = arm[arm.outcome == "collided"]
+    assert len(collided)
+    assert (collided.contacts == 1).all()
+    assert (collided.clearance < 0.03).all()
     options = {"resolution": (4, 4)}
     rover = evaluate("bridge_ompl", "armctl/BridgeCross-v0", episodes=1, env_options=options).iloc[0]
     assert rover.contacts == 0

@@ -1,9 +1,11 @@
+import itertools
 import math
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import stats
 
 from armctl.evaluation.statistics import (
     Estimate,
@@ -76,10 +78,12 @@ def test_worst_decile_is_the_conditional_value_at_risk():
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=200))
-def test_interval_holds_the_rate(successes):
-    estimate = success_rate(np.array(successes))
-    assert -1e-12 <= estimate.low <= estimate.value + 1e-12
-    assert estimate.value - 1e-12 <= estimate.high <= 1 + 1e-12
+def test_limits_of_a_rate_are_where_what_was_seen_has_a_probability_of_a_fortieth(successes):
+    estimate, wins, n = success_rate(np.array(successes)), sum(successes), len(successes)
+    assert estimate.value == wins / n
+    at_low = stats.binom.sf(wins - 1, n, estimate.low) if wins else 0.025 + estimate.low
+    at_high = stats.binom.cdf(wins, n, estimate.high) if wins < n else 0.025 + 1 - estimate.high
+    assert (at_low, at_high) == pytest.approx((0.025, 0.025), abs=1e-6)
 
 
 def test_nothing_can_be_said_of_nothing():
@@ -110,7 +114,16 @@ def test_few_values_say_nothing_of_their_precision(values):
 def test_median_has_the_coverage_it_claims():
     rng = np.random.default_rng(0)
     estimates = [median(rng.exponential(size=60)) for _ in range(400)]
-    assert 0.93 <= np.mean([one.low <= np.log(2) <= one.high for one in estimates]) <= 0.99
+    holds = np.mean([one.low <= np.log(2) <= one.high for one in estimates])
+    assert holds == pytest.approx(0.973, abs=0.02)  # 1 - 2 P(B < 22) of 60 fair coins, and two standard errors
+
+
+@pytest.mark.parametrize("n", [10, 11, 60, 201])
+def test_limits_of_a_median_are_the_innermost_order_statistics_that_hold(n):
+    """That the k-th smallest of n values lies above the median is as likely as fewer than k heads of n fair coins."""
+    found, heads = median(np.arange(1.0, n + 1)), stats.binom(n, 0.5)
+    assert heads.cdf(found.low - 1) <= 0.025 < heads.cdf(found.low)
+    assert found.low + found.high == n + 1
     assert median(np.empty(0)) is None
     assert median(np.arange(5.0)) == Estimate(2.0, None, None)
 
@@ -136,7 +149,19 @@ def test_superiority_counts_pairs(a, b):
     wins = (np.sign(a[:, None] - b) + 1) / 2
     assert superiority(a, b).probability.value == pytest.approx(wins.mean())
     assert superiority(b, a).probability.value == pytest.approx(1 - wins.mean())
-    assert 0 <= superiority(a, b).p <= 1
+    assert superiority(a, b).p == superiority(b, a).p == pytest.approx(mann_whitney(a, b, wins.sum()))
+
+
+def mann_whitney(a, b, wins):
+    """The two-sided p-value, after Conover (1999), section 5.1."""
+    both, expected = np.concatenate((a, b)), len(a) * len(b) / 2
+    n, (_, ties) = len(both), np.unique(both, return_counts=True)
+    if max(ties) == 1:  # exact: each choice of ranks for a is as likely
+        ranks = [sum(chosen) - len(a) * (len(a) + 1) / 2 for chosen in itertools.combinations(range(1, n + 1), len(a))]
+        return min(1.0, 2 * np.mean([rank - expected >= abs(wins - expected) for rank in ranks]))
+    spread = math.sqrt(len(a) * len(b) / 12 * (n + 1 - (ties**3 - ties).sum() / (n * (n - 1))))
+    away = abs(wins - expected) - 0.5
+    return 1.0 if spread == 0 else min(1.0, 2 * stats.norm.sf(away / spread))
 
 
 def test_pairs_tell_more_than_their_parts():
@@ -161,8 +186,7 @@ def test_a_tie_counts_half_and_certainty_has_an_interval():
 
 def test_performance_profile_is_the_share_above():
     profile = performance_profile(np.array([1.0, 2, 2, 5]), np.array([0.0, 2, 4.9, 5]))
-    assert [point.value for point in profile] == [1, 0.25, 0.25, 0]
-    assert all(point.low <= point.value <= point.high for point in profile)
+    assert profile == [success_rate(np.arange(4) < above) for above in (4, 1, 1, 0)]
 
 
 def test_performance_ratios_of_dolan_and_more():

@@ -28,10 +28,22 @@ def test_a_row_says_what_was_changed_and_how_it_ended(tmp_path):
     )  # fmt: skip
 
 
+def test_a_row_without_changes_says_none_and_leaves_unknown_results_empty(tmp_path):
+    add_trial(
+        tmp_path / TRIALS, trial("reach_ppo", "ppo", "armctl/ArmReach-v0", None, {"a": None, "b": {}}, "finished")
+    )
+    (read,) = read_trials(tmp_path / TRIALS)
+    told = {name: value for name, value in read.items() if value}
+    assert set(told) == {"date", "recipe", "env", "learner", "ended"}
+    assert (read["recipe"], read["learner"], read["ended"]) == ("reach_ppo", "ppo", "finished")
+
+
 def test_many_writers_lose_no_row(tmp_path):
     with ThreadPoolExecutor(8) as pool:
         list(pool.map(lambda i: add_trial(tmp_path / TRIALS, row(note=str(i))), range(24)))
-    assert sorted(int(one["note"]) for one in read_trials(tmp_path / TRIALS)) == list(range(24))
+    rows = read_trials(tmp_path / TRIALS)
+    assert sorted(int(one["note"]) for one in rows) == list(range(24))
+    assert all(one | {"note": "", "date": ""} == rows[0] | {"note": "", "date": ""} for one in rows)
 
 
 def test_columns_of_other_versions_are_kept(tmp_path):

@@ -169,7 +169,7 @@ def counted_results(results: EpisodeTable) -> tuple[dict[str, EpisodeTable], int
     counted = {}
     for name, played in results.by_policy().items():
         episodes = played.column("episode")
-        unbroken = np.logical_and.accumulate(episodes == np.arange(len(episodes)))
+        unbroken = episodes == np.arange(len(episodes))  # one that is missing shifts all later ones
         counted[name] = played[unbroken & ~np.isin(episodes, infeasible)]
     return counted, len(infeasible)
 
