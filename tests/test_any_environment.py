@@ -123,6 +123,14 @@ def test_an_environment_that_ignores_its_seed_is_said(home):
         (["compare", "random", "--env", "odd_environments.py:Lime"], "Did you mean"),
         (["compare", "random", "--env", "odd_environments.py:Broken"], "no licence (odd_environments.py:"),
         (["compare", "random", "--env", "armctl/ArmReach-v0", "--success-return", "5"], "success_return"),
+        (
+            ["compare", "random", "--env", "odd_environments.py:Line", "--return-bounds", "0", "-5"],
+            "two finite numbers",
+        ),
+        (
+            ["compare", "random", "--env", "odd_environments.py:Silent", "--return-bounds", "-0.5", "0"],
+            "episode 0 of random has the return -",
+        ),
         (["view", "random", "--env", "odd_environments.py:Line"], "view shows environments that are made of tasks"),
         (["train", "ppo", "--env", "odd_environments.py:Line"], "armctl export"),
     ],

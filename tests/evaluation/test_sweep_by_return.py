@@ -117,3 +117,11 @@ def test_the_false_discovery_rate_is_five_percent():
     for p, told in ((0.0499, True), (0.0501, False), (0.0525, False)):
         (found,) = degradations(sweep_of(values[:1], values[1:], p, -0.5))
         assert (found.drops is not None) == told
+
+
+@pytest.mark.parametrize(("later", "lasts"), [(-0.1, True), (0.0, False), (0.1, False)])
+def test_a_drop_lasts_until_as_many_returns_are_higher_as_lower(later, lasts):
+    first = sweep_of(np.zeros(1), np.zeros(1), 1e-6, -0.5)
+    points = pd.concat([first, first[1:].assign(level=2.0, p=1.0, change=later)], ignore_index=True)
+    (found,) = degradations(points)
+    assert found.drops == Onset(1.0, lasts)
