@@ -123,6 +123,16 @@ def test_a_difference_that_is_significant_and_one_that_is_not_are_no_change():
     assert other.turns == "not shown to change in the disturbed setting"
 
 
+def test_two_opposite_leads_turn_nothing_unless_the_change_itself_is_significant():
+    before, after = head(20, 0), head(0, 20)
+    assert (before.better, after.better) == (1, -1)
+    for change, p in ((None, None), (Estimate(-0.8, -1.0, -0.6), 0.06), (Estimate(-0.8, -1.0, 0.1), 0.01)):
+        one = answer_of(before, replace(after, change=change, change_p=p))
+        assert one.turns == "not shown to change in the disturbed setting"
+    shown = replace(after, change=Estimate(-0.8, -1.0, -0.6), change_p=0.01)
+    assert answer_of(before, shown).turns.startswith("the order turns: learned is better with delay 1 (-40.0 points [")
+
+
 def test_changes_are_paired_and_corrected_for_all_disturbed_settings():
     gains = {UNDISTURBED: lead(10, 0), **{f"delay {i}": lead(5, i)[::-1] for i in range(3)}}
     one = swept(gains)

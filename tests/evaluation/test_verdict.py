@@ -125,8 +125,10 @@ def test_equivalence_is_a_claim_of_its_own():
 def test_an_undecided_verdict_says_how_many_episodes_would_tell():
     text = said({"reach_ik": range(50), "reach_ppo": range(48)}, episodes=50)
     assert text.startswith("Undecided between reach_ik and reach_ppo: success +4.0 points [")
-    more = int(re.search(r"About ([\d,]+) more episodes would tell 2 points", text)[1].replace(",", ""))
-    assert 500 < more < 5000
+    share = 3 / 52  # by Laplace's rule
+    needed = max(episodes_to_detect(0.02, share, pairs=2), episodes_to_show_equivalence(0.02, share)) - 50
+    assert needed - 50 > episodes_to_detect(0.02, share)  # success and return are two tests
+    assert f"About {round(needed, 1 - len(str(needed))):,} more episodes would tell 2 points." in text
 
 
 def test_a_baseline_is_held_against_all_others():
@@ -273,10 +275,20 @@ def test_intervals_of_the_sentence_hold_for_all_pairs_at_once():
         assert wide.high - wide.low > 1.2 * (own.high - own.low)
         assert abs(wide.value) == abs(own.value)
     assert contests(policies, pairs, "reach_ik")[0].claims == 3
-    others = [summary_of("mine.py:pd", won["reach_ik"]), *policies[1:]]
-    renamed = [dataclasses.replace(pair, **{side: name.replace("reach_ik", "mine.py:pd") for side, name in
-                                            (("a", pair.a), ("b", pair.b))}) for pair in pairs]  # fmt: skip
-    assert {found.claims for found in contests(others, renamed, None)} <= {4, 6}
+    renamed = {name.replace("reach_mpc", "mine.py:pd"): of for name, of in won.items()}
+    renamed["mine.py:pd"] = np.zeros(200, dtype=bool)
+    assert [found.claims for found in contests(*compared(renamed), None)] == [6, 6]  # all: one more is told
+
+
+def test_equivalence_is_for_all_pairs_among_which_the_best_were_chosen():
+    alone = {name: range(170) for name in ("reach_ik", "reach_ppo")}
+    assert said(alone, 170).startswith("reach_ik and reach_ppo are equivalent in success within 2 points")
+    assert headline(*played(alone, 170))[0].startswith("reach_ik and reach_ppo are equivalent within 2 points")
+    for found in (
+        said({**alone, "reach_bc": range(170)}, 170),
+        headline(*played({**alone, "reach_bc": range(170)}, 170))[0],
+    ):
+        assert found.startswith("Undecided between reach_ik and reach_ppo: success +0.0 points [")
 
 
 def test_earlier_looks_are_a_part_of_the_sentence():
@@ -318,6 +330,12 @@ def test_without_bounds_of_returns_the_sign_test_speaks():
         "Undecided between bold and timid: bold has the higher return in 55 % [45, 65] of episodes (sign"
     )
     assert "earns" not in verdict(summaries, [unknown])
+    third = paired_difference("bold", "third", None, (returns["bold"], returns["timid"]), None, None)
+    among = [unknown, third, paired_difference("timid", "third", None, (returns["timid"],) * 2, None, None)]
+    best = dataclasses.replace(summaries[0], episode_return=Estimate(1.0, None, None))
+    text = verdict([best, summaries[1], dataclasses.replace(summaries[1], policy="third")], among)
+    assert text.startswith("bold has the higher return in 71 % [")
+    assert "of episodes (sign test, p = 9.6e-05 after Holm's correction for 3 pairs; ties count half)." in text
 
 
 @pytest.mark.slow
