@@ -7,12 +7,14 @@ import pytest
 
 import armctl
 from armctl.errors import ConfigurationError, ResultsError
+from armctl.evaluation.curves import read_sweep
 from armctl.evaluation.record import TIME_COLUMNS
 from armctl.evaluation.suite import FULL, QUICK, Size, folder_of, line_up, plan_task, suite, unusable_agents
 from armctl.evaluation.suite_results import read_suite
-from armctl.evaluation.tables import Table
+from armctl.evaluation.tables import Remark, Table
 from armctl.files import sealed, unsealed
 from armctl.report.formats import FORMATS
+from armctl.report.suite_page import headline as suite_headline
 
 module = importlib.import_module("armctl.evaluation.suite")
 REACH, MOVING = "armctl/ArmReach-v0", "armctl/ArmReachMoving-v0"
@@ -116,6 +118,18 @@ def test_an_interrupted_suite_resumes_and_is_the_same(finished, tmp_path):
     again = suite([REACH, MOVING], out=tmp_path / "cut")
     assert not again.interrupted
     assert timeless(tmp_path / "cut") == timeless(finished[1])
+
+
+def test_a_suite_that_grew_was_looked_at_before(folder):
+    found = suite([REACH, MOVING], episodes=3, out=folder)
+    words = "after an earlier look at 2 episodes, p is too small and intervals are too narrow"
+    for told in (found, read_suite(folder)):
+        assert [one.looks for one in told.answers] == [[2], [2]]
+        assert suite_headline(told.answers).endswith(f"; {words}")
+    remarks = [part for part in found.tasks[REACH].document().parts if isinstance(part, Remark)]
+    assert [one for one in remarks if one.text.endswith(f"false discovery rate 5 %); {words}.")]
+    assert [one.text.endswith(f"; {words}.") for one in remarks if one.kind == "verdict"] == [True]
+    assert read_sweep(folder / "ArmReach-v0").attrs["looks"] == [2]
 
 
 def test_a_task_that_fails_is_told_and_stops_no_other(tmp_path, monkeypatch):

@@ -59,7 +59,7 @@ def comparison_of(names, success=SUCCESS, p=3.8e-59):
 
 def swept(names=SHORT, levels=9):
     rows = [
-        ("delay", float(i), name, 100, 1 - i / 10, 0.1, 0.9, *[float(i)] * 6, 1e-59, -i / 10, "steps", "state")
+        ("delay", float(i), name, 100, 1 - i / 10, 0.1, 0.9, *[float(i)] * 6, 1e-59, -i / 10, "steps", "state", False)
         for i, name in itertools.product(range(levels), names)
     ]
     points = pd.DataFrame(rows, columns=list(COLUMNS))

@@ -24,6 +24,8 @@ COSTS = ("decisions", "processor_seconds")
 """Control steps in simulation and processor time so far; NaN in curves of older versions."""
 SWEEP, POINTS, COMPARISONS = "sweep.json", "sweep.csv", "comparisons"
 """Files of a sweep, and the first's key for the identities of its comparisons."""
+LOOKS = "looks"
+"""The key of `Sweep.looks`, there and in the table's attributes."""
 RECORDED = "real_time"
 """The key, in the first of them and in its table's attributes, of the folder whose decision times were repeated."""
 PAIRS = "paired"
@@ -71,6 +73,7 @@ def read_sweep(folder: Path) -> pd.DataFrame:
     path = folder / POINTS
     try:
         told = unsealed(bounded_text(folder / SWEEP))
+        looks = TypeAdapter(list[int]).validate_python(told.get(LOOKS, []))
         if told.get(POINTS) != digest(bounded_text(path)):
             raise ValueError(f"it does not have the checksum in {SWEEP}: it was changed, or damaged")
         for name, own in dict(told.get(COMPARISONS, {})).items():
@@ -79,7 +82,7 @@ def read_sweep(folder: Path) -> pd.DataFrame:
     except (OSError, ValueError, TypeError) as error:
         raise ResultsError(f"{path} cannot be read: {error}") from error
     table = _table(path, SWEEP_COLUMNS, ("level", "success", "low", "high")).astype({"policy": str, "disturbance": str})
-    table.attrs[RECORDED] = told.get(RECORDED)
+    table.attrs |= {RECORDED: told.get(RECORDED), LOOKS: looks}
     return table
 
 

@@ -101,6 +101,11 @@ def looks_in_words(looks: Sequence[int]) -> str:
     return f"after {times} at {listed} episodes, p is too small and intervals are too narrow"
 
 
+def with_looks(sentence: str, looks: Sequence[int]) -> str:
+    """A sentence that names earlier looks at its end; an empty one stays empty."""
+    return f"{sentence.removesuffix('.')}; {looks_in_words(looks)}." if sentence and looks else sentence
+
+
 def argument_notes(runs: Sequence[Run]) -> list[str]:
     """A remark if a verdict was told before the last run's by other arguments."""
     told, last = [run for run in runs[:-1] if run.judged], runs[-1]

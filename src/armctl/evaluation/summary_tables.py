@@ -9,6 +9,7 @@ import pandas as pd
 from armctl.agents import TrainingCost
 from armctl.evaluation.degradation import FALSE_DISCOVERY_RATE, Degradation, degradations
 from armctl.evaluation.paired import PairedDifference, corrected
+from armctl.evaluation.provenance import with_looks
 from armctl.evaluation.robustness import GROUP, Pair, PairTest, robustness_headline, robustness_rankings
 from armctl.evaluation.statistics import Estimate
 from armctl.evaluation.summary import PolicySummary
@@ -157,10 +158,12 @@ def _if_normal(pairs: Sequence[PairedDifference]) -> str:
     return f" Only if trainings vary normally (Student's t): success {', '.join(said)}." if said else ""
 
 
-def sweep_parts(points: pd.DataFrame, pairs: Mapping[Pair, PairTest]) -> list[Table | Remark]:
+def sweep_parts(
+    points: pd.DataFrame, pairs: Mapping[Pair, PairTest], looks: Sequence[int] = ()
+) -> list[Table | Remark]:
     """A table for each disturbance, of all policies at all levels, and from which level each policy gets worse.
 
-    `pairs` are the tests of each two policies, as `Sweep.pairs` has them.
+    `pairs` are the tests of each two policies, as `Sweep.pairs` has them, `looks` the earlier ones of `Sweep.looks`.
     """
     parts: list[Table | Remark] = []
     by_success, policies = bool(points.success.notna().any()), points.policy.nunique()
@@ -199,11 +202,10 @@ def sweep_parts(points: pd.DataFrame, pairs: Mapping[Pair, PairTest]) -> list[Ta
         test += (
             f"; {GROUP}: over trainings and episodes, which shows nothing of fewer than {FEWEST_TRAININGS} trainings"
         )
-    parts.append(
-        Remark(f"Worse: than without disturbance, on the same episodes ({test}, false discovery rate {rate}).")
-    )
+    worse = f"Worse: than without disturbance, on the same episodes ({test}, false discovery rate {rate})."
+    parts.append(Remark(with_looks(worse, looks)))
     if rankings and policies > 1:
-        parts.append(Remark(robustness_headline(rankings), "verdict"))
+        parts.append(Remark(with_looks(robustness_headline(rankings), looks), "verdict"))
     return parts
 
 

@@ -17,7 +17,7 @@ from armctl.envs import full_id, make_worlds
 from armctl.errors import ConfigurationError, ResultsError, unknown_name
 from armctl.evaluation.compare import compare, default_policies, with_return_bounds
 from armctl.evaluation.comparison import Comparison
-from armctl.evaluation.curves import COMPARISONS, PAIRS, POINTS, RECORDED, SWEEP, comparison_in
+from armctl.evaluation.curves import COMPARISONS, LOOKS, PAIRS, POINTS, RECORDED, SWEEP, comparison_in
 from armctl.evaluation.degradation import change_between, change_of_group
 from armctl.evaluation.engines import Engine, engine_of
 from armctl.evaluation.notebook import Displayed
@@ -80,7 +80,7 @@ class Sweep(Displayed):
 
     def document(self) -> Document:
         """A table for each disturbance, and from which level each policy gets worse."""
-        parts = sweep_parts(self.points, self.pairs)
+        parts = sweep_parts(self.points, self.pairs, self.looks)
         waiting = (comparison for comparison in self.comparisons.values() if comparison.real_time is None)
         notes = itertools.chain.from_iterable(comparison.notes for comparison in waiting)
         parts += [Remark(note, "note") for note in dict.fromkeys(notes)]
@@ -234,7 +234,7 @@ def _write(folder: Path, found: Sweep, asked: Mapping[str, Any]) -> None:
         told = {
             "env": found.env, "seed": found.seed, **asked, "disturbances": found.levels,
             "interrupted": found.interrupted, "failures": found.failures, POINTS: digest(points),
-            PAIRS: [(*where, *sorted(both), *test) for (*where, both), test in found.pairs.items()],
+            LOOKS: found.looks, PAIRS: [(*where, *sorted(both), *test) for (*where, both), test in found.pairs.items()],
             COMPARISONS: {name: comparison_in(folder / name) for name in found.comparisons},
         }  # fmt: skip
         write_atomically(folder / POINTS, points)

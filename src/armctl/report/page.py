@@ -12,7 +12,8 @@ import pandas as pd
 
 from armctl.envs import full_id
 from armctl.errors import ResultsError
-from armctl.evaluation.curves import POINTS, RECORDED, read_pairs, read_sweep
+from armctl.evaluation.curves import LOOKS, POINTS, RECORDED, read_pairs, read_sweep
+from armctl.evaluation.provenance import with_looks
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.results import Results, read_results
 from armctl.evaluation.robustness import robustness_headline, robustness_rankings
@@ -72,12 +73,13 @@ def write_report(
     groups = results.comparison.groups if results else {}
     look |= {member: replace(look[name], label=member) for name in groups for member in groups[name]}
     several = sweep is not None and sweep.policy.nunique() > 1
+    looks = [] if sweep is None else sweep.attrs[LOOKS]
     rankings = robustness_rankings(sweep, read_pairs(folder)) if sweep is not None and several else []
     page: dict[str, Any] = {
         "look": look,
         "folder": folder.resolve().name,
         "robustness": [] if sweep is None else sweep_plots(sweep, rankings, look),
-        "ranking": renamed(robustness_headline(rankings), look),
+        "ranking": renamed(with_looks(robustness_headline(rankings), looks), look),
         "swept_by_success": sweep is not None and bool(sweep.success.notna().any()),
         "swept": [] if sweep is None else [look[name] for name in sweep.policy.unique()],
         "results": results,
