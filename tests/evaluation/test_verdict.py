@@ -126,7 +126,7 @@ def test_an_undecided_verdict_says_how_many_episodes_would_tell():
     text = said({"reach_ik": range(50), "reach_ppo": range(48)}, episodes=50)
     assert text.startswith("Undecided between reach_ik and reach_ppo: success +4.0 points [")
     share = 3 / 52  # by Laplace's rule
-    needed = max(episodes_to_detect(0.02, share, pairs=2), episodes_to_show_equivalence(0.02, share)) - 50
+    needed = max(episodes_to_detect(0.02, share, tests=2), episodes_to_show_equivalence(0.02, share)) - 50
     assert needed - 50 > episodes_to_detect(0.02, share)  # success and return are two tests
     assert f"About {round(needed, 1 - len(str(needed))):,} more episodes would tell 2 points." in text
 
