@@ -24,7 +24,7 @@ EXPORT := $(UV) export --frozen --all-extras --no-emit-project --no-hashes --no-
 .PHONY: compare test test-all test-thorough mutants check docs docs-serve lock check-lock dist benchmarks clean
 
 compare: $(VENV)/core
-	$(BIN)/armctl compare --seed 2026
+	$(BIN)/armctl compare --seed test
 
 test: $(VENV)/full
 	$(PYTEST) $(ARGS)

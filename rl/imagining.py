@@ -59,7 +59,7 @@ class ImaginingPolicy:
 
     def __init__(self, agent: OnnxPolicy, env: ModelInterface, options: ImaginingOptions | None = None) -> None:
         self.options = options or ImaginingOptions()
-        self.training_steps, self.training_cost = agent.training_steps, agent.training_cost
+        self.card, self.training_steps, self.training_cost = agent.card, agent.training_steps, agent.training_cost
         self._agent, self._env, n = agent, env, env.num_envs
         self._shapes, self._tolerance = ArmShapes(ArmModel(env.robot)), env.options.tolerance
         dof = self._shapes.model.dof

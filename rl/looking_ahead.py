@@ -60,7 +60,7 @@ class LookingAheadPolicy:
         if agent.sees != "state" or agent.card.memory:
             raise ConfigurationError("only agents without a memory that see a bridge's state look ahead there")
         self.options = options or LookAheadOptions()
-        self.training_steps, self.training_cost = agent.training_steps, agent.training_cost
+        self.card, self.training_steps, self.training_cost = agent.card, agent.training_steps, agent.training_cost
         self.reset = agent.reset
         self._agent, self._env = agent, env
         self._geometry = Geometry.of(env.task.options, env.task.simulation.model)

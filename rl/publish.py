@@ -1,9 +1,9 @@
 """Put trained agents among those that come with armctl: `python -m armctl.rl.publish FOLDER...`.
 
 Folders are those of `armctl train RECIPE --seed S --out FOLDER`, of one recipe. Of all its training seeds, also of
-those that are there already, the one with the median success is shipped in `rl/agents/`; the others go to
-`rl/agents/seeds/`. Rows of the `trials.csv` beside the folders that `rl/trials.csv` does not have yet are added to it,
-also those of failed trainings.
+those that are there already, the one with the median success in development is shipped in `rl/agents/`; the others go
+to `rl/agents/seeds/`. The next release plays the sealed test with all of them (`tools/release.py`). Rows of the
+`trials.csv` beside the folders that `rl/trials.csv` does not have yet are added to it, also those of failed trainings.
 """
 
 from collections.abc import Sequence
@@ -47,7 +47,7 @@ def publish(folders: Sequence[Path], home: Path = zoo.HOME, *, replace: bool = F
     kept = {} if replace else {seed: path for seed, path in by_seed(name, there).items() if seed not in new}
     agents = [_read(path) for path in by_seed(name, [*new.values(), *kept.values()]).values()]
     trials = _new_trials(folders, home / TRIALS)
-    agents.sort(key=lambda agent: agent.card.evaluation.success_rate if agent.card.evaluation else 0.0)
+    agents.sort(key=lambda agent: agent.card.judgement.success_rate if agent.card.judgement else 0.0)
     median = agents.pop((len(agents) - 1) // 2)
     placed = {shipped: median} | {seeds / f"{name}-{agent.card.training_seed}.json": agent for agent in agents}
     for path, agent in placed.items():
@@ -89,6 +89,7 @@ def main(
 ) -> None:
     """Put trained agents among those that come with armctl."""
     print(f"shipped: {publish(folders, replace=replace)}")
+    zoo.trace()
     zoo.write()
 
 

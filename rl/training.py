@@ -29,13 +29,14 @@ from armctl.evaluation.identity import checksums
 from armctl.evaluation.provenance import versions
 from armctl.evaluation.reproduce import evaluation_of
 from armctl.evaluation.rollouts import rollouts
-from armctl.evaluation.seeds import TEST_SEED, TRAINING_SEEDS, VALIDATION_SEED
+from armctl.evaluation.seeds import DEVELOPMENT_SEED, TRAINING_SEEDS, VALIDATION_SEED
 from armctl.evaluation.statistics import success_rate
 from armctl.files import one_writer, write_atomically
 from armctl.learners import Recipe
 from armctl.options import options
 from armctl.rl.actor import Actor
 from armctl.rl.disk import full_disk_told, save_torch
+from armctl.rl.lineage import lineage_of, tuning_before
 from armctl.rl.meter import COUNTS, Meter, Metered
 from armctl.rl.threads import bounded_threads
 from armctl.rl.view import Features, View, view_of
@@ -45,6 +46,9 @@ LOG = logging.getLogger(__name__)
 
 VALIDATION_WORLDS = 50
 SETTINGS, CLOCK = "settings.json", "clock.json"
+RECIPE_ON_CARD = (
+    "learner", "env", "env_options", "training_options", "shaping", "reward_weights", "curriculum", "teacher",
+)  # fmt: skip
 
 Count = Annotated[int, Field(ge=1)]
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -74,7 +78,7 @@ class TrainingOptions:
     validation_episodes: Count = 100
     """Episodes of each of these evaluations."""
     evaluation_episodes: Count = 1000
-    """Episodes of the final evaluation, which goes on the card."""
+    """Development episodes of the final evaluation, which goes on the card."""
 
 
 class Training:
@@ -101,6 +105,7 @@ class Training:
                 _check_alike(worlds, self.held_out, self.view)
             if getattr(options, "privileged_critic", False):
                 _check_states(stages)
+        self._lineage = lineage_of(recipe, options, self.held_out)
         self._check_folder(resume)
         newest = self.newest_checkpoint()
         self.meter = Meter(out / CLOCK, resumed=newest is not None)
@@ -197,26 +202,21 @@ class Training:
         self.logger.dump(steps)
 
     def finish(self, actor: Actor, steps: int) -> AgentCard:
-        """Evaluate the last actor too, export the best one, and write its card with a final evaluation."""
+        """Evaluate the last actor too, export the best one, and write its card with an evaluation in development."""
         self.evaluate(actor, steps)
         best = self._best()
         assert best is not None
         actor.load_state_dict(best["actor"])
         graph = self.out / "agent.onnx"
         write_atomically(graph, actor.export)
-        recipe, worlds, spent = self.recipe, self.held_out, self.meter.read()
+        recipe, worlds, spent, plain = self.recipe, self.held_out, self.meter.read(), _plain(self.recipe)
         card = AgentCard(
             name=self.out.name,
-            learner=recipe.learner,
             recipe=recipe.name,
-            env=recipe.env,
-            env_options=_plain(recipe)["env_options"],
-            training_options=_plain(recipe)["training_options"],
-            shaping=recipe.shaping,
             shaping_scale=recipe.shaping_scale if recipe.shaping else None,
-            reward_weights=recipe.reward_weights,
-            curriculum=_plain(recipe)["curriculum"],
-            teacher=recipe.teacher,
+            **{name: plain[name] for name in RECIPE_ON_CARD},
+            lineage=self._lineage,
+            tuning=tuning_before(recipe, self.seed, self.out),
             interface=worlds.task.interface,
             observation_shape=shapes(worlds.single_observation_space),
             action_shape=list(worlds.single_action_space.shape or ()),
@@ -252,7 +252,7 @@ class Training:
 
     def _settings(self) -> dict[str, Any]:
         settings = _plain(self.recipe) | {"seed": self.seed, "options": dataclasses.asdict(self.options)}
-        del settings["seeds"], settings["tune"]
+        del settings["seeds"], settings["tune"], settings["tuned"]
         return settings | checksums(self.recipe.env, self.held_out, self.recipe.env_options)
 
     def _check_folder(self, resume: bool) -> None:
@@ -279,12 +279,12 @@ class Training:
             self.out / "agent.json",
             self.recipe.env,
             episodes=self.options.evaluation_episodes,
-            seed=TEST_SEED,
+            seed=DEVELOPMENT_SEED,
             worlds=64,
             env_options=self.recipe.env_options,
             least_lengths=False,
         )
-        return evaluation_of(episodes, TEST_SEED)
+        return evaluation_of(episodes, DEVELOPMENT_SEED)
 
     def _write(self, card: AgentCard) -> None:
         write_atomically(self.out / "agent.json", card.model_dump_json(indent=2) + "\n")

@@ -1,21 +1,24 @@
 """The table of all trained agents, from their cards: `python -m armctl.rl.zoo` writes `rl/README.md`.
 
-Shipped agents have their cards in `rl/agents/`, those of other training seeds theirs in `rl/agents/seeds/`. With
-`--evaluate`, all agents that are there play the test's episodes, and the cards get the results, as after new physics.
-With `--recount`, cards that are older than the counters get those costs of their training that are certain.
+Shipped agents have their cards in `rl/agents/`, those of other training seeds theirs in `rl/agents/seeds/`; a release
+gives them their evaluations on the sealed test (`tools/release.py`). With `--recount`, cards that are older than the
+counters get those costs of their training that are certain. With `--lineage`, cards get the costs of their teachers,
+and what the ledger has on the trials of their recipes.
 """
 
 import sys
 from contextlib import closing
+from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
+from typing import Any
 
-from armctl.agents import AgentCard, read_card
+from armctl.agents import AgentCard, Ancestor, read_card
+from armctl.costs import UNTRAINED
 from armctl.envs import make_worlds
-from armctl.evaluation.reproduce import reproduce
-from armctl.evaluation.seeds import TEST_SEED
-from armctl.evaluation.trials import TRIALS, read_trials, results_of, write_trials
 from armctl.files import write_atomically
+from armctl.policies.configured import tuning_of
+from armctl.rl.lineage import ancestors, recorded_tuning
 from armctl.rl.recount import recount
 
 HOME = Path(__file__).parent
@@ -25,18 +28,25 @@ HEAD = """<!-- Made by `python -m armctl.rl.zoo` from the agents' cards: change 
 `armctl compare reach_ik NAME` compares an agent with an expert. `armctl train NAME` trains it again by its recipe in
 `rl/recipes/`. `armctl reproduce NAME` repeats the evaluation on its card, which uses held-out episodes of the
 unmodified task. Decisions are control steps in simulation, by the agent, a teacher or in demonstrations; queries are
-actions of a teacher; gradient steps are updates of the network. Minutes are wall time on one core of a busy machine,
+actions of a teacher; gradient steps are updates of the network. With teachers: the costs of all networks that an agent
+learned from, directly or through its teachers, are added, each once; trials are other trainings of these recipes, and
+those of searches, as far as `rl/trials.csv` has them: of trials while the first recipes were being found, it has
+nothing. Minutes are wall time on one core of a busy machine,
 two or three times those of an idle one; processor minutes are those of all cores. A dash is unknown: these agents are
 older than the counters, and only what follows exactly from their options was filled in. Agents in bold come with
 armctl: where there are several training seeds, the one with the median success, of two the lower one (of `reach_bc`,
 seed 0; its others were trained by a later version). Rows below them are the other seeds: `NAME[*]` is all of them, as
-in `moving_dagger[*]`. All agents were evaluated with the present physics, on episodes of the test's seed.
+in `moving_dagger[*]`. Success is that of all episodes of the sealed test that a release has played, once, with the
+present physics; of an agent that was trained since then, of development episodes, as its card says.
 
 """
 COLUMNS = (
-    "agent", "environment", "learner", "shaping", "teacher", "decisions", "queries", "gradient steps",
-    "processor minutes", "minutes", "seed", "success", "95 % interval", "steps to goal",
+    "agent", "environment", "learner", "shaping", "teacher", "decisions", "with teachers", "queries", "gradient steps",
+    "processor minutes", "with teachers", "minutes", "trials", "seed", "success", "95 % interval", "steps to goal",
 )  # fmt: skip
+TAUGHT = {"4e221cbe6df5679887ec54b11a9d743e072a114d6988851ae86242ef0a1edfeb": "seeds/bridge_state_ppo-0"}
+"""Who taught those agents that another than the shipped training of their teacher has taught, by checksum (git history:
+their teachers were trained, or chosen, later)."""
 
 
 def table() -> str:
@@ -58,7 +68,7 @@ def write() -> None:
 
 
 def _row(name: str, card: AgentCard) -> tuple[str, ...]:
-    evaluation = card.evaluation
+    evaluation, total = card.evaluation, card.cost.total
     assert evaluation is not None
     low, high = evaluation.success_interval
     steps = evaluation.mean_steps_to_goal
@@ -68,12 +78,14 @@ def _row(name: str, card: AgentCard) -> tuple[str, ...]:
         card.learner,
         card.shaping or "-",
         card.teacher or "-",
-        *(
-            "-" if count is None else f"{count:,}"
-            for count in (card.decisions, card.teacher_queries, card.gradient_steps)
-        ),
-        "-" if card.processor_seconds is None else f"{card.processor_seconds / 60:.1f}",
+        _count(card.decisions),
+        _count(total.decisions),
+        _count(card.teacher_queries),
+        _count(card.gradient_steps),
+        _minutes(card.processor_seconds),
+        _minutes(total.processor_seconds),
         "-" if card.training_minutes is None else f"{card.training_minutes:.1f}",
+        "-" if total.tuning is None else _count(total.tuning.trials),
         "-" if card.training_seed is None else str(card.training_seed),
         f"{evaluation.success_rate:.1%} of {evaluation.episodes:,}",
         f"{low:.1%} to {high:.1%}",
@@ -81,23 +93,12 @@ def _row(name: str, card: AgentCard) -> tuple[str, ...]:
     )
 
 
-def evaluate() -> None:
-    """Evaluate all agents with a graph on the test's episodes; cards and the record of trials get the results."""
-    for path in sorted((HOME / "agents").rglob("*.onnx")):
-        path = path.with_suffix(".json")
-        again = reproduce(path, seed=TEST_SEED)
-        print(f"{path.stem}: {again.claimed.success_rate:.1%} -> {again.found.success_rate:.1%}", flush=True)
-        card = again.card.model_copy(update={"evaluation": again.found})
-        write_atomically(path, card.model_dump_json(indent=2) + "\n")
-    record()
+def _count(number: int | None) -> str:
+    return "-" if number is None else f"{number:,}"
 
 
-def record() -> None:
-    """Give the trials of which there are cards the results on these."""
-    cards = [read_card(path) for path in (HOME / "agents").rglob("*.json")]
-    results = {card.sha256: results_of(card) for card in cards}
-    rows = read_trials(HOME / TRIALS)
-    write_trials(HOME / TRIALS, [{**row, **results.get(row["sha256"], {})} for row in rows])
+def _minutes(seconds: float | None) -> str:
+    return "-" if seconds is None else f"{seconds / 60:.1f}"
 
 
 def fill_in() -> None:
@@ -106,12 +107,42 @@ def fill_in() -> None:
         card = read_card(path)
         with closing(make_worlds(card.env, 1, card.env_options)) as worlds:
             certain = recount(card, worlds.max_episode_steps or 0)
-        write_atomically(path, card.model_copy(update=certain).model_dump_json(indent=2) + "\n")
+        _update(path, **certain)
+
+
+def trace() -> None:
+    """Give the cards the lineage that they lack, and what is recorded of the trials of their recipes."""
+    agents = HOME / "agents"
+    for path in sorted(agents.rglob("*.json")):
+        card = read_card(path)
+        _update(path, tuning=recorded_tuning(str(card.recipe)))
+    for path in sorted(agents.rglob("*.json")):
+        _trace(path)
+
+
+def _trace(path: Path) -> AgentCard:
+    """A card with its lineage, whose teachers have theirs."""
+    card = read_card(path)
+    if card.lineage is not None:
+        return card
+    if card.teacher is None:
+        return _update(path, lineage=[])
+    taught_by = HOME / "agents" / f"{TAUGHT.get(card.sha256, card.teacher)}.json"
+    if taught_by.exists():
+        return _update(path, lineage=ancestors(card.teacher, _trace(taught_by)))
+    cost = replace(UNTRAINED, tuning=tuning_of(card.teacher))
+    return _update(path, lineage=[Ancestor(name=card.teacher, cost=cost)])
+
+
+def _update(path: Path, **changes: Any) -> AgentCard:
+    card = read_card(path).model_copy(update=changes)
+    write_atomically(path, card.model_dump_json(indent=2) + "\n")
+    return card
 
 
 if __name__ == "__main__":
-    if "--evaluate" in sys.argv:
-        evaluate()
     if "--recount" in sys.argv:
         fill_in()
+    if "--lineage" in sys.argv:
+        trace()
     write()

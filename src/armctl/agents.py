@@ -6,15 +6,16 @@ Nothing is unpickled, and neither file can run code: an agent from a stranger is
 import math
 import os.path
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 
+from armctl.costs import Count, Seconds, TrainingCost, TuningCost, total_cost, total_tuning
 from armctl.envs import EpisodeVectorEnv, Interface
 from armctl.errors import AgentFileError
 from armctl.files import LARGEST_TEXT, bounded_bytes, file_checksum
@@ -24,60 +25,6 @@ FILES = (".onnx", ".json")
 """Suffixes of an agent's graph and card."""
 INPUT, OUTPUT, NEXT = "observation", "action", "next_"
 """Names in a graph: of its input if the observation is one array, of its first output, and before a new memory's."""
-Count = Annotated[int, Field(ge=0, le=10**15)]
-Seconds = Annotated[float, Field(ge=0, le=1e12)]
-
-
-@dataclass(frozen=True)
-class TrainingCost:
-    """What a training took, without its evaluations on held-out episodes but for their time. None: unknown."""
-
-    steps: Count = 0
-    """As the learner counts them: decisions, or gradient steps of a clone. 0 for a policy that was not trained."""
-    minutes: Annotated[float, Field(ge=0)] | None = None
-    """Wall time, of a machine that may have been busy."""
-    decisions: Count | None = None
-    """Control steps decided in simulation for it: by the agent, by a teacher, or in demonstrations."""
-    teacher_queries: Count | None = None
-    """How many actions a teacher was asked for, or demonstrations show."""
-    gradient_steps: Count | None = None
-    """Updates of the network, each on a batch."""
-    processor_seconds: Seconds | None = None
-    """Of all cores and processes."""
-
-    @property
-    def brief(self) -> str:
-        """What the training took most, to go behind something else; empty for a policy that was not trained."""
-        counts = {"decisions": self.decisions, "gradient steps": self.gradient_steps, "steps": self.steps}
-        return next((f" after {rounded(count)} {what} of training" for what, count in counts.items() if count), "")
-
-    def __str__(self) -> str:
-        counts = {"decisions": self.decisions, "gradient steps": self.gradient_steps}
-        if self.decisions is None and self.gradient_steps is None:
-            counts["steps"] = self.steps
-        if self.teacher_queries and self.teacher_queries != self.decisions:
-            counts["teacher queries"] = self.teacher_queries
-        said = " and ".join(f"{rounded(count)} {what}" for what, count in counts.items() if count is not None)
-        if self.processor_seconds is not None:
-            return f"{said} ({self.processor_seconds / 60:.1f} minutes of processor)"
-        return f"{said} ({self.minutes:.1f} minutes)" if self.minutes else said
-
-
-def mean_cost(costs: Sequence[TrainingCost]) -> TrainingCost:
-    """What one of several trainings took in the mean; unknown is what is unknown of any."""
-    means: dict[str, Any] = {}
-    for name in (one.name for one in fields(TrainingCost)):
-        known = [value for cost in costs if (value := getattr(cost, name)) is not None]
-        mean = sum(known) / len(costs)
-        means[name] = None if len(known) < len(costs) else round(mean) if isinstance(known[0], int) else mean
-    return TrainingCost(**means)
-
-
-def rounded(count: int) -> str:
-    """A count in words, to three digits."""
-    if count >= 999_500:
-        return f"{count / 1e6:.3g} million" if count < 999_500_000 else f"{count / 1e6:,.0f} million"
-    return f"{float(f'{count:.3g}'):,.0f}"
 
 
 class Evaluation(BaseModel):
@@ -101,6 +48,31 @@ class Evaluation(BaseModel):
     """Sample standard deviation of the number of control steps over episodes."""
     digest: str | None = None
     """Checksum of all episodes' outcomes and lengths, in their order."""
+
+
+class Ancestor(BaseModel):
+    """A policy that an agent learned from, directly or through its teachers: a network, or an expert."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    name: str
+    """Of the policy, when it taught."""
+    sha256: str | None = None
+    """Checksum of the network's graph; None: it is no network, or its file is unknown."""
+    recipe: str | None = None
+    cost: TrainingCost
+    """What its own training took, without its teachers; `UNTRAINED` for an expert, whose decisions as a teacher are
+    among the costs of the training that it taught. `tuning` is of its own recipe or options."""
+
+    @property
+    def key(self) -> str:
+        """Alike only for the same network or expert."""
+        return self.sha256 or self.name
+
+
+def distinct(lineage: Sequence[Ancestor]) -> list[Ancestor]:
+    """Each network and expert of a lineage once, in their order."""
+    return list({ancestor.key: ancestor for ancestor in lineage}.values())
 
 
 class Conversion(BaseModel):
@@ -144,6 +116,10 @@ class AgentCard(BaseModel):
     """Later stages of the training, and what held in them instead."""
     teacher: str | None = None
     """The policy that it learned from, if any."""
+    lineage: list[Ancestor] | None = None
+    """All networks and experts that it learned from, directly or through its teachers, each once; None: unknown."""
+    tuning: TuningCost | None = None
+    """What was tried to find its recipe; None: nothing is recorded."""
     interface: dict[str, str]
     """Properties that the task must share with the training, such as robot and control."""
     observation_shape: list[int] | dict[str, list[int]]
@@ -169,6 +145,14 @@ class AgentCard(BaseModel):
     conversion: Conversion | None = None
     """None: armctl trained it."""
     evaluation: Evaluation | None = None
+    """On the sealed test's episodes if a release has played them, or else on development episodes, as `seed` says."""
+    development: Evaluation | None = None
+    """On development episodes, from before a release played the test's."""
+
+    @property
+    def judgement(self) -> Evaluation | None:
+        """The evaluation by which its training judged it, and by which a recipe's trainings to publish are chosen."""
+        return self.development or self.evaluation
 
     @property
     def sees(self) -> str:
@@ -182,9 +166,17 @@ class AgentCard(BaseModel):
 
     @property
     def cost(self) -> TrainingCost:
-        """What the training took."""
+        """What the training took, those of its teachers, and the tuning of all their recipes."""
         counts = (self.decisions, self.teacher_queries, self.gradient_steps, self.processor_seconds)
-        return TrainingCost(self.training_steps, self.training_minutes, *counts)
+        own = TrainingCost(self.training_steps, self.training_minutes, *counts)
+        if self.lineage is None:
+            return replace(own, teachers=None if self.teacher is None else TrainingCost(), tuning=self.tuning)
+        trained = [ancestor.cost for ancestor in distinct(self.lineage) if not ancestor.cost.is_untrained]
+        tunings = {self.recipe or self.name: self.tuning}
+        tunings |= {ancestor.recipe or ancestor.name: ancestor.cost.tuning for ancestor in self.lineage}
+        return replace(
+            own, teachers=total_cost(trained) if trained else None, tuning=total_tuning(list(tunings.values()))
+        )
 
 
 class OnnxPolicy:

@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator
 
 from armctl import DEFAULT_ENV
 from armctl.agents import FILES, AgentCard
+from armctl.costs import TuningCost
 from armctl.errors import ConfigurationError, missing_extra, unknown_name
 from armctl.files import checked_name, read_toml
 from armctl.options import checked_model, make_options
@@ -66,6 +67,8 @@ class Recipe(BaseModel):
     """Options of the learner, such as `steps`."""
     tune: dict[str, Any] = {}
     """The search space of `armctl tune` (see `armctl.search_space`), which a training does not use."""
+    tuned: TuningCost | None = None
+    """The search by which `armctl tune` has found these values."""
 
     @property
     def options_in_training(self) -> dict[str, Any]:

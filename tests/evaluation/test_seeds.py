@@ -1,15 +1,17 @@
 import gymnasium
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import armctl
+from armctl.cli import app
 from armctl.datasets.collect import collect
 from armctl.disturbances import episode_entropy, episode_rng
 from armctl.envs import TaskVectorEnv, episode_seed
 from armctl.errors import ConfigurationError
-from armctl.evaluation import compare, sweep
+from armctl.evaluation import compare, seeds, sweep
 from armctl.evaluation.reproduce import reproduce
-from armctl.evaluation.seeds import TEST_SEED, TRAINING_SEEDS, VALIDATION_SEED, check_evaluation_seed
+from armctl.evaluation.seeds import TEST_SEED, TRAINING_SEEDS, VALIDATION_SEED, evaluation_seed
 from armctl.rl.training import Training
 from armctl.tasks import ReachTask
 
@@ -35,7 +37,34 @@ def test_nobody_is_judged_on_episodes_that_selected_or_trained_agents(verb, seed
 
 @pytest.mark.parametrize("seed", [0, TEST_SEED, VALIDATION_SEED - 1])
 def test_other_seeds_are_for_evaluation(seed):
-    check_evaluation_seed(seed)
+    assert evaluation_seed(seed) == seed
+
+
+@pytest.mark.parametrize("seed", ["Test", "", "2026", "0"])
+def test_only_the_test_has_a_name(seed):
+    with pytest.raises(ConfigurationError, match="a whole number, or 'test'"):
+        evaluation_seed(seed)
+
+
+def test_the_sealed_test_goes_by_its_name_everywhere(tmp_path, monkeypatch):
+    """Whatever its number is after the next release."""
+    monkeypatch.setattr(seeds, "TEST_SEED", 777)
+    assert compare(["random"], episodes=1, seed="test", out=tmp_path / "one").seed == 777
+    assert sweep(["random"], disturbances={"noise": [0.01]}, episodes=1, seed="test").seed == 777
+    first, second = (armctl.evaluate("random", episodes=1, seed=seed) for seed in ("test", 777))
+    assert first["return"].equals(second["return"])
+    with pytest.raises(ConfigurationError, match="seed 777 are the sealed test"):
+        collect("reach_ik", episodes=1, out=tmp_path / "test-v0", seed=777)
+    command = ["compare", "random", "--episodes", "1", "--seed", "test", "--out", str(tmp_path / "two")]
+    ran = CliRunner().invoke(app, command)
+    assert "1 episodes of seed 777" in ran.stdout
+
+
+@pytest.mark.parametrize("seed", ["-1", "tests", "1.5", ""])
+def test_the_command_line_refuses_other_names(seed):
+    ran = CliRunner().invoke(app, ["compare", "random", "--seed", seed])
+    assert ran.exit_code == 2
+    assert "whole number" in ran.stderr
 
 
 def test_the_command_line_says_so(tmp_path):

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from armctl.agents import TrainingCost
+from armctl.costs import TrainingCost
 from armctl.evaluation.curves import COSTS, CURVE_COLUMNS, read_curve
 from armctl.evaluation.statistics import Estimate
 from armctl.evaluation.summary import PolicySummary

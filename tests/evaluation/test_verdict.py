@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 import armctl
-from armctl.agents import TrainingCost
+from armctl.costs import TrainingCost
 from armctl.errors import ConfigurationError, ResultsError
 from armctl.evaluation.paired import (
     PairedDifference,

@@ -12,7 +12,8 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
-from armctl.agents import Evaluation, TrainingCost
+from armctl.agents import Evaluation
+from armctl.costs import TrainingCost
 from armctl.evaluation import Comparison, Sweep
 from armctl.evaluation.notebook import html_of
 from armctl.evaluation.paired import PairedDifference

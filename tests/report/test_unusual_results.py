@@ -7,7 +7,8 @@ import shutil
 import pandas as pd
 import pytest
 
-from armctl.agents import TrainingCost, read_card
+from armctl.agents import read_card
+from armctl.costs import TrainingCost
 from armctl.errors import ResultsError
 from armctl.evaluation import compare
 from armctl.evaluation.reproduce import card_path

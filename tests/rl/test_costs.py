@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from armctl.agents import AgentCard, TrainingCost, read_card
+from armctl.agents import AgentCard, read_card
+from armctl.costs import TrainingCost
 from armctl.envs import TaskVectorEnv, make_worlds
 from armctl.evaluation.curves import read_curve
 from armctl.learners import load_learner, load_recipe

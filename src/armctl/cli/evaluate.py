@@ -30,6 +30,7 @@ from armctl.cli.options import (
     options_of,
     print_document,
     progress_bar,
+    seed_of,
 )
 
 if TYPE_CHECKING:
@@ -234,7 +235,13 @@ def reproduce(
         ),
     ],
     seed: Annotated[
-        int | None, typer.Option(min=0, help="Seed of other episodes.", show_default="the card's: the same episodes")
+        int | None,
+        typer.Option(
+            parser=seed_of,
+            metavar="SEED|test",
+            help="Seed of other episodes; `test` is the sealed one.",
+            show_default="the card's: the same episodes",
+        ),
     ] = None,
     worlds: Annotated[int, typer.Option(min=1, help="Worlds stepped at once.")] = 64,
     env: Annotated[

@@ -30,7 +30,28 @@ PolicyName = Annotated[
         autocompletion=completion.policies,
     ),
 ]
-Seed = Annotated[int, typer.Option(min=0, help="Seed of the episodes: tune on any but 2026, publish with 2026.")]
+
+
+def seed_of(text: str) -> int:
+    """The seed that a command line names: a whole number, or `test`."""
+    from armctl.evaluation.seeds import TEST, TEST_SEED
+
+    text = str(text)  # of a default, which is a number
+    if text == TEST:
+        return TEST_SEED
+    if not text.isdecimal():
+        raise typer.BadParameter(f"{text!r} is not a whole number from 0 on, or {TEST!r} for the sealed test.")
+    return int(text)
+
+
+Seed = Annotated[
+    int,
+    typer.Option(
+        parser=seed_of,
+        metavar="SEED|test",
+        help="Seed of the episodes: any for development; `test` is the sealed one, only for figures to publish.",
+    ),
+]
 EnvOptions = Annotated[
     list[str] | None,
     typer.Option(

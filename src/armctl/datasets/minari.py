@@ -131,6 +131,14 @@ def _find(dataset: str | Path) -> Path:
     raise ConfigurationError(f"there is no Minari dataset {dataset}: {how}")
 
 
+def policy_of(dataset: str | Path) -> str:
+    """The name of the policy that a Minari dataset shows, or else of the dataset. Raises `ConfigurationError`."""
+    try:
+        return str(_read_metadata(_find(dataset)).get("algorithm_name") or dataset)
+    except (OSError, ValueError) as error:
+        raise ConfigurationError(f"the dataset {dataset} cannot be used: {error}") from error
+
+
 def _read_metadata(folder: Path) -> dict[str, Any]:
     text = bounded_text(folder / METADATA)
     metadata = json.loads(text)

@@ -146,7 +146,7 @@ class Answer:
         """Training, decision times and privileges of those who stand for the two kinds."""
         by_name = {policy.policy: policy for policy in self.policies}
         ours = [by_name[name] for name in self.contenders]
-        said = [f"{one.policy} was trained for {one.training}" for one in ours if one.learned]
+        said = [words for policy in ours for words in policy.effort]
         said.append(f"a decision takes {_times(ours)}")
         return " ".join(filter(None, ("; ".join(said) + ".", privileges({one.policy: one.sees for one in ours}))))
 

@@ -36,7 +36,7 @@ from armctl.evaluation.real_time import (
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.rollouts import check_counts, wrap_environment_errors
 from armctl.evaluation.seeding import seed_notes
-from armctl.evaluation.seeds import check_evaluation_seed
+from armctl.evaluation.seeds import Seed, evaluation_seed
 from armctl.evaluation.statistics import Bounds
 from armctl.evaluation.store import CSV, EpisodeLog, check_store
 from armctl.evaluation.summary import certificate_notes, counted_results, summarise
@@ -58,7 +58,7 @@ def compare(
     env: str = DEFAULT_ENV,
     *,
     episodes: int = 200,
-    seed: int = 0,
+    seed: Seed = 0,
     out: str | Path | None = None,
     overwrite: bool = False,
     worlds: int = 1,
@@ -74,7 +74,7 @@ def compare(
     return_bounds: Bounds | None = None,
     progress: Callable[[EpisodeResult], None] | None = None,
 ) -> Comparison:
-    """Let policies play the same episodes 0 to `episodes` - 1 of `seed`.
+    """Let policies play the same episodes 0 to `episodes` - 1 of `seed`; `"test"` is the sealed one (`armctl.seeds`).
 
     With `out`, every episode is written to `out/episodes.csv` as soon as it ends, and the summary to
     `out/summary.json`. After an interrupt (Ctrl-C), a failing policy or a full disk, finished episodes are kept, and
@@ -118,7 +118,7 @@ def compare(
     by_name, groups = expanded(asked)
     engine = engine_of(workers)
     check_counts(episodes=episodes, worlds=worlds, **({"workers": workers} if isinstance(workers, int) else {}))
-    check_evaluation_seed(seed)
+    seed = evaluation_seed(seed)
     if baseline is not None and baseline not in (compared := learners(list(by_name), groups)):
         raise unknown_name("baseline among the compared policies", baseline, compared)
     if not 0 < margin < 1:

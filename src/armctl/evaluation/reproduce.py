@@ -15,6 +15,7 @@ from armctl.envs import check_from_file, full_id
 from armctl.errors import AgentFileError, ConfigurationError, unknown_name
 from armctl.evaluation.paired import holm
 from armctl.evaluation.rollouts import evaluate
+from armctl.evaluation.seeds import Seed, evaluation_seed
 from armctl.evaluation.statistics import success_rate
 from armctl.policies import GROUP, agent_cards, training_card
 from armctl.registration import installed, remember_named
@@ -121,8 +122,8 @@ def _text(value: Any) -> str:
     return "unknown" if value is None else f"{value:g}"
 
 
-def reproduce(agent: str | Path, *, seed: int | None = None, worlds: int = 64, env: str | None = None) -> Reproduction:
-    """Evaluate an agent again, on the episodes named by its card or on those of another seed.
+def reproduce(agent: str | Path, *, seed: Seed | None = None, worlds: int = 64, env: str | None = None) -> Reproduction:
+    """Evaluate an agent again, on the episodes named by its card or on those of another seed, `"test"` too.
 
     `agent` is the path of its card or graph, or the name of an installed one. A card runs no code: if its environment
     is `module:name`, that has to be given as `env`, or was named in this process before.
@@ -139,7 +140,7 @@ def reproduce(agent: str | Path, *, seed: int | None = None, worlds: int = 64, e
             raise ConfigurationError(f"{path} is of an agent for {card.env}, not for {env}")
         remember_named(card.env)
     check_from_file(card.env, card.env_options, str(path))
-    seed = claimed.seed if seed is None else seed
+    seed = evaluation_seed(claimed.seed if seed is None else seed)
     episodes = evaluate(
         path,
         card.env,

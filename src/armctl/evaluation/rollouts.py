@@ -25,7 +25,7 @@ from armctl.evaluation.decision_times import TimedPolicy
 from armctl.evaluation.episode_table import EpisodeTable
 from armctl.evaluation.metrics import metrics
 from armctl.evaluation.record import EpisodeResult
-from armctl.evaluation.seeds import check_evaluation_seed
+from armctl.evaluation.seeds import Seed, evaluation_seed
 from armctl.evaluation.tampering import Watch
 from armctl.policies import Policy, PolicyFactory, WorldsByInterface, make_policy, policy_name
 from armctl.tasks import MotionSample
@@ -222,7 +222,7 @@ def evaluate(
     env: str = DEFAULT_ENV,
     *,
     episodes: int = 200,
-    seed: int = 0,
+    seed: Seed = 0,
     worlds: int = 1,
     env_options: Mapping[str, Any] | None = None,
     least_lengths: bool = True,
@@ -234,7 +234,7 @@ def evaluate(
     Raises `ConfigurationError`, `AgentFileError`, `PolicyFailed` or `EnvironmentFailed`.
     """
     check_counts(episodes=episodes, worlds=worlds)
-    check_evaluation_seed(seed)
+    seed = evaluation_seed(seed)
     with closing(WorldsByInterface(env, min(worlds, episodes), env_options)) as interfaces:
         made_env = interfaces.of(policy)
         made = make_policy(policy, made_env)

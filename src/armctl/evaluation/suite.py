@@ -19,7 +19,7 @@ from armctl.evaluation.engines import Engine
 from armctl.evaluation.notebook import Displayed
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.rollouts import check_counts
-from armctl.evaluation.seeds import check_evaluation_seed
+from armctl.evaluation.seeds import Seed, evaluation_seed
 from armctl.evaluation.statistics import Array
 from armctl.evaluation.store import CSV, check_store
 from armctl.evaluation.suite_tables import rank_table, task_table
@@ -136,7 +136,7 @@ def suite(
     *,
     quick: bool = False,
     episodes: int | None = None,
-    seed: int = 0,
+    seed: Seed = 0,
     out: str | Path | None = None,
     overwrite: bool = False,
     worlds: int = 1,
@@ -162,7 +162,7 @@ def suite(
     size = QUICK if quick else FULL
     episodes = size.episodes if episodes is None else episodes
     check_counts(episodes=episodes, worlds=worlds, **({"workers": workers} if isinstance(workers, int) else {}))
-    check_evaluation_seed(seed)
+    seed = evaluation_seed(seed)
     check_store(store)
     names = [name for env in envs for name in (environment_names() if env == ALL else [env])]
     wanted = {folder_of(name): name for name in dict.fromkeys(map(full_id, names))}

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armctl.agents import TrainingCost, mean_cost
+from armctl.costs import TrainingCost, mean_cost
 from armctl.envs import SEES
 from armctl.envs.vector import UNSTABLE
 from armctl.evaluation.decision_times import comparable_times, setting_in_words
@@ -101,6 +101,13 @@ class PolicySummary:
     def learned(self) -> bool:
         """Whether it was trained."""
         return self.training.steps > 0
+
+    @property
+    def effort(self) -> list[str]:
+        """What its training and tuning took, in words; empty for a policy without either, as far as is recorded."""
+        trained = f"{self.policy} was trained for {self.training}{' each' * bool(self.trainings)}"
+        tuned = f"{self.policy} was tuned in {self.training.tuning}"
+        return [trained] * self.learned + [tuned] * (self.training.tuning is not None)
 
     @property
     def decision_ms(self) -> float:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import pandas as pd
 
-from armctl.agents import TrainingCost
+from armctl.costs import TrainingCost
 from armctl.evaluation.degradation import FALSE_DISCOVERY_RATE, Degradation, degradations
 from armctl.evaluation.paired import PairedDifference, corrected
 from armctl.evaluation.provenance import with_looks
@@ -66,14 +66,15 @@ def policy_table(env: str, seed: int, policies: Sequence[PolicySummary], disqual
 
 
 def _training(policy: PolicySummary) -> str:
-    training = f"{len(policy.trainings)} x {trained(policy.training)}" if policy.trainings else trained(policy.training)
+    training = f"{trained(policy.training)} each" if policy.trainings else trained(policy.training)
     return ", ".join((training, *(f"spared {name}" for name in policy.spared)))
 
 
 def trained(cost: TrainingCost) -> str:
-    """What a policy's training took, in a few characters."""
+    """What a policy's training and those of its teachers took, in a few characters."""
     if not cost.steps:
         return "untrained"
+    cost = cost.total
     count = cost.decisions or cost.gradient_steps or cost.steps
     short = f"{count / 1e6:.3g} M" if count >= 999_500 else f"{count:,}"
     return short if cost.decisions else f"{short} {'updates' if cost.gradient_steps else 'steps'}"

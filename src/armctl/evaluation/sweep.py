@@ -36,7 +36,7 @@ from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.robustness import NEUTRAL, Pair, PairTest
 from armctl.evaluation.scores import counted_rows
 from armctl.evaluation.seeding import seed_notes
-from armctl.evaluation.seeds import check_evaluation_seed
+from armctl.evaluation.seeds import Seed, evaluation_seed
 from armctl.evaluation.statistics import Bounds, Estimate
 from armctl.evaluation.store import CSV, check_store
 from armctl.evaluation.summary import PolicySummary
@@ -120,7 +120,7 @@ def sweep(
     *,
     disturbances: Asked = None,
     episodes: int = 100,
-    seed: int = 0,
+    seed: Seed = 0,
     out: str | Path | None = None,
     overwrite: bool = False,
     worlds: int = 1,
@@ -147,7 +147,7 @@ def sweep(
     """
     env, env_options = full_id(env), with_return_bounds(env_options, return_bounds)
     options = dict(env_options)
-    check_evaluation_seed(seed)
+    seed = evaluation_seed(seed)
     check_store(store)
     specs = _specs(env, options)
     levels = _levels(specs, disturbances)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from armctl.agents import rounded
+from armctl.costs import rounded
 from armctl.evaluation.statistics import Estimate
 from armctl.evaluation.summary import PolicySummary
 

@@ -55,7 +55,7 @@ def results_of(card: AgentCard) -> dict[str, Any]:
         "minutes": card.training_minutes,
         "sha256": card.sha256,
     }
-    if (evaluation := card.evaluation) is not None:
+    if (evaluation := card.judgement) is not None:
         low, high = evaluation.success_interval
         found |= {"success": evaluation.success_rate, "low": round(low, 4), "high": round(high, 4)}
         found |= {"episodes": evaluation.episodes, "episode_seed": evaluation.seed}

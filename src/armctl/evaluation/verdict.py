@@ -244,9 +244,7 @@ def _more(contest: Contest, margin: float, least: str) -> str:
 def _cost(contest: Contest) -> str:
     """What the two policies need: training, and time for a decision."""
     both = (contest.first, contest.second)
-    trained = [
-        f"{one.policy} was trained for {one.training}{' each' * bool(one.trainings)}" for one in both if one.learned
-    ]
+    trained = [words for policy in both for words in policy.effort]
     times = " and ".join(f"{one.policy} {one.decision_ms:.2g} ms" for one in both) + _timing(contest)
     said = "; ".join((*trained, f"on average, a decision takes {times}"))
     return f"{said[0].upper() if not trained else said[0]}{said[1:]}."

@@ -163,6 +163,8 @@ def _training(card: AgentCard) -> Iterable[tuple[str, str]]:
     if card.training_seed is not None:
         yield "Seed", str(card.training_seed)
     yield "Cost", str(card.cost)
+    if card.cost.tuning is not None:
+        yield "Tuning of its recipe and its teachers'", str(card.cost.tuning)
     if card.best_after is not None:
         yield "Best after", f"{card.best_after:,} steps"
     if card.shaping is not None:

@@ -18,6 +18,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 
+from armctl.costs import TuningCost
 from armctl.errors import ConfigurationError, unknown_name
 from armctl.files import read_toml
 from armctl.options import checked_model
@@ -40,6 +41,8 @@ class PolicyConfiguration(BaseModel):
     options: dict[str, Any] = {}
     tune: dict[str, Any] = {}
     """The search space of `armctl tune` (see `armctl.search_space`)."""
+    tuned: TuningCost | None = None
+    """The search for these values, or for better ones, whoever won it."""
 
     def make(self) -> Callable[..., Any]:
         """The function that makes the policy, with these options. Raises `ConfigurationError` if it takes none."""
@@ -67,6 +70,14 @@ def read_configuration(file: Path) -> PolicyConfiguration:
     if found.policy not in installed(GROUP).names:
         raise unknown_name(f"installed policy in {file}:", found.policy, installed(GROUP).names)
     return found
+
+
+def tuning_of(policy: str) -> TuningCost | None:
+    """What is declared of the tuning of an expert, by the file that names it or that is beside it; None: nothing."""
+    found = configured(policy)
+    if found is None and (file := configurations().get(policy)) is not None:
+        found = read_configuration(file)
+    return None if found is None else found.tuned
 
 
 def configurations() -> dict[str, Path]:

@@ -5,15 +5,17 @@ A package offers a policy under the entry-point group `armctl.policies`: a funct
 
 import inspect
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import gymnasium
 
 from armctl.agents import FILES, load_agent
+from armctl.costs import UNTRAINED
 from armctl.envs import EpisodeVectorEnv, Interface, TaskEnv
 from armctl.errors import FAILURES, ArmctlError, ConfigurationError, described, unknown_name
-from armctl.policies.configured import configured
+from armctl.policies.configured import configured, tuning_of
 from armctl.policies.plain import adapted
 from armctl.policies.policy import Policy
 from armctl.policies.privilege import declared
@@ -105,6 +107,8 @@ def make_policy(policy: Any, env: gymnasium.Env[Any, Any] | EpisodeVectorEnv | I
         raise
     except FAILURES as error:
         raise ConfigurationError(f"{policy_name(policy)} could not be made: {described(error)}") from error
+    if isinstance(policy, (str, Path)) and (tuned := tuning_of(str(policy))) and not hasattr(made, "training_cost"):
+        made.training_cost = replace(UNTRAINED, tuning=tuned)  # type: ignore[attr-defined]
     return made
 
 

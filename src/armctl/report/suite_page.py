@@ -210,7 +210,7 @@ def _costs(answers: Sequence[Answer], look: style.Looks) -> list[Plot]:
 
 
 def _decisions(policy: PolicySummary) -> int | None:
-    return policy.training.decisions if policy.learned else 0
+    return policy.training.total.decisions if policy.learned else 0
 
 
 def _symbols(answers: Sequence[Answer], symbols: Any) -> list[str]:

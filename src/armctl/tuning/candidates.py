@@ -115,7 +115,7 @@ class RecipeCandidate(Candidate):
     @property
     def content(self) -> dict[str, Any]:
         """The content of its file."""
-        return self.recipe.model_dump(mode="json", exclude={"name"}, exclude_none=True)
+        return self.recipe.model_dump(mode="json", exclude={"name", "tuned"}, exclude_none=True)
 
     def measure(self, values: Mapping[str, Any], folder: Path, report: Report) -> list[float]:
         """A score for each training seed. Each is trained on one core, or resumed; curves are reported as they grow."""
@@ -166,7 +166,7 @@ class PolicyCandidate(Candidate):
     @property
     def content(self) -> dict[str, Any]:
         """The content of its file."""
-        return self.configuration.model_dump(mode="json")
+        return self.configuration.model_dump(mode="json", exclude={"tuned"})
 
     def measure(self, values: Mapping[str, Any], folder: Path, report: Report) -> list[float]:
         """The mean over episodes of the validation seed, reported after each block."""

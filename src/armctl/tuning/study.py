@@ -178,4 +178,5 @@ def _document(found: Tuned, best: FrozenTrial) -> str:
         f"# Judged by {candidate.judged_by}: {best.value:.5g}{known}.\n\n"
     )
     content = with_values(candidate.content, best.params)
+    content["tuned"] = {"trials": len(found.trials), "minutes": round(found.processor_seconds / 60, 1)}
     return head + tomli_w.dumps({name: value for name, value in content.items() if value not in ({}, [])})

@@ -17,22 +17,25 @@ from armctl.kinematics import ArmModel, Workspace
 from armctl.planning import PathCertificate
 from armctl.robot_description import load_arm
 from armctl.scene import BOX_NUMBERS, Boxes
-from armctl.seeds import TEST_SEED, TRAINING_SEEDS, VALIDATION_SEED
+from armctl.seeds import DEVELOPMENT_SEED, TEST_SEED, TRAINING_SEEDS, VALIDATION_SEED
 from armctl.tasks import ReachObstaclesOptions, ReachObstaclesTask
-from armctl.tasks.reach import make_layout_pool, read_boxes
+from armctl.tasks.reach import layout_pool, make_layout_pool, read_boxes
 from armctl.tasks.reach.layout_pool import (
+    OWN,
+    PARTS,
     POOL_FILE,
     part_of,
     pool_for,
     read_pool,
     robot_digest,
+    write_pool,
 )
 from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES, sample_certified_layout
 
 SHIPPED = read_pool(POOL_FILE)
 SEEDS = st.one_of(
     st.integers(0, VALIDATION_SEED), st.integers(VALIDATION_SEED, TRAINING_SEEDS), st.integers(TRAINING_SEEDS, 2**62)
-).filter(lambda seed: seed != TEST_SEED)
+).filter(lambda seed: seed not in OWN)
 
 
 @functools.cache
@@ -65,9 +68,10 @@ def sample(size, rows=None):
 
 def test_the_parts_are_as_large_as_made_and_share_no_layout():
     sizes = {part: len(rows) for part, rows in SHIPPED.parts.items()}
-    assert sizes == make_layout_pool.SIZES
+    own = dict.fromkeys(map(str, OWN), make_layout_pool.OWN_SIZE)
+    assert sizes == own | make_layout_pool.SIZES, "run python -m armctl.tasks.reach.make_layout_pool --keep"
     assert len(np.unique(SHIPPED.targets, axis=0)) == len(SHIPPED.targets)
-    assert SHIPPED.feasible[SHIPPED.parts["test"]].all()
+    assert all(SHIPPED.feasible[SHIPPED.parts[part]].all() for part in own)
     assert 0.99 < SHIPPED.feasible.mean() < 1
     assert POOL_FILE.stat().st_size < 2.5e6
 
@@ -91,12 +95,14 @@ def test_certificates_hold(sized):
             np.testing.assert_allclose(workspace.model.position(path[-1]), target, atol=1e-5)
 
 
-def test_the_test_has_the_episodes_that_it_always_had(sized):
+@pytest.mark.parametrize("seed", sorted(set(OWN)))
+def test_seeds_with_layouts_of_their_own_have_those_that_are_drawn_without_a_pool(seed, sized):
+    """So that the episodes of a sealed test, which is a development seed later, stay the same."""
     episodes = [0, 999, *sample(sized(3, 100), np.arange(1000)).tolist()]
     worlds = TaskVectorEnv(len(episodes), task=ReachObstaclesTask)
     for found, wanted in zip(
-        played(worlds, [TEST_SEED] * len(episodes), episodes),
-        zip(*(drawn(TEST_SEED, episode) for episode in episodes), strict=True),
+        played(worlds, [seed] * len(episodes), episodes),
+        zip(*(drawn(seed, episode) for episode in episodes), strict=True),
         strict=True,
     ):
         np.testing.assert_array_equal(found, np.array(wanted))
@@ -112,14 +118,15 @@ def test_other_episodes_of_the_tests_seed_are_drawn_at_reset(episode, solvable):
 @pytest.mark.parametrize(
     ("seed", "part"),
     [
-        (0, "development"), (TEST_SEED - 1, "development"), (TEST_SEED, "test"), (TEST_SEED + 1, "development"),
+        (0, "development"), (TEST_SEED - 1, "development"), (TEST_SEED, str(TEST_SEED)),
+        (TEST_SEED + 1, "development"), (DEVELOPMENT_SEED, str(DEVELOPMENT_SEED)),
         (VALIDATION_SEED - 1, "development"), (VALIDATION_SEED, "validation"), (TRAINING_SEEDS - 1, "validation"),
         (TRAINING_SEEDS, "training"), (2**62, "training"),
     ],
 )  # fmt: skip
 def test_each_seed_draws_from_its_part(seed, part):
     assert part_of(seed) == part
-    for solvable in (True, False) if part != "test" else (True,):
+    for solvable in (True, False) if part in PARTS else (True,):
         rows = {SHIPPED.row(seed, episode, solvable) for episode in range(100)}
         assert rows <= set(SHIPPED.parts[part])
 
@@ -139,13 +146,39 @@ def test_a_seed_goes_through_its_part_before_a_layout_comes_again(seed, solvable
 def test_neighbouring_seeds_draw_as_by_chance(first, episode):
     """The worlds of a batch have consecutive seeds and start with the same episode."""
     seeds, part = range(first, first + 2000), SHIPPED.parts[part_of(first)]
-    rows = np.array([SHIPPED.row(seed, episode, True) for seed in seeds if seed != TEST_SEED], dtype=float)
+    rows = np.array([SHIPPED.row(seed, episode, True) for seed in seeds if seed not in OWN], dtype=float)
     for lag in (1, 2, 16):
         assert abs(np.corrcoef(rows[lag:], rows[:-lag])[0, 1]) < 4 / np.sqrt(len(rows))
     by_chance = len(part) * (1 - (1 - 1 / len(part)) ** len(rows))
     assert abs(len(np.unique(rows)) - by_chance) < 4 * np.sqrt(len(rows) / np.e)
     counts, _ = np.histogram(rows, bins=20, range=(part[0], part[-1] + 1))
     assert ((counts - len(rows) / 20) ** 2 / (len(rows) / 20)).sum() < 50  # chi^2, 19 degrees of freedom: p < 2e-4
+
+
+def test_a_test_that_was_just_drawn_has_fresh_layouts_of_its_own(monkeypatch):
+    """Before the pool has them; and what was the test stays what it was."""
+    monkeypatch.setattr(layout_pool, "OWN", (*OWN, 999_983))
+    assert [SHIPPED.row(999_983, episode, solvable=True) for episode in range(3)] == [-1] * 3
+    world = TaskVectorEnv(1, task=ReachObstaclesTask)
+    for found, wanted in zip(played(world, 999_983, 1), drawn(999_983, 1), strict=True):
+        np.testing.assert_array_equal(found[0], wanted)
+
+
+@pytest.mark.slow
+def test_a_new_test_gets_a_part_of_the_pool_and_all_others_are_kept(tmp_path):
+    pool = make_layout_pool.with_seeds(dataclasses.replace(SHIPPED), [DEVELOPMENT_SEED, 999_983], processes=1, size=3)
+    assert {name: len(rows) for name, rows in pool.parts.items()} == {
+        str(DEVELOPMENT_SEED): 1000, "999983": 3, **make_layout_pool.SIZES,
+    }  # fmt: skip
+    for name in (str(DEVELOPMENT_SEED), *PARTS):
+        for field in ("targets", "boxes", "feasible", "counts"):
+            kept, before = (getattr(of, field)[of.parts[name]] for of in (pool, SHIPPED))
+            np.testing.assert_array_equal(kept, before)
+    target, boxes, _ = drawn(999_983, 2)
+    np.testing.assert_array_equal(pool.targets[pool.parts["999983"][2]], np.float32(target))
+    np.testing.assert_array_equal(pool.boxes[pool.parts["999983"][2]], np.float32(boxes))
+    write_pool(pool, tmp_path / "pool.npz")
+    assert read_pool(tmp_path / "pool.npz").names == pool.names
 
 
 def test_an_episode_is_the_same_in_any_company():

@@ -1,7 +1,9 @@
 """The layouts among obstacles that come with armctl, each with its certificate: resets need not search for paths.
 
 The pool is for one arm and one tolerance. Seeds for different uses draw from different parts of it, which share no
-layout: nobody is judged on layouts that it was trained on. `make_layout_pool` makes the file.
+layout: nobody is judged on layouts that it was trained on. The sealed test, and the seed by which trainings judge
+themselves, have layouts of their own in each episode, as drawn without a pool. All other development seeds draw from
+the same 2,000 layouts: their episodes are no independent ones. `make_layout_pool` makes the file.
 """
 
 import functools
@@ -18,16 +20,18 @@ from armctl.errors import ConfigurationError
 from armctl.files import bounded_bytes, digest
 from armctl.robot_description import ArmDescription
 from armctl.scene import BOX_NUMBERS
-from armctl.seeds import TEST_SEED, TRAINING_SEEDS, VALIDATION_SEED
+from armctl.seeds import DEVELOPMENT_SEED, TEST_SEED, TRAINING_SEEDS, VALIDATION_SEED
 from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES
 
 POOL_FILE = Path(__file__).with_name("layout_pool.npz")
-FORMAT = 1
+FORMAT = 2
 """Of the file."""
 LARGEST_POOL = 16 * 2**20
 """Bytes of a pool's file, and of the arrays in it, that armctl reads."""
-PARTS = ("test", "development", "validation", "training")
-"""The parts, in the order in which they lie in the pool."""
+PARTS = ("development", "validation", "training")
+"""The parts that many seeds draw from, in the order in which they lie in the pool, after those of single seeds."""
+OWN = (DEVELOPMENT_SEED, TEST_SEED)
+"""Seeds with a layout of its own in each episode: of the first ones, in the pool."""
 DECIMALS = 6
 """Of m and rad: arms that differ by less are the same."""
 
@@ -40,8 +44,10 @@ class LayoutPool:
     """The arm's `robot_digest`."""
     tolerance: float
     """m."""
+    seeds: NDArray[np.int64]
+    """(s,) seeds with a part of their own."""
     sizes: NDArray[np.int64]
-    """(`PARTS`,) number of layouts in each part."""
+    """(s + `PARTS`,) number of layouts in each part."""
     targets: NDArray[np.float32]
     """(k, 3) m."""
     counts: NDArray[np.uint8]
@@ -54,7 +60,8 @@ class LayoutPool:
     def __post_init__(self) -> None:
         k = len(self.feasible)
         for name, kind, shape in (
-            ("sizes", np.int64, (len(PARTS),)), ("targets", np.float32, (k, 3)), ("counts", np.uint8, (k,)),
+            ("seeds", np.int64, (len(self.seeds),)), ("sizes", np.int64, (len(self.names),)),
+            ("targets", np.float32, (k, 3)), ("counts", np.uint8, (k,)),
             ("packed", np.float32, (self.counts.sum(), BOX_NUMBERS)), ("feasible", np.bool_, (k,)),
         ):  # fmt: skip
             array = getattr(self, name)
@@ -74,10 +81,15 @@ class LayoutPool:
         boxes[np.arange(MOST_OBSTACLES) < self.counts[:, None]] = self.packed
         return boxes
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of all parts, in the order in which they lie in the pool; of a seed's own, the seed."""
+        return (*map(str, self.seeds.tolist()), *PARTS)
+
     @functools.cached_property
     def parts(self) -> dict[str, NDArray[np.intp]]:
         """The rows of each part's layouts."""
-        return dict(zip(PARTS, np.split(np.arange(len(self.feasible)), self.sizes.cumsum()[:-1]), strict=True))
+        return dict(zip(self.names, np.split(np.arange(len(self.feasible)), self.sizes.cumsum()[:-1]), strict=True))
 
     @functools.cached_property
     def _certified(self) -> dict[str, NDArray[np.intp]]:
@@ -86,13 +98,14 @@ class LayoutPool:
     def row(self, seed: int, episode: int, solvable: bool) -> int:
         """The row of an episode's layout, among those of the seed's part, or the feasible ones if `solvable`.
 
-        Each seed goes through them in an order of its own, and begins anew after the last. `TEST_SEED` has a layout of
-        its own in each episode: -1 for those that are not in the pool.
+        Each seed goes through them in an order of its own, and begins anew after the last. `OWN` seeds have a layout of
+        their own in each episode: -1 for those that are not in the pool.
         """
         part = part_of(seed)
-        rows = (self._certified if solvable else self.parts)[part]
-        if part == "test":
+        if part == str(seed):
+            rows = self._certified.get(part, ())
             return int(rows[episode]) if solvable and episode < len(rows) else -1
+        rows = (self._certified if solvable else self.parts)[part]
         first, stride = np.random.SeedSequence(seed).generate_state(2).tolist()
         while math.gcd(stride, len(rows)) > 1:
             stride += 1
@@ -100,9 +113,9 @@ class LayoutPool:
 
 
 def part_of(seed: int) -> str:
-    """The name of the part that a seed's episodes draw from."""
-    if seed == TEST_SEED:
-        return "test"
+    """The name of the part that a seed's episodes draw from; the seed, if it has layouts of its own."""
+    if seed in OWN:
+        return str(seed)
     if seed < VALIDATION_SEED:
         return "development"
     return "validation" if seed < TRAINING_SEEDS else "training"

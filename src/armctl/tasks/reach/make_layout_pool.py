@@ -1,16 +1,21 @@
 """Makes the pool of layouts that comes with armctl: `python -m armctl.tasks.reach.make_layout_pool`.
 
-With the same versions of all packages, it makes the same file again.
+With the same versions of all packages, it makes the same file again. After a release has drawn another test's seed,
+`--keep` draws the layouts of its episodes only.
 """
 
+import dataclasses
 import functools
 import multiprocessing
 import os
 import zlib
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
 import typer
+from numpy.typing import NDArray
 from rich.progress import Progress
 
 from armctl.console import PlainConsole
@@ -19,26 +24,27 @@ from armctl.files import write_atomically
 from armctl.kinematics import ArmModel, Workspace
 from armctl.planning import PathCertificate
 from armctl.robot_description import load_arm
-from armctl.seeds import TEST_SEED
-from armctl.tasks.reach.layout_pool import PARTS, POOL_FILE, LayoutPool, robot_digest, write_pool
-from armctl.tasks.reach.obstacle_layout import ReachLayout, sample_certified_layout
+from armctl.tasks.reach.layout_pool import OWN, PARTS, POOL_FILE, LayoutPool, read_pool, robot_digest, write_pool
+from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES, ReachLayout, sample_certified_layout
 from armctl.tasks.reach.options import ReachOptions
 
-SIZES = {"test": 1000, "development": 2000, "validation": 1000, "training": 7000}
-"""Layouts that are drawn for each part."""
+SIZES = {"development": 2000, "validation": 1000, "training": 7000}
+"""Layouts that are drawn for each part that many seeds draw from."""
+OWN_SIZE = 1000
+"""Layouts of a seed's own: those of its first episodes."""
 
 
-def layout_of(part: str, number: int) -> tuple[ReachLayout, bool]:
-    """A layout of the pool, and whether it is certified. That of `test` is the episode's, as drawn without a pool."""
-    test = part == "test"
+def layout_of(part: str | int, number: int) -> tuple[ReachLayout, bool]:
+    """A layout of the pool, and whether it is certified. That of a seed is the episode's, as drawn without a pool."""
+    own = isinstance(part, int)
     sequence = (
-        np.random.SeedSequence(episode_entropy(TEST_SEED, number))
-        if test
+        np.random.SeedSequence(episode_entropy(part, number))
+        if isinstance(part, int)
         else np.random.SeedSequence(number, spawn_key=(zlib.crc32(part.encode()),))
     )
     workspace, certificate = _tools()
     rng, tolerance = np.random.default_rng(sequence), ReachOptions().tolerance
-    return sample_certified_layout(rng, workspace, certificate, tolerance, solvable=test)
+    return sample_certified_layout(rng, workspace, certificate, tolerance, solvable=own)
 
 
 @functools.cache
@@ -47,33 +53,60 @@ def _tools() -> tuple[Workspace, PathCertificate]:
     return Workspace(model), PathCertificate(model)
 
 
-def _drawn(name: tuple[str, int]) -> tuple[ReachLayout, bool]:
+def _drawn(name: tuple[str | int, int]) -> tuple[ReachLayout, bool]:
     return layout_of(*name)
 
 
-def main(processes: int = os.cpu_count() or 1, out: Path = POOL_FILE) -> None:
-    """Draw and certify all layouts in parallel, and write the pool."""
-    names = [(part, number) for part in PARTS for number in range(SIZES[part])]
+def draw(sizes: Mapping[str | int, int], processes: int) -> LayoutPool:
+    """Draw and certify layouts in parallel: so many of each part, of seeds first. A pool has all of `PARTS`."""
+    names = [(part, number) for part, size in sizes.items() for number in range(size)]
     with multiprocessing.get_context("spawn").Pool(processes) as workers:
         drawn = workers.imap(_drawn, names, chunksize=20)
-        found: list[tuple[ReachLayout, bool]] = []
         with Progress(console=PlainConsole(stderr=True)) as progress:
-            bar = progress.add_task("layouts", total=len(names))
-            for one in drawn:
-                found.append(one)
-                progress.advance(bar)
+            found = list(progress.track(drawn, len(names), description="layouts"))
     layouts, feasible = zip(*found, strict=True)
-    defaults = ReachOptions()
-    boxes = [one.boxes.numbers for one in layouts]
-    pool = LayoutPool(
-        robot=robot_digest(load_arm(defaults.robot)),
-        tolerance=defaults.tolerance,
-        sizes=np.array([SIZES[part] for part in PARTS]),
-        targets=np.array([one.target for one in layouts], dtype=np.float32),
-        counts=np.array([len(one.boxes) for one in layouts], dtype=np.uint8),
-        packed=np.concatenate(boxes, dtype=np.float32),
+    return LayoutPool(
+        robot=robot_digest(load_arm(ReachOptions().robot)),
+        tolerance=ReachOptions().tolerance,
+        seeds=np.array([part for part in sizes if isinstance(part, int)], dtype=np.int64),
+        sizes=np.array(list(sizes.values())),
+        targets=np.array([layout.target for layout in layouts], dtype=np.float32),
+        counts=np.array([len(layout.boxes) for layout in layouts], dtype=np.uint8),
+        packed=np.concatenate([layout.boxes.numbers for layout in layouts], dtype=np.float32),
         feasible=np.array(feasible),
     )
+
+
+def with_seeds(pool: LayoutPool, seeds: Sequence[int], processes: int, size: int = OWN_SIZE) -> LayoutPool:
+    """A pool with the layouts of other seeds' episodes; those that are there already are kept, and so are the parts."""
+    new = [seed for seed in seeds if str(seed) not in pool.names]
+    found = draw(dict.fromkeys(new, size) | dict.fromkeys(PARTS, 1), processes) if new else pool
+    picked = [(found if seed in new else pool, str(seed)) for seed in seeds] + [(pool, part) for part in PARTS]
+    rows = [of.parts[name] for of, name in picked]
+
+    def joined(name: str) -> NDArray[Any]:
+        return np.concatenate([getattr(of, name)[its] for (of, _), its in zip(picked, rows, strict=True)])
+
+    counts = joined("counts")
+    return dataclasses.replace(
+        pool,
+        seeds=np.array(seeds, dtype=np.int64),
+        sizes=np.array([len(its) for its in rows]),
+        targets=joined("targets"),
+        counts=counts,
+        packed=joined("boxes")[np.arange(MOST_OBSTACLES) < counts[:, None]],
+        feasible=joined("feasible"),
+    )
+
+
+def main(
+    processes: Annotated[int, typer.Option(min=1)] = os.cpu_count() or 1,
+    out: Path = POOL_FILE,
+    keep: Annotated[bool, typer.Option("--keep", help="Draw only for seeds of which the file has no layouts.")] = False,
+) -> None:
+    """Draw and certify layouts, and write the pool."""
+    own = list(dict.fromkeys(OWN))
+    pool = with_seeds(read_pool(out), own, processes) if keep else draw(dict.fromkeys(own, OWN_SIZE) | SIZES, processes)
     write_atomically(out, functools.partial(write_pool, pool))
     certified = ", ".join(f"{part} {pool.feasible[rows].sum()} of {len(rows)}" for part, rows in pool.parts.items())
     print(f"{out}: {out.stat().st_size:,} bytes; certified: {certified}")
