@@ -1,14 +1,18 @@
 """The trained agents that come with armctl: an ONNX graph and a JSON card each."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from armctl.agents import OnnxPolicy, load_agent
+from armctl.costs import TuningCost, total_tuning
 from armctl.envs import EpisodeVectorEnv, Interface, ModelInterface, TaskVectorEnv
 from armctl.policies import sees
 from armctl.rl.imagining import ImaginingPolicy
 from armctl.rl.looking_ahead import LookingAheadPolicy, looking_ahead
 
 FOLDER = Path(__file__).parent
+LOOKING_AHEAD = TuningCost(trials=3)
+"""What `rl/trials.csv` has on the options of looking ahead."""
 
 
 def reach_ppo(env: Interface) -> OnnxPolicy:
@@ -89,7 +93,10 @@ def bridge_moving_state_ppo(env: EpisodeVectorEnv) -> OnnxPolicy:
 @sees("state")
 def bridge_moving_imagined(env: TaskVectorEnv) -> LookingAheadPolicy:
     """`bridge_moving_state_ppo`, which looks ahead: where it would touch something, it tries other commands first."""
-    return looking_ahead(FOLDER / "bridge_moving_state_ppo.json", env)
+    policy = looking_ahead(FOLDER / "bridge_moving_state_ppo.json", env)
+    cost = policy.training_cost
+    policy.training_cost = replace(cost, tuning=total_tuning([cost.tuning, LOOKING_AHEAD]))
+    return policy
 
 
 def bridge_distil(env: Interface) -> OnnxPolicy:

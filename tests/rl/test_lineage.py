@@ -190,6 +190,16 @@ def test_the_ledger_of_this_repository_tells_of_every_recipe_that_was_tuned():
         assert card.tuning == recorded_tuning(card.recipe), f"{path.stem}: run python -m armctl.rl.zoo --lineage"
 
 
+def test_an_agent_that_looks_ahead_costs_what_its_network_did_and_the_trials_of_its_options():
+    worlds = make_worlds("armctl/BridgeCrossMoving-v0", 1)
+    cost = make_policy("bridge_moving_imagined", worlds).training_cost
+    network = read_card(SHIPPED / "bridge_moving_state_ppo.json").cost
+    assert replace(cost, tuning=None) == replace(network, tuning=None)
+    own = recorded_tuning("bridge_moving_imagined")
+    assert cost.tuning.trials == network.tuning.trials + own.trials
+    worlds.close()
+
+
 def test_the_tuning_of_an_expert_is_said_too(tmp_path):
     worlds = make_worlds("armctl/ArmReach-v0", 1)
     assert str(make_policy("reach_mpc", worlds).training_cost.tuning) == "128 recorded trials (61 minutes)"
