@@ -7,7 +7,8 @@
 
 A page names the command between two comments. What lies between them is replaced by what the command prints: the tables
 of a benchmark, or the results and the verdict of a comparison, without the table of pairs; with `in short`, without how
-episodes ended either, and with fewer columns:
+episodes ended either, and with fewer columns. Of a sweep, it is one table of all levels, another one of the intervals,
+and the robustness ranking:
 
     <!-- python benchmarks/ik.py -->
     <!-- end -->
@@ -16,6 +17,9 @@ episodes ended either, and with fewer columns:
     <!-- end -->
 
     <!-- in short: armctl compare --seed test -->
+    <!-- end -->
+
+    <!-- armctl sweep reach_ik reach_ppo --disturbance noise=0.02,0.05 --seed test -->
     <!-- end -->
 
 The last comment before the end has a checksum of each policy that the block shows: of its networks, and of its episodes
@@ -41,6 +45,8 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
+
+import pandas as pd
 
 import armctl
 from armctl.policies import policy_names
@@ -76,7 +82,10 @@ def _run(block: re.Match[str]) -> str:
             [sys.executable, *(started if program == "armctl" else words)], cwd=ROOT,
             env=os.environ | {"COLUMNS": WIDTH}, stdout=subprocess.PIPE, text=True, check=True,
         )  # fmt: skip
+        levels = pivoted(pd.read_csv(f"{folder}/results/sweep.csv")) if command.startswith("armctl sweep ") else []
     parts = results(done.stdout) if program == "armctl" else tables(done.stdout)
+    if levels:
+        parts = [*levels, *(f"> {part.strip('*')}" for part in parts if part.startswith("**Under "))]
     made = f"`{command}`, {datetime.date.today()}, armctl {armctl.__version__}"
     body = "\n\n".join([*(brief(parts) if block["brief"] else parts), made])
     marks = ", ".join(f"{name} {checksum}" for name, checksum in checksums(command, body).items())
@@ -89,6 +98,27 @@ def results(printed: str) -> list[str]:
     paragraphs = [part.strip() for part in printed.split("\n\n")]
     dropped = re.compile(r"\*\*[^\n]*episodes of seed|\*\*Paired|\| a - b|p: McNemar")
     return [re.sub(r"^(\S+: \d)", r"- \1", part) for part in paragraphs if not dropped.match(part)]
+
+
+def pivoted(points: pd.DataFrame) -> list[str]:
+    """A sweep's success in %, and its 95 % intervals: a row for each policy, a column for each level."""
+    neutral = ~points.duplicated(["disturbance", "policy"])
+    cells: dict[str, dict[str, tuple[str, str]]] = {}
+    for row, is_neutral in zip(points.to_dict("records"), neutral, strict=True):
+        column = "undisturbed" if is_neutral else f"{row['disturbance']} {row['level']:g}"
+        value, low, high = (f"{100 * row[name]:.0f}" for name in ("success", "low", "high"))
+        shown = ("spared", "") if row["spared"] else (value, f"{low} to {high}")
+        cells.setdefault(row["policy"], {}).setdefault(column, shown)
+    columns = dict.fromkeys(column for by_column in cells.values() for column in by_column)
+    heading = f"| | {' | '.join(columns)} |\n|{'---|' * (len(columns) + 1)}"
+    made = []
+    for part in (0, 1):
+        lines = (
+            f"| `{policy}` | {' | '.join(by_column.get(column, ('-', ''))[part] for column in columns)} |"
+            for policy, by_column in cells.items()
+        )
+        made.append("\n".join((heading, *lines)))
+    return [made[0], "95 % intervals:", made[1]]
 
 
 def brief(parts: Sequence[str]) -> list[str]:

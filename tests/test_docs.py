@@ -334,6 +334,19 @@ def test_tables_are_what_a_comparison_prints():
     assert "3 reached" not in brief
 
 
+def test_tables_are_what_a_sweep_prints():
+    renewed = runpy.run_path(str(ROOT / "benchmarks/tables.py"))["renewed"]
+    command = "armctl sweep reach_ik random --episodes 2 --disturbance noise=0.02,0.05 --disturbance delay=2"
+    once = renewed(f"<!-- {command} -->\nold\n<!-- end -->\n")
+    heading = "| | undisturbed | noise 0.02 | noise 0.05 | delay 2 |\n|---|---|---|---|---|\n"
+    assert once.count(heading) == 2
+    assert f"{heading}| `reach_ik` | 100 | 100 | 100 | 100 |\n| `random` | 0 | spared | spared | 0 |\n\n95 %" in once
+    assert "| `random` | 0 to 84 |  |  | 0 to 84 |" in once
+    assert "\n\n> Under noise, no ranking: fewer than two policies are reached and tested; under delay, " in once
+    assert f"\n\n`{command}`, 20" in once
+    assert "<!-- shows random " in once
+
+
 def test_every_table_of_benchmarks_has_its_command():
     block = runpy.run_path(str(ROOT / "benchmarks/tables.py"))["BLOCK"]
     for page in PAGES:

@@ -332,7 +332,7 @@ def test_the_ranking_is_the_verdict(finished):
     found, _ = finished
     *_, last = (part for part in found.document().parts if getattr(part, "kind", "") == "verdict")
     assert last.text == (
-        "Under noise, no ranking: no two policies that it reaches are tested; "
+        "Under noise, no ranking: fewer than two policies are reached and tested; "
         "under delay, no significant difference between policies."  # four episodes show nothing
     )
     assert last.text in " ".join(printed(found).split())

@@ -135,7 +135,7 @@ def test_a_sweep_with_and_without_its_undisturbed_comparison(folder, tmp_path):
     html = again.read_text()
     assert (
         re.search(r"<h1>(.*)</h1>", html)[1]
-        == "Under noise and delay, no ranking: no two policies that it reaches are tested."
+        == "Under noise and delay, no ranking: fewer than two policies are reached and tested."
     )
     assert html.index("<h2>Under disturbances</h2>") < html.index("<h2>Undisturbed</h2>") < html.index("<h2>Results")
     both = plots_of(again)

@@ -80,8 +80,9 @@ def sweep(
     """Let policies play the same episodes under increasing disturbances, and print how robust each is.
 
     Disturbances: `noise` of sensors, `delay` of actions, `payload`, `friction`, `strength` of motors, `pushes`,
-    `mismatch` between the robot and the controllers' model of it, and `dropout` of camera images. Noise and dropout do
-    not affect policies that see the state. `armctl list` shows the levels. With `--slow-down`, success is against the
+    `mismatch` between the robot and the controllers' model of it, and `dropout` of camera images. Noise and dropout
+    spare policies that see the state, which are then not ranked; `noise_on_state` reaches them. `armctl list` shows the
+    levels. With `--slow-down`, success is against the
     slowness of the computer, in a world that does not wait.
 
     Every episode is written as it ends. After Ctrl-C, the same command with the same `--out` resumes the sweep.
@@ -167,8 +168,9 @@ def suite(
     """Let all policies of all tasks play, undisturbed and under the main disturbances, and write one report.
 
     For each task, it answers whether a planner or controller is better than a learned agent: by how much, at what cost,
-    and under which disturbance the order turns. The main disturbances are `noise`, `delay`, `payload`, `friction`,
-    `pushes` and `mismatch`, at the middle and the strongest of their levels; `--quick` has `delay` and `mismatch`.
+    and under which disturbance the order turns. The main disturbances are `noise` (or `noise_on_state`), `delay`,
+    `payload`, `friction`, `pushes` and `mismatch`, at the middle and the strongest of their levels; `--quick` has
+    `delay` and `mismatch`.
 
     With `--workers 2`, that takes less than an hour. Every episode is written as it ends. After Ctrl-C, the same
     command with the same `--out` resumes the suite. A task that fails is told, and does not stop the others.

@@ -65,7 +65,7 @@ class RobustnessRanking:
     def claim(self) -> str:
         """What is shown, without the levels at which others are worse."""
         if not self.first:
-            return "no ranking: no two policies that it reaches are tested"
+            return "no ranking: fewer than two policies are reached and tested"
         if self.leads:
             return f"{self.first} leads"
         if not self.worse and not self.better:

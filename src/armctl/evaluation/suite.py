@@ -50,7 +50,7 @@ class Size:
     """Which of a disturbance's default levels: 0 is the one without effect, 1 the strongest."""
 
 
-FULL = Size(50, ("noise", "delay", "payload", "friction", "pushes", "mismatch"), (0.5, 1.0))
+FULL = Size(50, ("noise", "noise_on_state", "delay", "payload", "friction", "pushes", "mismatch"), (0.5, 1.0))
 """Two levels of each: on two cores, less than an hour."""
 QUICK = Size(20, ("delay", "mismatch"), (0.75,))
 """On two cores, about five minutes."""
@@ -216,6 +216,8 @@ def plan_task(env: str, size: Size) -> Plan:
     """Who plays in a task, and under which disturbances. Raises `ConfigurationError`."""
     possible = sweep_levels(env)
     main = {name: levels for name, levels in possible.items() if name in size.disturbances} or possible
+    if "noise_on_state" in main:  # the same noise, which spares nobody
+        main.pop("noise", None)
     levels = {name: sorted({_level(levels, share) for share in size.levels}) for name, levels in main.items()}
     return Plan(env, line_up(env), levels, unusable_agents(env))
 
