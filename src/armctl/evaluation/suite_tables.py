@@ -46,7 +46,7 @@ def rank_table(league: League) -> Table:
     records = [{"tasks": tasks, "family": name, "rank": asdict(mean)} for name, mean in league.ranks.items()]
     caption = (
         "Families that have played all of these tasks. Rivals beaten in an episode, ties counting half: the mean over "
-        "settings and tasks, with 95 % intervals."
+        "settings and tasks, with 95 % intervals. The order is that of the means, which need not differ significantly."
     )
     title = f"Ranks of families in {tasks}"
     return Table("ranks", title, [Column("family"), Column("rivals beaten")], rows, records, caption)
