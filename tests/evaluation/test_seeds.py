@@ -1,3 +1,5 @@
+from types import SimpleNamespace
+
 import gymnasium
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from armctl.errors import ConfigurationError
 from armctl.evaluation import compare, seeds, sweep
 from armctl.evaluation.reproduce import reproduce
 from armctl.evaluation.seeds import TEST_SEED, TRAINING_SEEDS, VALIDATION_SEED, evaluation_seed
+from armctl.learners import load_recipe
 from armctl.rl.training import Training
 from armctl.tasks import ReachTask
 
@@ -76,6 +79,18 @@ def test_the_command_line_says_so(tmp_path):
 def test_no_demonstrations_from_the_test(tmp_path):
     with pytest.raises(ConfigurationError, match="sealed test"):
         collect("reach_ik", episodes=1, out=tmp_path / "test-v0", seed=TEST_SEED)
+
+
+def test_no_training_plays_the_sealed_test(monkeypatch, tmp_path):
+    """It judges itself in development."""
+    training = object.__new__(Training)
+    training.recipe, training.out = load_recipe("reach_ppo"), tmp_path
+    training.options = SimpleNamespace(evaluation_episodes=3)
+    played = []
+    monkeypatch.setattr("armctl.rl.training.DEVELOPMENT_SEED", 4)
+    monkeypatch.setattr("armctl.rl.training.evaluate", lambda *args, **more: played.append(more["seed"]))
+    monkeypatch.setattr("armctl.rl.training.evaluation_of", lambda episodes, seed: seed)
+    assert (training._final_evaluation(), played) == (4, [4])
 
 
 @pytest.mark.parametrize("training_seed", [0, 3, 7, 2**32 - 1])

@@ -64,6 +64,18 @@ def test_the_median_one_is_shipped_and_the_others_are_kept(home, tmp_path):
     assert read_card(home / "agents" / "seeds" / "reach_bc-1.json").name == "reach_bc-1"
 
 
+def test_the_median_is_chosen_in_development_whatever_the_sealed_test_said(home, tmp_path):
+    folders = [training(tmp_path / "runs" / str(seed), seed, success) for seed, success in enumerate((0.9, 0.7, 0.8))]
+    for folder, sealed in zip(folders, (0.8, 0.9, 0.7), strict=True):
+        card = read_card(folder / "agent.json")
+        played = card.evaluation.model_copy(update={"success_rate": sealed})
+        changed = card.model_copy(update={"evaluation": played, "development": card.evaluation})
+        (folder / "agent.json").write_text(changed.model_dump_json())
+    publish(folders, home)
+    assert shipped(home) == 2
+    assert read_card(home / "agents" / "reach_bc.json").evaluation.success_rate == 0.7
+
+
 def test_a_later_seed_may_be_the_median_of_all(home, tmp_path):
     publish([training(tmp_path / "runs" / "0", 0, 0.9)], home)
     publish([training(tmp_path / "runs" / "1", 1, 0.7)], home)

@@ -199,7 +199,7 @@ def _result(card: "AgentCard") -> str:
     return (
         f"Trained for {card.cost}, in {card.training_minutes} minutes; best after {card.best_after:,} steps: "
         f"success {card.evaluation.success_rate:.1%} [{low:.1%}, {high:.1%}] "
-        f"on {card.evaluation.episodes} held-out episodes"
+        f"on {card.evaluation.episodes} development episodes"
     )
 
 
