@@ -1,5 +1,6 @@
 """What the suite says of each task, and of all of them."""
 
+import importlib
 from dataclasses import replace
 
 import numpy as np
@@ -66,6 +67,15 @@ def test_verdicts_and_headline_are_corrected_for_all_tasks_and_for_success_and_s
         "there, classical takes fewer steps in 1, learned in 0"
     )
     assert found[0].heads[SETTINGS[0]] == answers[0].heads[SETTINGS[0]]
+
+
+def test_the_answers_of_a_suite_are_corrected_for_all_its_tasks(monkeypatch):
+    module = importlib.import_module("armctl.evaluation.suite")
+    heads = {f"armctl/Task{i}-v0": head(6, 0) for i in range(3)}
+    monkeypatch.setattr(module, "answer", lambda env: answer_of(heads[env], env=env))
+    found = module.Suite(0, 50, tasks={env: env for env in heads}).answers
+    assert [one.undisturbed.p for one in found] == holm([mcnemar(6, 0)] * 3)
+    assert [(one.undisturbed.better, one.undisturbed.claims) for one in found] == [(0, 3)] * 3
 
 
 def test_steps_are_told_where_neither_is_better_in_success():

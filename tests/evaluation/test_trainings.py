@@ -223,13 +223,17 @@ def test_two_groups_have_welchs_degrees_of_freedom():
 @pytest.mark.parametrize("claims", [1, 3, 10])
 def test_equivalence_of_groups_is_corrected_for_the_number_of_claims(claims):
     won, other = np.ones((4, 300)), np.ones((1, 300))
-    pair = difference_of_groups("a", "b", (won, other), (won, other), None, SHARES, claims=claims)
+    pair = difference_of_groups("a", "b", (won, other), (9 * won, other), None, (0.0, 9.0), claims=claims)
     # The two tests at 5 % / claims: a training of a that has not been seen fails with a probability of 1 - level^(1/4).
     level = EQUIVALENCE / claims
     assert -pair.crossed.narrow.low == pytest.approx(1 - level ** (1 / 4), abs=0.03)
     assert pair.equivalent(1.04 - level ** (1 / 4), claims)
     assert not pair.equivalent(0.96 - level ** (1 / 4), claims)
     assert pair.crossed.estimate == difference_over_trainings(won, other, SHARES).estimate
+    assert (pair.mcnemar_p, pair.crossed.p) == (1, 1)
+    earned = difference_over_trainings(9 * won, other, (0.0, 9.0))
+    assert (pair.return_difference, pair.return_p) == (earned.estimate, earned.p)
+    assert earned.p < 1
 
 
 @pytest.mark.parametrize("trainings", [(3, 1), (1, 5), (3, 3)])
