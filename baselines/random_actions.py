@@ -11,7 +11,7 @@ from armctl.envs import Interface, Sees
 
 
 class RandomActions:
-    """Uniform random actions that depend only on seed and episode."""
+    """Uniform random actions, determined by the run's policy seed and the episode."""
 
     sees: Sees = "observation"
     reads = ()

@@ -112,15 +112,18 @@ def check_teaching(recipe: Recipe) -> None:
 
 
 class Teacher:
-    """The policy to learn from, in worlds of its own. Raises `ConfigurationError` for a recipe without a teacher."""
+    """The policy to learn from, in worlds of its own; `policy_seed` determines its random numbers.
 
-    def __init__(self, recipe: Recipe, worlds: int) -> None:
+    Raises `ConfigurationError` for a recipe without a teacher.
+    """
+
+    def __init__(self, recipe: Recipe, worlds: int, policy_seed: int) -> None:
         if recipe.teacher is None:
             raise ConfigurationError(f"{recipe.learner} learns from a policy: name it, --teacher POLICY")
         self.name = recipe.teacher
         self.worlds = make_worlds(recipe.env, worlds, recipe.options_in_training)
         try:
-            self.policy = make_policy(self.name, self.worlds)
+            self.policy = make_policy(self.name, self.worlds, policy_seed=policy_seed)
         except Exception:
             self.worlds.close()
             raise
@@ -133,8 +136,10 @@ class Teacher:
         return [episode for _, episode in played]
 
 
-def teacher_in(worlds: TaskVectorEnv, recipe: Recipe) -> Policy:
+def teacher_in(worlds: TaskVectorEnv, recipe: Recipe, policy_seed: int) -> Policy:
     """The recipe's teacher in these worlds of its environment. An agent that was trained to see the state sees theirs.
+
+    `policy_seed` determines its random numbers.
 
     Raises `ConfigurationError` for a recipe without a teacher, and what `armctl.make_policy` raises.
     """
@@ -142,9 +147,9 @@ def teacher_in(worlds: TaskVectorEnv, recipe: Recipe) -> Policy:
         raise ConfigurationError(f"{recipe.learner} learns from a policy: name it, --teacher POLICY")
     card = card_of(recipe.teacher)
     if card is None or card.sees != "state" or worlds.task.state_space is None:
-        return make_policy(recipe.teacher, worlds)
+        return make_policy(recipe.teacher, worlds, policy_seed=policy_seed)
     with world_of_states(worlds) as seen:
-        return OfState(make_policy(recipe.teacher, seen), worlds)
+        return OfState(make_policy(recipe.teacher, seen, policy_seed=policy_seed), worlds)
 
 
 def demonstrations(
@@ -152,7 +157,7 @@ def demonstrations(
 ) -> list[Demonstration]:
     """The successful episodes of a dataset, or of the teacher. Raises `ConfigurationError` if there are none."""
     if dataset is None:
-        teacher = Teacher(training.recipe, min(options.worlds, options.demonstrations))
+        teacher = Teacher(training.recipe, min(options.worlds, options.demonstrations), training.seed)
         try:
             episodes, source = teacher.show(options.demonstrations, training.first_seed(), progress), teacher.name
         finally:

@@ -64,7 +64,7 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
         raise ConfigurationError(f"{options.rounds} rounds need an episode and a gradient step each")
     steps = options.steps // options.rounds
     training = Training(recipe, options, out, seed, resume)
-    teacher = Teacher(recipe, min(options.worlds, each))
+    teacher = Teacher(recipe, min(options.worlds, each), training.seed)
     if not options.teacher_memory:
         teacher.policy = MemorylessTeacher(teacher.policy)
     with training:

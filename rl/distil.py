@@ -68,7 +68,7 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
     check_teaching(recipe)
     for stage in recipe.stages:
         with closing(make_worlds(stage.env, 1, stage.options_in_training)) as worlds:
-            teacher_in(worlds, stage)  # raises an error now rather than in hours
+            teacher_in(worlds, stage, seed)  # raises an error now rather than in hours
     training = Training(recipe, options, out, seed, resume)
     with training:
         student = Student(training, options)
@@ -123,7 +123,7 @@ class Student:
 
     def _lesson(self) -> "Lesson":
         worlds = self.training.worlds
-        return Lesson(self, worlds, teacher_in(worlds.unwrapped, self.training.stage))
+        return Lesson(self, worlds, teacher_in(worlds.unwrapped, self.training.stage, self.training.seed))
 
     def _descend(self, loss: torch.Tensor) -> None:
         for group in self._optimizer.param_groups:

@@ -177,7 +177,7 @@ def test_an_agent_of_the_state_teaches_a_student_who_sees_the_camera(state_agent
     """It labels the states of the very worlds that the student is in."""
     options = {"env": "armctl/BridgeCross-v0", "env_options": CAMERA, "teacher": str(state_agent)}
     seen, shown = (make_worlds(options["env"], 3, CAMERA | more) for more in ({}, {"observation": "state"}))
-    teacher, agent = teacher_in(seen, recipe(**options)), load_agent(state_agent, shown)
+    teacher, agent = teacher_in(seen, recipe(**options), 0), load_agent(state_agent, shown)
     assert isinstance(agent, OnnxPolicy)
     observations, states = seen.reset(seed=3)[0], shown.reset(seed=3)[0]
     for _ in range(4):

@@ -18,6 +18,7 @@ from armctl.cli.options import (
     On,
     Overwrite,
     Policies,
+    PolicySeed,
     RealTime,
     ReturnBounds,
     Seed,
@@ -70,6 +71,7 @@ def compare(
         float, typer.Option(metavar="FACTOR", help="In real time, decisions take so many times as long.")
     ] = 1.0,
     store: Store = EpisodeStore.CSV,
+    policy_seed: PolicySeed = None,
     report: Annotated[bool, typer.Option("--report", help="Also write report.html, with figures and videos.")] = False,
     table_format: Format = TableFormat.TABLE,
 ) -> None:
@@ -112,6 +114,7 @@ def compare(
             slow_down=slow_down,
             store=store,
             return_bounds=return_bounds,
+            policy_seed=policy_seed,
         )
     console = print_document(comparison.document(), table_format)
     written = "results" not in comparison.failures

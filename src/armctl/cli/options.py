@@ -158,6 +158,18 @@ Store = Annotated[
         "`parquet`. The same command with the other one converts them.",
     ),
 ]
+PolicySeed = Annotated[
+    int | None,
+    typer.Option(
+        "--policy-seed",
+        metavar="NUMBER",
+        min=0,
+        max=2**128 - 1,
+        help="Secret from which policies draw their own random numbers: give the one in summary.json for an exact "
+        "repeat.",
+        show_default="the folder's, or 128 random bits",
+    ),
+]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the results in the folder.")]
 
 

@@ -12,6 +12,7 @@ from armctl.cli.options import (
     EnvOptions,
     On,
     PolicyName,
+    PolicySeed,
     Seed,
     Workers,
     options_of,
@@ -36,11 +37,13 @@ def run(
         typer.Option(metavar="FILE.rrd", help="Record everything for Rerun's viewer; needs the extra `rerun`."),
     ] = None,
     env_options: EnvOptions = None,
+    policy_seed: PolicySeed = None,
 ) -> None:
     """Play episodes with one policy, and print its states, actions and rewards."""
     from armctl.viewer.terminal import run_episodes
 
-    if not run_episodes(policy, env, episodes, steps, seed, video, watch, options_of(env_options), episode, rerun):
+    options = options_of(env_options)
+    if not run_episodes(policy, env, episodes, steps, seed, video, watch, options, episode, rerun, policy_seed):
         raise typer.Exit(130)
 
 
@@ -56,6 +59,7 @@ def view(
     open_browser: Annotated[bool, typer.Option("--open/--no-open", help="Open a browser, if there is one.")] = True,
     native: Annotated[bool, typer.Option("--native", help="Show it in MuJoCo's own window; needs a screen.")] = False,
     env_options: EnvOptions = None,
+    policy_seed: PolicySeed = None,
 ) -> None:
     """Show a policy live in the browser, in real time, with its plans, contacts and rewards.
 
@@ -70,7 +74,7 @@ def view(
 
     if native:
         check_screen()
-    player = Player(Stage(policy, env, seed, episode, options_of(env_options)))
+    player = Player(Stage(policy, env, seed, episode, options_of(env_options), policy_seed=policy_seed))
     try:
         show_in_window(player) if native else show_in_browser(player, port, open_browser)
     except KeyboardInterrupt:
@@ -90,6 +94,7 @@ def collect(
     workers: Workers = 1,
     on: On = "local",
     env_options: EnvOptions = None,
+    policy_seed: PolicySeed = None,
     format: Annotated[
         str, typer.Option(help="`minari`, from which `bc` can learn (extra `rl`), or `lerobot` (extra `lerobot`).")
     ] = "minari",
@@ -109,6 +114,7 @@ def collect(
         collection = run_collection(
             policy, env, episodes=episodes, out=out, seed=seed, worlds=worlds, workers=engine,
             env_options=options_of(env_options), format=format, overwrite=overwrite,
+            policy_seed=policy_seed,
             progress=lambda finished: bar.update(task, completed=finished),
         )  # fmt: skip
     console = PlainConsole()

@@ -17,6 +17,7 @@ from armctl.cli.options import (
     On,
     Overwrite,
     Policies,
+    PolicySeed,
     ReturnBounds,
     Seed,
     Store,
@@ -75,6 +76,7 @@ def sweep(
         ),
     ] = None,
     store: Store = EpisodeStore.CSV,
+    policy_seed: PolicySeed = None,
     table_format: Format = TableFormat.TABLE,
 ) -> None:
     """Let policies play the same episodes under increasing disturbances, and print how robust each is.
@@ -118,6 +120,7 @@ def sweep(
             worlds=worlds,
             workers=engine,
             store=store,
+            policy_seed=policy_seed,
             env_options=options,
             real_time=real_time,
             return_bounds=return_bounds,
@@ -163,6 +166,7 @@ def suite(
     on: On = "local",
     video: Annotated[bool, typer.Option("--video", help="Film episodes for the tasks' own reports: minutes.")] = False,
     store: Store = EpisodeStore.CSV,
+    policy_seed: PolicySeed = None,
     table_format: Format = TableFormat.TABLE,
 ) -> None:
     """Let all policies of all tasks play, undisturbed and under the main disturbances, and write one report.
@@ -196,6 +200,7 @@ def suite(
             worlds=worlds,
             workers=engine,
             store=store,
+            policy_seed=policy_seed,
             progress=progress,
         )
     console = print_document(found.document(), table_format)

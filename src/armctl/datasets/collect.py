@@ -18,18 +18,19 @@ from armctl.datasets.demonstrations import Demonstration, demonstrate
 from armctl.datasets.formats import FORMATS, Format, format_of
 from armctl.datasets.minari import UNFINISHED, check_recordable
 from armctl.datasets.parallel import WorldsAsAsked, demonstrate_in_workers
-from armctl.datasets.unfinished import OTHERWISE, Unfinished, check_same
-from armctl.envs import full_id
+from armctl.datasets.unfinished import IDENTITY, OTHERWISE, Unfinished, check_same
+from armctl.envs import chosen_policy_seed, full_id
 from armctl.errors import EnvironmentFailed, ResultsError
 from armctl.evaluation.engines import Engine, engine_of
 from armctl.evaluation.identity import identity
 from armctl.evaluation.parallel import WorkerConfig, check_sendable
 from armctl.evaluation.provenance import versions
-from armctl.evaluation.rollouts import PolicyFailed, check_counts
+from armctl.evaluation.rollouts import PolicyFailed, build_policy, check_counts
 from armctl.evaluation.seeds import check_training_data_seed
+from armctl.evaluation.store import POLICY_SEED, stored_policy_seed
 from armctl.evaluation.workers import WorkersFailed
 from armctl.files import LOCK, one_writer
-from armctl.policies import PolicyFactory, make_policy, policy_name
+from armctl.policies import PolicyFactory, policy_name
 
 
 @dataclass
@@ -57,6 +58,7 @@ def collect(
     env_options: Mapping[str, Any] | None = None,
     format: str = "minari",
     overwrite: bool = False,
+    policy_seed: int | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Collection:
     """Write a policy's episodes 0 to `episodes` - 1 of `seed` to a dataset in the folder `out`.
@@ -69,6 +71,9 @@ def collect(
     - `minari`: `minari.MinariDataset(out / "data")` opens it. So does `minari.load_dataset(out.name)` if
       `MINARI_DATASETS_PATH` is the parent folder and `out.name` ends with a version, such as `-v0`.
     - `lerobot`: `LeRobotDataset("any/name", root=out)` opens it, and so does Rerun (`rerun OUT`).
+
+    The policy's own random numbers come from `policy_seed` (see `compare`); by default it is that of the dataset in
+    `out`, or a new one, and stands in the dataset's metadata.
 
     After an interrupt (Ctrl-C), a failing policy or lost workers, the dataset has the episodes that were finished.
     After these, a full disk or the end of the process, the same call resumes, and gives the same dataset as one without
@@ -85,14 +90,16 @@ def collect(
     check_training_data_seed(seed)
     folder, name, options = Path(out).absolute(), policy_name(policy), dict(env_options or {})
     worlds = min(worlds, episodes)
+    secret = chosen_policy_seed(policy_seed, None if overwrite else _stored_policy_seed(folder))
     with contextlib.closing(WorldsAsAsked(env, worlds if engine.is_here else 1, options)) as interfaces:
         made_env = interfaces.asked
-        made_env.reset(seed=seed)  # raises for an invalid seed, before anything is written
         check_recordable(made_env)
-        made = make_policy(policy, made_env)
+        made = build_policy(policy, made_env, name, secret)
+        made_env.reset(seed=seed)  # raises for an invalid seed, before anything is written
         if not engine.is_here:
             check_sendable({name: policy})
-        own = identity(full_id(env), options, seed, {name: policy}, {name: made}, made_env) | {"format": format}
+        own = identity(full_id(env), options, seed, {name: policy}, {name: made}, made_env)
+        own |= {"format": format, POLICY_SEED: str(secret)}
         about = kind.describe(folder, env, options, made_env) | {
             "algorithm_name": name, "sees": made.sees, "seed": seed, "identity": own,
             "versions": versions() | libraries,
@@ -112,7 +119,7 @@ def collect(
             if engine.is_here:
                 stream = demonstrate(made, made_env, waiting, seed, name)
             else:
-                config = WorkerConfig(env, worlds, options, seed, engine.workers, interfaces=WorldsAsAsked)
+                config = WorkerConfig(env, worlds, options, seed, secret, engine.workers, interfaces=WorldsAsAsked)
                 stream = demonstrate_in_workers(policy, made, interfaces, config, name, waiting, engine)
             try:
                 if progress is not None:
@@ -161,6 +168,12 @@ def _claimed(folder: Path, kind: Format, overwrite: bool) -> Iterator[None]:
                 (folder / LOCK).unlink(missing_ok=True)
                 with contextlib.suppress(OSError):
                     folder.rmdir()  # fails if it holds something else
+
+
+def _stored_policy_seed(folder: Path) -> int | None:
+    """The policy seed of the dataset in a folder, finished or not; None if there is none that can be read."""
+    manifests = (folder / UNFINISHED / IDENTITY, *(folder / kind.MANIFEST for kind in FORMATS.values()))
+    return next((seed for path in manifests if (seed := stored_policy_seed(path)) is not None), None)
 
 
 def _finished(folder: Path, kind: Format, own: Mapping[str, Any], episodes: int) -> Collection | None:

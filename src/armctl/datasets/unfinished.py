@@ -18,7 +18,7 @@ from armctl.evaluation.identity import differences
 from armctl.files import bounded_text, sealed, unsealed, write_atomically
 
 OTHERWISE = "choose another folder, or overwrite it (--overwrite)"
-_IDENTITY = "identity.json"
+IDENTITY = "identity.json"
 
 
 class Unfinished:
@@ -31,12 +31,12 @@ class Unfinished:
         self.folder = folder
         self.outcomes: dict[int, str] = {}
         self.steps = self.successes = 0
-        if (folder / _IDENTITY).exists():
-            check_same(folder / _IDENTITY, identity, folder)
+        if (folder / IDENTITY).exists():
+            check_same(folder / IDENTITY, identity, folder)
             self.count_again()
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            write_atomically(folder / _IDENTITY, sealed(identity))
+            write_atomically(folder / IDENTITY, sealed(identity))
         except OSError as error:
             raise self.not_written(error) from error
 

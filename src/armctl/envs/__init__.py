@@ -16,12 +16,14 @@ from armctl.envs.interface import (
 )
 from armctl.envs.make import RETURN_BOUNDS, check_from_file, find_spec, full_id, make_worlds, task_of
 from armctl.envs.observations import batch_of_one, one_of
+from armctl.envs.policy_seed import PolicyStreams, chosen_policy_seed, new_policy_seed
 from armctl.envs.single import TaskEnv
 from armctl.envs.third_party import ThirdPartyVectorEnv, episode_seed
 from armctl.envs.vector import Observer, TaskVectorEnv
 
 __all__ = [
     "INTERFACES", "RETURN_BOUNDS", "SEES", "EpisodeVectorEnv", "Interface", "MapInterface", "ModelInterface",
-    "Observer", "Sees", "TaskEnv", "TaskVectorEnv", "ThirdPartyVectorEnv", "batch_of_one", "check_from_file",
-    "episode_seed", "find_spec", "full_id", "how_to_declare", "interface_of", "make_worlds", "one_of", "task_of",
+    "Observer", "PolicyStreams", "Sees", "TaskEnv", "TaskVectorEnv", "ThirdPartyVectorEnv", "batch_of_one",
+    "check_from_file", "chosen_policy_seed", "episode_seed", "find_spec", "full_id", "how_to_declare", "interface_of",
+    "make_worlds", "new_policy_seed", "one_of", "task_of",
 ]  # fmt: skip

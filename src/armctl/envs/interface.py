@@ -18,6 +18,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from armctl.envs.episodes import EpisodeVectorEnv
+from armctl.envs.policy_seed import PolicyStreams
 from armctl.errors import ConfigurationError, nearest
 
 Sees = Literal["observation", "model", "map", "state"]
@@ -34,8 +35,8 @@ it."""
 class CurrentEpisode:
     """What a policy is told of one world's current episode. armctl changes it when the next one begins."""
 
-    def __init__(self) -> None:
-        self.rng = np.random.default_rng(0)
+    def __init__(self, rng: np.random.Generator) -> None:
+        self.rng = rng
         self.map: Any = None
 
 
@@ -74,7 +75,11 @@ class Interface:
         return self._space(self.single_action_space)
 
     def rng(self, world: int = 0) -> np.random.Generator:
-        """For random choices in a world. armctl seeds it anew for each episode, by its seed and number."""
+        """For random choices in a world. armctl seeds it anew for each episode, by a secret of the run.
+
+        The numbers are the same however many worlds and workers play, and tell neither the episode's seed nor its
+        number (see `armctl.envs.policy_seed`).
+        """
         return self._episodes[world].rng
 
     def in_world(self, world: int) -> "Interface":
@@ -141,16 +146,19 @@ def how_to_declare(sees: str) -> str:
     return f'put @armctl.sees("{sees}") above its function or class, and every table will say it'
 
 
-def interface_of(worlds: EpisodeVectorEnv, sees: str) -> Interface:
-    """What a policy that declares to see so much is told about these worlds. `sees` is a key of `INTERFACES`."""
+def interface_of(worlds: EpisodeVectorEnv, sees: str, streams: PolicyStreams) -> Interface:
+    """What a policy that declares to see so much is told about these worlds. `sees` is a key of `INTERFACES`.
+
+    Its random numbers come from `streams`.
+    """
     kind, task = INTERFACES[sees], worlds.task
-    episodes = [CurrentEpisode() for _ in range(worlds.num_envs)]
+    episodes = [CurrentEpisode(streams.generator(i)) for i in range(worlds.num_envs)]
 
     def begin(ids: NDArray[np.integer[Any]]) -> None:
         seeds, numbers = worlds.seeds, worlds.episodes
         for i in ids:
-            fresh = np.random.default_rng((0, int(seeds[i]), int(numbers[i])))
-            episodes[i].rng.bit_generator.state = fresh.bit_generator.state  # which does not tell the seed
+            # the object stays the same: a policy may keep it
+            episodes[i].rng.bit_generator.state = streams.generator(int(seeds[i]), int(numbers[i])).bit_generator.state
             if issubclass(kind, MapInterface):
                 episodes[i].map = task.static_map(int(i))
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from armctl import DEFAULT_ENV
-from armctl.envs import RETURN_BOUNDS, ThirdPartyVectorEnv, full_id, task_of
+from armctl.envs import RETURN_BOUNDS, ThirdPartyVectorEnv, chosen_policy_seed, full_id, task_of
 from armctl.errors import ConfigurationError, ResultsError, unknown_name
 from armctl.evaluation.comparison import Comparison, summary
 from armctl.evaluation.decision_times import load_notes, timing_notes, unjudged
@@ -22,6 +22,7 @@ from armctl.evaluation.parallel import (
     Setting,
     WorkerConfig,
     check_sendable,
+    failed,
     play_here,
     play_in_workers,
 )
@@ -34,14 +35,14 @@ from armctl.evaluation.real_time import (
     real_time_of,
 )
 from armctl.evaluation.record import EpisodeResult
-from armctl.evaluation.rollouts import check_counts, wrap_environment_errors
+from armctl.evaluation.rollouts import PolicyDisqualified, build_policy, check_counts, wrap_environment_errors
 from armctl.evaluation.seeding import seed_notes
 from armctl.evaluation.seeds import Seed, evaluation_seed
 from armctl.evaluation.statistics import Bounds
-from armctl.evaluation.store import CSV, EpisodeLog, check_store
+from armctl.evaluation.store import COMPARISON, CSV, POLICY_SEED, EpisodeLog, check_store, stored_policy_seed
 from armctl.evaluation.summary import certificate_notes, counted_results, summarise
 from armctl.evaluation.workers import WorkersFailed
-from armctl.policies import Policy, WorldsByInterface, expanded, is_group, learners, make_policy, named_policies
+from armctl.policies import Policy, WorldsByInterface, expanded, is_group, learners, named_policies
 from armctl.registration import bare_id, remember_named
 
 UNTOLD = "{env} is not made of a task of armctl's: least times, feasibility, contacts and clearances are unknown."
@@ -72,6 +73,7 @@ def compare(
     slow_down: float = 1.0,
     store: str = CSV,
     return_bounds: Bounds | None = None,
+    policy_seed: int | None = None,
     progress: Callable[[EpisodeResult], None] | None = None,
 ) -> Comparison:
     """Let policies play the same episodes 0 to `episodes` - 1 of `seed`; `"test"` is the sealed one (`armctl.seeds`).
@@ -92,6 +94,10 @@ def compare(
     of a comparison with one world and one worker, whose decision times are repeated: then the episodes are the same
     whenever and wherever they are played. Each process plays one world at a time, however many `worlds` there are.
     Decisions take `slow_down` times as long as they were measured.
+
+    Policies draw their own random numbers from a secret, the policy seed (see `armctl.envs.policy_seed`), which is in
+    the summary. `policy_seed` sets it, so that another comparison draws the same; by default it is that of the folder,
+    or a new one.
 
     `policies` is a list, or a mapping from names in the results, of any of the forms that `make_policy` takes: names,
     files, functions, classes, models; by default, it is what the task of `env` declares. `NAME[*]` is all trainings of
@@ -129,7 +135,9 @@ def compare(
             check_measurable(worlds, engine.workers)
         check_recorded(paced, by_name, episodes)
         worlds = 1
+    stored = None if out is None or overwrite else stored_policy_seed(Path(out) / COMPARISON)
     comparison = Comparison(env, seed, env_options, EpisodeTable())
+    comparison.policy_seed = secret = chosen_policy_seed(policy_seed, stored)
     comparison.baseline, comparison.margin, comparison.groups = baseline, margin, groups
     comparison.notes += [
         ONE_TRAINING.format(group=name) for name in asked if is_group(asked[name]) and name not in groups
@@ -138,17 +146,17 @@ def compare(
     with ExitStack() as stack:
         interfaces = WorldsByInterface(env, worlds if engine.is_here else 1, env_options)
         stack.callback(interfaces.close)
-        made_env = interfaces.asked
+        made_env, made = interfaces.asked, _built(comparison, by_name, interfaces, secret)
+        playing = {name: policy for name, policy in by_name.items() if name in made}
         with wrap_environment_errors("a trial", 0):
             made_env.reset(seed=seed)  # raises for an invalid seed, before anything is written
-        made = {name: make_policy(policy, interfaces.of(policy)) for name, policy in by_name.items()}
-        comparison.spared = {name: interfaces.spared(policy, made[name]) for name, policy in by_name.items()}
+        comparison.spared = {name: interfaces.spared(policy, made[name]) for name, policy in playing.items()}
         if paced is not None:
             check_real_time(bare_id(env), made_env)
             comparison.real_time = {"latency": paced.latency, "slow_down": paced.slow_down}
             comparison.notes.append(paced.in_words(made_env.task.control_period))
         if not engine.is_here:
-            check_sendable(by_name)
+            check_sendable(playing)
         comparison.notes += seed_notes(env, env_options) if seeding is None else seeding
         if isinstance(made_env, ThirdPartyVectorEnv):
             comparison.notes.append(UNTOLD.format(env=bare_id(env)))
@@ -156,6 +164,7 @@ def compare(
         if out is not None:
             late = None if paced is None else paced.identity(by_name)
             own = identity(env, comparison.env_options, seed, by_name, made, made_env, late)
+            own = {**own, POLICY_SEED: str(secret)}
         meter, log = RunMeter(own, worlds, engine.workers), None
         if out is not None:
             log = stack.enter_context(EpisodeLog(Path(out), own, episodes, overwrite, meter.run, store))
@@ -169,10 +178,11 @@ def compare(
         least = {} if least_lengths is None else least_lengths
         least.update(zip(*(results.column(name).tolist() for name in ("episode", "least_length")), strict=True))
         if engine.is_here:
-            played_in = {name: interfaces.of(policy) for name, policy in by_name.items()}
+            played_in = {name: interfaces.of(policy) for name, policy in playing.items()}
             stream = play_here(made, played_in, seed, waiting, least, paced)
         else:
-            setting = Setting(WorkerConfig(env, worlds, comparison.env_options, seed, engine.workers), by_name)
+            config = WorkerConfig(env, worlds, comparison.env_options, seed, secret, engine.workers)
+            setting = Setting(config, playing)
             stream = play_in_workers(setting, made, interfaces, waiting, least, engine, paced)
         try:
             with closing(stream):
@@ -205,6 +215,19 @@ def compare(
             except ResultsError as error:
                 comparison.failures["results"] = str(error)
     return comparison
+
+
+def _built(
+    comparison: Comparison, by_name: Mapping[str, Any], interfaces: WorldsByInterface, policy_seed: int
+) -> dict[str, Policy]:
+    """The policies, made before anything is reset; without those that write to the world as they are made."""
+    made = {}
+    for name, policy in by_name.items():
+        try:
+            made[name] = build_policy(policy, interfaces.of(policy), name, policy_seed)
+        except PolicyDisqualified as failure:
+            _note_failures(comparison, failed(name, [], failure))
+    return made
 
 
 def _note_failures(comparison: Comparison, played: RolloutBatch) -> None:

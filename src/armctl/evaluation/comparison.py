@@ -51,6 +51,8 @@ class Comparison(Displayed):
     """The disturbances that do not reach a policy, by its name in `episodes`."""
     disqualified: list[str] = field(default_factory=list)
     """Policies that wrote to the world, so that none of their episodes count."""
+    policy_seed: int | None = None
+    """Secret from which policies drew their own random numbers; None if it is not known."""
     interrupted: bool = False
     resumed: int = 0
     """Number of episodes that an earlier run had finished."""
@@ -111,6 +113,7 @@ def summary(comparison: Comparison) -> dict[str, Any]:
         "env": comparison.env,
         "env_options": {name: str(value) for name, value in comparison.env_options.items()},
         "seed": comparison.seed,
+        "policy_seed": None if comparison.policy_seed is None else str(comparison.policy_seed),
         "real_time": comparison.real_time,
         "interrupted": comparison.interrupted,
         "resumed": comparison.resumed,

@@ -43,10 +43,10 @@ def identity(
 ) -> dict[str, Any]:
     """Everything that determines a comparison's episodes, as JSON values.
 
-    `given` are the policies as they were asked for, `policies` as they were made for `worlds`; `real_time` is
-    `RealTime.identity`. Agents, code of one's
-    own, objects, files among the options, the compiled MuJoCo model with its meshes, and armctl's source count by
-    checksum. What other files a policy or an environment opens is not known.
+    `given` are the policies as they were asked for, `policies` as they were made for `worlds`, as far as they play;
+    `real_time` is `RealTime.identity`. Agents, code of one's own, objects, files among the options, the compiled MuJoCo
+    model with its meshes, and armctl's source count by checksum. What other files a policy or an environment opens is
+    not known.
     """
     definitions = {name: _definition(policy) for name, policy in given.items()}
     return {
@@ -55,7 +55,7 @@ def identity(
         "registered": _registration(env),
         "seed": seed,
         "real_time": real_time,
-        "policies": list(policies),
+        "policies": list(given),
         "sees": {name: policy.sees for name, policy in policies.items()},
         "agents": {name: policy.card.sha256 for name, policy in policies.items() if isinstance(policy, OnnxPolicy)},
         "interfaces": {

@@ -1,7 +1,6 @@
 """Plays blocks of episodes: one after the other in this process, or in parallel by an engine's workers."""
 
 import contextlib
-import functools
 import os
 import signal
 import uuid
@@ -21,10 +20,10 @@ from armctl.evaluation.engines import Cluster, Engine
 from armctl.evaluation.identity import identity
 from armctl.evaluation.real_time import RealTime, RealTimePolicy
 from armctl.evaluation.record import EpisodeResult
-from armctl.evaluation.rollouts import PolicyDisqualified, PolicyFailed, rollouts
+from armctl.evaluation.rollouts import PolicyDisqualified, PolicyFailed, build_policy, rollouts
 from armctl.evaluation.sending import relative
 from armctl.evaluation.workers import Work, check_alike
-from armctl.policies import Policy, PolicyFactory, WorldsByInterface, configured, make_policy
+from armctl.policies import Policy, PolicyFactory, WorldsByInterface, configured
 from armctl.policies.trainings import training_card
 
 ROUNDS = 4
@@ -37,15 +36,20 @@ class Interfaces(Protocol):
     def of(self, policy: Any) -> EpisodeVectorEnv:
         """Those of a policy."""
 
+    def close(self) -> None:
+        """Close all of them."""
+
 
 @dataclass(frozen=True)
 class WorkerConfig:
-    """The environment in which all policies play; each worker makes it once."""
+    """The environment in which all policies play; each worker makes it once for each policy."""
 
     env: str = field(compare=False)
     worlds: int = field(compare=False)
     env_options: Mapping[str, Any] = field(compare=False)
     seed: int = field(compare=False)
+    policy_seed: int = field(compare=False, repr=False)
+    """Secret from which policies draw their random numbers (see `armctl.envs.policy_seed`)."""
     workers: int = field(compare=False, default=1)
     home: int = field(default_factory=os.getpid, compare=False)
     """Id of the process that waits for the workers."""
@@ -99,7 +103,7 @@ def play_here(
             for result in rollouts(timed, env, waiting[name], seed, name, least_lengths):
                 yield RolloutBatch(name, [result])
         except (PolicyFailed, EnvironmentFailed) as failure:
-            yield _failed(name, [], failure)
+            yield failed(name, [], failure)
 
 
 def play_in_workers(
@@ -206,38 +210,38 @@ def batch(setting: Setting, name: str, play: Callable[[TimedPolicy, EpisodeVecto
     if os.getpid() != setting.config.home:
         with contextlib.suppress(ValueError):  # threads of a cluster's worker get no signals
             signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the process that waits
-    worlds, timed = _worlds(setting.config).of(setting.policies[name]), _made(setting, name)
     results: list[Any] = []
     try:
+        worlds, timed = _made(setting, name)
         results.extend(play(timed, worlds))
     except (PolicyFailed, EnvironmentFailed) as failure:
-        return _failed(name, results, failure)
+        return failed(name, results, failure)
     return RolloutBatch(name, results)
 
 
-def _failed(name: str, results: list[Any], failure: PolicyFailed | EnvironmentFailed) -> RolloutBatch:
+def failed(name: str, results: list[Any], failure: PolicyFailed | EnvironmentFailed) -> RolloutBatch:
+    """The results of a policy up to its failure, with the reason."""
     disqualified = isinstance(failure, PolicyDisqualified)
     return RolloutBatch(name, results, str(failure), format_cause(failure), disqualified)
 
 
-_policies: dict[tuple[WorkerConfig, str], TimedPolicy] = {}
+_present: dict[tuple[WorkerConfig, str], tuple[Interfaces, EpisodeVectorEnv, TimedPolicy]] = {}
+"""In a worker: the policy that plays at present, with its worlds."""
 
 
-@functools.lru_cache(maxsize=1)
-def _worlds(config: WorkerConfig) -> Interfaces:
-    _policies.clear()
-    return config.interfaces(config.env, config.worlds, config.env_options, threads=1)
-
-
-def _made(setting: Setting, name: str) -> TimedPolicy:
+def _made(setting: Setting, name: str) -> tuple[EpisodeVectorEnv, TimedPolicy]:
+    """A policy in worlds of its own, in which no other one has begun an episode or written anything."""
     config, policy = setting.config, setting.policies[name]
-    if (config, name) not in _policies:
-        worlds = _worlds(config).of(policy)
-        made = make_policy(policy, worlds)
+    if (config, name) not in _present:
+        while _present:
+            _present.popitem()[1][0].close()
+        interfaces = config.interfaces(config.env, config.worlds, config.env_options, threads=1)
+        worlds = interfaces.of(policy)
+        made = build_policy(policy, worlds, name, config.policy_seed)
         if expected := setting.identities.get(name):
             check_alike(expected, _known_there(setting, name, made, worlds))
-        _policies[config, name] = TimedPolicy(made, worlds.num_envs, config.workers)
-    return _policies[config, name]
+        _present[config, name] = interfaces, worlds, TimedPolicy(made, worlds.num_envs, config.workers)
+    return _present[config, name][1:]
 
 
 def _for_sending(setting: Setting, made: Mapping[str, Policy], worlds: Interfaces) -> tuple[Setting, list[Path]]:

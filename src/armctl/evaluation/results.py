@@ -6,7 +6,7 @@ from functools import reduce
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-from pydantic import BeforeValidator, TypeAdapter, ValidationError
+from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError
 from typing_extensions import TypedDict
 
 from armctl.errors import ResultsError
@@ -70,6 +70,7 @@ class _Summary:
     margin: float = MARGIN
     time_limit: int | None = None
     real_time: _RealTime | None = None
+    policy_seed: Annotated[int, Field(ge=0, lt=2**128)] | None = None
     groups: dict[str, list[str]] = field(default_factory=dict)
     disqualified: list[str] = field(default_factory=list)
     runs: list[Run] = field(default_factory=list)
@@ -132,6 +133,7 @@ def read_results(folder: Path) -> Results:
         real_time=dict(summary.real_time) if summary.real_time else None,
         groups=summary.groups,
         disqualified=summary.disqualified,
+        policy_seed=summary.policy_seed,
         interrupted=summary.interrupted,
         resumed=summary.resumed,
     )

@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from armctl import DEFAULT_ENV
-from armctl.envs import EpisodeVectorEnv
+from armctl.envs import EpisodeVectorEnv, chosen_policy_seed
 from armctl.errors import (
     FAILURES,
     ArmctlError,
@@ -26,7 +26,7 @@ from armctl.evaluation.episode_table import EpisodeTable
 from armctl.evaluation.metrics import metrics
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.seeds import Seed, evaluation_seed
-from armctl.evaluation.tampering import Watch
+from armctl.evaluation.tampering import StateGuard
 from armctl.policies import Policy, PolicyFactory, WorldsByInterface, make_policy, policy_name
 from armctl.tasks import MotionSample
 
@@ -60,7 +60,7 @@ def rollouts(
     Raises `PolicyFailed` if the policy fails (`PolicyDisqualified` if it writes to the world), and `EnvironmentFailed`
     if the environment does.
     """
-    n, watch = env.num_envs, Watch(env)
+    n, guard = env.num_envs, StateGuard(env)
     episodes = range(episodes) if isinstance(episodes, int) else episodes
     playing = np.arange(n) < len(episodes)
     numbers = np.array([*episodes[:n], *[0] * (n - len(episodes))])
@@ -70,10 +70,10 @@ def rollouts(
     with wrap_environment_errors(name, numbers[0]):
         observations, infos = env.reset(seed=[seed] * n, options={"episode": numbers})
         recorder.begin(playing, numbers, infos)
-    with wrap_policy_errors(name, numbers[0]), watch.untouched(new_episode=True):
+    with wrap_policy_errors(name, numbers[0]), guard.assert_unchanged(new_episode=True):
         timed.reset(np.arange(n, dtype=np.int32), numbers.tolist())
     while playing.any():
-        with wrap_policy_errors(name, numbers[playing][0]), watch.untouched():
+        with wrap_policy_errors(name, numbers[playing][0]), guard.assert_unchanged():
             actions, decision_ms = timed.act(observations)
         with wrap_environment_errors(name, numbers[playing][0]):
             observations, rewards, terminated, truncated, infos = env.step(actions)
@@ -91,7 +91,7 @@ def rollouts(
             with wrap_environment_errors(name, numbers[again][0]):
                 observations, infos = env.reset(options={"reset_mask": again, "episode": np.maximum(numbers, 0)})
                 recorder.begin(again, numbers, infos)
-            with wrap_policy_errors(name, numbers[again][0]), watch.untouched(new_episode=True):
+            with wrap_policy_errors(name, numbers[again][0]), guard.assert_unchanged(new_episode=True):
                 timed.reset(np.flatnonzero(again).astype(np.int32), numbers[again].tolist())
         recorder.forget_before_all(playing)
 
@@ -210,6 +210,18 @@ def wrap_environment_errors(name: str, episode: int) -> Iterator[None]:
         raise EnvironmentFailed(f"the environment failed in episode {episode} of {name}: {described(error)}") from error
 
 
+def build_policy(policy: Any, env: EpisodeVectorEnv, name: str, policy_seed: int) -> Policy:
+    """Make a policy called `name` for the worlds of `env`, which nobody has reset yet: there is no episode to see.
+
+    Raises what `make_policy` raises, and `PolicyDisqualified` if making it writes to the world.
+    """
+    try:
+        with StateGuard(env).assert_unchanged(new_episode=True):
+            return make_policy(policy, env, name=name, policy_seed=policy_seed)
+    except Disqualified as error:
+        raise PolicyDisqualified(f"{name} is disqualified: when it was made, {error}") from error
+
+
 def check_counts(**counts: int) -> None:
     """Raise `ConfigurationError` for a number of episodes, worlds or workers that is too small or too large."""
     for name, count in counts.items():
@@ -226,10 +238,12 @@ def evaluate(
     worlds: int = 1,
     env_options: Mapping[str, Any] | None = None,
     least_lengths: bool = True,
+    policy_seed: int | None = None,
 ) -> pd.DataFrame:
     """Play episodes 0 to `episodes` - 1 of `seed` with one policy; one row per episode, with `episodes.csv`'s columns.
 
     Without `least_lengths`, which often take longer to compute than the episodes, these and `optimality_gap` are NaN.
+    The policy's own random numbers come from `policy_seed`, of up to 128 bits, or else from a new secret.
 
     Raises `ConfigurationError`, `AgentFileError`, `PolicyFailed` or `EnvironmentFailed`.
     """
@@ -237,7 +251,7 @@ def evaluate(
     seed = evaluation_seed(seed)
     with closing(WorldsByInterface(env, min(worlds, episodes), env_options)) as interfaces:
         made_env = interfaces.of(policy)
-        made = make_policy(policy, made_env)
+        made = build_policy(policy, made_env, policy_name(policy), chosen_policy_seed(policy_seed))
         known = None if least_lengths else dict.fromkeys(range(episodes), math.nan)
         played = rollouts(made, made_env, episodes, seed, policy_name(policy), known)
         return EpisodeTable(played).sorted([policy_name(policy)]).frame()

@@ -25,6 +25,8 @@ RUNS = "runs.json"
 """The runs that have played episodes (see `Run`) or told another verdict, the present one included."""
 STORES = CSV, PARQUET = "csv", "parquet"
 """What a folder holds its episodes as, once all are played."""
+POLICY_SEED = "policy_seed"
+"""In a comparison's identity: the secret of its policies' random numbers, in decimal digits."""
 _RUNS = TypeAdapter(list[Run])
 
 
@@ -167,6 +169,15 @@ class EpisodeLog:
             ) from error
         if what := "; ".join(differences(stored, comparison)):
             raise ResultsError(f"{self._folder} holds results of another comparison ({what}): {otherwise}")
+
+
+def stored_policy_seed(path: Path) -> int | None:
+    """The policy seed of an identity in a file; None if there is none that can be read."""
+    try:
+        values = unsealed(bounded_text(path))
+        return int(values.get("identity", values)[POLICY_SEED])
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
+        return None
 
 
 def read_runs(folder: Path) -> list[Run]:

@@ -142,6 +142,7 @@ def suite(
     worlds: int = 1,
     workers: int | Engine = 1,
     store: str = CSV,
+    policy_seed: int | None = None,
     progress: Callable[[str, int], None] | None = None,
 ) -> Suite:
     """Let all policies of all tasks play, undisturbed and under the main disturbances.
@@ -192,7 +193,7 @@ def suite(
                     swept = sweep(
                         plan.policies, plan.env, disturbances=plan.disturbances, episodes=episodes, seed=seed,
                         out=folder and inside(folder, name), overwrite=overwrite, worlds=worlds, workers=workers,
-                        store=store, progress=functools.partial(_told, progress, name, total),
+                        store=store, policy_seed=policy_seed, progress=functools.partial(_told, progress, name, total),
                     )  # fmt: skip
                 except ArmctlError as error:
                     found.failures[plan.env] = "; ".join(filter(None, (found.failures.get(plan.env), str(error))))
@@ -233,7 +234,6 @@ def line_up(env: str) -> tuple[str, ...]:
     Raises `ConfigurationError`.
     """
     with closing(WorldsByInterface(env, 1)) as worlds:
-        worlds.asked.reset(seed=0)
         names = dict.fromkeys((*default_policies(env), *(name for name in policy_names() if _fits(name, env, worlds))))
     return tuple(name for name in names if name not in UNSKILLED) or tuple(names)
 

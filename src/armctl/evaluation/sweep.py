@@ -13,7 +13,7 @@ import pandas as pd
 
 from armctl import DEFAULT_ENV
 from armctl.disturbances import DisturbanceSpec, available
-from armctl.envs import full_id, make_worlds
+from armctl.envs import chosen_policy_seed, full_id, make_worlds
 from armctl.errors import ConfigurationError, ResultsError, unknown_name
 from armctl.evaluation.compare import compare, default_policies, with_return_bounds
 from armctl.evaluation.comparison import Comparison
@@ -38,7 +38,7 @@ from armctl.evaluation.scores import counted_rows
 from armctl.evaluation.seeding import seed_notes
 from armctl.evaluation.seeds import Seed, evaluation_seed
 from armctl.evaluation.statistics import Bounds, Estimate
-from armctl.evaluation.store import CSV, check_store
+from armctl.evaluation.store import COMPARISON, CSV, check_store, stored_policy_seed
 from armctl.evaluation.summary import PolicySummary
 from armctl.evaluation.summary_tables import sweep_parts
 from armctl.evaluation.tables import Document, Remark
@@ -129,6 +129,7 @@ def sweep(
     real_time: str | Path | None = None,
     store: str = CSV,
     return_bounds: Bounds | None = None,
+    policy_seed: int | None = None,
     progress: Callable[[str, EpisodeResult], None] | None = None,
 ) -> Sweep:
     """Compare policies on the same episodes, undisturbed and at each level of each disturbance.
@@ -139,9 +140,9 @@ def sweep(
     those in the results folder `real_time`, or else those of the undisturbed comparison, which then needs one world and
     one worker.
 
-    The other arguments are those of `compare`. `out` gets `sweep.csv` and a comparison's folder for each level,
-    `out/none` for that without disturbance. The same call resumes an interrupted sweep, and a call with more levels
-    extends it. `progress` is called with the comparison's name and the episode.
+    The other arguments are those of `compare`; all comparisons have one `policy_seed`. `out` gets `sweep.csv` and a
+    comparison's folder for each level, `out/none` for that without disturbance. The same call resumes an interrupted
+    sweep, and a call with more levels extends it. `progress` is called with the comparison's name and the episode.
 
     Raises `ConfigurationError`, `AgentFileError`, and `ResultsError` as `compare` does.
     """
@@ -167,6 +168,8 @@ def sweep(
     elif recorded is not None:
         raise ConfigurationError(f"real_time is for the levels of {SLOWER}, of which none is asked for (--slow-down)")
     folder = None if out is None else Path(out)
+    stored = None if folder is None or overwrite else stored_policy_seed(folder / UNDISTURBED / COMPARISON)
+    secret = chosen_policy_seed(policy_seed, stored)
     constant = dict(options.pop("disturbances", {}))
     least: dict[int, float] = {}
     seeding = seed_notes(env, env_options)
@@ -201,7 +204,7 @@ def sweep(
                     playing, env, episodes=episodes, seed=seed, out=folder and inside(folder, name),
                     overwrite=overwrite, worlds=worlds, workers=workers, env_options=options | disturbing,
                     least_lengths=least, seeding=seeding, real_time=late, store=store,
-                    progress=functools.partial(told, name),
+                    policy_seed=secret, progress=functools.partial(told, name),
                 )  # fmt: skip
             except ResultsError as error:
                 if name == UNDISTURBED:

@@ -1,14 +1,18 @@
-"""Notices a policy that writes to the world: what an episode depends on, compared before and after it acts.
+"""Notices a policy that writes to the world: what an episode depends on, compared before and after it is made and acts.
 
-These are MuJoCo's state, the model's fields of each world, and the arrays and plain values among the attributes of the
-environment, its task, the parts of the task and the robot's limits. What a policy changes and puts back is allowed, as
-by a planner that tries actions. Of environments of others, it is MuJoCo's state, and the arrays and plain values among
-their own attributes.
+These are MuJoCo's state, the model's fields of each world, the arrays and plain values among the attributes of the
+environment, its spaces, its task, the parts of the task and the robot's limits, and the constants of the task's classes
+and of the modules that define them. What a policy changes and puts back is allowed, as by a planner that tries actions.
+Of environments of others, it is MuJoCo's state, the arrays and plain values among their own attributes, and the same
+constants.
 """
 
+import contextlib
+import sys
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any
 
 import gymnasium
@@ -16,50 +20,109 @@ import mujoco
 import numpy as np
 
 from armctl.envs import EpisodeVectorEnv, TaskVectorEnv, ThirdPartyVectorEnv
-from armctl.errors import Disqualified
+from armctl.errors import FAILURES, Disqualified
 from armctl.simulation import Simulation
 
 _PLAIN = (bool, int, float, str, np.generic)
 _MJ_DATA = ("qpos", "qvel", "act", "ctrl", "mocap_pos", "mocap_quat", "xfrc_applied")
+_LARGE = 2**16
+"""Bytes. The checksum of a larger array takes longer than most decisions: a read-only one is taken as unchanged."""
+_SPACES = ("single_observation_space", "single_action_space", "observation_space", "action_space")
 
 
-class Watch:
-    """Watches the worlds of an environment while a policy decides."""
+class StateGuard:
+    """Watches the worlds of an environment while a policy is made, and while it decides."""
 
     def __init__(self, env: Any) -> None:
         self._worlds: EpisodeVectorEnv = env.unwrapped
-        self._slots: list[tuple[str, Any, Any]] = []
+        self._slots: list[_Slot] = []
 
     @contextmanager
-    def untouched(self, new_episode: bool = False) -> Iterator[None]:
+    def assert_unchanged(self, new_episode: bool = False) -> Iterator[None]:
         """Check that what happens inside leaves the worlds as they are. Raises `Disqualified`.
 
-        What there is to compare is looked up when an episode begins.
+        What there is to compare is looked up when an episode begins. What was written is put back, so that the policies
+        which play after this one play the same task; the current episodes are lost.
         """
         if new_episode:
-            self._slots = list(_slots(self._worlds))
+            self._slots = [_Slot.of(*place) for place in _places(self._worlds)]
         state = getattr(self._worlds.task, "state", None)  # another object at each control step
-        slots = [*self._slots, *_inside("task.state", getattr(state, "__dict__", {}))]
-        before = [_value(holder, key) for _, holder, key in slots]
-        yield
-        after = [_value(holder, key) for _, holder, key in slots]
+        slots = [*self._slots, *(_Slot.of(*at) for at in _inside("task.state", getattr(state, "__dict__", {})))]
+        before = [slot.value() for slot in slots]
+        failure: Exception | None = None
+        try:
+            yield
+        except FAILURES as error:
+            failure = error
+        after = [slot.value() for slot in slots]
         if before != after:
-            changed = [name for (name, *_), one, other in zip(slots, before, after, strict=True) if one != other]
-            raise Disqualified(f"it wrote to the world, which is only for reading: {', '.join(changed[:3])}")
+            changed = [(slot, was) for slot, was, now in zip(slots, before, after, strict=True) if was != now]
+            for slot, was in changed:
+                slot.put_back(was)
+            names = ", ".join(slot.name for slot, _ in changed[:3])
+            raise Disqualified(f"it wrote to the world, which is only for reading: {names}") from failure
+        if failure is not None:
+            raise failure
 
 
-def _slots(worlds: EpisodeVectorEnv) -> Iterator[tuple[str, Any, Any]]:
-    """Where the values are that an episode depends on: a name, and the key or index in a dict or list."""
+@dataclass(frozen=True)
+class _Slot:
+    """A place where a value is that an episode depends on."""
+
+    name: str
+    holder: Any
+    """A dict, a list, or a class."""
+    key: Any
+    array: Any = None
+    """The array that is there, if it is one, and a copy of what it holds."""
+    content: Any = None
+
+    @classmethod
+    def of(cls, name: str, holder: Any, key: Any) -> "_Slot":
+        there = _items(holder)[key]
+        return cls(name, holder, key, *((there, there.copy()) if isinstance(there, np.ndarray) else ()))
+
+    def value(self) -> Any:
+        """The plain value, or the checksum of an array; None for what is gone."""
+        try:
+            value: Any = _items(self.holder)[self.key]
+        except LookupError:
+            return None
+        if not isinstance(value, np.ndarray):
+            return value
+        if value.nbytes > _LARGE and not value.flags.writeable:
+            return id(value)
+        return zlib.crc32(value.data if value.flags.c_contiguous else value.tobytes())
+
+    def put_back(self, value: Any) -> None:
+        """Restore what was there: `value`, or the array with its content."""
+        if self.array is not None:
+            value = self.array
+            if value.flags.writeable:
+                value[...] = self.content
+        if isinstance(self.holder, type):
+            setattr(self.holder, self.key, value)
+        else:
+            with contextlib.suppress(IndexError):
+                self.holder[self.key] = value
+
+
+def _places(worlds: EpisodeVectorEnv) -> Iterator[tuple[str, Any, Any]]:
+    """Where the values are that an episode depends on: a name, and the key or index in a dict, list or class."""
     task: Any = worlds.task
     yield from _inside("env", vars(worlds))
+    for name in _SPACES:
+        yield from _inside(f"env.{name}", getattr(getattr(worlds, name, None), "__dict__", {}))
     yield from _inside("task", vars(task))
     for name, part in vars(task).items():
         if name != "state" and hasattr(part, "__dict__") and not isinstance(part, (Simulation, gymnasium.Space)):
             yield from _inside(f"task.{name}", vars(part))
     yield from _inside("robot.limits", getattr(getattr(task.robot, "limits", None), "__dict__", {}))
     if isinstance(worlds, TaskVectorEnv):
+        yield from constants(type(task))
         yield from _inside("simulation", task.simulation.live_arrays)
     elif isinstance(worlds, ThirdPartyVectorEnv):
+        yield from constants(type(worlds.worlds[0].unwrapped))
         for i, world in enumerate(worlds.worlds):
             yield from _inside(f"world {i}", vars(world.unwrapped))
             for name, part in vars(world.unwrapped).items():
@@ -67,9 +130,21 @@ def _slots(worlds: EpisodeVectorEnv) -> Iterator[tuple[str, Any, Any]]:
                     yield from _inside(f"world {i}.{name}", {key: getattr(part, key) for key in _MJ_DATA})
 
 
-def _inside(name: str, holder: Mapping[Any, Any] | Sequence[Any]) -> Iterator[tuple[str, Any, Any]]:
-    items = holder.items() if isinstance(holder, Mapping) else enumerate(holder)
-    for key, value in items:
+def constants(cls: type[Any]) -> Iterator[tuple[str, Any, Any]]:
+    """Where the constants of a class are, of those that it inherits from, and of the modules that define them."""
+    for kind in cls.__mro__:
+        if kind is not object:
+            yield from _inside(kind.__name__, kind)
+    for module in dict.fromkeys(kind.__module__ for kind in cls.__mro__):
+        if module != "builtins" and module in sys.modules:
+            yield from _inside(module, vars(sys.modules[module]))
+
+
+def _inside(name: str, holder: Any) -> Iterator[tuple[str, Any, Any]]:
+    items = _items(holder)
+    for key, value in items.items() if isinstance(items, Mapping) else enumerate(items):
+        if isinstance(key, str) and key.startswith("__"):
+            continue  # Python's own, of modules and classes
         numbers = isinstance(value, np.ndarray) and value.dtype != object
         if numbers or _is_plain(value) or (isinstance(value, tuple) and all(map(_is_plain, value))):
             yield f"{name}.{key}", holder, key
@@ -77,16 +152,9 @@ def _inside(name: str, holder: Mapping[Any, Any] | Sequence[Any]) -> Iterator[tu
             yield from _inside(f"{name}.{key}", value)
 
 
+def _items(holder: Any) -> Mapping[Any, Any] | Sequence[Any]:
+    return vars(holder) if isinstance(holder, type) else holder  # type: ignore[no-any-return]
+
+
 def _is_plain(value: Any) -> bool:
     return isinstance(value, _PLAIN)
-
-
-def _value(holder: Any, key: Any) -> Any:
-    """A plain value, or the checksum of an array; None for what is gone."""
-    try:
-        value: Any = holder[key]
-    except LookupError:
-        return None
-    if not isinstance(value, np.ndarray):
-        return value
-    return zlib.crc32(value.data if value.flags.c_contiguous else value.tobytes())

@@ -13,7 +13,7 @@ import gymnasium
 
 from armctl.agents import FILES, load_agent
 from armctl.costs import UNTRAINED
-from armctl.envs import EpisodeVectorEnv, Interface, TaskEnv
+from armctl.envs import EpisodeVectorEnv, Interface, PolicyStreams, TaskEnv, chosen_policy_seed
 from armctl.errors import FAILURES, ArmctlError, ConfigurationError, described, unknown_name
 from armctl.policies.configured import configured, tuning_of
 from armctl.policies.plain import adapted
@@ -71,7 +71,13 @@ def named_policies(policies: Any) -> dict[str, Any]:
     return by_name
 
 
-def make_policy(policy: Any, env: gymnasium.Env[Any, Any] | EpisodeVectorEnv | Interface) -> Policy:
+def make_policy(
+    policy: Any,
+    env: gymnasium.Env[Any, Any] | EpisodeVectorEnv | Interface,
+    *,
+    name: str | None = None,
+    policy_seed: int | None = None,
+) -> Policy:
     """Make a policy for the worlds of `env`: an environment, or the interface of a policy that is made of another.
 
     `policy` is one of these:
@@ -89,7 +95,9 @@ def make_policy(policy: Any, env: gymnasium.Env[Any, Any] | EpisodeVectorEnv | I
     - a `Policy`, which acts in all worlds at once.
 
     Where it says `env`, a policy gets an `Interface` of copies, with as much as it declares to see (`armctl.sees`);
-    only one that sees the state gets the environment itself.
+    only one that sees the state gets the environment itself. The random numbers of `env.rng` are determined by
+    `policy_seed`, a whole number of up to 128 bits, together with the policy's `name` in results (by default its own)
+    and the episode. Without a `policy_seed` one is drawn, so that another call gives other numbers.
 
     Raises `ConfigurationError` for an unknown name, or for a policy that sees more than was declared, and
     `AgentFileError` for a file that cannot be run here.
@@ -102,7 +110,9 @@ def make_policy(policy: Any, env: gymnasium.Env[Any, Any] | EpisodeVectorEnv | I
             f"policies act in worlds that armctl has made (armctl.envs.make_worlds), and {env} is not among them"
         )
     try:
-        made = _made(policy, worlds)
+        label = policy_name(policy) if name is None else name
+        streams = PolicyStreams(label, chosen_policy_seed(policy_seed))
+        made = _made(policy, worlds, streams)
     except ArmctlError:
         raise
     except FAILURES as error:
@@ -112,9 +122,9 @@ def make_policy(policy: Any, env: gymnasium.Env[Any, Any] | EpisodeVectorEnv | I
     return made
 
 
-def _made(policy: Any, worlds: EpisodeVectorEnv | Interface) -> Policy:
+def _made(policy: Any, worlds: EpisodeVectorEnv | Interface, streams: PolicyStreams) -> Policy:
     if not isinstance(policy, (str, Path)):
-        return adapted(policy, worlds, policy_name(policy))
+        return adapted(policy, worlds, policy_name(policy), streams)
     name = str(policy)
     if Path(name).suffix in FILES:
         return load_agent(Path(name), worlds)
@@ -128,13 +138,13 @@ def _made(policy: Any, worlds: EpisodeVectorEnv | Interface) -> Policy:
     if worlds.normalized and is_expert(name):
         raise ConfigurationError(f"{name} acts in physical units, not in worlds with actions='normalized'")
     if (found := configured(name)) is not None:
-        return adapted(found.make(), worlds, name)
+        return adapted(found.make(), worlds, name, streams)
     if name in policy_names():
-        return adapted(installed(GROUP)[name].load(), worlds, name)
+        return adapted(installed(GROUP)[name].load(), worlds, name, streams)
     if name.endswith(".py"):
         raise ConfigurationError(f"there is no policy {name!r}. Name a function or class in that file: {name}:NAME")
     if ":" not in name:
         raise unknown_name(
             "policy", name, [*policy_names(), "path/to/agent.json", "path/to/options.toml", "file.py:NAME"]
         )
-    return adapted(import_attribute(name, "policy"), worlds, name)
+    return adapted(import_attribute(name, "policy"), worlds, name, streams)

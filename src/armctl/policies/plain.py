@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from armctl.envs import EpisodeVectorEnv, Interface, Sees, ThirdPartyVectorEnv, one_of
+from armctl.envs import EpisodeVectorEnv, Interface, PolicyStreams, Sees, ThirdPartyVectorEnv, one_of
 from armctl.envs.single import OneWorld
 from armctl.errors import ConfigurationError, InvalidAction, defined_at
 from armctl.policies.policy import Actions, PerWorld, Policy
@@ -23,13 +23,13 @@ Worlds = EpisodeVectorEnv | Interface
 """An environment, for a policy that sees the state; for all others, what they are told about it."""
 
 
-def adapted(given: Any, worlds: Worlds, name: str) -> Policy:
-    """A policy from any of the objects that `make_policy` takes, made of what it declares to see.
+def adapted(given: Any, worlds: Worlds, name: str, streams: PolicyStreams) -> Policy:
+    """A policy from any of the objects that `make_policy` takes, made of what it declares to see, and `streams`.
 
     Raises `ConfigurationError`.
     """
     what = declared(given)
-    policy: Policy = as_declared(_adapted(given, told(what, worlds, name), name), what, name, given)
+    policy: Policy = as_declared(_adapted(given, told(what, worlds, name, streams), name), what, name, given)
     return policy
 
 

@@ -4,7 +4,7 @@ import functools
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
-from armctl.envs import SEES, EpisodeVectorEnv, Interface, Sees, how_to_declare, interface_of
+from armctl.envs import SEES, EpisodeVectorEnv, Interface, PolicyStreams, Sees, how_to_declare, interface_of
 from armctl.errors import ConfigurationError, defined_at, unknown_name
 
 Factory = TypeVar("Factory")
@@ -48,14 +48,18 @@ def declared(given: Any) -> str:
     return str(what)
 
 
-def told(what: str, env: EpisodeVectorEnv | Interface, name: str) -> EpisodeVectorEnv | Interface:
+def told(
+    what: str, env: EpisodeVectorEnv | Interface, name: str, streams: PolicyStreams
+) -> EpisodeVectorEnv | Interface:
     """What a policy called `name` gets of an environment: an interface, or all of it if the policy sees the state.
+
+    Its random numbers are those of `streams`, or of the policy that makes it.
 
     Raises `ConfigurationError` if it is made by another policy, in whose interface there is less.
     """
     if isinstance(env, Interface):
         return env.limited_to(what, name)
-    return env if what == "state" else interface_of(env, what)
+    return env if what == "state" else interface_of(env, what, streams)
 
 
 def as_declared(policy: Any, what: str, name: str, source: Any) -> Any:

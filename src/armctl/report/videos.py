@@ -123,7 +123,13 @@ def _play(results: Results, result: EpisodeResult, stride: int) -> _Recording:
     with (
         closing(
             Stage(
-                name, comparison.env, comparison.seed, result.episode, comparison.env_options, render_mode="rgb_array"
+                name,
+                comparison.env,
+                comparison.seed,
+                result.episode,
+                comparison.env_options,
+                render_mode="rgb_array",
+                policy_seed=comparison.policy_seed,
             )
         ) as stage,
         _pictures(stage) as picture,

@@ -6,17 +6,17 @@ import signal
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from armctl.envs import full_id, task_of
+from armctl.envs import full_id, new_policy_seed, task_of
 from armctl.errors import ConfigurationError, ResultsError, unknown_name
 from armctl.evaluation.curves import CURVE, read_curve
 from armctl.evaluation.identity import checksums_of_code
-from armctl.evaluation.rollouts import rollouts
+from armctl.evaluation.rollouts import build_policy, rollouts
 from armctl.evaluation.seeds import VALIDATION_SEED
 from armctl.files import read_toml
 from armctl.learners import Recipe, load_recipe, recipe_names
@@ -25,7 +25,6 @@ from armctl.policies import (
     PolicyConfiguration,
     WorldsByInterface,
     configurations,
-    make_policy,
     read_configuration,
 )
 from armctl.search_space import Range, SearchSpace, search_space, value_at, with_values
@@ -162,6 +161,8 @@ class PolicyCandidate(Candidate):
 
     configuration: PolicyConfiguration
     episodes: int
+    policy_seed: int = field(default_factory=new_policy_seed)
+    """Secret of the random numbers that the policy draws itself; all trials of a run have the same."""
 
     @property
     def content(self) -> dict[str, Any]:
@@ -176,7 +177,7 @@ class PolicyCandidate(Candidate):
             WorldsByInterface(env, min(WORLDS, self.episodes), configuration.env_options, threads=1)
         ) as made:
             worlds = made.of(configuration.policy)
-            policy = make_policy(configuration.make(), worlds)
+            policy = build_policy(configuration.make(), worlds, self.name, self.policy_seed)
             for step, first in enumerate(range(0, self.episodes, BLOCK)):
                 block = range(first, min(first + BLOCK, self.episodes))
                 known |= dict.fromkeys(block, float("nan"))  # least lengths are not needed, and take long

@@ -1,5 +1,6 @@
 """Plays one policy in one world, control step by control step, and keeps the episode's status, for viewers."""
 
+import functools
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -8,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.envs import chosen_policy_seed
 from armctl.evaluation.rollouts import wrap_environment_errors, wrap_policy_errors
 from armctl.policies import Plans, Policy, WorldsByInterface, make_policy
 
@@ -42,7 +44,8 @@ class Status:
 class Stage:
     """Plays one episode at a time in one world. Another policy, seed or episode can be started at any time.
 
-    Raises `ConfigurationError` or `AgentFileError` for a policy or an environment that cannot be made.
+    The policies' own random numbers come from `policy_seed`, or else from a new secret. Raises `ConfigurationError` or
+    `AgentFileError` for a policy or an environment that cannot be made.
     """
 
     def __init__(
@@ -53,28 +56,38 @@ class Stage:
         episode: int = 0,
         env_options: Mapping[str, Any] | None = None,
         render_mode: str | None = None,
+        policy_seed: int | None = None,
     ) -> None:
-        self.env_id = env
-        self._interfaces = WorldsByInterface(env, 1, env_options, render_mode=render_mode)
-        self.worlds = self._interfaces.asked
-        self.task = self.worlds.task
+        self.env_id, self._policy_seed = env, chosen_policy_seed(policy_seed)
+        self._interfaces_again = functools.partial(WorldsByInterface, env, 1, env_options, render_mode=render_mode)
+        self._interfaces: WorldsByInterface | None = None
+        self.status = Status("", seed, episode)
+        self.play(policy, seed, episode)
         self.longest = self.worlds.max_episode_steps
         """Control steps until an episode is truncated; None: never."""
         self.period: float = self.task.control_period or 1 / self.worlds.metadata["render_fps"]
         """Seconds between control steps; if that is unknown, between two frames of a video."""
-        self.status = Status("", seed, episode)
-        self.play(policy, seed, episode)
 
     def play(self, policy: str, seed: int, episode: int) -> None:
         """Start an episode. If it raises `ConfigurationError` or `AgentFileError`, the current episode continues."""
         if policy != self.status.policy:
-            worlds = self._interfaces.of(policy)
-            self._actor: Policy = make_policy(policy, worlds)
-            self.worlds, self.task = worlds, worlds.task
+            self._cast(policy)
         self._observations, infos = self.worlds.reset(seed=[seed], options={"episode": [episode]})
         with wrap_policy_errors(policy, episode):
             self._actor.reset(np.zeros(1, dtype=np.int32))
         self.status = Status(policy, seed, episode, distance=self._distance(), contacts=_touched(infos))
+
+    def _cast(self, policy: str) -> None:
+        """Make a policy, in worlds that have begun no episode yet."""
+        interfaces = self._interfaces_again()
+        try:
+            worlds = interfaces.of(policy)
+            self._actor: Policy = make_policy(policy, worlds, policy_seed=self._policy_seed)
+        except BaseException:
+            interfaces.close()
+            raise
+        self.close()
+        self._interfaces, self.worlds, self.task = interfaces, worlds, worlds.task
 
     def step(self) -> None:
         """Make one control step, unless the episode has ended. Raises `PolicyFailed` or `EnvironmentFailed`."""
@@ -104,7 +117,8 @@ class Stage:
 
     def close(self) -> None:
         """Close the environment."""
-        self._interfaces.close()
+        if self._interfaces is not None:
+            self._interfaces.close()
 
     def _distance(self) -> float:
         return float(self.task.goal_distances()[0])

@@ -31,8 +31,11 @@ def run_episodes(
     env_options: Mapping[str, Any],
     first: int = 0,
     rerun: Path | None = None,
+    policy_seed: int | None = None,
 ) -> bool:
     """Play episodes with one policy, from number `first` on, and print each step. Returns False if interrupted.
+
+    The policy's own random numbers come from `policy_seed`, or else from a new secret.
 
     Raises `ConfigurationError`, `AgentFileError`, `PolicyFailed`, and `ResultsError` if the video or
     the recording for Rerun cannot be written.
@@ -47,7 +50,7 @@ def run_episodes(
     interfaces = _make(env, steps, "human" if watch else "rgb_array" if video else None, env_options)
     try:
         worlds = interfaces.of(policy)
-        actor = make_policy(policy, worlds)
+        actor = make_policy(policy, worlds, policy_seed=policy_seed)
         with _film(video, worlds.metadata["render_fps"], console) as film, _log(rerun, worlds, console) as log:
             for episode in range(first, first + episodes):
                 console.rule(f"{policy}, episode {episode} of seed {seed}", align="left")

@@ -38,7 +38,7 @@ DECIMALS = 6
 
 @dataclass(frozen=True, eq=False)
 class LayoutPool:
-    """k layouts for one arm. Raises `ConfigurationError` for arrays that do not fit together."""
+    """k layouts for one arm, in read-only arrays. Raises `ConfigurationError` for arrays that do not fit together."""
 
     robot: str
     """The arm's `robot_digest`."""
@@ -73,12 +73,15 @@ class LayoutPool:
             raise ConfigurationError("boxes should have half sizes above 0")
         if not all(self.feasible[rows].any() for rows in self.parts.values()):
             raise ConfigurationError("each part should have a feasible layout")
+        for array in (self.sizes, self.targets, self.counts, self.packed, self.feasible):
+            array.setflags(write=False)
 
     @functools.cached_property
     def boxes(self) -> NDArray[np.float32]:
         """(k, `MOST_OBSTACLES`, `BOX_NUMBERS`); zeros for absent boxes."""
         boxes = np.zeros((len(self.counts), MOST_OBSTACLES, BOX_NUMBERS), dtype=np.float32)
         boxes[np.arange(MOST_OBSTACLES) < self.counts[:, None]] = self.packed
+        boxes.setflags(write=False)
         return boxes
 
     @property
