@@ -28,6 +28,8 @@ from armctl.registration import import_attribute, import_named, installed
 
 WITHOUT_EFFECT = {"baselines", "cli", "datasets", "models", "report", "rl", "viewer"}
 """Folders of armctl that take no part in an episode, or count by other means."""
+_PACKAGES = {"site-packages", "dist-packages"}
+"""Folders of installed packages, also of another environment that Python's path leads to."""
 _first_seen: dict[Path, bytes] = {}
 """Files of modules, as this process has seen them first."""
 
@@ -242,7 +244,7 @@ def _is_own(module: ModuleType) -> bool:
 
 def is_library(file: Path) -> bool:
     """Whether a file or folder belongs to Python or to an installed package."""
-    return any(map(file.is_relative_to, _libraries()))
+    return not _PACKAGES.isdisjoint(file.parts) or any(map(file.is_relative_to, _libraries()))
 
 
 @functools.cache
