@@ -1,19 +1,27 @@
 """What makes a comparison another one: everything that a policy or an environment is made of."""
 
 import functools
+import importlib
 import os
+import shutil
 import subprocess
 import sys
 import threading
 import types
+from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
+import armctl
+from armctl.envs import make_worlds
 from armctl.errors import ConfigurationError, ResultsError
 from armctl.evaluation import compare
+from armctl.evaluation import identity as identity_module
 from armctl.evaluation.fingerprint import fingerprint
-from armctl.evaluation.identity import checksums_of_code, differences
+from armctl.evaluation.identity import checksum_of_core, checksums_of_code, differences, identity
+from armctl.evaluation.results import read_results
 
 from ..command_line import program
 
@@ -85,10 +93,22 @@ def test_another_value_inside_is_another_object(kind):
     assert "unknown" not in fingerprint(make(0.1))
 
 
-def test_what_cannot_be_told_equals_nothing():
-    given = Gain(threading.Lock())
-    assert fingerprint(given) != fingerprint(given)
-    assert fingerprint(given).startswith("unknown (")
+def test_what_cannot_be_hashed_is_played_and_written_but_not_resumed(tmp_path):
+    """Whoever asks for it is told which of the policies it is, and which part of it."""
+    policies = {"locked": Gain(0.1), "mine": Gain(0.1)}
+    policies["locked"].lock = threading.Lock()
+    first = compare(policies, episodes=2, out=tmp_path, env_options=OPTIONS)
+    assert len(first.results) == 4
+    assert read_results(tmp_path).names == ["locked", "mine"]
+    with pytest.raises(ResultsError) as refused:
+        compare(policies, episodes=2, out=tmp_path, env_options=OPTIONS)
+    assert "episodes of locked cannot be resumed, since it cannot be hashed (its .lock of type lock: " in str(
+        refused.value
+    )
+    assert "use a module:function" in str(refused.value)
+    assert "--overwrite" in str(refused.value)
+    assert "mine" not in str(refused.value)
+    assert compare(policies, episodes=2, out=tmp_path, env_options=OPTIONS, overwrite=True).resumed == 0
 
 
 @pytest.mark.parametrize("kind", ["object", "closure", "default", "class", "bound method"])
@@ -197,6 +217,179 @@ def test_options_that_are_objects_count_by_value(tmp_path):
     assert compare("random", episodes=2, out=tmp_path, env_options=reward(1.0)).resumed == 2
     with pytest.raises(ResultsError, match="env_options: reward"):
         compare("random", episodes=2, out=tmp_path, env_options=reward(2.0))
+
+
+@pytest.fixture
+def modules(tmp_path, monkeypatch):
+    """Writes modules of one's own, and imports them as a new process would."""
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(identity_module, "_first_seen", {})
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+
+    def load(**texts):
+        identity_module._first_seen.clear()
+        importlib.invalidate_caches()
+        for name, text in texts.items():
+            (tmp_path / f"{name}.py").write_text(text)
+            sys.modules.pop(name, None)
+        return [importlib.import_module(name) for name in texts]
+
+    before = set(sys.modules)
+    yield load
+    for name in set(sys.modules) - before:
+        if str(tmp_path) in str(getattr(sys.modules[name], "__file__", "")):
+            del sys.modules[name]
+
+
+REWARD = """
+SCALE = {scale}
+
+def helper(state):
+    return SCALE * state.distance
+
+def near(state):
+    return helper(state)
+"""
+
+
+def plays(out, policies="random", **options):
+    return compare(policies, episodes=2, out=out, env_options=OPTIONS | options).resumed
+
+
+def test_an_edited_reward_term_of_a_module_does_not_resume(modules, tmp_path):
+    """Though the option is the same function, of the same module and name."""
+    (terms,) = modules(terms=REWARD.format(scale=1.0))
+    assert plays(tmp_path / "out", reward={"near": terms.near}) == 0
+    (terms,) = modules(terms=REWARD.format(scale=1.0))
+    assert plays(tmp_path / "out", reward={"near": terms.near}) == 2
+    (terms,) = modules(terms=REWARD.format(scale=2.0))
+    with pytest.raises(ResultsError, match="env_options: reward"):
+        plays(tmp_path / "out", reward={"near": terms.near})
+
+
+IMPORTS = {
+    "computed": "import importlib\nname = 'ga' + 'ins'\nG = importlib.import_module(name)\n",
+    "by a text": "import importlib\n\ndef pd(x):\n    return x[3:9] * importlib.import_module('gains').GAIN\n",
+    "from its file": "import importlib.util, pathlib\nspec = importlib.util.spec_from_file_location('other', "
+    "pathlib.Path(__file__).with_name('gains.py'))\nG = importlib.util.module_from_spec(spec)\n"
+    "spec.loader.exec_module(G)\n",
+}
+
+
+@pytest.mark.parametrize("how", IMPORTS)
+def test_a_module_that_importlib_loads_counts(modules, tmp_path, how):
+    policy = IMPORTS[how] + ("" if "def pd" in IMPORTS[how] else "\ndef pd(x):\n    return x[3:9] * G.GAIN\n")
+    _, mine = modules(gains="GAIN = 0.1\n", mine=policy)
+    assert plays(tmp_path / "out", [mine.pd]) == 0
+    _, mine = modules(gains="GAIN = 0.1\n", mine=policy)
+    assert plays(tmp_path / "out", [mine.pd]) == 2
+    _, mine = modules(gains="GAIN = 0.9\n", mine=policy)
+    with pytest.raises(ResultsError, match=r"gains|objects: pd"):
+        plays(tmp_path / "out", [mine.pd])
+
+
+def test_a_module_that_was_loaded_then_counts_loaded_or_not_and_others_do_not(modules, tmp_path):
+    """What a policy reads of a module may be beyond what its code tells: then it is a module that was loaded."""
+    modules(settings="GAIN = 0.1\n")
+    assert plays(tmp_path / "out") == 0
+    modules(plots="COLOUR = 1\n")
+    assert plays(tmp_path / "out") == 2
+    del sys.modules["settings"]
+    assert plays(tmp_path / "out") == 2
+    (tmp_path / "settings.py").write_text("GAIN = 0.9\n")
+    with pytest.raises(ResultsError, match=r"loaded: .*settings.py \w+ there, changed"):
+        plays(tmp_path / "out")
+    identity_module._first_seen.clear()
+    with pytest.raises(ResultsError, match=r"loaded: .*settings.py \w+ there, \w+ here"):
+        plays(tmp_path / "out")
+
+
+def test_a_global_that_a_script_sets_is_another_policy(modules, tmp_path, monkeypatch):
+    (mine,) = modules(mine="GAIN = 0.1\n\ndef pd(x):\n    return x[3:9] * GAIN\n")
+    assert plays(tmp_path / "out", ["mine:pd"]) == 0
+    assert plays(tmp_path / "out", ["mine:pd"]) == 2
+    monkeypatch.setattr(mine, "GAIN", 0.9)
+    with pytest.raises(ResultsError, match="objects: mine:pd"):
+        plays(tmp_path / "out", ["mine:pd"])
+
+
+@pytest.mark.parametrize(
+    "place",
+    ["armctl.tasks.reach.reach:ReachTask.instruction", "armctl.tasks.reach.reach:LARGEST_RELATIVE_MOVE"],
+)
+def test_a_constant_of_the_task_that_a_script_sets_is_another_task(tmp_path, monkeypatch, place):
+    assert plays(tmp_path) == 0
+    monkeypatch.setattr(place.replace(":", "."), 0.123)
+    with pytest.raises(ResultsError, match="constants"):
+        plays(tmp_path)
+
+
+class Net(torch.nn.Module):
+    def __init__(self, gain):
+        super().__init__()
+        self.linear, self.gain = torch.nn.Linear(1, 1), gain
+        torch.nn.init.zeros_(self.linear.weight)
+        torch.nn.init.zeros_(self.linear.bias)
+
+    def act(self, observation):
+        return observation[3:9] * self.gain
+
+
+class Doubled(Net):
+    def act(self, observation):
+        return 2 * super().act(observation)
+
+
+@pytest.mark.parametrize("other", [lambda: Net(0.9), lambda: Doubled(0.1)], ids=["attribute", "type"])
+def test_a_torch_module_with_the_same_parameters_is_another_one(tmp_path, other):
+    assert plays(tmp_path, {"net": Net(0.1)}) == 0
+    assert plays(tmp_path, {"net": Net(0.1)}) == 2
+    with pytest.raises(ResultsError, match="objects: net"):
+        plays(tmp_path, {"net": other()})
+
+
+@pytest.mark.parametrize("package", ["numba", "llvmlite", "coal", "torch"])
+def test_another_version_of_what_computes_does_not_resume(tmp_path, monkeypatch, package):
+    assert plays(tmp_path) == 0
+    real = identity_module.versions()
+    assert package in real
+    monkeypatch.setattr(identity_module, "versions", lambda: real | {package: "0.1"})
+    with pytest.raises(ResultsError, match=f"versions: {package} "):
+        plays(tmp_path)
+
+
+def test_an_edit_of_armctls_source_changes_the_identity(tmp_path, monkeypatch):
+    """Of each module that an episode needs: those that are loaded in a process which has played one."""
+    script = (
+        "import sys, armctl; armctl.compare('random', episodes=1, env_options={'max_episode_steps': 1}); "
+        "print(*[m.__file__ for n, m in sys.modules.items() if n.startswith('armctl.') and hasattr(m, '__file__')])"
+    )
+    output = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout
+    root = Path(armctl.__file__).parent
+    needed = [Path(name).relative_to(root) for name in output.split() if Path(name).is_relative_to(root)]
+    folders = {path.parts[0] for path in needed}
+    assert {"envs", "evaluation", "kernels", "policies", "simulation", "tasks"} <= folders
+    copy = tmp_path / "armctl"
+    shutil.copytree(root, copy, ignore=lambda _, names: [n for n in names if "." in n and not n.endswith(".py")])
+    spec = types.SimpleNamespace(submodule_search_locations=[str(copy)])
+    monkeypatch.setattr(identity_module.importlib.util, "find_spec", lambda name: spec)
+    monkeypatch.setattr(identity_module, "checksum_of_core", checksum_of_core.__wrapped__)
+    worlds = make_worlds("ArmReach-v0", 1)
+    source = lambda: identity("armctl/ArmReach-v0", {}, 0, {}, {}, worlds)["source"]  # noqa: E731
+    original = source()
+    assert original == checksum_of_core()  # of this package, which is the same
+    unnoticed = []
+    for folder in sorted(folders):
+        path = copy / next(one for one in needed if one.parts[0] == folder)
+        text = path.read_text()
+        path.write_text(text + "# edited\n")
+        unnoticed += [folder] if source() == original else []
+        path.write_text(text)
+    assert not set(unnoticed) - SHOWING
+
+
+SHOWING = {"cli", "report", "viewer"}
+"""Folders of what shows results, or starts comparisons, and takes no part in an episode."""
 
 
 def test_differences_are_told_one_by_one():

@@ -14,7 +14,7 @@ import numpy as np
 
 from armctl.datasets.demonstrations import OBSERVATIONS, Demonstration, observations_of, parts_of
 from armctl.errors import ResultsError
-from armctl.evaluation.identity import differences
+from armctl.evaluation.identity import reasons_not_to_resume
 from armctl.files import bounded_text, sealed, unsealed, write_atomically
 
 OTHERWISE = "choose another folder, or overwrite it (--overwrite)"
@@ -95,7 +95,7 @@ def check_same(path: Path, identity: Mapping[str, Any], folder: Path) -> dict[st
     try:
         values = unsealed(bounded_text(path))
         stored = values.get("identity", values)
-        what = "; ".join(differences(stored, json.loads(json.dumps(identity))))
+        what = "; ".join(reasons_not_to_resume(stored, json.loads(json.dumps(identity))))
     except (OSError, ValueError, AttributeError) as error:
         raise ResultsError(f"{folder} already holds a dataset that is damaged ({error}): {OTHERWISE}") from error
     if what:

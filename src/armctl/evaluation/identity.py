@@ -5,9 +5,7 @@ import functools
 import importlib.util
 import inspect
 import os
-import site
 import sys
-import sysconfig
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from types import ModuleType
@@ -20,16 +18,18 @@ from gymnasium.envs.registration import load_env_creator
 from armctl.agents import OnnxPolicy
 from armctl.envs import EpisodeVectorEnv, TaskVectorEnv, ThirdPartyVectorEnv, find_spec
 from armctl.errors import ConfigurationError
-from armctl.evaluation.fingerprint import fingerprint
+from armctl.evaluation.fingerprint import UNKNOWN, fingerprint
+from armctl.evaluation.own_code import file_of, is_core, is_library, is_own
 from armctl.evaluation.provenance import versions
+from armctl.evaluation.tampering import constants
 from armctl.files import short_checksum
 from armctl.policies import GROUP, Policy, configured, policy_names
 from armctl.registration import import_attribute, import_named, installed
 
 WITHOUT_EFFECT = {"baselines", "cli", "datasets", "models", "report", "rl", "viewer"}
 """Folders of armctl that take no part in an episode, or count by other means."""
-_PACKAGES = {"site-packages", "dist-packages"}
-"""Folders of installed packages, also of another environment that Python's path leads to."""
+LOADED = "loaded"
+"""In an identity: the files of all modules of one's own that were loaded."""
 _first_seen: dict[Path, bytes] = {}
 """Files of modules, as this process has seen them first."""
 
@@ -47,8 +47,9 @@ def identity(
 
     `given` are the policies as they were asked for, `policies` as they were made for `worlds`, as far as they play;
     `real_time` is `RealTime.identity`. Agents, code of one's own, objects, files among the options, the compiled MuJoCo
-    model with its meshes, and armctl's source count by checksum. What other files a policy or an environment opens is
-    not known.
+    model with its meshes, and armctl's source count by checksum; so do the task's constants, as they are, and all
+    loaded modules of one's own, by their files. What other files a policy or an environment opens is not known, nor
+    what it imports by a computed name while it plays.
     """
     definitions = {name: _definition(policy) for name, policy in given.items()}
     return {
@@ -64,6 +65,9 @@ def identity(
             name: policy.card.env_options for name, policy in policies.items() if isinstance(policy, OnnxPolicy)
         },
         "objects": {name: fingerprint(given) for name, given in definitions.items() if given is not None},
+        "makers": fingerprint([*_makers(env, worlds)]),
+        "constants": fingerprint(constants(worlds)),
+        LOADED: _loaded(),
         **checksums(env, worlds, env_options, definitions.values()),
         "versions": versions(),
         "source": checksum_of_core(),
@@ -94,6 +98,24 @@ def differences(stored: Mapping[str, Any], here: Mapping[str, Any]) -> list[str]
     return found
 
 
+def reasons_not_to_resume(stored: Mapping[str, Any], here: Mapping[str, Any]) -> list[str]:
+    """Why episodes of a stored identity cannot be continued here, in words: what has no checksum, or what differs.
+
+    Modules of one's own that have been loaded since then do not count; those which were loaded then do, loaded or not.
+    """
+    fields = [(name, what) for name, what in here.items() if isinstance(what, Mapping)] + [("", here)]
+    unknown = [
+        f"episodes of {name} cannot be resumed, since it cannot be hashed ({value.removeprefix(UNKNOWN)[:-11]}): use a "
+        "module:function"
+        for _, values in fields
+        for name, value in values.items()
+        if isinstance(value, str) and value.startswith(UNKNOWN)
+    ]
+    loaded = stored.get(LOADED)
+    now = {file: _checksum_at(Path(file)) for file in loaded} if isinstance(loaded, Mapping) else None
+    return unknown or differences(stored, {**here, LOADED: now})
+
+
 def checksums_of_code(things: Iterable[Any]) -> dict[str, str]:
     """Checksums of the files that define some functions, classes, objects and modules, by file name.
 
@@ -103,7 +125,7 @@ def checksums_of_code(things: Iterable[Any]) -> dict[str, str]:
     Raises `ConfigurationError` if a file has changed since this process has first seen it.
     """
     modules = [thing if inspect.ismodule(thing) else inspect.getmodule(_code_of(thing)) for thing in things]
-    waiting = [file for one in modules if one is not None and _counts(one) and (file := _file_of(one))]
+    waiting = [file for one in modules if one is not None and _counts(one) and (file := file_of(one))]
     sources: dict[str, list[bytes]] = {}
     seen: set[Path] = set()
     while waiting:
@@ -122,15 +144,37 @@ def own_modules() -> dict[str, Path]:
 
     Raises `ConfigurationError` if a file has changed since this process has first seen it.
     """
-    found = {name: _file_of(module) for name, module in list(sys.modules.items()) if name != "__main__"}
-    own = {
-        name: file
-        for name, file in found.items()
-        if file is not None and not is_library(file) and not f"{name}.".startswith("armctl.")
-    }
+    found = {name: _own_file(module) for name, module in list(sys.modules.items()) if name != "__main__"}
+    own = {name: file for name, file in found.items() if file is not None}
     for file in own.values():
         _check_unchanged(file, file.read_bytes())
     return own
+
+
+def _loaded() -> dict[str, str]:
+    """Checksums of the files of all loaded modules of one's own, by their paths, relative to this folder if in it."""
+    files = {
+        file for module in list(sys.modules.values()) if module.__name__ != "__main__" and (file := _own_file(module))
+    }
+    here = Path.cwd()
+    return {
+        str(file.relative_to(here) if file.is_relative_to(here) else file): _checksum_at(file) for file in sorted(files)
+    }
+
+
+def _own_file(module: ModuleType) -> Path | None:
+    file = file_of(module)
+    return None if file is None or is_library(file) or f"{module.__name__}.".startswith("armctl.") else file
+
+
+def _checksum_at(file: Path) -> str:
+    """The checksum of a module's file; another text if it is gone, or is no longer what this process has loaded."""
+    try:
+        content = file.read_bytes()
+    except OSError:
+        return "gone"
+    changed = _first_seen.setdefault(file.resolve(), content) != content
+    return f"changed since it was imported, to {short_checksum(content)}" if changed else short_checksum(content)
 
 
 def _check_unchanged(file: Path, content: bytes) -> None:
@@ -209,53 +253,27 @@ def _imports_of(file: Path, content: bytes) -> Iterator[Path]:
             case ast.ImportFrom():
                 folder = file.parents[max(node.level - 1, 0)]
                 names = [node.module or "", *(f"{node.module or ''}.{name.name}".strip(".") for name in node.names)]
+            case ast.Call(args=[ast.Constant(value=str(name)), *_]) if _imports_by_name(node.func):
+                names, folder = [name], file.parent
             case _:
                 continue
         for name in filter(None, names):
             module = sys.modules.get(name) if folder == file.parent else None
-            if module is not None and _is_own(module) and (found := _file_of(module)):
+            if module is not None and is_own(module) and (found := file_of(module)):
                 yield found
             beside = folder.joinpath(*name.split("."))
             if not is_library(beside):
                 yield from filter(Path.is_file, (beside.with_suffix(".py"), beside / "__init__.py"))
 
 
+def _imports_by_name(function: ast.expr) -> bool:
+    """Whether an expression is one of Python's functions that import a module by a text."""
+    name = getattr(function, "attr", getattr(function, "id", ""))
+    return name in ("import_module", "__import__")
+
+
 def _counts(module: ModuleType) -> bool:
-    return module.__name__ != "__main__" and not _is_core(module)
-
-
-def _is_core(module: ModuleType) -> bool:
-    """Whether a module is armctl's, and not one of the plug-ins that come with it."""
-    return f"{module.__name__}.".startswith("armctl.") and not _is_plugin(module)
-
-
-def _is_plugin(module: ModuleType) -> bool:
-    packages = {f"{entry.module.rpartition('.')[0]}." for entry in installed(GROUP)}
-    return module.__name__.startswith(tuple(packages))
-
-
-def _is_own(module: ModuleType) -> bool:
-    """Whether a module is the user's or a plug-in's: neither of another installed package, nor Python's."""
-    file = _file_of(module)
-    if file is None or _is_core(module):
-        return False
-    return _is_plugin(module) or not is_library(file)
-
-
-def is_library(file: Path) -> bool:
-    """Whether a file or folder belongs to Python or to an installed package."""
-    return not _PACKAGES.isdisjoint(file.parts) or any(map(file.is_relative_to, _libraries()))
-
-
-@functools.cache
-def _libraries() -> tuple[Path, ...]:
-    places = (*site.getsitepackages(), site.getusersitepackages(), *sysconfig.get_paths().values())
-    return tuple(Path(place).resolve() for place in places)
-
-
-def _file_of(module: ModuleType) -> Path | None:
-    file = getattr(module, "__file__", None)
-    return Path(file).resolve() if file and Path(file).is_file() else None
+    return module.__name__ != "__main__" and not is_core(module)
 
 
 def _checksum_of_model(worlds: EpisodeVectorEnv) -> str | None:

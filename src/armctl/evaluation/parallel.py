@@ -17,7 +17,7 @@ from armctl.envs import EpisodeVectorEnv
 from armctl.errors import ConfigurationError, EnvironmentFailed, format_cause
 from armctl.evaluation.decision_times import TimedPolicy
 from armctl.evaluation.engines import Cluster, Engine
-from armctl.evaluation.identity import identity
+from armctl.evaluation.identity import LOADED, identity
 from armctl.evaluation.real_time import RealTime, RealTimePolicy
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.rollouts import PolicyDisqualified, PolicyFailed, build_policy, rollouts
@@ -279,5 +279,5 @@ def _known_there(setting: Setting, name: str, made: Policy, worlds: EpisodeVecto
     config, policy = setting.config, setting.policies[name]
     known = identity(config.env, config.env_options, config.seed, {name: policy}, {name: made}, worlds)
     installed = isinstance(policy, str) and ":" not in policy and ":" not in config.env
-    sent = {"objects"} if installed else {"objects", "code", "registered"}
+    sent = {"objects", "makers", LOADED} | (set() if installed else {"code", "registered", "constants"})
     return {key: value for key, value in known.items() if key not in sent}

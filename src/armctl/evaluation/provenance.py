@@ -1,13 +1,14 @@
 """Provenance of results: versions of packages, the machine, and the run that played an episode."""
 
 import contextlib
+import functools
 import os
 import platform
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -132,8 +133,8 @@ def processor_model() -> str:
     return platform.processor() or platform.machine()
 
 
-def versions() -> dict[str, str]:
-    """Versions of Python and of the packages on which results depend."""
+@functools.cache
+def _versions() -> dict[str, str]:
     packages = (
         DISTRIBUTION,
         "mujoco",
@@ -148,8 +149,19 @@ def versions() -> dict[str, str]:
         "scipy",
         "onnxruntime",
         "example-robot-data",
+        "numba",
+        "llvmlite",
+        "coal",
     )
-    return {"python": platform.python_version()} | {package: version(package) for package in packages}
+    found = {"python": platform.python_version()} | {package: version(package) for package in packages}
+    with contextlib.suppress(PackageNotFoundError):  # only learners need it
+        found["torch"] = version("torch")
+    return found
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the packages on which results depend."""
+    return dict(_versions())
 
 
 def machine() -> dict[str, Any]:

@@ -13,7 +13,7 @@ from armctl.errors import ResultsError, unknown_name
 from armctl.evaluation.episode_table import EpisodeTable, table_of
 from armctl.evaluation.episodes_csv import Journal, read_csv, write_csv
 from armctl.evaluation.episodes_parquet import ROWS, check_parquet, read_parquet, write_parquet
-from armctl.evaluation.identity import differences
+from armctl.evaluation.identity import reasons_not_to_resume
 from armctl.evaluation.provenance import Run
 from armctl.evaluation.record import EpisodeResult
 from armctl.files import bounded_text, digest, one_writer, sealed, unsealed, write_atomically
@@ -64,6 +64,9 @@ class EpisodeLog:
         try:
             self._opened.enter_context(one_writer(folder))
             resuming = bool(_parquet_files(folder) or (folder / EPISODES).exists()) and not overwrite
+            if resuming:
+                comparison = self._same(comparison)
+                self._own = digest(comparison)
             self.kept = self._read(comparison, episodes) if resuming else EpisodeTable()
             self.runs = _of(self.kept, read_runs(folder)) if resuming else []
             (folder / SUMMARY).unlink(missing_ok=True)
@@ -149,7 +152,6 @@ class EpisodeLog:
         write_atomically(self._folder / RUNS, sealed({RUNS: [asdict(one) for one in runs]}))
 
     def _read(self, comparison: Mapping[str, Any], episodes: int) -> EpisodeTable:
-        self._check_same(comparison)
         kept = read_episodes(self._folder, comparison)
         if (last := kept.column("episode").max(initial=0)) >= episodes:
             raise ResultsError(
@@ -158,7 +160,8 @@ class EpisodeLog:
             )
         return kept
 
-    def _check_same(self, comparison: Mapping[str, Any]) -> None:
+    def _same(self, comparison: Mapping[str, Any]) -> dict[str, Any]:
+        """The stored identity of this comparison. Raises `ResultsError` if it is another's."""
         otherwise = "choose another folder, or overwrite them (--overwrite)"
         try:
             stored = unsealed(bounded_text(self._folder / COMPARISON))
@@ -167,8 +170,9 @@ class EpisodeLog:
                 f"{self._folder} holds results without a readable {COMPARISON} that identifies them ({error}): "
                 f"{otherwise}"
             ) from error
-        if what := "; ".join(differences(stored, comparison)):
+        if what := "; ".join(reasons_not_to_resume(stored, comparison)):
             raise ResultsError(f"{self._folder} holds results of another comparison ({what}): {otherwise}")
+        return stored
 
 
 def stored_policy_seed(path: Path) -> int | None:

@@ -118,11 +118,10 @@ def _places(worlds: EpisodeVectorEnv) -> Iterator[tuple[str, Any, Any]]:
         if name != "state" and hasattr(part, "__dict__") and not isinstance(part, (Simulation, gymnasium.Space)):
             yield from _inside(f"task.{name}", vars(part))
     yield from _inside("robot.limits", getattr(getattr(task.robot, "limits", None), "__dict__", {}))
+    yield from _constants(worlds)
     if isinstance(worlds, TaskVectorEnv):
-        yield from constants(type(task))
         yield from _inside("simulation", task.simulation.live_arrays)
     elif isinstance(worlds, ThirdPartyVectorEnv):
-        yield from constants(type(worlds.worlds[0].unwrapped))
         for i, world in enumerate(worlds.worlds):
             yield from _inside(f"world {i}", vars(world.unwrapped))
             for name, part in vars(world.unwrapped).items():
@@ -130,8 +129,13 @@ def _places(worlds: EpisodeVectorEnv) -> Iterator[tuple[str, Any, Any]]:
                     yield from _inside(f"world {i}.{name}", {key: getattr(part, key) for key in _MJ_DATA})
 
 
-def constants(cls: type[Any]) -> Iterator[tuple[str, Any, Any]]:
-    """Where the constants of a class are, of those that it inherits from, and of the modules that define them."""
+def constants(worlds: EpisodeVectorEnv) -> dict[str, Any]:
+    """The constants of the task by name: those of its classes, and of the modules that define them."""
+    return {name: _items(holder)[key] for name, holder, key in _constants(worlds)}
+
+
+def _constants(worlds: EpisodeVectorEnv) -> Iterator[tuple[str, Any, Any]]:
+    cls = type(worlds.worlds[0].unwrapped if isinstance(worlds, ThirdPartyVectorEnv) else worlds.task)
     for kind in cls.__mro__:
         if kind is not object:
             yield from _inside(kind.__name__, kind)
