@@ -144,8 +144,7 @@ def own_modules() -> dict[str, Path]:
 
     Raises `ConfigurationError` if a file has changed since this process has first seen it.
     """
-    found = {name: _own_file(module) for name, module in list(sys.modules.items()) if name != "__main__"}
-    own = {name: file for name, file in found.items() if file is not None}
+    own = _own_files()
     for file in own.values():
         _check_unchanged(file, file.read_bytes())
     return own
@@ -153,18 +152,22 @@ def own_modules() -> dict[str, Path]:
 
 def _loaded() -> dict[str, str]:
     """Checksums of the files of all loaded modules of one's own, by their paths, relative to this folder if in it."""
-    files = {
-        file for module in list(sys.modules.values()) if module.__name__ != "__main__" and (file := _own_file(module))
-    }
+    files = set(_own_files().values())
     here = Path.cwd()
     return {
         str(file.relative_to(here) if file.is_relative_to(here) else file): _checksum_at(file) for file in sorted(files)
     }
 
 
-def _own_file(module: ModuleType) -> Path | None:
-    file = file_of(module)
-    return None if file is None or is_library(file) or f"{module.__name__}.".startswith("armctl.") else file
+def _own_files() -> dict[str, Path]:
+    """Files of all loaded modules of one's own, by the modules' names."""
+    found = {name: file_of(module) for name, module in list(sys.modules.items())}
+    others = "__main__", "armctl"
+    return {
+        name: file
+        for name, file in found.items()
+        if file is not None and name.partition(".")[0] not in others and not is_library(file)
+    }
 
 
 def _checksum_at(file: Path) -> str:
