@@ -81,7 +81,7 @@ def played(env: str, options: dict[str, Any], policy: str, worlds: int, steps: i
     options = dict(options)
     oracle = options.pop("shaping", None)
     made = gymnasium.make_vec(env, num_envs=worlds, autoreset_mode="disabled", threads=1, **options)
-    actor = armctl.make_policy(policy, made)
+    actor = armctl.make_policy(policy, made, policy_seed=SEED)
     playing: Any = made
     if oracle:
         from armctl.shaping import Shaped

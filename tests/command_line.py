@@ -14,6 +14,8 @@ import pytest
 from armctl.cli import main
 
 ARMCTL = str(Path(sys.executable).parent / "armctl")
+POLICY_SEED = 2**128 // 3
+"""Of all runs in this process (see conftest.py); as `--policy-seed`, of a program's."""
 ENVIRONMENT = {"COLUMNS": "100", "NO_COLOR": "1"}
 
 

@@ -2,13 +2,20 @@
 
 import os
 import signal
+from types import SimpleNamespace
 
 import pytest
 
 import armctl  # noqa: F401 - before any test imports MuJoCo, which chooses its OpenGL then
+from armctl.envs import policy_seed
+
+from .command_line import POLICY_SEED
 
 # A shell that runs the tests in the background ignores interrupts, and whatever the tests interrupt would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+policy_seed.secrets = SimpleNamespace(randbits=lambda bits: POLICY_SEED)
+"""In this process, policies that draw random numbers repeat themselves exactly in another run."""
 
 MARKERS = {"slow": "--all", "thorough": "--thorough"}
 """What runs with which option."""

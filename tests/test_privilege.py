@@ -1,17 +1,22 @@
 """A policy gets as much of the environment as it declares to see, and whoever writes to the world is disqualified."""
 
 import functools
+import os
 import re
+import sys
+from contextlib import closing
 
 import numpy as np
 import pytest
 
 import armctl
-from armctl.envs import INTERFACES, SEES, make_worlds
+from armctl.datasets.collect import collect
+from armctl.envs import INTERFACES, SEES, make_worlds, task_of
 from armctl.errors import ConfigurationError, Disqualified
-from armctl.evaluation.rollouts import PolicyDisqualified, rollouts
+from armctl.evaluation.results import read_results
+from armctl.evaluation.rollouts import PolicyDisqualified, build_policy, rollouts
 from armctl.evaluation.tampering import StateGuard
-from armctl.policies import PerWorld, make_policy, policy_names, privileges
+from armctl.policies import PerWorld, WorldsByInterface, make_policy, policy_names, privileges
 from armctl.policies.find import declared_sees
 from armctl.report import write_report
 
@@ -377,3 +382,151 @@ def test_privileges_are_named_where_they_differ():
     comparison = armctl.compare(["reach_ik", "random"], episodes=10, worlds=10, env_options={"max_episode_steps": 3})
     assert "reach_ik (observation + robot model), random (observation)" in repr(comparison)
     assert "observation + robot model" in comparison._repr_html_()
+
+
+# Writing to the world while a policy is made.
+
+
+def at_birth(write):
+    """A policy that writes to the world as it is made, and then only holds still."""
+
+    @armctl.sees("state")
+    def cheat(env):
+        write(env)
+        return Still("state")
+
+    return cheat
+
+
+def widens_the_goal(worlds):
+    vars(worlds.task.options)["tolerance"] = 10.0
+
+
+def moves_the_target_at_birth(worlds):
+    worlds.task._targets[:] = 0.3
+
+
+def lifts_limits(worlds):
+    worlds.task.arm.description.limits.velocity.setflags(write=True)
+    worlds.task.arm.description.limits.velocity[:] = 1e3
+
+
+def widens_the_actions(worlds):
+    worlds.single_action_space.high[:] = 1e3
+
+
+def gives_itself_time(worlds):
+    worlds.max_episode_steps = 10**6
+
+
+def takes_the_time_out_of_the_module(worlds):
+    sys.modules[type(worlds.task).__module__].STEP_REWARD = 5.0
+
+
+def changes_the_class(worlds):
+    type(worlds.task).stops_at_target = not type(worlds.task).stops_at_target
+
+
+BORN = {
+    widens_the_goal: "task.options.tolerance", moves_the_target_at_birth: "task._targets",
+    lifts_limits: "robot.limits.velocity", widens_the_actions: "env.single_action_space.high",
+    gives_itself_time: "env.max_episode_steps", takes_the_time_out_of_the_module: "reach.STEP_REWARD",
+    changes_the_class: "ReachTask.stops_at_target",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("write", BORN, ids=lambda write: write.__name__)
+def test_whoever_writes_as_it_is_made_is_disqualified_and_changes_nothing_for_the_others(write):
+    options = {"max_episode_steps": 4}
+    alone = armctl.compare(["reach_ik", "random"], episodes=3, env_options=options).episodes
+    asked = {"cheat": at_birth(write), "reach_ik": "reach_ik", "random": "random"}
+    comparison = armctl.compare(asked, episodes=3, env_options=options)
+    assert re.search(
+        rf"cheat is disqualified: when it was made, it wrote to the world.*{re.escape(BORN[write])}",
+        comparison.failures["cheat"],
+    )
+    assert comparison.disqualified == ["cheat"]
+    assert [policy.policy for policy in comparison.policies] == ["reach_ik", "random"]
+    columns = ["policy", "episode", "outcome", "return", "length", "path_length"]
+    assert comparison.episodes[columns].equals(alone[columns])
+
+
+@pytest.mark.parametrize("when", ["act", "reset"])
+def test_what_was_written_later_is_put_back_for_the_others_too(when):
+    """Also a wider goal, which no reset would bring back."""
+
+    @armctl.sees("state")
+    def cheat(env):
+        return Still("state", **{when: lambda: widens_the_goal(env)})
+
+    def played(policies):
+        episodes = armctl.compare(policies, episodes=3, env_options={"max_episode_steps": 4}).episodes
+        return episodes[episodes.policy == "random"][["episode", "outcome", "return"]].values.tolist()
+
+    assert played({"cheat": cheat, "random": "random"}) == played({"random": "random", "reach_ik": "reach_ik"})
+
+
+def test_whoever_writes_and_then_raises_is_disqualified_too():
+    @armctl.sees("state")
+    def cheat(env):
+        def act():
+            widens_the_goal(env)
+            raise ValueError("never mind")
+
+        return Still("state", act=act)
+
+    failure = armctl.compare([cheat], episodes=1).failures["cheat"]
+    assert "cheat is disqualified: in episode 0, it wrote to the world" in failure
+
+
+def test_evaluate_collect_and_results_on_disk_know_of_it(tmp_path):
+    cheat = at_birth(widens_the_goal)
+    with pytest.raises(PolicyDisqualified, match="cheat is disqualified: when it was made"):
+        armctl.evaluate(cheat, episodes=1)
+    with pytest.raises(PolicyDisqualified, match="cheat is disqualified: when it was made"):
+        collect(cheat, episodes=1, out=tmp_path / "data")
+    assert not (tmp_path / "data").exists()
+    for _ in range(2):  # the second time, in the same folder
+        armctl.compare([cheat, "reach_ik"], episodes=2, out=tmp_path / "out", env_options={"max_episode_steps": 4})
+        results = read_results(tmp_path / "out").comparison
+        assert results.disqualified == ["cheat"]
+        assert [policy.policy for policy in results.policies] == ["reach_ik"]
+
+
+def test_a_policy_that_is_made_in_a_worker_is_watched_there():
+    """Whoever behaves in the process that waits, and not in those that play."""
+    home = os.getpid()
+
+    def write(worlds):
+        if os.getpid() != home:
+            vars(worlds.task.options)["tolerance"] = 10.0
+
+    comparison = armctl.compare(
+        {"cheat": at_birth(write), "random": "random"}, episodes=2, workers=2, env_options={"max_episode_steps": 4}
+    )
+    assert "cheat is disqualified: when it was made" in comparison.failures["cheat"]
+    assert [policy.policy for policy in comparison.policies] == ["random"]
+
+
+def test_environments_of_others_are_watched_as_a_policy_is_made():
+    @armctl.sees("state")
+    class Cheat:
+        def __init__(self, env):
+            env.unwrapped.max_torque, env.unwrapped.g = 100.0, 0.0
+            self.idle = np.zeros(1)
+
+        def act(self, observation):
+            return self.idle
+
+    comparison = armctl.compare([Cheat, "random"], "Pendulum-v1", episodes=1)
+    assert re.search(
+        r"Cheat is disqualified: when it was made, .*world 0\.(max_torque|g)", comparison.failures["Cheat"]
+    )
+
+
+@pytest.mark.parametrize("env", [REACH, "ArmReachMoving-v0", OBSTACLES, BRIDGE])
+def test_installed_policies_write_nothing_as_they_are_made(env):
+    """There is no false alarm."""
+    for name in task_of(env).default_policies:
+        with closing(WorldsByInterface(env, 2)) as worlds:
+            assert build_policy(name, worlds.of(name), name, 0).sees == declared_sees(name)

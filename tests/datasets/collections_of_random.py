@@ -7,10 +7,13 @@ from pathlib import Path
 
 from armctl.envs import make_worlds
 
+from ..command_line import POLICY_SEED
+
 ARMCTL = str(Path(sys.executable).parent / "armctl")
 SHORT = {"max_episode_steps": 12}
 EPISODES = 150
 COMMAND = ["collect", "random", "--episodes", str(EPISODES), "--worlds", "7", "--set", "max_episode_steps=12"]
+COMMAND += ["--policy-seed", str(POLICY_SEED)]
 
 
 def worlds():

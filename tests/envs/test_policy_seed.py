@@ -2,6 +2,7 @@
 
 import gc
 import json
+import secrets
 import types
 
 import numpy as np
@@ -18,6 +19,12 @@ from armctl.policies import make_policy
 REACH, SHORT = "ArmReach-v0", {"max_episode_steps": 3}
 SEED, EPISODE = 12_345_678, 987_654
 SECRET = 0x0123456789ABCDEF0123456789ABCDEF
+
+
+@pytest.fixture(autouse=True)
+def true_secrets(monkeypatch):
+    """Other tests have the same secret in each run."""
+    monkeypatch.setattr("armctl.envs.policy_seed.secrets", secrets)
 
 
 class Random:
