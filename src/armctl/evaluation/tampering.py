@@ -12,8 +12,7 @@ import sys
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium
 import mujoco
@@ -48,13 +47,13 @@ class StateGuard:
             self._slots = [_Slot.of(*place) for place in _places(self._worlds)]
         state = getattr(self._worlds.task, "state", None)  # another object at each control step
         slots = [*self._slots, *(_Slot.of(*at) for at in _inside("task.state", getattr(state, "__dict__", {})))]
-        before = [slot.value() for slot in slots]
+        before = _values(slots)
         failure: Exception | None = None
         try:
             yield
         except FAILURES as error:
             failure = error
-        after = [slot.value() for slot in slots]
+        after = _values(slots)
         if before != after:
             changed = [(slot, was) for slot, was, now in zip(slots, before, after, strict=True) if was != now]
             for slot, was in changed:
@@ -65,34 +64,24 @@ class StateGuard:
             raise failure
 
 
-@dataclass(frozen=True)
-class _Slot:
+class _Slot(NamedTuple):
     """A place where a value is that an episode depends on."""
 
     name: str
     holder: Any
     """A dict, a list, or a class."""
     key: Any
+    items: Any
+    """The holder as a mapping or a list."""
     array: Any = None
     """The array that is there, if it is one, and a copy of what it holds."""
     content: Any = None
 
     @classmethod
     def of(cls, name: str, holder: Any, key: Any) -> "_Slot":
-        there = _items(holder)[key]
-        return cls(name, holder, key, *((there, there.copy()) if isinstance(there, np.ndarray) else ()))
-
-    def value(self) -> Any:
-        """The plain value, or the checksum of an array; None for what is gone."""
-        try:
-            value: Any = _items(self.holder)[self.key]
-        except LookupError:
-            return None
-        if not isinstance(value, np.ndarray):
-            return value
-        if value.nbytes > _LARGE and not value.flags.writeable:
-            return id(value)
-        return zlib.crc32(value.data if value.flags.c_contiguous else value.tobytes())
+        items = _items(holder)
+        there = items[key]
+        return cls(name, holder, key, items, *((there, there.copy()) if isinstance(there, np.ndarray) else ()))
 
     def put_back(self, value: Any) -> None:
         """Restore what was there: `value`, or the array with its content."""
@@ -105,6 +94,23 @@ class _Slot:
         else:
             with contextlib.suppress(IndexError):
                 self.holder[self.key] = value
+
+
+def _values(slots: Sequence[_Slot]) -> list[Any]:
+    """Plain values, and the checksums of arrays; None for what is gone."""
+    values = []
+    for slot in slots:
+        try:
+            value = slot.items[slot.key]
+        except LookupError:
+            value = None
+        if isinstance(value, np.ndarray):
+            if value.nbytes > _LARGE and not value.flags.writeable:
+                value = id(value)
+            else:
+                value = zlib.crc32(value.data if value.flags.c_contiguous else value.tobytes())
+        values.append(value)
+    return values
 
 
 def _places(worlds: EpisodeVectorEnv) -> Iterator[tuple[str, Any, Any]]:
