@@ -201,8 +201,10 @@ def test_an_environment_that_is_registered_or_made_otherwise(tmp_path, changed, 
 def test_a_module_that_was_edited_after_its_import_is_not_what_runs(tmp_path, monkeypatch):
     (tmp_path / "edited_later.py").write_text("def pd(observation):\n    return observation[3:9]\n")
     monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(identity_module, "_first_seen", {})
     import edited_later
 
+    monkeypatch.setitem(sys.modules, "edited_later", sys.modules.pop("edited_later"))  # it is gone after the test
     checksums_of_code([edited_later.pd])
     (tmp_path / "edited_later.py").write_text("def pd(observation):\n    return 0 * observation[3:9]\n")
     with pytest.raises(ConfigurationError, match="has changed since Python imported it"):

@@ -34,7 +34,7 @@ from armctl.evaluation.own_code import file_of, in_plugin, is_own
 UNKNOWN = "unknown ("
 """What the text begins with that stands for the checksum of an object which has none."""
 _ATOMS = (type(None), bool, int, float, complex, str, bytes)
-_CONTAINERS = (list, tuple, dict, set, frozenset, str, bytes, int, float)
+_CONTAINERS: tuple[Any, ...] = (list, tuple, dict, set, frozenset, str, bytes, int, float)
 """Built-in classes, which others inherit; called with such an object, they return what is inherited."""
 _DEFINING = (FunctionType, classmethod, staticmethod, property)
 _HEAP_TYPE = 1 << 9
@@ -208,7 +208,7 @@ def _object(obj: Any) -> tuple[Any, ...]:
         name for base in cls.__mro__ for name, slot in vars(base).items() if isinstance(slot, MemberDescriptorType)
     ]
     attributes = {name: getattr(obj, name) for name in slots if hasattr(obj, name)} | getattr(obj, "__dict__", {})
-    inherited = [base(obj) for base in _CONTAINERS if isinstance(obj, base)]
+    inherited: list[Any] = [base(obj) for base in _CONTAINERS if isinstance(obj, base)]
     if isinstance(obj, np.ndarray):
         inherited.append(np.asarray(obj))
     elif not inherited and any(base is not object and not base.__flags__ & _HEAP_TYPE for base in cls.__mro__):
@@ -219,10 +219,11 @@ def _object(obj: Any) -> tuple[Any, ...]:
 def _reduced(obj: Any) -> tuple[Any, ...]:
     """What `pickle` would write of an object."""
     reduce = copyreg.dispatch_table.get(type(obj))
-    reduced = reduce(obj) if reduce else obj.__reduce_ex__(4)
+    reduced: Any = reduce(obj) if reduce else obj.__reduce_ex__(4)
     if isinstance(reduced, str):
         return ("named", type(obj).__module__, reduced)
-    make, args, state, items, pairs, *_ = (*reduced, None, None, None)
+    parts: tuple[Any, ...] = (*reduced, None, None, None)
+    make, args, state, items, pairs = parts[:5]
     return make, args, state, items and list(items), pairs and dict(pairs)
 
 

@@ -14,7 +14,8 @@ from typing import Any
 import cloudpickle
 
 from armctl.errors import ConfigurationError
-from armctl.evaluation.identity import is_library, own_modules
+from armctl.evaluation.identity import own_modules
+from armctl.evaluation.own_code import is_library
 
 LARGEST = 256 * 2**20
 """Bytes of files that are sent: agents and modules are far smaller, so more of them is a mistake."""

@@ -48,7 +48,7 @@ class StateGuard:
         state = getattr(self._worlds.task, "state", None)  # another object at each control step
         slots = [*self._slots, *(_Slot.of(*at) for at in _inside("task.state", getattr(state, "__dict__", {})))]
         before = _values(slots)
-        failure: Exception | None = None
+        failure: BaseException | None = None
         try:
             yield
         except FAILURES as error:
@@ -163,7 +163,7 @@ def _inside(name: str, holder: Any) -> Iterator[tuple[str, Any, Any]]:
 
 
 def _items(holder: Any) -> Mapping[Any, Any] | Sequence[Any]:
-    return vars(holder) if isinstance(holder, type) else holder  # type: ignore[no-any-return]
+    return vars(holder) if isinstance(holder, type) else holder
 
 
 def _is_plain(value: Any) -> bool:
