@@ -1,7 +1,9 @@
 """The MPC expert: receding-horizon control of the arm's joints, with the target's motion predicted.
 
-It looks up a posture once per episode in a table of configurations, since the optimisation is local. Each control step
-then plans 0.8 s and commands the first period. It sees only the observation, which includes the boxes if there are any.
+It looks up a posture once per episode in a table of configurations, since the optimisation is local. Among boxes, it
+looks up a way of one or two straight joint motions that are free, and tracks the end-effector's positions on them. Each
+control step then plans 0.8 s and commands the first period. Where it gets stuck, it looks up another posture. It sees
+only the observation, which includes the boxes if there are any.
 """
 
 from collections.abc import Mapping
@@ -25,8 +27,12 @@ from armctl.tasks.reach import read_boxes
 Array = NDArray[np.float64]
 
 PATIENCE, MIN_PROGRESS = 12, 0.005
-"""After this many control steps in which the tip came less than so many m nearer to the target, the arm goes to a
-posture first."""
+"""After this many control steps in which the tip came less than so many m nearer to the target, another posture is
+looked up; without boxes, the arm goes there first."""
+PASSING = 0.3
+"""rad: largest joint error at which a posture on the way counts as passed."""
+WAY_POINTS = 25
+"""Configurations on each straight motion of a way at which distances are measured."""
 POSTURE_TOLERANCE = 0.02
 """rad: largest joint error at which a posture counts as reached."""
 AMONG_BOXES = ReachMpcOptions()
@@ -66,6 +72,8 @@ class ReachWithMpc:
         self._stream: CommandStream | None = None
         self._plan: JointTrajectory | None = None
         self._target_velocity: Array | None = None
+        self._way: list[Array] = []
+        self._guided = False
         self._nearest, self._waited = np.inf, 0
 
     def plans(self) -> dict[str, Array]:
@@ -80,15 +88,20 @@ class ReachWithMpc:
         if self._posture is None:
             return self._first_goal(q, target, extra)
         if self._is_stuck(distance):
-            self._posture, self._stream = self._map.towards(target, q, self.mpc.model), None
-            self._plan = None
+            self._posture = self._chosen(q, target)
+            if not self._boxed:
+                self._stream = self._plan = None
         if self._stream is None:
             if np.abs(q - self._posture).max() > POSTURE_TOLERANCE:
                 return self._posture
             self._stream = CommandStream(self._model.limits, self.mpc.problem.period, self._posture)
             self.mpc.reset()
+        if len(self._way) and np.abs(q - self._posture).max() < PASSING:
+            self._posture, self._way = self._way[0], self._way[1:]
         posture = None if distance < self._tolerance else self._posture
         targets = self._predicted_targets(target, extra[:3]) if self._moving else target
+        if self._guided:
+            targets = self._positions_ahead(self._stream.position, self._posture)
         self._plan = self.mpc.plan(self._stream.position, self._stream.velocity, targets, posture)
         return self._stream.goal(self._plan)
 
@@ -96,17 +109,32 @@ class ReachWithMpc:
         """Start towards a posture, without a full plan: looking the posture up takes time."""
         if self._boxed:
             self.mpc.surround(read_boxes(extra))
-        self._posture = self._map.towards(target, q, self.mpc.model)
+        self._posture = self._chosen(q, target)
         self._stream = CommandStream(self._model.limits, self.mpc.problem.period, q)
         self._plan = self.mpc.begin(q, np.zeros_like(q), self._posture)
         return self._stream.goal(self._plan)
 
+    def _chosen(self, q: Array, target: Array) -> Array:
+        """The posture (dof,) to go to from `q` (dof,). Among boxes it is the first of a way, if one is found."""
+        way = self._map.way(target, q, self.mpc.model.boxes) if self._boxed else np.zeros((0, len(q)))
+        self._guided, self._way = len(way) > 0, list(way[1:])
+        if not self._guided:
+            return self._map.towards(target, q, self.mpc.model)
+        corners, shares = np.vstack((q, way)), np.linspace(0, 1, WAY_POINTS)[:, None, None]
+        self.mpc.follow((corners[:-1] + shares * np.diff(corners, axis=0)).reshape(-1, len(q)))
+        return np.asarray(way[0])
+
+    def _positions_ahead(self, q: Array, posture: Array) -> Array:
+        """End-effector positions (N, 3) on the straight motion from `q` (dof,) to `posture` (dof,)."""
+        time = max(float(self._model.cruise_time(q, posture)), self.mpc.problem.period)
+        return self._model.positions(q + np.minimum(self._ahead / time, 1.0) * (posture - q))
+
     def _is_stuck(self, distance: float) -> bool:
-        """Whether the tip has not come nearer to the target for long; never among boxes."""
+        """Whether the tip has not come nearer to the target for long."""
         if distance < self._nearest - MIN_PROGRESS:
             self._nearest, self._waited = distance, 0
         self._waited += 1
-        if distance < self._tolerance or self._waited <= PATIENCE or self._stream is None or self._boxed:
+        if distance < self._tolerance or self._waited <= PATIENCE or self._stream is None:
             return False
         self._nearest, self._waited = np.inf, 0
         return True

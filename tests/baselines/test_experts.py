@@ -7,6 +7,8 @@ from armctl.errors import ConfigurationError
 from armctl.evaluation import compare, evaluate
 from armctl.evaluation.record import TIME_COLUMNS
 from armctl.policies import make_policy
+from armctl.robot_description import BUILTIN_ARMS
+from armctl.robot_description.arm import robot_data
 
 
 def test_reach_ik_reaches_every_reachable_target(sized):
@@ -107,6 +109,22 @@ def test_reach_ompl_gets_around_obstacles_without_a_touch(robot, sized):
     )
     assert (results.outcome == "reached").mean() >= 0.9
     assert results.feasible.all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", ["ur5", "xarm7"])
+def test_reach_mpc_gets_around_boxes_on_arms_given_by_a_file_alone(robot):
+    builtin = BUILTIN_ARMS[robot]
+    options = {"robot": str(robot_data() / builtin.urdf), "tip": builtin.tip}
+    env = "armctl/ArmReachObstacles-v0"
+    results = evaluate("reach_mpc", env, episodes=6, seed=0, worlds=6, env_options=options, least_lengths=False)
+    assert (results.outcome == "reached").sum() >= 5
+
+
+def test_reach_mpc_gets_around_boxes(sized):
+    env, n = "armctl/ArmReachObstacles-v0", sized(4, 50)
+    results = evaluate("reach_mpc", env, episodes=n, seed=1, worlds=n, least_lengths=False)
+    assert (results.outcome == "reached").mean() >= 0.9
 
 
 @pytest.mark.parametrize("policy", ["reach_mpc", "reach_ompl"])

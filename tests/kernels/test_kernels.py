@@ -203,7 +203,8 @@ def test_quadratic_models(model, rng, exact):
     q, dof = configurations(model, rng, HORIZON), model.dof
     targets, errors, least = rng.normal(size=(HORIZON, 3)), np.empty((HORIZON, 3)), np.full(HORIZON, np.inf)
     axes, gradients = np.empty((2, HORIZON, dof, 3))
-    scene = model.links, np.zeros(0, dtype=PAIR), box_records(model.boxes), np.ones(len(model.links), dtype=int)
+    samples = np.ones(len(model.links), dtype=int)
+    scene = model.links, np.zeros(0, dtype=PAIR), box_records(model.boxes), samples, np.ones(0)
     reach_mpc.look(model.joints, *scene, q, targets, errors, axes, gradients, least)
     np.testing.assert_allclose(errors, [model.position(at) - one for at, one in zip(q, targets, strict=True)], **CLOSE)
     jacobians = np.array([model.jacobian(at) for at in q])

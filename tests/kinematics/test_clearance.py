@@ -6,7 +6,9 @@ import pytest
 from armctl.kernels.capsules import shares_on_segments
 from armctl.kernels.clearance import point_on
 from armctl.kinematics import ArmModel
-from armctl.kinematics.clearance import SPACING, Clearance
+from armctl.kinematics.clearance import NARROWEST, SPACING, Clearance
+from armctl.robot_description import BUILTIN_ARMS, load_arm
+from armctl.robot_description.arm import robot_data
 from armctl.robot_description.collision_pairs import FLOOR, add_collision_pairs, capsule_geometry
 from armctl.scene import NO_BOXES, Boxes
 
@@ -117,3 +119,26 @@ def test_segments():
             point_on(segment, share, point)
         grid = (one[0] + shares * (one[1] - one[0]))[:, None] - (other[0] + shares * (other[1] - other[0]))
         assert np.linalg.norm(p - q) <= np.linalg.norm(grid, axis=-1).min() + 1e-9
+
+
+@pytest.mark.parametrize("name", ["ur3", "ur5", "ur10", "panda", "xarm7", "z1"])
+def test_no_pair_has_to_keep_more_than_it_has_at_home(name):
+    """A distance that counts as `margin` is at most what the pair has at home: else the arm would never be free."""
+    builtin, margin = BUILTIN_ARMS[name], 0.03
+    model = ArmModel(load_arm(robot_data() / builtin.urdf, tip=builtin.tip))
+    true, scaled = Clearance(model), Clearance(model, margin)
+    pairs = len(true.scene[1])
+    at_home = true.nearest(model.home[None], pairs)[0][0]
+    kept = margin * at_home / scaled.nearest(model.home[None], pairs)[0][0]
+    assert (kept <= at_home).all()
+    assert (kept <= margin + 1e-12).all()
+    assert scaled.least(model.home[None])[0] >= margin
+
+
+def test_no_pair_has_to_keep_more_than_it_has_on_a_way(model):
+    clearance, way = Clearance(model, 0.03), np.linspace(model.home, model.home + 0.3, 10)
+    unscaled = Clearance(model).nearest(way, len(clearance.scene[1]))[0].min(axis=0)
+    clearance.scene = clearance.along(way)
+    scaled = clearance.nearest(way, len(clearance.scene[1]))[0].min(axis=0)
+    wide_enough = unscaled >= NARROWEST
+    assert (scaled[wide_enough] >= 0.03 - 1e-9).all()

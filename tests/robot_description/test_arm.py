@@ -8,7 +8,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from armctl.errors import ConfigurationError
+from armctl.kernels.edges import LINKS
 from armctl.kinematics import ArmModel
+from armctl.kinematics.clearance import Clearance
 from armctl.robot_description import BUILTIN_ARMS, load_arm
 from armctl.robot_description import arm as arms
 from armctl.robot_description.collision_pairs import FLOOR
@@ -262,3 +264,25 @@ def test_limits_and_joint_order_are_the_same_in_every_library(urdf):
         ):
             np.testing.assert_allclose(lower, description.limits.lower)
             np.testing.assert_allclose(upper, description.limits.upper)
+
+
+@pytest.mark.parametrize("name", ["ur3", "ur5", "ur10", "panda", "xarm7", "z1"])
+def test_pairs_of_a_file_alone_get_apart_and_do_not_forbid_most_configurations(name):
+    builtin = BUILTIN_ARMS[name]
+    model = ArmModel(load_arm(arms.robot_data() / builtin.urdf, tip=builtin.tip))
+    postures = model.random_configurations(np.random.default_rng(1), 500)
+    links, clearance = model.links, Clearance(model)
+    distances = clearance.nearest(postures, len(clearance.scene[1]))[0].max(axis=0)
+    for (kind, first, second), most in zip(clearance.scene[1].tolist(), distances, strict=True):
+        assert kind != LINKS or most > 0.25 * (links[first]["radius"] + links[second]["radius"])
+    assert model.are_free(postures).mean() > 0.25
+
+
+def test_pairs_are_the_same_whenever_a_file_is_read():
+    builtin = BUILTIN_ARMS["xarm7"]
+    pairs = []
+    for _ in range(2):
+        arms._read_arm.cache_clear()
+        pairs.append(load_arm(arms.robot_data() / builtin.urdf).collision_pairs)
+    assert pairs[0] == pairs[1]
+    assert ("link5", "link7") not in pairs[0]

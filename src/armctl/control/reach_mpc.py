@@ -33,7 +33,7 @@ from armctl.control.reach_problem import (
 from armctl.control.reach_qp import ReachQp
 from armctl.kernels import reach_mpc as kernel
 from armctl.kinematics import ArmModel
-from armctl.kinematics.clearance import Clearance
+from armctl.kinematics.clearance import Clearance, Scene
 from armctl.options import options
 from armctl.scene import Boxes
 
@@ -68,7 +68,8 @@ class ReachMpcOptions:
     pairs: Annotated[int, Field(ge=0)] = 4
     """Number of collision pairs (links, floor and boxes), the nearest ones, that constrain each knot."""
     margin: Positive = 0.03
-    """m: distance that pairs keep at the knots, with a reserve for the motion in between."""
+    """m: distance that pairs keep at the knots, with a reserve for the motion in between. Pairs that cannot
+    keep it, keep less: see `Clearance`."""
     influence_distance: Positive = 0.15
     """m: distance below which pairs become constraints."""
     slack_penalty: Positive = 50.0
@@ -88,16 +89,23 @@ class ReachMpc:
         self._constrained = (
             _Solver(self.options, model, self.options.pairs) if self.options.pairs else self._unconstrained
         )
-        self.clearance = Clearance(model)
+        self.clearance = Clearance(model, self.options.margin)
         self.surround(model.boxes)
 
     def surround(self, boxes: Boxes) -> None:
         """Keep clear of these boxes from now on, and forget the last plan."""
         self.model = self.model.among(boxes)
-        self.clearance.scene = links, pairs, box_rows, samples = self.clearance.among(boxes)
-        self.scene = links, pairs if self.options.pairs else pairs[:0], box_rows, samples
-        """What to keep clear of, for `armctl.kernels.reach_mpc`."""
+        self._keep_clear_of(self.clearance.among(boxes))
         self.reset()
+
+    def follow(self, way: Array) -> None:
+        """Keep no farther away from anything than a way (n, dof) does, until it is surrounded by other boxes."""
+        self._keep_clear_of(self.clearance.along(way))
+
+    def _keep_clear_of(self, scene: Scene) -> None:
+        self.clearance.scene = links, pairs, *others = scene
+        self.scene = links, pairs if self.options.pairs else pairs[:0], *others
+        """What to keep clear of, for `armctl.kernels.reach_mpc`."""
 
     def reset(self) -> None:
         """Forget the last plan, for a new episode."""

@@ -1,7 +1,7 @@
 """Distances of an arm's links and their gradients, for controllers: see `armctl.kinematics.clearance`.
 
 Pairs are an array of `PAIR`. Distances of a link and a box are those of `samples[link]` points along the link, and
-negative inside the box, so that they have a gradient everywhere.
+negative inside the box, so that they have a gradient everywhere. All distances are multiplied by `scales` (pairs,).
 """
 
 import math
@@ -73,7 +73,7 @@ def nearest_sample(segment, samples, box):
 
 
 @compiled
-def measure(links, pairs, boxes, samples, ends, out):
+def measure(links, pairs, boxes, samples, scales, ends, out):
     """Distances (pairs,) of all pairs, m; returns the least."""
     least = np.inf
     for i in range(len(pairs)):
@@ -84,6 +84,7 @@ def measure(links, pairs, boxes, samples, ends, out):
             out[i] = ends[link, other, 2] - links[link].radius
         else:
             out[i] = nearest_sample(ends[link], samples[link], boxes[other])[1] - links[link].radius
+        out[i] *= scales[i]
         least = min(least, out[i])
     return least
 
@@ -125,18 +126,18 @@ def gradient(links, pair, boxes, samples, ends, axes, origins, row):
 
 
 @compiled
-def clearances(joints, links, pairs, boxes, samples, q, least):
+def clearances(joints, links, pairs, boxes, samples, scales, q, least):
     """The least distance of all pairs, (n,) m, at each of q (n, dof)."""
     rotations, origins = np.empty((len(joints), 3, 3)), np.empty((len(joints), 3))
     ends, distances = np.empty((len(links), 2, 3)), np.empty(len(pairs))
     for row in range(len(q)):
         forward(joints, q[row], rotations, origins)
         place(links, rotations, origins, ends)
-        least[row] = measure(links, pairs, boxes, samples, ends, distances)
+        least[row] = measure(links, pairs, boxes, samples, scales, ends, distances)
 
 
 @compiled
-def nearest_pairs(joints, links, pairs, boxes, samples, q, distances, gradients):
+def nearest_pairs(joints, links, pairs, boxes, samples, scales, q, distances, gradients):
     """`distances` (n, m) of the m nearest pairs at each of q (n, dof), in the order of pairs, and their `gradients`.
 
     Distances of pairs that are missing are infinite, and gradients zero.
@@ -148,7 +149,7 @@ def nearest_pairs(joints, links, pairs, boxes, samples, q, distances, gradients)
         forward(joints, q[row], rotations, origins)
         axes_of(joints, rotations, axes)
         place(links, rotations, origins, ends)
-        measure(links, pairs, boxes, samples, ends, found)
+        measure(links, pairs, boxes, samples, scales, ends, found)
         distances[row], gradients[row] = np.inf, 0.0
         furthest = np.sort(found)[count - 1] if count <= len(pairs) else np.inf
         column = 0
@@ -156,4 +157,6 @@ def nearest_pairs(joints, links, pairs, boxes, samples, q, distances, gradients)
             if found[i] <= furthest and column < count:
                 distances[row, column] = found[i]
                 gradient(links, pairs[i], boxes, samples, ends, axes, origins, gradients[row, column])
+                for k in range(dof):
+                    gradients[row, column, k] *= scales[i]
                 column += 1

@@ -103,7 +103,7 @@ def cost_of(weights, posture, positions, velocities, accelerations, errors):
 
 
 @compiled
-def look(joints, links, pairs, boxes, samples, q, targets, errors, axes, gradients, least):
+def look(joints, links, pairs, boxes, samples, scales, q, targets, errors, axes, gradients, least):
     """Kinematics at the knots q (N, dof).
 
     How far the tips miss their `targets`, (N, 3) m; the joints' `axes` and the tips' `gradients`, (N, dof, 3); and the
@@ -121,7 +121,7 @@ def look(joints, links, pairs, boxes, samples, q, targets, errors, axes, gradien
             errors[k, i] = tip[i] - targets[k, i]
         if len(pairs):
             place(links, rotations, origins, ends)
-            least[k] = measure(links, pairs, boxes, samples, ends, distances)
+            least[k] = measure(links, pairs, boxes, samples, scales, ends, distances)
 
 
 @compiled

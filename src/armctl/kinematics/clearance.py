@@ -11,26 +11,41 @@ from numpy.typing import NDArray
 from armctl.kernels import capsules, clearance, edges
 from armctl.kinematics.model import ArmModel
 from armctl.kinematics.records import Records, box_records
-from armctl.scene import Boxes
+from armctl.scene import NO_BOXES, Boxes
 
 Array = NDArray[np.float64]
-Scene = tuple[Records, Records, Records, NDArray[np.int64]]
-"""Links, pairs, boxes, and the number of sample points along each link, for `armctl.kernels.clearance`."""
+Scene = tuple[Records, Records, Records, NDArray[np.int64], Array]
+"""Links, pairs, boxes, the number of sample points along each link, and the scale of each pair's distances, for
+`armctl.kernels.clearance`."""
 
 SPACING = 0.06
 """m: largest spacing of sample points. A link of 5 cm radius may be nearer to an edge by 8 mm than they show."""
+OF_HOME = 0.5
+"""Share of its distance at home that a pair of the arm itself has to keep at most."""
+NARROWEST = 0.005
+"""m: margin of pairs that a way passes at less."""
 
 
 class Clearance:
-    """Distances of one arm's links from `model.boxes`, the floor and each other."""
+    """Distances of one arm's links from `model.boxes`, the floor and each other.
 
-    def __init__(self, model: ArmModel) -> None:
-        self.model = model
+    For a controller that keeps a `margin` (m), distances of links from the floor and each other are scaled, so that
+    `margin` stands for the share `OF_HOME` of the distance at home where that is less: some links are always near each
+    other, and no motion would keep them farther apart. For the same reason, no pair has to be farther apart than it is
+    on a way that the controller is to follow.
+    """
+
+    def __init__(self, model: ArmModel, margin: float = 0.0) -> None:
+        self.model, self._margin = model, margin
         links = model.links
         length = np.linalg.norm(links["end"] - links["start"], axis=-1)
         self._samples = 1 + np.ceil(length / SPACING).astype(int)
         self._pairs = [(edges.FLOOR_END, *end) for end in self._ends_over_floor()]
         self._pairs += [(edges.LINKS, *pair) for pair in model.link_pairs]
+        self._scales = np.ones(len(self._pairs))
+        self.scene = self.among(NO_BOXES)
+        at_home = self.nearest(model.home[None], len(self._pairs))[0][0]
+        self._scales = np.maximum(1.0, margin / (OF_HOME * at_home))
         self.scene = self.among(model.boxes)
 
     def among(self, boxes: Boxes) -> Scene:
@@ -38,7 +53,14 @@ class Clearance:
         moving = np.flatnonzero(self.model.links["joint"] > 1)
         with_boxes = [(edges.LINK_AND_BOX, link, box) for link in moving for box in range(len(boxes))]
         pairs = np.array([*self._pairs, *with_boxes], dtype=edges.PAIR)
-        return self.model.links, pairs, box_records(boxes), self._samples
+        scales = np.concatenate((self._scales, np.ones(len(with_boxes))))
+        return self.model.links, pairs, box_records(boxes), self._samples, scales
+
+    def along(self, way: Array) -> Scene:
+        """The same scene for a controller that is to follow a `way` (n, dof)."""
+        links, pairs, boxes, samples, scales = self.scene
+        distances = self.nearest(way, len(pairs))[0].min(axis=0) / scales
+        return links, pairs, boxes, samples, np.maximum(scales, self._margin / np.maximum(distances, NARROWEST))
 
     def least(self, q: Array, scene: Scene | None = None) -> Array:
         """The least distance of all pairs, (n,) m, at each of q (n, dof)."""

@@ -6,8 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from armctl.kinematics.edge_checker import ArmShapes, EdgeChecker
+from armctl.kinematics.ik import Ik
 from armctl.kinematics.minimum_time_reach import approach
 from armctl.kinematics.model import ArmModel
+from armctl.scene import Boxes
 
 Array = NDArray[np.float64]
 
@@ -16,6 +19,10 @@ MAX_DRAWS = 50
 """Draws per configuration: an arm that seldom avoids itself gets fewer configurations."""
 NEIGHBOURS, CANDIDATES = 128, 16
 """Configurations with the end-effector nearest to the target; of these, those reached earliest, which are refined."""
+AMONG_BOXES, DETOURS = 128, 4000
+"""Candidates among boxes; ways with one configuration in between that are tried if no straight motion is free."""
+CLEARANCE = 0.01
+"""m, of such motions from boxes, floor and the arm itself."""
 ITERATIONS = 4
 """Levenberg-Marquardt iterations from a candidate to the target."""
 TIP_SPEED = 1.0
@@ -37,6 +44,7 @@ class ReachabilityMap:
         kept = (batch[model.are_free(batch)] if collision_free else batch for batch in batches)
         self.configurations: Array = np.array(list(itertools.islice(itertools.chain.from_iterable(kept), count)))
         """(count, dof) rad"""
+        self._shapes, self._ik = ArmShapes(model), Ik(model)
         self._by_position = KDTree(model.positions(self.configurations))
 
     def nearest(self, positions: Array, count: int) -> tuple[Array, NDArray[np.intp]]:
@@ -49,14 +57,49 @@ class ReachabilityMap:
 
         The straight path to it is free in the model `among`, if such a candidate was found.
         """
-        limits = self.model.limits
-        distances, near = self.nearest(target, NEIGHBOURS)
-        time = self.model.least_time(start, self.configurations[near]) + distances / TIP_SPEED
-        earliest = self.configurations[near[np.argsort(time)[:CANDIDATES]]]
-        goals = np.clip(approach(self.model, earliest, target, ITERATIONS), limits.lower, limits.upper)
-        error = np.linalg.norm(self.model.positions(goals) - target, axis=1)
-        time = self.model.least_time(start, goals) + np.where(error < ON_TARGET, 0.0, MISS_PENALTY)
-        goals = goals[np.argsort(time)]
+        goals = self._goals(target, start, CANDIDATES)
         fractions = np.linspace(1.0, 0.1, 10)[:, None]
         free = (goal for goal in goals if among.are_free(start + fractions * (goal - start)).all())
         return np.asarray(next(free, goals[0]))
+
+    def way(self, target: Array, start: Array, boxes: Boxes) -> Array:
+        """Configurations (k, dof), the last with the end-effector at `target` (3,), to be reached from `start` in turn.
+
+        Straight motions from one to the next keep clear of boxes, floor and the arm itself. There are one or two, or
+        none if no such way was found.
+        """
+        edges = EdgeChecker(self._shapes, boxes, CLEARANCE, start)
+        way = self._through(edges, start, self._goals(target, start, AMONG_BOXES))
+        return way if len(way) else self._through(edges, start, self._ik_goals(target, start))
+
+    def _through(self, edges: EdgeChecker, start: Array, goals: Array) -> Array:
+        """The way (k, dof) to one of `goals` (n, dof): straight, or through one configuration; (0, dof) if none."""
+        goals = np.array([goal for goal in goals if edges.is_free(goal)]).reshape(-1, self.model.dof)
+        for goal in goals:
+            if edges.is_edge_free(start, goal):
+                return np.asarray(goal[None])
+        first = self.model.cruise_time(start, self.configurations)
+        times = first[:, None] + self.model.cruise_time(self.configurations[:, None], goals)
+        earliest = np.argsort(times, axis=None, kind="stable")[:DETOURS]
+        for detour, goal in zip(*np.unravel_index(earliest, times.shape), strict=True):
+            through, end = self.configurations[detour], goals[goal]
+            if edges.is_edge_free(start, through) and edges.is_edge_free(through, end):
+                return np.array((through, end))
+        return np.zeros((0, self.model.dof))
+
+    def _ik_goals(self, target: Array, start: Array) -> Array:
+        """Configurations (n, dof) by inverse kinematics, those reached earliest first."""
+        goals = np.array(list(self._ik.free_configurations(target))).reshape(-1, self.model.dof)
+        goals = self.model.nearest_turn(goals, start)
+        return np.asarray(goals[np.argsort(self.model.cruise_time(start, goals), kind="stable")])
+
+    def _goals(self, target: Array, start: Array, count: int) -> Array:
+        """Configurations (count, dof) with the end-effector at `target` (3,), those reached earliest first."""
+        limits = self.model.limits
+        distances, near = self.nearest(target, NEIGHBOURS)
+        time = self.model.least_time(start, self.configurations[near]) + distances / TIP_SPEED
+        earliest = self.configurations[near[np.argsort(time)[:count]]]
+        goals = np.clip(approach(self.model, earliest, target, ITERATIONS), limits.lower, limits.upper)
+        error = np.linalg.norm(self.model.positions(goals) - target, axis=1)
+        time = self.model.least_time(start, goals) + np.where(error < ON_TARGET, 0.0, MISS_PENALTY)
+        return np.asarray(goals[np.argsort(time)])

@@ -15,6 +15,11 @@ Pair = tuple[str, str]
 
 FLOOR = "(floor)"
 """Name of the half-space below z = 0 among the links."""
+NEIGHBOURLY = 0.25
+"""Share of the sum of their radii: capsules that are never farther apart are neighbours in effect. Since capsules are
+wider than links, their distance says nothing about the links, but would forbid most configurations."""
+SAMPLES = 1000
+"""Random configurations that decide it."""
 
 
 def capsule_geometry(model: pinocchio.Model, capsules: tuple[Capsule, ...]) -> pinocchio.GeometryModel:
@@ -49,8 +54,9 @@ def pairs_worth_testing(
 ) -> tuple[Pair, ...]:
     """Pairs of links, or of a link and `FLOOR`, that can touch.
 
-    Excluded are neighbours, pairs in contact at `home` (capsules are wider than links), and pairs whose joints carry a
-    pair of links in `impossible`.
+    Excluded are neighbours, pairs in contact at `home` (capsules are wider than links), pairs that are near each other
+    in all configurations (as MoveIt's setup assistant finds them, by sampling), and pairs whose joints carry a pair of
+    links in `impossible`.
     """
     model = pinocchio.buildModelFromXML(urdf)
     geometry = capsule_geometry(model, capsules)
@@ -66,7 +72,25 @@ def pairs_worth_testing(
     add_collision_pairs(geometry, pairs)
     data = geometry.createData()
     pinocchio.computeCollisions(model, model.createData(), geometry, data, home, False)
-    return tuple(pair for pair, result in zip(pairs, data.collisionResults, strict=True) if not result.isCollision())
+    apart = [pair for pair, result in zip(pairs, data.collisionResults, strict=True) if not result.isCollision()]
+    always_near = _always_near(model, capsules, [pair for pair in apart if FLOOR not in pair])
+    return tuple(pair for pair in apart if pair not in always_near)
+
+
+def _always_near(model: pinocchio.Model, capsules: tuple[Capsule, ...], pairs: list[Pair]) -> set[Pair]:
+    """The pairs of links that are never farther apart than a share of their radii, in random configurations."""
+    radii = {capsule.link: capsule.radius for capsule in capsules}
+    geometry, kinematics = capsule_geometry(model, capsules), model.createData()
+    add_collision_pairs(geometry, pairs)
+    data, near = geometry.createData(), list(range(len(pairs)))
+    low, high = np.maximum(model.lowerPositionLimit, -np.pi), np.minimum(model.upperPositionLimit, np.pi)
+    for q in np.random.default_rng(0).uniform(low, high, (SAMPLES, model.nq)):
+        if not near:
+            break
+        pinocchio.updateGeometryPlacements(model, kinematics, geometry, data, q)
+        distances = {i: pinocchio.computeDistance(geometry, data, i).min_distance for i in near}
+        near = [i for i in near if distances[i] <= NEIGHBOURLY * sum(radii[link] for link in pairs[i])]
+    return {pairs[i] for i in near}
 
 
 def _may_touch(model: pinocchio.Model, first: int | None, second: int | None) -> bool:
