@@ -170,9 +170,8 @@ def test_stated_bounds_belong_to_the_results(tmp_path):
     assert kept.policies == whole.policies
     again = pendulum(out=tmp_path, return_bounds=PENDULUM)
     assert (again.resumed, again.policies[0].episode_return) == (3, whole.policies[0].episode_return)
-    for other in (None, (-1e6, 0.0)):
-        with pytest.raises(ResultsError, match="return_bounds"):
-            pendulum(out=tmp_path, return_bounds=other)
+    with pytest.raises(ResultsError, match="return_bounds"):
+        pendulum(out=tmp_path, return_bounds=(-1e6, 0.0))
     assert "--set 'return_bounds=(-326.0, 0.0)'" in _command("compare", stored, "", ["random"])
 
 
