@@ -12,7 +12,7 @@ ENV = "armctl/ArmReachObstacles-v0"
 class Stuck:
     """An agent that stays where it is, and counts how often it was asked."""
 
-    training_steps, training_cost, sees = 0, None, "model"
+    training_steps, training_cost, card, sees = 0, None, None, "model"
 
     def __init__(self):
         self.asked = 0

@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 from optuna.trial import TrialState
 
+from armctl.costs import TuningCost
 from armctl.errors import ConfigurationError, ResultsError
 from armctl.evaluation import compare
 from armctl.evaluation.trials import read_trials
@@ -112,7 +113,8 @@ def test_the_best_values_are_a_recipe(recipe, tmp_path):
     tuned = load_recipe(found.best_file)
     assert tuned.name == "small_tuned"
     assert {path: value_at(tuned.model_dump(), path) for path in best.params} == best.params
-    assert tuned.changed(options=load_recipe(recipe).options, name="small") == load_recipe(recipe)
+    assert tuned.tuned == TuningCost(len(found.trials), round(found.processor_seconds / 60, 1))
+    assert tuned.changed(options=load_recipe(recipe).options, name="small", tuned=None) == load_recipe(recipe)
 
 
 def test_the_best_options_of_an_expert_can_be_compared(tmp_path):

@@ -149,7 +149,7 @@ def _note(found: Tuned, asked: optuna.Trial, measured: Measured) -> None:
     found.study.tell(asked, measured.value if state is TrialState.COMPLETE else None, state)
     _add_to_ledger(found, asked, measured)
     best = found.best
-    if best is not None and best.number == measured.number and best.params != candidate.present:
+    if best is not None and best.params != candidate.present:  # after each trial: the file has how many there were
         write_atomically(found.best_file, _document(found, best))
     if measured.failure:
         last = found.trials[-IN_A_ROW:]
