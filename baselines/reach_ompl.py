@@ -24,7 +24,8 @@ Array = NDArray[np.float64]
 
 SIGHT, BRAKING = 0.009, 0.006
 """m: clearance of the straight motion ahead, and of the drives' own motion until they rest, whose joints do not move in
-proportion. The path's clearance is 10 mm; servos are off by a few mm."""
+proportion. The path's clearance is 10 mm; servos are off by a few mm. At full speed it is more: in the 3 of 1,000
+episodes (seeds 0 and 1) that end with a touch, joints were 0.014 rad off the drives' motion, up to 10 mm at the tip."""
 SIGHT_NEARER, BRAKING_NEARER = 0.95, 0.7
 """Shares of their distances that pairs nearer than that must keep: braking may use what the motion ahead leaves."""
 LARGEST_MOVE = 0.5
@@ -35,7 +36,9 @@ SHARES = 0.6 ** np.arange(13)
 LOST = 0.1
 """rad: beyond, the joints do not follow this expert's commands, but somebody else's. Servos are off by 0.08 at most."""
 PATIENCE = 5
-"""Control steps after a plan without a path, until the next."""
+"""Control steps after a plan without a path, until the next. From the same joints it fails again, and the episode times
+out: 2 of 500 (seed 2026). In one, no goal has 10 mm of clearance (layouts are certified with 5); in the other, the
+search spends its 6,000 checks."""
 
 
 @sees("model")
