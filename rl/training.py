@@ -25,6 +25,7 @@ from armctl.envs import EpisodeVectorEnv, make_worlds
 from armctl.errors import ConfigurationError
 from armctl.evaluation import evaluate
 from armctl.evaluation.curves import COSTS, CURVE, read_curve
+from armctl.evaluation.failures import unless_failed
 from armctl.evaluation.identity import checksums
 from armctl.evaluation.provenance import versions
 from armctl.evaluation.reproduce import evaluation_of
@@ -176,9 +177,8 @@ class Training:
             return
         self._evaluated = steps
         episodes = self.options.validation_episodes
-        # least lengths are not needed here, and computing them takes longer than the episodes
-        unknown = dict.fromkeys(range(episodes), math.nan)
-        results = list(rollouts(actor, self.held_out, episodes, VALIDATION_SEED, "agent", least_lengths=unknown))
+        unknown = dict.fromkeys(range(episodes), math.nan)  # least lengths take longer than the episodes
+        results = list(unless_failed(rollouts(actor, self.held_out, episodes, VALIDATION_SEED, "agent", unknown)))
         rate = success_rate(np.array([result.success for result in results], dtype=bool))
         assert rate is not None
         mean_return = float(np.mean([result.total_reward for result in results]))

@@ -3,9 +3,10 @@
 import inspect
 import sysconfig
 import traceback
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from armctl import DISTRIBUTION
@@ -27,7 +28,12 @@ class UnknownOption(ConfigurationError, TypeError):
 
 
 class InvalidAction(ArmctlError, ValueError):
-    """An action of the wrong shape, or with numbers that are not finite. The world was not stepped."""
+    """An action of the wrong shape, or with numbers that are not finite. No world was stepped."""
+
+    def __init__(self, message: str, by_world: Mapping[int, str] = MappingProxyType({})) -> None:
+        super().__init__(message)
+        self.by_world = dict(by_world)
+        """What is wrong with the actions of single worlds; empty if it is unknown which worlds' are invalid."""
 
 
 class Disqualified(ArmctlError):
@@ -84,7 +90,12 @@ def defined_at(given: Any) -> str:
 
 def format_cause(error: BaseException) -> str:
     """The traceback of what an error was made of, or its own."""
-    return "".join(traceback.format_exception(error.__cause__ or error))
+    return formatted(error.__cause__ or error)
+
+
+def formatted(error: BaseException) -> str:
+    """Return the traceback of an error as text."""
+    return "".join(traceback.format_exception(error))
 
 
 def missing_extra(purpose: str, error: ModuleNotFoundError, extra: str = "rl") -> ConfigurationError:

@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from armctl.errors import ConfigurationError, ResultsError
 from armctl.evaluation import episodes_parquet
 from armctl.evaluation.episode_table import EpisodeTable
-from armctl.evaluation.episodes_csv import read_csv, write_csv
+from armctl.evaluation.episodes_csv import DECISION_COLUMNS, lines, read_csv, row_checksum, write_csv
 from armctl.evaluation.episodes_parquet import read_parquet, write_parquet
 from armctl.evaluation.metrics import Metrics
-from armctl.evaluation.record import EpisodeResult
+from armctl.evaluation.record import ADDED, COLUMNS, EpisodeResult
 from armctl.evaluation.store import check_store
 from armctl.files import digest
 
@@ -196,7 +196,8 @@ def test_endless_metadata_are_told(path):
         ({"decision_ms": np.array([math.nan, 1.0]), "length": 2}, "no times"),
         ({"decision_ms": np.array([1.0, -1.0]), "length": 2}, "no times"),
         ({"decision_ms": np.array([1.0, math.inf]), "length": 2}, "infinite"),
-        ({"decision_ms": np.array([]), "length": 0}, "no times"),
+        ({"decision_ms": np.array([]), "length": 0}, "without decision times"),
+        ({"reset_ms": -1.0}, "reset_ms that is no time"),
     ],
 )
 def test_what_no_episode_can_be_is_told(path, change, says):
@@ -245,3 +246,38 @@ def test_a_missing_library_is_told(monkeypatch):
         check_store("parquet")
     with pytest.raises(ConfigurationError, match="Did you mean 'parquet'"):
         check_store("parkett")
+
+
+@pytest.mark.parametrize("added", [1, 2])
+def test_tables_without_the_columns_of_later_versions_are_read(tmp_path, added):
+    columns = [name for name in COLUMNS if name not in ADDED[-added:]]
+    own, found = digest(OWN), list(played(3, "ba"))
+    rows = [[one.row()[name] for name in columns] for one in found]
+    times = [" ".join(map(str, one.decision_ms.tolist())) for one in found]
+    (tmp_path / "episodes.csv").write_text(lines([columns, *rows]))
+    (tmp_path / "decisions.csv").write_text(
+        lines(
+            [
+                DECISION_COLUMNS,
+                *(
+                    (one.policy, one.episode, row_checksum(own, row, spent), spent)
+                    for one, row, spent in zip(found, rows, times, strict=True)
+                ),
+            ]
+        )
+    )
+    kept = EpisodeTable()
+    read_csv(tmp_path / "episodes.csv", tmp_path / "decisions.csv", OWN, kept)
+    assert np.isnan(kept.column("reset_ms")).all()
+    assert [one.total_reward for one in kept] == [one.total_reward for one in found]
+
+
+def test_a_parquet_file_without_the_times_of_resets_is_read(path, monkeypatch):
+    found = EpisodeTable(played(12, "ba"))
+    monkeypatch.setattr(episodes_parquet._schema, "__defaults__", (episodes_parquet._OLDER,))
+    write_parquet(path, digest(OWN), found)
+    monkeypatch.undo()
+    kept = EpisodeTable()
+    read_parquet(path, OWN, kept)
+    assert np.isnan(kept.column("reset_ms")).all()
+    assert kept.column("total_reward").tolist() == found.column("total_reward").tolist()

@@ -48,8 +48,8 @@ def schedule(times, steps, slow_down=1.0, cold=False):
     late = RealTimePolicy(Echo(), task, real_time, "echo")
     late.reset(np.zeros(1, dtype=np.int32), [0])
     found = [late.act(np.array([[float(step)]])) for step in range(1, steps + 1)]
-    assert late.policy.asked == sum(not math.isnan(spent[0]) for _, spent in found)
-    return [int(command[0, 0]) for command, _ in found], [spent[0] for _, spent in found]
+    assert late.policy.asked == sum(not math.isnan(spent[0]) for _, spent, _ in found)
+    return [int(command[0, 0]) for command, _, _ in found], [spent[0] for _, spent, _ in found]
 
 
 def test_a_late_decision_takes_effect_when_it_is_ready_and_nobody_asks_before():
@@ -151,8 +151,9 @@ def test_late_decisions_are_missed_deadlines_and_results_say_how_they_came(clock
     # episode 0: cold; 60 ms take 3 steps, 90 take 5. Episode 1: 40 + 30 ms take 4 steps, 60 take 3, 90 take 5
     times = (tmp_path / "decisions.csv").read_text().splitlines()[1:]
     assert [row.split(",")[-1] for row in times] == [
-        "70.0 60.0 nan nan 90.0 nan nan nan nan", "70.0 nan nan nan 60.0 nan nan 90.0 nan"
+        "30.0 60.0 nan nan 90.0 nan nan nan nan", "30.0 nan nan nan 60.0 nan nan 90.0 nan"
     ]  # fmt: skip
+    assert late.episodes.reset_ms.tolist() == [40, 40]
     assert late.episodes.missed_deadlines.tolist() == [2, 3]
     assert late.policies[0].missed_deadlines == 1
     read = read_results(tmp_path).comparison

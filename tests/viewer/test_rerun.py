@@ -8,7 +8,7 @@ import pytest
 from rerun.chunk import RrdReader
 
 from armctl.errors import ConfigurationError, ResultsError
-from armctl.evaluation.rollouts import PolicyFailed
+from armctl.evaluation.failures import PolicyFailed
 from armctl.viewer.stage import Stage
 from armctl.viewer.terminal import run_episodes
 

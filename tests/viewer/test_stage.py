@@ -5,7 +5,7 @@ import pytest
 
 import armctl
 from armctl.errors import ConfigurationError
-from armctl.evaluation.rollouts import PolicyFailed
+from armctl.evaluation.failures import PolicyFailed
 from armctl.viewer.stage import Stage
 
 

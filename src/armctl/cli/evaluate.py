@@ -81,6 +81,8 @@ def compare(
     path, `"runs/reach_ppo[*]"`, those that `armctl train` has made. `"reach_bc[1]"` is the one of training seed 1.
 
     Every episode is written as it ends. After Ctrl-C, the same command with the same `--out` resumes the comparison.
+    A policy that raises an error, or returns an invalid action, loses that episode (`error`) and plays on; the exit
+    status is then 1. One that fails before its first action in each of its first 3 episodes stops.
     """
     from armctl.evaluation import EpisodeResult
     from armctl.evaluation import compare as run_comparison

@@ -22,10 +22,11 @@ from armctl.datasets.unfinished import IDENTITY, OTHERWISE, Unfinished, check_sa
 from armctl.envs import chosen_policy_seed, full_id
 from armctl.errors import EnvironmentFailed, ResultsError
 from armctl.evaluation.engines import Engine, engine_of
+from armctl.evaluation.failures import PolicyFailed
 from armctl.evaluation.identity import identity
 from armctl.evaluation.parallel import WorkerConfig, check_sendable
 from armctl.evaluation.provenance import versions
-from armctl.evaluation.rollouts import PolicyFailed, build_policy, check_counts
+from armctl.evaluation.rollouts import build_policy, check_counts
 from armctl.evaluation.seeds import check_training_data_seed
 from armctl.evaluation.store import POLICY_SEED, stored_policy_seed
 from armctl.evaluation.workers import WorkersFailed

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armctl.envs import EpisodeVectorEnv, one_of
+from armctl.evaluation.failures import unless_failed
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.rollouts import rollouts
 from armctl.policies import Policy
@@ -103,13 +104,14 @@ def demonstrate(
 
     `acting`, a function of the observations and the policy's actions, returns actions to execute in place of the
     policy's; the recorded actions are still the policy's. `worlds` must have no autoreset (see `make_worlds`), and
-    there should be no more of them than episodes. Raises `PolicyFailed` if the policy fails.
+    there should be no more of them than episodes. Raises `PolicyFailed` for the first episode in which the
+    policy fails: it is no demonstration.
     """
     recorder: Any = Recorder(worlds)
     actor: Any = policy if acting is None else _Overridden(policy, acting, recorder)
     numbers = range(episodes) if isinstance(episodes, int) else episodes
     unknown = dict.fromkeys(numbers, np.nan)  # least lengths, which are not needed here
-    for result in rollouts(actor, recorder, numbers, seed, name, unknown):
+    for result in unless_failed(rollouts(actor, recorder, numbers, seed, name, unknown)):
         yield result, recorder.finished.pop(result.episode)
 
 

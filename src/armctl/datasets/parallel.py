@@ -8,9 +8,9 @@ from typing import Any
 from armctl.datasets.demonstrations import Demonstration, demonstrate
 from armctl.envs import EpisodeVectorEnv, make_worlds
 from armctl.evaluation.engines import Engine
+from armctl.evaluation.failures import PolicyFailed
 from armctl.evaluation.parallel import RolloutBatch, Setting, WorkerConfig, batch, do_in_workers
 from armctl.evaluation.record import EpisodeResult
-from armctl.evaluation.rollouts import PolicyFailed
 from armctl.policies import Policy, PolicyFactory
 
 Played = tuple[EpisodeResult, Demonstration]

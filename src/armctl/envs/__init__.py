@@ -3,7 +3,7 @@
 `gym.make_vec` steps n worlds of a task at once, and `gym.make` is its n = 1 view.
 """
 
-from armctl.envs.episodes import EpisodeVectorEnv
+from armctl.envs.episodes import ERROR, EpisodeVectorEnv
 from armctl.envs.interface import (
     INTERFACES,
     SEES,
@@ -22,7 +22,7 @@ from armctl.envs.third_party import ThirdPartyVectorEnv, episode_seed
 from armctl.envs.vector import Observer, TaskVectorEnv
 
 __all__ = [
-    "INTERFACES", "RETURN_BOUNDS", "SEES", "EpisodeVectorEnv", "Interface", "MapInterface", "ModelInterface",
+    "ERROR", "INTERFACES", "RETURN_BOUNDS", "SEES", "EpisodeVectorEnv", "Interface", "MapInterface", "ModelInterface",
     "Observer", "PolicyStreams", "Sees", "TaskEnv", "TaskVectorEnv", "ThirdPartyVectorEnv", "batch_of_one",
     "check_from_file", "chosen_policy_seed", "episode_seed", "find_spec", "full_id", "how_to_declare", "interface_of",
     "make_worlds", "new_policy_seed", "one_of", "task_of",

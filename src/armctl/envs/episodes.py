@@ -18,6 +18,9 @@ Array = NDArray[np.float64]
 Infos = dict[str, Any]
 RUNNING = -1
 """`outcome_id` while an episode runs: the last of `outcomes`."""
+ERROR = "error"
+"""The outcome of an episode in which the policy failed: it raised an error, or returned an invalid action. It is a loss
+(see `armctl.evaluation.rollouts`)."""
 LARGEST_SEED = 2**62
 LARGEST_REWARD = 1e90
 """Largest reward, or reward term, of a control step: statistics square the sum of those of an episode."""
@@ -82,6 +85,20 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     @abstractmethod
     def step(self, actions: ArrayLike) -> tuple[Observations, Array, NDArray[np.bool_], NDArray[np.bool_], Infos]:
         """Make one control step in every world. If an action is invalid, raises `InvalidAction` and steps nothing."""
+
+    def invalid_actions(self, actions: Any) -> dict[int, InvalidAction]:
+        """Return what is wrong with the actions, by world. Raises `InvalidAction` if it is unknown in which worlds."""
+        try:
+            self._checked(actions)
+        except InvalidAction as error:
+            if not error.by_world:
+                raise
+            return {i: InvalidAction(message) for i, message in error.by_world.items()}
+        return {}
+
+    def abandon(self, ids: NDArray[np.integer[Any]]) -> None:
+        """End the episodes of worlds `ids`: without an autoreset, they stand still until they are reset."""
+        self._finished[ids] = True
 
     @abstractmethod
     def render(self) -> Any:
@@ -160,6 +177,10 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             observations = disturbance.observe(observations, ids)
         return observations
 
+    def _checked(self, actions: Any) -> Any:
+        """Actions that `step` takes. Raises `InvalidAction`."""
+        return self._checked_numbers(actions)
+
     def _checked_numbers(self, actions: ArrayLike) -> Array:
         """Actions as numbers of the right shape. Raises `InvalidAction`."""
         checked = action_numbers(actions)
@@ -168,7 +189,10 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             raise InvalidAction(f"actions have shape {checked.shape}; expected {expected}")
         if not np.isfinite(checked).all():
             worlds = np.flatnonzero(~np.isfinite(checked).reshape(self.num_envs, -1).all(axis=1))
-            raise InvalidAction(f"action {checked[worlds[0]]} of world {worlds[0]} is not finite; no world was stepped")
+            raise InvalidAction(
+                f"action {checked[worlds[0]]} of world {worlds[0]} is not finite; no world was stepped",
+                {int(i): f"its action {checked[i]} is not finite" for i in worlds},
+            )
         return checked
 
     def _check_seeded(self) -> None:

@@ -165,8 +165,10 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
             return self._checked_numbers(actions)
         if isinstance(space, spaces.Discrete):
             actions = [_whole(action) for action in actions]
-        if len(actions) != n or not all(space.contains(action) for action in actions):
-            raise InvalidAction(f"actions {list(actions)!r} are not {n} of {space}")
+        if len(actions) != n:
+            raise InvalidAction(f"{len(actions)} actions, {list(actions)!r}, are not {n} of {space}")
+        if outside := {i: f"its action {one!r} is not of {space}" for i, one in enumerate(actions) if one not in space}:
+            raise InvalidAction(f"actions {list(actions)!r} are not {n} of {space}", outside)
         return actions
 
     def _check_step(self, i: int, reward: float, ended: bool) -> None:

@@ -15,7 +15,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from armctl.disturbances import disturb, episode_entropy
-from armctl.envs.episodes import LARGEST_REWARD, RUNNING, Array, EpisodeVectorEnv, Infos
+from armctl.envs.episodes import ERROR, LARGEST_REWARD, RUNNING, Array, EpisodeVectorEnv, Infos
 from armctl.envs.observations import with_replaced
 from armctl.envs.pickling import MadeAgain
 from armctl.errors import ConfigurationError, EnvironmentFailed, unknown_name
@@ -335,6 +335,8 @@ def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
 def _check_complete(task_type: type[Task]) -> None:
     if not (isinstance(task_type, type) and issubclass(task_type, Task)):
         raise ConfigurationError(f"a task is a subclass of armctl.Task, not {task_type!r}")
+    if taken := {ERROR, UNSTABLE, "running"} & {outcome.label for outcome in getattr(task_type, "outcomes", ())}:
+        raise ConfigurationError(f"outcomes of {task_type.__name__} need other labels: armctl uses {', '.join(taken)}")
     missing = sorted(task_type.__abstractmethods__)
     missing += [name for name in ("outcomes",) if not hasattr(task_type, name)]
     if missing:

@@ -2,8 +2,9 @@
 
 from armctl.evaluation.compare import compare
 from armctl.evaluation.comparison import Comparison
+from armctl.evaluation.failures import PolicyFailed
 from armctl.evaluation.record import EpisodeResult
-from armctl.evaluation.rollouts import PolicyFailed, evaluate, rollouts
+from armctl.evaluation.rollouts import evaluate, rollouts
 from armctl.evaluation.suite import Suite, suite
 from armctl.evaluation.sweep import Sweep, sweep
 

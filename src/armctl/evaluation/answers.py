@@ -168,7 +168,7 @@ def answer(swept: Sweep) -> Answer:
     plain = swept.comparisons.get(UNDISTURBED)
     if plain is None or UNDISTURBED not in tables:
         return Answer(swept.env, plain.policies if plain else [], {}, labels, spared=spared)
-    played = plain.episodes
+    played = counted_rows(plain.episodes)
     returns = played.pivot(index="episode", columns="policy", values="return").reindex(tables[UNDISTURBED].index)
     kinds: list[Choice | None] = []
     for learned in (False, True):

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from armctl import DEFAULT_ENV
-from armctl.envs import RETURN_BOUNDS, ThirdPartyVectorEnv, chosen_policy_seed, full_id, task_of
+from armctl.envs import ERROR, RETURN_BOUNDS, ThirdPartyVectorEnv, chosen_policy_seed, full_id, task_of
 from armctl.errors import ConfigurationError, ResultsError, unknown_name
 from armctl.evaluation.comparison import Comparison, summary
-from armctl.evaluation.decision_times import load_notes, timing_notes, unjudged
+from armctl.evaluation.decision_times import Machines, load_notes, timing_notes, unjudged
 from armctl.evaluation.engines import Engine, engine_of
 from armctl.evaluation.episode_table import EpisodeTable
+from armctl.evaluation.failures import PolicyDisqualified
 from armctl.evaluation.identity import identity
 from armctl.evaluation.paired import MARGIN
 from armctl.evaluation.parallel import (
@@ -26,7 +27,7 @@ from armctl.evaluation.parallel import (
     play_here,
     play_in_workers,
 )
-from armctl.evaluation.provenance import RunMeter, argument_notes, earlier_looks
+from armctl.evaluation.provenance import Run, RunMeter, argument_notes, earlier_looks
 from armctl.evaluation.real_time import (
     RealTime,
     check_measurable,
@@ -34,13 +35,13 @@ from armctl.evaluation.real_time import (
     check_recorded,
     real_time_of,
 )
-from armctl.evaluation.record import EpisodeResult
-from armctl.evaluation.rollouts import PolicyDisqualified, build_policy, check_counts, wrap_environment_errors
+from armctl.evaluation.record import EpisodeResult, FailedEpisode
+from armctl.evaluation.rollouts import build_timed, check_counts, wrap_environment_errors
 from armctl.evaluation.seeding import seed_notes
 from armctl.evaluation.seeds import Seed, evaluation_seed
 from armctl.evaluation.statistics import Bounds
 from armctl.evaluation.store import COMPARISON, CSV, POLICY_SEED, EpisodeLog, check_store, stored_policy_seed
-from armctl.evaluation.summary import certificate_notes, counted_results, summarise
+from armctl.evaluation.summary import certificate_notes, counted_results, motion_notes, summarise
 from armctl.evaluation.workers import WorkersFailed
 from armctl.policies import Policy, WorldsByInterface, expanded, is_group, learners, named_policies
 from armctl.registration import bare_id, remember_named
@@ -79,12 +80,14 @@ def compare(
     """Let policies play the same episodes 0 to `episodes` - 1 of `seed`; `"test"` is the sealed one (`armctl.seeds`).
 
     With `out`, every episode is written to `out/episodes.csv` as soon as it ends, and the summary to
-    `out/summary.json`. After an interrupt (Ctrl-C), a failing policy or a full disk, finished episodes are kept, and
-    the same call resumes the comparison. Except for decision times, `episodes.csv` does not depend on the number of
-    worlds and workers. With the `store` `parquet`, all are in `out/episodes.parquet` in the end, and in no CSV table;
-    the same call with `csv` writes the tables again. With one world and one worker (the default), decision times are
-    latencies, by which deadlines are judged; with more worlds, each is a batch's time divided by the number of worlds.
-    The first decision of an episode includes the policy's reset; the policy's first in a process is told apart.
+    `out/summary.json`. After an interrupt (Ctrl-C) or a full disk, finished episodes are kept, and the same call
+    resumes the comparison. An episode in which a policy raises an error, or returns an invalid action, is lost: its
+    outcome is `error`, and the next one begins (see `armctl.evaluation.failures`). Except for decision times,
+    `episodes.csv` does not depend on the number of worlds and workers. With the `store` `parquet`, all are in
+    `out/episodes.parquet` in the end, and in no CSV table; the same call with `csv` writes the tables again. With
+    one world and one worker (the default), decision times are latencies, by which deadlines are judged; with more
+    worlds, each is a batch's time divided by the number of worlds. The policy's construction, its resets and its
+    first decision in a process have times of their own.
 
     With `workers`, that many processes play, each with `worlds` worlds on one core; an engine's workers play, if one
     is given (`armctl.evaluation.engines.connect`). Decision times are then measured while the other processes compute.
@@ -146,7 +149,7 @@ def compare(
     with ExitStack() as stack:
         interfaces = WorldsByInterface(env, worlds if engine.is_here else 1, env_options)
         stack.callback(interfaces.close)
-        made_env, made = interfaces.asked, _built(comparison, by_name, interfaces, secret)
+        made_env, (made, construction) = interfaces.asked, _built(comparison, by_name, interfaces, secret)
         playing = {name: policy for name, policy in by_name.items() if name in made}
         with wrap_environment_errors("a trial", 0):
             made_env.reset(seed=seed)  # raises for an invalid seed, before anything is written
@@ -179,15 +182,21 @@ def compare(
         least.update(zip(*(results.column(name).tolist() for name in ("episode", "least_length")), strict=True))
         if engine.is_here:
             played_in = {name: interfaces.of(policy) for name, policy in playing.items()}
-            stream = play_here(made, played_in, seed, waiting, least, paced)
+            stream = play_here(made, played_in, seed, waiting, least, paced, set(finished))
         else:
             config = WorkerConfig(env, worlds, comparison.env_options, seed, secret, engine.workers)
             setting = Setting(config, playing)
-            stream = play_in_workers(setting, made, interfaces, waiting, least, engine, paced)
+            stream = play_in_workers(setting, made, interfaces, waiting, least, engine, paced, set(finished))
+        crashes: dict[str, FailedEpisode] = {}
+        in_workers: dict[str, float] = {}
         try:
             with closing(stream):
                 for played in stream:
                     _note_failures(comparison, played)
+                    for failed in (one for one in played.results if isinstance(one, FailedEpisode)):
+                        crashes[failed.policy] = min(crashes.get(failed.policy, failed), failed, key=_number)
+                    if (spent := played.construction_ms) is not None:
+                        in_workers[played.policy] = max(spent, in_workers.get(played.policy, 0.0))
                     meter.look()
                     for result in (replace(one, run=meter.run.id) for one in played.results):
                         _check_return(result, made_env.stated_return_bounds)
@@ -201,11 +210,13 @@ def compare(
         except KeyboardInterrupt:
             comparison.interrupted = True
         results = results[~np.isin(results.column("policy"), comparison.disqualified)].sorted(list(made))
+        _note_crashes(comparison, results, crashes)
         judged = min(map(len, results.by_policy().values()), default=0)
         runs = [*(log.runs if log is not None else []), meter.ended(judged, baseline, margin)]
         if results:
             latencies = paced is None or paced.recorded is None
-            _judge(comparison, unjudged(results, runs) if latencies else results, made, made_env, episodes)
+            _judge(comparison, unjudged(results, runs) if latencies else results, made, made_env, episodes, runs)
+            _tell_construction(comparison, construction | in_workers)
             comparison.notes += load_notes(results, runs) if latencies else []
             comparison.notes += argument_notes(runs) if comparison.paired else []
             comparison.looks = earlier_looks(runs)
@@ -219,15 +230,15 @@ def compare(
 
 def _built(
     comparison: Comparison, by_name: Mapping[str, Any], interfaces: WorldsByInterface, policy_seed: int
-) -> dict[str, Policy]:
-    """The policies, made before anything is reset; without those that write to the world as they are made."""
-    made = {}
+) -> tuple[dict[str, Policy], dict[str, float]]:
+    """The policies, made before anything is reset, and how long that took, ms; without any that write to the world."""
+    made, construction = dict[str, Policy](), dict[str, float]()
     for name, policy in by_name.items():
         try:
-            made[name] = build_policy(policy, interfaces.of(policy), name, policy_seed)
+            made[name], construction[name] = build_timed(policy, interfaces.of(policy), name, policy_seed)
         except PolicyDisqualified as failure:
             _note_failures(comparison, failed(name, [], failure))
-    return made
+    return made, construction
 
 
 def _note_failures(comparison: Comparison, played: RolloutBatch) -> None:
@@ -238,20 +249,59 @@ def _note_failures(comparison: Comparison, played: RolloutBatch) -> None:
         comparison.disqualified.append(played.policy)
 
 
-def _judge(comparison: Comparison, results: EpisodeTable, made: Mapping[str, Policy], env: Any, episodes: int) -> None:
+def _number(result: EpisodeResult) -> int:
+    return result.episode
+
+
+def _note_crashes(comparison: Comparison, results: EpisodeTable, crashes: Mapping[str, FailedEpisode]) -> None:
+    """Say in how many episodes each policy failed, and why in the first that was played now."""
+    for name, played in results.by_policy().items():
+        episodes = played.column("episode")[played.column("outcome") == ERROR]
+        if not len(episodes):
+            continue
+        crash = crashes.get(name)
+        first = (
+            f"the first is episode {episodes.min()}" if crash is None else f"episode {crash.episode}: {crash.message}"
+        )
+        said = (
+            f"{name} raised an error, or returned an invalid action, in {len(episodes)} of {len(played)} episodes, "
+            f"which count as failures; {first}"
+        )
+        comparison.failures[name] = "; ".join(filter(None, (comparison.failures.get(name), said)))
+        if crash is not None:
+            comparison.tracebacks.setdefault(name, crash.traceback)
+
+
+def _judge(
+    comparison: Comparison,
+    results: EpisodeTable,
+    made: Mapping[str, Policy],
+    env: Any,
+    episodes: int,
+    runs: Sequence[Run],
+) -> None:
     """Summarise the results, and note what is to be known of them."""
     comparison.results, comparison.time_limit = results, env.max_episode_steps
     steps = env.max_episode_steps
     if (bounds := env.return_bounds) is None:
         comparison.notes.append(UNBOUNDED)
     comparison.policies, comparison.paired = summarise(
-        results, made, episodes, bounds, steps, comparison.groups, comparison.spared
+        results, made, episodes, bounds, steps, comparison.groups, comparison.spared, runs
     )
-    comparison.notes += certificate_notes(results)
+    comparison.notes += certificate_notes(results) + motion_notes(results, env.task.control_period)
     counted, _ = counted_results(results)
-    comparison.notes += timing_notes((name, played) for name, played in counted.items() if played)
+    played = ((name, played) for name, played in counted.items() if played)
+    comparison.notes += timing_notes(played, Machines.of(runs, results))
     if comparison.policies and comparison.policies[0].success is None:
         comparison.notes.append(UNSCORED.format(env=bare_id(comparison.env)))
+
+
+def _tell_construction(comparison: Comparison, construction: Mapping[str, float]) -> None:
+    """Say how long it took to make each policy; of a group's trainings, the longest."""
+    comparison.policies = [
+        replace(one, construction_ms=max(construction[name] for name in one.trainings or [one.policy]))
+        for one in comparison.policies
+    ]
 
 
 def with_return_bounds(env_options: Mapping[str, Any] | None, bounds: Bounds | None) -> dict[str, Any]:
@@ -261,7 +311,7 @@ def with_return_bounds(env_options: Mapping[str, Any] | None, bounds: Bounds | N
 
 def _check_return(result: EpisodeResult, bounds: Bounds | None) -> None:
     """Raise `ConfigurationError` for a return beyond the stated bounds, by more than what sums are rounded by."""
-    if bounds is None:
+    if bounds is None or result.outcome == ERROR:
         return
     rounding = 1e-9 * max(map(abs, bounds))
     if not bounds[0] - rounding <= result.total_reward <= bounds[1] + rounding:

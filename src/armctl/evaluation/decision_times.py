@@ -1,8 +1,10 @@
-"""Times the decisions of a policy, planning at the reset included, and says what the times are worth."""
+"""Times the construction, the resets and the decisions of a policy, and says what the times are worth."""
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,15 +12,17 @@ from numpy.typing import NDArray
 from armctl.evaluation.episode_table import EpisodeTable, table_of
 from armctl.evaluation.provenance import BUSY, Run
 from armctl.evaluation.record import EpisodeResult
-from armctl.policies import Actions, Policy
+from armctl.policies import Actions, ControllersFailed, Policy
 from armctl.tasks import Observations
 
+Errors = dict[int, BaseException]
+"""Errors of a policy, by the world in which each arose."""
 DIGITS = 4
-"""Of a decision time in ms: to 0.1 us."""
+"""Of a time in ms: to 0.1 us."""
 
 
 class TimedPolicy:
-    """A policy in n worlds. The time of its reset belongs to the first decision of the episode.
+    """A policy in n worlds.
 
     What a call takes is divided by the number of worlds that it is for. `cold` (n,) says in which worlds the first
     decision of the current episode was the policy's very first, in which code is loaded and compiled.
@@ -32,34 +36,74 @@ class TimedPolicy:
         self.setting = (n, workers)
         """How many worlds share a call, and how many processes play."""
         self.cold = np.zeros(n, dtype=bool)
+        self.construction_ms: float | None = None
+        """How long it took to make it, if that was measured."""
+        self.reset_ms = np.zeros(n)
+        """(n,) the time of the reset with which each world's current episode began."""
         self._fresh = True
-        self._reset_ms = np.zeros(n)
 
-    def reset(self, ids: NDArray[np.int32], episodes: Sequence[int]) -> None:
+    def reset(self, ids: NDArray[np.int32], episodes: Sequence[int]) -> Errors:
         """Worlds `ids` start these `episodes`."""
         self.cold[ids] = self._fresh
-        start = perf_counter()
-        self.policy.reset(ids)
-        self._reset_ms[ids] = 1e3 * (perf_counter() - start) / len(ids)
+        start, errors = perf_counter(), Errors()
+        try:
+            self.policy.reset(ids)
+        except ControllersFailed as failure:
+            errors = failure.errors
+        self.reset_ms[ids] = np.round(1e3 * (perf_counter() - start) / len(ids), DIGITS)
+        return errors
 
-    def act(self, observations: Observations) -> tuple[Actions, NDArray[np.float64]]:
+    def act(self, observations: Observations) -> tuple[Actions, NDArray[np.float64], Errors]:
         """Actions (n, ...), and the time of each world's decision, (n,) ms; NaN where none begins."""
-        start = perf_counter()
-        actions = self.policy.act(observations)
-        spent = 1e3 * (perf_counter() - start) / len(self.cold) + self._reset_ms
+        start, errors = perf_counter(), Errors()
+        try:
+            actions: Any = self.policy.act(observations)
+        except ControllersFailed as failure:
+            actions, errors = failure.actions, failure.errors
+        spent = np.full(len(self.cold), 1e3 * (perf_counter() - start) / len(self.cold))
         self._fresh = False
-        self._reset_ms[:] = 0.0
-        return actions, np.round(spent, DIGITS)
+        return actions, np.round(spent, DIGITS), errors
 
 
-def comparable_times(results: Sequence[EpisodeResult]) -> EpisodeTable:
-    """The results whose decision times were taken alike: the latencies, or else those of the most frequent setting."""
+def timed_construction(make: Callable[[], Policy]) -> tuple[Policy, float]:
+    """Make a policy. Return also how long that took, ms: of a controller, if there is one for each world."""
+    start = perf_counter()
+    policy = make()
+    spent = 1e3 * (perf_counter() - start)
+    return policy, round(spent / len(getattr(policy, "controllers", [policy])), DIGITS)
+
+
+@dataclass(frozen=True)
+class Machines:
+    """On which machine the episodes of each run were played. Times of different machines are not pooled."""
+
+    by_run: Mapping[str, str]
+    busiest: str = ""
+    """The machine with the most episodes."""
+
+    @classmethod
+    def of(cls, runs: Iterable[Run], results: EpisodeTable) -> "Machines":
+        """Return the machines of these results, by their runs. Machines of one processor and as many cores are one."""
+        by_run = {run.id: f"{run.processor}, {run.cores} cores" for run in runs}
+        counts = Counter(by_run.get(run, "") for run in results.column("run").tolist())
+        return cls(by_run, counts.most_common(1)[0][0] if counts else "")
+
+    def settings(self, results: EpisodeTable) -> list[tuple[int, int, str]]:
+        """Return worlds, workers and machine of each episode; an empty machine if it is unknown."""
+        columns = (results.column(name).tolist() for name in ("worlds", "workers", "run"))
+        return [(worlds, workers, self.by_run.get(run, "")) for worlds, workers, run in zip(*columns, strict=True)]
+
+
+def comparable_times(results: Sequence[EpisodeResult], machines: Machines = Machines({})) -> EpisodeTable:
+    """Return the results whose times were taken alike: of one number of worlds and workers, and on one machine.
+
+    They are latencies if there are any, of the machine with the most episodes if there are any, or else the most.
+    """
     table = table_of(results)
-    played = table.column("worlds"), table.column("workers")
-    settings = Counter(zip(*(one.tolist() for one in played), strict=True))
-    best = max(settings, key=lambda setting: (setting == (1, 1), settings[setting]))
-    alike: NDArray[np.bool_] = (played[0] == best[0]) & (played[1] == best[1])
-    return table[alike]
+    settings = machines.settings(table)
+    counts = Counter(settings)
+    best = max(counts, key=lambda one: (one[:2] == (1, 1), one[2] == machines.busiest, counts[one]))
+    return table[np.array([setting == best for setting in settings])]
 
 
 def setting_in_words(worlds: int, workers: int) -> str:
@@ -92,22 +136,30 @@ def load_notes(results: EpisodeTable, runs: Iterable[Run]) -> list[str]:
     ]
 
 
-def timing_notes(timed: Iterable[tuple[str, Sequence[EpisodeResult]]]) -> list[str]:
+def timing_notes(timed: Iterable[tuple[str, Sequence[EpisodeResult]]], machines: Machines = Machines({})) -> list[str]:
     """Remarks about the decision times of policies: what they are, and which episodes they leave out."""
-    settings, notes = {}, []
+    kinds, notes = {}, []
     for policy, results in timed:
-        alike = comparable_times(results)
-        settings[policy] = setting_in_words(alike[0].worlds, alike[0].workers)
-        if len(alike) < len(results):
-            kind = settings[policy] or "latencies"
-            counts = f"{len(alike)} of {len(results)} episodes"
-            notes.append(
-                f"Decision times of {policy} are from {counts}, and are {kind}: the others were played with other "
-                "--worlds or --workers."
+        table = table_of(results)
+        alike = comparable_times(table, machines)
+        settings = set(machines.settings(table))
+        (setting,) = set(machines.settings(alike))
+        kinds[policy] = setting_in_words(*setting[:2]), setting[2]
+        if len(alike) < len(table):
+            others = ["with other --worlds or --workers"] if any(one[:2] != setting[:2] for one in settings) else []
+            elsewhere = sorted({one[2] or "an unknown machine" for one in settings} - {setting[2]})
+            others += (
+                [f"on {' and '.join(elsewhere)}, not on {setting[2] or 'an unknown machine'}"] if elsewhere else []
             )
-    if len(kinds := set(settings.values())) > 1:
-        said = "; ".join(f"those of {policy} are {words or 'latencies'}" for policy, words in settings.items())
-        notes.append(f"Decision times cannot be compared: {said}.")
-    elif kinds and (words := kinds.pop()):
+            notes.append(
+                f"Decision times of {policy} are from {len(alike)} of {len(table)} episodes, and are "
+                f"{kinds[policy][0] or 'latencies'}: the others were played {', or '.join(others)}."
+            )
+    if len(set(kinds.values())) > 1:
+        where = {policy: f" on {place or 'an unknown machine'}" for policy, (_, place) in kinds.items()}
+        where = where if len({place for _, place in kinds.values()}) > 1 else {}
+        said = (f"those of {one} are {words or 'latencies'}{where.get(one, '')}" for one, (words, _) in kinds.items())
+        notes.append(f"Decision times cannot be compared: {'; '.join(said)}.")
+    elif kinds and (words := next(iter(kinds.values()))[0]):
         notes.append(f"Decision times are {words}. Only those of one world and one worker are held against deadlines.")
     return notes

@@ -3,12 +3,11 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-import numpy as np
 import pandas as pd
 from scipy import stats
 
 from armctl.evaluation.paired import mcnemar
-from armctl.evaluation.statistics import paired_superiority
+from armctl.evaluation.statistics import paired_superiority, sign_of_difference
 from armctl.evaluation.trainings import mean_over_trainings
 
 FALSE_DISCOVERY_RATE = 0.05
@@ -105,8 +104,9 @@ def change_between(before: pd.DataFrame, after: pd.DataFrame, score: str) -> tup
 def change_of_group(before: pd.DataFrame, after: pd.DataFrame, score: str) -> tuple[float, float]:
     """The same over a group's trainings and episodes; (1, 0) if there is nothing to compare."""
     tables = (one.pivot(index="policy", columns="episode", values=score).astype(float) for one in (before, after))
-    first, second = tables
-    changes = np.sign((second - first).dropna(axis=1).to_numpy())  # of success they are -1, 0 and 1 themselves
+    first, second = (one.dropna(axis=1) for one in tables)
+    both = first.columns.intersection(second.columns)
+    changes = sign_of_difference(second[both].to_numpy(), first[both].to_numpy())
     if 0 in changes.shape:
         return 1.0, 0.0
     change = mean_over_trainings(changes, (-1.0, 1.0))

@@ -158,13 +158,15 @@ class EpisodeTable(Sequence[EpisodeResult]):
         return self._decision_ms.take(self._all_rows)
 
     def decision_seconds(self) -> Array:
-        """(len(self),) the time of all decisions of each episode."""
+        """(len(self),) the time of the reset and of all decisions of each episode."""
         parts = [self[first : first + _AT_ONCE].decision_ms() for first in range(0, len(self), _AT_ONCE)]
         found = [
             np.bincount(np.repeat(np.arange(len(lengths)), lengths), np.nan_to_num(times, nan=0.0), len(lengths))
             for times, lengths in parts
         ]
-        return np.concatenate([np.empty(0), *found]) / 1e3
+        spent: Array = np.concatenate([np.empty(0), *found])
+        spent += np.nan_to_num(self.column("reset_ms"), nan=0.0)
+        return spent / 1e3
 
     def warm_ms(self) -> Array:
         """The times of all warm decisions, of one episode after the other, in an array of its own."""

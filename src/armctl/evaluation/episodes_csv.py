@@ -14,13 +14,15 @@ import numpy as np
 
 from armctl.errors import ResultsError
 from armctl.evaluation.episode_table import EpisodeTable
-from armctl.evaluation.record import COLUMNS, EpisodeResult
+from armctl.evaluation.record import ADDED, COLUMNS, EpisodeResult
 from armctl.files import digest, open_without_links, opened_regular, write_atomically
 from armctl.registration import bare_id
 
 DECISION_COLUMNS = ("policy", "episode", "checksum", "decision_ms")
 """The last column holds the episode's decision times, ms, separated by spaces. The checksum is of these, of the row in
 `episodes.csv`, and of the comparison's identity."""
+VERSIONS = [tuple(name for name in COLUMNS if name not in ADDED[i:]) for i in reversed(range(len(ADDED) + 1))]
+"""Columns of `episodes.csv`: those of this version, and those of older ones."""
 LARGEST_TABLE, LARGEST_FIELD = 4 * 2**30, 2**28
 """Bytes of a table, and of the decision times of one episode."""
 
@@ -71,10 +73,10 @@ def write_csv(episodes: Path, decisions: Path, own: str, results: Iterable[Episo
 def read_csv(episodes: Path, decisions: Path, comparison: Mapping[str, Any], kept: EpisodeTable) -> None:
     """Add the finished episodes in both tables to `kept`, in file order. Raises `ResultsError` for damaged files."""
     own = digest(comparison)
-    unknown = {"run": ""}  # of episodes of an older version
+    unknown = {"run": "", "reset_ms": "nan"}  # of episodes of an older version
     times = _DecisionRows(decisions)
     known: dict[str, set[str]] = defaultdict(set)
-    for line, row in _rows(episodes, COLUMNS, COLUMNS[:-1]):
+    for line, row in _rows(episodes, *VERSIONS):
         with _damage(episodes, line):
             if row["episode"] in known[row["policy"]]:
                 raise ValueError(f"episode {row['episode']} of {row['policy']} for the second time")
@@ -127,15 +129,15 @@ def _damage(path: Path, line: int) -> Iterator[None]:
         ) from error
 
 
-def _rows(path: Path, columns: tuple[str, ...], older: tuple[str, ...] = ()) -> Iterator[tuple[int, dict[str, str]]]:
-    """The lines of a table, by number, without an incomplete last one."""
+def _rows(path: Path, columns: tuple[str, ...], *older: tuple[str, ...]) -> Iterator[tuple[int, dict[str, str]]]:
+    """The lines of a table, by number, without an incomplete last one. Its columns may be those of `older` versions."""
     csv.field_size_limit(LARGEST_FIELD)
     try:
         with opened_regular(path, LARGEST_TABLE) as file:
             read = csv.reader(line.decode() for line in file if line.endswith(b"\n"))
             for line, values in enumerate(read, start=1):
-                if line == 1 and tuple(values) == older:
-                    columns = older
+                if line == 1 and tuple(values) in older:
+                    columns = tuple(values)
                 if len(values) != len(columns) or (line == 1 and tuple(values) != columns):
                     raise csv.Error(f"it does not have the columns {', '.join(columns)}")
                 if line > 1:

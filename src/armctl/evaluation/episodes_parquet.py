@@ -16,6 +16,7 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.envs import ERROR
 from armctl.errors import ResultsError, missing_extra
 from armctl.evaluation.episode_columns import Array
 from armctl.evaluation.episode_table import TYPES, EpisodeTable
@@ -27,6 +28,8 @@ ROWS = 10_000
 """Episodes of a row group: as many are in memory twice, at once."""
 LARGEST_FILE, MOST_VALUES = 4 * 2**30, 2**28
 """Bytes of a file, packed or unpacked, and values in a row group."""
+_OLDER = [name for name in COLUMNS if name != "reset_ms"]
+"""Columns of files of older versions."""
 _KEY = "armctl"
 _TEXTS = [*(name for name in COLUMNS if TYPES.get(name) is str), "reward_terms.key_value.key"]
 """Columns that are read as indices of the different texts in them, which a small file could repeat endlessly."""
@@ -73,9 +76,16 @@ class _Group:
                 raise ValueError(
                     f"{name} has {odd[0]}, and should be between -{LARGEST_RETURN:g} and {LARGEST_RETURN:g}"
                 )
-        firsts = self.decision_ms[np.cumsum(self.decisions) - self.decisions] if self.decisions.all() else [np.nan]
+        outcomes, codes = self.repeated["outcome"]
+        decided = self.decisions > 0
+        if (np.array(outcomes, object)[codes[~decided]] != ERROR).any():
+            raise ValueError(f"it has an episode without decision times whose outcome is not {ERROR!r}")
+        firsts = self.decision_ms[(np.cumsum(self.decisions) - self.decisions)[decided]]
         if np.isnan(firsts).any() or not (np.isnan(self.decision_ms) | (self.decision_ms >= 0)).all():
             raise ValueError("it has decision times that are no times: numbers from 0 on, and nan where none began")
+        resets = self.numbers.get("reset_ms", np.empty(0))
+        if not (np.isnan(resets) | ((resets >= 0) & np.isfinite(resets))).all():
+            raise ValueError("it has a reset_ms that is no time")
         if np.isinf(self.decision_ms).any():
             raise ValueError("it has decision times that are infinite")
 
@@ -109,7 +119,8 @@ def read_parquet(path: Path, comparison: Mapping[str, Any], kept: EpisodeTable) 
             names = np.array([*group.terms[0], None], object)[group.terms[1]].tolist()
             ends = np.cumsum(group.term_counts).tolist()
             terms = [tuple(names[first:end]) for first, end in itertools.pairwise([0, *ends])]
-            kept.extend(group.numbers, group.repeated, (terms, group.earned), (group.decision_ms, group.decisions))
+            numbers = {"reset_ms": np.full(len(terms), np.nan), **group.numbers}  # unknown in files of older versions
+            kept.extend(numbers, group.repeated, (terms, group.earned), (group.decision_ms, group.decisions))
     except (OSError, ValueError, KeyError, TypeError, OverflowError, pa.ArrowException) as error:
         raise ResultsError(f"{path} is damaged ({error}): remove it, or overwrite all (--overwrite)") from error
 
@@ -119,7 +130,7 @@ def _groups(path: Path, comparison: Mapping[str, Any]) -> Iterator[_Group]:
     _, pq = _pyarrow()
     with opened_regular(path, LARGEST_FILE) as opened:
         plain = pq.ParquetFile(opened)
-        if not plain.schema_arrow.equals(_schema()):
+        if not any(plain.schema_arrow.equals(_schema(columns)) for columns in (COLUMNS, _OLDER)):
             raise ValueError(f"it does not have the columns {', '.join((*COLUMNS, 'decision_ms'))}, of their types")
         file = pq.ParquetFile(opened, metadata=plain.metadata, read_dictionary=_TEXTS)
         about = unsealed((file.metadata.metadata or {}).get(_KEY.encode(), b"null"))
@@ -142,7 +153,7 @@ def _check_size(group: Any) -> None:
         raise ValueError(f"a row group of {values:,} values and {size:,} bytes is too large")
 
 
-def _schema() -> Any:
+def _schema(columns: Sequence[str] = COLUMNS) -> Any:
     """The columns of a file, with their types."""
     pa, _ = _pyarrow()
     plain = {str: pa.string(), int: pa.int64(), bool: pa.bool_(), float: pa.float64()}
@@ -159,7 +170,7 @@ def _schema() -> Any:
         kind = special.get(name) or plain[next(iter(kinds - {NoneType}))]
         return pa.field(name, kind, nullable=NoneType in kinds and name not in special)
 
-    return pa.schema([field(name) for name in (*COLUMNS, "decision_ms")])
+    return pa.schema([field(name) for name in (*columns, "decision_ms")])
 
 
 def _columns(results: EpisodeTable, schema: Any) -> list[Any]:

@@ -36,7 +36,8 @@ class Metrics:
     solver_failures: int
     """Control steps in which the controller's solver failed, if it counts them."""
     missed_deadlines: int | None
-    """Warm decisions that took longer than the control period; None if that or their latencies are unknown."""
+    """Warm decisions that took longer than the control period, the first one together with the reset before it; None
+    if the period or latencies are unknown."""
     decision_ms_p50: float
     """Of warm decisions, like the next two: of all but the policy's first in its process, unless there is no other."""
     decision_ms_p99: float
@@ -53,34 +54,38 @@ def metrics(
     decision_ms: Array,
     solver_failures: int,
     *,
+    reset_ms: float,
     cold: bool,
     slow_down: float | None,
 ) -> Metrics:
-    """Metrics of the episode that has just ended in a world.
+    """Metrics of the episode that has just ended in a world; it may have no step, if the policy failed before.
 
     `start` (3,) m is the robot's initial position, `motions` and `decision_ms` (steps,) are those of its control steps.
-    `decision_ms` is NaN in steps in which none began. `cold` says whether the first decision was the policy's first in
-    its process; `slow_down` by how much decisions take longer, None if times are no latencies.
+    `decision_ms` is NaN in steps in which none began; `reset_ms`, before the first, is apart. `cold` says whether the
+    first decision was the policy's first in its process; `slow_down` by how much decisions take longer, None if times
+    are no latencies.
     """
     period = task.control_period
-    contacts = [None if motion.contact is None else bool(motion.contact[world]) for motion in motions]
+    known = task.motion().contact is not None
+    contacts = sum(bool(motion.contact[world]) for motion in motions if motion.contact is not None)
     positions = np.array([start, *(motion.position[world] for motion in motions)])
     configurations = np.array([motion.configuration[world] for motion in motions])
     use = _joint_use(task, world, motions, configurations)
     warm = warm_times(decision_ms, cold)
-    p50, p99, most = np.quantile(warm, (0.5, 0.99, 1.0))
+    waits = warm_times(np.concatenate((decision_ms[:1] + reset_ms, decision_ms[1:])), cold)
+    p50, p99, most = np.quantile(warm, (0.5, 0.99, 1.0)) if len(warm) else [math.nan] * 3
     return Metrics(
         path_length(positions),
         math.nan if period is None else smoothness(positions, period),
         *use,
-        task.least_clearance(world, configurations),
-        None if None in contacts else sum(map(bool, contacts)),
+        task.least_clearance(world, configurations) if motions else math.nan,
+        contacts if known else None,
         solver_failures,
-        None if slow_down is None or period is None else int((slow_down * warm > 1e3 * period).sum()),
+        None if slow_down is None or period is None else int((slow_down * waits > 1e3 * period).sum()),
         round(float(p50), 4),
         round(float(p99), 4),
         round(float(most), 4),
-        float(decision_ms[0]) if cold else math.nan,
+        float(decision_ms[0]) if cold and motions else math.nan,
     )
 
 
@@ -96,8 +101,8 @@ def warm_times(decision_ms: Array, cold: bool) -> Array:
 def _joint_use(
     task: Any, world: int, motions: Sequence[MotionSample], configurations: Array
 ) -> tuple[float, float, float, float]:
-    """Use of range, speed and torque, and energy; NaN for a task that does not sample its joints."""
-    if task.joints is None:
+    """Use of range, speed and torque, and energy; NaN without a step, and if the task does not sample its joints."""
+    if task.joints is None or not motions:
         return math.nan, math.nan, math.nan, math.nan
     samples = [motion.joints[:, :, world] for motion in motions if motion.joints is not None]
     (speeds, torques), limits = np.array(samples).swapaxes(0, 1), task.joints.limits

@@ -18,6 +18,7 @@ from armctl.evaluation.statistics import (
     bounded_difference,
     bounded_mean,
     paired_superiority,
+    sign_of_difference,
 )
 from armctl.evaluation.trainings import CrossedDifference, difference_over_trainings, superiority_over_trainings
 
@@ -209,9 +210,9 @@ def paired_difference(
     both = success_a & success_b
     only_a, only_b = int((success_a & ~success_b).sum()), int((success_b & ~success_a).sum())
     level = 1 - UNCERTAINTY / claims
-    gained, wide, return_p = _return_difference(returns[0] - returns[1], return_bounds, level)
+    gained, wide, return_p = _return_difference(returns, return_bounds, level)
     late = _steps_difference(steps, time_limit, level)
-    higher = bounded_mean((np.sign(returns[0] - returns[1]) + 1) / 2, (0.0, 1.0), level)
+    higher = bounded_mean((sign_of_difference(*returns) + 1) / 2, (0.0, 1.0), level)
     assert higher is not None
     return PairedDifference(
         a,
@@ -232,16 +233,22 @@ def paired_difference(
 
 
 def _return_difference(
-    gains: Array, return_bounds: Bounds | None, confidence: float
+    returns: tuple[Array, Array], return_bounds: Bounds | None, confidence: float
 ) -> tuple[Estimate, Estimate, float | None]:
-    """Mean of gains (k,) in return with both intervals, and its p-value: all unknown if the possible returns are."""
+    """Mean difference in return with both intervals, and its p-value: all unknown if the possible returns are."""
     if return_bounds is None:
-        unknown = Estimate(float(gains.mean()), None, None)
+        unknown = _without_interval(*returns)
         return unknown, unknown, None
     most = return_bounds[1] - return_bounds[0]
-    found = bounded_difference(gains, (-most, most), confidence)
+    found = bounded_difference(returns[0] - returns[1], (-most, most), confidence)
     assert found is not None
     return found.estimate, found.wide, found.p
+
+
+def _without_interval(a: Array, b: Array) -> Estimate:
+    """Difference between mean returns; NaN where the return of an episode is not known, since a policy failed in it."""
+    known = np.isfinite(a).all() and np.isfinite(b).all()
+    return Estimate(float(a.mean() - b.mean()) if known else math.nan, None, None)
 
 
 def _steps_difference(
@@ -268,7 +275,9 @@ def difference_of_groups(
     is also for how many pairs equivalence may be claimed.
     """
     narrow, wide = 1 - 2 * EQUIVALENCE / claims, 1 - UNCERTAINTY / claims
-    earned = difference_over_trainings(*returns, return_bounds, wide=wide)
+    known = all(np.isfinite(scores).all() for scores in returns)  # else a policy failed, at an unknown cost
+    paid = returns if known else (np.full_like(returns[0], math.nan), np.full_like(returns[1], math.nan))
+    earned = difference_over_trainings(*paid, return_bounds, wide=wide)
     higher, simultaneous = superiority_over_trainings(*returns, wide)
     late = None
     if steps is not None and time_limit is not None:

@@ -4,7 +4,7 @@ import contextlib
 import os
 import signal
 import uuid
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,10 +17,11 @@ from armctl.envs import EpisodeVectorEnv
 from armctl.errors import ConfigurationError, EnvironmentFailed, format_cause
 from armctl.evaluation.decision_times import TimedPolicy
 from armctl.evaluation.engines import Cluster, Engine
+from armctl.evaluation.failures import FirstEpisodes, PolicyDisqualified, PolicyFailed, until_unplayable
 from armctl.evaluation.identity import LOADED, identity
 from armctl.evaluation.real_time import RealTime, RealTimePolicy
 from armctl.evaluation.record import EpisodeResult
-from armctl.evaluation.rollouts import PolicyDisqualified, PolicyFailed, build_policy, rollouts
+from armctl.evaluation.rollouts import build_timed, rollouts
 from armctl.evaluation.sending import relative
 from armctl.evaluation.workers import Work, check_alike
 from armctl.policies import Policy, PolicyFactory, WorldsByInterface, configured
@@ -80,6 +81,8 @@ class RolloutBatch:
     traceback: str = ""
     disqualified: bool = False
     """Whether the policy wrote to the world, so that none of its episodes count."""
+    construction_ms: float | None = None
+    """How long it took to make the policy in the worker."""
 
 
 def play_here(
@@ -89,10 +92,12 @@ def play_here(
     waiting: Mapping[str, Sequence[int]],
     least_lengths: dict[int, float],
     real_time: RealTime | None = None,
+    finished: Collection[str] = (),
 ) -> Generator[RolloutBatch, None, None]:
     """Play each policy's `waiting` episodes in its `worlds`, and yield each as it ends.
 
-    `least_lengths` is as in `rollouts`. In real time, policies have one world each.
+    `least_lengths` is as in `rollouts`. In real time, policies have one world each. A policy that has `finished`
+    episodes before can play; one that cannot play at all stops (see `armctl.evaluation.failures`).
     """
     for name, policy in policies.items():
         if not waiting[name]:
@@ -100,7 +105,8 @@ def play_here(
         try:
             env = worlds[name]
             timed = RealTimePolicy(policy, env, real_time, name) if real_time else policy
-            for result in rollouts(timed, env, waiting[name], seed, name, least_lengths):
+            results = rollouts(timed, env, waiting[name], seed, name, least_lengths)
+            for result in until_unplayable(results, name, () if name in finished else waiting[name]):
                 yield RolloutBatch(name, [result])
         except (PolicyFailed, EnvironmentFailed) as failure:
             yield failed(name, [], failure)
@@ -114,14 +120,25 @@ def play_in_workers(
     least_lengths: dict[int, float],
     engine: Engine,
     real_time: RealTime | None = None,
+    finished: Collection[str] = (),
 ) -> Generator[RolloutBatch, None, None]:
     """The same by an engine's workers; see `do_in_workers`."""
+    first = {name: FirstEpisodes(name, () if name in finished else waiting[name]) for name in made}
 
     def known(name: str, block: Sequence[int]) -> tuple[Any, ...]:
         least = {episode: least_lengths[episode] for episode in block if episode in least_lengths}
         return least, real_time and real_time.of(name, block)
 
-    with closing(do_in_workers(_play, setting, made, worlds, waiting, engine, known)) as everything:
+    def counted(played: RolloutBatch) -> RolloutBatch:
+        results: list[EpisodeResult] = []
+        try:
+            for result in played.results:
+                results += first[played.policy].counted(result)
+        except PolicyFailed as failure:
+            return failed(played.policy, results, failure)
+        return replace(played, results=results)
+
+    with closing(do_in_workers(_play, setting, made, worlds, waiting, engine, known, counted)) as everything:
         for played in everything:
             least_lengths.update((result.episode, result.least_length) for result in played.results)
             yield played
@@ -135,11 +152,13 @@ def do_in_workers(
     waiting: Mapping[str, Sequence[int]],
     engine: Engine,
     more: Callable[[str, Sequence[int]], tuple[Any, ...]] = lambda name, block: (),
+    counted: Callable[[RolloutBatch], RolloutBatch] = lambda played: played,
 ) -> Generator[RolloutBatch, None, None]:
     """Yield `work(setting, name, block, *more(name, block))` for blocks of each policy's `waiting` episodes.
 
-    `made` are the setting's policies, as made here in `worlds`. After a policy has failed, no more of its blocks are
-    begun. Closing the iterator discards unfinished blocks. Raises `WorkersFailed`.
+    `made` are the setting's policies, as made here in `worlds`. `counted` says what counts of a block, or that its
+    policy has failed: then no more of its blocks are begun. Closing the iterator discards unfinished blocks. Raises
+    `WorkersFailed`.
     """
     failed: set[str] = set()
 
@@ -156,7 +175,7 @@ def do_in_workers(
         alone = {name: replace(setting, policies={name: policy}) for name, policy in setting.policies.items()}
         everything = engine.run(_do_alone, work, ((alone[block[0]], *block) for block in blocks()))
     with closing(everything):
-        for played in everything:
+        for played in map(counted, everything):
             if played.failure:
                 if played.policy in failed:
                     continue
@@ -216,7 +235,7 @@ def batch(setting: Setting, name: str, play: Callable[[TimedPolicy, EpisodeVecto
         results.extend(play(timed, worlds))
     except (PolicyFailed, EnvironmentFailed) as failure:
         return failed(name, results, failure)
-    return RolloutBatch(name, results)
+    return RolloutBatch(name, results, construction_ms=timed.construction_ms)
 
 
 def failed(name: str, results: list[Any], failure: PolicyFailed | EnvironmentFailed) -> RolloutBatch:
@@ -237,10 +256,12 @@ def _made(setting: Setting, name: str) -> tuple[EpisodeVectorEnv, TimedPolicy]:
             _present.popitem()[1][0].close()
         interfaces = config.interfaces(config.env, config.worlds, config.env_options, threads=1)
         worlds = interfaces.of(policy)
-        made = build_policy(policy, worlds, name, config.policy_seed)
+        made, construction_ms = build_timed(policy, worlds, name, config.policy_seed)
         if expected := setting.identities.get(name):
             check_alike(expected, _known_there(setting, name, made, worlds))
-        _present[config, name] = interfaces, worlds, TimedPolicy(made, worlds.num_envs, config.workers)
+        timed = TimedPolicy(made, worlds.num_envs, config.workers)
+        timed.construction_ms = construction_ms
+        _present[config, name] = interfaces, worlds, timed
     return _present[config, name][1:]
 
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from armctl.disturbances import Disturbance, DisturbanceSpec
 from armctl.envs import EpisodeVectorEnv
 from armctl.errors import ConfigurationError
-from armctl.evaluation.decision_times import TimedPolicy
+from armctl.evaluation.decision_times import Errors, TimedPolicy
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.store import COMPARISON, DECISIONS, read_episodes
 from armctl.files import bounded_text, digest, unsealed
@@ -44,9 +44,11 @@ class RecordedTimes:
     ms: tuple[float, ...]
     cold: bool
     """Whether the first one was the policy's first in its process."""
+    reset_ms: float = 0.0
+    """That of the reset before the first one."""
 
     def again(self) -> Iterator[float]:
-        """The times, ms. After the last one they come again, without the first, which has the planning at the reset."""
+        """The times, ms. After the last one they come again, without the first, which may do what others need not."""
         return itertools.chain(self.ms, itertools.cycle(self.ms[1:] or self.ms))
 
 
@@ -82,7 +84,7 @@ class RealTime:
             return {"latency": MEASURED, "slow_down": self.slow_down}
         first = {name: self.recorded[name][0] for name in policies}
         return {
-            "latency": digest({name: [*times.ms, times.cold] for name, times in first.items()}),
+            "latency": digest({name: [*times.ms, times.cold, times.reset_ms] for name, times in first.items()}),
             "slow_down": self.slow_down,
         }
 
@@ -97,7 +99,7 @@ class RealTime:
 
 
 class RealTimePolicy(TimedPolicy):
-    """A policy in one world that does not wait for its decisions.
+    """A policy in one world that does not wait for its decisions. Planning at the reset is part of the first one.
 
     Its first decision in a process is told apart, and takes effect at once.
     """
@@ -114,32 +116,36 @@ class RealTimePolicy(TimedPolicy):
         self._steps_left = 0
         """Control steps until it is ready."""
 
-    def reset(self, ids: NDArray[np.int32], episodes: Sequence[int]) -> None:
+    def reset(self, ids: NDArray[np.int32], episodes: Sequence[int]) -> Errors:
         """The world starts an episode: what was still computed is dropped."""
-        super().reset(ids, episodes)
+        errors = super().reset(ids, episodes)
         self._command, self._decided, self._steps_left = self._idle.copy(), None, 0
         self._begins = True
         if self._recorded is not None:
             recorded = self._recorded[episodes[0]]
-            self._given, self.cold[0] = recorded.again(), recorded.cold
+            self._given, self.cold[0], self.reset_ms[0] = recorded.again(), recorded.cold, recorded.reset_ms
+        return errors
 
-    def act(self, observations: Observations) -> tuple[Actions, NDArray[np.float64]]:
+    def act(self, observations: Observations) -> tuple[Actions, NDArray[np.float64], Errors]:
         """The command of this control step, (1, ...), and the time of the decision that begins, if one does."""
         self._steps_left = max(0, self._steps_left - 1)
         if self._steps_left:
-            return self._command, np.array([math.nan])
+            return self._command, np.array([math.nan]), Errors()
         if self._decided is not None:
             self._command, self._decided = self._decided, None
-        decided, spent = super().act(observations)
+        decided, spent, errors = super().act(observations)
+        if errors:
+            return decided, spent, errors
         if self._given is not None:
             spent = np.array([next(self._given)])
-        periods = self.slow_down * spent[0] / self._period_ms
+        waited = spent[0] + (self.reset_ms[0] if self._begins else 0.0)
+        periods = self.slow_down * waited / self._period_ms
         if periods <= 1 + TOLERANCE or (self._begins and self.cold[0]):
             self._command = _copied(decided)
         else:
             self._decided, self._steps_left = _copied(decided), math.ceil(periods - TOLERANCE)
         self._begins = False
-        return self._command, spent
+        return self._command, spent, errors
 
 
 def real_time_of(real_time: "str | Path | RealTime | None", slow_down: float, env: str, seed: int) -> "RealTime | None":
@@ -193,8 +199,9 @@ def recorded_times(results: Iterable[EpisodeResult]) -> dict[str, dict[int, Reco
                 f"with {result.worlds} worlds and {result.workers} workers. Record with one world and one worker"
             )
         times = result.decision_ms[~np.isnan(result.decision_ms)].tolist()
+        reset_ms = 0.0 if math.isnan(result.reset_ms) else result.reset_ms
         cold = not math.isnan(result.metrics.decision_ms_cold)
-        found.setdefault(result.policy, {})[result.episode] = RecordedTimes(tuple(times), cold)
+        found.setdefault(result.policy, {})[result.episode] = RecordedTimes(tuple(times) or (0.0,), cold, reset_ms)
     return found
 
 

@@ -12,16 +12,19 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Json, TypeAdapter, ValidationError
 from typing_extensions import TypedDict
 
+from armctl.envs import ERROR
 from armctl.evaluation.metrics import Metrics, warm_times
 
 COLUMNS = (
     "policy", "env", "episode", "seed", "outcome", "success", "feasible", "return", "reward_terms", "length",
     "least_length", "optimality_gap", "tracking_error", *(field.name for field in fields(Metrics)),
-    "worlds", "workers", "run",
+    "reset_ms", "worlds", "workers", "run",
 )  # fmt: skip
+ADDED = ("run", "reset_ms")
+"""Columns that older versions did not write, in the order in which they were added."""
 TIME_COLUMNS = (
-    "missed_deadlines", "decision_ms_p50", "decision_ms_p99", "decision_ms_max", "decision_ms_cold", "worlds",
-    "workers", "run",
+    "missed_deadlines", "decision_ms_p50", "decision_ms_p99", "decision_ms_max", "decision_ms_cold", "reset_ms",
+    "worlds", "workers", "run",
 )  # fmt: skip
 """The columns that depend on the machine, and on how it was used. All others are the same whenever and wherever an
 episode is played."""
@@ -56,11 +59,15 @@ class EpisodeResult:
     workers: int
     """How many processes played at a time."""
     decision_ms: NDArray[np.float64]
-    """(length,) decision times: wall time of each call of the policy, to 0.1 us, the first with the policy's reset.
+    """(length,) decision times: wall time of each call of the policy, to 0.1 us.
 
     NaN in control steps in which the policy was still computing (`RealTime`)."""
     run: str = ""
     """Id of the run that played it (see `Run`); empty if that is unknown."""
+    reset_ms: float = math.nan
+    """Wall time of the policy's reset at the beginning; of several worlds at once, divided by their number.
+
+    NaN in episodes of older versions, where it is in the first decision time."""
 
     @property
     def optimality_gap(self) -> float:
@@ -78,7 +85,7 @@ class EpisodeResult:
             self.policy, self.env, self.episode, self.seed, self.outcome, self.success, self.feasible,
             self.total_reward, json.dumps(self.reward_terms), self.length, self.least_length, self.optimality_gap,
             self.tracking_error,
-            *vars(self.metrics).values(), self.worlds, self.workers, self.run,
+            *vars(self.metrics).values(), self.reset_ms, self.worlds, self.workers, self.run,
         )  # fmt: skip
         return dict(zip(COLUMNS, values, strict=True))
 
@@ -93,14 +100,28 @@ class EpisodeResult:
         for name, value in earned.items():
             if not abs(value) <= LARGEST_RETURN:
                 raise ValueError(f"{name} is {value}, and should be between -{LARGEST_RETURN:g} and {LARGEST_RETURN:g}")
-        if not _are_times(decision_ms):
+        if not _are_times(decision_ms, plain["outcome"]):
             raise ValueError("its decision times are no times: numbers from 0 on, and nan where no decision began")
+        if not (math.isnan(reset := plain["reset_ms"]) or 0 <= reset < math.inf):
+            raise ValueError(f"reset_ms is {reset}, and should be a number from 0 on")
         return cls(**plain, metrics=Metrics(**_read(_METRICS_COLUMNS, named)), decision_ms=decision_ms)
 
 
-def _are_times(decision_ms: NDArray[np.float64]) -> bool:
+@dataclass(frozen=True)
+class FailedEpisode(EpisodeResult):
+    """An episode with the outcome `ERROR`, in the process that played it: what is written does not say why."""
+
+    message: str = ""
+    """What the policy did wrong, and where."""
+    traceback: str = ""
+
+
+def _are_times(decision_ms: NDArray[np.float64], outcome: str) -> bool:
+    """Whether they may be the decision times of an episode, which has none only if its first decision failed."""
+    if not len(decision_ms):
+        return outcome == ERROR
     began = decision_ms[~np.isnan(decision_ms)]
-    return bool(len(began) and not np.isnan(decision_ms[0]) and np.isfinite(began).all() and (began >= 0).all())
+    return bool(not np.isnan(decision_ms[0]) and np.isfinite(began).all() and (began >= 0).all())
 
 
 _EMPTY_IS_NONE = BeforeValidator(lambda text: text or None)

@@ -1,45 +1,65 @@
 """Plays episodes with one policy, and records a result for each."""
 
+import itertools
 import math
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from gymnasium.utils.env_checker import data_equivalence
 from numpy.typing import NDArray
 
 from armctl import DEFAULT_ENV
 from armctl.envs import EpisodeVectorEnv, chosen_policy_seed
 from armctl.errors import (
     FAILURES,
-    ArmctlError,
     ConfigurationError,
     Disqualified,
     EnvironmentFailed,
     InvalidAction,
     described,
 )
-from armctl.evaluation.decision_times import TimedPolicy
+from armctl.evaluation.decision_times import Errors, TimedPolicy, timed_construction
+from armctl.evaluation.episode_recorder import EpisodeRecorder
 from armctl.evaluation.episode_table import EpisodeTable
-from armctl.evaluation.metrics import metrics
-from armctl.evaluation.record import EpisodeResult
+from armctl.evaluation.failures import PolicyDisqualified, PolicyFailed, until_unplayable
+from armctl.evaluation.record import EpisodeResult, FailedEpisode
 from armctl.evaluation.seeds import Seed, evaluation_seed
 from armctl.evaluation.tampering import StateGuard
-from armctl.policies import Policy, PolicyFactory, WorldsByInterface, make_policy, policy_name
-from armctl.tasks import MotionSample
+from armctl.policies import ControllersFailed, Policy, PolicyFactory, WorldsByInterface, make_policy, policy_name
 
 MOST = {"episodes": 10_000_000, "worlds": 100_000, "workers": 1_000}
 """Larger numbers are mistakes, or a stranger's: they would fill the memory before anything is played."""
 
 
-class PolicyFailed(ArmctlError):
-    """A policy raised an error, or returned an invalid action."""
+class _UnknownWorldFailed(Exception):
+    """A policy that acts in all worlds at once has failed, in one of them or in more."""
+
+    def __init__(self, error: BaseException) -> None:
+        super().__init__(error)
+        self.error = error
 
 
-class PolicyDisqualified(PolicyFailed):
-    """A policy wrote to the world. None of its episodes count."""
+@dataclass(frozen=True)
+class _Attempt:
+    """An episode that was being played when a policy failed in an unknown world."""
+
+    actions: list[Any]
+    record: FailedEpisode
+    """What counts if the policy acts otherwise when the episode is played again."""
+
+
+class _ActedOtherwise(Exception):
+    """A policy acts otherwise in an episode than before."""
+
+    def __init__(self, attempt: _Attempt) -> None:
+        super().__init__(attempt.record.message)
+        self.attempt = attempt
 
 
 def rollouts(
@@ -53,135 +73,178 @@ def rollouts(
     """Play episodes of `seed` in the worlds of `env`, and yield the result of each as it ends.
 
     `episodes` is how many to play, or their numbers. `least_lengths`, by episode, is read and extended, so that
-    policies can share it. A decision time is the duration of the policy's call divided by the number of worlds; the
-    first one of an episode includes the policy's reset. `TimedPolicy` is for a policy that has decided before, or whose
+    policies can share it. A decision time is the duration of the policy's call divided by the number of worlds.
+    `TimedPolicy` is for a policy that has decided before, or whose
     decisions come late.
 
-    Raises `PolicyFailed` if the policy fails (`PolicyDisqualified` if it writes to the world), and `EnvironmentFailed`
-    if the environment does.
+    An episode in which the policy raises an error or returns an invalid action ends as a `FailedEpisode`, a loss, and
+    the next one begins. See `until_unplayable` and `unless_failed` for what to make of these.
+
+    Raises `PolicyDisqualified` if the policy writes to the world, and `EnvironmentFailed` if the environment fails.
     """
-    n, guard = env.num_envs, StateGuard(env)
-    episodes = range(episodes) if isinstance(episodes, int) else episodes
-    playing = np.arange(n) < len(episodes)
-    numbers = np.array([*episodes[:n], *[0] * (n - len(episodes))])
-    waiting = iter(episodes[n:])
-    timed = policy if isinstance(policy, TimedPolicy) else TimedPolicy(policy, n)
-    recorder = _EpisodeRecorder(timed, env, seed, name, {} if least_lengths is None else least_lengths)
-    with wrap_environment_errors(name, numbers[0]):
-        observations, infos = env.reset(seed=[seed] * n, options={"episode": numbers})
-        recorder.begin(playing, numbers, infos)
-    with wrap_policy_errors(name, numbers[0]), guard.assert_unchanged(new_episode=True):
-        timed.reset(np.arange(n, dtype=np.int32), numbers.tolist())
-    while playing.any():
-        with wrap_policy_errors(name, numbers[playing][0]), guard.assert_unchanged():
-            actions, decision_ms = timed.act(observations)
-        with wrap_environment_errors(name, numbers[playing][0]):
-            observations, rewards, terminated, truncated, infos = env.step(actions)
-            recorder.step(decision_ms, rewards, infos)
-        ended = np.flatnonzero((terminated | truncated) & playing)
-        if not len(ended):
-            continue
-        for i in ended:
-            yield recorder.result(int(i), infos)
-            numbers[i] = next(waiting, -1)
-        again = np.zeros(n, dtype=bool)
-        again[ended] = numbers[ended] >= 0
-        playing[ended] = again[ended]
-        if again.any():
-            with wrap_environment_errors(name, numbers[again][0]):
-                observations, infos = env.reset(options={"reset_mask": again, "episode": np.maximum(numbers, 0)})
-                recorder.begin(again, numbers, infos)
-            with wrap_policy_errors(name, numbers[again][0]), guard.assert_unchanged(new_episode=True):
-                timed.reset(np.flatnonzero(again).astype(np.int32), numbers[again].tolist())
-        recorder.forget_before_all(playing)
+    timed = policy if isinstance(policy, TimedPolicy) else TimedPolicy(policy, env.num_envs)
+    recorder = EpisodeRecorder(timed, env, seed, name, {} if least_lengths is None else least_lengths)
+    return _Player(timed, env, recorder, seed, name).play(range(episodes) if isinstance(episodes, int) else episodes)
 
 
-class _EpisodeRecorder:
-    """Records the current episode of each of n worlds."""
+class _Player:
+    """Plays episodes of one policy in n worlds."""
 
     def __init__(
-        self,
-        timed: TimedPolicy,
-        env: EpisodeVectorEnv,
-        seed: int,
-        name: str,
-        least_lengths: dict[int, float],
+        self, timed: TimedPolicy, env: EpisodeVectorEnv, recorder: EpisodeRecorder, seed: int, name: str
     ) -> None:
-        n = env.num_envs
-        self._timed, self._task, self._seed, self._name, self._least = timed, env.task, seed, name, least_lengths
-        self._env_id, self._outcomes = env.spec.id if env.spec else type(env).__name__, env.outcomes
-        self._numbers, self._first_step = np.zeros((2, n), dtype=np.int64)
-        self._starts = np.zeros((n, 3))
-        self._feasible = np.ones(n, dtype=bool)
-        self._failures_before = np.zeros(n, dtype=np.int64)
-        self._earned: dict[str, NDArray[np.float64]] = {}
-        self._returns = np.zeros(n)
-        self._decision_ms: list[NDArray[np.float64]] = []
-        self._motions: list[MotionSample] = []
+        self._timed, self._env, self._recorder, self._seed, self._name = timed, env, recorder, seed, name
+        self._guard = StateGuard(env)
+        self._numbers = np.zeros(env.num_envs, dtype=np.int64)
+        """(n,) the episode of each world."""
+        self._playing = np.zeros(env.num_envs, dtype=bool)
+        """(n,) in which worlds an episode is played whose result counts."""
 
-    def begin(self, began: NDArray[np.bool_], numbers: NDArray[np.int64], infos: Mapping[str, Any]) -> None:
-        """The worlds in the mask `began` (n,) have started the episodes `numbers` (n,)."""
-        self._numbers[began] = numbers[began]
-        self._first_step[began] = len(self._motions)
-        self._starts[began] = self._task.motion().position[began]
-        self._feasible = infos.get("feasible", self._feasible)
-        self._failures_before[began] = self._failures()[began]
-        for sums in (self._returns, *self._earned.values()):
-            sums[began] = 0.0
-        for i in np.flatnonzero(began):
-            if (number := int(numbers[i])) not in self._least:
-                time = self._task.least_time(int(i))
-                known = math.isfinite(time)
-                self._least[number] = max(1.0, np.ceil(time / self._task.control_period - 1e-9)) if known else math.nan
+    def play(self, episodes: Sequence[int]) -> Iterator[EpisodeResult]:
+        """Yield the results of the episodes as they end."""
+        n, waiting = self._env.num_envs, iter(episodes)
+        while first := list(itertools.islice(waiting, n)):
+            numbers = np.array([*first, *first[:1] * (n - len(first))])
+            try:
+                yield from self._stream(numbers, np.arange(n) < len(first), waiting)
+            except _UnknownWorldFailed as failure:
+                yield from self._find_failed(failure.error)
 
-    def step(self, decision_ms: NDArray[np.float64], rewards: NDArray[np.float64], infos: Mapping[str, Any]) -> None:
-        """All worlds have made a control step."""
-        self._decision_ms.append(decision_ms)
-        self._motions.append(self._task.motion())
-        self._returns += rewards
-        self._earned = {name: self._earned.get(name, 0.0) + earned for name, earned in infos["reward_terms"].items()}
+    def _stream(
+        self,
+        numbers: NDArray[np.int64],
+        playing: NDArray[np.bool_],
+        waiting: Iterator[int],
+        before: Mapping[int, _Attempt] | None = None,
+    ) -> Iterator[EpisodeResult]:
+        """Start the episodes `numbers` (n,), play those of the mask `playing` (n,), and then those that are `waiting`.
 
-    def result(self, i: int, infos: Mapping[str, Any]) -> EpisodeResult:
-        """The record of the episode that has just ended in world i."""
-        decision_ms = np.array([spent[i] for spent in self._decision_ms[self._first_step[i] :]])
-        motions = self._motions[self._first_step[i] :]
-        failures = int(self._failures()[i] - self._failures_before[i])
-        return EpisodeResult(
-            self._name,
-            self._env_id,
-            int(self._numbers[i]),
-            self._seed,
-            self._outcomes[infos["outcome_id"][i]],
-            None if (success := infos["is_success"][i]) is None else bool(success),
-            bool(self._feasible[i]),
-            float(self._returns[i]),
-            {name: float(sums[i]) for name, sums in self._earned.items()},
-            len(motions),
-            self._least[int(self._numbers[i])],
-            float(infos["tracking_error"][i]) if "tracking" in infos and infos["tracking"][i] else math.nan,
-            metrics(
-                self._task,
-                i,
-                self._starts[i],
-                motions,
-                decision_ms,
-                failures,
-                cold=bool(self._timed.cold[i]),
-                slow_down=self._timed.slow_down if self._timed.setting == (1, 1) else None,
-            ),
-            *self._timed.setting,
-            decision_ms,
+        `before` are first attempts, by episode. Raises `_UnknownWorldFailed`.
+        """
+        self._numbers, self._playing = numbers, playing
+        starting = np.ones(len(numbers), dtype=bool)
+        seeds: list[int] | None = [self._seed] * len(numbers)
+        while playing.any():
+            errors = Errors()
+            if starting.any():
+                self._begin(starting, seeds)
+                errors, seeds = self._reset(starting), None
+            if acts := not errors:
+                actions, decision_ms, errors = self._act(before or {})
+            over = np.isin(np.arange(len(numbers)), list(errors)) & playing
+            for i in np.flatnonzero(over):
+                error = errors[int(i)]
+                yield (
+                    error.attempt.record if isinstance(error, _ActedOtherwise) else self._recorder.failed(int(i), error)
+                )
+            if acts and (playing & ~over).any():
+                self._env.unwrapped.abandon(np.flatnonzero(over))
+                infos, ended = self._step(_without(actions, errors, np.flatnonzero(playing & ~over)), decision_ms)
+                ended &= playing & ~over
+                for i in np.flatnonzero(ended):
+                    yield self._recorder.result(int(i), infos)
+                over |= ended
+            for i in np.flatnonzero(over):
+                numbers[i] = next(waiting, -1)
+            starting = over & (numbers >= 0)
+            playing[over] = starting[over]
+            self._recorder.forget_before_all(playing)
+
+    def _find_failed(
+        self, error: BaseException, before: Mapping[int, _Attempt] | None = None
+    ) -> Iterator[EpisodeResult]:
+        """Yield the results of the episodes that were played as the policy failed in an unknown world.
+
+        Halves of them are played again, until those in which it fails are alone. Nothing is gained by it: up to where
+        it failed, it has to act as `before`.
+        """
+        worlds, numbers = np.flatnonzero(self._playing), self._numbers.copy()
+        if len(np.unique(numbers)) == 1:
+            yield self._recorder.failed(int(worlds[0]), error)
+            return
+        found, first = False, before is None and self._playing.all()  # else, it may be a world without an episode
+        before = {int(numbers[i]): self._attempt(int(i), error) for i in worlds} | dict(before or {})
+        for half in np.array_split(worlds, min(2, len(worlds))):
+            playing = np.isin(np.arange(len(numbers)), half)
+            again = np.where(playing, numbers, np.resize(numbers[half], len(numbers)))
+            try:
+                for result in self._stream(again, playing, iter(()), before):
+                    found |= isinstance(result, FailedEpisode)
+                    yield result
+            except _UnknownWorldFailed as failure:
+                found = True
+                yield from self._find_failed(failure.error, before)
+        if first and not found:
+            warnings.warn(
+                f"{self._name} failed in {len(worlds)} episodes played at once ({described(error)}), and in none of "
+                "them when they were played again: no episode counts as failed by it",
+                stacklevel=2,
+            )
+
+    def _attempt(self, i: int, error: BaseException) -> _Attempt:
+        record = self._recorder.failed(i, error)
+        said = (
+            f"a batch with it failed ({record.message}), and when it was played again, the policy acted otherwise: one "
+            "that draws random numbers should draw them from env.rng"
         )
+        return _Attempt(self._recorder.actions(i), replace(record, message=said))
 
-    def forget_before_all(self, playing: NDArray[np.bool_]) -> None:
-        """Drop the steps that precede all current episodes."""
-        over = min(self._first_step[playing], default=0)
-        del self._decision_ms[:over], self._motions[:over]
-        self._first_step -= over
+    def _begin(self, starting: NDArray[np.bool_], seeds: list[int] | None) -> None:
+        """Start an episode in the worlds `starting` (n,)."""
+        with wrap_environment_errors(self._name, self._numbers[starting][0]):
+            options = {"reset_mask": starting, "episode": np.maximum(self._numbers, 0)}
+            self._observations, infos = self._env.reset(seed=seeds, options=options)
+            self._recorder.begin(starting & self._playing, self._numbers, infos)
 
-    def _failures(self) -> NDArray[np.int64]:
-        """(n,) number of solver failures in each world; 0 for policies that do not count them."""
-        return np.broadcast_to(getattr(self._timed.policy, "failures", 0), len(self._numbers)).copy()
+    def _reset(self, starting: NDArray[np.bool_]) -> Errors:
+        """Tell the policy that episodes start."""
+        with self._policy_errors(), self._guard.assert_unchanged(new_episode=True):
+            return self._timed.reset(np.flatnonzero(starting).astype(np.int32), self._numbers[starting].tolist())
+
+    def _act(self, before: Mapping[int, _Attempt]) -> tuple[Any, NDArray[np.float64], Errors]:
+        """Return actions (n, ...), the time of each world's decision, and errors by world, also for invalid actions."""
+        with self._policy_errors():
+            with self._guard.assert_unchanged():
+                actions, decision_ms, errors = self._timed.act(self._observations)
+            if valid := [i for i in range(self._env.num_envs) if i not in errors]:
+                errors = self._env.unwrapped.invalid_actions(_without(actions, errors, valid)) | errors
+        return actions, decision_ms, self._differing(actions, before) | errors
+
+    def _step(self, actions: Any, decision_ms: NDArray[np.float64]) -> tuple[dict[str, Any], NDArray[np.bool_]]:
+        """Make a control step. Return infos, and in which worlds (n,) the episode has ended."""
+        with wrap_environment_errors(self._name, self._numbers[self._playing][0]):
+            self._observations, rewards, terminated, truncated, infos = self._env.step(actions)
+            self._recorder.step(actions, decision_ms, rewards, infos)
+        return infos, terminated | truncated
+
+    def _differing(self, actions: Any, before: Mapping[int, _Attempt]) -> Errors:
+        """Return errors of worlds whose actions are others than in the first attempt."""
+        different = Errors()
+        for i in np.flatnonzero(self._playing).tolist() if before else ():
+            step, first = self._recorder.steps(i), before.get(int(self._numbers[i]))
+            if first is None or step >= len(first.actions):
+                continue
+            if not data_equivalence(actions[i], first.actions[step], exact=True):
+                different[i] = _ActedOtherwise(first)
+        return different
+
+    @contextmanager
+    def _policy_errors(self) -> Iterator[None]:
+        """Raise `PolicyDisqualified` if the policy wrote to the world, `_UnknownWorldFailed` for any other error."""
+        try:
+            yield
+        except Disqualified as error:
+            episode = self._numbers[self._playing][0]
+            raise PolicyDisqualified(f"{self._name} is disqualified: in episode {episode}, {error}") from error
+        except FAILURES as error:
+            raise _UnknownWorldFailed(error) from error
+
+
+def _without(actions: Any, errors: Errors, valid: Sequence[int] | NDArray[np.intp]) -> Any:
+    """Actions with a valid one in place of those of worlds with errors, which make no use of it."""
+    if not errors:
+        return actions
+    return [actions[valid[0]] if i in errors else action for i, action in enumerate(actions)]
 
 
 @contextmanager
@@ -191,10 +254,10 @@ def wrap_policy_errors(name: str, episode: int) -> Iterator[None]:
         yield
     except Disqualified as error:
         raise PolicyDisqualified(f"{name} is disqualified: in episode {episode}, {error}") from error
-    except InvalidAction as error:
-        raise PolicyFailed(f"{name} failed in episode {episode}: {error}") from error
     except FAILURES as error:
-        raise PolicyFailed(f"{name} failed in episode {episode}: {described(error)}") from error
+        cause = error.first if isinstance(error, ControllersFailed) else error
+        said = str(cause) if isinstance(cause, InvalidAction) else described(cause)
+        raise PolicyFailed(f"{name} failed in episode {episode}: {said}") from cause
 
 
 @contextmanager
@@ -215,9 +278,14 @@ def build_policy(policy: Any, env: EpisodeVectorEnv, name: str, policy_seed: int
 
     Raises what `make_policy` raises, and `PolicyDisqualified` if making it writes to the world.
     """
+    return build_timed(policy, env, name, policy_seed)[0]
+
+
+def build_timed(policy: Any, env: EpisodeVectorEnv, name: str, policy_seed: int) -> tuple[Policy, float]:
+    """Do the same, and return also how long it took (see `timed_construction`)."""
     try:
         with StateGuard(env).assert_unchanged(new_episode=True):
-            return make_policy(policy, env, name=name, policy_seed=policy_seed)
+            return timed_construction(lambda: make_policy(policy, env, name=name, policy_seed=policy_seed))
     except Disqualified as error:
         raise PolicyDisqualified(f"{name} is disqualified: when it was made, {error}") from error
 
@@ -245,13 +313,17 @@ def evaluate(
     Without `least_lengths`, which often take longer to compute than the episodes, these and `optimality_gap` are NaN.
     The policy's own random numbers come from `policy_seed`, of up to 128 bits, or else from a new secret.
 
-    Raises `ConfigurationError`, `AgentFileError`, `PolicyFailed` or `EnvironmentFailed`.
+    An episode in which the policy raises an error, or returns an invalid action, has the outcome `error`: it is lost.
+
+    Raises `ConfigurationError`, `AgentFileError`, `EnvironmentFailed`, and `PolicyFailed` if the policy cannot play at
+    all (see `armctl.evaluation.failures`), or writes to the world.
     """
     check_counts(episodes=episodes, worlds=worlds)
     seed = evaluation_seed(seed)
     with closing(WorldsByInterface(env, min(worlds, episodes), env_options)) as interfaces:
         made_env = interfaces.of(policy)
-        made = build_policy(policy, made_env, policy_name(policy), chosen_policy_seed(policy_seed))
+        name = policy_name(policy)
+        made = build_policy(policy, made_env, name, chosen_policy_seed(policy_seed))
         known = None if least_lengths else dict.fromkeys(range(episodes), math.nan)
-        played = rollouts(made, made_env, episodes, seed, policy_name(policy), known)
-        return EpisodeTable(played).sorted([policy_name(policy)]).frame()
+        played = rollouts(made, made_env, episodes, seed, name, known)
+        return EpisodeTable(until_unplayable(played, name, range(episodes))).sorted([name]).frame()

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from armctl.envs import ERROR
 from armctl.evaluation.episode_table import EpisodeTable
 from armctl.evaluation.paired import PairedDifference, difference_of_groups, paired_difference
 from armctl.evaluation.statistics import Bounds
@@ -37,11 +38,20 @@ def clean(results: EpisodeTable) -> NDArray[np.bool_]:
     return np.asarray(results.won & (results.column("contacts") == 0) & ~beyond, dtype=bool)
 
 
+def paid_returns(results: EpisodeTable, least: float) -> NDArray[np.float64]:
+    """The returns; the `least` possible one of episodes in which the policy failed, so that a crash never pays."""
+    return np.where(results.column("outcome") == ERROR, least, results.column("total_reward"))
+
+
 def counted_rows(episodes: pd.DataFrame) -> pd.DataFrame:
-    """The rows of `episodes.csv` that count, by episode; which do is as in `counted_results`."""
+    """The rows of `episodes.csv` that count, by episode; which do is as in `counted_results`.
+
+    The return of an episode in which the policy failed is -inf: less than any other.
+    """
     played = episodes.sort_values("episode")
     unbroken = played[played.episode == played.groupby("policy").cumcount()]
-    return unbroken[~unbroken.episode.isin(played.episode[~played.feasible.astype(bool)])]
+    counted = unbroken[~unbroken.episode.isin(played.episode[~played.feasible.astype(bool)])]
+    return counted.assign(**{"return": counted["return"].where(counted.outcome != ERROR, -math.inf)})
 
 
 def by_learner(
@@ -76,10 +86,10 @@ def _score(name: str, results: EpisodeTable, limits: Limits) -> NDArray[Any]:
             least = results.column("least_length")
             return np.asarray(results.won * least / np.maximum(length, least))
         case "episode_return":
-            return results.column("total_reward")
+            return paid_returns(results, -math.inf if limits.returns is None else limits.returns[0])
         case "restricted_steps":
             return np.where(results.won, length, limits.steps or 0)
-    return length
+    return np.asarray(np.maximum(length, 1))  # a policy that failed at once had begun its first step
 
 
 def pairs_of(trained: Mapping[str, list[EpisodeTable]], scored: bool, limits: Limits) -> list[PairedDifference]:

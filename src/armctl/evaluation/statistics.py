@@ -213,6 +213,11 @@ def median(values: Array) -> Estimate | None:
     return Estimate(value, float(interval.low), float(interval.high))
 
 
+def sign_of_difference(a: Array, b: Array) -> Array:
+    """Return the sign of a - b, also of infinite scores: two failures of policies are a tie."""
+    return np.asarray(np.greater(a, b), dtype=float) - np.less(a, b)
+
+
 @dataclass(frozen=True)
 class Superiority:
     """Probability that one policy's score is above another's; a tie counts half."""
@@ -239,7 +244,7 @@ def paired_superiority(a: Array, b: Array) -> Superiority:
 
     The p-value is that of the sign test, which leaves out ties (Conover 1999, section 3.4).
     """
-    wins = (np.sign(a - b) + 1) / 2
+    wins = (sign_of_difference(a, b) + 1) / 2
     decided = int((wins != 0.5).sum())
     p = float(stats.binomtest(int((wins == 1).sum()), decided).pvalue) if decided else 1.0
     probability = bounded_mean(wins, (0.0, 1.0))

@@ -1,8 +1,9 @@
 """Summarises a comparison's episodes, for each policy and each pair of policies."""
 
 import functools
+import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -10,11 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armctl.costs import TrainingCost, mean_cost
-from armctl.envs import SEES
+from armctl.envs import ERROR, SEES
 from armctl.envs.vector import UNSTABLE
-from armctl.evaluation.decision_times import comparable_times, setting_in_words
+from armctl.evaluation.decision_times import Machines, comparable_times, setting_in_words
 from armctl.evaluation.episode_table import EpisodeTable, table_of
 from armctl.evaluation.paired import PairedDifference
+from armctl.evaluation.provenance import Run
 from armctl.evaluation.record import EpisodeResult
 from armctl.evaluation.scores import Limits, by_learner, pairs_of, scores_of
 from armctl.evaluation.statistics import Bounds, Estimate, bounded_mean, median, success_rate, worst_decile
@@ -25,6 +27,11 @@ METRICS = (
     "path_length", "smoothness", "range_use", "speed_use", "torque_use", "energy", "clearance", "contacts",
 )  # fmt: skip
 """The fields of `armctl.evaluation.metrics.Metrics` whose means are in the summary."""
+
+
+STUCK_PATH, STUCK_SECONDS = 0.01, 1.0
+"""m and s: who moves the end-effector or the rover by less than this in an episode of at least so long, and does not
+win, commands next to nothing. Targets are farther than 1 cm, and even a slow motion covers that in 1 s."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +52,7 @@ class PolicySummary:
     success: Estimate | None
     """None if the environment does not say what a success is."""
     episode_return: Estimate | None
+    """None if a policy failed in an episode, and nobody knows the least possible return."""
     steps_to_goal: Estimate | None
     """Mean over successful episodes, which flatters whoever wins only the easy ones: see `restricted_steps`."""
     optimality_gap: Estimate | None
@@ -81,9 +89,15 @@ class PolicySummary:
     workers: int = 1
     """How many processes played at a time in these."""
     decision_ms_mean: float | None = None
-    """Of warm decisions, like the median; None in results of older versions, like the next one."""
+    """Of warm decisions, with the resets spread over them: who plans at the reset is not quicker than who plans at the
+    first step. None in results of older versions, like the next one."""
     decision_seconds: Estimate | None = None
-    """Mean over episodes of the time of all their decisions, the cold one included."""
+    """Mean over episodes of the time of the reset and all decisions, the cold one included."""
+    reset_ms: float | None = None
+    """Median over episodes; None in results of older versions, in which it is part of the first decision."""
+    construction_ms: float | None = None
+    """How long it took to make the policy in the process that played, of several the longest; divided by the number of
+    controllers, if there is one for each world. None in results of older versions."""
     trainings: dict[str, float] = field(default_factory=dict)
     """Of a group: each training's success rate, or return if success is unknown, by its name in `episodes.csv`.
 
@@ -111,7 +125,7 @@ class PolicySummary:
 
     @property
     def decision_ms(self) -> float:
-        """Mean time of a warm decision, or the median in results of older versions."""
+        """Mean time of a warm decision, planning at resets included, or the median in results of older versions."""
         return self.decision_ms_p50 if self.decision_ms_mean is None else self.decision_ms_mean
 
     @property
@@ -139,6 +153,7 @@ def summarise(
     time_limit: int | None = None,
     groups: Mapping[str, Sequence[str]] | None = None,
     spared: Mapping[str, tuple[str, ...]] | None = None,
+    runs: Iterable[Run] = (),
 ) -> tuple[list[PolicySummary], list[PairedDifference]]:
     """Summaries of policies and of pairs. `results` are sorted by policy and episode.
 
@@ -146,18 +161,19 @@ def summarise(
     an episode has no figures. `return_bounds` are the least and largest possible return. If they are unknown, means of
     returns have neither intervals nor tests: no number of episodes tells what a disaster costs that none of them had.
     `time_limit` is the largest number of control steps of an episode. `spared` are the disturbances that do not reach a
-    policy, by its name: pairs with such a policy are left out.
+    policy, by its name: pairs with such a policy are left out. Times of `runs` on different machines are not pooled.
     """
     table = table_of(results)
     counted, infeasible = counted_results(table)
-    scored = any(success is not None for success in table.column("success").tolist())
-    limits = Limits(return_bounds, time_limit)
+    success = table.column("success")[table.column("outcome") != ERROR].tolist()
+    scored = any(known is not None for known in success or table.column("success").tolist())
+    limits, machines = Limits(return_bounds, time_limit), Machines.of(runs, table)
     trained = by_learner(counted, policies, groups or {})
     found = []
     for name, trainings in trained.items():
         policy = policies[name if name in policies else next(iter(trainings))]
         together = functools.reduce(EpisodeTable.together, trainings.values())
-        summary = _summary(name, policy, planned, infeasible, together, scored, limits)
+        summary = _summary(name, policy, planned, infeasible, together, scored, limits, machines)
         if len(trainings) > 1:
             summary = _of_group(summary, trainings, scored, limits)
             summary = replace(summary, training=mean_cost([_training_cost(policies[one]) for one in trainings]))
@@ -192,21 +208,47 @@ def certificate_notes(results: Sequence[EpisodeResult]) -> list[str]:
     return [f"Episodes labelled infeasible that were won, so that the certificate was too strict: {episodes} ({by})."]
 
 
+def motion_notes(results: EpisodeTable, control_period: float | None) -> list[str]:
+    """Remarks about policies that hardly moved the robot in episodes that they did not win."""
+    if control_period is None:
+        return []
+    length = results.column("length")
+    lost = ~results.won & (results.column("outcome") != ERROR) & (length * control_period >= STUCK_SECONDS)
+    stuck = results[lost & (results.column("path_length") < STUCK_PATH)]
+    notes = []
+    for name, played in results.by_policy().items():
+        if count := int((stuck.column("policy") == name).sum()):
+            notes.append(
+                f"{name} hardly moved in {count} of {len(played)} episodes (a path below {100 * STUCK_PATH:g} cm in at "
+                f"least {STUCK_SECONDS:g} s, and no success): it may be stuck."
+            )
+    return notes
+
+
 def _summary(
-    name: str, policy: Policy, planned: int, infeasible: int, results: EpisodeTable, scored: bool, limits: Limits
+    name: str,
+    policy: Policy,
+    planned: int,
+    infeasible: int,
+    results: EpisodeTable,
+    scored: bool,
+    limits: Limits,
+    machines: Machines,
 ) -> PolicySummary:
     def scores(score: str) -> NDArray[np.float64]:
         found: NDArray[np.float64] = scores_of(score, [results], limits)[0]
         return found
 
-    timed = comparable_times(results)
-    decisions = timed.warm_ms()
-    mean_ms, most_ms = float(decisions.mean()), float(decisions.max())
+    timed = comparable_times(results, machines)
+    decisions = timed.warm_ms() if timed.column("length").any() else np.array([math.nan])
+    resets = _known(timed.column("reset_ms"))
+    mean_ms, most_ms = float(decisions.mean() + resets.sum() / len(decisions)), float(decisions.max())
     p50, p99 = np.quantile(decisions, (0.5, 0.99), overwrite_input=True).tolist()
     cold = _known(timed.column("decision_ms_cold"))
     won = results[results.won]
     missed = timed.column("missed_deadlines").tolist()
     returns = scores("episode_return")
+    finite = bool(np.isfinite(returns).all())
     steps = (1.0, float(limits.steps)) if limits.steps else None
     unknown_contacts = None in results.column("contacts").tolist()
     efficiency = scores("efficiency")
@@ -219,7 +261,7 @@ def _summary(
         infeasible,
         dict(Counter(results.column("outcome").tolist()).most_common()),
         success_rate(scores("success") == 1) if scored else None,
-        _mean(returns, limits.returns),
+        _mean(returns, limits.returns) if finite else None,
         _mean(won.column("length"), steps),
         median(_known(results.optimality_gap)),
         _mean(_known(results.column("tracking_error"))),
@@ -231,7 +273,7 @@ def _summary(
         sum(results.column("solver_failures").tolist()),
         _mean(scores("length"), steps),
         success_rate(scores("clean_success") == 1) if scored and not unknown_contacts else None,
-        worst_decile(returns, limits.returns),
+        worst_decile(returns, limits.returns) if finite else None,
         median(returns) if limits.returns is None else None,
         _mean(scores("restricted_steps"), steps) if scored and limits.steps else None,
         bounded_mean(efficiency, (0.0, 1.0)) if scored and np.isfinite(efficiency).all() else None,
@@ -240,6 +282,7 @@ def _summary(
         timed[0].workers,
         mean_ms,
         _mean(timed.decision_seconds()),
+        float(np.median(resets)) if len(resets) else None,
     )
 
 

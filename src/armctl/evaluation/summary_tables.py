@@ -93,12 +93,18 @@ def details(policy: PolicySummary) -> Remark:
     if error := policy.tracking_error:
         said.append(f"tracking error {1e3 * error.value:.1f}{_bracketed(error, 1e3, 1)} mm")
     if seconds := policy.decision_seconds:
-        said.append(f"decisions take {seconds.value:.2g} s an episode")
+        said.append(f"decisions take {seconds.value:.2g} s an episode{_beside_decisions(policy)}")
     if policy.solver_failures:
         said.append(f"its solver failed {policy.solver_failures} times")
     if policy.missed_deadlines:
         said.append(f"{100 * policy.missed_deadlines:.2g} % of its deadlines missed")
     return Remark("; ".join(said))
+
+
+def _beside_decisions(policy: PolicySummary) -> str:
+    """The times of what a policy computes besides its decisions."""
+    resets = "" if policy.reset_ms is None else f", of it {policy.reset_ms:.3g} ms at the reset (median)"
+    return resets + ("" if policy.construction_ms is None else f"; it was made in {policy.construction_ms:.3g} ms")
 
 
 def trainings_in_words(policy: PolicySummary) -> str:

@@ -86,7 +86,7 @@ class Document:
 
 def plain(estimate: Estimate | None, sign: str = "") -> Cell:
     """A value above its interval; `sign` is "+" for differences."""
-    if estimate is None:
+    if estimate is None or math.isnan(estimate.value):
         return Cell(UNKNOWN)
     decimals = _decimals(value for value in (estimate.value, estimate.low, estimate.high) if value is not None)
     return Cell(_short(estimate.value, decimals, sign), _interval(estimate.low, estimate.high, decimals, sign))

@@ -25,6 +25,7 @@ from armctl.evaluation.statistics import (
     Superiority,
     bootstrapped,
     random_weights,
+    sign_of_difference,
 )
 
 Array = NDArray[np.float64]
@@ -119,7 +120,7 @@ def superiority_over_trainings(a: Array, b: Array, wide: float = 0.95) -> tuple[
     is the same probability with the interval of the confidence `wide`.
     """
     a, b = _table(a), _table(b)
-    ahead = (np.sign(a[:, None] - b) + 1) / 2
+    ahead = (sign_of_difference(a[:, None], b) + 1) / 2
     rng, draws = np.random.default_rng(0), []
     for means, seen in _weighted_episodes(ahead.reshape(-1, ahead.shape[-1]), rng):
         of_a, of_b = (_training_weights(len(means), len(learner), rng) for learner in (a, b))

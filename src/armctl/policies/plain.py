@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from armctl.envs import EpisodeVectorEnv, Interface, PolicyStreams, Sees, ThirdPartyVectorEnv, one_of
+from armctl.envs import EpisodeVectorEnv, Interface, PolicyStreams, Sees, ThirdPartyVectorEnv
 from armctl.envs.single import OneWorld
 from armctl.errors import ConfigurationError, InvalidAction, defined_at
 from armctl.policies.policy import Actions, PerWorld, Policy
@@ -68,16 +68,18 @@ class PlainPolicy(PerWorld):
         self.training_steps = int(getattr(controllers[0], "training_steps", 0))
         self._space, self._source = worlds.single_action_space, source
 
-    def reset(self, ids: NDArray[np.int32]) -> None:
-        """Worlds `ids` start a new episode: controllers with a memory forget the last one."""
-        for i in ids:
-            getattr(self.controllers[i], "reset", lambda: None)()
+    def _reset_one(self, world: int) -> None:
+        """Let a controller with a memory forget the last episode."""
+        getattr(self.controllers[world], "reset", lambda: None)()
 
-    def act(self, observations: Observations) -> Actions:
-        """Each controller's action for its own observation. Raises `InvalidAction`."""
-        actions = [controller.act(one_of(observations, i)) for i, controller in enumerate(self.controllers)]
+    def _act_one(self, world: int, observations: Observations) -> Any:
+        """Return a controller's action. Raises `InvalidAction`."""
+        action = super()._act_one(world, observations)
+        return self._numbers(action) if isinstance(self._space, spaces.Box) else action
+
+    def _batch(self, actions: list[Any]) -> Actions:
         if isinstance(self._space, spaces.Box):
-            return np.array([self._numbers(action) for action in actions])
+            return np.array(actions)
         batch = np.empty(len(actions), dtype=object)
         batch[:] = actions
         return batch

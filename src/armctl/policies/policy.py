@@ -1,12 +1,13 @@
 """What a policy is: it acts in n worlds at once, or consists of one controller for each."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armctl.envs import Sees, one_of
+from armctl.errors import FAILURES, ArmctlError, Disqualified, described
 from armctl.tasks import Observations
 
 Actions = NDArray[np.floating[Any]]
@@ -52,6 +53,18 @@ class Controller(Protocol):
         """The action for one world's observation."""
 
 
+class ControllersFailed(ArmctlError):
+    """Controllers of some worlds have raised errors. Those of all other worlds have done what they were asked."""
+
+    def __init__(self, errors: Mapping[int, BaseException], actions: Sequence[Any] = ()) -> None:
+        self.first = next(iter(errors.values()))
+        super().__init__(described(self.first))
+        self.errors = dict(errors)
+        """By world."""
+        self.actions = actions
+        """(n, ...), None in the worlds with errors."""
+
+
 PolicyFactory = Callable[[Any], Policy]
 """Makes a policy from what it may know of an environment: see `armctl.sees`."""
 
@@ -75,10 +88,35 @@ class PerWorld:
         return dict(getattr(self.controllers[world], "plans", dict)())
 
     def reset(self, ids: NDArray[np.int32]) -> None:
-        """Worlds `ids` start a new episode."""
-        for i in ids:
-            self.controllers[i].reset()
+        """Worlds `ids` start a new episode. Raises `ControllersFailed`."""
+        self._each(ids.tolist(), self._reset_one)
 
     def act(self, observations: Observations) -> Actions:
-        """Each controller's action for its own observation."""
-        return np.array([controller.act(one_of(observations, i)) for i, controller in enumerate(self.controllers)])
+        """Each controller's action for its own observation. Raises `ControllersFailed`."""
+        return self._batch(self._each(range(len(self.controllers)), lambda i: self._act_one(i, observations)))
+
+    def _reset_one(self, world: int) -> None:
+        self.controllers[world].reset()
+
+    def _act_one(self, world: int, observations: Observations) -> Any:
+        return self.controllers[world].act(one_of(observations, world))
+
+    def _batch(self, actions: list[Any]) -> Actions:
+        """Actions of all worlds, (n, ...)."""
+        return np.array(actions)
+
+    @staticmethod
+    def _each(worlds: Iterable[int], do: Callable[[int], Any]) -> list[Any]:
+        """Return what `do` returns for each of the worlds. An error in one of them does not concern the others."""
+        results, errors = [], dict[int, BaseException]()
+        for i in worlds:
+            try:
+                results.append(do(i))
+            except Disqualified:
+                raise
+            except FAILURES as error:
+                results.append(None)
+                errors[i] = error
+        if errors:
+            raise ControllersFailed(errors, results) from next(iter(errors.values()))
+        return results

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import plotly.graph_objects as go
 
-from armctl.evaluation.decision_times import comparable_times
+from armctl.evaluation.decision_times import Machines, comparable_times
 from armctl.evaluation.episode_table import table_of
 from armctl.evaluation.paired import PairedDifference
 from armctl.evaluation.record import EpisodeResult
@@ -163,12 +163,12 @@ def reward_terms(terms: Mapping[str, Mapping[str, float]], look: Looks, term_loo
 
 
 def decision_times(
-    episodes: Mapping[str, Sequence[EpisodeResult]], look: Looks, deadline_ms: float | None
+    episodes: Mapping[str, Sequence[EpisodeResult]], look: Looks, deadline_ms: float | None, machines: Machines
 ) -> go.Figure:
     """Decision times: median, middle half, 1st to 99th percentile and maximum, on a logarithmic axis."""
     figure = go.Figure()
     for name, played in episodes.items():
-        times = comparable_times(played).warm_ms()
+        times = comparable_times(played, machines).warm_ms()
         np.maximum(times, 1e-4, out=times)
         shares = (0.01, 0.25, 0.5, 0.75, 0.99, 1.0)
         q1, p25, p50, p75, p99, most = np.quantile(times, shares, overwrite_input=True).tolist()

@@ -1,6 +1,7 @@
 """The figures of a comparison with their texts, as the report's page shows them."""
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -13,6 +14,7 @@ from markupsafe import Markup
 from armctl.envs import check_from_file, make_worlds
 from armctl.errors import ArmctlError
 from armctl.evaluation.curves import training_curves
+from armctl.evaluation.decision_times import Machines
 from armctl.evaluation.paired import Corrected, PairedDifference, corrected
 from armctl.evaluation.results import Results
 from armctl.evaluation.robustness import RobustnessRanking
@@ -60,6 +62,7 @@ def comparison_plots(results: Results, look: style.Looks) -> dict[str, Any]:
     )
     period = None if any(policy.timing for policy in policies) else _period(results)
     by_success = any(policy.success for policy in policies)
+    machines = Machines.of(results.runs, results.comparison.results)
     return {
         "by_success": by_success,
         "shown": [look[name] for name in episodes],
@@ -85,12 +88,13 @@ def comparison_plots(results: Results, look: style.Looks) -> dict[str, Any]:
         else None,
         "term_look": term_look,
         "decision_times": Plot(
-            figures.decision_times(episodes, look, None if period is None else 1e3 * period),
+            figures.decision_times(episodes, look, None if period is None else 1e3 * period, machines),
             "; ".join(
                 f"{policy.policy}: median {policy.decision_ms_p50:.3g} ms, "
                 f"99th percentile {policy.decision_ms_p99:.3g} ms"
                 for policy in policies
             ),
+            note=_besides_decisions(policies),
         ),
         "trade_off": trade_off_plot(policies, look),
         "training_cost": _training_cost(policies, curves, look),
@@ -183,10 +187,24 @@ def _paired(results: Results, look: style.Looks) -> list[Plot]:
     ]
 
 
+def _besides_decisions(policies: Sequence[PolicySummary]) -> str:
+    """What policies compute besides their decisions."""
+    times = {
+        "Reset before an episode's first decision (median)": {one.policy: one.reset_ms for one in policies},
+        "Construction": {one.policy: one.construction_ms for one in policies},
+    }
+    said = (
+        f"{what}: " + ", ".join(f"{name} {spent:.3g} ms" for name, spent in known.items() if spent is not None) + "."
+        for what, known in times.items()
+        if any(spent is not None for spent in known.values())
+    )
+    return " ".join(said)
+
+
 def _difference(pair: PairedDifference, p: Corrected) -> str:
     """What a pair's figure means, in numbers."""
     gain = pair.return_difference
-    earns = f"Return {gain.value:+.1f} ({spread(gain, sign='+')})."
+    earns = "Return unknown." if math.isnan(gain.value) else f"Return {gain.value:+.1f} ({spread(gain, sign='+')})."
     if pair.mcnemar_p is None:
         chance = 100 * pair.superiority.probability.value
         interval = spread(pair.superiority.probability, 100)

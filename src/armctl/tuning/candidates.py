@@ -15,6 +15,7 @@ import numpy as np
 from armctl.envs import full_id, new_policy_seed, task_of
 from armctl.errors import ConfigurationError, ResultsError, unknown_name
 from armctl.evaluation.curves import CURVE, read_curve
+from armctl.evaluation.failures import unless_failed
 from armctl.evaluation.identity import checksums_of_code
 from armctl.evaluation.rollouts import build_policy, rollouts
 from armctl.evaluation.seeds import VALIDATION_SEED
@@ -181,7 +182,8 @@ class PolicyCandidate(Candidate):
             for step, first in enumerate(range(0, self.episodes, BLOCK)):
                 block = range(first, min(first + BLOCK, self.episodes))
                 known |= dict.fromkeys(block, float("nan"))  # least lengths are not needed, and take long
-                for result in rollouts(policy, worlds, block, VALIDATION_SEED, self.name, known):
+                played = rollouts(policy, worlds, block, VALIDATION_SEED, self.name, known)
+                for result in unless_failed(played):
                     scores.append(result.total_reward if self.score == "return" else float(bool(result.success)))
                 report(step, float(np.mean(scores)))
         return [float(np.mean(scores))]
