@@ -76,11 +76,11 @@ def test_equal_success_is_decided_by_return_and_then_by_order():
     assert choose(won[:1], won[:1], ["b", "a"]).policy == "b"  # no episode to choose by
 
 
-@pytest.mark.parametrize("kinds", ["a bcdef", "ab cd", "abc def"])
+@pytest.mark.parametrize("kinds", ["a bcdef", "ab cd"])
 @pytest.mark.parametrize("episodes", [50, 1000])
 def test_a_choice_costs_neither_the_test_nor_the_interval_anything(kinds, episodes, sized):
     """All are equally good: the test at 5 % errs in 5 % of all cases at most, and the interval holds in 95 %."""
-    rng, runs, errors, misses, gains = np.random.default_rng(0), sized(150, 3000), 0, 0, []
+    rng, runs, errors, misses, gains = np.random.default_rng(0), sized(100, 1000), 0, 0, []
     for _ in range(runs):
         success = pd.DataFrame(rng.random((episodes, 6)) < 0.8, columns=list("abcdef"), dtype=float)
         choices = [choose(success, success, list(names)) for names in kinds.split()]
@@ -152,7 +152,7 @@ def test_a_mean_over_tasks_is_that_of_one_task_and_narrower_for_several():
 @pytest.mark.parametrize("rates", ["95 to 100 %", "99 %", "99.9 %", "one of 97 %"])
 def test_means_over_tasks_near_one_hundred_percent_miss_on_neither_side(tasks, rates, sized, monkeypatch):
     monkeypatch.setattr(statistics, "DRAWS", 500)
-    runs, rng = sized(60, 300), np.random.default_rng(0)
+    runs, rng = sized(60, 150), np.random.default_rng(0)
     shares = {
         "95 to 100 %": np.linspace(0.95, 1, tasks), "99 %": np.full(tasks, 0.99), "99.9 %": np.full(tasks, 0.999),
         "one of 97 %": np.r_[0.97, np.ones(tasks - 1)],
