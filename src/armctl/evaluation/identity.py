@@ -162,7 +162,7 @@ def _loaded() -> dict[str, str]:
 def _own_files() -> dict[str, Path]:
     """Files of all loaded modules of one's own, by the modules' names."""
     found = {name: file_of(module) for name, module in list(sys.modules.items())}
-    others = "__main__", "armctl"
+    others = "__main__", "__mp_main__", "armctl"  # the script, also as multiprocessing calls it
     return {
         name: file
         for name, file in found.items()
