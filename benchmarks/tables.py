@@ -54,14 +54,16 @@ from armctl.seeds import TEST_SEED
 
 ROOT = Path(__file__).parents[1]
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+COMMAND = r"(?P<form>in short: |as printed: )?(?P<command>(?:python benchmarks/|armctl )[^>]*?)"
 BLOCK = re.compile(
-    r"^<!-- (?P<heading>(?P<brief>in short: )?(?P<command>(?:python benchmarks/|armctl )[^>]*?)|record of [^>]*?) -->$"
-    r"(?P<body>.*?)^<!-- end -->$",
-    re.MULTILINE | re.DOTALL,
+    rf"^<!-- (?P<heading>{COMMAND}|record of [^>]*?) -->$(?P<body>.*?)^<!-- end -->$", re.MULTILINE | re.DOTALL
 )
 SHOWN = re.compile(r"^<!-- shows (.*) -->$", re.MULTILINE)
 WIDTH = "400"
 """Characters of the terminal that a benchmark gets, so that no cell is wrapped."""
+TERMINAL = "80"
+"""Characters of a terminal as it is printed."""
+OUT = "results/test"
 BRIEF_COLUMNS = 6
 """Of a comparison's table in short: those up to what a policy sees."""
 TEST = "test seed"
@@ -73,24 +75,37 @@ def renewed(page: str, chosen: Callable[[re.Match[str]], bool] = lambda block: T
 
 
 def _run(block: re.Match[str]) -> str:
-    command = block["command"]
+    command, form = block["command"], block["form"] or ""
     print(f"{command} ...", flush=True)
-    program, *words = shlex.split(command)
     with TemporaryDirectory() as folder:
-        started = ["-m", "armctl", *words, "--format", "markdown", "--out", f"{folder}/results"]
-        done = subprocess.run(
-            [sys.executable, *(started if program == "armctl" else words)], cwd=ROOT,
-            env=os.environ | {"COLUMNS": WIDTH}, stdout=subprocess.PIPE, text=True, check=True,
-        )  # fmt: skip
-        levels = pivoted(pd.read_csv(f"{folder}/results/sweep.csv")) if command.startswith("armctl sweep ") else []
-    parts = results(done.stdout) if program == "armctl" else tables(done.stdout)
-    if levels:
-        parts = [*levels, *(f"> {part.strip('*')}" for part in parts if part.startswith("**Under "))]
-    made = f"`{command}`, {datetime.date.today()}, armctl {armctl.__version__}"
-    body = "\n\n".join([*(brief(parts) if block["brief"] else parts), made])
+        parts = _of_armctl(command, form, Path(folder)) if command.startswith("armctl ") else _of_benchmark(command)
+    body = "\n\n".join([*parts, f"`{command}`, {datetime.date.today()}, armctl {armctl.__version__}"])
     marks = ", ".join(f"{name} {checksum}" for name, checksum in checksums(command, body).items())
     shown = f"\n\n<!-- shows {marks} -->" if marks else ""
     return f"<!-- {block['heading']} -->\n\n{body}{shown}\n\n<!-- end -->"
+
+
+def _of_armctl(command: str, form: str, folder: Path) -> list[str]:
+    words = ["-m", "armctl", *shlex.split(command)[1:], "--out", OUT]
+    if form == "as printed: ":
+        lines = map(str.rstrip, _printed(words, folder, TERMINAL).splitlines())
+        return ["\n".join(("```text", *lines, "```"))]
+    parts = results(_printed([*words, "--format", "markdown"], folder))
+    if command.startswith("armctl sweep "):
+        told = [f"> {part.strip('*')}" for part in parts if part.startswith("**Under ")]
+        return [*pivoted(pd.read_csv(folder / OUT / "sweep.csv")), *told]
+    return brief(parts) if form else parts
+
+
+def _of_benchmark(command: str) -> list[str]:
+    return tables(_printed(shlex.split(command)[1:], ROOT))
+
+
+def _printed(words: Sequence[str], folder: Path, width: str = WIDTH) -> str:
+    return subprocess.run(
+        [sys.executable, *words], cwd=folder, env=os.environ | {"COLUMNS": width}, stdout=subprocess.PIPE, text=True,
+        check=True,
+    ).stdout  # fmt: skip
 
 
 def results(printed: str) -> list[str]:
@@ -170,7 +185,7 @@ def _checksum_of(policy: str) -> str:
     return hashlib.sha256(json.dumps([episodes, networks]).encode()).hexdigest()[:8]
 
 
-def _stale_blocks() -> Iterator[str]:
+def stale_blocks() -> Iterator[str]:
     for path in PAGES:
         for block in BLOCK.finditer(path.read_text()):
             if others := stale(block):
@@ -185,7 +200,7 @@ def main() -> None:
     parser.add_argument("--check", action="store_true", help="make none; name the stale ones, and fail if there are")
     arguments = parser.parse_args()
     if arguments.check:
-        found = list(_stale_blocks())
+        found = list(stale_blocks())
         print("\n".join(found) or "No table is older than a policy that it shows.")
         sys.exit(bool(found))
 

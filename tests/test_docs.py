@@ -332,6 +332,9 @@ def test_tables_are_what_a_comparison_prints():
     )
     assert "> No verdict from 3 episodes: it takes 10.\n\n`armctl" in brief
     assert "3 reached" not in brief
+    printed = renewed(f"<!-- as printed: {command} -->\n<!-- end -->\n")
+    assert "-->\n\n```text\narmctl/ArmReach-v0: 3 episodes of seed 0\n" in printed
+    assert "results/test/episodes.csv has every episode" in printed
 
 
 def test_tables_are_what_a_sweep_prints():
@@ -354,6 +357,14 @@ def test_every_table_of_benchmarks_has_its_command():
             command = found["command"] or "armctl "
             assert command.startswith("armctl ") or (ROOT / command.split()[1]).exists(), command
     assert not re.search(r"^\|", block.sub("", (ROOT / "docs/performance.md").read_text()), re.MULTILINE)
+
+
+def test_every_figure_of_a_policy_comes_from_a_command():
+    tables = runpy.run_path(str(ROOT / "benchmarks/tables.py"))
+    figures = re.compile(rf"^\|[^|]*\b({'|'.join(policy_names())})\b[^|]*\|[^a-z]*\d[^a-z]*\|$", re.MULTILINE)
+    for page in tables["PAGES"]:
+        by_hand = figures.search(tables["BLOCK"].sub("", page.read_text()))
+        assert by_hand is None, f"{page.name}: put it into a block of its command: {by_hand[0]}"
 
 
 def test_a_table_is_stale_once_what_it_shows_is_another(monkeypatch, tmp_path):
