@@ -27,7 +27,8 @@ BRIDGE, BRIDGE_MOVING = "armctl/BridgeCross-v0", "armctl/BridgeCrossMoving-v0"
 EXPERTS = ("reach_ik", "reach_mpc", "reach_ompl", "bridge_ompl", "bridge_mpc")
 AGENTS = ("reach_ppo", "reach_bc", "reach_dagger", "reach_sac", "moving_ppo")
 DRIVERS = ("bridge_ppo", "bridge_distil")
-POLICIES = (*EXPERTS, *AGENTS, *DRIVERS, "random")
+LOOKAHEAD = ("obstacles_imagined", "bridge_moving_imagined")
+POLICIES = (*EXPERTS, *AGENTS, *DRIVERS, *LOOKAHEAD, "random")
 SEED = 7
 
 
