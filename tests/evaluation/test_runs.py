@@ -14,7 +14,7 @@ import armctl
 from armctl.errors import ResultsError
 from armctl.evaluation import compare
 from armctl.evaluation.provenance import BUSY, Run, RunMeter, earlier_looks, processor_model
-from armctl.evaluation.record import COLUMNS
+from armctl.evaluation.record import ADDED, COLUMNS
 from armctl.evaluation.results import read_results
 from armctl.evaluation.store import RUNS, read_runs
 from armctl.files import digest, sealed, unsealed
@@ -158,10 +158,11 @@ def older(folder):
     own = digest(unsealed((folder / "comparison.json").read_text()))
     rows = list(csv.reader(io.StringIO((folder / "episodes.csv").read_text())))
     assert rows[0] == list(COLUMNS)
+    rows = [[cell for name, cell in zip(COLUMNS, row, strict=True) if name not in ADDED] for row in rows]
     decisions = list(csv.reader(io.StringIO((folder / "decisions.csv").read_text())))
     for row, decision in zip(rows[1:], decisions[1:], strict=True):
-        decision[2] = f"{zlib.crc32((own + lines([row[:-1]]) + decision[3]).encode()):08x}"
-    (folder / "episodes.csv").write_text(lines([row[:-1] for row in rows]))
+        decision[2] = f"{zlib.crc32((own + lines([row]) + decision[3]).encode()):08x}"
+    (folder / "episodes.csv").write_text(lines(rows))
     (folder / "decisions.csv").write_text(lines(decisions))
     summary = unsealed((folder / "summary.json").read_text())
     del summary["runs"]

@@ -59,8 +59,8 @@ def counted(monkeypatch):
         seen["gradient_steps"] += 1
         return backward(loss, *args, **kwargs)
 
-    def teacher(name, worlds):
-        policy = make_policy(name, worlds)
+    def teacher(name, worlds, **arguments):
+        policy = make_policy(name, worlds, **arguments)
         act = policy.act
 
         def counted_act(observations):
