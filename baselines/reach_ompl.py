@@ -3,7 +3,8 @@
 From the observed joints, it moves towards the farthest point of its path that a straight collision-free motion reaches
 (as in pure pursuit, but in joint space), however the joints got there: so it can be asked anywhere. Nearer to something
 than its drives need to stop, it goes back to the nearest point of the path. It plans once per episode, from the
-observation alone, which includes the boxes, and again if it sees nothing of its path.
+observation alone, which includes the boxes, and again if it sees nothing of its path. A plan that failed is not asked
+for again as it was.
 """
 
 import numpy as np
@@ -13,7 +14,7 @@ from armctl.baselines.reach_task import checked_options
 from armctl.control.streaming import follow
 from armctl.envs import ModelInterface
 from armctl.kinematics import ArmModel, ArmShapes, EdgeChecker
-from armctl.planning import ArmPlanner
+from armctl.planning import ArmPlanner, ArmPlannerOptions
 from armctl.policies import PerWorld, sees
 from armctl.scene import Boxes
 from armctl.tasks import ReachObstaclesOptions
@@ -22,10 +23,13 @@ from armctl.tasks.reach.obstacles import OBSTACLES_OBSERVATION
 
 Array = NDArray[np.float64]
 
-SIGHT, BRAKING = 0.009, 0.006
-"""m: clearance of the straight motion ahead, and of the drives' own motion until they rest, whose joints do not move in
-proportion. The path's clearance is 10 mm; servos are off by a few mm. At full speed it is more: in the 3 of 1,000
-episodes (seeds 0 and 1) that end with a touch, joints were 0.014 rad off the drives' motion, up to 10 mm at the tip."""
+CLEARANCES = (0.01, 0.0075, 0.005)
+"""m, of the path: of the first plan, and of the next ones if it fails. Layouts are certified with the last."""
+GOALS = 32
+"""Of the first plan, and added after each failure: the earliest ones may all be shut in."""
+SIGHT, BRAKING = 0.9, 0.6
+"""Shares of it that are kept by the straight motion ahead, and by the joints' own motion until they rest, in which they
+do not move in proportion."""
 SIGHT_NEARER, BRAKING_NEARER = 0.95, 0.7
 """Shares of their distances that pairs nearer than that must keep: braking may use what the motion ahead leaves."""
 LARGEST_MOVE = 0.5
@@ -36,9 +40,7 @@ SHARES = 0.6 ** np.arange(13)
 LOST = 0.1
 """rad: beyond, the joints do not follow this expert's commands, but somebody else's. Servos are off by 0.08 at most."""
 PATIENCE = 5
-"""Control steps after a plan without a path, until the next. From the same joints it fails again, and the episode times
-out: 2 of 500 (seed 2026). In one, no goal has 10 mm of clearance (layouts are certified with 5); in the other, the
-search spends its 6,000 checks."""
+"""Control steps after a plan until the next; none while there are clearances left."""
 
 
 @sees("model")
@@ -46,16 +48,16 @@ def make(env: ModelInterface) -> PerWorld:
     """OMPL path around the obstacles, towards its farthest point in sight of the observed joints."""
     env_id = "armctl/ArmReachObstacles-v0"
     options = checked_options("reach_ompl", env, ReachObstaclesOptions, env_id, OBSTACLES_OBSERVATION, ["position"])
-    planner = ArmPlanner(ArmModel(env.robot))
-    return PerWorld([ReachOmpl(planner, options.tolerance, CONTROL_PERIOD) for _ in range(env.num_envs)])
+    model = ArmModel(env.robot)
+    return PerWorld([ReachOmpl(model, options.tolerance, CONTROL_PERIOD) for _ in range(env.num_envs)])
 
 
 class ReachOmpl:
     """Reaches with one arm."""
 
-    def __init__(self, planner: ArmPlanner, tolerance: float, period: float) -> None:
-        self._planner, self._model, self._tolerance, self._period = planner, planner.model, tolerance, period
-        self._shapes = ArmShapes(planner.model)
+    def __init__(self, model: ArmModel, tolerance: float, period: float) -> None:
+        self._model, self._tolerance, self._period = model, tolerance, period
+        self._shapes = ArmShapes(model)
         self.reset()
 
     def reset(self) -> None:
@@ -63,7 +65,7 @@ class ReachOmpl:
         self._sight: EdgeChecker | None = None
         self._braking: EdgeChecker | None = None
         self._path = np.zeros((0, self._model.dof))
-        self._since_plan = PATIENCE
+        self._since_plan, self._failures = PATIENCE, 0
         self._drives: tuple[Array, Array] | None = None
 
     def plans(self) -> dict[str, Array]:
@@ -90,11 +92,21 @@ class ReachOmpl:
         """Where to go on the path (dof,), which is planned anew if nothing of it is in sight; `q` if there is none."""
         self._since_plan += 1
         goal = self._on_path(q)
-        if goal is None and self._since_plan > PATIENCE:
-            self._path, self._since_plan = self._planner.plan(q, target, self._tolerance, boxes).path, 0
-            self._sight, self._braking = (EdgeChecker(self._shapes, boxes, one, q) for one in (SIGHT, BRAKING))
+        if goal is None and (self._since_plan > PATIENCE or 0 < self._failures < len(CLEARANCES)):
+            self._plan(q, target, boxes)
             goal = self._on_path(q)
         return q if goal is None else goal
+
+    def _plan(self, q: Array, target: Array, boxes: Boxes) -> None:
+        """Plan a path from `q` (dof,): after each failure nearer to things, to more goals, and with another seed."""
+        clearance, self._since_plan = CLEARANCES[min(self._failures, len(CLEARANCES) - 1)], 0
+        tries = 1 + self._failures
+        options = ArmPlannerOptions(clearance=clearance, goals=GOALS * tries, seed=tries)
+        plan = ArmPlanner(self._model, options).plan(q, target, self._tolerance, boxes)
+        self._path, self._failures = plan.path, 0 if plan.found else self._failures + 1
+        self._sight, self._braking = (
+            EdgeChecker(self._shapes, boxes, share * clearance, q) for share in (SIGHT, BRAKING)
+        )
 
     def _on_path(self, q: Array) -> Array | None:
         """The farthest point (dof,) in sight of the path, or, too near to something, the nearest; if there is any."""
@@ -129,7 +141,16 @@ class ReachOmpl:
         assert self._braking is not None
         move = (goal - q) * min(1.0, LARGEST_MOVE / max(float(np.abs(goal - q).max()), LARGEST_MOVE))
         for share in SHARES:
-            if self._braking.stops_freely(position, velocity, q + share * move):
+            if self._stops_freely(q, position, velocity, q + share * move):
                 return np.asarray(q + share * move)
         still_free = self._drives is not None and self._braking.is_edge_free(q, self._commanded)
         return self._commanded if still_free else np.asarray(q + SHARES[-1] * move)
+
+    def _stops_freely(self, q: Array, position: Array, velocity: Array, goal: Array) -> bool:
+        """Whether the arm keeps clear until it rests at `goal` (dof,).
+
+        The joints are off their drives, and fall back to them meanwhile: both the drives' motion, and the same motion
+        from the joints observed are checked.
+        """
+        assert self._braking is not None
+        return all(self._braking.stops_freely(position - lag, velocity, goal - lag) for lag in (0.0, position - q))

@@ -3,8 +3,10 @@ import itertools
 import numpy as np
 import pytest
 
+from armctl.control.streaming import follow
 from armctl.envs import make_worlds
 from armctl.kinematics import ArmModel, ArmShapes, EdgeChecker
+from armctl.planning import ArmPlan, ArmPlanner, PathCertificateOptions
 from armctl.policies import make_policy
 from armctl.tasks.reach import read_boxes
 
@@ -115,3 +117,61 @@ def test_a_plan_is_made_again_where_nothing_of_it_is_in_sight(model, played):
         again += not sees_old and len(one._path) > 0
         assert sees_old or not np.array_equal(one._path, before[i])
     assert again > 0
+
+
+def test_a_query_that_failed_is_not_repeated(monkeypatch):
+    """Each further plan from the same joints differs in its options, and the next ones have less clearance."""
+    asked = []
+
+    def fail(self, *arguments):
+        asked.append((self.options, *(np.asarray(one).tobytes() for one in arguments[:2])))
+        return ArmPlan(np.zeros((0, 6)), np.inf, np.inf, np.nan, True, 6000, 0.0)
+
+    monkeypatch.setattr(ArmPlanner, "plan", fail)
+    worlds = make_worlds(OBSTACLES, 1)
+    policy = make_policy("reach_ompl", worlds)
+    observation, _ = worlds.reset(seed=31)
+    for _ in range(40):
+        policy.act(observation)
+    assert len(asked) == len(set(asked)) > 3
+    clearances = [options.clearance for options, *_ in asked]
+    assert clearances == sorted(clearances, reverse=True)
+    assert clearances[-1] == PathCertificateOptions().clearance
+
+
+@pytest.mark.parametrize(("seed", "episode"), [(0, 443), (0, 454), (2026, 48), (2026, 380)])
+def test_it_reaches_where_it_touched_or_stood_still(seed, episode):
+    """At full speed, joints that lagged behind the drives touched; or a plan that had failed was asked for again."""
+    worlds = make_worlds(OBSTACLES, 1)
+    policy = make_policy("reach_ompl", worlds)
+    observation, _ = worlds.reset(seed=[seed], options={"episode": np.array([episode])})
+    policy.reset(np.zeros(1, dtype=np.int32))
+    over = np.zeros(1, dtype=bool)
+    while not over.any():
+        observation, _, terminated, truncated, info = worlds.step(policy.act(observation))
+        over = terminated | truncated
+    assert terminated.all()
+    assert not any(touched.any() for touched in info["contacts"].values())
+
+
+def test_joints_that_are_off_their_drives_stop_freely(model, played):
+    """Drives that stop freely are not enough: from the joints as observed, the same motion touches nothing either."""
+    worlds = make_worlds(OBSTACLES, 20)
+    controllers = (policy := make_policy("reach_ompl", worlds)).controllers
+    rng, limits, safe = np.random.default_rng(0), model.limits, []
+    policy.act(played[0][0])
+    for observations, _, playing in played[1:16]:
+        for i in np.flatnonzero(playing):
+            q = observations[i, JOINTS].astype(float)
+            position, velocity = q + rng.uniform(-0.05, 0.05, 6), rng.uniform(-1.5, 1.5, 6)
+            controllers[i]._drives = position, velocity
+            label = controllers[i].act(observations[i])
+            among, now, speed, free = model.among(read_boxes(observations[i, 12:].astype(float))), q, velocity, True
+            if not controllers[i]._stops_freely(q, position, velocity, q):
+                continue  # too late for any command
+            for _ in range(20):
+                now, speed = follow(limits, now, speed, label - position + q, 0.04)
+                free = free and among.is_free(now)
+            safe.append(free)
+    assert len(safe) > 50
+    assert all(safe)

@@ -26,8 +26,6 @@ from armctl.scene import Boxes
 
 Array = NDArray[np.float64]
 
-SEED = 1
-"""Of each search."""
 DETOUR = 2.0
 """rad: margin of the search space beyond start and goals."""
 INSIDE = 0.8
@@ -52,6 +50,8 @@ class ArmPlannerOptions:
     """rad: longest edge of a tree."""
     shortcuts: Annotated[int, Field(ge=0)] = 100
     """Number of shortcuts tried."""
+    seed: Annotated[int, Field(ge=1)] = 1
+    """Of a search."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +149,7 @@ class ArmPlanner:
     def _search(self, edges: EdgeChecker, start: Array, goals: Array) -> Array:
         """The path that RRT-Connect finds, (m, dof), or (0, dof)."""
         asked = self.options
-        search = ArmSearch(geometric.RRTConnect, SEED, DETOUR, asked.stride, asked.checks)
+        search = ArmSearch(geometric.RRTConnect, asked.seed, DETOUR, asked.stride, asked.checks)
         return search.path(edges, self.model.limits, start, goals)
 
     def _shortened(self, edges: EdgeChecker, path: Array, centre: Array, radius: float) -> Array:
