@@ -115,11 +115,19 @@ class ReachWithMpc:
         return self._stream.goal(self._plan)
 
     def _chosen(self, q: Array, target: Array) -> Array:
-        """The posture (dof,) to go to from `q` (dof,). Among boxes it is the first of a way, if one is found."""
-        way = self._map.way(target, q, self.mpc.model.boxes) if self._boxed else np.zeros((0, len(q)))
-        self._guided, self._way = len(way) > 0, list(way[1:])
-        if not self._guided:
-            return self._map.towards(target, q, self.mpc.model)
+        """The posture (dof,) to go to from `q` (dof,).
+
+        Among boxes it is the first of a way, if one is found, unless at first, the straight motion to the posture
+        reached earliest is free: then the target itself is tracked, which is faster.
+        """
+        goal, self._guided, self._way = self._map.towards(target, q, self.mpc.model), False, []
+        straight = self._posture is None and self.mpc.model.are_free(np.linspace(q, goal, WAY_POINTS)).all()
+        if not self._boxed or straight:
+            return goal
+        way = self._map.way(target, q, self.mpc.model.boxes)
+        if not len(way):
+            return goal
+        self._guided, self._way = True, list(way[1:])
         corners, shares = np.vstack((q, way)), np.linspace(0, 1, WAY_POINTS)[:, None, None]
         self.mpc.follow((corners[:-1] + shares * np.diff(corners, axis=0)).reshape(-1, len(q)))
         return np.asarray(way[0])
