@@ -69,7 +69,9 @@ class ReachabilityMap:
         none if no such way was found.
         """
         edges = EdgeChecker(self._shapes, boxes, CLEARANCE, start)
-        way = self._through(edges, start, self._goals(target, start, AMONG_BOXES))
+        goals = self._goals(target, start, AMONG_BOXES)
+        goals = goals[np.linalg.norm(self.model.positions(goals) - target, axis=1) < ON_TARGET]
+        way = self._through(edges, start, goals)
         return way if len(way) else self._through(edges, start, self._ik_goals(target, start))
 
     def _through(self, edges: EdgeChecker, start: Array, goals: Array) -> Array:
