@@ -1,9 +1,9 @@
 """The MPC expert: receding-horizon control of the arm's joints, with the target's motion predicted.
 
-It looks up a posture once per episode in a table of configurations, since the optimisation is local. Among boxes, it
-looks up a way of one or two straight joint motions that are free, and tracks the end-effector's positions on them. Each
-control step then plans 0.8 s and commands the first period. Where it gets stuck, it looks up another posture. It sees
-only the observation, which includes the boxes if there are any.
+It looks up a posture once per episode in a table of configurations, since the optimisation is local. Among boxes, if
+the straight motion there is not free, it looks up a way of one or two straight joint motions that are, and tracks the
+end-effector's positions on them. Each control step then plans 0.8 s and commands the first period. Where it gets stuck,
+it looks up another posture. It sees only the observation, which includes the boxes if there are any.
 """
 
 from collections.abc import Mapping
