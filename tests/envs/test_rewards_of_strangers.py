@@ -27,9 +27,11 @@ def played(reward=REWARD, env="tests/GoesOn-v0", worlds=3, steps=40):
     policy = armctl.make_policy("reach_ik", env)
     observations, _ = env.reset(seed=[0] * worlds)
     policy.reset(np.arange(worlds, dtype=np.int32))
-    earned = []
+    earned, ended = [], np.zeros(worlds, dtype=bool)
     for _ in range(steps):
-        observations, rewards, *_, infos = env.step(policy.act(observations))
+        observations, rewards, terminated, truncated, infos = env.step(policy.act(observations))
+        policy.reset(np.flatnonzero(ended).astype(np.int32))  # the step after an ending begins the next episode
+        ended = terminated | truncated
         np.testing.assert_allclose(sum(infos["reward_terms"].values()), rewards)
         earned.append(infos["reward_terms"])
     return {name: np.array([terms[name] for terms in earned]) for name in earned[0]}

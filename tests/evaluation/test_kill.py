@@ -21,7 +21,7 @@ from armctl.files import unsealed
 
 from ..command_line import ARMCTL, armctl
 
-PLAYED = ["random", "reach_ik", "--out", "out", "--set", "max_episode_steps=12"]
+PLAYED = ["random", "reach_ik", "--out", "out", "--set", "max_episode_steps=12", "--policy-seed", "1"]
 COMMANDS = {
     "compare": ["compare", *PLAYED, "--episodes", "60", "--worlds", "3"],
     "parquet": ["compare", *PLAYED, "--episodes", "60", "--worlds", "3", "--store", "parquet"],

@@ -64,7 +64,8 @@ def test_workers_and_worlds_change_no_episode(tmp_path):
 def test_a_policy_that_fails_in_a_worker_spoils_no_other(mine):
     comparison = compare(["mine_for_workers:failing", "random"], episodes=4, workers=2)
     assert "out of ideas" in comparison.failures["mine_for_workers:failing"]
-    assert comparison.episodes.groupby("policy").size().to_dict() == {"mine_for_workers:failing": 2, "random": 4}
+    assert comparison.episodes.groupby("policy").size().to_dict() == {"mine_for_workers:failing": 4, "random": 4}
+    assert comparison.policies[0].outcomes["error"] == 2
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ def test_dagger_asks_the_teacher_where_the_pupil_gets_to(tmp_path, monkeypatch):
     from armctl.rl import cloning
 
     asked_in = []
-    monkeypatch.setattr(cloning, "make_policy", lambda name, env: asked_in.append(asked(env)) or asked_in[-1])
+    monkeypatch.setattr(cloning, "make_policy", lambda name, env, **_: asked_in.append(asked(env)) or asked_in[-1])
     recipe = small(
         "reach_dagger",
         demonstrations=6,

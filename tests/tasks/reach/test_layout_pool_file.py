@@ -12,21 +12,22 @@ from armctl.errors import ConfigurationError
 from armctl.scene import BOX_NUMBERS
 from armctl.tasks import ReachObstaclesTask
 from armctl.tasks.reach import make_layout_pool
-from armctl.tasks.reach.layout_pool import LARGEST_POOL, PARTS, POOL_FILE, read_pool, write_pool
+from armctl.tasks.reach.layout_pool import FORMAT, LARGEST_POOL, PARTS, POOL_FILE, read_pool, write_pool
 from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES
 
 SHIPPED = read_pool(POOL_FILE)
 
 
 def damaged(**changes):
-    """The first layout of each part as a pool of its own, with changes."""
-    rows = np.array([rows[0] for rows in SHIPPED.parts.values()])
+    """The first layout of one seed's part and of all other parts as a pool of its own, with changes."""
+    rows = np.array([SHIPPED.parts[name][0] for name in (SHIPPED.names[0], *PARTS)])
     small = {
-        "sizes": np.ones(len(PARTS), dtype=np.int64),
+        "seeds": SHIPPED.seeds[:1],
+        "sizes": np.ones(len(rows), dtype=np.int64),
         "targets": SHIPPED.targets[rows],
         "counts": SHIPPED.counts[rows],
         "packed": np.concatenate([SHIPPED.boxes[row, : SHIPPED.counts[row]] for row in rows]),
-        "feasible": np.ones(len(PARTS), dtype=bool),
+        "feasible": np.ones(len(rows), dtype=bool),
     }
     return dataclasses.replace(SHIPPED, **small | changes)
 
@@ -44,6 +45,7 @@ def test_a_pool_is_read_as_it_was_written(tmp_path):
 
 def test_the_maker_makes_the_pool(tmp_path, monkeypatch):
     monkeypatch.setattr(make_layout_pool, "SIZES", dict.fromkeys(PARTS, 2))
+    monkeypatch.setattr(make_layout_pool, "OWN_SIZE", 2)
     make_layout_pool.main(1, tmp_path / "small.npz")
     made = read_pool(tmp_path / "small.npz")
     for part, rows in SHIPPED.parts.items():
@@ -96,14 +98,14 @@ def test_a_box_without_size_is_refused():
 @pytest.mark.parametrize(
     "forged",
     [
-        {"format": 2}, {"robot": None}, {"targets": np.array([None] * 4)}, {"unknown": 1}, {"tolerance": "much"},
+        {"format": 1}, {"robot": None}, {"targets": np.array([None] * 4)}, {"unknown": 1}, {"tolerance": "much"},
         {"targets": np.zeros(LARGEST_POOL // 4, np.float32)},
     ],
     ids=["format", "missing", "pickle", "unknown", "no number", "bomb"],
 )  # fmt: skip
 def test_a_forged_file_is_refused(tmp_path, forged):
     pool = damaged()
-    values = {"format": 1} | {field.name: getattr(pool, field.name) for field in dataclasses.fields(pool)} | forged
+    values = {"format": FORMAT} | {field.name: getattr(pool, field.name) for field in dataclasses.fields(pool)} | forged
     path = tmp_path / "pool.npz"
     np.savez_compressed(path, **{name: value for name, value in values.items() if value is not None})
     refused(path)

@@ -63,7 +63,10 @@ def draw(sizes: Mapping[str | int, int], processes: int) -> LayoutPool:
     with multiprocessing.get_context("spawn").Pool(processes) as workers:
         drawn = workers.imap(_drawn, names, chunksize=20)
         with Progress(console=PlainConsole(stderr=True)) as progress:
-            found = list(progress.track(drawn, len(names), description="layouts"))
+            bar, found = progress.add_task("layouts", total=len(names)), []
+            for layout in drawn:
+                found.append(layout)
+                progress.advance(bar)
     layouts, feasible = zip(*found, strict=True)
     return LayoutPool(
         robot=robot_digest(load_arm(ReachOptions().robot)),
