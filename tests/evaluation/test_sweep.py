@@ -1,5 +1,6 @@
 import io
 import json
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -148,8 +149,9 @@ def test_worlds_and_workers_change_nothing(tmp_path):
 
 
 class Interrupting:
+    """Stops after so many decisions as a variable of the process says, which is no part of what it is."""
+
     sees, training_steps = "model", 0
-    decisions = 0
 
     def __init__(self, env):
         self.policy = armctl.make_policy("reach_ik", env)
@@ -158,16 +160,16 @@ class Interrupting:
         self.policy.reset(ids)
 
     def act(self, observations):
-        Interrupting.decisions -= 1
-        if Interrupting.decisions == 0:
+        os.environ["DECISIONS_LEFT"] = str(int(os.environ["DECISIONS_LEFT"]) - 1)
+        if os.environ["DECISIONS_LEFT"] == "0":
             raise KeyboardInterrupt
         return self.policy.act(observations)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("decisions", [5, 80])
-def test_an_interrupted_sweep_keeps_its_episodes_and_goes_on(decisions, tmp_path):
-    Interrupting.decisions = decisions
+def test_an_interrupted_sweep_keeps_its_episodes_and_goes_on(decisions, tmp_path, monkeypatch):
+    monkeypatch.setenv("DECISIONS_LEFT", str(decisions))
     cut = run(policies=[Interrupting], out=tmp_path / "cut")
     assert cut.interrupted
     assert "Interrupted." in printed(cut)

@@ -223,7 +223,7 @@ def test_all_that_a_verdict_may_tell_is_corrected_together():
 
 @pytest.mark.parametrize("policies", [2, 3])
 def test_of_equally_good_policies_anything_is_told_in_five_of_a_hundred_verdicts_at_most(policies, sized):
-    rng, runs = np.random.default_rng(policies), sized(60, 3000)
+    rng, runs = np.random.default_rng(policies), sized(60, 300)
     names, wrong = ["reach_ik", "reach_ppo", "reach_mpc"][:policies], 0
     for _ in range(runs):
         won = dict(zip(names, rng.random((policies, 60)) < 0.5, strict=True))
@@ -237,7 +237,7 @@ def test_of_equally_good_policies_anything_is_told_in_five_of_a_hundred_verdicts
 @pytest.mark.parametrize("agents", [2, 9])
 def test_the_interval_of_the_chosen_pair_holds(agents, sized):
     # With one planner and nine agents, the chosen pair's own 95 % interval holds in 88 % of comparisons.
-    rng, runs = np.random.default_rng(0), sized(60, 2000)
+    rng, runs = np.random.default_rng(0), sized(60, 300)
     more = ("moving_dagger", "reach_cloned_ppo", "reach_robust_ppo", "bridge_ppo")
     names, held = ["reach_ik", *(*AGENTS, *more)[:agents]], 0
     for _ in range(runs):

@@ -83,7 +83,7 @@ def channels_read(policy: Any) -> tuple[str, ...]:
 
     Raises `ConfigurationError` for anything else.
     """
-    default = ("state",) if declared(policy) == "state" else ("observation",)
+    default = ("state",) if getattr(policy, "sees", "observation") == "state" else ("observation",)
     reads = getattr(policy, "reads", default)
     for channel in reads:
         if channel not in PERCEIVED:
