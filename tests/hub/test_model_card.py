@@ -9,6 +9,7 @@ from armctl.agents import AgentCard, read_card
 from armctl.evaluation.reproduce import card_path
 from armctl.hub import model_card
 from armctl.policies import agent_cards
+from armctl.seeds import TEST_SEED
 
 NAME = "owner/agent"
 
@@ -40,7 +41,7 @@ def test_a_hub_reads_the_metadata(card):
     success, reward = data.eval_results
     assert (success.metric_type, success.metric_value) == ("success_rate", card.evaluation.success_rate)
     assert (reward.metric_type, reward.metric_value) == ("mean_reward", card.evaluation.mean_return)
-    assert success.dataset_args == {"episodes": 1000, "seed": 2026}
+    assert success.dataset_args == {"episodes": 1000, "seed": TEST_SEED}
     assert success.dataset_name == card.env
 
 

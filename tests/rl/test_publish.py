@@ -18,7 +18,7 @@ def training(folder, seed, success, name="reach_bc", **options):
     card = read_card(AGENTS / f"{name}.json")
     evaluation = card.evaluation.model_copy(update={"success_rate": success})
     known = {key: value for key, value in (card.learner_options | options).items() if value is not None}
-    changed = {"training_seed": seed, "evaluation": evaluation, "learner_options": known}
+    changed = {"training_seed": seed, "evaluation": evaluation, "development": None, "learner_options": known}
     (folder / "agent.json").write_text(card.model_copy(update=changed).model_dump_json())
     shutil.copy(AGENTS / f"{name}.onnx", folder / "agent.onnx")
     (folder / "curve.csv").write_text(f"curve of seed {seed}")
