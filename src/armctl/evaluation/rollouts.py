@@ -74,8 +74,7 @@ def rollouts(
 
     `episodes` is how many to play, or their numbers. `least_lengths`, by episode, is read and extended, so that
     policies can share it. A decision time is the duration of the policy's call divided by the number of worlds.
-    `TimedPolicy` is for a policy that has decided before, or whose
-    decisions come late.
+    `TimedPolicy` is for a policy that has decided before, or whose decisions come late.
 
     An episode in which the policy raises an error or returns an invalid action ends as a `FailedEpisode`, a loss, and
     the next one begins. See `until_unplayable` and `unless_failed` for what to make of these.
