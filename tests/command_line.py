@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import gymnasium
 import pytest
 
 from armctl.cli import main
@@ -45,7 +46,7 @@ def program(*arguments, cwd, check=True, disk=None, **variables):
 
 
 def armctl(*arguments, cwd, check=True, disk=None):
-    """Run armctl in this process, where everything is imported already; what it imports from `cwd` is forgotten.
+    """Run armctl in this process, where everything is imported already; what it imports and registers is forgotten.
 
     `disk` is as for `full_disk`. Kernels should be compiled by then, as numba cannot write them either.
     """
@@ -56,7 +57,7 @@ def armctl(*arguments, cwd, check=True, disk=None):
         patch.setenv("PYTHONSAFEPATH", "")  # `main` sets it, and processes that tests start would inherit that
         for name, value in ENVIRONMENT.items():
             patch.setenv(name, value)
-        status = 0
+        status, registered = 0, set(gymnasium.registry)
         limited = contextlib.nullcontext() if disk is None else full_disk(disk)
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), limited:
             try:
@@ -67,6 +68,8 @@ def armctl(*arguments, cwd, check=True, disk=None):
                 for name, module in list(sys.modules.items()):
                     if Path(getattr(module, "__file__", None) or "/").is_relative_to(cwd):
                         del sys.modules[name]
+                for env_id in set(gymnasium.registry) - registered:
+                    del gymnasium.registry[env_id]
         done = subprocess.CompletedProcess(arguments, status, out.getvalue(), err.getvalue())
     assert not check or done.returncode == 0, done.stderr
     return done
