@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.control.arc_path import ArcPath
+from armctl.core.errors import ConfigurationError
 from armctl.envs import Sees, TaskVectorEnv
-from armctl.errors import ConfigurationError
 from armctl.planning import plan_path
 from armctl.scene import BridgeMap
 from armctl.tasks import BridgeTask

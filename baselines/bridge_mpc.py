@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from armctl.baselines.bridge_controllers import BridgePolicy, distance_from_path, path_from
 from armctl.control.drive_mpc import DriveMpc, DriveMpcOptions
+from armctl.core.options import changed_options
 from armctl.envs import TaskVectorEnv
-from armctl.options import changed_options
 from armctl.policies import sees
 from armctl.robots.rover import MAX_VELOCITY, MAX_WHEEL_SPEED, RADIUS, TRACK, WHEEL_RADIUS, WHEEL_SEPARATION_MULTIPLIER
 from armctl.scene import BridgeMap

@@ -17,9 +17,9 @@ from armctl.baselines.reach_task import checked_options
 from armctl.control.reach_mpc import ReachMpc, ReachMpcOptions
 from armctl.control.reach_problem import JointTrajectory
 from armctl.control.streaming import CommandStream
+from armctl.core.options import changed_options
 from armctl.envs import ModelInterface
 from armctl.kinematics import ArmModel, ReachabilityMap
-from armctl.options import changed_options
 from armctl.policies import PerWorld, sees
 from armctl.tasks import OBSERVATION, ReachOptions
 from armctl.tasks.reach import read_boxes

@@ -3,8 +3,8 @@
 from collections.abc import Iterable, Sequence
 from typing import TypeVar
 
+from armctl.core.errors import ConfigurationError
 from armctl.envs import ModelInterface
-from armctl.errors import ConfigurationError
 from armctl.tasks import ReachOptions
 
 Options = TypeVar("Options", bound=ReachOptions)

@@ -16,12 +16,12 @@ from rich.progress import track
 
 from armctl.agents import AgentCard, read_card
 from armctl.envs import make_worlds
-from armctl.evaluation import evaluate
-from armctl.evaluation.compare import default_policies
-from armctl.evaluation.curves import read_curve
 from armctl.policies import make_policy
 from armctl.policies.find import is_expert
 from armctl.rl.zoo import HOME
+from armctl.rollout import evaluate
+from armctl.study.compare import default_policies
+from armctl.study.curves import read_curve
 
 COLUMNS = 3
 

@@ -11,8 +11,8 @@ from typing import Annotated
 
 import typer
 
-from armctl.evaluation import evaluate
 from armctl.robot_description.arm import BUILTIN_ARMS, robot_data
+from armctl.rollout import evaluate
 
 OBSTACLES = "armctl/ArmReachObstacles-v0"
 

@@ -17,11 +17,11 @@ import psutil
 from cluster_servers import dask_cluster, ray_cluster
 
 import armctl
-from armctl.evaluation import engines
-from armctl.evaluation.engines import AHEAD, Cluster, Engine, Local, connect
-from armctl.evaluation.parallel import ROUNDS, RolloutBatch
-from armctl.evaluation.record import EpisodeResult
-from armctl.evaluation.store import EpisodeLog
+from armctl.episodes.record import EpisodeResult
+from armctl.episodes.store import EpisodeLog
+from armctl.rollout.parallel import ROUNDS, RolloutBatch
+from armctl.runtime import engines
+from armctl.runtime.engines import AHEAD, Cluster, Engine, Local, connect
 
 SHORT, LONG = "armctl/ArmReach-v0", "armctl/BridgeCross-v0"
 POLICIES = {SHORT: ("reach_ik", "reach_ppo"), LONG: ("bridge_mpc", "bridge_ppo")}

@@ -1,6 +1,6 @@
 """A simulated cluster, by discrete events: a client that also writes, a scheduler, and workers that may be lost.
 
-The client is the loop of `armctl.evaluation.engines`: it sends units until `AHEAD` per worker are under way, waits
+The client is the loop of `armctl.runtime.engines`: it sends units until `AHEAD` per worker are under way, waits
 until one is finished, and writes the episodes of what is, one after the other. Units wait in one queue for whoever is
 free.
 """
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import simpy
 
-from armctl.evaluation.engines import AHEAD
+from armctl.runtime.engines import AHEAD
 
 DETECTION = 30.0
 """s until the cluster knows that a worker is lost, and gives its unit to another."""

@@ -11,8 +11,8 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from armctl.errors import ConfigurationError
-from armctl.evaluation.engines import connect
+from armctl.core.errors import ConfigurationError
+from armctl.runtime.engines import connect
 
 BIN = Path(sys.executable).parent
 LONGEST_START = 120.0

@@ -28,9 +28,9 @@ from rich.progress import track
 from rich.table import Table
 
 import armctl
-from armctl.evaluation.parallel import ROUNDS
-from armctl.evaluation.provenance import machine
-from armctl.registration import bare_id
+from armctl.core.registration import bare_id
+from armctl.rollout.parallel import ROUNDS
+from armctl.runtime.provenance import machine
 
 MEASURED = Path(__file__).with_suffix(".json")
 PICTURE = Path(__file__).parents[1] / "docs" / "clusters.png"

@@ -31,7 +31,7 @@ from rich.progress import track
 from rich.table import Table
 
 import armctl
-from armctl.evaluation.statistics import success_rate
+from armctl.stats.intervals import success_rate
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "benchmarks" / "examples.csv"

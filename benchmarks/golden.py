@@ -20,7 +20,7 @@ import numpy as np
 from rich.progress import track
 
 import armctl
-from armctl.errors import ArmctlError
+from armctl.core.errors import ArmctlError
 
 REACH, MOVING, OBSTACLES = "armctl/ArmReach-v0", "armctl/ArmReachMoving-v0", "armctl/ArmReachObstacles-v0"
 BRIDGE, BRIDGE_MOVING = "armctl/BridgeCross-v0", "armctl/BridgeCrossMoving-v0"

@@ -29,9 +29,9 @@ from rich.console import Console
 from rich.table import Table
 
 import armctl
-from armctl.evaluation.record import EpisodeResult
-from armctl.evaluation.store import COMPARISON, STORES, EpisodeLog, read_episodes
-from armctl.files import unsealed
+from armctl.core.files import unsealed
+from armctl.episodes.record import EpisodeResult
+from armctl.episodes.store import COMPARISON, STORES, EpisodeLog, read_episodes
 from armctl.report import write_report
 
 WORLDS = (64, 256, 1024, 4096)

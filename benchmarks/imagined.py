@@ -9,11 +9,11 @@ from rich.progress import track
 
 import armctl
 from armctl.agents import load_agent, read_card
-from armctl.evaluation.seeds import TEST_SEED
 from armctl.policies import Policy, sees
 from armctl.rl.imagining import ImaginingPolicy
 from armctl.rl.looking_ahead import looking_ahead
 from armctl.rl.zoo import HOME
+from armctl.rollout.seeds import TEST_SEED
 
 COLUMNS = (
     "network", "seed", "success by itself, %", "with imagination, %", "paired difference, points", "steps by itself",

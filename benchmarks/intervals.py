@@ -21,10 +21,10 @@ from rich.table import Table
 from scipy import stats
 
 import armctl
-from armctl.evaluation import statistics
-from armctl.evaluation.paired import mcnemar, mover
-from armctl.evaluation.statistics import Bounds, Estimate, bounded_mean, mean, success_rate, worst_decile
-from armctl.evaluation.trainings import difference_over_trainings, mean_over_trainings
+from armctl.stats import intervals as statistics
+from armctl.stats.intervals import Bounds, Estimate, bounded_mean, mean, success_rate, worst_decile
+from armctl.stats.paired import mcnemar, mover
+from armctl.stats.trainings import difference_over_trainings, mean_over_trainings
 
 Array = NDArray[np.float64]
 

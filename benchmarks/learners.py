@@ -28,7 +28,7 @@ from rich.console import Console
 from rich.table import Table
 
 import armctl  # noqa: F401 - registers the environments
-from armctl.registration import environment_names
+from armctl.core.registration import environment_names
 
 WAYS = ("gymnasium.make", "next_step", "same_step", "disabled")
 """One world, or several in an autoreset mode."""

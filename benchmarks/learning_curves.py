@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from armctl.errors import unknown_name
+from armctl.core.errors import unknown_name
 
 ENOUGH = 0.9
 """Success to be learnt."""

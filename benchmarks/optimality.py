@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from armctl.evaluation import compare
+from armctl.study import compare
 
 
 def main(episodes: int = 10_000, seed: int = 0, policies: str = "reach_ik,reach_ppo,reach_mpc") -> None:

@@ -13,7 +13,7 @@ from rich.box import MARKDOWN
 from rich.console import Console
 from rich.table import Table
 
-from armctl.learners import load_learner, load_recipe
+from armctl.training.learners import load_learner, load_recipe
 
 VARIANTS = {
     "the recipe": {},

@@ -49,8 +49,8 @@ from tempfile import TemporaryDirectory
 import pandas as pd
 
 import armctl
+from armctl.core.seeds import TEST_SEED
 from armctl.policies import policy_names
-from armctl.seeds import TEST_SEED
 
 ROOT = Path(__file__).parents[1]
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))

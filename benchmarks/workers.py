@@ -18,7 +18,7 @@ from rich.progress import track
 from rich.table import Table
 
 import armctl
-from armctl.evaluation.record import TIME_COLUMNS
+from armctl.episodes.record import TIME_COLUMNS
 
 
 def timed(env: str, episodes: int, workers: int) -> tuple[float, pd.DataFrame]:

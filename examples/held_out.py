@@ -7,8 +7,8 @@ from typing import Any
 import torch
 
 import armctl
-from armctl.evaluation.seeds import TRAINING_SEEDS
-from armctl.evaluation.statistics import success_rate
+from armctl.rollout.seeds import TRAINING_SEEDS
+from armctl.stats.intervals import success_rate
 
 MOST_THREADS = 4
 """More do not pay for networks as small as these; `OMP_NUM_THREADS` can lower it further."""

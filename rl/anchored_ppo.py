@@ -16,7 +16,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.utils import explained_variance
 
 from armctl.agents import AgentCard
-from armctl.options import options
+from armctl.core.options import options
 from armctl.rl.learning import learn
 from armctl.rl.ppo import PpoOptions, actor_of, load_or_make
 from armctl.rl.training import LOG, Count, Positive, Training

@@ -15,7 +15,7 @@ from stable_baselines3.common.policies import BasePolicy, MultiInputActorCriticP
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, MlpExtractor
 
 from armctl.agents import INPUT, inputs
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 from armctl.rl.encoding import EncodedVectorEnv
 from armctl.rl.view import View
 

@@ -6,11 +6,11 @@
 from pathlib import Path
 
 from armctl.agents import AgentCard
-from armctl.errors import ConfigurationError
-from armctl.learners import Recipe
-from armctl.options import options
+from armctl.core.errors import ConfigurationError
+from armctl.core.options import options
 from armctl.rl.cloning import CloningOptions, check_teaching, demonstrations, examples_for, fit_and_export, new_actor
 from armctl.rl.training import Training, check_no_curriculum
+from armctl.training.learners import Recipe
 
 
 @options

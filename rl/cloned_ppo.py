@@ -12,14 +12,14 @@ from typing import Literal
 import numpy as np
 
 from armctl.agents import AgentCard
-from armctl.errors import ConfigurationError
-from armctl.learners import Recipe
-from armctl.options import options
+from armctl.core.errors import ConfigurationError
+from armctl.core.options import options
 from armctl.rl.anchored_ppo import AnchoredPpo, AnchoredPpoOptions, improve
 from armctl.rl.cloning import CloningOptions, demonstrations, examples_for, fit
 from armctl.rl.ppo import actor_of, shown
 from armctl.rl.training import Count, Positive, Training
 from armctl.rl.view import Features
+from armctl.training.learners import Recipe
 
 
 @options

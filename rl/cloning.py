@@ -10,13 +10,12 @@ import torch
 from tqdm import tqdm
 
 from armctl.agents import AgentCard
-from armctl.console import printable
+from armctl.core.console import printable
+from armctl.core.errors import ConfigurationError
+from armctl.core.options import options
 from armctl.datasets.demonstrations import Demonstration, demonstrate
 from armctl.datasets.minari import read_demonstrations
 from armctl.envs import TaskVectorEnv, make_worlds
-from armctl.errors import ConfigurationError
-from armctl.learners import Recipe
-from armctl.options import options
 from armctl.policies import Policy, make_policy
 from armctl.policies.trainings import card_of
 from armctl.rl.actor import Actor, tensors
@@ -26,6 +25,7 @@ from armctl.rl.training import Count, Share, Training, TrainingOptions, bar_fits
 from armctl.rl.view import Features
 from armctl.tasks import ReachMovingTask, ReachTask
 from armctl.tasks.reach import observation_slices
+from armctl.training.learners import Recipe
 
 LOOK_BACK = 10
 """Control steps: hindsight takes its targets from at most so long before an example."""

@@ -12,16 +12,16 @@ import torch
 from numpy.typing import NDArray
 
 from armctl.agents import AgentCard
+from armctl.core.errors import ConfigurationError
+from armctl.core.files import write_atomically
+from armctl.core.options import options
 from armctl.datasets.demonstrations import Demonstration
-from armctl.errors import ConfigurationError
-from armctl.files import write_atomically
-from armctl.learners import Recipe
-from armctl.options import options
 from armctl.policies import Policy
 from armctl.rl.actor import Actor, tensors
 from armctl.rl.cloning import CloningOptions, Examples, Teacher, check_teaching, examples_for, fit, new_actor
 from armctl.rl.disk import save_torch
 from armctl.rl.training import Count, Training, check_no_curriculum
+from armctl.training.learners import Recipe
 
 RECORD = "rounds.pt"
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import torch
 
-from armctl.errors import ResultsError
+from armctl.core.errors import ResultsError
 
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS}
 """Errors of a disk that is full, or fails."""

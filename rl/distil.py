@@ -18,10 +18,9 @@ from pydantic import Field
 from tqdm import tqdm
 
 from armctl.agents import AgentCard
+from armctl.core.errors import ConfigurationError
+from armctl.core.options import options
 from armctl.envs import make_worlds
-from armctl.errors import ConfigurationError
-from armctl.learners import Recipe
-from armctl.options import options
 from armctl.policies import Policy
 from armctl.rl.actor import Actor, blank, tensors
 from armctl.rl.cloning import LAST_RATE, check_teaching, teacher_in
@@ -30,6 +29,7 @@ from armctl.rl.meter import Metered
 from armctl.rl.recurrent import RecurrentNetwork
 from armctl.rl.training import Count, Positive, Training, TrainingOptions, bar_fits
 from armctl.rl.view import Features
+from armctl.training.learners import Recipe
 
 Steps = Annotated[int, Field(ge=0)]
 

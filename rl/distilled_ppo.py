@@ -15,9 +15,8 @@ import torch
 from stable_baselines3.common.torch_layers import FlattenExtractor
 
 from armctl.agents import AgentCard, OnnxPolicy
-from armctl.errors import ConfigurationError
-from armctl.learners import Recipe
-from armctl.options import options
+from armctl.core.errors import ConfigurationError
+from armctl.core.options import options
 from armctl.policies import make_policy
 from armctl.rl.anchored_ppo import AnchoredPpo, AnchoredPpoOptions, improve
 from armctl.rl.asymmetric import AsymmetricVectorEnv
@@ -26,6 +25,7 @@ from armctl.rl.recurrent import MEMORY, RecurrentNetwork
 from armctl.rl.training import Count, Training
 from armctl.rl.vector import StableBaselinesVectorEnv
 from armctl.rl.view import Features, View
+from armctl.training.learners import Recipe
 
 
 @options

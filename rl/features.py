@@ -8,8 +8,8 @@ import torch
 from gymnasium import spaces
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, CombinedExtractor, FlattenExtractor
 
-from armctl.errors import unknown_name
-from armctl.registration import import_attribute
+from armctl.core.errors import unknown_name
+from armctl.core.registration import import_attribute
 from armctl.rl.bridge_ranges import ColumnRanges, NearnessFeatures
 from armctl.rl.bridge_scans import Surroundings
 from armctl.rl.links_among_boxes import LinksAmongBoxes

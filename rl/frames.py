@@ -12,8 +12,8 @@ import torch
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 from armctl.agents import INPUT, inputs
-from armctl.errors import ConfigurationError
-from armctl.options import options
+from armctl.core.errors import ConfigurationError
+from armctl.core.options import options
 from armctl.rl.encoding import EncodedVectorEnv, Encoder
 from armctl.rl.training import Count, TrainingOptions
 from armctl.rl.vector import StableBaselinesVectorEnv

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from armctl.agents import OnnxPolicy
+from armctl.core.options import options
 from armctl.envs import ModelInterface, Sees
 from armctl.kinematics import ArmModel, ArmShapes, ImaginedArms
 from armctl.kinematics.imagined import ARRIVED, MOVING
-from armctl.options import options
 from armctl.rl.following import observed
 from armctl.scene import BOX_NUMBERS
 from armctl.tasks.reach import CONTROL_PERIOD, observation_slices

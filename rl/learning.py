@@ -11,7 +11,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from armctl.agents import AgentCard
-from armctl.files import write_atomically
+from armctl.core.files import write_atomically
 from armctl.rl.actor import Actor
 from armctl.rl.training import Training, bar_fits
 from armctl.rl.vector import StableBaselinesVectorEnv

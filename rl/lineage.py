@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import Any
 
 from armctl.agents import AgentCard, Ancestor, distinct, read_card
-from armctl.costs import UNTRAINED, TrainingCost, TuningCost, total_tuning
+from armctl.agents.costs import UNTRAINED, TrainingCost, TuningCost, total_tuning
 from armctl.datasets.minari import policy_of
 from armctl.envs import EpisodeVectorEnv
-from armctl.evaluation.trials import TRIALS, read_trials
-from armctl.learners import Recipe
 from armctl.policies import make_policy, policy_names
 from armctl.policies.trainings import card_of
+from armctl.training.learners import Recipe
+from armctl.training.trials import TRIALS, read_trials
 
 AGENTS = Path(__file__).with_name("agents")
 """The agents that come with armctl, beside the ledger of their trainings."""

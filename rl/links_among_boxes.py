@@ -13,7 +13,7 @@ import torch
 from gymnasium import spaces
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 from armctl.rl.yaw import rotated
 from armctl.scene import BOX_NUMBERS
 from armctl.tasks.reach import observation_sizes

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from armctl.agents import OnnxPolicy, load_agent
+from armctl.core.errors import ConfigurationError
+from armctl.core.options import options
 from armctl.envs import Sees, TaskVectorEnv
-from armctl.errors import ConfigurationError
 from armctl.kernels import planar
-from armctl.options import options
 from armctl.rl.of_state import world_of_states
 from armctl.scene.pedestrians import turned_back
 from armctl.tasks import BridgeTask

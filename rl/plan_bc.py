@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from armctl.agents import AgentCard
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
+from armctl.core.options import options
 from armctl.kinematics import ArmModel, ArmShapes
-from armctl.learners import Recipe
-from armctl.options import options
 from armctl.rl import solved_layouts
 from armctl.rl.cloning import check_teaching, fit_and_export, new_actor
 from armctl.rl.following import Followed
@@ -20,6 +19,7 @@ from armctl.rl.training import Count, Positive, Share, Training, TrainingOptions
 from armctl.rl.view import Features
 from armctl.tasks import ReachObstaclesTask
 from armctl.tasks.reach.obstacles import OBSTACLES_OBSERVATION
+from armctl.training.learners import Recipe
 
 LAYOUTS = "layouts"
 """The folder of a training's layouts, in its own."""

@@ -14,8 +14,7 @@ from pydantic import Field
 from stable_baselines3 import PPO
 
 from armctl.agents import AgentCard
-from armctl.learners import Recipe
-from armctl.options import options
+from armctl.core.options import options
 from armctl.rl.actor import Actor
 from armctl.rl.asymmetric import AsymmetricPolicy, AsymmetricVectorEnv
 from armctl.rl.encoding import actor_in, features_of
@@ -24,6 +23,7 @@ from armctl.rl.learning import decaying, learn
 from armctl.rl.training import Count, Positive, Share, Training
 from armctl.rl.vector import StableBaselinesVectorEnv
 from armctl.rl.view import View
+from armctl.training.learners import Recipe
 
 Model = TypeVar("Model", bound=PPO)
 ACTIVATIONS = {"elu": torch.nn.ELU, "relu": torch.nn.ReLU}

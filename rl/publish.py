@@ -13,13 +13,13 @@ from typing import Annotated, Any, NamedTuple
 import typer
 
 from armctl.agents import AgentCard, read_card, sha256
-from armctl.errors import AgentFileError, ConfigurationError
-from armctl.evaluation.curves import curve_path
-from armctl.evaluation.trials import TRIALS, read_trials, write_trials
-from armctl.files import write_atomically
-from armctl.learners import recipe_names
+from armctl.core.errors import AgentFileError, ConfigurationError
+from armctl.core.files import write_atomically
 from armctl.policies.trainings import by_seed
 from armctl.rl import zoo
+from armctl.study.curves import curve_path
+from armctl.training.learners import recipe_names
+from armctl.training.trials import TRIALS, read_trials, write_trials
 
 
 class TrainedAgent(NamedTuple):

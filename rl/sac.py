@@ -16,9 +16,8 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise, VectorizedActionNoise
 
 from armctl.agents import AgentCard
-from armctl.errors import ConfigurationError
-from armctl.learners import Recipe
-from armctl.options import options
+from armctl.core.errors import ConfigurationError
+from armctl.core.options import options
 from armctl.rl.encoding import actor_in, features_of
 from armctl.rl.frames import FrameOptions, shown_worlds
 from armctl.rl.hindsight import GoalFeatures, GoalVectorEnv, HindsightBuffer, split
@@ -27,6 +26,7 @@ from armctl.rl.training import Count, Positive, Share, Training, check_no_curric
 from armctl.rl.vector import StableBaselinesVectorEnv
 from armctl.tasks import ReachTask
 from armctl.tasks.reach import OBSERVATION
+from armctl.training.learners import Recipe
 
 NOISE_TIME_CONSTANT = 10
 """Control steps in which the exploration noise decays to about a third."""

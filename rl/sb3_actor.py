@@ -18,7 +18,7 @@ from stable_baselines3.common.preprocessing import is_image_space, is_image_spac
 from stable_baselines3.common.vec_env import VecNormalize, VecTransposeImage
 
 from armctl.agents import INPUT, NEXT, OUTPUT, inputs
-from armctl.errors import AgentFileError
+from armctl.core.errors import AgentFileError
 from armctl.rl.actor import examples
 from armctl.rl.graph import write_graph
 

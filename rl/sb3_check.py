@@ -10,7 +10,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
 from armctl.agents import OnnxPolicy
-from armctl.errors import AgentFileError
+from armctl.core.errors import AgentFileError
 from armctl.rl.sb3_file import in_a_line
 
 OBSERVATIONS = 1000

@@ -13,14 +13,14 @@ from pathlib import Path
 from typing import Any
 
 from armctl.agents import AgentCard, Conversion, OnnxPolicy, sha256, shapes
+from armctl.core.errors import AgentFileError, ConfigurationError
+from armctl.core.files import write_atomically
 from armctl.envs import full_id, make_worlds
-from armctl.errors import AgentFileError, ConfigurationError
-from armctl.evaluation.provenance import versions
-from armctl.files import write_atomically
 from armctl.rl import sb3_file
 from armctl.rl.sb3_actor import Sb3Actor
 from armctl.rl.sb3_check import OBSERVATIONS, WORLDS, check_alike, largest_difference
 from armctl.rl.threads import bounded_threads
+from armctl.runtime.provenance import versions
 
 PACKAGES = ("stable-baselines3", "sb3-contrib", "torch", "onnx")
 

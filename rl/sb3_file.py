@@ -19,9 +19,9 @@ from stable_baselines3 import A2C, DDPG, DQN, PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
-from armctl.errors import AgentFileError, unknown_name
-from armctl.files import bounded_bytes, opened_regular
-from armctl.registration import importable_from
+from armctl.core.errors import AgentFileError, unknown_name
+from armctl.core.files import bounded_bytes, opened_regular
+from armctl.core.registration import importable_from
 
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {
     "a2c": A2C,

@@ -17,15 +17,23 @@ import typer
 from numpy.typing import NDArray
 from rich.progress import Progress
 
-from armctl.console import PlainConsole
+from armctl.core.console import PlainConsole
+from armctl.core.errors import ConfigurationError, ResultsError
+from armctl.core.files import (
+    bounded_bytes,
+    bounded_text,
+    one_writer,
+    sealed,
+    short_checksum,
+    unsealed,
+    write_atomically,
+)
+from armctl.core.seeds import TRAINING_SEEDS
 from armctl.disturbances import episode_entropy
-from armctl.errors import ConfigurationError, ResultsError
-from armctl.files import bounded_bytes, bounded_text, one_writer, sealed, short_checksum, unsealed, write_atomically
 from armctl.kinematics import ArmModel, Workspace
 from armctl.planning import ArmPlanner, ArmPlannerOptions
 from armctl.robot_description import ArmDescription, load_arm
 from armctl.scene import BOX_NUMBERS
-from armctl.seeds import TRAINING_SEEDS
 from armctl.tasks.reach import ReachOptions
 from armctl.tasks.reach.layout_pool import robot_digest
 from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES, ReachLayout, sample_layout

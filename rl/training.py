@@ -21,27 +21,27 @@ from pydantic import Field
 from stable_baselines3.common.logger import configure
 
 from armctl.agents import AgentCard, Evaluation, sha256, shapes
+from armctl.core.errors import ConfigurationError
+from armctl.core.files import one_writer, write_atomically
+from armctl.core.options import options
 from armctl.envs import EpisodeVectorEnv, make_worlds
-from armctl.errors import ConfigurationError
-from armctl.evaluation import evaluate
-from armctl.evaluation.curves import COSTS, CURVE, read_curve
-from armctl.evaluation.failures import unless_failed
-from armctl.evaluation.identity import checksums
-from armctl.evaluation.provenance import versions
-from armctl.evaluation.reproduce import evaluation_of
-from armctl.evaluation.rollouts import rollouts
-from armctl.evaluation.seeds import DEVELOPMENT_SEED, TRAINING_SEEDS, VALIDATION_SEED
-from armctl.evaluation.statistics import success_rate
-from armctl.files import one_writer, write_atomically
-from armctl.learners import Recipe
-from armctl.options import options
+from armctl.episodes.failures import unless_failed
 from armctl.rl.actor import Actor
 from armctl.rl.disk import full_disk_told, save_torch
 from armctl.rl.lineage import lineage_of, tuning_before
 from armctl.rl.meter import COUNTS, Meter, Metered
 from armctl.rl.threads import bounded_threads
 from armctl.rl.view import Features, View, view_of
+from armctl.rollout import evaluate
+from armctl.rollout.rollouts import rollouts
+from armctl.rollout.seeds import DEVELOPMENT_SEED, TRAINING_SEEDS, VALIDATION_SEED
+from armctl.runtime.identity import checksums
+from armctl.runtime.provenance import versions
 from armctl.shaping import Shaped
+from armctl.stats.intervals import success_rate
+from armctl.study.curves import COSTS, CURVE, read_curve
+from armctl.study.reproduce import evaluation_of
+from armctl.training.learners import Recipe
 
 LOG = logging.getLogger(__name__)
 
@@ -153,7 +153,7 @@ class Training:
         return True
 
     def curve(self) -> list[dict[Any, Any]]:
-        """Evaluations on held-out episodes so far, with `armctl.evaluation.curves.CURVE_COLUMNS`."""
+        """Evaluations on held-out episodes so far, with `armctl.study.curves.CURVE_COLUMNS`."""
         file = self.out / CURVE
         return read_curve(file).to_dict("records") if file.exists() else []
 

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from armctl.agents import AgentCard, Ancestor, read_card
-from armctl.costs import UNTRAINED
+from armctl.agents.costs import UNTRAINED
+from armctl.core.files import write_atomically
 from armctl.envs import make_worlds
-from armctl.files import write_atomically
 from armctl.policies.configured import tuning_of
 from armctl.rl.lineage import ancestors, recorded_tuning
 from armctl.rl.recount import recount

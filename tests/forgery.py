@@ -3,9 +3,9 @@
 import json
 from dataclasses import replace
 
-from armctl.evaluation.store import EpisodeLog, read_episodes
-from armctl.files import digest, sealed, unsealed
-from armctl.registration import bare_id
+from armctl.core.files import digest, sealed, unsealed
+from armctl.core.registration import bare_id
+from armctl.episodes.store import EpisodeLog, read_episodes
 
 
 def forge(folder, there, hostile):

@@ -13,8 +13,8 @@ import warnings
 from pathlib import Path
 
 import armctl.agents
-import armctl.evaluation
-import armctl.report  # noqa: F401 - what most of the commands need
+import armctl.report
+import armctl.study  # noqa: F401 - what most of the commands need
 from armctl.cli import main
 
 

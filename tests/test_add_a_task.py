@@ -13,8 +13,8 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import armctl
+from armctl.core.errors import ConfigurationError
 from armctl.envs import TaskVectorEnv, make_worlds
-from armctl.errors import ConfigurationError
 from armctl.shaping import Shaped
 from armctl.tasks import Outcome, Task
 

@@ -11,7 +11,7 @@ import gymnasium
 import pandas as pd
 import pytest
 
-from armctl.evaluation.record import TIME_COLUMNS
+from armctl.episodes.record import TIME_COLUMNS
 
 from .command_line import ARMCTL, armctl, program
 

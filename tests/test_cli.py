@@ -11,8 +11,8 @@ import pandas as pd
 import pytest
 
 from armctl.cli import completion
+from armctl.core.registration import environment_names
 from armctl.envs.describe import describe_options
-from armctl.registration import environment_names
 
 from .command_line import ARMCTL, armctl, program
 
@@ -381,7 +381,7 @@ def test_an_interrupted_suite_says_how_to_resume(tmp_path, monkeypatch):
     def interrupt(*arguments, **options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("armctl.evaluation.parallel.rollouts", interrupt)
+    monkeypatch.setattr("armctl.rollout.parallel.rollouts", interrupt)
     done = armctl("suite", "--env", "Pendulum-v1", "--episodes", "1", "--out", "here", cwd=tmp_path, check=False)
     assert done.returncode == 130
     assert "The same command with --out here resumes from there." in done.stdout

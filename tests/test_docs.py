@@ -26,9 +26,9 @@ import yaml
 
 from armctl import DEFAULT_ENV
 from armctl.cli import app
-from armctl.learners import learner_names, load_recipe, recipe_names
+from armctl.core.registration import environment_names
 from armctl.policies import policy_names
-from armctl.registration import environment_names
+from armctl.training.learners import learner_names, load_recipe, recipe_names
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import armctl
-from armctl.evaluation.seeds import TRAINING_SEEDS
+from armctl.rollout.seeds import TRAINING_SEEDS
 
 from . import command_line
 

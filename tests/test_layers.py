@@ -39,7 +39,7 @@ def test_imports_run_down_only_and_without_circles(package):
     ("module", "imports"),
     [
         ("kinematics/model.py", "armctl.simulation"),
-        ("evaluation/metrics.py", "armctl.report"),
+        ("episodes/metrics.py", "armctl.report"),
         ("tasks/task.py", "armctl.rl.view"),
         ("control/pursuit.py", "mujoco"),
         ("planning/cost_to_go.py", "armctl.planning.bridge_planner"),

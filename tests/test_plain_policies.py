@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import armctl
+from armctl.core.errors import ConfigurationError
 from armctl.envs import make_worlds
-from armctl.errors import ConfigurationError
-from armctl.evaluation import rollouts
 from armctl.policies import Policy, make_policy
+from armctl.rollout import rollouts
 
 PENDULUM = "Pendulum-v1"
 FILE = """

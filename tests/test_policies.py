@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 from armctl.agents import read_card
-from armctl.errors import ArmctlError, ConfigurationError
-from armctl.evaluation.compare import default_policies
-from armctl.evaluation.reproduce import card_path
+from armctl.core.errors import ArmctlError, ConfigurationError
+from armctl.core.registration import environment_names
 from armctl.policies import Policy, make_policy, policy_names
-from armctl.registration import environment_names
+from armctl.study.compare import default_policies
+from armctl.study.reproduce import card_path
 
 ENV = "armctl/ArmReach-v0"
 AGENTS = card_path("reach_ppo").parent

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 import armctl
+from armctl.core.errors import ConfigurationError, Disqualified
 from armctl.datasets.collect import collect
 from armctl.envs import INTERFACES, SEES, make_worlds, task_of
-from armctl.errors import ConfigurationError, Disqualified
-from armctl.evaluation.results import read_results
-from armctl.evaluation.rollouts import PolicyDisqualified, build_policy, rollouts
-from armctl.evaluation.tampering import StateGuard
 from armctl.policies import PerWorld, WorldsByInterface, make_policy, policy_names, privileges
 from armctl.policies.find import declared_sees
 from armctl.report import write_report
+from armctl.rollout.rollouts import PolicyDisqualified, build_policy, rollouts
+from armctl.runtime.state_guard import StateGuard
+from armctl.study.results import read_results
 
 REACH, OBSTACLES, BRIDGE = "ArmReach-v0", "ArmReachObstacles-v0", "BridgeCrossMoving-v0"
 SMALL = {"resolution": (4, 4)}

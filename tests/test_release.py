@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from armctl import seeds
 from armctl.agents import read_card
-from armctl.evaluation.reproduce import card_path
-from armctl.evaluation.trials import read_trials
+from armctl.core import seeds
+from armctl.core.seeds import TEST_SEED, VALIDATION_SEED
 from armctl.rl import zoo
-from armctl.seeds import TEST_SEED, VALIDATION_SEED
+from armctl.study.reproduce import card_path
 from armctl.tasks.reach.layout_pool import POOL_FILE, read_pool, write_pool
+from armctl.training.trials import read_trials
 
 ROOT = Path(__file__).parents[1]
 

@@ -8,8 +8,8 @@ from stable_baselines3 import PPO, SAC, HerReplayBuffer
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecFrameStack, VecMonitor, VecNormalize
 
+from armctl.core.errors import ConfigurationError
 from armctl.envs import make_worlds
-from armctl.errors import ConfigurationError
 from armctl.sb3 import GoalFeatures, VecEnv
 from armctl.shaping import Shaped
 
@@ -177,7 +177,7 @@ def test_an_agent_brings_the_interface_that_it_was_trained_with(tmp_path, monkey
     assert asked.of("random") is asked.asked
     assert asked.of(players["mine"]).single_action_space.high.max() == 1.0
     assert asked.of(players["mine"]).task.options.tolerance == 0.07
-    with pytest.raises(armctl.errors.AgentFileError):
+    with pytest.raises(armctl.core.errors.AgentFileError):
         armctl.make_policy(players["mine"], make_worlds(REACH, 1))
 
 
@@ -210,5 +210,5 @@ def test_tables_say_what_an_agent_sees_and_other_units_are_refused(env, options,
     found = armctl.compare({"mine": tmp_path / "agent.json", "random": "random"}, env, episodes=2)
     assert {one.policy: one.sees for one in found.policies} == {"mine": sees, "random": "observation"}
     plain = make_worlds(env, 1, {**options, "actions": "physical"})
-    with pytest.raises(armctl.errors.AgentFileError, match="units"):
+    with pytest.raises(armctl.core.errors.AgentFileError, match="units"):
         armctl.make_policy(tmp_path / "agent.json", plain)

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import pytest
 
-from armctl.errors import ConfigurationError
-from armctl.evaluation import compare
-from armctl.evaluation.reproduce import card_path, reproduce
-from armctl.evaluation.store import EpisodeLog, read_episodes
-from armctl.files import unsealed
-from armctl.learners import load_recipe
-from armctl.registration import check_named
+from armctl.core.errors import ConfigurationError
+from armctl.core.files import unsealed
+from armctl.core.registration import check_named
+from armctl.episodes.store import EpisodeLog, read_episodes
+from armctl.study import compare
+from armctl.study.reproduce import card_path, reproduce
+from armctl.training.learners import load_recipe
 
 from .command_line import armctl, program
 from .forgery import forge

@@ -27,14 +27,14 @@ from typing import Annotated, Any
 import typer
 
 import armctl
-from armctl import seeds
 from armctl.agents import Evaluation, read_card
-from armctl.evaluation.reproduce import evaluation_of, reproduce
-from armctl.evaluation.suite import line_up
-from armctl.files import write_atomically
+from armctl.core import seeds
+from armctl.core.files import write_atomically
+from armctl.core.registration import environment_names
 from armctl.policies import agent_cards
-from armctl.registration import environment_names
 from armctl.rl import zoo
+from armctl.study.reproduce import evaluation_of, reproduce
+from armctl.study.suite import line_up
 from armctl.tasks.reach.layout_pool import POOL_FILE, read_pool, write_pool
 from armctl.tasks.reach.make_layout_pool import with_seeds
 

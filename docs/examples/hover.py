@@ -8,8 +8,8 @@ import numpy as np
 from pydantic import Field
 
 from armctl import Task, register
+from armctl.core.options import options
 from armctl.disturbances import GENERIC, DisturbanceSpec, Payload, Pushes
-from armctl.options import options
 from armctl.simulation import Simulation
 from armctl.tasks import MotionSample, Outcome, Potential
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from armctl.agents import OnnxPolicy, load_agent
-from armctl.costs import TuningCost, total_tuning
+from armctl.agents.costs import TuningCost, total_tuning
 from armctl.envs import EpisodeVectorEnv, Interface, ModelInterface, TaskVectorEnv
 from armctl.policies import sees
 from armctl.rl.imagining import ImaginingPolicy

@@ -24,14 +24,14 @@ _HOMES = {
     "ArmModel": "armctl.kinematics",
     "Ik": "armctl.kinematics",
     "Task": "armctl.tasks",
-    "register": "armctl.registration",
+    "register": "armctl.core.registration",
     "make_policy": "armctl.policies",
     "Policy": "armctl.policies",
     "sees": "armctl.policies",
-    "evaluate": "armctl.evaluation",
-    "compare": "armctl.evaluation",
-    "sweep": "armctl.evaluation",
-    "suite": "armctl.evaluation",
+    "evaluate": "armctl.rollout",
+    "compare": "armctl.study",
+    "sweep": "armctl.study",
+    "suite": "armctl.study",
 }
 __all__ = list(_HOMES)
 
@@ -71,4 +71,4 @@ def _warn_of_namesake() -> None:
 
 _choose_graphics()
 _warn_of_namesake()
-importlib.import_module("armctl.registration").register_installed()
+importlib.import_module("armctl.core.registration").register_installed()

@@ -1,6 +1,6 @@
 """The environments that come with armctl."""
 
-from armctl.registration import register
+from armctl.core.registration import register
 
 register("armctl/ArmReach-v0", "armctl.tasks:ReachTask", max_episode_steps=100)
 register("armctl/ArmReachMoving-v0", "armctl.tasks:ReachMovingTask", max_episode_steps=300)

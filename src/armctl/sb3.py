@@ -18,8 +18,8 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
+from armctl.core.errors import ConfigurationError
 from armctl.envs import EpisodeVectorEnv, one_of
-from armctl.errors import ConfigurationError
 from armctl.tasks.reach.observation import LENGTH_SCALE, NEARBY
 
 SHAPING = "shaping"

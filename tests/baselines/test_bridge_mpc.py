@@ -3,10 +3,10 @@ import numpy as np
 import pytest
 
 from armctl.control.drive_mpc import DriveMpc
-from armctl.errors import ConfigurationError
-from armctl.evaluation import evaluate
-from armctl.evaluation.record import TIME_COLUMNS
+from armctl.core.errors import ConfigurationError
+from armctl.episodes.record import TIME_COLUMNS
 from armctl.policies import make_policy
+from armctl.rollout import evaluate
 
 STATIC, MOVING = "armctl/BridgeCross-v0", "armctl/BridgeCrossMoving-v0"
 FAST = {"observation": "state"}

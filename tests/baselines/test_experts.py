@@ -2,13 +2,14 @@ import gymnasium
 import numpy as np
 import pytest
 
+from armctl.core.errors import ConfigurationError
 from armctl.envs import make_worlds
-from armctl.errors import ConfigurationError
-from armctl.evaluation import compare, evaluate
-from armctl.evaluation.record import TIME_COLUMNS
+from armctl.episodes.record import TIME_COLUMNS
 from armctl.policies import make_policy
 from armctl.robot_description import BUILTIN_ARMS
 from armctl.robot_description.arm import robot_data
+from armctl.rollout import evaluate
+from armctl.study import compare
 
 
 def test_reach_ik_reaches_every_reachable_target(sized):

@@ -6,8 +6,8 @@ import pytest
 from armctl.baselines.reach_ik import PATIENCE
 from armctl.disturbances import ARM
 from armctl.envs import make_worlds
-from armctl.evaluation import evaluate
 from armctl.policies import make_policy
+from armctl.rollout import evaluate
 from armctl.tasks.reach import CONTROL_PERIOD
 
 REACH = "armctl/ArmReach-v0"

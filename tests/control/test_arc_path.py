@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from armctl.control.arc_path import SPACING, ArcPath
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 
 
 def test_points_along_the_path_and_beyond_both_ends():

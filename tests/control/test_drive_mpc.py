@@ -12,7 +12,7 @@ import pytest
 
 from armctl.control.drive_mpc import DriveMpc, DriveMpcOptions
 from armctl.control.drive_nlp import CONTROLS, DriveSolver, drive_nlp
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 from armctl.planning import plan_path
 from armctl.tasks.bridge.layout import sample_layout
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from armctl.control import PursuitOptions, RegulatedPurePursuit
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 from armctl.planning import plan_path
 from armctl.tasks.bridge.layout import sample_layout
 

@@ -8,7 +8,7 @@ from armctl.control.reach_mpc import ReachMpc, ReachMpcOptions
 from armctl.control.reach_problem import OcpParameters, ReachProblem, braking, reach_cost
 from armctl.control.reach_reference import ReachReference, symbolic_position
 from armctl.control.streaming import CommandStream
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 from armctl.kinematics import ArmModel, Ik
 from armctl.robot_description import load_arm
 from armctl.scene import Boxes

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from armctl.control.streaming import commanded
 from armctl.control.trajectory import SAMPLE, Trajectory, along, point_to_point, smooth
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 from armctl.robot_description import load_arm
 
 LIMITS = load_arm("ur5").limits

@@ -12,14 +12,14 @@ import gymnasium
 import numpy as np
 import pytest
 
+from armctl.core.errors import ConfigurationError, ResultsError
+from armctl.core.files import one_writer
 from armctl.datasets import collect as collecting
 from armctl.datasets import minari as minari_files
 from armctl.datasets.collect import collect
 from armctl.datasets.minari import check_recordable, read_demonstrations
 from armctl.datasets.unfinished import Unfinished
-from armctl.errors import ConfigurationError, ResultsError
-from armctl.evaluation import PolicyFailed
-from armctl.files import one_writer
+from armctl.episodes import PolicyFailed
 
 from .collections_of_random import ARMCTL, COMMAND, EPISODES, SHORT, files, same_dataset, wait_for_episodes, worlds
 

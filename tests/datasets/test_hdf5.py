@@ -11,10 +11,10 @@ import h5py
 import numpy as np
 import pytest
 
+from armctl.core.errors import ConfigurationError
 from armctl.datasets import hdf5
 from armctl.datasets.demonstrations import Demonstration
 from armctl.datasets.minari import read_demonstrations, write_dataset
-from armctl.errors import ConfigurationError
 
 ROWS, WIDTH = 5, 3
 SEEN = gymnasium.spaces.Box(-np.inf, np.inf, (WIDTH,), np.float32)

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from armctl.core.errors import ConfigurationError, ResultsError
 from armctl.datasets.collect import collect
 from armctl.datasets.demonstrations import demonstrate
 from armctl.datasets.minari import read_demonstrations
 from armctl.envs import make_worlds
-from armctl.errors import ConfigurationError, ResultsError
-from armctl.evaluation import PolicyFailed
+from armctl.episodes import PolicyFailed
 from armctl.policies import make_policy
 
 minari = pytest.importorskip("minari")

@@ -6,11 +6,11 @@ import subprocess
 
 import pytest
 
+from armctl.core.errors import ConfigurationError
 from armctl.datasets.collect import collect
 from armctl.datasets.minari import read_demonstrations
-from armctl.errors import ConfigurationError
-from armctl.evaluation import PolicyFailed
-from armctl.evaluation.workers import WorkersFailed
+from armctl.episodes import PolicyFailed
+from armctl.runtime.workers import WorkersFailed
 
 from .collections_of_random import ARMCTL, COMMAND, EPISODES, SHORT, same_dataset, wait_for_episodes, worlds
 

@@ -3,12 +3,12 @@ import mujoco
 import numpy as np
 import pytest
 
+from armctl.core.errors import ConfigurationError
 from armctl.disturbances import ARM, ROVER, available
-from armctl.errors import ConfigurationError
-from armctl.evaluation import evaluate
-from armctl.evaluation.record import TIME_COLUMNS
+from armctl.episodes.record import TIME_COLUMNS
 from armctl.kinematics import ArmModel
 from armctl.robots.rover import WHEEL_RADIUS, WHEELS
+from armctl.rollout import evaluate
 from armctl.simulation.worlds import world_path
 from tests.disturbances.disturbed import BRIDGE, REACH, SMALL, arrays, fields, played, worlds
 

@@ -2,9 +2,9 @@ import gymnasium
 import numpy as np
 import pytest
 
+from armctl.core.errors import ConfigurationError
 from armctl.disturbances import ARM, ROVER, Disturbance, DisturbanceSpec, disturb
 from armctl.envs import make_worlds
-from armctl.errors import ConfigurationError
 from tests.disturbances.disturbed import BRIDGE, REACH, SMALL, arrays, fields, played, worlds
 
 RANGES = {

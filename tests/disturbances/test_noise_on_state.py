@@ -5,11 +5,11 @@ from contextlib import closing
 import numpy as np
 import pytest
 
+from armctl.core.registration import environment_names
 from armctl.envs import make_worlds
-from armctl.evaluation import compare
-from armctl.evaluation.suite import line_up
-from armctl.evaluation.sweep import sweep_levels
-from armctl.registration import environment_names
+from armctl.study import compare
+from armctl.study.suite import line_up
+from armctl.study.sweep import sweep_levels
 from armctl.tasks.bridge.observation import BLOCK, OWN
 
 MOVING = "armctl/BridgeCrossMoving-v0"

@@ -4,7 +4,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 from armctl.tasks.reach.state import GOAL_REWARD, STEP_REWARD
 
 REACH = ("armctl/ArmReach-v0", "armctl/ArmReachMoving-v0", "armctl/ArmReachObstacles-v0")

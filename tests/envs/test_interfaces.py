@@ -10,7 +10,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_env_for_stable_baselines
 
-from armctl.errors import ConfigurationError, UnknownOption
+from armctl.core.errors import ConfigurationError, UnknownOption
 
 REACH = ("armctl/ArmReach-v0", "armctl/ArmReachMoving-v0", "armctl/ArmReachObstacles-v0")
 BRIDGE = ("armctl/BridgeCross-v0", "armctl/BridgeCrossMoving-v0")

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import armctl
+from armctl.core.errors import EnvironmentFailed
 from armctl.envs import make_worlds
-from armctl.errors import EnvironmentFailed
 from armctl.tasks import REWARD, Once, ReachTask
 
 
@@ -77,7 +77,7 @@ def test_a_typo_in_a_reward_is_shown_with_its_place():
     armed = False
     env = gymnasium.make_vec("armctl/ArmReach-v0", num_envs=1, reward={**REWARD, "odd": odd})
     armed = True
-    from armctl.evaluation import rollouts
+    from armctl.rollout import rollouts
 
     with pytest.raises(EnvironmentFailed, match=r"'distanec' \(test_rewards_of_strangers.py:\d+\)"):
         list(rollouts(armctl.make_policy("random", env), env, 1, 0))

@@ -6,9 +6,9 @@ import gymnasium
 import numpy as np
 import pytest
 
+from armctl.core.errors import ConfigurationError, EnvironmentFailed, InvalidAction
 from armctl.envs import episode_seed, find_spec, full_id, make_worlds
-from armctl.errors import ConfigurationError, EnvironmentFailed, InvalidAction
-from armctl.evaluation.seeding import seed_notes
+from armctl.rollout.seeding import seed_notes
 
 ODD = str(Path(__file__).with_name("odd_environments.py"))
 IDS = ["Pendulum-v1", "Reacher-v5", "CartPole-v1", "FrozenLake-v1", "Blackjack-v1", f"{ODD}:Rich", f"{ODD}:Mixed"]
@@ -158,7 +158,7 @@ def test_a_reward_is_one_number():
 
 
 def test_a_class_or_a_function_is_an_environment_too():
-    from armctl.registration import import_named
+    from armctl.core.registration import import_named
 
     module = import_named(ODD, "the test")
     assert full_id(module.Line) == f"{module.__name__}:Line"

@@ -10,8 +10,8 @@ from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_env_for_stable_baselines
 
 import armctl
+from armctl.core.errors import ConfigurationError, InvalidAction
 from armctl.envs import TaskVectorEnv
-from armctl.errors import ConfigurationError, InvalidAction
 from armctl.tasks import ReachTask
 
 ENV = "armctl/ArmReach-v0"

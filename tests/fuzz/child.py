@@ -11,7 +11,7 @@ import sys
 import traceback
 from pathlib import Path
 
-from armctl.errors import ArmctlError
+from armctl.core.errors import ArmctlError
 
 HANGS = 120
 """s"""

@@ -6,13 +6,13 @@ from child import serve
 
 from armctl.agents import load_agent
 from armctl.envs import make_worlds
-from armctl.evaluation import compare
-from armctl.evaluation.curves import read_curve, read_sweep
-from armctl.evaluation.reproduce import reproduce
-from armctl.evaluation.results import read_results
-from armctl.evaluation.suite_results import read_suite
-from armctl.learners import load_recipe
 from armctl.report import write_report
+from armctl.study import compare
+from armctl.study.curves import read_curve, read_sweep
+from armctl.study.reproduce import reproduce
+from armctl.study.results import read_results
+from armctl.study.suite_results import read_suite
+from armctl.training.learners import load_recipe
 
 MEMORY = 8 * 2**30
 """Bytes of addresses."""

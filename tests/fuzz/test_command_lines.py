@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from armctl.console import CONTROLS
-from armctl.evaluation.reproduce import card_path
+from armctl.core.console import CONTROLS
+from armctl.study.reproduce import card_path
 
 from ..command_line import armctl
 from .child import Child

@@ -16,15 +16,15 @@ import onnx
 import pytest
 from onnx import AttributeProto, TensorProto, helper
 
-from armctl.agent_graph import OPERATORS
 from armctl.agents import sha256
-from armctl.evaluation import compare, sweep
-from armctl.evaluation.episode_table import TYPES
-from armctl.evaluation.episodes_csv import lines, row_checksum
-from armctl.evaluation.episodes_parquet import write_parquet
-from armctl.evaluation.reproduce import card_path
-from armctl.evaluation.store import read_episodes
-from armctl.files import digest, sealed, unsealed
+from armctl.agents.graph import OPERATORS
+from armctl.core.files import digest, sealed, unsealed
+from armctl.episodes.csv_files import lines, row_checksum
+from armctl.episodes.parquet_files import write_parquet
+from armctl.episodes.store import read_episodes
+from armctl.episodes.table import TYPES
+from armctl.study import compare, sweep
+from armctl.study.reproduce import card_path
 
 from ..forgery import write_sweep
 from .child import Child
@@ -90,7 +90,7 @@ def originals(tmp_path_factory):
     compare(["random", "reach_ppo"], episodes=3, out=home / "parquet", env_options=OPTIONS, store="parquet")
     sweep(["random"], disturbances={"delay": [1]}, episodes=2, out=home / "swept", env_options=OPTIONS)
     with pytest.MonkeyPatch.context() as patch:
-        suites = importlib.import_module("armctl.evaluation.suite")
+        suites = importlib.import_module("armctl.study.suite")
         patch.setattr(suites, "FULL", suites.Size(2, ("delay",), (0.25,)))
         patch.setattr(suites, "line_up", lambda env: ("reach_ik", "reach_ppo"))
         suites.suite(["armctl/ArmReach-v0"], out=home / "suite")

@@ -6,10 +6,10 @@ import pytest
 from huggingface_hub import ModelCard
 
 from armctl.agents import AgentCard, read_card
-from armctl.evaluation.reproduce import card_path
+from armctl.core.seeds import TEST_SEED
 from armctl.hub import model_card
 from armctl.policies import agent_cards
-from armctl.seeds import TEST_SEED
+from armctl.study.reproduce import card_path
 
 NAME = "owner/agent"
 

@@ -16,11 +16,11 @@ import pytest
 from huggingface_hub import constants
 
 from armctl.agents import load_agent, read_card
+from armctl.core.errors import AgentFileError, ConfigurationError, HubError, ResultsError
 from armctl.envs import make_worlds
-from armctl.errors import AgentFileError, ConfigurationError, HubError, ResultsError
-from armctl.evaluation.reproduce import card_path
 from armctl.hub import model_card, pull, push
 from armctl.hub.download import LARGEST
+from armctl.study.reproduce import card_path
 
 from ..command_line import armctl, program
 from .fake_hub import broken_off, endless, huge

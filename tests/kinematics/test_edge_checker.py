@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from armctl.control.streaming import follow
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 from armctl.kinematics import ArmModel, ArmShapes, EdgeChecker
 from armctl.robot_description import arm as arms
 from armctl.scene import NO_BOXES, Boxes

@@ -4,7 +4,7 @@ import numpy as np
 import pinocchio
 import pytest
 
-from armctl.errors import ConfigurationError, UnreachableTarget
+from armctl.core.errors import ConfigurationError, UnreachableTarget
 from armctl.kinematics import ArmModel, Ik, IkOptions, closed_forms
 from armctl.robot_description import arm as arms
 

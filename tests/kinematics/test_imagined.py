@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from armctl.control.streaming import follow
+from armctl.core.errors import ConfigurationError
 from armctl.envs import make_worlds
-from armctl.errors import ConfigurationError
 from armctl.kinematics import ArmModel, ArmShapes, EdgeChecker, ImaginedArms
 from armctl.kinematics.imagined import ARRIVED, MOVING, TOUCHED
 from armctl.robot_description.joint_profiles import TICK

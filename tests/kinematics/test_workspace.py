@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 from armctl.kinematics import ArmModel, Ik, Workspace
 
 CLEARANCE = 0.05

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 from armctl.kinematics import ArmModel, Workspace
 from armctl.planning import ArmPlanner, ArmPlannerOptions, plan_path
 from armctl.robot_description import arm as arms

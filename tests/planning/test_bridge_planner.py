@@ -6,7 +6,7 @@ import pytest
 import shapely
 from scipy.sparse.csgraph import dijkstra
 
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 from armctl.planning import PathPlannerOptions, plan_path
 from armctl.scene import BridgeMap, PedestrianTrajectories
 from armctl.tasks.bridge.layout import sample_layout

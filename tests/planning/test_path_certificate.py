@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 from armctl.planning import ArmPlanner, ArmPlannerOptions, PathCertificate, PathCertificateOptions
 from armctl.scene import NO_BOXES, Boxes
 

@@ -8,13 +8,13 @@ import pytest
 import armctl
 from armctl.control.drive_nlp import DriveMpcOptions
 from armctl.control.reach_mpc import ReachMpcOptions
+from armctl.core.errors import ConfigurationError
+from armctl.core.options import changed_options
 from armctl.envs import make_worlds
-from armctl.errors import ConfigurationError
-from armctl.evaluation import compare
-from armctl.evaluation.identity import identity
-from armctl.options import changed_options
 from armctl.policies import configurations, make_policy, read_configuration
 from armctl.policies.find import is_expert
+from armctl.runtime.identity import identity
+from armctl.study import compare
 
 REACH = "armctl/ArmReach-v0"
 SHORT = 'policy = "reach_mpc"\nenv = "armctl/ArmReach-v0"\n[options.problem]\nhorizon = 4\n'

@@ -4,9 +4,9 @@ from contextlib import closing
 
 import pytest
 
-from armctl.errors import ConfigurationError
-from armctl.evaluation import compare
+from armctl.core.errors import ConfigurationError
 from armctl.policies import WorldsByInterface
+from armctl.study import compare
 
 BRIDGE = "armctl/BridgeCross-v0"
 

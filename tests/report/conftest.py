@@ -2,7 +2,7 @@ import shutil
 
 import pytest
 
-from armctl.evaluation import compare
+from armctl.study import compare
 
 from .pages import OPTIONS, POLICIES
 

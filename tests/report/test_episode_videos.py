@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from armctl.core.errors import ConfigurationError
 from armctl.envs import TaskVectorEnv
-from armctl.errors import ConfigurationError
-from armctl.evaluation.results import read_results
 from armctl.report import plots, videos, write_report
+from armctl.study.results import read_results
 
 from ..forgery import forge
 from .pages import POLICIES, text_of

@@ -9,10 +9,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from armctl.evaluation import compare
-from armctl.evaluation.reproduce import card_path
 from armctl.report import colours, style, write_report
 from armctl.report.profile import profile_start
+from armctl.study import compare
+from armctl.study.reproduce import card_path
 
 from ..forgery import write_sweep
 from .pages import SWEEP, plot_of, plots_of, text_of

@@ -7,10 +7,10 @@ import shutil
 import numpy as np
 
 from armctl.agents import read_card
-from armctl.evaluation import compare
-from armctl.evaluation.reproduce import card_path
 from armctl.policies import sees
 from armctl.report import write_report
+from armctl.study import compare
+from armctl.study.reproduce import card_path
 
 from ..command_line import armctl
 from ..forgery import forge, write_sweep

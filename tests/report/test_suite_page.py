@@ -6,14 +6,14 @@ import shutil
 import numpy as np
 import pytest
 
-from armctl.errors import ResultsError
-from armctl.evaluation.statistics import Estimate
-from armctl.evaluation.suite import Size, suite
-from armctl.evaluation.suite_results import read_suite
-from armctl.files import sealed, unsealed
+from armctl.core.errors import ResultsError
+from armctl.core.files import sealed, unsealed
 from armctl.report import suite_figures, write_report
 from armctl.report.style import Look
 from armctl.report.suite_page import headline
+from armctl.stats.intervals import Estimate
+from armctl.study.suite import Size, suite
+from armctl.study.suite_results import read_suite
 
 from ..forgery import forge
 from .pages import text_of
@@ -26,7 +26,7 @@ LOOK = Look("PPO", "#0072b2")
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
-    module = importlib.import_module("armctl.evaluation.suite")
+    module = importlib.import_module("armctl.study.suite")
     folder = tmp_path_factory.mktemp("suite")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "FULL", Size(2, ("delay",), (0.25,)))

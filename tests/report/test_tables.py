@@ -13,18 +13,18 @@ import pytest
 from rich.console import Console
 
 from armctl.agents import Evaluation
-from armctl.costs import TrainingCost
-from armctl.evaluation import Comparison, Sweep
-from armctl.evaluation.notebook import html_of
-from armctl.evaluation.paired import PairedDifference
-from armctl.evaluation.reproduce import Reproduction
-from armctl.evaluation.statistics import Estimate, Superiority
-from armctl.evaluation.summary import PolicySummary
-from armctl.evaluation.sweep import COLUMNS
-from armctl.evaluation.tables import Cell, Column, Document, Remark, Table, p_value, plain
+from armctl.agents.costs import TrainingCost
 from armctl.report.formats import FORMATS, as_csv, as_json, latex, markdown
 from armctl.report.reproduction import reproduction_document
 from armctl.report.terminal import UNLIMITED, DocumentView, fitted_table, tables
+from armctl.stats.intervals import Estimate, Superiority
+from armctl.stats.paired import PairedDifference
+from armctl.study import Comparison, Sweep
+from armctl.study.reproduce import Reproduction
+from armctl.study.sweep import COLUMNS
+from armctl.verdict.notebook import html_of
+from armctl.verdict.summary import PolicySummary
+from armctl.verdict.tables import Cell, Column, Document, Remark, Table, p_value, plain
 
 SHORT = ["reach_ik", "reach_ppo", "random"]
 LONG = ["some/long/path/of/mine.py:resolved_rate", "/home/somebody/agents/first/agent.json", "random"]

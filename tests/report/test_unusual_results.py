@@ -8,14 +8,14 @@ import pandas as pd
 import pytest
 
 from armctl.agents import read_card
-from armctl.costs import TrainingCost
-from armctl.errors import ResultsError
-from armctl.evaluation import compare
-from armctl.evaluation.reproduce import card_path
-from armctl.evaluation.results import read_results
-from armctl.files import sealed, unsealed
-from armctl.options import option_value
+from armctl.agents.costs import TrainingCost
+from armctl.core.errors import ResultsError
+from armctl.core.files import sealed, unsealed
+from armctl.core.options import option_value
 from armctl.report import write_report
+from armctl.study import compare
+from armctl.study.reproduce import card_path
+from armctl.study.results import read_results
 
 from ..forgery import write_sweep
 from .pages import OPTIONS, SWEEP, plots_of, text_of

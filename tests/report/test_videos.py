@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from armctl.errors import ResultsError
+from armctl.core.errors import ResultsError
 from armctl.report.videos import SIZE, _mp4
 
 from ..command_line import full_disk

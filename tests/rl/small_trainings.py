@@ -1,7 +1,7 @@
 """Small trainings, and a teacher that notes where it was asked."""
 
-from armctl.learners import load_recipe
 from armctl.policies import make_policy
+from armctl.training.learners import load_recipe
 
 JUDGED = {"validation_episodes": 12, "evaluation_episodes": 20}
 SHORT = {"max_episode_steps": 25}

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 import torch
 
+from armctl.core.errors import ConfigurationError
 from armctl.envs import make_worlds
-from armctl.errors import ConfigurationError
-from armctl.learners import load_recipe
 from armctl.rl.anchored_ppo import AnchoredPpo
 from armctl.rl.cloned_ppo import ClonedPpoOptions
 from armctl.rl.ppo import new_model
 from armctl.rl.vector import StableBaselinesVectorEnv
 from armctl.rl.view import view_of
 from armctl.shaping import Shaped
+from armctl.training.learners import load_recipe
 
 OPTIONS = ClonedPpoOptions(worlds=16, rollout_length=16, batch_size=64, hidden_units=32, layers=1, gamma=0.9)
 

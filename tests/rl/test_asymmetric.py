@@ -5,13 +5,13 @@ import torch
 from stable_baselines3 import PPO
 
 from armctl.agents import load_agent
+from armctl.core.errors import ConfigurationError
 from armctl.envs import make_worlds
-from armctl.errors import ConfigurationError
-from armctl.learners import Recipe, load_recipe
 from armctl.rl import cloned_ppo, ppo
 from armctl.rl.asymmetric import STATE, Shares
 from armctl.rl.training import Training
 from armctl.rl.view import view_of
+from armctl.training.learners import Recipe, load_recipe
 
 BRIDGE = "armctl/BridgeCross-v0"
 CAMERA = {"resolution": (8, 6), "max_episode_steps": 5}

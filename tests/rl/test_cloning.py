@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 import torch
 
+from armctl.core.errors import ConfigurationError
 from armctl.datasets.collect import collect
 from armctl.datasets.demonstrations import demonstrate
 from armctl.envs import TaskVectorEnv, make_worlds
-from armctl.errors import ConfigurationError
-from armctl.evaluation import evaluate
-from armctl.learners import load_recipe
 from armctl.policies import make_policy
 from armctl.rl.actor import tensors
 from armctl.rl.bc import BcOptions
@@ -18,7 +16,9 @@ from armctl.rl.cloned_ppo import train as train_cloned_ppo
 from armctl.rl.cloning import Examples, Teacher, examples_for
 from armctl.rl.dagger import train as dagger
 from armctl.rl.view import view_of
+from armctl.rollout import evaluate
 from armctl.tasks import ReachTask
+from armctl.training.learners import load_recipe
 from tests.rl.small_trainings import SHORT, small
 
 WORLDS = {

@@ -8,16 +8,16 @@ import pytest
 import torch
 
 from armctl.agents import AgentCard, read_card
-from armctl.costs import TrainingCost
+from armctl.agents.costs import TrainingCost
 from armctl.envs import TaskVectorEnv, make_worlds
-from armctl.evaluation.curves import read_curve
-from armctl.learners import load_learner, load_recipe
 from armctl.policies import make_policy
 from armctl.rl import cloning
 from armctl.rl.actor import Actor
 from armctl.rl.meter import COUNTS
 from armctl.rl.recount import recount
 from armctl.rl.training import Training
+from armctl.study.curves import read_curve
+from armctl.training.learners import load_learner, load_recipe
 
 TINY = {
     "worlds": 4, "hidden_units": 8, "layers": 1, "features": "plain", "validation_episodes": 2,

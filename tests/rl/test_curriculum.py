@@ -5,12 +5,12 @@ from contextlib import ExitStack
 import numpy as np
 import pytest
 
-from armctl.errors import AgentFileError, ConfigurationError
-from armctl.learners import Recipe
+from armctl.core.errors import AgentFileError, ConfigurationError
 from armctl.rl import bc, dagger, distil, ppo, sac
 from armctl.rl.meter import Metered
 from armctl.rl.ppo import PpoOptions
 from armctl.rl.training import Training
+from armctl.training.learners import Recipe
 
 STAGES = [
     {"after": 0.5, "training_options": {"tolerance": 0.1}, "reward_weights": {"goal": 0.5}},

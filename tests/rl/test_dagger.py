@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 import torch
 
+from armctl.core.errors import ConfigurationError
 from armctl.envs import make_worlds
-from armctl.errors import ConfigurationError
 from armctl.rl.dagger import MemorylessTeacher
 from armctl.rl.dagger import train as dagger
 from armctl.rl.training import Training

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from armctl.errors import ResultsError
+from armctl.core.errors import ResultsError
 from armctl.rl.disk import full_disk_told, save_torch
 from tests.command_line import armctl
 

@@ -6,14 +6,14 @@ import pytest
 import torch
 
 from armctl.agents import OnnxPolicy, load_agent, read_card
+from armctl.core.errors import AgentFileError, ConfigurationError
 from armctl.envs import make_worlds
-from armctl.errors import AgentFileError, ConfigurationError
-from armctl.learners import Recipe, load_recipe
 from armctl.policies import make_policy
 from armctl.rl import ppo
 from armctl.rl.cloning import teacher_in
 from armctl.rl.distil import DistilOptions, Lesson, Student, train
 from armctl.rl.training import Training
+from armctl.training.learners import Recipe, load_recipe
 
 TEACHER = f"{Path(__file__).with_name('preparations.py')}:Alternating"
 REACH = {"actions": "normalized", "max_episode_steps": 10}

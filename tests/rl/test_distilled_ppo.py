@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from armctl.agents import OnnxPolicy, load_agent
+from armctl.core.errors import AgentFileError, ConfigurationError
 from armctl.envs import make_worlds
-from armctl.errors import AgentFileError, ConfigurationError
-from armctl.learners import Recipe
 from armctl.rl import distil, distilled_ppo
 from armctl.rl.asymmetric import STATE
+from armctl.training.learners import Recipe
 
 BRIDGE = "armctl/BridgeCross-v0"
 CAMERA = {"resolution": (8, 6), "max_episode_steps": 6}

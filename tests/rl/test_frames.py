@@ -7,9 +7,8 @@ import torch
 from stable_baselines3 import PPO
 
 from armctl.agents import AgentCard, OnnxPolicy, load_agent, shapes
+from armctl.core.errors import ConfigurationError
 from armctl.envs import TaskVectorEnv, make_worlds
-from armctl.errors import ConfigurationError
-from armctl.learners import load_recipe
 from armctl.rl import cloned_ppo, ppo, sac
 from armctl.rl.actor import Actor, tensors
 from armctl.rl.encoding import Encoded, EncodedVectorEnv
@@ -19,6 +18,7 @@ from armctl.rl.view import view_of
 from armctl.shaping import Shaped
 from armctl.tasks import BridgeTask, ReachTask
 from armctl.tasks.task import FeatureSpec, LearnerView
+from armctl.training.learners import load_recipe
 
 PREPARATION = f"{Path(__file__).with_name('preparations.py')}:NearestInColumns"
 CAMERA = {"resolution": (8, 6), "max_episode_steps": 5}

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from armctl.core.errors import ConfigurationError
 from armctl.envs import make_worlds
-from armctl.errors import ConfigurationError
 from armctl.policies import make_policy, sees
 from armctl.rl.imagining import ImaginingOptions, ImaginingPolicy
 

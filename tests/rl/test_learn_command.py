@@ -8,8 +8,8 @@ import pytest
 
 from armctl.agents import read_card
 from armctl.cli.options import options_of
-from armctl.evaluation.trials import read_trials
-from armctl.options import option_arguments
+from armctl.core.options import option_arguments
+from armctl.training.trials import read_trials
 from tests.command_line import armctl
 
 QUICK = ["--steps", "300", "--option", "worlds=8", "--option", "batch_size=64", "--option", "evaluation_every=100",

@@ -10,15 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from armctl.agents import Ancestor, read_card
-from armctl.costs import COUNTED, UNTRAINED, TrainingCost, TuningCost, mean_cost
+from armctl.agents.costs import COUNTED, UNTRAINED, TrainingCost, TuningCost, mean_cost
 from armctl.envs import make_worlds
-from armctl.evaluation.trials import COLUMNS, add_trial
-from armctl.learners import load_learner, load_recipe
 from armctl.policies import make_policy
 from armctl.rl.actor import Actor
 from armctl.rl.cloning import Teacher
 from armctl.rl.lineage import recorded_tuning, tuning_before
 from armctl.rl.training import Training
+from armctl.training.learners import load_learner, load_recipe
+from armctl.training.trials import COLUMNS, add_trial
 
 SHIPPED = Path(str(resources.files("armctl.rl.agents")))
 CARDS = sorted(SHIPPED.rglob("*.json"))

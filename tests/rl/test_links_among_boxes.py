@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 import torch
 
-from armctl.agent_graph import AgentGraph
+from armctl.agents.graph import AgentGraph
+from armctl.core.errors import ConfigurationError
 from armctl.envs import TaskVectorEnv
-from armctl.errors import ConfigurationError
 from armctl.kinematics import ArmModel
 from armctl.rl.actor import Actor
 from armctl.rl.links_among_boxes import LENGTH_SCALE, NEARBY, LinksAmongBoxes

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from armctl.core.errors import ArmctlError, ConfigurationError
 from armctl.envs import make_worlds
-from armctl.errors import ArmctlError, ConfigurationError
 from armctl.policies import make_policy, sees
 from armctl.rl.bridge_scans import OWN, WALKER
 from armctl.rl.looking_ahead import ImaginedRovers, LookAheadOptions, LookingAheadPolicy

@@ -3,16 +3,16 @@ import pytest
 import torch
 
 from armctl.agents import read_card
+from armctl.core.errors import ConfigurationError
 from armctl.envs import make_worlds
-from armctl.errors import ConfigurationError
 from armctl.kinematics import ArmModel, ArmShapes
-from armctl.learners import load_recipe
 from armctl.policies import make_policy
 from armctl.rl import plan_bc, solved_layouts
 from armctl.rl.following import WAYPOINTS_APART, Followed, follow, observed, waypoints
 from armctl.rl.solved_layouts import make, read
 from armctl.rl.training import Training
 from armctl.robot_description import load_arm
+from armctl.training.learners import load_recipe
 
 ENV = "armctl/ArmReachObstacles-v0"
 HOW = {"tolerance": 0.05, "largest_move": 0.3, "margin": 0.02, "noise": 0.15, "noise_share": 0.5}

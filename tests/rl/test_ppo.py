@@ -15,15 +15,15 @@ import torch
 from stable_baselines3 import PPO
 
 from armctl.agents import load_agent
+from armctl.core.errors import AgentFileError, ConfigurationError
 from armctl.envs import TaskVectorEnv
-from armctl.errors import AgentFileError, ConfigurationError
-from armctl.evaluation import evaluate
-from armctl.learners import load_recipe
 from armctl.rl.ppo import train
 from armctl.rl.view import view_of
+from armctl.rollout import evaluate
 from armctl.tasks import BridgeTask, ReachTask
 from armctl.tasks.bridge.bridge import LEARNER_VELOCITY
 from armctl.tasks.reach.reach import LARGEST_RELATIVE_MOVE
+from armctl.training.learners import load_recipe
 
 SMALL = {
     "steps": 4096,

@@ -4,10 +4,10 @@ import shutil
 import pytest
 
 from armctl.agents import read_card
-from armctl.errors import ArmctlError, ConfigurationError
-from armctl.evaluation.trials import COLUMNS, add_trial, read_trials, write_trials
+from armctl.core.errors import ArmctlError, ConfigurationError
 from armctl.rl import zoo
 from armctl.rl.publish import publish
+from armctl.training.trials import COLUMNS, add_trial, read_trials, write_trials
 
 AGENTS = zoo.HOME / "agents"
 

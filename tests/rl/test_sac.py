@@ -7,17 +7,17 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.save_util import load_from_pkl
 
 from armctl.agents import load_agent
+from armctl.core.errors import ConfigurationError
 from armctl.envs import TaskVectorEnv
-from armctl.errors import ConfigurationError
-from armctl.evaluation import evaluate
-from armctl.learners import load_recipe
 from armctl.rl.frames import History
 from armctl.rl.hindsight import GoalVectorEnv, split
 from armctl.rl.learning import REPLAY
 from armctl.rl.sac import SacOptions, _noise, _vector_env, train
 from armctl.rl.training import Training
 from armctl.rl.view import view_of
+from armctl.rollout import evaluate
 from armctl.tasks import ReachTask
+from armctl.training.learners import load_recipe
 
 SMALL = {
     "steps": 800,

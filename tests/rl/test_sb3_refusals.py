@@ -17,7 +17,7 @@ import pytest
 import torch
 from stable_baselines3 import PPO
 
-from armctl.errors import AgentFileError
+from armctl.core.errors import AgentFileError
 from armctl.rl import sb3_check, sb3_file
 from armctl.rl.sb3_export import export
 from tests.command_line import armctl

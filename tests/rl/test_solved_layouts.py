@@ -4,7 +4,7 @@ import json
 import numpy as np
 import pytest
 
-from armctl.errors import ConfigurationError, ResultsError
+from armctl.core.errors import ConfigurationError, ResultsError
 from armctl.kinematics import ArmModel, ArmShapes, EdgeChecker
 from armctl.rl import solved_layouts
 from armctl.rl.solved_layouts import CARD, CLEARANCES, SolvedLayouts, make, read

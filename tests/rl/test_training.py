@@ -10,17 +10,17 @@ import pytest
 import torch
 
 from armctl.agents import load_agent
+from armctl.core.errors import ConfigurationError
 from armctl.envs import TaskVectorEnv, make_worlds
-from armctl.errors import ConfigurationError
-from armctl.evaluation.rollouts import rollouts
-from armctl.evaluation.seeds import VALIDATION_SEED
-from armctl.learners import load_recipe
 from armctl.rl import training as module
 from armctl.rl.actor import Actor
 from armctl.rl.ppo import PpoOptions
 from armctl.rl.threads import MOST_THREADS
 from armctl.rl.training import Training, TrainingOptions, bar_fits
+from armctl.rollout.rollouts import rollouts
+from armctl.rollout.seeds import VALIDATION_SEED
 from armctl.tasks import ReachTask
+from armctl.training.learners import load_recipe
 
 OPTIONS = TrainingOptions(worlds=2, validation_episodes=4, evaluation_episodes=3, evaluation_every=100)
 

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 import torch
 
+from armctl.core.errors import ConfigurationError
 from armctl.envs import TaskVectorEnv
-from armctl.errors import ConfigurationError
 from armctl.rl.actor import Actor, tensors
 from armctl.rl.view import view_of
 from armctl.tasks import OBSERVATION, BridgeTask, ReachMovingTask, ReachObstaclesTask, ReachTask

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 from armctl.kernels.edges import LINKS
 from armctl.kinematics import ArmModel
 from armctl.kinematics.clearance import Clearance

@@ -6,7 +6,7 @@ import signal
 import numpy as np
 import pytest
 
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 from armctl.robot_description import load_arm
 
 from .small_arm import BOX, CYLINDER, FINGER, GOOD, continuous, everywhere, joint, limited, link

@@ -12,7 +12,7 @@ import coal
 import numpy as np
 import pytest
 
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 from armctl.robot_description import load_arm, meshes, urdf, xml_file
 from armctl.robot_description.arm import robot_data
 

@@ -2,7 +2,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 from armctl.kinematics import ArmModel
 from armctl.robot_description import load_arm
 from armctl.robots import CONTROLS, Arm, build_arm_world

@@ -2,7 +2,7 @@ import coal
 import numpy as np
 import pytest
 
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 from armctl.scene import NO_BOXES, Boxes
 
 

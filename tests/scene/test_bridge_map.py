@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from scipy import ndimage
 from shapely import affinity
 
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 from armctl.scene import BridgeMap, PedestrianTrajectories
 
 LENGTH, HALF_WIDTH = 20.0, 1.39

@@ -3,8 +3,8 @@ import numpy as np
 import pytest
 
 import armctl.shaping.wrappers
+from armctl.core.errors import ConfigurationError
 from armctl.envs import TaskVectorEnv
-from armctl.errors import ConfigurationError
 from armctl.planning import Lattice
 from armctl.policies import make_policy
 from armctl.shaping import Shaped, ShapedEnv, make_potential

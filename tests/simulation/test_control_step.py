@@ -5,7 +5,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 from armctl.simulation import Simulation
 
 from .batch_steps import BatchSteps

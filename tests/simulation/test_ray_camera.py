@@ -2,7 +2,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 from armctl.robots.rover import CAMERA, GEOM_GROUP
 from armctl.simulation import Camera, RayCamera, Simulation
 from armctl.simulation.ray_camera import pixel_rays, vertical_field_of_view

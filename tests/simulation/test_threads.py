@@ -3,7 +3,7 @@ import os
 import gymnasium
 import pytest
 
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 from armctl.simulation.threads import LIMIT, usable_threads
 
 CORES = len(os.sched_getaffinity(0))

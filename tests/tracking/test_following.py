@@ -7,10 +7,10 @@ import time
 import pandas as pd
 import pytest
 
-from armctl.errors import ConfigurationError
-from armctl.evaluation.curves import CURVE_COLUMNS
-from armctl.learners import Recipe
+from armctl.core.errors import ConfigurationError
+from armctl.study.curves import CURVE_COLUMNS
 from armctl.tracking import Tracker, following, tracked
+from armctl.training.learners import Recipe
 
 RECIPE = Recipe(name="mine", learner="foreign", env="armctl/ArmReach-v0", options={"gamma": 0.9})
 

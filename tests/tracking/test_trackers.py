@@ -17,9 +17,9 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from wandb.proto.wandb_internal_pb2 import Record
 
 from armctl.cli import completion
-from armctl.errors import ConfigurationError
-from armctl.learners import load_learner, load_recipe
+from armctl.core.errors import ConfigurationError
 from armctl.tracking import load_tracker, tracked, tracker_names
+from armctl.training.learners import load_learner, load_recipe
 
 from ..command_line import armctl
 

@@ -12,13 +12,13 @@ import pandas as pd
 import pytest
 from optuna.trial import TrialState
 
-from armctl.costs import TuningCost
-from armctl.errors import ConfigurationError, ResultsError
-from armctl.evaluation import compare
-from armctl.evaluation.trials import read_trials
-from armctl.learners import load_recipe
-from armctl.search_space import value_at
+from armctl.agents.costs import TuningCost
+from armctl.core.errors import ConfigurationError, ResultsError
+from armctl.core.search_space import value_at
 from armctl.simulation.threads import LIMIT
+from armctl.study import compare
+from armctl.training.learners import load_recipe
+from armctl.training.trials import read_trials
 from armctl.tuning import candidate_of, tunable, tune
 from armctl.tuning.candidates import BLOCK, Pruned
 from armctl.tuning.journal import JOURNAL

@@ -13,7 +13,7 @@ from websockets.exceptions import ConnectionClosedError, InvalidStatus
 from websockets.frames import CloseCode
 from websockets.sync.client import connect
 
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 from armctl.viewer import guard as module
 from armctl.viewer.guard import LARGEST_MESSAGE, MOST_CONNECTIONS, Guard, OwnProcessListener, guarded
 

@@ -4,7 +4,7 @@ import imageio.v3 as imageio
 import numpy as np
 import pytest
 
-from armctl.errors import ResultsError
+from armctl.core.errors import ResultsError
 from armctl.viewer.recording import VIDEO_FORMATS, check_frames, recording
 
 from ..command_line import program

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
-from armctl.errors import ConfigurationError, ResultsError
-from armctl.evaluation.failures import PolicyFailed
+from armctl.core.errors import ConfigurationError, ResultsError
+from armctl.episodes.failures import PolicyFailed
 from armctl.viewer.stage import Stage
 from armctl.viewer.terminal import run_episodes
 

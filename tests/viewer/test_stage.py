@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import armctl
-from armctl.errors import ConfigurationError
-from armctl.evaluation.failures import PolicyFailed
+from armctl.core.errors import ConfigurationError
+from armctl.episodes.failures import PolicyFailed
 from armctl.viewer.stage import Stage
 
 

@@ -6,7 +6,7 @@ from typing import NoReturn
 
 from armctl.cli import catalogue, evaluate, export, learn, play, share, suite, tune
 from armctl.cli.app import app, settings
-from armctl.errors import ArmctlError, format_cause
+from armctl.core.errors import ArmctlError, format_cause
 
 __all__ = ["app", "catalogue", "evaluate", "export", "learn", "main", "play", "share", "suite", "tune"]
 
@@ -24,7 +24,7 @@ def main() -> NoReturn:
     except ArmctlError as error:
         from rich.text import Text
 
-        from armctl.console import PlainConsole, printable
+        from armctl.core.console import PlainConsole, printable
 
         if settings.traceback:
             print(printable(format_cause(error)), file=sys.stderr)

@@ -9,7 +9,7 @@ import typer
 
 from armctl.cli.app import app
 from armctl.cli.completion import environments
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
     import gymnasium
@@ -35,11 +35,11 @@ def list_(
 
 
 def _everything() -> "Table":
+    from armctl.core.registration import environment_names
     from armctl.envs import SEES, task_of
-    from armctl.learners import learner_names, load_recipe, recipe_names
     from armctl.policies import declared_sees, describe_policy, policy_names
-    from armctl.registration import environment_names
     from armctl.robot_description import BUILTIN_ARMS
+    from armctl.training.learners import learner_names, load_recipe, recipe_names
 
     table = _grid()
     for kind, names in (("environments", environment_names()), ("arms", BUILTIN_ARMS), ("learners", learner_names())):

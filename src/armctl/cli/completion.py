@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from importlib.util import find_spec
 from pathlib import Path
 
-from armctl.registration import environment_names, files_beside, installed
+from armctl.core.registration import environment_names, files_beside, installed
 
 
 def _starting(names: Iterable[str], incomplete: str) -> list[str]:

@@ -84,11 +84,11 @@ def compare(
     A policy that raises an error, or returns an invalid action, loses that episode (`error`) and plays on; the exit
     status is then 1. One that fails before its first action in each of its first 3 episodes stops.
     """
-    from armctl.evaluation import EpisodeResult
-    from armctl.evaluation import compare as run_comparison
-    from armctl.evaluation.compare import default_policies
-    from armctl.evaluation.engines import connect
+    from armctl.episodes import EpisodeResult
     from armctl.policies import expanded, named_policies
+    from armctl.runtime.engines import connect
+    from armctl.study import compare as run_comparison
+    from armctl.study.compare import default_policies
 
     names = policies or default_policies(env)
     players, _ = expanded(named_policies(names))
@@ -151,7 +151,7 @@ def plan(
     `armctl compare --out pilot`, gives their share for each pair; without one, the table has common shares. With
     several pairs, tests are corrected as a verdict's are.
     """
-    from armctl.evaluation.sample_size import plan_comparison
+    from armctl.study.sample_size import plan_comparison
 
     print_document(plan_comparison(detect / 100, power, pilot, pairs), table_format)
 
@@ -183,14 +183,14 @@ def report(
     A results folder never runs code. If its environment or policies are modules of your own, the videos need their
     names on the command line too, as `--env` and `--policy`.
     """
-    from armctl.console import PlainConsole
+    from armctl.core.console import PlainConsole
 
     make_report(folder, out, PlainConsole(), video=video, env=env, policies=policies or ())
 
 
 def print_tracebacks(tracebacks: Mapping[str, str]) -> None:
     """Print tracebacks on standard error, if asked for."""
-    from armctl.console import printable
+    from armctl.core.console import printable
 
     if settings.traceback:
         for name, text in tracebacks.items():
@@ -216,7 +216,7 @@ def make_report(
     """Write a report, and say where it is."""
     from rich.text import Text
 
-    from armctl.console import PlainConsole
+    from armctl.core.console import PlainConsole
     from armctl.report import write_report
 
     with PlainConsole(stderr=True).status("report") as status:
@@ -262,10 +262,10 @@ def reproduce(
     """
     from rich.text import Text
 
-    from armctl.console import PlainConsole
-    from armctl.evaluation.reproduce import card_path
-    from armctl.evaluation.reproduce import reproduce as run_again
+    from armctl.core.console import PlainConsole
     from armctl.report.reproduction import reproduction_document
+    from armctl.study.reproduce import card_path
+    from armctl.study.reproduce import reproduce as run_again
 
     for agent in agents:
         card_path(agent)  # a misspelt name is told before the first agent plays

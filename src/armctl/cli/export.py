@@ -50,8 +50,8 @@ def export(
     A model's file is a set of pickles, and whoever made it can make them run any code when they are loaded. So it is
     only loaded with `--trust`. The agent that comes out cannot run code, and is safe to share. Needs the extra `rl`.
     """
-    from armctl.learners import load_exporter
-    from armctl.options import option_arguments
+    from armctl.core.options import option_arguments
+    from armctl.training.learners import load_exporter
 
     target = out or model.with_suffix(".onnx")
     card = load_exporter(model)(

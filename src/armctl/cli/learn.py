@@ -15,11 +15,11 @@ import typer
 from armctl.cli import completion
 from armctl.cli.app import app
 from armctl.cli.options import EnvOptions, On, options_of, progress_bar
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from armctl.agents import AgentCard
-    from armctl.training import Job
+    from armctl.training.run import Job
 
 
 @app.command()
@@ -113,12 +113,12 @@ def train(
     Watch the training with `tensorboard --logdir FOLDER`, or let `--track wandb` or `--track mlflow` record it where
     you keep your experiments. A tracker that fails does not harm the training, and `--resume` continues the same run.
     """
+    from armctl.core.options import option_arguments
     from armctl.envs import task_of
-    from armctl.learners import load_learner, load_recipe
-    from armctl.options import option_arguments
     from armctl.simulation.threads import LIMIT
     from armctl.tracking import tracked
-    from armctl.training import SETTINGS, Job, recorded
+    from armctl.training.learners import load_learner, load_recipe
+    from armctl.training.run import SETTINGS, Job, recorded
 
     if threads:
         os.environ[LIMIT] = str(threads)
@@ -168,10 +168,10 @@ def train(
 
 def _train_several(job: "Job", folders: dict[int, Path], on: str, workers: int) -> None:
     """Train with several seeds, and say how each training has ended."""
+    from armctl.core.options import option_arguments
     from armctl.envs import task_of
-    from armctl.evaluation.engines import connect
-    from armctl.options import option_arguments
-    from armctl.training import train_seeds
+    from armctl.runtime.engines import connect
+    from armctl.training.run import train_seeds
 
     failed = 0
     try:
@@ -236,7 +236,7 @@ def _evaluations_logged() -> Iterator[None]:
 
 def say(text: str, error: bool = False) -> None:
     """Say something in a line."""
-    from armctl.console import printable
+    from armctl.core.console import printable
 
     typer.echo(printable(text), err=error)
 

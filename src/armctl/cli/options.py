@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from armctl.cli import completion
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from armctl.evaluation.tables import Document
+    from armctl.verdict.tables import Document
 
 Env = Annotated[
     str,
@@ -34,7 +34,7 @@ PolicyName = Annotated[
 
 def seed_of(text: str) -> int:
     """The seed that a command line names: a whole number, or `test`."""
-    from armctl.evaluation.seeds import TEST, TEST_SEED
+    from armctl.rollout.seeds import TEST, TEST_SEED
 
     text = str(text)  # of a default, which is a number
     if text == TEST:
@@ -184,7 +184,7 @@ def new_folder() -> Path:
 
 def print_document(document: "Document", table_format: TableFormat) -> "Console":
     """Print results on standard output, and return where to say anything else: not in the midst of JSON."""
-    from armctl.console import PlainConsole, printable
+    from armctl.core.console import PlainConsole, printable
     from armctl.report.formats import FORMATS
     from armctl.report.terminal import DocumentView, output_console
 
@@ -201,7 +201,7 @@ def progress_bar() -> Any:
     """A progress display on standard error; nothing where that is not a terminal."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    from armctl.console import PlainConsole
+    from armctl.core.console import PlainConsole
 
     columns = (
         TextColumn("{task.description:>12}", markup=False),
@@ -215,7 +215,7 @@ def progress_bar() -> Any:
 
 def levels_of(given: list[str]) -> dict[str, Any]:
     """Levels by disturbance, from NAME=LEVEL,LEVEL...; None from NAME without levels."""
-    from armctl.options import option_value
+    from armctl.core.options import option_value
 
     levels: dict[str, Any] = {}
     for one in given:
@@ -226,7 +226,7 @@ def levels_of(given: list[str]) -> dict[str, Any]:
 
 def options_of(pairs: list[str] | None, flag: str = "--set", success_return: float | None = None) -> dict[str, Any]:
     """Options from NAME=VALUE pairs: numbers, tuples, True, False and None, or else strings."""
-    from armctl.options import option_value
+    from armctl.core.options import option_value
 
     options: dict[str, Any] = {} if success_return is None else {"success_return": success_return}
     for pair in pairs or []:

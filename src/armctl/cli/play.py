@@ -105,9 +105,9 @@ def collect(
     Ctrl-C keeps the finished episodes, and the same command resumes. So it does after a full disk or a crash. The
     dataset is the same wherever its episodes are played; workers play blocks of 4 episodes per world.
     """
-    from armctl.console import PlainConsole
+    from armctl.core.console import PlainConsole
     from armctl.datasets.collect import collect as run_collection
-    from armctl.evaluation.engines import connect
+    from armctl.runtime.engines import connect
 
     with connect(on, workers) as engine, progress_bar() as bar:
         task = bar.add_task(policy, total=episodes)

@@ -35,7 +35,7 @@ def push(
     What is uploaded: `agent.onnx`, `agent.json`, `curve.csv` if there is a learning curve, and a model card made of
     them, `README.md`. The card has all options of the training, paths among them: look at it before you share it.
     """
-    from armctl.console import PlainConsole
+    from armctl.core.console import PlainConsole
     from armctl.hub import push as upload
 
     address = upload(agent, repository, private=private, message=message, licence=licence)
@@ -64,8 +64,8 @@ def pull(
     describes; otherwise nothing is written.
     """
     from armctl.agents import read_card
-    from armctl.console import PlainConsole
-    from armctl.errors import ConfigurationError
+    from armctl.core.console import PlainConsole
+    from armctl.core.errors import ConfigurationError
     from armctl.hub import comparison_command
     from armctl.hub import pull as download
 

@@ -89,13 +89,13 @@ def sweep(
 
     Every episode is written as it ends. After Ctrl-C, the same command with the same `--out` resumes the sweep.
     """
-    from armctl.evaluation import EpisodeResult
-    from armctl.evaluation import sweep as run_sweep
-    from armctl.evaluation.compare import default_policies
-    from armctl.evaluation.engines import connect
-    from armctl.evaluation.real_time import SLOWER
-    from armctl.evaluation.sweep import sweep_levels
+    from armctl.episodes import EpisodeResult
     from armctl.policies import expanded, named_policies
+    from armctl.rollout.real_time import SLOWER
+    from armctl.runtime.engines import connect
+    from armctl.study import sweep as run_sweep
+    from armctl.study.compare import default_policies
+    from armctl.study.sweep import sweep_levels
 
     names, options = policies or default_policies(env), options_of(env_options, success_return=success_return)
     given = (disturbances or []) + ([f"{SLOWER}={slow_down}"] if slow_down else [])
@@ -179,9 +179,9 @@ def suite(
     With `--workers 2`, that takes less than an hour. Every episode is written as it ends. After Ctrl-C, the same
     command with the same `--out` resumes the suite. A task that fails is told, and does not stop the others.
     """
-    from armctl.evaluation import suite as run_suite
-    from armctl.evaluation.engines import connect
-    from armctl.evaluation.suite import ALL
+    from armctl.runtime.engines import connect
+    from armctl.study import suite as run_suite
+    from armctl.study.suite import ALL
 
     folder = out or new_folder()
     with connect(on, workers) as engine, progress_bar() as bar:

@@ -61,14 +61,14 @@ def tune(
     each trial in `trials.csv`; `tuning.html` with Optuna's plots; and the best values as a file, for `armctl train` or
     `armctl compare`. After Ctrl-C, or anything worse, the same command resumes.
     """
-    from armctl.errors import missing_extra
+    from armctl.core.errors import missing_extra
 
     try:
         import optuna  # noqa: F401
     except ModuleNotFoundError as error:
         raise missing_extra("tuning", error, "tune") from error
-    from armctl.evaluation.engines import connect
     from armctl.report.tuning_page import document, write_tuning_page
+    from armctl.runtime.engines import connect
     from armctl.tuning import candidate_of
     from armctl.tuning import tune as run_tuning
 

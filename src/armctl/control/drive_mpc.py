@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from armctl.control.arc_path import ArcPath
 from armctl.control.drive_nlp import CONTROLS, STATES, DriveMpcOptions, DriveSolver, Solution, drive_nlp
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 from armctl.kernels import drive_mpc as kernel
 
 __all__ = ["DriveMpc", "DriveMpcOptions", "DriveMpcResult"]

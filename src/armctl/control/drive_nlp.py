@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from armctl.options import options
+from armctl.core.options import options
 
 Array = NDArray[np.float64]
 Positive = Annotated[float, Field(gt=0)]

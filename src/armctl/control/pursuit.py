@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from armctl.control.arc_path import ArcPath
-from armctl.options import options
+from armctl.core.options import options
 
 Array = NDArray[np.float64]
 Positive = Annotated[float, Field(gt=0)]

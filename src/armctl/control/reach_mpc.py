@@ -31,10 +31,10 @@ from armctl.control.reach_problem import (
     straight_to,
 )
 from armctl.control.reach_qp import ReachQp
+from armctl.core.options import options
 from armctl.kernels import reach_mpc as kernel
 from armctl.kinematics import ArmModel
 from armctl.kinematics.clearance import Clearance, Scene
-from armctl.options import options
 from armctl.scene import Boxes
 
 Array = NDArray[np.float64]

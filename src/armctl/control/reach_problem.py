@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
+from armctl.core.options import options
 from armctl.kernels import reach_mpc
 from armctl.kinematics import ArmModel
-from armctl.options import options
 from armctl.robot_description import JointLimits
 
 Array = NDArray[np.float64]

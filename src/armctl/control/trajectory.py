@@ -17,7 +17,7 @@ from ruckig import InputParameter, Ruckig, Synchronization
 from ruckig import Trajectory as RuckigTrajectory
 from scipy.ndimage import uniform_filter1d
 
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 from armctl.robot_description import JointLimits
 
 Array = NDArray[np.float64]

@@ -14,24 +14,24 @@ from pathlib import Path
 from typing import Any
 
 from armctl import DEFAULT_ENV
+from armctl.core.errors import EnvironmentFailed, ResultsError
+from armctl.core.files import LOCK, one_writer
 from armctl.datasets.demonstrations import Demonstration, demonstrate
 from armctl.datasets.formats import FORMATS, Format, format_of
 from armctl.datasets.minari import UNFINISHED, check_recordable
 from armctl.datasets.parallel import WorldsAsAsked, demonstrate_in_workers
 from armctl.datasets.unfinished import IDENTITY, OTHERWISE, Unfinished, check_same
 from armctl.envs import chosen_policy_seed, full_id
-from armctl.errors import EnvironmentFailed, ResultsError
-from armctl.evaluation.engines import Engine, engine_of
-from armctl.evaluation.failures import PolicyFailed
-from armctl.evaluation.identity import identity
-from armctl.evaluation.parallel import WorkerConfig, check_sendable
-from armctl.evaluation.provenance import versions
-from armctl.evaluation.rollouts import build_policy, check_counts
-from armctl.evaluation.seeds import check_training_data_seed
-from armctl.evaluation.store import POLICY_SEED, stored_policy_seed
-from armctl.evaluation.workers import WorkersFailed
-from armctl.files import LOCK, one_writer
+from armctl.episodes.failures import PolicyFailed
+from armctl.episodes.store import POLICY_SEED, stored_policy_seed
 from armctl.policies import PolicyFactory, policy_name
+from armctl.rollout.parallel import WorkerConfig, check_sendable
+from armctl.rollout.rollouts import build_policy, check_counts
+from armctl.rollout.seeds import check_training_data_seed
+from armctl.runtime.engines import Engine, engine_of
+from armctl.runtime.identity import identity
+from armctl.runtime.provenance import versions
+from armctl.runtime.workers import WorkersFailed
 
 
 @dataclass
@@ -66,7 +66,7 @@ def collect(
 
     The episodes are in the order of their numbers, and the same however many worlds play at once, and wherever: with
     `workers`, that many processes play, each with `worlds` worlds on one core; an engine's workers play, if one is
-    given (`armctl.evaluation.engines.connect`). They play blocks of 4 episodes per world, which come back whole, so
+    given (`armctl.runtime.engines.connect`). They play blocks of 4 episodes per world, which come back whole, so
     that an interrupt loses those that are not finished. `format` is one of `FORMATS`:
 
     - `minari`: `minari.MinariDataset(out / "data")` opens it. So does `minari.load_dataset(out.name)` if

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armctl.envs import EpisodeVectorEnv, one_of
-from armctl.evaluation.failures import unless_failed
-from armctl.evaluation.record import EpisodeResult
-from armctl.evaluation.rollouts import rollouts
+from armctl.episodes.failures import unless_failed
+from armctl.episodes.record import EpisodeResult
 from armctl.policies import Policy
+from armctl.rollout.rollouts import rollouts
 from armctl.tasks import Observations
 
 

@@ -4,10 +4,10 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
+from armctl.core.errors import unknown_name
 from armctl.datasets import lerobot, minari
 from armctl.datasets.demonstrations import Demonstration
 from armctl.envs import EpisodeVectorEnv
-from armctl.errors import unknown_name
 
 
 class Format(Protocol):

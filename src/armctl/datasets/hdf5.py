@@ -15,8 +15,8 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.core.errors import ConfigurationError
 from armctl.datasets.demonstrations import Demonstration, parts_of
-from armctl.errors import ConfigurationError
 
 FILE = "main_data.hdf5"
 LARGEST = 1e12

@@ -18,13 +18,13 @@ import imageio
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.core.errors import missing_extra
+from armctl.core.files import sealed, write_atomically
 from armctl.datasets.demonstrations import Demonstration
 from armctl.datasets.lerobot_features import features_of, observed_parts
 from armctl.datasets.lerobot_stats import Stats, aggregated, picture_stats, stats_of
 from armctl.datasets.pictures import bounds_of, count_frames, is_image, pictures
 from armctl.envs import EpisodeVectorEnv, full_id
-from armctl.errors import missing_extra
-from armctl.files import sealed, write_atomically
 
 PARTS: tuple[str, ...] = ("data", "videos", "meta")
 """The folders within the dataset's folder of which it consists; `videos` only with image observations."""

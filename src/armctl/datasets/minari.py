@@ -18,10 +18,10 @@ from typing import Any
 import gymnasium
 
 from armctl.agents import shapes
+from armctl.core.errors import ConfigurationError, missing_extra
+from armctl.core.files import CHECKSUM, bounded_text, file_checksum, sealed, unsealed, write_atomically
 from armctl.datasets.demonstrations import Demonstration
 from armctl.envs import EpisodeVectorEnv, find_spec
-from armctl.errors import ConfigurationError, missing_extra
-from armctl.files import CHECKSUM, bounded_text, file_checksum, sealed, unsealed, write_atomically
 
 DATA = "data"
 """Minari's folder within the dataset's folder."""

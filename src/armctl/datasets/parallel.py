@@ -7,11 +7,11 @@ from typing import Any
 
 from armctl.datasets.demonstrations import Demonstration, demonstrate
 from armctl.envs import EpisodeVectorEnv, make_worlds
-from armctl.evaluation.engines import Engine
-from armctl.evaluation.failures import PolicyFailed
-from armctl.evaluation.parallel import RolloutBatch, Setting, WorkerConfig, batch, do_in_workers
-from armctl.evaluation.record import EpisodeResult
+from armctl.episodes.failures import PolicyFailed
+from armctl.episodes.record import EpisodeResult
 from armctl.policies import Policy, PolicyFactory
+from armctl.rollout.parallel import RolloutBatch, Setting, WorkerConfig, batch, do_in_workers
+from armctl.runtime.engines import Engine
 
 Played = tuple[EpisodeResult, Demonstration]
 

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from armctl.core.errors import ResultsError
+from armctl.core.files import bounded_text, sealed, unsealed, write_atomically
 from armctl.datasets.demonstrations import OBSERVATIONS, Demonstration, observations_of, parts_of
-from armctl.errors import ResultsError
-from armctl.evaluation.identity import reasons_not_to_resume
-from armctl.files import bounded_text, sealed, unsealed, write_atomically
+from armctl.runtime.identity import reasons_not_to_resume
 
 OTHERWISE = "choose another folder, or overwrite it (--overwrite)"
 IDENTITY = "identity.json"

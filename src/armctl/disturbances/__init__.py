@@ -9,10 +9,10 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.core.errors import ConfigurationError, unknown_name
 from armctl.disturbances.disturbance import Disturbable, Disturbance, DisturbanceSpec, LevelRange
 from armctl.disturbances.fields import JointFriction, LinkMismatch, Payload, Slipperiness, Strength, WheelMismatch
 from armctl.disturbances.signals import Delay, Dropout, Noise, Pushes, StateNoise
-from armctl.errors import ConfigurationError, unknown_name
 
 __all__ = [
     "ARM", "GENERIC", "ROVER", "Delay", "Disturbable", "Disturbance", "DisturbanceSpec", "Dropout", "JointFriction",

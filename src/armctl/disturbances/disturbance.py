@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 from armctl.robots.joints import JointSamples
 from armctl.simulation import Simulation
 

@@ -17,8 +17,8 @@ from typing import Any
 
 from gymnasium.envs.registration import EnvSpec, load_env_creator
 
+from armctl.core.registration import load_task
 from armctl.envs.make import RESERVED, find_spec, is_task
-from armctl.registration import load_task
 
 LIMIT = "Control steps until an episode is truncated."
 BOUNDS = {"gt": "> {}", "ge": ">= {}", "lt": "< {}", "le": "<= {}"}

@@ -9,9 +9,9 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
+from armctl.core.errors import ConfigurationError, InvalidAction
 from armctl.disturbances import Disturbance, begin_episodes
 from armctl.envs.observations import action_numbers
-from armctl.errors import ConfigurationError, InvalidAction
 from armctl.tasks import Observations
 
 Array = NDArray[np.float64]
@@ -20,7 +20,7 @@ RUNNING = -1
 """`outcome_id` while an episode runs: the last of `outcomes`."""
 ERROR = "error"
 """The outcome of an episode in which the policy failed: it raised an error, or returned an invalid action. It is a loss
-(see `armctl.evaluation.rollouts`)."""
+(see `armctl.rollout.rollouts`)."""
 LARGEST_SEED = 2**62
 LARGEST_REWARD = 1e90
 """Largest reward, or reward term, of a control step: statistics square the sum of those of an episode."""

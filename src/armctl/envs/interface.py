@@ -17,9 +17,9 @@ import numpy as np
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from armctl.core.errors import ConfigurationError, nearest
 from armctl.envs.episodes import EpisodeVectorEnv
 from armctl.envs.policy_seed import PolicyStreams
-from armctl.errors import ConfigurationError, nearest
 
 Sees = Literal["observation", "model", "map", "state"]
 SEES: Mapping[str, str] = {

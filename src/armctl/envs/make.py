@@ -14,11 +14,8 @@ import gymnasium
 from gymnasium.envs.registration import EnvSpec, load_env_creator
 from gymnasium.vector import AutoresetMode
 
-from armctl.envs.episodes import EpisodeVectorEnv
-from armctl.envs.third_party import ThirdPartyTask, ThirdPartyVectorEnv
-from armctl.envs.vector import TaskVectorEnv
-from armctl.errors import FAILURES, ArmctlError, ConfigurationError, described, nearest, unknown_name
-from armctl.registration import (
+from armctl.core.errors import FAILURES, ArmctlError, ConfigurationError, described, nearest, unknown_name
+from armctl.core.registration import (
     VECTOR_ENV,
     check_named,
     environment_names,
@@ -29,6 +26,9 @@ from armctl.registration import (
     remember_named,
     was_named,
 )
+from armctl.envs.episodes import EpisodeVectorEnv
+from armctl.envs.third_party import ThirdPartyTask, ThirdPartyVectorEnv
+from armctl.envs.vector import TaskVectorEnv
 
 RESERVED = {
     "autoreset_mode", "flat_infos", "id", "num_envs", "render_mode", "task", "threads", "vector_kwargs",

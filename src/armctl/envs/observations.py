@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armctl.errors import InvalidAction
+from armctl.core.errors import InvalidAction
 from armctl.tasks import Observations
 
 Array = NDArray[np.float64]

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 
 BITS = 128
 """Size of a policy seed."""

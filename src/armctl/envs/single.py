@@ -8,11 +8,11 @@ import gymnasium
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike
 
+from armctl.core.errors import InvalidAction
 from armctl.envs.episodes import EpisodeVectorEnv, Infos
 from armctl.envs.observations import action_numbers, one_of
 from armctl.envs.pickling import MadeAgain
 from armctl.envs.vector import GOAL_METHODS, RENDER_MODES, TaskVectorEnv
-from armctl.errors import InvalidAction
 from armctl.tasks import Observations, Task
 
 

@@ -14,13 +14,13 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
+from armctl.core.errors import ConfigurationError, EnvironmentFailed, unknown_name
+from armctl.core.options import make_options
+from armctl.core.registration import load_task
 from armctl.disturbances import disturb, episode_entropy
 from armctl.envs.episodes import ERROR, LARGEST_REWARD, RUNNING, Array, EpisodeVectorEnv, Infos
 from armctl.envs.observations import with_replaced
 from armctl.envs.pickling import MadeAgain
-from armctl.errors import ConfigurationError, EnvironmentFailed, unknown_name
-from armctl.options import make_options
-from armctl.registration import load_task
 from armctl.simulation.rendering import Camera, Window
 from armctl.tasks import Observations, RewardTerms, Task
 

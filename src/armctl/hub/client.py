@@ -4,7 +4,7 @@ import contextlib
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from armctl.errors import ArmctlError, ConfigurationError, HubError, missing_extra
+from armctl.core.errors import ArmctlError, ConfigurationError, HubError, missing_extra
 
 if TYPE_CHECKING:
     from huggingface_hub import HfApi

@@ -8,13 +8,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from armctl.agent_graph import LARGEST_FILE
 from armctl.agents import OnnxPolicy, read_agent, read_card
-from armctl.errors import AgentFileError, ConfigurationError, HubError, ResultsError
-from armctl.evaluation.curves import CURVE, read_curve
-from armctl.files import LARGEST_TEXT, file_checksum, one_writer, write_atomically
+from armctl.agents.graph import LARGEST_FILE
+from armctl.core.errors import AgentFileError, ConfigurationError, HubError, ResultsError
+from armctl.core.files import LARGEST_TEXT, file_checksum, one_writer, write_atomically
 from armctl.hub.client import CARD, GRAPH, check_repository, hub_api, hub_errors
 from armctl.hub.model_card import folder_of
+from armctl.study.curves import CURVE, read_curve
 
 if TYPE_CHECKING:
     from huggingface_hub import HfApi

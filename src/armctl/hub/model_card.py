@@ -10,12 +10,12 @@ from typing import Any
 
 from armctl import DISTRIBUTION
 from armctl.agents import AgentCard
-from armctl.console import printable
+from armctl.core.console import printable
+from armctl.core.errors import ConfigurationError
+from armctl.core.options import option_arguments
+from armctl.core.registration import bare_id
 from armctl.envs import check_from_file, task_of
-from armctl.errors import ConfigurationError
 from armctl.hub.client import CARD, GRAPH
-from armctl.options import option_arguments
-from armctl.registration import bare_id
 
 TAGS = ("reinforcement-learning", "robotics", "onnx", "armctl")
 PAGE = """---

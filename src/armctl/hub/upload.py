@@ -4,12 +4,12 @@ from pathlib import Path
 
 from armctl import __version__
 from armctl.agents import OnnxPolicy, read_agent
-from armctl.errors import AgentFileError, ConfigurationError
-from armctl.evaluation.curves import CURVE, curve_path, read_curve
-from armctl.evaluation.reproduce import card_path
+from armctl.core.errors import AgentFileError, ConfigurationError
 from armctl.hub.client import CARD, GRAPH, MODEL_CARD, check_repository, hub_api, hub_errors
 from armctl.hub.model_card import model_card
 from armctl.policies import agent_cards
+from armctl.study.curves import CURVE, curve_path, read_curve
+from armctl.study.reproduce import card_path
 
 
 def push(

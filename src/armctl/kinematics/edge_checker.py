@@ -9,7 +9,7 @@ checking for single and multiple robots in complex environments", IEEE Trans. Ro
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 from armctl.kernels import edges
 from armctl.kinematics.model import ArmModel
 from armctl.kinematics.records import Records, box_records

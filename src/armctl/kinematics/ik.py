@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial.transform import Rotation
 
-from armctl.errors import ConfigurationError, UnreachableTarget
+from armctl.core.errors import ConfigurationError, UnreachableTarget
+from armctl.core.options import options
 from armctl.kernels import ik as kernel
 from armctl.kinematics.closed_forms import ClosedForm, seven_joints, six_joints
 from armctl.kinematics.damped_least_squares import damped_step
 from armctl.kinematics.model import ArmModel
-from armctl.options import options
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ nothing is touched.
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 from armctl.kernels import imagined_arm
 from armctl.kernels.capsules import BOX
 from armctl.kernels.imagined_arm import ARRIVED, MOVING, TOUCHED

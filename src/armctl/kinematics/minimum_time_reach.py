@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from armctl.core.options import options
 from armctl.kernels import reach
 from armctl.kinematics.ik import Ik
 from armctl.kinematics.model import ArmModel
-from armctl.options import options
 from armctl.robot_description.joint_profiles import fly_by_setpoint, trapezoidal_displacement
 
 Array = NDArray[np.float64]

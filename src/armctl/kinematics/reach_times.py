@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from armctl.core.options import options
 from armctl.kernels import reach
 from armctl.kinematics.model import ArmModel
 from armctl.kinematics.reachability_map import ReachabilityMap
-from armctl.options import options
 
 Array = NDArray[np.float64]
 

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 from armctl.kinematics.ik import Ik
 from armctl.kinematics.model import ArmModel
 

@@ -17,10 +17,10 @@ from numpy.typing import ArrayLike, NDArray
 from ompl import geometric
 from pydantic import Field
 
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
+from armctl.core.options import options
 from armctl.kinematics import ArmModel, ArmShapes, EdgeChecker, MinimumTimeReach
 from armctl.kinematics.edge_checker import MAX_CLEARANCE
-from armctl.options import options
 from armctl.planning.arm_search import ArmSearch
 from armctl.scene import Boxes
 

@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from ompl import base, geometric
 from pydantic import Field
 
-from armctl.errors import ConfigurationError
-from armctl.options import options
+from armctl.core.errors import ConfigurationError
+from armctl.core.options import options
 from armctl.planning.ompl_setup import OmplProblem
 from armctl.scene import BridgeMap
 

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from ompl import geometric
 from pydantic import Field
 
+from armctl.core.options import options
 from armctl.kinematics import ArmModel, ArmShapes, EdgeChecker, Ik
 from armctl.kinematics.edge_checker import MAX_CLEARANCE
-from armctl.options import options
 from armctl.planning.arm_search import ArmSearch
 from armctl.scene import Boxes
 

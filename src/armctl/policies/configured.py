@@ -18,12 +18,12 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 
-from armctl.costs import TuningCost
-from armctl.errors import ConfigurationError, unknown_name
-from armctl.files import read_toml
-from armctl.options import checked_model
+from armctl.agents.costs import TuningCost
+from armctl.core.errors import ConfigurationError, unknown_name
+from armctl.core.files import read_toml
+from armctl.core.options import checked_model
+from armctl.core.registration import files_beside, installed
 from armctl.policies.trainings import GROUP
-from armctl.registration import files_beside, installed
 
 SUFFIX = ".toml"
 WHAT = "file of a policy's options"
@@ -40,7 +40,7 @@ class PolicyConfiguration(BaseModel):
     env_options: dict[str, Any] = {}
     options: dict[str, Any] = {}
     tune: dict[str, Any] = {}
-    """The search space of `armctl tune` (see `armctl.search_space`)."""
+    """The search space of `armctl tune` (see `armctl.core.search_space`)."""
     tuned: TuningCost | None = None
     """The search for these values, or for better ones, whoever won it."""
 

@@ -12,15 +12,15 @@ from typing import Any
 import gymnasium
 
 from armctl.agents import FILES, load_agent
-from armctl.costs import UNTRAINED
+from armctl.agents.costs import UNTRAINED
+from armctl.core.errors import FAILURES, ArmctlError, ConfigurationError, described, unknown_name
+from armctl.core.registration import import_attribute, installed
 from armctl.envs import EpisodeVectorEnv, Interface, PolicyStreams, TaskEnv, chosen_policy_seed
-from armctl.errors import FAILURES, ArmctlError, ConfigurationError, described, unknown_name
 from armctl.policies.configured import configured, tuning_of
 from armctl.policies.plain import adapted
 from armctl.policies.policy import Policy
 from armctl.policies.privilege import declared
 from armctl.policies.trainings import GROUP, agent_cards, training_card
-from armctl.registration import import_attribute, installed
 
 
 def policy_names() -> list[str]:

@@ -9,9 +9,9 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from armctl.core.errors import ConfigurationError, InvalidAction, defined_at
 from armctl.envs import EpisodeVectorEnv, Interface, PolicyStreams, Sees, ThirdPartyVectorEnv
 from armctl.envs.single import OneWorld
-from armctl.errors import ConfigurationError, InvalidAction, defined_at
 from armctl.policies.policy import Actions, PerWorld, Policy
 from armctl.policies.privilege import as_declared, declared, told
 from armctl.tasks import Observations

@@ -4,8 +4,8 @@ import functools
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
+from armctl.core.errors import ConfigurationError, defined_at, unknown_name
 from armctl.envs import SEES, EpisodeVectorEnv, Interface, PolicyStreams, Sees, how_to_declare, interface_of
-from armctl.errors import ConfigurationError, defined_at, unknown_name
 
 Factory = TypeVar("Factory")
 PERCEIVED = ("observation", "state")

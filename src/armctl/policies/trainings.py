@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from armctl.agents import FILES, AgentCard, read_card
-from armctl.errors import AgentFileError, ConfigurationError
-from armctl.registration import files_beside
+from armctl.core.errors import AgentFileError, ConfigurationError
+from armctl.core.registration import files_beside
 
 GROUP = "armctl.policies"
 SEEDS = "seeds"

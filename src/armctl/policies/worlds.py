@@ -9,13 +9,13 @@ from collections.abc import Mapping
 from contextlib import closing
 from typing import Any
 
+from armctl.core.registration import bare_id
 from armctl.disturbances import available
 from armctl.envs import EpisodeVectorEnv, make_worlds, task_of
 from armctl.policies.find import is_expert
 from armctl.policies.policy import Policy
 from armctl.policies.privilege import channels_read
 from armctl.policies.trainings import card_of
-from armctl.registration import bare_id
 
 LEARNERS_ONLY = frozenset({"reward_scale", "reward_weights"})
 

@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 import pandas as pd
 import plotly.graph_objects as go
 
-from armctl.evaluation.summary import PolicySummary
-from armctl.evaluation.trade_off import BreakEven, Point, pareto_front
 from armctl.report.colours import PALE
 from armctl.report.style import SHARE_AXIS, Look, Looks, add_band, add_line, add_point, framed
+from armctl.verdict.summary import PolicySummary
+from armctl.verdict.trade_off import BreakEven, Point, pareto_front
 
 MARGIN = {"range": [-0.05, 1.05]}
 """Room for dots at 0 and 100 %."""
@@ -20,7 +20,7 @@ def training_cost(
 ) -> go.Figure:
     """Success against decisions of training, with 95 % intervals: a line for each agent's curve, or a point.
 
-    `curves` are those of `armctl.evaluation.trade_off.cost_curve`. Dotted: policies that were not trained. Rings: where
+    `curves` are those of `armctl.verdict.trade_off.cost_curve`. Dotted: policies that were not trained. Rings: where
     an agent breaks even with the best of these.
     """
     figure = go.Figure()

@@ -10,11 +10,8 @@ import numpy as np
 import pandas as pd
 import plotly.graph_objects as go
 
-from armctl.evaluation.decision_times import Machines, comparable_times
-from armctl.evaluation.episode_table import table_of
-from armctl.evaluation.paired import PairedDifference
-from armctl.evaluation.record import EpisodeResult
-from armctl.evaluation.summary import PolicySummary
+from armctl.episodes.record import EpisodeResult
+from armctl.episodes.table import table_of
 from armctl.report.colours import ALARM, INK, PALE, PAPER
 from armctl.report.style import (
     CELLS,
@@ -32,6 +29,9 @@ from armctl.report.style import (
     signed,
     with_rows,
 )
+from armctl.rollout.decision_times import Machines, comparable_times
+from armctl.stats.paired import PairedDifference
+from armctl.verdict.summary import PolicySummary
 
 
 def success_bars(policies: Sequence[PolicySummary], look: Looks) -> go.Figure:

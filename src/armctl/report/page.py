@@ -10,25 +10,25 @@ from urllib.parse import quote
 
 import pandas as pd
 
+from armctl.core.errors import ResultsError
+from armctl.core.files import inside
+from armctl.core.registration import import_attribute, remember_named
 from armctl.envs import full_id
-from armctl.errors import ResultsError
-from armctl.evaluation.curves import LOOKS, POINTS, RECORDED, read_pairs, read_sweep
-from armctl.evaluation.provenance import with_looks
-from armctl.evaluation.record import EpisodeResult
-from armctl.evaluation.results import Results, read_results
-from armctl.evaluation.robustness import robustness_headline, robustness_rankings
-from armctl.evaluation.store import COMPARISON
-from armctl.evaluation.suite import SUITE
-from armctl.evaluation.suite_results import read_suite
-from armctl.evaluation.summary import PolicySummary
-from armctl.evaluation.sweep import UNDISTURBED
-from armctl.files import inside
-from armctl.registration import import_attribute, remember_named
+from armctl.episodes.record import EpisodeResult
+from armctl.episodes.store import COMPARISON
 from armctl.report import style
 from armctl.report.plots import comparison_plots, mean, percent, renamed, spread, sweep_plots
 from armctl.report.render import write_page
 from armctl.report.suite_page import task_folders, write_suite_page
 from armctl.report.videos import film, most_different, worst
+from armctl.runtime.provenance import with_looks
+from armctl.stats.robustness import robustness_headline, robustness_rankings
+from armctl.study.curves import LOOKS, POINTS, RECORDED, read_pairs, read_sweep
+from armctl.study.results import Results, read_results
+from armctl.study.suite import SUITE
+from armctl.study.suite_results import read_suite
+from armctl.study.sweep import UNDISTURBED
+from armctl.verdict.summary import PolicySummary
 
 REPORT = "report.html"
 

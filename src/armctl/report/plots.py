@@ -11,20 +11,20 @@ import pandas as pd
 import plotly.graph_objects as go
 from markupsafe import Markup
 
+from armctl.core.errors import ArmctlError
 from armctl.envs import check_from_file, make_worlds
-from armctl.errors import ArmctlError
-from armctl.evaluation.curves import training_curves
-from armctl.evaluation.decision_times import Machines
-from armctl.evaluation.paired import Corrected, PairedDifference, corrected
-from armctl.evaluation.results import Results
-from armctl.evaluation.robustness import RobustnessRanking
-from armctl.evaluation.statistics import Estimate
-from armctl.evaluation.summary import PolicySummary
-from armctl.evaluation.tables import p_value
-from armctl.evaluation.trade_off import break_evens, cost_curve, pareto_front, points
 from armctl.report import cost_figures, figures, style
 from armctl.report.colours import TERM_COLOURS
 from armctl.report.profile import profile, profile_start
+from armctl.rollout.decision_times import Machines
+from armctl.stats.intervals import Estimate
+from armctl.stats.paired import Corrected, PairedDifference, corrected
+from armctl.stats.robustness import RobustnessRanking
+from armctl.study.curves import training_curves
+from armctl.study.results import Results
+from armctl.verdict.summary import PolicySummary
+from armctl.verdict.tables import p_value
+from armctl.verdict.trade_off import break_evens, cost_curve, pareto_front, points
 
 NOTHING = "\u2013"
 MOST_PAIRS = 6

@@ -6,10 +6,10 @@ import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 
-from armctl.evaluation.episode_table import EpisodeTable
-from armctl.evaluation.record import EpisodeResult
-from armctl.evaluation.statistics import performance_profile
+from armctl.episodes.record import EpisodeResult
+from armctl.episodes.table import EpisodeTable
 from armctl.report.style import SHARE_AXIS, Looks, add_band, add_line, framed
+from armctl.stats.intervals import performance_profile
 
 THRESHOLDS = 120
 """Most points of a line."""

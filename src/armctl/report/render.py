@@ -10,13 +10,13 @@ import jinja2
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
-from armctl.costs import TrainingCost, rounded
-from armctl.errors import ResultsError
-from armctl.evaluation.summary_tables import trained, trainings_in_words
-from armctl.files import write_atomically
+from armctl.agents.costs import TrainingCost, rounded
+from armctl.core.errors import ResultsError
+from armctl.core.files import write_atomically
 from armctl.report import style
 from armctl.report.colours import DARK, on_both
 from armctl.report.plots import mean, percent, spread
+from armctl.verdict.summary_tables import trained, trainings_in_words
 
 
 def write_page(out: Path, template: str, page: Mapping[str, Any]) -> None:

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 
 from armctl.agents import Evaluation
-from armctl.evaluation.reproduce import Reproduction
-from armctl.evaluation.tables import UNKNOWN, Cell, Column, Document, Remark, Table
+from armctl.study.reproduce import Reproduction
+from armctl.verdict.tables import UNKNOWN, Cell, Column, Document, Remark, Table
 
 COLUMNS = (
     Column("agent"), Column("on the card"), Column("now"), Column("agrees"), Column("episodes", optional=True),

@@ -8,7 +8,6 @@ import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 
-from armctl.evaluation.statistics import Estimate
 from armctl.report.colours import COLOURS, INK, PALE, PAPER
 from armctl.report.style import (
     SHARE_AXIS,
@@ -22,6 +21,7 @@ from armctl.report.style import (
     framed,
     with_rows,
 )
+from armctl.stats.intervals import Estimate
 
 CLASSICAL, LEARNED = Look("best classical", COLOURS[0]), Look("best learned", COLOURS[1])
 SYMBOLS = {

@@ -8,7 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from armctl.evaluation.across_tasks import (
+from armctl.report import style, suite_figures
+from armctl.report.colours import INK
+from armctl.report.plots import Plot
+from armctl.report.render import write_page
+from armctl.report.suite_figures import CLASSICAL, LEARNED, SYMBOLS, CostPoint
+from armctl.runtime.provenance import looks_in_words
+from armctl.stats.across_tasks import (
     Choice,
     League,
     cell_rates,
@@ -17,18 +23,12 @@ from armctl.evaluation.across_tasks import (
     mean_over_tasks,
     success_profile,
 )
-from armctl.evaluation.answers import CHOSEN, Answer
-from armctl.evaluation.provenance import looks_in_words
-from armctl.evaluation.statistics import Estimate
-from armctl.evaluation.suite import Suite, folder_of
-from armctl.evaluation.summary import PolicySummary
-from armctl.evaluation.summary_tables import SPARED
-from armctl.evaluation.sweep import UNDISTURBED, folder_name
-from armctl.report import style, suite_figures
-from armctl.report.colours import INK
-from armctl.report.plots import Plot
-from armctl.report.render import write_page
-from armctl.report.suite_figures import CLASSICAL, LEARNED, SYMBOLS, CostPoint
+from armctl.stats.intervals import Estimate
+from armctl.study.answers import CHOSEN, Answer
+from armctl.study.suite import Suite, folder_of
+from armctl.study.sweep import UNDISTURBED, folder_name
+from armctl.verdict.summary import PolicySummary
+from armctl.verdict.summary_tables import SPARED
 
 ALL_TASKS = "all tasks"
 THRESHOLDS = np.linspace(0.0, 1.0, 101)

@@ -14,9 +14,9 @@ from rich.console import Console, ConsoleOptions, RenderResult
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from armctl.console import PlainConsole
-from armctl.evaluation.notebook import Displayed
-from armctl.evaluation.tables import AGAINST, Cell, Document, Remark, Table
+from armctl.core.console import PlainConsole
+from armctl.verdict.notebook import Displayed
+from armctl.verdict.tables import AGAINST, Cell, Document, Remark, Table
 
 SHORTEST_NAME = 18
 """Characters that are left of a shortened name."""

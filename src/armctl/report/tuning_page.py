@@ -10,12 +10,12 @@ import plotly.graph_objects as go
 from optuna.importance import PedAnovaImportanceEvaluator
 from optuna.trial import TrialState
 
-from armctl.evaluation.tables import UNKNOWN, Cell, Column, Document, Remark, Table
 from armctl.report.colours import COLOURS
 from armctl.report.plots import Plot
 from armctl.report.render import write_page
 from armctl.report.style import dress
 from armctl.tuning import Tuned
+from armctl.verdict.tables import UNKNOWN, Cell, Column, Document, Remark, Table
 
 PAGE = "tuning.html"
 HEIGHT, MARGIN = 380, {"l": 56, "r": 16, "t": 24, "b": 48}

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
 from armctl import agents
+from armctl.core.errors import ArmctlError, ResultsError
+from armctl.core.registration import check_named
 from armctl.envs import ThirdPartyVectorEnv, check_from_file
-from armctl.errors import ArmctlError, ResultsError
-from armctl.evaluation.episode_table import table_of
-from armctl.evaluation.record import EpisodeResult
-from armctl.evaluation.results import Results
-from armctl.registration import check_named
+from armctl.episodes.record import EpisodeResult
+from armctl.episodes.table import table_of
 from armctl.simulation.rendering import Camera
+from armctl.study.results import Results
 from armctl.viewer.recording import check_frames
 from armctl.viewer.stage import Stage
 

@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio
 from numpy.typing import NDArray
 
-from armctl.errors import ConfigurationError, unknown_name
+from armctl.core.errors import ConfigurationError, unknown_name
 from armctl.kernels.drives import DRIVE
 from armctl.robot_description.capsules import Capsule, enclosing_capsule
 from armctl.robot_description.collision_pairs import Pair, pairs_worth_testing

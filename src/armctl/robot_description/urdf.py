@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio
 from numpy.typing import NDArray
 
-from armctl.errors import ConfigurationError, unknown_name
+from armctl.core.errors import ConfigurationError, unknown_name
 from armctl.robot_description.collision_pairs import FLOOR
 from armctl.robot_description.meshes import MeshError, Meshes
 from armctl.robot_description.xml_file import Element, read_xml

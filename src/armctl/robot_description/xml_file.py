@@ -3,8 +3,8 @@
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
-from armctl.errors import ConfigurationError
-from armctl.files import bounded_bytes
+from armctl.core.errors import ConfigurationError
+from armctl.core.files import bounded_bytes
 
 Element = ElementTree.Element
 

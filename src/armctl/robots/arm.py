@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.errors import unknown_name
+from armctl.core.errors import unknown_name
 from armctl.kernels.control_step import Drives
 from armctl.robot_description import ArmDescription
 from armctl.robot_description.capsules import Capsule

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 from armctl.kernels import bridge as kernel
 from armctl.scene.pedestrians import NO_PEDESTRIANS, PedestrianTrajectories
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 
 Array = NDArray[np.float64]
 

@@ -2,8 +2,8 @@
 
 from collections.abc import Callable
 
+from armctl.core.errors import unknown_name
 from armctl.envs import TaskVectorEnv
-from armctl.errors import unknown_name
 from armctl.tasks import Potential
 
 PotentialFactory = Callable[[TaskVectorEnv], Potential]

@@ -15,8 +15,8 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
+from armctl.core.errors import ConfigurationError
 from armctl.envs import TaskEnv, TaskVectorEnv
-from armctl.errors import ConfigurationError
 from armctl.shaping.potentials import PotentialFactory, make_potential
 
 Array = NDArray[np.float64]

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 
 _NO_GRAPHICS = (
     "images need OpenGL, and MuJoCo found none ({cause}). On Debian or Ubuntu: apt-get install libegl1 "

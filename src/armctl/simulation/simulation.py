@@ -12,7 +12,7 @@ import numpy as np
 from mujoco.batch import MODEL_FIELDS, Batch
 from numpy.typing import NDArray
 
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 from armctl.kernels.control_step import Worlds
 from armctl.simulation.control_step import Stepper
 from armctl.simulation.impacts import hard_impact

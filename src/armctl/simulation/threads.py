@@ -4,7 +4,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 
 LIMIT = "ARMCTL_THREADS"
 """Environment variable with the largest number of threads; without it, all cores that the process may use."""

@@ -12,9 +12,9 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.core.errors import ConfigurationError
+from armctl.core.options import options
 from armctl.disturbances import GENERIC, DisturbanceSpec
-from armctl.errors import ConfigurationError
-from armctl.options import options
 from armctl.robots.joints import JointSamples
 from armctl.simulation import Simulation
 
@@ -211,7 +211,7 @@ class Task(TaskFacts):
     """
 
     options_type: ClassVar[type[Any]] = NoOptions
-    """Dataclass of the options, with defaults. The decorator `armctl.options.options` makes it check its values."""
+    """Dataclass of the options, with defaults. `armctl.core.options.options` makes it check its values."""
     outcomes: ClassVar[type[Outcome]]
     """How episodes can end: `TIMEOUT = 0`, then 1, 2 and so on."""
     default_policies: ClassVar[tuple[str, ...]] = ("random",)

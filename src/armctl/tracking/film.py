@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from armctl.seeds import VALIDATION_SEED
+from armctl.core.seeds import VALIDATION_SEED
 from armctl.viewer.recording import recording
 from armctl.viewer.stage import Stage
 

@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import Any
 
 from armctl.agents import read_card
-from armctl.errors import FAILURES, ResultsError, described
-from armctl.evaluation.curves import CURVE, read_curve
-from armctl.files import bounded_text, inside, write_atomically
-from armctl.learners import Recipe
+from armctl.core.errors import FAILURES, ResultsError, described
+from armctl.core.files import bounded_text, inside, write_atomically
+from armctl.study.curves import CURVE, read_curve
 from armctl.tracking.film import film_agent
 from armctl.tracking.tracker import Ending, Tracker, load_tracker
+from armctl.training.learners import Recipe
 
 FOLDER = "tracking"
 """In a training's folder: what trackers were given, their own files, and the video."""

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from armctl.errors import missing_extra
+from armctl.core.errors import missing_extra
 from armctl.tracking.tracker import PROJECT, Ending, Tracker
 
 try:

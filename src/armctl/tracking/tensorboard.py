@@ -14,7 +14,7 @@ from typing import Any
 import imageio
 from PIL import Image
 
-from armctl.errors import missing_extra
+from armctl.core.errors import missing_extra
 from armctl.tracking.tracker import Ending, Tracker
 
 try:

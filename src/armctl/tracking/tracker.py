@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-from armctl.errors import FAILURES, ConfigurationError, described, unknown_name
-from armctl.registration import installed
+from armctl.core.errors import FAILURES, ConfigurationError, described, unknown_name
+from armctl.core.registration import installed
 
 TRACKERS = "armctl.trackers"
 PROJECT = "armctl"

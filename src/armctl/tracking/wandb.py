@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-from armctl.errors import missing_extra
+from armctl.core.errors import missing_extra
 from armctl.tracking.tracker import PROJECT, Ending, Tracker
 
 try:

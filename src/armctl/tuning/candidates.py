@@ -12,15 +12,11 @@ from typing import Any, Literal
 
 import numpy as np
 
+from armctl.core.errors import ConfigurationError, ResultsError, unknown_name
+from armctl.core.files import read_toml
+from armctl.core.search_space import Range, SearchSpace, search_space, value_at, with_values
 from armctl.envs import full_id, new_policy_seed, task_of
-from armctl.errors import ConfigurationError, ResultsError, unknown_name
-from armctl.evaluation.curves import CURVE, read_curve
-from armctl.evaluation.failures import unless_failed
-from armctl.evaluation.identity import checksums_of_code
-from armctl.evaluation.rollouts import build_policy, rollouts
-from armctl.evaluation.seeds import VALIDATION_SEED
-from armctl.files import read_toml
-from armctl.learners import Recipe, load_recipe, recipe_names
+from armctl.episodes.failures import unless_failed
 from armctl.policies import (
     SUFFIX,
     PolicyConfiguration,
@@ -28,8 +24,12 @@ from armctl.policies import (
     configurations,
     read_configuration,
 )
-from armctl.search_space import Range, SearchSpace, search_space, value_at, with_values
-from armctl.training import code_of, finished, for_sending, train_here
+from armctl.rollout.rollouts import build_policy, rollouts
+from armctl.rollout.seeds import VALIDATION_SEED
+from armctl.runtime.identity import checksums_of_code
+from armctl.study.curves import CURVE, read_curve
+from armctl.training.learners import Recipe, load_recipe, recipe_names
+from armctl.training.run import code_of, finished, for_sending, train_here
 
 RECIPE_KEYS = ("options", "shaping_scale", "reward_weights", "training_options")
 POLICY_KEYS = ("options",)

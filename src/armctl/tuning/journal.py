@@ -19,10 +19,10 @@ from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
 
-from armctl.errors import ResultsError
-from armctl.evaluation.identity import checksum_of_core, differences
-from armctl.evaluation.provenance import versions
-from armctl.files import LOCK, bounded_text, inside, open_without_links, sealed, unsealed, write_atomically
+from armctl.core.errors import ResultsError
+from armctl.core.files import LOCK, bounded_text, inside, open_without_links, sealed, unsealed, write_atomically
+from armctl.runtime.identity import checksum_of_core, differences
+from armctl.runtime.provenance import versions
 from armctl.tuning.candidates import Candidate
 
 JOURNAL, TUNING, PROCESSES = "journal.log", "tuning.json", "processes"

@@ -11,11 +11,11 @@ import optuna
 import tomli_w
 from optuna.trial import FrozenTrial, TrialState
 
-from armctl.errors import ConfigurationError, ResultsError
-from armctl.evaluation.engines import Cluster, Engine, engine_of
-from armctl.evaluation.trials import TRIALS, add_trial, trial
-from armctl.files import inside, write_atomically
-from armctl.search_space import with_values
+from armctl.core.errors import ConfigurationError, ResultsError
+from armctl.core.files import inside, write_atomically
+from armctl.core.search_space import with_values
+from armctl.runtime.engines import Cluster, Engine, engine_of
+from armctl.training.trials import TRIALS, add_trial, trial
 from armctl.tuning.candidates import Candidate
 from armctl.tuning.journal import FOLDER, PROCESS, joined
 from armctl.tuning.trials import Measured, distributions, measure, measure_away

@@ -18,9 +18,9 @@ from optuna.distributions import (
 from optuna.pruners import MedianPruner
 from optuna.trial import FrozenTrial
 
-from armctl.errors import FAILURES, described
-from armctl.evaluation.workers import check_alike
-from armctl.search_space import Range, SearchSpace
+from armctl.core.errors import FAILURES, described
+from armctl.core.search_space import Range, SearchSpace
+from armctl.runtime.workers import check_alike
 from armctl.tuning.candidates import Candidate, Pruned
 
 STARTUP_TRIALS = 5

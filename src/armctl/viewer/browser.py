@@ -21,8 +21,8 @@ from mujoco.studio import launch_thread, messages, plugin, sim, ux, viewer_proto
 from mujoco.studio.dear_imgui import dear_imgui as imgui
 from numpy.typing import NDArray
 
+from armctl.core.errors import ArmctlError, ConfigurationError
 from armctl.envs import ThirdPartyVectorEnv
-from armctl.errors import ArmctlError, ConfigurationError
 from armctl.policies import policy_names
 from armctl.simulation.scenery import STATE, Scenery, polyline
 from armctl.viewer.guard import Guard, OwnProcessListener, guarded, unguarded

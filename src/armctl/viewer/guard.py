@@ -19,7 +19,7 @@ from mujoco.studio.web import web_server
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.http11 import Request, Response
 
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 
 NAMES = ("localhost", "127.0.0.1")
 """Of this machine, as browsers write them. Another name that leads here is somebody's DNS rebinding."""

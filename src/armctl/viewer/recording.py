@@ -9,9 +9,9 @@ import imageio
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.core.errors import ConfigurationError, ResultsError
+from armctl.core.files import write_atomically
 from armctl.datasets.pictures import count_frames
-from armctl.errors import ConfigurationError, ResultsError
-from armctl.files import write_atomically
 
 Film = Callable[[NDArray[np.uint8]], None]
 VIDEO_FORMATS = (".mp4", ".mkv", ".mov", ".avi")

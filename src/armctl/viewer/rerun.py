@@ -13,10 +13,10 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.core.errors import ResultsError, missing_extra
+from armctl.core.files import write_atomically
 from armctl.datasets.pictures import bounds_of, is_image
 from armctl.envs import EpisodeVectorEnv, ThirdPartyVectorEnv
-from armctl.errors import ResultsError, missing_extra
-from armctl.files import write_atomically
 from armctl.tasks import Observations
 from armctl.viewer.recording import check_writable
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.envs import chosen_policy_seed
-from armctl.evaluation.rollouts import wrap_environment_errors, wrap_policy_errors
 from armctl.policies import Plans, Policy, WorldsByInterface, make_policy
+from armctl.rollout.rollouts import wrap_environment_errors, wrap_policy_errors
 
 Array = NDArray[np.float64]
 

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from rich.text import Text
 
-from armctl.console import PlainConsole
-from armctl.errors import ConfigurationError
-from armctl.evaluation.rollouts import wrap_environment_errors, wrap_policy_errors
+from armctl.core.console import PlainConsole
+from armctl.core.errors import ConfigurationError
 from armctl.policies import Plans, Policy, WorldsByInterface, make_policy
+from armctl.rollout.rollouts import wrap_environment_errors, wrap_policy_errors
 from armctl.viewer.recording import Film, check_video, recording
 from armctl.viewer.rerun import EpisodeLog, check_rerun, rerun_log
 

@@ -7,7 +7,7 @@ import sys
 import mujoco
 from mujoco.studio import messages, sim
 
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 from armctl.viewer.browser import Frame, Play, Player, rows_of
 
 SPACE, RIGHT, AGAIN, NEXT = 32, 262, ord("R"), ord("N")

@@ -9,8 +9,8 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_env_for_stable_baselines
 
+from armctl.core.errors import ConfigurationError, InvalidAction
 from armctl.envs import task_of
-from armctl.errors import ConfigurationError, InvalidAction
 from armctl.robots.rover import PARTS, RADIUS
 from armctl.tasks.bridge import bridge
 from armctl.tasks.bridge.layout import CLEARANCE, sample_layout

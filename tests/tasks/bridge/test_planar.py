@@ -4,8 +4,8 @@ import gymnasium
 import numpy as np
 import pytest
 
+from armctl.core.errors import ConfigurationError
 from armctl.envs import make_worlds
-from armctl.errors import ConfigurationError
 
 MOVING = "armctl/BridgeCrossMoving-v0"
 

@@ -11,13 +11,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from armctl.core.seeds import DEVELOPMENT_SEED, TEST_SEED, TRAINING_SEEDS, VALIDATION_SEED
 from armctl.disturbances import episode_entropy
 from armctl.envs import TaskVectorEnv
 from armctl.kinematics import ArmModel, Workspace
 from armctl.planning import PathCertificate
 from armctl.robot_description import load_arm
 from armctl.scene import BOX_NUMBERS, Boxes
-from armctl.seeds import DEVELOPMENT_SEED, TEST_SEED, TRAINING_SEEDS, VALIDATION_SEED
 from armctl.tasks import ReachObstaclesOptions, ReachObstaclesTask
 from armctl.tasks.reach import layout_pool, make_layout_pool, read_boxes
 from armctl.tasks.reach.layout_pool import (

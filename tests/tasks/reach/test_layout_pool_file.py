@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from armctl.core.errors import ConfigurationError
 from armctl.envs import TaskVectorEnv
-from armctl.errors import ConfigurationError
 from armctl.scene import BOX_NUMBERS
 from armctl.tasks import ReachObstaclesTask
 from armctl.tasks.reach import make_layout_pool

@@ -3,7 +3,7 @@ import time
 import numpy as np
 import pytest
 
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 from armctl.kinematics import ArmModel, Workspace
 from armctl.tasks.reach import obstacle_layout
 from armctl.tasks.reach.obstacle_layout import HOME_MARGIN, MOST_OBSTACLES, TARGET_MARGIN, sample_layout

@@ -2,8 +2,8 @@ import gymnasium
 import numpy as np
 import pytest
 
+from armctl.core.errors import ConfigurationError
 from armctl.envs import TaskVectorEnv
-from armctl.errors import ConfigurationError
 from armctl.kinematics import ArmModel
 from armctl.planning import ArmPlanner, PathCertificate, PathCertificateOptions
 from armctl.scene import BOX_NUMBERS

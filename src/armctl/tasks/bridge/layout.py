@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 from armctl.robots.rover import RADIUS
 from armctl.scene import BridgeMap, PedestrianTrajectories
 from armctl.tasks.bridge.world import (

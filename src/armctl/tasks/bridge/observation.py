@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 from armctl.robots.rover import CAMERA, GEOM_GROUP
 from armctl.scene import PedestrianTrajectories
 from armctl.simulation import Camera, RayCamera, Simulation

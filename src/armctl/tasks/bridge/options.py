@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, Strict
 
-from armctl.errors import ConfigurationError
-from armctl.options import options
+from armctl.core.errors import ConfigurationError
+from armctl.core.options import options
 from armctl.tasks.bridge.state import REWARD, Term
 
 CONTROL_PERIOD = 0.1

@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armctl.errors import ConfigurationError
-from armctl.files import bounded_bytes, digest
+from armctl.core.errors import ConfigurationError
+from armctl.core.files import bounded_bytes, digest
+from armctl.core.seeds import DEVELOPMENT_SEED, TEST_SEED, TRAINING_SEEDS, VALIDATION_SEED
 from armctl.robot_description import ArmDescription
 from armctl.scene import BOX_NUMBERS
-from armctl.seeds import DEVELOPMENT_SEED, TEST_SEED, TRAINING_SEEDS, VALIDATION_SEED
 from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES
 
 POOL_FILE = Path(__file__).with_name("layout_pool.npz")

@@ -18,9 +18,9 @@ import typer
 from numpy.typing import NDArray
 from rich.progress import Progress
 
-from armctl.console import PlainConsole
+from armctl.core.console import PlainConsole
+from armctl.core.files import write_atomically
 from armctl.disturbances import episode_entropy
-from armctl.files import write_atomically
 from armctl.kinematics import ArmModel, Workspace
 from armctl.planning import PathCertificate
 from armctl.robot_description import load_arm

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from armctl.errors import ConfigurationError
-from armctl.options import options
+from armctl.core.errors import ConfigurationError
+from armctl.core.options import options
 from armctl.robot_description.joint_profiles import TICK
 from armctl.tasks.reach.observation import FEATURES, HIDDEN, OBSERVATION, Bounds, rotated
 from armctl.tasks.reach.options import ReachOptions, Terms

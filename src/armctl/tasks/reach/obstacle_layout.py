@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError
 from armctl.kinematics import Workspace
 from armctl.planning import PathCertificate
 from armctl.scene import Boxes

@@ -13,9 +13,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.core.options import options
 from armctl.disturbances import episode_of
 from armctl.kinematics.clearance import Clearance
-from armctl.options import options
 from armctl.planning import PathCertificate
 from armctl.robot_description import ArmDescription
 from armctl.robots.arm import PREFIX, add_collision_pair, build_arm_world, collision_geom

@@ -7,8 +7,8 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator, Field, Strict
 
-from armctl.errors import ConfigurationError
-from armctl.options import options
+from armctl.core.errors import ConfigurationError
+from armctl.core.options import options
 from armctl.robot_description import ArmDescription
 from armctl.tasks.reach.observation import OBSERVATIONS, WITHOUT_GOAL
 from armctl.tasks.reach.state import GOAL_REWARD, REWARD, Term

@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.core.errors import ConfigurationError
 from armctl.disturbances import ARM
-from armctl.errors import ConfigurationError
 from armctl.kernels.control_step import Watch, distances_as_observed
 from armctl.kinematics import THOROUGH, ArmModel, MinimumTimeReach, Workspace
 from armctl.robot_description import ArmDescription, load_arm

@@ -1,0 +1,25 @@
+"""Learned agents as files: an ONNX graph and a JSON card with its costs and lineage."""
+
+from armctl.agents.agent import (
+    FILES,
+    INPUT,
+    NEXT,
+    OUTPUT,
+    AgentCard,
+    Ancestor,
+    Conversion,
+    Evaluation,
+    OnnxPolicy,
+    distinct,
+    inputs,
+    load_agent,
+    read_agent,
+    read_card,
+    sha256,
+    shapes,
+)  # fmt: skip
+
+__all__ = [
+    "FILES", "INPUT", "NEXT", "OUTPUT", "AgentCard", "Ancestor", "Conversion", "Evaluation", "OnnxPolicy", "distinct",
+    "inputs", "load_agent", "read_agent", "read_card", "sha256", "shapes",
+]  # fmt: skip

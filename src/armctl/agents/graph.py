@@ -1,0 +1,235 @@
+"""An agent's ONNX graph: what is accepted from a stranger, and what makes it act alike in any number of worlds.
+
+A graph is data: it has standard operators without control flow, all of its numbers are in its own file, and the sizes
+of all arrays are known beforehand.
+"""
+
+import math
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import onnxruntime
+from numpy.typing import NDArray
+from onnx import AttributeProto, ModelProto, NodeProto, TensorProto, ValueInfoProto
+
+from armctl.core.errors import AgentFileError, nearest
+from armctl.core.files import bounded_bytes
+
+DTYPES = {
+    "tensor(float)": np.float32, "tensor(double)": np.float64, "tensor(bool)": np.bool_, "tensor(uint8)": np.uint8,
+    "tensor(int8)": np.int8, "tensor(int16)": np.int16, "tensor(int32)": np.int32, "tensor(int64)": np.int64,
+}  # fmt: skip
+"""NumPy's types for onnxruntime's."""
+LARGEST_FILE = 2**28
+"""Bytes."""
+MOST_NODES = 10_000
+MOST_NUMBERS = 50_000_000
+"""In all arrays that a graph computes for two worlds."""
+MOST_SLICES = 100
+MOST_WORK = 2_000_000_000
+"""Multiplications in products, convolutions and recurrent layers for two worlds."""
+LONGEST_TRIAL = 10.0
+"""s, of one control step."""
+
+OPERATORS = frozenset({
+    "Abs", "Add", "And", "ArgMax", "ArgMin", "AveragePool", "BatchNormalization", "Cast", "Ceil", "Clip", "Concat",
+    "Constant", "ConstantOfShape", "Conv", "Cos", "Div", "Elu", "Equal", "Erf", "Exp", "Expand", "Flatten", "Floor",
+    "GRU", "Gather", "GatherElements", "Gelu", "Gemm", "GlobalAveragePool", "Greater", "GreaterOrEqual", "HardSigmoid",
+    "HardSwish", "Identity", "LSTM", "LayerNormalization", "LeakyRelu", "Less", "LessOrEqual", "Log", "LogSoftmax",
+    "MatMul", "Max", "MaxPool", "Mean", "Min", "Mish", "Mul", "Neg", "Not", "OneHot", "Or", "PRelu", "Pad", "Pow",
+    "RNN", "Range", "Reciprocal", "ReduceL1", "ReduceL2", "ReduceLogSumExp", "ReduceMax", "ReduceMean", "ReduceMin",
+    "ReduceProd", "ReduceSum", "ReduceSumSquare", "Relu", "Reshape", "Round", "Selu", "Shape", "Sigmoid", "Sign",
+    "Sin", "Slice", "Softmax", "Softplus", "Softsign", "Split", "Sqrt", "Squeeze", "Sub", "Sum", "Tan", "Tanh",
+    "ThresholdedRelu", "Tile", "TopK", "Transpose", "Trilu", "Unsqueeze", "Where", "Xor",
+})  # fmt: skip
+"""Operators of agents: without control flow, and for each world alone whatever the number of worlds."""
+SAME_SIZE = {"Flatten", "Identity", "Reshape", "Squeeze", "Transpose", "Unsqueeze"}
+"""Operators whose result has as many numbers as their first input."""
+MIXING = {"ReduceMean", "ReduceSum"}
+"""Operators that onnxruntime rounds by the number of worlds. With one of these, each world is computed alone."""
+TOGETHER = 4
+"""Numbers that onnxruntime computes with one instruction. It rounds a rest of fewer numbers differently."""
+
+
+class AgentGraph:
+    """A checked graph, ready to run. Raises `AgentFileError` for a file that is not acceptable."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        model = _read(path)
+        _check_operators(model, path)
+        _check_sizes(model, path)
+        self.numbers = {tensor.name: onnx.numpy_helper.to_array(tensor) for tensor in model.graph.initializer}
+        """Its constants, by name."""
+        self._alone = any(node.op_type in MIXING for node in model.graph.node)
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = 1
+        options.log_severity_level = 4
+        try:
+            self._session = onnxruntime.InferenceSession(
+                model.SerializeToString(),
+                options,
+                ["CPUExecutionProvider"],
+                disabled_optimizers=["ConstantFolding"],  # it computes, and without an end
+            )
+        except Exception as error:  # onnxruntime raises many kinds of exceptions for broken files
+            raise _refused(path, f"onnxruntime cannot run it: {error}") from error
+        self.dtypes = {value.name: DTYPES.get(value.type) for value in self._session.get_inputs()}
+        """Types of the inputs, by name."""
+        self.outputs = [value.name for value in self._session.get_outputs()]
+        self._try()
+
+    def run(self, arrays: dict[str, NDArray[Any]], **options: Any) -> list[NDArray[Any]]:
+        """The outputs (n, ...) for the inputs (n, ...). A world's outputs do not depend on the number of worlds."""
+        worlds = len(next(iter(arrays.values())))
+        if self._alone and worlds > 1:
+            rows = [self.run({name: values[i : i + 1] for name, values in arrays.items()}) for i in range(worlds)]
+            return [np.concatenate(outputs) for outputs in zip(*rows, strict=True)]
+        if missing := -worlds % TOGETHER:
+            arrays = {
+                name: np.concatenate((values, values[-1:].repeat(missing, axis=0))) for name, values in arrays.items()
+            }
+        return [np.asarray(values)[:worlds] for values in self._session.run(self.outputs, arrays, **options)]
+
+    def _try(self) -> None:
+        """One control step of two worlds, with an end."""
+        zeros = {
+            value.name: np.zeros([2, *value.shape[1:]], dtype=self.dtypes[value.name])
+            for value in self._session.get_inputs()
+        }
+        limit = onnxruntime.RunOptions()
+        clock = threading.Timer(LONGEST_TRIAL, setattr, (limit, "terminate", True))
+        clock.start()
+        try:
+            self.run(zeros, run_options=limit)
+        except Exception as error:
+            slow = f"a control step takes more than {LONGEST_TRIAL:g} s"
+            raise _refused(self._path, slow if limit.terminate else f"onnxruntime cannot run it: {error}") from error
+        finally:
+            clock.cancel()
+
+
+def _read(path: Path) -> ModelProto:
+    try:
+        return onnx.load_model_from_string(bounded_bytes(path, LARGEST_FILE))
+    except OSError as error:
+        raise AgentFileError(f"the agent's graph {path} cannot be read: {error.strerror}") from error
+    except Exception as error:  # protobuf's, which is no dependency of ours
+        raise _refused(path, str(error)) from error
+
+
+def _check_operators(model: ModelProto, path: Path) -> None:
+    """Standard operators only, without subgraphs, functions and files beside."""
+    graph = model.graph
+    if model.functions or graph.sparse_initializer or len(graph.node) > MOST_NODES:
+        raise _refused(path, f"an agent has no functions, no sparse arrays and up to {MOST_NODES} nodes")
+    for node in graph.node:
+        if node.domain not in ("", "ai.onnx") or node.op_type not in OPERATORS:
+            name = f"{node.domain}.{node.op_type}" if node.domain else node.op_type
+            raise _refused(path, f"agents do not use the operator {name!r}.{nearest(node.op_type, OPERATORS)}")
+        if any(kind.type in (AttributeProto.GRAPH, AttributeProto.GRAPHS) for kind in node.attribute):
+            raise _refused(path, f"its operator {node.op_type} has a graph inside")
+    if any(tensor.data_location == TensorProto.EXTERNAL for tensor in _tensors(model)):
+        raise _refused(path, "some of its numbers are in another file")
+
+
+def _tensors(model: ModelProto) -> Iterator[TensorProto]:
+    yield from model.graph.initializer
+    for node in model.graph.node:
+        for attribute in node.attribute:
+            yield attribute.t
+            yield from attribute.tensors
+
+
+def _check_sizes(model: ModelProto, path: Path) -> None:
+    """All arrays have sizes that are known beforehand, and are not too large together."""
+    two_worlds = ModelProto()
+    two_worlds.CopyFrom(model)
+    initialised = {tensor.name for tensor in model.graph.initializer}
+    for value in two_worlds.graph.input:
+        if value.name not in initialised and (dims := value.type.tensor_type.shape.dim):
+            dims[0].dim_value = 2
+    for output in two_worlds.graph.output:
+        output.type.tensor_type.ClearField("shape")  # it names the number of worlds
+    del two_worlds.graph.value_info[:]  # what the file says of sizes in between
+    _check_slices(two_worlds, path)
+    graph = _inferred(two_worlds, path).graph
+    values = (*graph.input, *graph.value_info, *graph.output)
+    shapes = {value.name: _shape(value) for value in values} | {one.name: list(one.dims) for one in graph.initializer}
+    unknown = [value.name for value in graph.input if shapes[value.name] is None]
+    numbers = work = 0
+    for node in graph.node:
+        given = [shapes.get(name) for name in node.input]
+        for name in filter(None, node.output):
+            if shapes.get(name) is None and node.op_type in SAME_SIZE and given[0] is not None:
+                shapes[name] = [math.prod(given[0])]
+            shape = shapes.get(name)
+            unknown += [name] if shape is None else []
+            numbers += math.prod(shape or [0])
+            work += _work(node, given, shape or [0])
+    if unknown:
+        raise _refused(path, f"the size of {unknown[0]!r} is not known beforehand")
+    if numbers > MOST_NUMBERS or work > MOST_WORK:
+        raise _refused(
+            path,
+            f"for two worlds, it computes {numbers:,} numbers with {work:,} multiplications, more than "
+            f"{MOST_NUMBERS:,} or {MOST_WORK:,}",
+        )
+
+
+def _work(node: NodeProto, given: list[list[int] | None], result: list[int]) -> int:
+    """At most so many multiplications for one of a node's results; 0 for operators that need about one a number."""
+    sizes = [math.prod(shape or [0]) for shape in given]
+    match node.op_type:
+        case "MatMul" | "Gemm":
+            return math.prod(result) * max(given[0] or [0])
+        case "Conv":
+            return math.prod(result) * math.prod((given[1] or [0])[1:])
+        case "MaxPool" | "AveragePool":
+            kernels = [attribute.ints for attribute in node.attribute if attribute.name == "kernel_shape"]
+            return math.prod(result) * math.prod(int(size) for kernel in kernels for size in kernel)
+        case "LSTM" | "GRU" | "RNN":
+            return (sizes[1] + sizes[2]) * math.prod((given[0] or [0])[:2])
+    return 0
+
+
+def _check_slices(model: ModelProto, path: Path) -> None:
+    """What is sliced has no empty or negative dimension: inferring the shape of such a slice ends the process."""
+    nodes = model.graph.node
+    slices = [i for i, node in enumerate(nodes) if node.op_type == "Slice"]
+    if len(slices) > MOST_SLICES:
+        raise _refused(path, f"it has {len(slices):,} slices, more than {MOST_SLICES}")
+    if any(size < 0 for tensor in _tensors(model) for size in tensor.dims):
+        raise _refused(path, "one of its arrays has a negative size")
+    for i in slices:
+        before = ModelProto()
+        before.CopyFrom(model)
+        del before.graph.node[i:], before.graph.output[:]
+        graph = _inferred(before, path).graph
+        dims = {tensor.name: list(tensor.dims) for tensor in graph.initializer}
+        for value in (*graph.input, *graph.value_info):
+            dims[value.name] = [dim.dim_value for dim in value.type.tensor_type.shape.dim]
+        if nodes[i].input and any(size < 1 for size in dims.get(nodes[i].input[0], [0])):
+            raise _refused(path, f"it slices {nodes[i].input[0]!r}, of which a dimension is empty or unknown")
+
+
+def _inferred(model: ModelProto, path: Path) -> ModelProto:
+    try:
+        return onnx.shape_inference.infer_shapes(model, check_type=True, strict_mode=True, data_prop=True)
+    except Exception as error:  # onnx raises several kinds
+        raise _refused(path, f"its shapes do not fit together: {error}") from error
+
+
+def _shape(value: ValueInfoProto) -> list[int] | None:
+    kind = value.type.tensor_type
+    if not kind.HasField("shape") or not all(dim.HasField("dim_value") for dim in kind.shape.dim):
+        return None
+    return [int(dim.dim_value) for dim in kind.shape.dim]
+
+
+def _refused(path: Path, why: str) -> AgentFileError:
+    return AgentFileError(f"{path} is not an ONNX graph that armctl runs: {why}")

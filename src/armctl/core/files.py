@@ -1,0 +1,180 @@
+"""Files that are replaced as a whole, folders with one writer at a time, and names that may become files.
+
+A results folder may come from a stranger: nothing in it is written through a symbolic link.
+"""
+
+import contextlib
+import hashlib
+import json
+import math
+import os
+import re
+import stat
+import tempfile
+import tomllib
+from collections.abc import Callable, Iterator, Mapping
+from importlib.resources.abc import Traversable
+from io import BufferedReader
+from pathlib import Path
+from typing import Any
+
+import filelock
+
+from armctl.core.errors import ConfigurationError, ResultsError
+
+LOCK = ".lock"
+UNFINISHED = ".armctl-unfinished-"
+"""What the name of a file begins with until it is whole."""
+LARGEST_TEXT = 64 * 2**20
+"""Bytes of a JSON or TOML file that armctl reads."""
+LONGEST_NAME = 100
+"""Characters of a name that may become a file's or a folder's."""
+CHECKSUM = "checksum"
+"""The key of a JSON file's checksum of its other entries."""
+_NAME = re.compile(r"\w[\w. +=-]*")
+
+
+def write_atomically(path: Path, content: str | Callable[[Path], object]) -> None:
+    """Write a text, or what a function writes to the path it is given. A reader finds the old file or the new one.
+
+    Raises `OSError`, or what the function raises, and leaves the old file as it was.
+    """
+    with tempfile.NamedTemporaryFile(prefix=UNFINISHED, suffix=path.suffix, dir=path.parent, delete=False) as made:
+        unfinished = Path(made.name)
+    try:
+        if isinstance(content, str):
+            unfinished.write_text(content, encoding="utf-8", newline="")
+        else:
+            content(unfinished)
+        with unfinished.open("rb") as file:
+            os.fsync(file.fileno())
+        unfinished.chmod(0o666 & ~_umask())
+        unfinished.replace(path)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            unfinished.unlink()
+        raise
+
+
+def _umask() -> int:
+    mask = os.umask(0o077)
+    os.umask(mask)
+    return mask
+
+
+def bounded_text(path: Path, largest: int = LARGEST_TEXT) -> str:
+    """The text of a regular file of at most `largest` bytes. Raises `OSError` or `ValueError`."""
+    return bounded_bytes(path, largest).decode("utf-8")
+
+
+def bounded_bytes(path: Path, largest: int) -> bytes:
+    """The content of a regular file of at most `largest` bytes. Raises `OSError` or `ValueError`."""
+    with opened_regular(path, largest) as file:
+        return file.read(largest)
+
+
+def read_toml(file: Traversable, what: str) -> dict[str, Any]:
+    """The values of a TOML file, `what` in words. Raises `ConfigurationError`."""
+    try:
+        return tomllib.loads(bounded_text(file) if isinstance(file, Path) else file.read_text("utf-8"))
+    except OSError as error:
+        raise ConfigurationError(f"the {what} {file} cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise ConfigurationError(f"{file} is not TOML: {error}") from error
+    except RecursionError:
+        raise ConfigurationError(f"{file} is nested too deeply for a {what}") from None
+
+
+def file_checksum(path: Path, largest: float = math.inf) -> str:
+    """SHA-256 checksum of a regular file of at most `largest` bytes. Raises `OSError` or `ValueError`."""
+    with opened_regular(path, largest) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+@contextlib.contextmanager
+def opened_regular(path: Path, largest: float = math.inf) -> Iterator[BufferedReader]:
+    """A regular file of at most `largest` bytes, to be read. Raises `OSError` or `ValueError`."""
+    with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
+        about = os.fstat(file.fileno())
+        if not stat.S_ISREG(about.st_mode):
+            raise ValueError(f"{path} is not a regular file")
+        if about.st_size > largest:
+            raise ValueError(f"{path} has {about.st_size:,} bytes, more than the {largest:,} that armctl reads")
+        yield file
+
+
+def open_without_links(path: str, flags: int) -> int:
+    """An opener for `open` that refuses symbolic links with `OSError`."""
+    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
+
+
+def inside(folder: Path, name: str) -> Path:
+    """A folder in another one. Raises `ResultsError` if it is a symbolic link, which may lead elsewhere."""
+    if (folder / name).is_symlink():
+        raise ResultsError(f"{folder / name} is a symbolic link, through which nothing is written")
+    return folder / name
+
+
+@contextlib.contextmanager
+def one_writer(folder: Path) -> Iterator[None]:
+    """Make a folder, and keep other processes from writing to it. A process that dies releases it.
+
+    What a process that was killed left unfinished there is removed.
+
+    Raises `ResultsError` if another process writes there, or if the folder cannot be made or written to.
+    """
+    lock = filelock.FileLock(folder / LOCK)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock.acquire(timeout=0)
+    except filelock.Timeout:
+        raise ResultsError(
+            f"another process writes to {folder}: wait until it has finished, or choose another folder"
+        ) from None
+    except OSError as error:
+        raise ResultsError(f"{folder} cannot be written to: {error.strerror}") from error
+    with lock:
+        for unfinished in folder.glob(f"{UNFINISHED}*"):
+            with contextlib.suppress(OSError):
+                unfinished.unlink()
+        yield
+
+
+def sealed(values: Mapping[str, Any]) -> str:
+    """A JSON text with a checksum of its values, which `unsealed` checks: a changed digit is noticed."""
+    return json.dumps({**values, CHECKSUM: digest(values)}, indent=2) + "\n"
+
+
+def unsealed(text: str | bytes) -> dict[str, Any]:
+    """The values of a text that `sealed` made. Raises `ValueError` if it was changed, or is something else."""
+    try:
+        values = json.loads(text)
+        json.dumps(values, ensure_ascii=False).encode()  # halves of characters can be written nowhere
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+    if not isinstance(values, dict) or CHECKSUM not in values:
+        raise ValueError(f"it has no {CHECKSUM}")
+    claimed = values.pop(CHECKSUM)
+    if claimed != digest(values):
+        raise ValueError(f"its values do not have the {CHECKSUM} {claimed}: it was changed, or damaged")
+    return values
+
+
+def digest(values: Any) -> str:
+    """A short checksum of JSON values."""
+    return short_checksum(json.dumps(values, sort_keys=True).encode())
+
+
+def short_checksum(content: bytes) -> str:
+    """The first 16 digits of the SHA-256 checksum of some bytes."""
+    return hashlib.sha256(content).hexdigest()[:16]
+
+
+def checked_name(kind: str, name: str) -> str:
+    """A name that can safely become part of a path. Raises `ConfigurationError`."""
+    if not _NAME.fullmatch(name) or len(name) > LONGEST_NAME:
+        raise ConfigurationError(
+            f"{name[:LONGEST_NAME]!r} cannot be the name of a {kind}: names begin with a letter or digit, and have up "
+            f"to {LONGEST_NAME} letters, digits, spaces and . _ + = -"
+        )
+    return name

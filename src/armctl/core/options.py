@@ -1,0 +1,110 @@
+"""Options: dataclasses that check what they are given, and how options are written as text."""
+
+import ast
+import dataclasses
+import functools
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeVar, dataclass_transform
+
+import pydantic
+from pydantic import ConfigDict, ValidationError
+
+from armctl.core.errors import ConfigurationError, UnknownOption, unknown_name
+
+Options = TypeVar("Options")
+Model = TypeVar("Model", bound=pydantic.BaseModel)
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(dataclasses.field,))
+def options(cls: type[Options]) -> type[Options]:
+    """Decorator: a frozen dataclass that checks its fields' types and bounds, as pydantic does, strictly.
+
+    What does not fit raises `ConfigurationError`, which names the option, what is allowed, and the value.
+    """
+    config = ConfigDict(strict=True, arbitrary_types_allowed=True, allow_inf_nan=False)
+    made: Any = pydantic.dataclasses.dataclass(cls, frozen=True, config=config)
+    checked = made.__init__
+
+    @functools.wraps(checked)
+    def init(self: Any, *args: Any, **values: Any) -> None:
+        try:
+            checked(self, *args, **values)
+        except ValidationError as error:
+            raise _explained(error) from error
+
+    made.__init__ = init
+    return made  # type: ignore[no-any-return]
+
+
+def make_options(
+    options_type: type[Options], values: Mapping[str, Any], kind: str = "option", others: Sequence[str] = ()
+) -> Options:
+    """Options from values by name.
+
+    Raises `ConfigurationError`, and `UnknownOption` for an unknown name. Its message names the valid ones, and
+    `others`, which are options in another place.
+    """
+    names = [field.name for field in dataclasses.fields(options_type)]  # type: ignore[arg-type]
+    for name in values:
+        if name not in names:
+            unknown = unknown_name(kind, name, [*names, *others])
+            raise UnknownOption(f"{unknown} (unexpected keyword argument {name!r})")
+    return options_type(**values)
+
+
+def checked_model(model: type[Model], values: Mapping[str, Any], what: str, source: str) -> Model:
+    """A pydantic model of values, which are `what` in words, from `source`. Raises `ConfigurationError`."""
+    for key in values:
+        if key not in model.model_fields:
+            raise unknown_name(f"key of a {what} in {source}:", key, model.model_fields)
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise ConfigurationError(f"{source} is not a {what}: {where}: {first['msg']}") from error
+
+
+def changed_options(options: Options, values: Mapping[str, Any], kind: str = "option") -> Options:
+    """Options with other values, as a TOML file has them: by name, options within as tables, and tuples as lists.
+
+    Raises `ConfigurationError` as `make_options` does.
+    """
+    present = {field.name: getattr(options, field.name) for field in dataclasses.fields(options)}  # type: ignore[arg-type]
+    changed = dict(values)
+    for name, value in values.items():
+        match present.get(name), value:
+            case object(__dataclass_fields__=_) as within, Mapping():
+                changed[name] = changed_options(within, value, f"{kind}: {name}")
+            case tuple(), list():
+                changed[name] = tuple(value)
+    return make_options(type(options), present | changed, kind)
+
+
+def option_value(text: str) -> Any:
+    """A number, tuple, True, False or None as Python writes it; anything else is text."""
+    try:
+        return ast.literal_eval(text)
+    except (ValueError, TypeError, SyntaxError, MemoryError, RecursionError):
+        return text
+
+
+def option_arguments(options: Mapping[str, Any]) -> list[str]:
+    """An environment's options as arguments of the command line, which it reads as the same values."""
+    arguments = []
+    for name, value in options.items():
+        text = value if isinstance(value, str) and option_value(value) == value else repr(value)
+        arguments += ["--set", f"{name}={text}"]
+    return arguments
+
+
+def _explained(error: ValidationError) -> ConfigurationError:
+    first = error.errors()[0]
+    if isinstance(raised := first.get("ctx", {}).get("error"), ConfigurationError):
+        return raised
+    name = str(first["loc"][0]) if first["loc"] else error.title
+    if first["type"] == "literal_error":
+        return unknown_name(name, first["input"], re.findall(r"'([^']*)'", first["ctx"]["expected"]))
+    message = first["msg"].removeprefix("Value error, ")
+    return ConfigurationError(f"{name}: {message[0].lower()}{message[1:]}, not {first['input']!r}")

@@ -1,0 +1,175 @@
+"""How tasks become environments, and how code is found by its name. Light: it imports neither MuJoCo nor a task.
+
+Code is named by the person at the keyboard or offered by an installed package, never named by a file.
+
+A package offers its tasks under the entry-point group `armctl.tasks`: a module that registers them when it is imported.
+"""
+
+import contextlib
+import functools
+import importlib
+import importlib.util
+import shlex
+import sys
+import warnings
+import zlib
+from collections.abc import Iterator
+from importlib.metadata import EntryPoints, entry_points
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import gymnasium
+
+from armctl.core.errors import FAILURES, ConfigurationError, described, unknown_name
+
+GROUP = "armctl.tasks"
+ENV, VECTOR_ENV = "armctl.envs:TaskEnv", "armctl.envs:TaskVectorEnv"
+_named: set[str] = set()
+"""What the user has named in this process, such as `mine.py:pd`. Of code, a file can name only this."""
+
+
+def register(env_id: str, task: "str | type[Any]", *, max_episode_steps: int | None, **options: Any) -> None:
+    """Make a task an environment of Gymnasium's, for `gym.make`, `gym.make_vec` and every verb of armctl.
+
+    Args:
+        env_id: any id that Gymnasium takes, such as `mine/Hover-v0`.
+        task: subclass of `armctl.tasks.Task`, or `module:Class`, which is imported when the environment is made.
+        max_episode_steps: control steps until an episode is truncated; None: never.
+        **options: values of the task's options that differ from its defaults.
+
+    """
+    gymnasium.register(
+        id=env_id,
+        entry_point=ENV,
+        vector_entry_point=VECTOR_ENV,
+        max_episode_steps=max_episode_steps,
+        kwargs={"task": task, **options},
+    )
+
+
+def bare_id(env: str) -> str:
+    """The id of an environment without the module that registers it: `mine/Hover-v0` of `hover:mine/Hover-v0`."""
+    return env.rpartition(":")[2]
+
+
+def environment_names() -> list[str]:
+    """Ids of all environments that were made of tasks."""
+    return sorted(env_id for env_id, spec in gymnasium.registry.items() if spec.vector_entry_point == VECTOR_ENV)
+
+
+def register_installed() -> None:
+    """Register the tasks of all installed packages. One that fails is left out, with a warning."""
+    for entry in installed(GROUP):
+        try:
+            entry.load()
+        except FAILURES as error:
+            warnings.warn(f"the tasks of {entry.value} were left out: {type(error).__name__}: {error}", stacklevel=2)
+
+
+@functools.cache
+def installed(group: str) -> EntryPoints:
+    """What all installed packages offer under an entry-point group."""
+    return entry_points(group=group)
+
+
+def files_beside(group: str, suffix: str) -> dict[str, Path]:
+    """Files `NAME` + `suffix` beside the modules of what is installed in a group, by name. No module is imported."""
+    homes = {entry.name: importlib.util.find_spec(entry.module) for entry in installed(group)}
+    files = {name: Path(home.origin).with_name(name + suffix) for name, home in homes.items() if home and home.origin}
+    return {name: file for name, file in files.items() if file.exists()}
+
+
+def load_task(task: "str | type[Any]") -> type[Any]:
+    """The task class that was registered, imported if it was registered by name; raises `ConfigurationError`."""
+    return import_attribute(task, "task") if isinstance(task, str) else task
+
+
+def import_attribute(name: str, kind: str) -> Any:
+    """What `module:attribute` or `path/to/module.py:attribute` names; raises `ConfigurationError`."""
+    module, _, attribute = name.rpartition(":")
+    loaded = import_named(module, f"the {kind} {name!r}")
+    if not hasattr(loaded, attribute):
+        raise unknown_name(f"{kind} in {module}:", attribute, own_names(loaded))
+    remember_named(name)
+    return getattr(loaded, attribute)
+
+
+def own_names(module: ModuleType) -> list[str]:
+    """What a module defines itself."""
+    return [name for name, value in vars(module).items() if getattr(value, "__module__", None) == module.__name__]
+
+
+def import_named(module: str, purpose: str) -> ModuleType:
+    """Import a module that the user has named, by its name or its file's path, from the working directory too.
+
+    Raises `ConfigurationError`, whatever the module raises.
+    """
+    try:
+        return _import_file(Path(module)) if module.endswith(".py") else _import_from(Path.cwd(), module)
+    except FAILURES as error:
+        raise ConfigurationError(f"cannot load {purpose}: {described(error)}") from error
+
+
+def remember_named(*names: str) -> None:
+    """Remember what the user has named, so that files can name it, too."""
+    _named.update(names)
+
+
+def was_named(name: str) -> bool:
+    """Whether the user has named this in this process."""
+    return name in _named
+
+
+def check_named(name: str, source: str, option: str) -> None:
+    """Check a name that stands in a file: if it is code (`module:name`), the user must have named just this.
+
+    `source` is the file, `option` where the user can name the code. Raises `ConfigurationError`.
+    """
+    if ":" in name and not was_named(name):
+        raise ConfigurationError(
+            f"{source} names the code {name}, and a file never runs code: if you trust it, name it yourself, {option} "
+            f"{shlex.quote(name)}"
+        )
+
+
+@contextlib.contextmanager
+def importable_from(folder: Path) -> Iterator[None]:
+    """Let modules be imported from a folder, after all other places; a console script does not look where it runs."""
+    place = str(folder)
+    if place in sys.path:
+        yield
+        return
+    sys.path.append(place)
+    try:
+        yield
+    finally:
+        sys.path.remove(place)
+
+
+def _import_from(folder: Path, module: str) -> ModuleType:
+    with importable_from(folder):
+        return importlib.import_module(module)
+
+
+def _import_file(path: Path) -> ModuleType:
+    """Import a file, once: under its own name, or a longer one if another module has that."""
+    path = path.resolve()
+    if not path.is_file():
+        raise FileNotFoundError(f"there is no file {path}")
+    with importable_from(path.parent):
+        found = importlib.util.find_spec(path.stem) if path.stem.isidentifier() else None
+        if found is not None and found.origin == str(path):
+            return importlib.import_module(path.stem)
+        name = f"{path.stem}_{zlib.crc32(bytes(path)):08x}"
+        if name not in sys.modules:
+            spec = importlib.util.spec_from_file_location(name, path)
+            assert spec is not None
+            assert spec.loader is not None
+            sys.modules[name] = importlib.util.module_from_spec(spec)
+            try:
+                spec.loader.exec_module(sys.modules[name])
+            except BaseException:
+                del sys.modules[name]
+                raise
+        return sys.modules[name]

@@ -1,0 +1,146 @@
+"""The record of an episode, and its row in `episodes.csv`."""
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from types import NoneType
+from typing import Annotated, Any, get_args, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BeforeValidator, Json, TypeAdapter, ValidationError
+from typing_extensions import TypedDict
+
+from armctl.envs import ERROR
+from armctl.episodes.metrics import Metrics, warm_times
+
+COLUMNS = (
+    "policy", "env", "episode", "seed", "outcome", "success", "feasible", "return", "reward_terms", "length",
+    "least_length", "optimality_gap", "tracking_error", *(field.name for field in fields(Metrics)),
+    "reset_ms", "worlds", "workers", "run",
+)  # fmt: skip
+ADDED = ("run", "reset_ms")
+"""Columns that older versions did not write, in the order in which they were added."""
+TIME_COLUMNS = (
+    "missed_deadlines", "decision_ms_p50", "decision_ms_p99", "decision_ms_max", "decision_ms_cold", "reset_ms",
+    "worlds", "workers", "run",
+)  # fmt: skip
+"""The columns that depend on the machine, and on how it was used. All others are the same whenever and wherever an
+episode is played."""
+
+LARGEST_RETURN = 1e100
+"""Beyond what the environments pay in any episode; its square, and the sum of many such, are still numbers."""
+
+
+@dataclass(frozen=True)
+class EpisodeResult:
+    """The record of one episode. `env.reset(seed=seed, options={"episode": episode})` starts it again."""
+
+    policy: str
+    env: str
+    episode: int
+    seed: int
+    outcome: str
+    success: bool | None
+    """None if the environment does not say."""
+    feasible: bool
+    total_reward: float
+    reward_terms: dict[str, float]
+    """The sum of each reward term; the return is the sum of these."""
+    length: int
+    least_length: float
+    """Lower bound on the number of control steps until success; NaN if unknown (see `Task.least_time`)."""
+    tracking_error: float
+    """m, mean distance to a moving target since it was first reached; NaN in other tasks."""
+    metrics: Metrics
+    worlds: int
+    """How many worlds shared the policy's calls: decision times are these calls' divided by it."""
+    workers: int
+    """How many processes played at a time."""
+    decision_ms: NDArray[np.float64]
+    """(length,) decision times: wall time of each call of the policy, to 0.1 us.
+
+    NaN in control steps in which the policy was still computing (`RealTime`)."""
+    run: str = ""
+    """Id of the run that played it (see `Run`); empty if that is unknown."""
+    reset_ms: float = math.nan
+    """Wall time of the policy's reset at the beginning; of several worlds at once, divided by their number.
+
+    NaN in episodes of older versions, where it is in the first decision time."""
+
+    @property
+    def optimality_gap(self) -> float:
+        """Relative excess of the length over the least possible; NaN unless that is known, and it was a success."""
+        return self.length / self.least_length - 1 if self.success and self.least_length > 0 else math.nan
+
+    @property
+    def warm_ms(self) -> NDArray[np.float64]:
+        """The decision times without that of the policy's first decision in its process (see `warm_times`)."""
+        return warm_times(self.decision_ms, not math.isnan(self.metrics.decision_ms_cold))
+
+    def row(self) -> dict[str, Any]:
+        """The episode as a row of `episodes.csv`."""
+        values = (
+            self.policy, self.env, self.episode, self.seed, self.outcome, self.success, self.feasible,
+            self.total_reward, json.dumps(self.reward_terms), self.length, self.least_length, self.optimality_gap,
+            self.tracking_error,
+            *vars(self.metrics).values(), self.reset_ms, self.worlds, self.workers, self.run,
+        )  # fmt: skip
+        return dict(zip(COLUMNS, values, strict=True))
+
+    @classmethod
+    def from_row(cls, row: Mapping[str, str], decision_ms: NDArray[np.float64]) -> "EpisodeResult":
+        """Read a row of `episodes.csv`, as text. Raises `KeyError` or `ValueError` for an invalid row."""
+        named = {**row, "total_reward": row["return"]}
+        plain = _read(_PLAIN_COLUMNS, named)
+        earned = {"return": plain["total_reward"]} | {
+            f"reward_terms: {n!r}": r for n, r in plain["reward_terms"].items()
+        }
+        for name, value in earned.items():
+            if not abs(value) <= LARGEST_RETURN:
+                raise ValueError(f"{name} is {value}, and should be between -{LARGEST_RETURN:g} and {LARGEST_RETURN:g}")
+        if not _are_times(decision_ms, plain["outcome"]):
+            raise ValueError("its decision times are no times: numbers from 0 on, and nan where no decision began")
+        if not (math.isnan(reset := plain["reset_ms"]) or 0 <= reset < math.inf):
+            raise ValueError(f"reset_ms is {reset}, and should be a number from 0 on")
+        return cls(**plain, metrics=Metrics(**_read(_METRICS_COLUMNS, named)), decision_ms=decision_ms)
+
+
+@dataclass(frozen=True)
+class FailedEpisode(EpisodeResult):
+    """An episode with the outcome `ERROR`, in the process that played it: what is written does not say why."""
+
+    message: str = ""
+    """What the policy did wrong, and where."""
+    traceback: str = ""
+
+
+def _are_times(decision_ms: NDArray[np.float64], outcome: str) -> bool:
+    """Whether they may be the decision times of an episode, which has none only if its first decision failed."""
+    if not len(decision_ms):
+        return outcome == ERROR
+    began = decision_ms[~np.isnan(decision_ms)]
+    return bool(not np.isnan(decision_ms[0]) and np.isfinite(began).all() and (began >= 0).all())
+
+
+_EMPTY_IS_NONE = BeforeValidator(lambda text: text or None)
+
+
+def _columns(kind: type[Any], left_out: tuple[str, ...] = (), **types: Any) -> TypeAdapter[dict[str, Any]]:
+    """A parser of a dataclass's fields from text."""
+    hints = {name: types.get(name, hint) for name, hint in get_type_hints(kind).items() if name not in left_out}
+    hints |= {name: Annotated[hint, _EMPTY_IS_NONE] for name, hint in hints.items() if NoneType in get_args(hint)}
+    return TypeAdapter(TypedDict("_Row", hints))  # type: ignore[operator]
+
+
+_PLAIN_COLUMNS = _columns(EpisodeResult, ("metrics", "decision_ms"), reward_terms=Json[dict[str, float]])
+_METRICS_COLUMNS = _columns(Metrics)
+
+
+def _read(columns: TypeAdapter[dict[str, Any]], row: Mapping[str, str]) -> dict[str, Any]:
+    try:
+        return columns.validate_strings(row)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise ValueError(f"{first['loc'][0]}: {first['msg']}") from error

@@ -1,0 +1,165 @@
+"""Times the construction, the resets and the decisions of a policy, and says what the times are worth."""
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.episodes.record import EpisodeResult
+from armctl.episodes.table import EpisodeTable, table_of
+from armctl.policies import Actions, ControllersFailed, Policy
+from armctl.runtime.provenance import BUSY, Run
+from armctl.tasks import Observations
+
+Errors = dict[int, BaseException]
+"""Errors of a policy, by the world in which each arose."""
+DIGITS = 4
+"""Of a time in ms: to 0.1 us."""
+
+
+class TimedPolicy:
+    """A policy in n worlds.
+
+    What a call takes is divided by the number of worlds that it is for. `cold` (n,) says in which worlds the first
+    decision of the current episode was the policy's very first, in which code is loaded and compiled.
+    """
+
+    slow_down = 1.0
+    """By how much a decision takes longer than it was measured."""
+
+    def __init__(self, policy: Policy, n: int, workers: int = 1) -> None:
+        self.policy = policy
+        self.setting = (n, workers)
+        """How many worlds share a call, and how many processes play."""
+        self.cold = np.zeros(n, dtype=bool)
+        self.construction_ms: float | None = None
+        """How long it took to make it, if that was measured."""
+        self.reset_ms = np.zeros(n)
+        """(n,) the time of the reset with which each world's current episode began."""
+        self._fresh = True
+
+    def reset(self, ids: NDArray[np.int32], episodes: Sequence[int]) -> Errors:
+        """Worlds `ids` start these `episodes`."""
+        self.cold[ids] = self._fresh
+        start, errors = perf_counter(), Errors()
+        try:
+            self.policy.reset(ids)
+        except ControllersFailed as failure:
+            errors = failure.errors
+        self.reset_ms[ids] = np.round(1e3 * (perf_counter() - start) / len(ids), DIGITS)
+        return errors
+
+    def act(self, observations: Observations) -> tuple[Actions, NDArray[np.float64], Errors]:
+        """Actions (n, ...), and the time of each world's decision, (n,) ms; NaN where none begins."""
+        start, errors = perf_counter(), Errors()
+        try:
+            actions: Any = self.policy.act(observations)
+        except ControllersFailed as failure:
+            actions, errors = failure.actions, failure.errors
+        spent = np.full(len(self.cold), 1e3 * (perf_counter() - start) / len(self.cold))
+        self._fresh = False
+        return actions, np.round(spent, DIGITS), errors
+
+
+def timed_construction(make: Callable[[], Policy]) -> tuple[Policy, float]:
+    """Make a policy. Return also how long that took, ms: of a controller, if there is one for each world."""
+    start = perf_counter()
+    policy = make()
+    spent = 1e3 * (perf_counter() - start)
+    return policy, round(spent / len(getattr(policy, "controllers", [policy])), DIGITS)
+
+
+@dataclass(frozen=True)
+class Machines:
+    """On which machine the episodes of each run were played. Times of different machines are not pooled."""
+
+    by_run: Mapping[str, str]
+    busiest: str = ""
+    """The machine with the most episodes."""
+
+    @classmethod
+    def of(cls, runs: Iterable[Run], results: EpisodeTable) -> "Machines":
+        """Return the machines of these results, by their runs. Machines of one processor and as many cores are one."""
+        by_run = {run.id: f"{run.processor}, {run.cores} cores" for run in runs}
+        counts = Counter(by_run.get(run, "") for run in results.column("run").tolist())
+        return cls(by_run, counts.most_common(1)[0][0] if counts else "")
+
+    def settings(self, results: EpisodeTable) -> list[tuple[int, int, str]]:
+        """Return worlds, workers and machine of each episode; an empty machine if it is unknown."""
+        columns = (results.column(name).tolist() for name in ("worlds", "workers", "run"))
+        return [(worlds, workers, self.by_run.get(run, "")) for worlds, workers, run in zip(*columns, strict=True)]
+
+
+def comparable_times(results: Sequence[EpisodeResult], machines: Machines = Machines({})) -> EpisodeTable:
+    """Return the results whose times were taken alike: of one number of worlds and workers, and on one machine.
+
+    They are latencies if there are any, of the machine with the most episodes if there are any, or else the most.
+    """
+    table = table_of(results)
+    settings = machines.settings(table)
+    counts = Counter(settings)
+    best = max(counts, key=lambda one: (one[:2] == (1, 1), one[2] == machines.busiest, counts[one]))
+    return table[np.array([setting == best for setting in settings])]
+
+
+def setting_in_words(worlds: int, workers: int) -> str:
+    """What decision times are if they are not latencies; empty if they are."""
+    said = [f"shares of a batch of {worlds} worlds"] if worlds > 1 else []
+    others = "another worker" if workers == 2 else f"up to {workers - 1} other workers"
+    said += [f"taken while {others} computed"] if workers > 1 else []
+    return ", ".join(said)
+
+
+def unjudged(results: EpisodeTable, runs: Iterable[Run]) -> EpisodeTable:
+    """The results, without missed deadlines where other processes kept the machine busy."""
+    busy = {run.id for run in runs if run.busy}
+    told = zip(results.column("run").tolist(), results.column("missed_deadlines").tolist(), strict=True)
+    return results.with_column("missed_deadlines", (None if run in busy else missed for run, missed in told))
+
+
+def load_notes(results: EpisodeTable, runs: Iterable[Run]) -> list[str]:
+    """A remark if decision times would be held against deadlines, had the machine been idle."""
+    played = Counter(zip(*(results.column(name).tolist() for name in ("run", "worlds", "workers")), strict=True))
+    latencies = {run for run, *setting in played if setting == [1, 1]}
+    busy = {run.id for run in runs if run.busy and run.id in latencies}
+    if not busy:
+        return []
+    count = sum(found for (run, *_), found in played.items() if run in busy)
+    where = "" if count == len(results) else f" in {count} of {len(results)} episodes"
+    return [
+        f"Deadlines are not judged{where}: other processes kept more than {BUSY:.0%} of the processor's cores busy, so "
+        "that decision times are longer than those of an idle machine."
+    ]
+
+
+def timing_notes(timed: Iterable[tuple[str, Sequence[EpisodeResult]]], machines: Machines = Machines({})) -> list[str]:
+    """Remarks about the decision times of policies: what they are, and which episodes they leave out."""
+    kinds, notes = {}, []
+    for policy, results in timed:
+        table = table_of(results)
+        alike = comparable_times(table, machines)
+        settings = set(machines.settings(table))
+        (setting,) = set(machines.settings(alike))
+        kinds[policy] = setting_in_words(*setting[:2]), setting[2]
+        if len(alike) < len(table):
+            others = ["with other --worlds or --workers"] if any(one[:2] != setting[:2] for one in settings) else []
+            elsewhere = sorted({one[2] or "an unknown machine" for one in settings} - {setting[2]})
+            others += (
+                [f"on {' and '.join(elsewhere)}, not on {setting[2] or 'an unknown machine'}"] if elsewhere else []
+            )
+            notes.append(
+                f"Decision times of {policy} are from {len(alike)} of {len(table)} episodes, and are "
+                f"{kinds[policy][0] or 'latencies'}: the others were played {', or '.join(others)}."
+            )
+    if len(set(kinds.values())) > 1:
+        where = {policy: f" on {place or 'an unknown machine'}" for policy, (_, place) in kinds.items()}
+        where = where if len({place for _, place in kinds.values()}) > 1 else {}
+        said = (f"those of {one} are {words or 'latencies'}{where.get(one, '')}" for one, (words, _) in kinds.items())
+        notes.append(f"Decision times cannot be compared: {'; '.join(said)}.")
+    elif kinds and (words := next(iter(kinds.values()))[0]):
+        notes.append(f"Decision times are {words}. Only those of one world and one worker are held against deadlines.")
+    return notes

@@ -1,0 +1,240 @@
+"""A world that does not wait: a decision that takes longer than the control period takes effect when it is ready.
+
+A decision of at most one control period takes effect at once, as everywhere else. A longer one takes effect at the
+first control step after it is ready; until then the last command goes on, and the policy, which is still computing, is
+not asked. Then it is asked again, with what it observes then. Before its first command, the robot gets the idle action.
+"""
+
+import itertools
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.core.errors import ConfigurationError
+from armctl.core.files import bounded_text, digest, unsealed
+from armctl.disturbances import Disturbance, DisturbanceSpec
+from armctl.envs import EpisodeVectorEnv
+from armctl.episodes.record import EpisodeResult
+from armctl.episodes.store import COMPARISON, DECISIONS, read_episodes
+from armctl.policies import Actions, Policy
+from armctl.rollout.decision_times import Errors, TimedPolicy
+from armctl.tasks import Observations
+
+MEASURED = "measured"
+SLOWER = "slow-down"
+SLOW_DOWN = DisturbanceSpec(
+    Disturbance, "a slower computer, in real time", "times the decision times; 0: the world waits",
+    (0, 1, 2, 5, 10, 30), 1e4,
+)  # fmt: skip
+"""The axis of a sweep. Nothing in the simulation changes by it: it is a matter of when decisions take effect."""
+TOLERANCE = 1e-9
+"""Of a number of control periods: a decision of exactly two is not one of three."""
+
+
+@dataclass(frozen=True)
+class RecordedTimes:
+    """The times of an episode's decisions, in their order."""
+
+    ms: tuple[float, ...]
+    cold: bool
+    """Whether the first one was the policy's first in its process."""
+    reset_ms: float = 0.0
+    """That of the reset before the first one."""
+
+    def again(self) -> Iterator[float]:
+        """The times, ms. After the last one they come again, without the first, which may do what others need not."""
+        return itertools.chain(self.ms, itertools.cycle(self.ms[1:] or self.ms))
+
+
+@dataclass(frozen=True)
+class RealTime:
+    """How long decisions take in a world that does not wait."""
+
+    slow_down: float = 1.0
+    """By how much decisions take longer than they were measured."""
+    latency: str = MEASURED
+    """`measured`, or where the times were recorded."""
+    recorded: Mapping[str, Mapping[int, RecordedTimes]] | None = None
+    """By policy and episode; None if they are measured."""
+
+    def of(self, policy: str, episodes: Sequence[int]) -> "RealTime":
+        """The same, for some episodes of one policy."""
+        if self.recorded is None:
+            return self
+        return replace(self, recorded={policy: {episode: self.recorded[policy][episode] for episode in episodes}})
+
+    def lacking(self, policies: Iterable[str], episodes: int) -> dict[str, int]:
+        """The policies without recorded times for all episodes, and the first episode that each lacks."""
+        if self.recorded is None:
+            return {}
+        missing = {
+            name: next((k for k in range(episodes) if k not in self.recorded.get(name, {})), None) for name in policies
+        }
+        return {name: episode for name, episode in missing.items() if episode is not None}
+
+    def identity(self, policies: Iterable[str]) -> dict[str, Any]:
+        """What determines the episodes. A recording is told by its first episode: it may have been extended since."""
+        if self.recorded is None:
+            return {"latency": MEASURED, "slow_down": self.slow_down}
+        first = {name: self.recorded[name][0] for name in policies}
+        return {
+            "latency": digest({name: [*times.ms, times.cold, times.reset_ms] for name, times in first.items()}),
+            "slow_down": self.slow_down,
+        }
+
+    def in_words(self, period: float) -> str:
+        """A remark about a comparison."""
+        times = "as measured here" if self.recorded is None else f"as recorded in {self.latency}"
+        slower = f", {self.slow_down:g} times as long" if self.slow_down != 1 else ""
+        return (
+            f"In real time: a decision that takes longer than the control period, {1e3 * period:g} ms, takes effect "
+            f"when it is ready. Decisions take their time {times}{slower}."
+        )
+
+
+class RealTimePolicy(TimedPolicy):
+    """A policy in one world that does not wait for its decisions. Planning at the reset is part of the first one.
+
+    Its first decision in a process is told apart, and takes effect at once.
+    """
+
+    def __init__(self, policy: Policy, worlds: Any, real_time: RealTime, name: str) -> None:
+        super().__init__(policy, 1)
+        self.slow_down = real_time.slow_down
+        self._recorded = None if real_time.recorded is None else real_time.recorded[name]
+        self._period_ms = 1e3 * worlds.control_period
+        self._idle = np.array(worlds.idle_action)[None]
+        self._given: Iterator[float] | None = None
+        self._decided: Any = None
+        """The command that is still computed."""
+        self._steps_left = 0
+        """Control steps until it is ready."""
+
+    def reset(self, ids: NDArray[np.int32], episodes: Sequence[int]) -> Errors:
+        """The world starts an episode: what was still computed is dropped."""
+        errors = super().reset(ids, episodes)
+        self._command, self._decided, self._steps_left = self._idle.copy(), None, 0
+        self._begins = True
+        if self._recorded is not None:
+            recorded = self._recorded[episodes[0]]
+            self._given, self.cold[0], self.reset_ms[0] = recorded.again(), recorded.cold, recorded.reset_ms
+        return errors
+
+    def act(self, observations: Observations) -> tuple[Actions, NDArray[np.float64], Errors]:
+        """The command of this control step, (1, ...), and the time of the decision that begins, if one does."""
+        self._steps_left = max(0, self._steps_left - 1)
+        if self._steps_left:
+            return self._command, np.array([math.nan]), Errors()
+        if self._decided is not None:
+            self._command, self._decided = self._decided, None
+        decided, spent, errors = super().act(observations)
+        if errors:
+            return decided, spent, errors
+        if self._given is not None:
+            spent = np.array([next(self._given)])
+        waited = spent[0] + (self.reset_ms[0] if self._begins else 0.0)
+        periods = self.slow_down * waited / self._period_ms
+        if periods <= 1 + TOLERANCE or (self._begins and self.cold[0]):
+            self._command = _copied(decided)
+        else:
+            self._decided, self._steps_left = _copied(decided), math.ceil(periods - TOLERANCE)
+        self._begins = False
+        return self._command, spent, errors
+
+
+def real_time_of(real_time: "str | Path | RealTime | None", slow_down: float, env: str, seed: int) -> "RealTime | None":
+    """What the arguments of `compare` ask for; None for a world that waits.
+
+    Raises `ConfigurationError`, and `ResultsError` for a damaged recording.
+    """
+    usable = isinstance(slow_down, (int, float)) and not isinstance(slow_down, bool)
+    if not (usable and 0 < slow_down <= SLOW_DOWN.highest):
+        raise ConfigurationError(f"slow_down is a number above 0 and up to {SLOW_DOWN.highest:g}, not {slow_down!r}")
+    if real_time is None:
+        if slow_down != 1:
+            raise ConfigurationError("slow_down is for real time: add real_time='measured' (--real-time measured)")
+        return None
+    if isinstance(real_time, RealTime):
+        return real_time
+    if str(real_time) == MEASURED:
+        return RealTime(float(slow_down))
+    return read_recording(Path(real_time), float(slow_down), env, seed)
+
+
+def read_recording(path: Path, slow_down: float, env: str, seed: int) -> RealTime:
+    """The decision times in the results of a comparison: its folder, or the `decisions.csv` in it.
+
+    Raises `ConfigurationError` for results of another environment or seed, and for times that are no latencies, and
+    `ResultsError` for damaged results.
+    """
+    folder = path.parent if path.name == DECISIONS else path
+    try:
+        own = unsealed(bounded_text(folder / COMPARISON))
+    except (OSError, ValueError, RecursionError) as error:
+        raise ConfigurationError(
+            f"real time takes '{MEASURED}', or a folder with a comparison's results, whose decision times it repeats, "
+            f"not {path} ({error})"
+        ) from error
+    for name, here in {"env": env, "seed": seed}.items():
+        if own.get(name) != here:
+            raise ConfigurationError(
+                f"the decision times in {folder} are of another comparison: {name} {own.get(name)} there, {here} here"
+            )
+    return RealTime(slow_down, str(folder), recorded_times(read_episodes(folder, own)))
+
+
+def recorded_times(results: Iterable[EpisodeResult]) -> dict[str, dict[int, RecordedTimes]]:
+    """The decision times of episodes, by policy and episode. Raises `ConfigurationError` if they are no latencies."""
+    found: dict[str, dict[int, RecordedTimes]] = {}
+    for result in results:
+        if (result.worlds, result.workers) != (1, 1):
+            raise ConfigurationError(
+                f"the decision times of {result.policy} in episode {result.episode} are no latencies: they were taken "
+                f"with {result.worlds} worlds and {result.workers} workers. Record with one world and one worker"
+            )
+        times = result.decision_ms[~np.isnan(result.decision_ms)].tolist()
+        reset_ms = 0.0 if math.isnan(result.reset_ms) else result.reset_ms
+        cold = not math.isnan(result.metrics.decision_ms_cold)
+        found.setdefault(result.policy, {})[result.episode] = RecordedTimes(tuple(times) or (0.0,), cold, reset_ms)
+    return found
+
+
+def check_recorded(real_time: RealTime, policies: Iterable[str], episodes: int) -> None:
+    """Raise `ConfigurationError` if a policy has no recorded times in one of the episodes."""
+    for name, episode in real_time.lacking(policies, episodes).items():
+        raise ConfigurationError(
+            f"{real_time.latency} has no decision times of {name} in episode {episode}: record these episodes first"
+        )
+
+
+def check_measurable(worlds: int, workers: int) -> None:
+    """Raise `ConfigurationError` unless decision times are latencies."""
+    if (worlds, workers) != (1, 1):
+        raise ConfigurationError(
+            f"measured real time needs one world and one worker, not {worlds} and {workers}: give recorded times, "
+            "a results folder of one world and one worker (--real-time DIR), to play with more workers"
+        )
+
+
+def check_real_time(env: str, worlds: EpisodeVectorEnv) -> None:
+    """Raise `ConfigurationError` for an environment in which nothing can come late."""
+    if worlds.task.control_period is None:
+        raise ConfigurationError(
+            f"{env} does not say its control period, s, which real time needs: give the environment an attribute dt"
+        )
+    if not isinstance(worlds.single_action_space, gymnasium.spaces.Box):
+        raise ConfigurationError(
+            f"real time needs actions that are numbers, to have one until the first decision is ready; those of {env} "
+            f"are {worlds.single_action_space}"
+        )
+
+
+def _copied(actions: Any) -> Any:
+    """Actions that the policy may write over."""
+    return np.array(actions) if isinstance(actions, np.ndarray) else actions

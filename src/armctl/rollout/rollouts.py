@@ -1,0 +1,328 @@
+"""Plays episodes with one policy, and records a result for each."""
+
+import itertools
+import math
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from gymnasium.utils.env_checker import data_equivalence
+from numpy.typing import NDArray
+
+from armctl import DEFAULT_ENV
+from armctl.core.errors import (
+    FAILURES,
+    ConfigurationError,
+    Disqualified,
+    EnvironmentFailed,
+    InvalidAction,
+    described,
+)
+from armctl.envs import EpisodeVectorEnv, chosen_policy_seed
+from armctl.episodes.failures import PolicyDisqualified, PolicyFailed, until_unplayable
+from armctl.episodes.record import EpisodeResult, FailedEpisode
+from armctl.episodes.table import EpisodeTable
+from armctl.policies import ControllersFailed, Policy, PolicyFactory, WorldsByInterface, make_policy, policy_name
+from armctl.rollout.decision_times import Errors, TimedPolicy, timed_construction
+from armctl.rollout.recorder import EpisodeRecorder
+from armctl.rollout.seeds import Seed, evaluation_seed
+from armctl.runtime.state_guard import StateGuard
+
+MOST = {"episodes": 10_000_000, "worlds": 100_000, "workers": 1_000}
+"""Larger numbers are mistakes, or a stranger's: they would fill the memory before anything is played."""
+
+
+class _UnknownWorldFailed(Exception):
+    """A policy that acts in all worlds at once has failed, in one of them or in more."""
+
+    def __init__(self, error: BaseException) -> None:
+        super().__init__(error)
+        self.error = error
+
+
+@dataclass(frozen=True)
+class _Attempt:
+    """An episode that was being played when a policy failed in an unknown world."""
+
+    actions: list[Any]
+    record: FailedEpisode
+    """What counts if the policy acts otherwise when the episode is played again."""
+
+
+class _ActedOtherwise(Exception):
+    """A policy acts otherwise in an episode than before."""
+
+    def __init__(self, attempt: _Attempt) -> None:
+        super().__init__(attempt.record.message)
+        self.attempt = attempt
+
+
+def rollouts(
+    policy: Policy | TimedPolicy,
+    env: EpisodeVectorEnv,
+    episodes: int | Sequence[int],
+    seed: int,
+    name: str = "policy",
+    least_lengths: dict[int, float] | None = None,
+) -> Iterator[EpisodeResult]:
+    """Play episodes of `seed` in the worlds of `env`, and yield the result of each as it ends.
+
+    `episodes` is how many to play, or their numbers. `least_lengths`, by episode, is read and extended, so that
+    policies can share it. A decision time is the duration of the policy's call divided by the number of worlds.
+    `TimedPolicy` is for a policy that has decided before, or whose decisions come late.
+
+    An episode in which the policy raises an error or returns an invalid action ends as a `FailedEpisode`, a loss, and
+    the next one begins. See `until_unplayable` and `unless_failed` for what to make of these.
+
+    Raises `PolicyDisqualified` if the policy writes to the world, and `EnvironmentFailed` if the environment fails.
+    """
+    timed = policy if isinstance(policy, TimedPolicy) else TimedPolicy(policy, env.num_envs)
+    recorder = EpisodeRecorder(timed, env, seed, name, {} if least_lengths is None else least_lengths)
+    return _Player(timed, env, recorder, seed, name).play(range(episodes) if isinstance(episodes, int) else episodes)
+
+
+class _Player:
+    """Plays episodes of one policy in n worlds."""
+
+    def __init__(
+        self, timed: TimedPolicy, env: EpisodeVectorEnv, recorder: EpisodeRecorder, seed: int, name: str
+    ) -> None:
+        self._timed, self._env, self._recorder, self._seed, self._name = timed, env, recorder, seed, name
+        self._guard = StateGuard(env)
+        self._numbers = np.zeros(env.num_envs, dtype=np.int64)
+        """(n,) the episode of each world."""
+        self._playing = np.zeros(env.num_envs, dtype=bool)
+        """(n,) in which worlds an episode is played whose result counts."""
+
+    def play(self, episodes: Sequence[int]) -> Iterator[EpisodeResult]:
+        """Yield the results of the episodes as they end."""
+        n, waiting = self._env.num_envs, iter(episodes)
+        while first := list(itertools.islice(waiting, n)):
+            numbers = np.array([*first, *first[:1] * (n - len(first))])
+            try:
+                yield from self._stream(numbers, np.arange(n) < len(first), waiting)
+            except _UnknownWorldFailed as failure:
+                yield from self._find_failed(failure.error)
+
+    def _stream(
+        self,
+        numbers: NDArray[np.int64],
+        playing: NDArray[np.bool_],
+        waiting: Iterator[int],
+        before: Mapping[int, _Attempt] | None = None,
+    ) -> Iterator[EpisodeResult]:
+        """Start the episodes `numbers` (n,), play those of the mask `playing` (n,), and then those that are `waiting`.
+
+        `before` are first attempts, by episode. Raises `_UnknownWorldFailed`.
+        """
+        self._numbers, self._playing = numbers, playing
+        starting = np.ones(len(numbers), dtype=bool)
+        seeds: list[int] | None = [self._seed] * len(numbers)
+        while playing.any():
+            errors = Errors()
+            if starting.any():
+                self._begin(starting, seeds)
+                errors, seeds = self._reset(starting), None
+            if acts := not errors:
+                actions, decision_ms, errors = self._act(before or {})
+            over = np.isin(np.arange(len(numbers)), list(errors)) & playing
+            for i in np.flatnonzero(over):
+                error = errors[int(i)]
+                yield (
+                    error.attempt.record if isinstance(error, _ActedOtherwise) else self._recorder.failed(int(i), error)
+                )
+            if acts and (playing & ~over).any():
+                self._env.unwrapped.abandon(np.flatnonzero(over))
+                infos, ended = self._step(_without(actions, errors, np.flatnonzero(playing & ~over)), decision_ms)
+                ended &= playing & ~over
+                for i in np.flatnonzero(ended):
+                    yield self._recorder.result(int(i), infos)
+                over |= ended
+            for i in np.flatnonzero(over):
+                numbers[i] = next(waiting, -1)
+            starting = over & (numbers >= 0)
+            playing[over] = starting[over]
+            self._recorder.forget_before_all(playing)
+
+    def _find_failed(
+        self, error: BaseException, before: Mapping[int, _Attempt] | None = None
+    ) -> Iterator[EpisodeResult]:
+        """Yield the results of the episodes that were played as the policy failed in an unknown world.
+
+        Halves of them are played again, until those in which it fails are alone. Nothing is gained by it: up to where
+        it failed, it has to act as `before`.
+        """
+        worlds, numbers = np.flatnonzero(self._playing), self._numbers.copy()
+        if len(np.unique(numbers)) == 1:
+            yield self._recorder.failed(int(worlds[0]), error)
+            return
+        found, first = False, before is None and self._playing.all()  # else, it may be a world without an episode
+        before = {int(numbers[i]): self._attempt(int(i), error) for i in worlds} | dict(before or {})
+        for half in np.array_split(worlds, min(2, len(worlds))):
+            playing = np.isin(np.arange(len(numbers)), half)
+            again = np.where(playing, numbers, np.resize(numbers[half], len(numbers)))
+            try:
+                for result in self._stream(again, playing, iter(()), before):
+                    found |= isinstance(result, FailedEpisode)
+                    yield result
+            except _UnknownWorldFailed as failure:
+                found = True
+                yield from self._find_failed(failure.error, before)
+        if first and not found:
+            warnings.warn(
+                f"{self._name} failed in {len(worlds)} episodes played at once ({described(error)}), and in none of "
+                "them when they were played again: no episode counts as failed by it",
+                stacklevel=2,
+            )
+
+    def _attempt(self, i: int, error: BaseException) -> _Attempt:
+        record = self._recorder.failed(i, error)
+        said = (
+            f"a batch with it failed ({record.message}), and when it was played again, the policy acted otherwise: one "
+            "that draws random numbers should draw them from env.rng"
+        )
+        return _Attempt(self._recorder.actions(i), replace(record, message=said))
+
+    def _begin(self, starting: NDArray[np.bool_], seeds: list[int] | None) -> None:
+        """Start an episode in the worlds `starting` (n,)."""
+        with wrap_environment_errors(self._name, self._numbers[starting][0]):
+            options = {"reset_mask": starting, "episode": np.maximum(self._numbers, 0)}
+            self._observations, infos = self._env.reset(seed=seeds, options=options)
+            self._recorder.begin(starting & self._playing, self._numbers, infos)
+
+    def _reset(self, starting: NDArray[np.bool_]) -> Errors:
+        """Tell the policy that episodes start."""
+        with self._policy_errors(), self._guard.assert_unchanged(new_episode=True):
+            return self._timed.reset(np.flatnonzero(starting).astype(np.int32), self._numbers[starting].tolist())
+
+    def _act(self, before: Mapping[int, _Attempt]) -> tuple[Any, NDArray[np.float64], Errors]:
+        """Return actions (n, ...), the time of each world's decision, and errors by world, also for invalid actions."""
+        with self._policy_errors():
+            with self._guard.assert_unchanged():
+                actions, decision_ms, errors = self._timed.act(self._observations)
+            if valid := [i for i in range(self._env.num_envs) if i not in errors]:
+                errors = self._env.unwrapped.invalid_actions(_without(actions, errors, valid)) | errors
+        return actions, decision_ms, self._differing(actions, before) | errors
+
+    def _step(self, actions: Any, decision_ms: NDArray[np.float64]) -> tuple[dict[str, Any], NDArray[np.bool_]]:
+        """Make a control step. Return infos, and in which worlds (n,) the episode has ended."""
+        with wrap_environment_errors(self._name, self._numbers[self._playing][0]):
+            self._observations, rewards, terminated, truncated, infos = self._env.step(actions)
+            self._recorder.step(actions, decision_ms, rewards, infos)
+        return infos, terminated | truncated
+
+    def _differing(self, actions: Any, before: Mapping[int, _Attempt]) -> Errors:
+        """Return errors of worlds whose actions are others than in the first attempt."""
+        different = Errors()
+        for i in np.flatnonzero(self._playing).tolist() if before else ():
+            step, first = self._recorder.steps(i), before.get(int(self._numbers[i]))
+            if first is None or step >= len(first.actions):
+                continue
+            if not data_equivalence(actions[i], first.actions[step], exact=True):
+                different[i] = _ActedOtherwise(first)
+        return different
+
+    @contextmanager
+    def _policy_errors(self) -> Iterator[None]:
+        """Raise `PolicyDisqualified` if the policy wrote to the world, `_UnknownWorldFailed` for any other error."""
+        try:
+            yield
+        except Disqualified as error:
+            episode = self._numbers[self._playing][0]
+            raise PolicyDisqualified(f"{self._name} is disqualified: in episode {episode}, {error}") from error
+        except FAILURES as error:
+            raise _UnknownWorldFailed(error) from error
+
+
+def _without(actions: Any, errors: Errors, valid: Sequence[int] | NDArray[np.intp]) -> Any:
+    """Actions with a valid one in place of those of worlds with errors, which make no use of it."""
+    if not errors:
+        return actions
+    return [actions[valid[0]] if i in errors else action for i, action in enumerate(actions)]
+
+
+@contextmanager
+def wrap_policy_errors(name: str, episode: int) -> Iterator[None]:
+    """Turn any error inside into `PolicyFailed`, with its place."""
+    try:
+        yield
+    except Disqualified as error:
+        raise PolicyDisqualified(f"{name} is disqualified: in episode {episode}, {error}") from error
+    except FAILURES as error:
+        cause = error.first if isinstance(error, ControllersFailed) else error
+        said = str(cause) if isinstance(cause, InvalidAction) else described(cause)
+        raise PolicyFailed(f"{name} failed in episode {episode}: {said}") from cause
+
+
+@contextmanager
+def wrap_environment_errors(name: str, episode: int) -> Iterator[None]:
+    """Turn an invalid action into `PolicyFailed`, and any other error inside into `EnvironmentFailed`."""
+    try:
+        yield
+    except InvalidAction as error:
+        raise PolicyFailed(f"{name} failed in episode {episode}: {error}") from error
+    except (ConfigurationError, EnvironmentFailed):
+        raise
+    except FAILURES as error:
+        raise EnvironmentFailed(f"the environment failed in episode {episode} of {name}: {described(error)}") from error
+
+
+def build_policy(policy: Any, env: EpisodeVectorEnv, name: str, policy_seed: int) -> Policy:
+    """Make a policy called `name` for the worlds of `env`, which nobody has reset yet: there is no episode to see.
+
+    Raises what `make_policy` raises, and `PolicyDisqualified` if making it writes to the world.
+    """
+    return build_timed(policy, env, name, policy_seed)[0]
+
+
+def build_timed(policy: Any, env: EpisodeVectorEnv, name: str, policy_seed: int) -> tuple[Policy, float]:
+    """Do the same, and return also how long it took (see `timed_construction`)."""
+    try:
+        with StateGuard(env).assert_unchanged(new_episode=True):
+            return timed_construction(lambda: make_policy(policy, env, name=name, policy_seed=policy_seed))
+    except Disqualified as error:
+        raise PolicyDisqualified(f"{name} is disqualified: when it was made, {error}") from error
+
+
+def check_counts(**counts: int) -> None:
+    """Raise `ConfigurationError` for a number of episodes, worlds or workers that is too small or too large."""
+    for name, count in counts.items():
+        if not 1 <= count <= MOST[name]:
+            raise ConfigurationError(f"{name} must be at least 1 and at most {MOST[name]:,}, not {count:,}")
+
+
+def evaluate(
+    policy: str | Path | PolicyFactory,
+    env: str = DEFAULT_ENV,
+    *,
+    episodes: int = 200,
+    seed: Seed = 0,
+    worlds: int = 1,
+    env_options: Mapping[str, Any] | None = None,
+    least_lengths: bool = True,
+    policy_seed: int | None = None,
+) -> pd.DataFrame:
+    """Play episodes 0 to `episodes` - 1 of `seed` with one policy; one row per episode, with `episodes.csv`'s columns.
+
+    Without `least_lengths`, which often take longer to compute than the episodes, these and `optimality_gap` are NaN.
+    The policy's own random numbers come from `policy_seed`, of up to 128 bits, or else from a new secret.
+
+    An episode in which the policy raises an error, or returns an invalid action, has the outcome `error`: it is lost.
+
+    Raises `ConfigurationError`, `AgentFileError`, `EnvironmentFailed`, and `PolicyFailed` if the policy cannot play at
+    all (see `armctl.episodes.failures`), or writes to the world.
+    """
+    check_counts(episodes=episodes, worlds=worlds)
+    seed = evaluation_seed(seed)
+    with closing(WorldsByInterface(env, min(worlds, episodes), env_options)) as interfaces:
+        made_env = interfaces.of(policy)
+        name = policy_name(policy)
+        made = build_policy(policy, made_env, name, chosen_policy_seed(policy_seed))
+        known = None if least_lengths else dict.fromkeys(range(episodes), math.nan)
+        played = rollouts(made, made_env, episodes, seed, name, known)
+        return EpisodeTable(until_unplayable(played, name, range(episodes))).sorted([name]).frame()

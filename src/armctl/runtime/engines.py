@@ -1,0 +1,272 @@
+"""Where work is done in parallel: in processes of this machine, or on a cluster of Ray or Dask.
+
+An engine does units of work and yields their results as they come. Units of a worker that is lost are done again by
+another; each unit has one result. Ray and Dask are used directly: joblib's backend for Ray cannot yield results as they
+come.
+"""
+
+import contextlib
+import os
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Generator, Iterable, Iterator
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+from typing import Any, Self
+
+import joblib
+
+from armctl.core.errors import ConfigurationError, described, missing_extra, unknown_name
+from armctl.runtime.sending import Parcel
+from armctl.runtime.workers import Work, WorkersFailed, end_with_parent, here, work_in_child
+
+RETRIES = 3
+"""How often a unit is done again whose worker was lost."""
+SILENCE = 30.0
+"""s between two looks whether there are workers left, while none has finished anything."""
+AHEAD = 2
+"""Units that wait or run on a cluster at once, per worker: so that none is idle between two units."""
+
+LEAST = 2
+"""Workers that are assumed: other machines' decision times are never judged as those of this one, working alone."""
+
+
+class Engine(ABC):
+    """Workers, each with a core. It is a context manager, whose end lets go of the workers."""
+
+    workers: int
+    """How many units are worked on at once."""
+    is_here = False
+    """Whether it is this process alone."""
+    groups_units = False
+    """Whether small units are sent together."""
+
+    @abstractmethod
+    def run(self, work: Work, shared: Any, units: Iterable[tuple[Any, ...]]) -> Generator[Any, None, None]:
+        """Yield the results of `work(shared, *unit)` in any order. Closing the iterator discards what is not finished.
+
+        Units are taken from their iterator as there is room. Raises `WorkersFailed`, and what `work` raises.
+        """
+
+    def close(self) -> None:  # noqa: B027  # processes of this machine serve the next call too
+        """Let go of the workers."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def engine_of(workers: "int | Engine") -> Engine:
+    """An engine; so many processes of this machine, if a number is given."""
+    return workers if isinstance(workers, Engine) else Local(workers)
+
+
+def connect(address: str, workers: int = 1) -> Engine:
+    """The engine at an address: `local`, `ray`, `ray://HOST:PORT` or `dask://HOST:PORT`.
+
+    `ray` is the cluster of which this machine is a part, or else this machine. `workers` is for `local`.
+
+    Raises `ConfigurationError` for an address of another form, an engine that is not installed, and a cluster that does
+    not answer.
+    """
+    if address == "local":
+        return Local(workers)
+    if workers > 1:
+        raise ConfigurationError(f"{workers} workers are for this machine: on {address}, all of the cluster work")
+    if address == "ray" or re.fullmatch(r"ray://.+:\d+", address):
+        return Ray(None if address == "ray" else address)
+    if re.fullmatch(r"dask://.+:\d+", address):
+        return Dask(address.replace("dask://", "tcp://"))
+    raise unknown_name("engine", address, ["local", "ray", "ray://HOST:PORT", "dask://HOST:PORT"])
+
+
+class Local(Engine):
+    """Processes of this machine, through joblib (loky)."""
+
+    groups_units = True
+
+    def __init__(self, workers: int) -> None:
+        self.workers, self.is_here = workers, workers == 1
+
+    def run(self, work: Work, shared: Any, units: Iterable[tuple[Any, ...]]) -> Generator[Any, None, None]:
+        """Yield results; see `Engine`. What this process has imported, or has in memory, its workers can use."""
+        parallel = joblib.Parallel(
+            self.workers,
+            backend="loky",
+            return_as="generator_unordered",
+            initializer=end_with_parent,
+            initargs=(os.getpid(),),
+        )
+        try:
+            with contextlib.closing(parallel(joblib.delayed(work)(shared, *unit) for unit in units)) as results:
+                yield from results
+        except BrokenProcessPool as error:
+            raise WorkersFailed(f"a worker process died, or could not load what it was sent: {error}") from error
+
+
+class Cluster(Engine):
+    """Workers on other machines, to which everything is sent in a parcel."""
+
+    def run(
+        self, work: Work, shared: Any, units: Iterable[tuple[Any, ...]], files: Iterable[Path] = ()
+    ) -> Generator[Any, None, None]:
+        """Yield results; see `Engine`. `files` are sent along, which `shared` names by relative paths."""
+        parcel = Parcel.of(shared, files)
+        yield from self._results(work_in_child, (work, parcel, here(work)), units)
+
+    @abstractmethod
+    def count(self) -> int:
+        """How many workers there are at present."""
+
+    @abstractmethod
+    def _results(self, function: Work, first: tuple[Any, ...], units: Iterable[Any]) -> Generator[Any, None, None]:
+        """Yield the results of `function(*first, unit)`."""
+
+
+class Ray(Cluster):
+    """A cluster of Ray, as its client or as one of its machines."""
+
+    def __init__(self, address: str | None = None) -> None:
+        try:
+            import ray
+        except ModuleNotFoundError as error:
+            raise missing_extra("--on ray", error, "cluster") from error
+        os.environ.setdefault("RAY_IGNORE_UNHANDLED_ERRORS", "1")  # they are raised here
+        self._ray, self._begun = ray, not ray.is_initialized()
+        if address and not self._begun:
+            raise ConfigurationError(f"this process belongs to a cluster of Ray already: `ray` is that, not {address}")
+        if self._begun:
+            try:
+                ray.init(address, log_to_driver=False, logging_level="ERROR", include_dashboard=False)
+            except (ConnectionError, ValueError, RuntimeError) as error:
+                raise ConfigurationError(
+                    f"no cluster of Ray answers at {address}: {error}. If it asks for a token, set RAY_AUTH_MODE=token"
+                ) from error
+        self.workers = max(LEAST, self.count())
+
+    def count(self) -> int:
+        """Processors of the cluster at present."""
+        return int(self._ray.cluster_resources().get("CPU", 0))
+
+    def close(self) -> None:
+        """Leave the cluster, if this engine has joined it."""
+        if self._begun:
+            self._ray.shutdown()
+
+    def _results(self, function: Work, first: tuple[Any, ...], units: Iterable[Any]) -> Generator[Any, None, None]:
+        ray = self._ray
+        task = ray.remote(num_cpus=1, max_retries=RETRIES)(function)
+        sent, waiting = [ray.put(one) for one in first], iter(units)
+        running: list[Any] = []
+        try:
+            while True:
+                for unit in _some(waiting, AHEAD * self.workers - len(running)):
+                    running.append(task.remote(*sent, unit))  # noqa: PERF401  # after Ctrl-C, all that run are known
+                if not running:
+                    return
+                ray.wait(running)
+                finished, running = ray.wait(running, num_returns=len(running), timeout=0)
+                yield from _fetched(ray.get, finished)
+        except ray.exceptions.RayTaskError as error:
+            raise _told(error.cause) from None
+        except (ray.exceptions.RayError, ConnectionError) as error:
+            raise _lost(error) from error
+        finally:
+            with contextlib.suppress(Exception):  # of a cluster that was lost
+                for one in running:
+                    ray.cancel(one)
+
+
+class Dask(Cluster):
+    """A cluster of Dask."""
+
+    def __init__(self, address: str) -> None:
+        try:
+            import distributed
+        except ModuleNotFoundError as error:
+            raise missing_extra("--on dask", error, "cluster") from error
+        self._dask = distributed
+        try:
+            self._client = distributed.Client(address, timeout=10, set_as_default=False)
+        except OSError as error:
+            raise ConfigurationError(f"no scheduler of Dask answers at {address}: {error}") from error
+        self.workers = max(LEAST, self.count())
+
+    def close(self) -> None:
+        """Leave the cluster."""
+        self._client.close()
+
+    def _results(self, function: Work, first: tuple[Any, ...], units: Iterable[Any]) -> Generator[Any, None, None]:
+        # sent as tasks, which the scheduler keeps: data that is scattered is lost with the workers that hold it
+        sent = [self._client.submit(_itself, one, pure=False) for one in first]
+        waiting = iter(units)
+        running: set[Any] = set()
+        try:
+            while True:
+                for unit in _some(waiting, AHEAD * self.workers - len(running)):
+                    running.add(self._client.submit(function, *sent, unit, pure=False))
+                if not running:
+                    return
+                finished = self._first_of(running)
+                running -= finished
+                yield from _fetched(self._fetch, list(finished))
+        finally:
+            with contextlib.suppress(Exception):  # of a cluster that was lost
+                self._client.cancel(list(running))
+
+    def _first_of(self, running: set[Any]) -> set[Any]:
+        """Those that have finished, as soon as one has. Raises `WorkersFailed` if no worker is left for that."""
+        while True:
+            try:
+                with self._client.as_current():
+                    done: set[Any] = self._dask.wait(list(running), SILENCE, "FIRST_COMPLETED").done
+                return done
+            except TimeoutError:
+                if not self.count():
+                    raise WorkersFailed(
+                        "no worker of the cluster is left: they died, or have no armctl like this one"
+                    ) from None
+            except Exception as error:  # whatever becomes of a cluster that was lost
+                raise _lost(error) from error
+
+    def _fetch(self, finished: list[Any]) -> Any:
+        try:
+            return self._client.gather(finished)
+        except WorkersFailed:
+            raise
+        except Exception as error:
+            raise _lost(error) from error
+
+    def count(self) -> int:
+        """Worker processes of the cluster at present."""
+        return len(self._client.scheduler_info(n_workers=-1)["workers"])
+
+
+def _fetched(fetch: Callable[[list[Any]], list[Any]], finished: list[Any]) -> Iterator[Any]:
+    """Results of what has finished, by one call, since a call takes longer than a result; if one failed, by one each.
+
+    So those before it are kept. Raises what `fetch` raises for it.
+    """
+    try:
+        results: Iterable[Any] = fetch(finished)
+    except Exception:  # whatever a unit raises
+        results = (fetch([one])[0] for one in finished)
+    yield from results
+
+
+def _lost(error: Exception) -> WorkersFailed:
+    return WorkersFailed(f"workers died again and again, or the cluster was lost: {error}")
+
+
+def _told(error: BaseException) -> WorkersFailed:
+    return error if isinstance(error, WorkersFailed) else WorkersFailed(described(error))
+
+
+def _some(units: Iterator[Any], count: int) -> Iterator[Any]:
+    return (unit for _, unit in zip(range(count), units, strict=False))
+
+
+def _itself(value: Any) -> Any:
+    return value

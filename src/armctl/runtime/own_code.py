@@ -1,0 +1,62 @@
+"""Tells code of one's own from that of Python, of installed packages and of armctl's core, whose versions count."""
+
+import functools
+import site
+import sys
+import sysconfig
+from pathlib import Path, PurePath
+from types import ModuleType
+
+from armctl.core.registration import installed
+from armctl.policies import GROUP
+
+_PACKAGES = {"site-packages", "dist-packages"}
+"""Folders of installed packages, also of another environment that Python's path leads to."""
+
+
+def is_core(module: ModuleType) -> bool:
+    """Whether a module is armctl's, and not one of the plug-ins that come with it."""
+    return f"{module.__name__}.".startswith("armctl.") and not is_plugin(module)
+
+
+def is_plugin(module: ModuleType) -> bool:
+    """Whether a module belongs to a package that offers policies."""
+    return module.__name__.startswith(_plugins())
+
+
+@functools.cache
+def _plugins() -> tuple[str, ...]:
+    return tuple({f"{entry.module.rpartition('.')[0]}." for entry in installed(GROUP)})
+
+
+def in_plugin(path: PurePath) -> PurePath:
+    """A path in a plug-in relative to its folder, which is another on each machine; any other path as it is."""
+    folders = (
+        Path(file).parent for name in _plugins() if (file := getattr(sys.modules.get(name[:-1]), "__file__", ""))
+    )
+    return next((path.relative_to(folder) for folder in folders if path.is_relative_to(folder)), path)
+
+
+def is_own(module: ModuleType) -> bool:
+    """Whether a module is the user's or a plug-in's: neither of another installed package, nor Python's."""
+    file = file_of(module)
+    if file is None or is_core(module):
+        return False
+    return is_plugin(module) or not is_library(file)
+
+
+def is_library(file: Path) -> bool:
+    """Whether a file or folder belongs to Python or to an installed package."""
+    return not _PACKAGES.isdisjoint(file.parts) or any(map(file.is_relative_to, _libraries()))
+
+
+@functools.cache
+def _libraries() -> tuple[Path, ...]:
+    places = (*site.getsitepackages(), site.getusersitepackages(), *sysconfig.get_paths().values())
+    return tuple(Path(place).resolve() for place in places)
+
+
+def file_of(module: ModuleType) -> Path | None:
+    """A module's file; None if it has none that is there."""
+    file = getattr(module, "__file__", None)
+    return Path(file).resolve() if file and Path(file).is_file() else None

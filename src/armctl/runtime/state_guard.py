@@ -1,0 +1,170 @@
+"""Notices a policy that writes to the world: what an episode depends on, compared before and after it is made and acts.
+
+These are MuJoCo's state, the model's fields of each world, the arrays and plain values among the attributes of the
+environment, its spaces, its task, the parts of the task and the robot's limits, and the constants of the task's classes
+and of the modules that define them. What a policy changes and puts back is allowed, as by a planner that tries actions.
+Of environments of others, it is MuJoCo's state, the arrays and plain values among their own attributes, and the same
+constants.
+"""
+
+import contextlib
+import sys
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+import gymnasium
+import mujoco
+import numpy as np
+
+from armctl.core.errors import FAILURES, Disqualified
+from armctl.envs import EpisodeVectorEnv, TaskVectorEnv, ThirdPartyVectorEnv
+from armctl.simulation import Simulation
+
+_PLAIN = (bool, int, float, str, np.generic)
+_MJ_DATA = ("qpos", "qvel", "act", "ctrl", "mocap_pos", "mocap_quat", "xfrc_applied")
+_LARGE = 2**16
+"""Bytes. The checksum of a larger array takes longer than most decisions: a read-only one is taken as unchanged."""
+_SPACES = ("single_observation_space", "single_action_space", "observation_space", "action_space")
+
+
+class StateGuard:
+    """Watches the worlds of an environment while a policy is made, and while it decides."""
+
+    def __init__(self, env: Any) -> None:
+        self._worlds: EpisodeVectorEnv = env.unwrapped
+        self._slots: list[_Slot] = []
+
+    @contextmanager
+    def assert_unchanged(self, new_episode: bool = False) -> Iterator[None]:
+        """Check that what happens inside leaves the worlds as they are. Raises `Disqualified`.
+
+        What there is to compare is looked up when an episode begins. What was written is put back, so that the policies
+        which play after this one play the same task; the current episodes are lost.
+        """
+        if new_episode:
+            self._slots = [_Slot.of(*place) for place in _places(self._worlds)]
+        state = getattr(self._worlds.task, "state", None)  # another object at each control step
+        slots = [*self._slots, *(_Slot.of(*at) for at in _inside("task.state", getattr(state, "__dict__", {})))]
+        before = _values(slots)
+        failure: BaseException | None = None
+        try:
+            yield
+        except FAILURES as error:
+            failure = error
+        after = _values(slots)
+        if before != after:
+            changed = [(slot, was) for slot, was, now in zip(slots, before, after, strict=True) if was != now]
+            for slot, was in changed:
+                slot.put_back(was)
+            names = ", ".join(slot.name for slot, _ in changed[:3])
+            raise Disqualified(f"it wrote to the world, which is only for reading: {names}") from failure
+        if failure is not None:
+            raise failure
+
+
+class _Slot(NamedTuple):
+    """A place where a value is that an episode depends on."""
+
+    name: str
+    holder: Any
+    """A dict, a list, or a class."""
+    key: Any
+    items: Any
+    """The holder as a mapping or a list."""
+    array: Any = None
+    """The array that is there, if it is one, and a copy of what it holds."""
+    content: Any = None
+
+    @classmethod
+    def of(cls, name: str, holder: Any, key: Any) -> "_Slot":
+        items = _items(holder)
+        there = items[key]
+        return cls(name, holder, key, items, *((there, there.copy()) if isinstance(there, np.ndarray) else ()))
+
+    def put_back(self, value: Any) -> None:
+        """Restore what was there: `value`, or the array with its content."""
+        if self.array is not None:
+            value = self.array
+            if value.flags.writeable:
+                value[...] = self.content
+        if isinstance(self.holder, type):
+            setattr(self.holder, self.key, value)
+        else:
+            with contextlib.suppress(IndexError):
+                self.holder[self.key] = value
+
+
+def _values(slots: Sequence[_Slot]) -> list[Any]:
+    """Plain values, and the checksums of arrays; None for what is gone."""
+    values = []
+    for slot in slots:
+        try:
+            value = slot.items[slot.key]
+        except LookupError:
+            value = None
+        if isinstance(value, np.ndarray):
+            if value.nbytes > _LARGE and not value.flags.writeable:
+                value = id(value)
+            else:
+                value = zlib.crc32(value.data if value.flags.c_contiguous else value.tobytes())
+        values.append(value)
+    return values
+
+
+def _places(worlds: EpisodeVectorEnv) -> Iterator[tuple[str, Any, Any]]:
+    """Where the values are that an episode depends on: a name, and the key or index in a dict, list or class."""
+    task: Any = worlds.task
+    yield from _inside("env", vars(worlds))
+    for name in _SPACES:
+        yield from _inside(f"env.{name}", getattr(getattr(worlds, name, None), "__dict__", {}))
+    yield from _inside("task", vars(task))
+    for name, part in vars(task).items():
+        if name != "state" and hasattr(part, "__dict__") and not isinstance(part, (Simulation, gymnasium.Space)):
+            yield from _inside(f"task.{name}", vars(part))
+    yield from _inside("robot.limits", getattr(getattr(task.robot, "limits", None), "__dict__", {}))
+    yield from _constants(worlds)
+    if isinstance(worlds, TaskVectorEnv):
+        yield from _inside("simulation", task.simulation.live_arrays)
+    elif isinstance(worlds, ThirdPartyVectorEnv):
+        for i, world in enumerate(worlds.worlds):
+            yield from _inside(f"world {i}", vars(world.unwrapped))
+            for name, part in vars(world.unwrapped).items():
+                if isinstance(part, mujoco.MjData):
+                    yield from _inside(f"world {i}.{name}", {key: getattr(part, key) for key in _MJ_DATA})
+
+
+def constants(worlds: EpisodeVectorEnv) -> dict[str, Any]:
+    """The constants of the task by name: those of its classes, and of the modules that define them."""
+    return {name: _items(holder)[key] for name, holder, key in _constants(worlds)}
+
+
+def _constants(worlds: EpisodeVectorEnv) -> Iterator[tuple[str, Any, Any]]:
+    cls = type(worlds.worlds[0].unwrapped if isinstance(worlds, ThirdPartyVectorEnv) else worlds.task)
+    for kind in cls.__mro__:
+        if kind is not object:
+            yield from _inside(kind.__name__, kind)
+    for module in dict.fromkeys(kind.__module__ for kind in cls.__mro__):
+        if module != "builtins" and module in sys.modules:
+            yield from _inside(module, vars(sys.modules[module]))
+
+
+def _inside(name: str, holder: Any) -> Iterator[tuple[str, Any, Any]]:
+    items = _items(holder)
+    for key, value in items.items() if isinstance(items, Mapping) else enumerate(items):
+        if isinstance(key, str) and key.startswith("__"):
+            continue  # Python's own, of modules and classes
+        numbers = isinstance(value, np.ndarray) and value.dtype != object
+        if numbers or _is_plain(value) or (isinstance(value, tuple) and all(map(_is_plain, value))):
+            yield f"{name}.{key}", holder, key
+        elif isinstance(value, (dict, list)) and key != "metadata":
+            yield from _inside(f"{name}.{key}", value)
+
+
+def _items(holder: Any) -> Mapping[Any, Any] | Sequence[Any]:
+    return vars(holder) if isinstance(holder, type) else holder
+
+
+def _is_plain(value: Any) -> bool:
+    return isinstance(value, _PLAIN)

@@ -1,0 +1,1 @@
+"""Statistics of episodes: intervals, paired tests, power, training seeds, tasks, robustness."""

@@ -1,0 +1,98 @@
+"""How many episodes a comparison needs."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from armctl.core.errors import ConfigurationError, ResultsError
+from armctl.stats.paired import LEVELS
+from armctl.stats.power import episodes_to_detect, episodes_to_show_equivalence
+from armctl.study.results import read_results
+from armctl.verdict.sentences import contests
+from armctl.verdict.tables import AGAINST, Cell, Column, Document, Remark, Table
+
+SHARES = (0.01, 0.02, 0.05, 0.1, 0.2, 0.4)
+"""Of episodes that exactly one of two policies wins."""
+TRAININGS = "For groups of trainings, more trainings tell more than more episodes"
+
+
+@dataclass(frozen=True)
+class _Planned:
+    """What is planned for."""
+
+    shares: dict[Cell, float]
+    """Of discordant episodes, by the name of a row."""
+    tests: int = LEVELS
+    """For how many the verdict corrects a difference."""
+    claims: int = 1
+    """For how many pairs it corrects equivalence."""
+    left_out: list[str] = field(default_factory=list)
+    """Pairs that more episodes alone do not decide."""
+
+
+def plan_comparison(
+    difference: float, power: float = 0.8, pilot: Path | None = None, pairs: int | None = None
+) -> Document:
+    """How many episodes tell a difference in success, or that there is none as large.
+
+    `power` is the probability of telling it. With the results folder of a pilot, there is a row for each pair of its
+    policies, whose share of discordant episodes is estimated with one more of either kind (Laplace's rule). Tests are
+    corrected for success, steps and return of so many `pairs` (Bonferroni); by default, as the pilot's verdict is, or
+    for a single pair without one.
+
+    Raises `ConfigurationError`, and `ResultsError` for a folder without results of success.
+    """
+    if not 0 < difference < 1:
+        raise ConfigurationError(f"the difference to detect is between 0 and 100 %, not {100 * difference:g} %")
+    if not 0 < power < 1:
+        raise ConfigurationError(f"the power is a probability between 0 and 1, such as 0.8, not {power:g}")
+    if pairs is not None and pairs < 1:
+        raise ConfigurationError(f"a comparison has at least one pair, not {pairs}")
+    plan = _Planned({Cell(f"{100 * share:g} %"): share for share in SHARES}) if pilot is None else _planned(pilot)
+    tests, claims = LEVELS * pairs if pairs else plan.tests, pairs or plan.claims
+    records = [
+        {
+            "pair": f"{name.text} {name.small}".strip(),
+            "discordant": share,
+            "episodes_to_detect": episodes_to_detect(difference, share, power, tests),
+            "episodes_to_show_equivalence": episodes_to_show_equivalence(difference, share, power, claims),
+        }
+        for name, share in plan.shares.items()
+    ]
+    rows = [
+        [name, *([] if pilot is None else [Cell(f"{100 * share:.1f} %")])]
+        + [Cell(f"{record[key]:,}") for key in ("episodes_to_detect", "episodes_to_show_equivalence")]
+        for (name, share), record in zip(plan.shares.items(), records, strict=True)
+    ]
+    points = f"{100 * difference:g} points"
+    headings = ["won by exactly one"] if pilot is None else ["a - b", "won by exactly one"]
+    columns = [*map(Column, headings), Column("to detect"), Column("to show equivalence")]
+    title = f"Episodes that tell {points} of success, with a power of {100 * power:g} %"
+    remarks = [
+        "Two policies of 95 and 97 % whose failures are independent differ in 7.7 % of their episodes."
+        if pilot is None
+        else "Play them with another seed, or with the pilot's, which resumes it."
+    ]
+    if plan.left_out:
+        remarks.append(f"Left out: {', '.join(plan.left_out)}. {TRAININGS}.")
+    table = Table("plan", title, columns, rows, records, _caption(tests, claims))
+    return Document([table, *map(Remark, remarks)], {"difference": difference, "power": power})
+
+
+def _caption(tests: int, claims: int) -> str:
+    """How the tests are corrected."""
+    corrections = f"to detect, for {tests} test{'s' * (tests > 1)} of success, steps and return; "
+    corrections += f"to show equivalence, for {claims} pair{'s' * (claims > 1)}"
+    return f"Tests at 5 % after Bonferroni's correction ({corrections}), on the same episodes for both policies."
+
+
+def _planned(pilot: Path) -> _Planned:
+    found = read_results(pilot).comparison
+    known = [pair for pair in found.paired if pair.mcnemar_p is not None and found.baseline in (None, pair.a, pair.b)]
+    left_out = [f"{pair.a} {AGAINST}{pair.b}" for pair in known if pair.crossed is not None]
+    alone = {Cell(pair.a, AGAINST + pair.b): pair for pair in known if pair.crossed is None}
+    if not alone:
+        why = f": {TRAININGS}" if left_out else ""
+        raise ResultsError(f"{pilot} has no pair of policies whose success is known, and so nothing to plan by{why}")
+    shares = {name: (pair.only_a + pair.only_b + 1) / (pair.episodes + 2) for name, pair in alone.items()}
+    told = contests(found.policies, found.paired, found.baseline)[0]
+    return _Planned(shares, told.p.tests, told.claims, left_out)

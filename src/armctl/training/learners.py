@@ -1,0 +1,214 @@
+"""Recipes, which describe trainings; learners, which follow them; exporters of models; and how all are found.
+
+A package offers learners under the entry-point group `armctl.learners`, packages of recipes (`*.toml`) under
+`armctl.recipes`, and exporters, by the suffix of the files that they read, under `armctl.exporters`.
+"""
+
+import itertools
+from collections.abc import Mapping
+from importlib import resources
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import Annotated, Any, Protocol, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator
+
+from armctl import DEFAULT_ENV
+from armctl.agents import FILES, AgentCard
+from armctl.agents.costs import TuningCost
+from armctl.core.errors import ConfigurationError, missing_extra, unknown_name
+from armctl.core.files import checked_name, read_toml
+from armctl.core.options import checked_model, make_options
+from armctl.core.registration import check_named, installed
+
+LEARNERS, RECIPES, EXPORTERS = "armctl.learners", "armctl.recipes", "armctl.exporters"
+
+TrainingSeed = Annotated[int, Field(ge=0, lt=2**32)]
+Options = TypeVar("Options")
+
+
+class Stage(BaseModel):
+    """What takes the place of a recipe's own options and weights from some share of a training's steps on."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    after: Annotated[float, Field(gt=0, lt=1)]
+    """Share of the steps that are made before."""
+    training_options: dict[str, Any] = {}
+    reward_weights: dict[str, FiniteFloat] = {}
+
+
+class Recipe(BaseModel):
+    """Everything that defines a training, except its seed."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    name: str
+    """Name of its file, without `.toml`; the default folder of a training begins with it."""
+    learner: str
+    env: str
+    env_options: dict[str, Any] = {}
+    """Options of the environment that the agent acts in."""
+    training_options: dict[str, Any] = {}
+    """Options of the environment in training only: the agent is evaluated without them."""
+    shaping: str | None = None
+    """Potential for potential-based reward shaping (see `armctl.shaping`); None for no shaping."""
+    shaping_scale: FiniteFloat = 1.0
+    """Reward per unit of the potential."""
+    reward_weights: dict[str, FiniteFloat] = {}
+    """Weights of the task's own reward terms in training; 1 where not named."""
+    curriculum: list[Stage] = []
+    """Later stages of the training, which differ in `training_options` and `reward_weights`."""
+    teacher: str | None = None
+    """The policy to learn from: any that `armctl.make_policy` takes."""
+    seeds: Annotated[list[TrainingSeed], Field(min_length=1)] = [0]
+    """Training seeds of the published results."""
+    options: dict[str, Any] = {}
+    """Options of the learner, such as `steps`."""
+    tune: dict[str, Any] = {}
+    """The search space of `armctl tune` (see `armctl.core.search_space`), which a training does not use."""
+    tuned: TuningCost | None = None
+    """The search by which `armctl tune` has found these values."""
+
+    @property
+    def options_in_training(self) -> dict[str, Any]:
+        """All options of the environment in training."""
+        return self.env_options | self.training_options
+
+    def after(self, share: float) -> "Recipe":
+        """The recipe with the options and weights that hold after a share of the training's steps."""
+        begun = [stage for stage in self.curriculum if stage.after <= share]
+        return self.model_copy(update=begun[-1].model_dump(exclude={"after"})) if begun else self
+
+    @property
+    def stages(self) -> list["Recipe"]:
+        """The recipe as it is at first, and in each stage of its curriculum."""
+        return [self.after(share) for share in (0.0, *(stage.after for stage in self.curriculum))]
+
+    @field_validator("curriculum")
+    @classmethod
+    def _in_order(cls, stages: list[Stage]) -> list[Stage]:
+        if any(later.after <= earlier.after for earlier, later in itertools.pairwise(stages)):
+            raise ValueError("stages should be in the order in which they begin")
+        return stages
+
+    def changed(self, **changes: Any) -> "Recipe":
+        """The recipe with other values. Raises `ConfigurationError`."""
+        return _recipe({**self.model_dump(), **changes}, f"recipe {self.name}, as changed")
+
+    def read_options(self, options_type: type[Options]) -> Options:
+        """The learner's options, checked by a class made with `armctl.core.options.options`.
+
+        Raises `ConfigurationError` for an unknown name or an invalid value.
+        """
+        return make_options(options_type, self.options, f"option of {self.learner}")
+
+
+class Learner(Protocol):
+    """Trains an agent into the folder `out`, or resumes the training there."""
+
+    def __call__(  # noqa: D102
+        self, recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True
+    ) -> AgentCard: ...
+
+
+class Exporter(Protocol):
+    """Turns another library's model into an agent: the graph `out` (`.onnx`), and its card beside it.
+
+    `normalisation` is the file of the observations' statistics; without it, the exporter looks beside the model.
+    Nothing that could run code is loaded without `trust`, and no agent is replaced without `overwrite`.
+    """
+
+    def __call__(  # noqa: D102
+        self,
+        model: Path,
+        *,
+        env: str,
+        out: Path,
+        env_options: Mapping[str, Any] | None = None,
+        normalisation: Path | None = None,
+        algorithm: str | None = None,
+        trust: bool = False,
+        overwrite: bool = False,
+    ) -> AgentCard: ...
+
+
+def learner_names() -> list[str]:
+    """Names of all installed learners."""
+    return sorted(installed(LEARNERS).names)
+
+
+def load_learner(name: str) -> Learner:
+    """The installed learner of that name. Raises `ConfigurationError`, also if the extra `rl` is not installed."""
+    entries = installed(LEARNERS)
+    if name not in entries.names:
+        raise unknown_name("learner", name, entries.names)
+    try:
+        return entries[name].load()  # type: ignore[no-any-return]
+    except ModuleNotFoundError as error:
+        raise missing_extra("training", error) from error
+
+
+def load_exporter(model: Path) -> Exporter:
+    """The installed exporter of files like this model's, by its suffix. Raises `ConfigurationError`."""
+    entries, suffix = installed(EXPORTERS), model.suffix.removeprefix(".")
+    if suffix not in entries.names:
+        allowed = ", ".join(f".{name}" for name in sorted(entries.names))
+        raise ConfigurationError(f"{model} cannot be exported: models are files {allowed or 'of no kind'}")
+    try:
+        return entries[suffix].load()  # type: ignore[no-any-return]
+    except ModuleNotFoundError as error:
+        raise missing_extra("exporting", error) from error
+
+
+def recipe_names() -> list[str]:
+    """Names of all installed recipes."""
+    return sorted(_installed())
+
+
+def load_recipe(name: str | Path, env: str | None = None, teacher: str | None = None) -> Recipe:
+    """A recipe by its name, by its file's path, or by its learner and environment.
+
+    `env` and `teacher` replace the recipe's own, and have to if these are code (`module:name`): a file runs none. A
+    learner's name without `env` means `DEFAULT_ENV`. Of several recipes for an environment, the one with the shortest
+    name is taken, which is the plain one; without any, the learner's defaults are. Raises `ConfigurationError`.
+    """
+    installed = _installed()
+    if Path(name).suffix == ".toml":
+        recipe = _read(Path(name), Path(name).stem)
+        if env is None:
+            check_named(recipe.env, f"the recipe {name}", "--env")
+        if teacher is None and recipe.teacher is not None and Path(recipe.teacher).suffix not in FILES:
+            check_named(recipe.teacher, f"the recipe {name}", "--teacher")
+    elif str(name) in installed:
+        recipe = _read(installed[str(name)], str(name))
+    elif name in learner_names():
+        recipe = _recipe_of(str(name), env or DEFAULT_ENV)
+    else:
+        raise unknown_name("recipe", name, [*installed, *learner_names(), "path/to/recipe.toml"])
+    given = {"env": env, "teacher": teacher}
+    return recipe.changed(**{key: value for key, value in given.items() if value is not None})
+
+
+def _installed() -> dict[str, Traversable]:
+    return {
+        file.name.removesuffix(".toml"): file
+        for package in installed(RECIPES)
+        for file in resources.files(package.value).iterdir()
+        if file.name.endswith(".toml")
+    }
+
+
+def _recipe_of(learner: str, env: str) -> Recipe:
+    suited = [one for one in map(load_recipe, recipe_names()) if (one.learner, one.env) == (learner, env)]
+    plain = Recipe(name=learner, learner=learner, env=env)
+    return min(suited, key=lambda recipe: len(recipe.name), default=plain)
+
+
+def _read(file: Traversable, name: str) -> Recipe:
+    return _recipe({"name": name, **read_toml(file, "recipe")}, str(file))
+
+
+def _recipe(values: dict[str, Any], source: str) -> Recipe:
+    checked_name("recipe", str(values.get("name")))
+    return checked_model(Recipe, values, "recipe", source)

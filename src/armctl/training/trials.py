@@ -1,0 +1,105 @@
+"""The record of every training that was tried, those that failed too: `trials.csv`, a row each.
+
+Who tries ten trainings and shows the best one has to say so. `armctl train` appends to the file beside its folder.
+"""
+
+import contextlib
+import csv
+import io
+import json
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import filelock
+
+from armctl.agents import AgentCard
+from armctl.core.errors import ArmctlError, ResultsError
+from armctl.core.files import bounded_text, write_atomically
+from armctl.study.curves import CURVE, read_curve
+
+TRIALS = "trials.csv"
+COLUMNS = (
+    "date", "recipe", "changed", "env", "learner", "seed", "steps", "minutes", "ended", "note",
+    "success", "low", "high", "episodes", "episode_seed", "sha256",
+)  # fmt: skip
+"""`changed` is what differs from the recipe, as JSON; `seed` is the training's. `ended` is `finished`, `interrupted`,
+`pruned` or `failed`, and `note` the reason. `success` has its 95 % interval, over `episodes` of `episode_seed`;
+`sha256` is the agent's. What is unknown is empty."""
+PATIENCE = 60.0
+"""s to wait for another process that writes a row."""
+
+
+def trial(
+    recipe: str, learner: str, env: str, seed: int | None, changed: Mapping[str, Any], ended: str, note: str = ""
+) -> dict[str, Any]:
+    """A row without results; `changed` may have empty values, which are left out."""
+    given = {name: value for name, value in changed.items() if value not in (None, {}, "")}
+    return {
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "recipe": recipe,
+        "changed": json.dumps(given, default=str, sort_keys=True) if given else "",
+        "env": env,
+        "learner": learner,
+        "seed": seed,
+        "ended": ended,
+        "note": note,
+    }
+
+
+def results_of(card: AgentCard) -> dict[str, Any]:
+    """What a finished training's card adds to its row."""
+    found: dict[str, Any] = {
+        "steps": card.training_steps,
+        "minutes": card.training_minutes,
+        "sha256": card.sha256,
+    }
+    if (evaluation := card.judgement) is not None:
+        low, high = evaluation.success_interval
+        found |= {"success": evaluation.success_rate, "low": round(low, 4), "high": round(high, 4)}
+        found |= {"episodes": evaluation.episodes, "episode_seed": evaluation.seed}
+    return found
+
+
+def progress_of(folder: Path) -> dict[str, Any]:
+    """What the learning curve of an unfinished training adds to its row."""
+    with contextlib.suppress(OSError, ValueError, ArmctlError, IndexError, OverflowError):
+        last = read_curve(folder / CURVE).iloc[-1]
+        return {"steps": int(last["steps"]), "minutes": float(last["minutes"])}
+    return {}
+
+
+def add_trial(file: Path, row: Mapping[str, Any]) -> None:
+    """Append a row; other processes may do so at the same time. Rows and columns that are there are kept.
+
+    Raises `ResultsError`, which has the row, if the file cannot be read or written; it then stays as it was.
+    """
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with filelock.FileLock(file.with_name(f".{file.name}.lock"), timeout=PATIENCE):
+            rows = read_trials(file) if file.exists() else []
+            write_trials(file, [*rows, row])
+    except (OSError, ValueError, csv.Error) as error:  # a lock's Timeout is an OSError
+        why = getattr(error, "strerror", None) or error
+        said = json.dumps({name: value for name, value in row.items() if value not in (None, "")}, default=str)
+        raise ResultsError(f"the training cannot be recorded in {file} ({why}); its row is {said}") from error
+
+
+def write_trials(file: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Replace all rows. Columns are `COLUMNS` and further ones of the first row. Raises `OSError`."""
+    columns = list(dict.fromkeys((*COLUMNS, *(rows[0] if rows else ()))))
+    table = io.StringIO()
+    writer = csv.DictWriter(table, columns, extrasaction="ignore", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_atomically(file, table.getvalue())
+
+
+def read_trials(file: Path) -> list[dict[str, str]]:
+    """All rows, as text. Raises `OSError` or `ValueError`."""
+    rows = list(csv.DictReader(io.StringIO(bounded_text(file)), strict=True))
+    for line, row in enumerate(rows, start=2):
+        if None in row or None in row.values():
+            raise ValueError(f"line {line} does not have as many values as there are columns")
+    return rows

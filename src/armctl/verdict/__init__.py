@@ -1,0 +1,1 @@
+"""Summaries of episodes, tables of them, and the sentences of a verdict."""

@@ -1,0 +1,251 @@
+"""The tables of a comparison and of a sweep, from their figures."""
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+
+import pandas as pd
+
+from armctl.agents.costs import TrainingCost
+from armctl.runtime.provenance import with_looks
+from armctl.stats.degradation import FALSE_DISCOVERY_RATE, Degradation, degradations
+from armctl.stats.intervals import Estimate
+from armctl.stats.paired import PairedDifference, corrected
+from armctl.stats.robustness import GROUP, Pair, PairTest, robustness_headline, robustness_rankings
+from armctl.stats.trainings import FEWEST_TRAININGS
+from armctl.verdict.summary import PolicySummary
+from armctl.verdict.tables import AGAINST, UNKNOWN, Cell, Column, Remark, Table, p_value, percent, plain
+
+DISQUALIFIED, SPARED = "disqualified", "spared"
+
+
+def policy_table(env: str, seed: int, policies: Sequence[PolicySummary], disqualified: Sequence[str] = ()) -> Table:
+    """A row for each policy. An environment that knows no success has no columns of it."""
+    by_success = any(policy.success for policy in policies)
+    unbounded = any(policy.median_return for policy in policies)
+    columns = [Column("policy"), Column("success"), Column("return"), Column("median return", optional=by_success)]
+    columns += [Column("steps"), Column("length")]
+    columns += [Column(name, optional=True) for name in ("decision ms", "sees", "clean", "worst 10 %")]
+    rows = [
+        [
+            Cell(policy.policy, _training(policy)),
+            percent(policy.success),
+            plain(policy.episode_return),
+            plain(policy.median_return),
+            plain(policy.restricted_steps),
+            plain(policy.length),
+            Cell(f"{policy.decision_ms_p50:.3f}", f"{policy.decision_ms_p99:.3f}"),
+            Cell(*policy.knowledge),
+            percent(policy.clean_success),
+            plain(policy.worst_decile),
+        ]
+        for policy in policies
+    ]
+    rows += [[Cell(name, DISQUALIFIED), *[Cell(UNKNOWN)] * (len(columns) - 1)] for name in disqualified]
+    caption = (
+        "With decisions in training (M: million), 95 % intervals, and median and 99th percentile of decision times."
+    )
+    if any(policy.trainings for policy in policies):
+        caption += " [*]: the intervals of means are for other trainings and other episodes."
+    if any(policy.spared for policy in policies):
+        caption += " Spared: not reached by that disturbance, and so in no pair and no verdict."
+    if disqualified:
+        caption += " Disqualified: wrote to the world."
+    if by_success:
+        caption += " Clean: without contacts and beyond no limit. Steps: to the goal; failures count as the time limit."
+    else:
+        caption += " Length: steps of an episode."
+    if unbounded:
+        caption += " Possible returns are unknown, and with them intervals of their means; medians have one."
+    left_out = ("length",) if by_success else ("success", "clean", "steps")
+    columns, rows = _without((*left_out, *(() if unbounded else ("median return",))), columns, rows)
+    records = [dataclasses.asdict(policy) for policy in policies]
+    records += [{"policy": name, "disqualified": True} for name in disqualified]
+    title = f"{env}: {policies[0].planned} episodes of seed {seed}"
+    return Table("policies", title, columns, rows, records, caption)
+
+
+def _training(policy: PolicySummary) -> str:
+    training = f"{trained(policy.training)} each" if policy.trainings else trained(policy.training)
+    return ", ".join((training, *(f"spared {name}" for name in policy.spared)))
+
+
+def trained(cost: TrainingCost) -> str:
+    """What a policy's training and those of its teachers took, in a few characters."""
+    if not cost.steps:
+        return "untrained"
+    cost = cost.total
+    count = cost.decisions or cost.gradient_steps or cost.steps
+    short = f"{count / 1e6:.3g} M" if count >= 999_500 else f"{count:,}"
+    return short if cost.decisions else f"{short} {'updates' if cost.gradient_steps else 'steps'}"
+
+
+def details(policy: PolicySummary) -> Remark:
+    """How a policy's episodes ended, and what else there is to know of them."""
+    ends = ", ".join(f"{count} {outcome}" for outcome, count in policy.outcomes.items())
+    said = [f"{policy.policy}: {ends}"]
+    if policy.trainings:
+        said.append(trainings_in_words(policy))
+    if policy.unstable:
+        said.append(f"the physics failed in {policy.unstable}, which count as failures")
+    if gap := policy.optimality_gap:
+        said.append(f"{100 * gap.value:.0f}{_bracketed(gap, 100, 0)} % over the least time (median)")
+    if error := policy.tracking_error:
+        said.append(f"tracking error {1e3 * error.value:.1f}{_bracketed(error, 1e3, 1)} mm")
+    if seconds := policy.decision_seconds:
+        said.append(f"decisions take {seconds.value:.2g} s an episode{_beside_decisions(policy)}")
+    if policy.solver_failures:
+        said.append(f"its solver failed {policy.solver_failures} times")
+    if policy.missed_deadlines:
+        said.append(f"{100 * policy.missed_deadlines:.2g} % of its deadlines missed")
+    return Remark("; ".join(said))
+
+
+def _beside_decisions(policy: PolicySummary) -> str:
+    """The times of what a policy computes besides its decisions."""
+    resets = "" if policy.reset_ms is None else f", of it {policy.reset_ms:.3g} ms at the reset (median)"
+    return resets + ("" if policy.construction_ms is None else f"; it was made in {policy.construction_ms:.3g} ms")
+
+
+def trainings_in_words(policy: PolicySummary) -> str:
+    """The scores of a group's trainings, their standard deviation without the part due to episodes, and Student's t."""
+    scale, unit, points = (100, " %", " points") if policy.success else (1, "", "")
+    each = ", ".join(f"{scale * score:.1f}" for score in policy.trainings.values())
+    what = "success" if policy.success else "return"
+    spread = f"standard deviation {scale * (policy.between or 0):.1f}{points}"
+    interval = _bracketed(policy.if_normal, scale, 1) if policy.if_normal else ""
+    student = f", mean within{interval}{unit} if trainings vary normally (Student's t, 95 %)" if interval else ""
+    return f"{what} by training {each}{unit}, {spread}{student}"
+
+
+def paired_table(pairs: Sequence[PairedDifference], baseline: str | None = None) -> Table:
+    """A row for each pair of policies. If success is unknown, the probability of a higher return takes its place."""
+    by_success = any(pair.mcnemar_p is not None for pair in pairs)
+    name, gain = Column("a - b"), Column("return")
+    columns = [name, Column("success"), Column("only a / only b", optional=True), Column("p"), gain, Column("steps")]
+    p_values = corrected(pairs, baseline)
+    family = f"the pairs of {baseline}, and of all others for all pairs" if baseline else "all pairs"
+    rows = []
+    for pair, p in zip(pairs, p_values, strict=True):
+        names, difference = Cell(pair.a, AGAINST + pair.b), plain(pair.return_difference, "+")
+        if by_success:
+            counts = Cell(f"{pair.only_a} / {pair.only_b}")
+            success, steps = percent(pair.success_difference, "+"), plain(pair.steps_difference, "+")
+            rows.append([names, success, counts, Cell(p_value(p.success)), difference, steps])
+        else:
+            rows.append([names, difference, percent(pair.superiority.probability), Cell(p_value(p.higher))])
+    if by_success:
+        caption = f"p: McNemar's exact test for equal success, after Holm's correction for {family}, and for success, "
+        caption += "steps and returns together. Intervals: 95 %, each pair by itself."
+        if any(pair.crossed for pair in pairs):
+            caption += " [*]: for other trainings and other episodes, whatever the distribution of trainings."
+        caption += _if_normal(pairs)
+    else:
+        columns = [name, gain, Column("a is better"), Column("p")]
+        caption = "a is better: share of episodes in which a has the higher return; a tie counts half. "
+        caption += f"p: sign test, after Holm's correction for {family}. Intervals: 95 %."
+    records = [
+        {
+            **dataclasses.asdict(pair), "p_corrected": p.success if by_success else p.higher,
+            "steps_p_corrected": p.steps, "return_p_corrected": p.returns,
+        }
+        for pair, p in zip(pairs, p_values, strict=True)
+    ]  # fmt: skip
+    return Table("paired", "Paired differences, on the same episodes", columns, rows, records, caption)
+
+
+def _if_normal(pairs: Sequence[PairedDifference]) -> str:
+    """Student's interval of each pair of which one is several trainings, and what it takes for granted."""
+    known = [(pair, pair.crossed.if_normal) for pair in pairs if pair.crossed and pair.crossed.if_normal]
+    said = [
+        f"{pair.a} - {pair.b} {100 * found.value:+.1f}{interval} points"
+        for pair, found in known
+        if (interval := _bracketed(found, 100, 1))
+    ]
+    return f" Only if trainings vary normally (Student's t): success {', '.join(said)}." if said else ""
+
+
+def sweep_parts(
+    points: pd.DataFrame, pairs: Mapping[Pair, PairTest], looks: Sequence[int] = ()
+) -> list[Table | Remark]:
+    """A table for each disturbance, of all policies at all levels, and from which level each policy gets worse.
+
+    `pairs` are the tests of each two policies, as `Sweep.pairs` has them, `looks` the earlier ones of `Sweep.looks`.
+    """
+    parts: list[Table | Remark] = []
+    by_success, policies = bool(points.success.notna().any()), points.policy.nunique()
+    found, rankings = degradations(points), robustness_rankings(points, pairs)
+    for name, rows in points.groupby("disturbance", sort=False):
+        levels = list(dict.fromkeys(rows.level))
+        if len(levels) == 1:  # the undisturbed one: cut short
+            continue
+        what, column = ("success, %", "success") if by_success else ("return", "return")
+        table_rows = []
+        for policy, its in rows.groupby("policy", sort=False):
+            values = its.set_index("level")[column]
+            spared = set(its.level[its.spared]) if "spared" in its else set()
+            cells = [
+                Cell(SPARED)
+                if x in spared
+                else _at_level(float(values[x]), by_success)
+                if x in values
+                else Cell(UNKNOWN)
+                for x in levels
+            ]
+            table_rows.append([Cell(str(policy)), *cells])
+        parts.append(
+            Table(
+                "points",
+                f"{name}, {rows.unit.iloc[0]}",
+                [Column(what), *(Column(f"{level:g}") for level in levels)],
+                table_rows,
+                [dict(zip(rows.columns, row, strict=True)) for row in rows.itertuples(index=False)],
+            )
+        )
+        parts.append(Remark(_degradation_text([one for one in found if one.disturbance == name])))
+        parts += [Remark(str(ranking)) for ranking in rankings if ranking.disturbance == name and policies > 1]
+    test, rate = "McNemar's exact test" if by_success else "sign test", f"{100 * FALSE_DISCOVERY_RATE:g} %"
+    if points.policy.str.endswith(GROUP).any():
+        test += (
+            f"; {GROUP}: over trainings and episodes, which shows nothing of fewer than {FEWEST_TRAININGS} trainings"
+        )
+    worse = f"Worse: than without disturbance, on the same episodes ({test}, false discovery rate {rate})."
+    parts.append(Remark(with_looks(worse, looks)))
+    if rankings and policies > 1:
+        parts.append(Remark(with_looks(robustness_headline(rankings), looks), "verdict"))
+    return parts
+
+
+def _at_level(value: float, by_success: bool) -> Cell:
+    if math.isnan(value):
+        return Cell(UNKNOWN)
+    return Cell(f"{100 * value:.1f}" if by_success else plain(Estimate(value, None, None)).text)
+
+
+def _degradation_text(found: Sequence[Degradation]) -> str:
+    """The effect of one disturbance: a sentence for each policy that gets significantly worse."""
+    sentences, unharmed = [], []
+    for one in found:
+        name = f"{one.policy} (sees the state)" if one.sees == "state" else one.policy
+        steps = [] if one.drops is None else [f"worse {one.drops}"]
+        steps += [] if one.below_half is None else [f"below half {one.below_half}"]
+        if steps:
+            sentences.append(f"{name}: {', '.join(steps)}.")
+        else:
+            unharmed.append(name)
+    if unharmed:
+        sentences.append(f"Not significantly worse: {', '.join(unharmed)}.")
+    return " ".join(sentences)
+
+
+def _bracketed(estimate: Estimate, scale: float, digits: int) -> str:
+    if estimate.low is None or estimate.high is None:
+        return ""
+    return f" [{scale * estimate.low:.{digits}f}, {scale * estimate.high:.{digits}f}]"
+
+
+def _without(
+    headings: Sequence[str], columns: Sequence[Column], rows: Sequence[Sequence[Cell]]
+) -> tuple[list[Column], list[list[Cell]]]:
+    kept = [i for i, column in enumerate(columns) if column.heading not in headings]
+    return [columns[i] for i in kept], [[row[i] for i in kept] for row in rows]

@@ -1,0 +1,203 @@
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from importlib import resources
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import onnx
+import pytest
+
+from armctl.agents import load_agent, read_card, sha256
+from armctl.core.errors import AgentFileError
+from armctl.envs import TaskVectorEnv
+from armctl.rollout import evaluate
+from armctl.tasks import ReachTask
+from armctl.training.learners import load_recipe
+
+SHIPPED = Path(str(resources.files("armctl.rl.agents")))
+ENV = "armctl/ArmReach-v0"
+
+
+@pytest.fixture
+def agent(tmp_path):
+    """A copy of the shipped agent, to be spoilt."""
+    for suffix in (".json", ".onnx"):
+        shutil.copy(SHIPPED / f"reach_ppo{suffix}", tmp_path / f"agent{suffix}")
+    return tmp_path / "agent.json"
+
+
+def edit(card, **changes):
+    card.write_text(json.dumps(json.loads(card.read_text()) | changes))
+
+
+def load(card, **options):
+    return load_agent(card, gymnasium.make_vec(ENV, num_envs=1, **options))
+
+
+def test_card_or_graph_may_be_named(agent):
+    worlds = TaskVectorEnv(3, task=ReachTask)
+    observations, _ = worlds.reset(seed=0)
+    first = load_agent(agent, worlds).act(observations)
+    np.testing.assert_array_equal(load_agent(agent.with_suffix(".onnx"), worlds).act(observations), first)
+
+
+@pytest.mark.parametrize("junk", [b"", b"\x00\xff junk", b"not an onnx file" * 100])
+def test_corrupt_graph(agent, junk):
+    graph = agent.with_suffix(".onnx")
+    graph.write_bytes(junk)
+    with pytest.raises(AgentFileError, match="changed, or damaged"):
+        load(agent)
+    edit(agent, sha256=sha256(graph))
+    with pytest.raises(AgentFileError, match="not an ONNX graph"):
+        load(agent)
+
+
+def test_truncated_graph(agent):
+    graph = agent.with_suffix(".onnx")
+    graph.write_bytes(graph.read_bytes()[:5000])
+    edit(agent, sha256=sha256(graph))
+    with pytest.raises(AgentFileError):
+        load(agent)
+
+
+def test_a_graph_of_terabytes_that_holds_nothing_is_not_read(agent):
+    os.truncate(agent.with_suffix(".onnx"), 10**13)
+    with pytest.raises(AgentFileError, match="10,000,000,000,000 bytes, more than the 268,435,456"):
+        load(agent)
+
+
+def test_foreign_graph(agent):
+    value = onnx.helper.make_tensor_value_info("x", onnx.TensorProto.FLOAT, [None, 12])
+    other = onnx.helper.make_tensor_value_info("y", onnx.TensorProto.FLOAT, [None, 12])
+    graph = onnx.helper.make_graph([onnx.helper.make_node("Identity", ["x"], ["y"])], "foreign", [value], [other])
+    model = onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", 18)], ir_version=8)
+    onnx.save(model, agent.with_suffix(".onnx"))
+    edit(agent, sha256=sha256(agent.with_suffix(".onnx")))
+    with pytest.raises(AgentFileError, match=r"\['x'\]"):
+        load(agent)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"format": "pickle"}', "\x80\x04cos\nsystem"])
+def test_corrupt_card(agent, text):
+    agent.write_text(text)
+    with pytest.raises(AgentFileError, match="not an agent's card"):
+        load(agent)
+
+
+def test_missing_files(agent, tmp_path):
+    with pytest.raises(AgentFileError, match="there is no agent"):
+        load(tmp_path / "none.json")
+    agent.with_suffix(".onnx").unlink()
+    with pytest.raises(AgentFileError, match="missing"):
+        load(agent)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"robot": "ur10"}, "ur10"),
+        ({"control": "delta"}, "delta"),
+        ({"observation": {"q": lambda s: s.joint_positions}}, "6"),
+    ],
+)
+def test_agent_of_another_robot_control_or_observation(agent, options, says):
+    with pytest.raises(AgentFileError, match=says):
+        load(agent, **options)
+
+
+@pytest.mark.parametrize("env", ["armctl/BridgeCross-v0", "armctl/ArmReachMoving-v0"])
+def test_agent_of_another_environment(agent, env):
+    with pytest.raises(AgentFileError, match="agent reach_ppo"):
+        load_agent(agent, gymnasium.make_vec(env, num_envs=1))
+
+
+def test_no_file_is_ever_unpickled():
+    import armctl
+
+    for file in Path(armctl.__file__).parent.rglob("*.py"):
+        text = file.read_text()
+        assert "import pickle" not in text, file
+        assert "torch.load" not in text, file
+        assert file.name in ("sb3.py", "tensorboard.py") or not re.search(r"^\s*(import|from) torch\b", text, re.M), (
+            file
+        )
+
+
+@pytest.mark.parametrize("path", sorted(SHIPPED.glob("*.json")), ids=lambda path: path.stem)
+def test_a_shipped_card_is_of_the_present_recipe(path):
+    from armctl.rl.bc import BcOptions
+    from armctl.rl.cloned_ppo import ClonedPpoOptions
+    from armctl.rl.dagger import DaggerOptions
+    from armctl.rl.distil import DistilOptions
+    from armctl.rl.distilled_ppo import DistilledPpoOptions
+    from armctl.rl.plan_bc import PlanBcOptions
+    from armctl.rl.ppo import PpoOptions
+    from armctl.rl.sac import SacOptions
+
+    card = read_card(path)
+    assert card.recipe is not None
+    recipe = load_recipe(card.recipe)
+    for name in ("learner", "env", "env_options", "training_options", "shaping", "reward_weights", "teacher"):
+        assert getattr(card, name) == getattr(recipe, name), name
+    assert card.curriculum == [stage.model_dump() for stage in recipe.curriculum]
+    assert card.training_seed in recipe.seeds
+    kinds = {
+        "bc": BcOptions, "cloned_ppo": ClonedPpoOptions, "dagger": DaggerOptions, "distil": DistilOptions,
+        "distilled_ppo": DistilledPpoOptions, "plan_bc": PlanBcOptions, "ppo": PpoOptions, "sac": SacOptions,
+    }  # fmt: skip
+    kind = kinds[card.learner]
+    assert kind(**_as_named_now(card.learner_options)) == recipe.read_options(kind)  # later options have their defaults
+
+
+def _as_named_now(learner_options):
+    """Options on cards from before `features` (bool) and `turned` became one."""
+    options = dict(learner_options)
+    if (turned := options.pop("turned", None)) is not None:
+        options["features"] = ("invariant" if turned else "plain") if options["features"] else "none"
+    return options
+
+
+def test_an_agent_whose_graph_lacks_the_memory_of_its_card(agent):
+    edit(agent, memory={"lstm_hidden": [1, 8]})
+    with pytest.raises(
+        AgentFileError, match=r"by its card, it maps \['observation', 'lstm_hidden'\] to \['action', 'next_"
+    ):
+        load(agent)
+
+
+def test_observations_of_another_precision(agent):
+    policy, worlds = load(agent), TaskVectorEnv(2, task=ReachTask)
+    observations, _ = worlds.reset(seed=0)
+    np.testing.assert_array_equal(policy.act(observations.astype(np.float64)), policy.act(observations))
+
+
+def test_a_card_of_before_there_were_recipes_is_read(agent):
+    old = json.loads(agent.read_text())
+    for name in ("recipe", "shaping", "shaping_scale", "reward_weights", "teacher", "best_after"):
+        old.pop(name, None)
+    agent.write_text(json.dumps(old))
+    card = read_card(agent)
+    assert (card.recipe, card.shaping, card.reward_weights, card.teacher) == (None, None, {}, None)
+    assert load(agent).training_steps == card.training_steps
+
+
+@pytest.mark.slow
+def test_shipped_agent_does_what_its_card_says():
+    card = read_card(SHIPPED / "reach_ppo.json")
+    assert card.training_minutes <= 20
+    results = evaluate("reach_ppo", episodes=1000, seed=card.evaluation.seed, worlds=64, least_lengths=False)
+    assert results.success.mean() == pytest.approx(card.evaluation.success_rate, abs=0.01)
+    assert results.success.mean() >= 0.95
+    elsewhere = evaluate("reach_ppo", episodes=500, seed=77, worlds=64, least_lengths=False)
+    assert elsewhere.success.mean() >= 0.95
+
+
+def test_agents_need_no_torch():
+    """It belongs to an extra."""
+    code = "import sys, armctl.rl.agents; assert not {'torch', 'stable_baselines3'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -1,0 +1,134 @@
+"""Tables hold what the results hold, in little memory: what a million episodes take is what each of a few takes."""
+
+import math
+import tracemalloc
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from armctl.core.files import sealed
+from armctl.episodes.store import EpisodeLog, read_episodes
+from armctl.episodes.table import EpisodeTable
+from armctl.stats import intervals as statistics
+from armctl.stats.intervals import MOST_VALUES, RandomWeights, bounded_mean, grouped, random_weights, worst_decile
+from armctl.verdict.summary import summarise
+
+from ..made_up_episodes import OWN, played, same
+
+APART = ("reward_terms", "metrics", "decision_ms")
+BYTES = 1_000
+"""That an episode of some 15 decisions may take while it is read and summarised. It takes 400."""
+
+
+class Still:
+    sees, training_steps = "observation", 0
+
+
+@pytest.fixture
+def results():
+    found = list(played(12, "ba"))
+    odd = np.array([0.123456, math.nan, 1e6, 0.0])  # no whole number of 0.1 us, and too long for 32 bits
+    found[3] = replace(found[3], length=4, decision_ms=odd, seed=2**70)
+    return found
+
+
+def test_a_table_is_a_sequence_of_the_results(results):
+    table = EpisodeTable(results)
+    assert len(table) == 24
+    same(table, results)
+    same([table[5], table[-1]], [results[5], results[-1]])
+    same(table[4:9][1:3], results[5:7])
+    same(table[table.won], [one for one in results if one.success])
+    same(table.sorted(["a", "b"]), results[12:] + results[:12])
+    parts = table.by_policy()
+    assert list(parts) == ["b", "a"]
+    same(parts["a"].together(parts["b"]), results[12:] + results[:12])
+    assert list(EpisodeTable()) == []
+
+
+def test_a_frame_is_that_of_the_rows(results):
+    for some in (results, results[:1], [replace(one, success=True, seed=1) for one in results]):
+        pd.testing.assert_frame_equal(EpisodeTable(some).frame(), pd.DataFrame([one.row() for one in some]))
+
+
+def test_columns_are_those_of_the_results(results):
+    table, part = EpisodeTable(results), EpisodeTable(results)[6:]
+    assert table.column("episode").tolist() == [one.episode for one in results]
+    assert part.column("contacts").tolist() == [one.metrics.contacts for one in results[6:]]
+    np.testing.assert_array_equal(part.warm_ms(), np.concatenate([one.warm_ms for one in results[6:]]))
+    np.testing.assert_array_equal(part.optimality_gap, [one.optimality_gap for one in results[6:]])
+    seconds = [float(np.nansum(one.decision_ms)) / 1e3 for one in results]
+    np.testing.assert_allclose(table.decision_seconds(), seconds, rtol=1e-12)
+    earned = part.earned()
+    for term in ("step", "goal"):
+        assert sorted(earned[term]) == sorted(one.reward_terms[term] for one in results[6:] if term in one.reward_terms)
+    changed = part.with_column("missed_deadlines", [None] * len(part))
+    assert set(changed.column("missed_deadlines")) == {None}
+    assert part.column("missed_deadlines").tolist() == [one.metrics.missed_deadlines for one in results[6:]]
+
+
+def test_many_at_once_are_as_one_after_the_other(results):
+    table, added = EpisodeTable(results), EpisodeTable(results[:5])
+    rest = table[5:]
+    names = [name for name in vars(results[0]) | vars(results[0].metrics) if name not in APART]
+    columns = {name: rest.column(name) for name in names}
+    repeated = {name: (values.tolist(), np.arange(len(values))) for name, values in columns.items()}
+    added.extend(columns, repeated, rest.reward_terms(), rest.decision_ms())
+    same(added, results)
+    assert not table.repeats.any()
+    added.append(results[7])
+    assert added.repeats.tolist() == [False] * 24 + [True]
+
+
+def test_rows_are_found_in_whatever_order_they_are(tmp_path, results):
+    results[3] = replace(results[3], seed=3)
+    (tmp_path / "comparison.json").write_text(sealed(OWN))
+    with EpisodeLog(tmp_path, OWN, 12) as log:
+        log.finish(results, {})
+    lines = (tmp_path / "decisions.csv").read_text().splitlines(keepends=True)
+    (tmp_path / "decisions.csv").write_text("".join([lines[0], *lines[:7:-1]]))
+    same(read_episodes(tmp_path, OWN), results[7:])
+
+
+def test_memory_grows_little_with_the_episodes(tmp_path, monkeypatch):
+    """By what is allocated, which is the same on each machine: between a small table and a larger one.
+
+    Random weights take a fixed amount, which is made so small that the rest is seen.
+    """
+    monkeypatch.setattr(statistics, "LARGEST_BATCH", 1)
+    monkeypatch.setattr(statistics, "DRAWS", 50)
+    policies = {"a": Still(), "b": Still()}
+    peaks = []
+    for episodes in (500, 2_500):
+        folder = tmp_path / str(episodes)
+        with EpisodeLog(folder, OWN, episodes) as log:
+            for result in played(episodes, policies):
+                log.write(result)
+        tracemalloc.start()
+        results = read_episodes(folder, OWN)
+        summarise(results.sorted(["a", "b"]), policies, episodes, (-30.0, 1.0), 30)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert (peaks[1] - peaks[0]) / 4_000 < BYTES
+
+
+def test_the_intervals_of_very_many_values_are_those_of_each_with_a_weight_of_its_own():
+    rng = np.random.default_rng(0)
+    values = np.where(rng.random(3 * MOST_VALUES) < 0.01, -100.0, 80.0) + rng.standard_normal(3 * MOST_VALUES)
+    ordered, counts = np.unique(values, return_counts=True)
+    drawn, sizes = grouped(ordered, counts)
+    assert len(drawn) < 2_100
+    assert sizes.sum() == len(values)
+    assert drawn @ sizes / len(values) == pytest.approx(values.mean(), rel=1e-12)
+    assert np.var(ordered) == pytest.approx(sizes @ (drawn - values.mean()) ** 2 / len(values), rel=1e-5)
+    rows = [
+        np.array([w @ ordered + p[:, 0] * -120, w @ ordered + p[:, 0] * 90]) for w, p in random_weights(counts, rng)
+    ]
+    exact, found = RandomWeights(*np.concatenate(rows, axis=1)).limits(), bounded_mean(values, (-120.0, 90.0))
+    assert found.bounds == pytest.approx(exact, abs=0.1 * (exact[1] - exact[0]))
+    assert found.value == pytest.approx(values.mean())
+    worst = worst_decile(values, (-120.0, 90.0))
+    assert worst.value == pytest.approx(np.sort(values)[: len(values) // 10].mean())
+    assert worst.low < worst.value < worst.high

@@ -1,0 +1,55 @@
+"""Every policy in every environment plays the same episodes in any number of worlds and workers."""
+
+import pandas as pd
+import pytest
+
+from armctl.envs import task_of
+from armctl.episodes.record import TIME_COLUMNS
+from armctl.study import compare
+
+LINES_UP = {
+    "armctl/ArmReach-v0": ("reach_ik", "reach_mpc", "reach_ppo", "reach_sac", "reach_bc", "reach_dagger", "random"),
+    "armctl/ArmReachMoving-v0": ("reach_ik", "reach_mpc", "moving_dagger", "moving_ppo", "random"),
+    "armctl/ArmReachObstacles-v0": (
+        "reach_ompl",
+        "reach_ik",
+        "obstacles_plan_bc",
+        "obstacles_imagined",
+        "random",
+    ),
+    "armctl/BridgeCross-v0": ("bridge_ompl", "bridge_mpc", "bridge_ppo", "bridge_distil", "random"),
+    "armctl/BridgeCrossMoving-v0": (
+        "bridge_ompl",
+        "bridge_mpc",
+        "bridge_moving_imagined",
+        "bridge_moving_distil",
+        "random",
+    ),
+}
+SETTINGS = {"one": (1, 1), "seven": (7, 1), "many": (64, 1), "two workers": (3, 2)}
+
+
+def rows(env, policies, episodes, worlds, workers):
+    played = compare(
+        policies, env, episodes=episodes, worlds=worlds, workers=workers, env_options={"max_episode_steps": 25}
+    )
+    assert not played.failures
+    return played.episodes.drop(columns=list(TIME_COLUMNS))
+
+
+QUICKEST = "armctl/ArmReach-v0"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "env", [QUICKEST, *(pytest.param(env, marks=pytest.mark.thorough) for env in LINES_UP if env != QUICKEST)]
+)
+def test_worlds_and_workers_change_no_episode(env):
+    assert set(task_of(env).default_policies) <= set(LINES_UP[env])
+    expected = rows(env, LINES_UP[env], 64, *SETTINGS["many"])
+    for worlds, workers in SETTINGS.values():
+        episodes = 64 if worlds == 64 else 8
+        found = rows(env, LINES_UP[env], episodes, worlds, workers)
+        pd.testing.assert_frame_equal(
+            found, expected[expected.episode < episodes].reset_index(drop=True), check_exact=True
+        )

@@ -1,0 +1,198 @@
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from armctl.stats.intervals import (
+    Estimate,
+    bounded_mean,
+    mean,
+    median,
+    paired_superiority,
+    performance_profile,
+    performance_ratios,
+    success_rate,
+    superiority,
+    worst_decile,
+)
+
+
+@pytest.mark.parametrize(
+    ("wins", "episodes", "low", "high"),
+    # Newcombe (1998), "Two-sided confidence intervals for the single proportion", table I, method 5.
+    [(81, 263, 0.2527, 0.3676), (15, 148, 0.0578, 0.1617), (0, 20, 0.0, 0.1684), (1, 29, 0.0009, 0.1776)],
+)
+def test_exact_interval_against_newcombe(wins, episodes, low, high):
+    estimate = success_rate(np.arange(episodes) < wins)
+    assert estimate.value == pytest.approx(wins / episodes)
+    assert (estimate.low, estimate.high) == pytest.approx((low, high), abs=5e-5)
+
+
+@pytest.mark.parametrize(("wins", "episodes"), [(0, 20), (1, 29), (199, 200), (50, 100), (1000, 1000)])
+def test_bounded_mean_of_wins_and_losses_is_the_exact_interval(wins, episodes):
+    won = np.arange(episodes) < wins
+    found, exact = bounded_mean(won * 1.0, (0.0, 1.0)), success_rate(won)
+    assert (found.value, found.low, found.high) == pytest.approx((exact.value, exact.low, exact.high), abs=0.006)
+
+
+def test_bounded_mean_of_many_values_is_students():
+    values = np.random.default_rng(0).normal(3, 2, 2000)
+    found, students = bounded_mean(values, (-8.0, 14.0)), mean(values)
+    assert (found.low, found.high) == pytest.approx((students.low, students.high), abs=0.02)
+
+
+def test_bounded_mean_knows_of_disasters_that_were_not_seen():
+    returns = np.full(200, 88.0)
+    found = bounded_mean(returns, (-100.0, 99.0))
+    assert found.value == 88
+    assert found.low == pytest.approx(88 - 188 * (1 - 0.025 ** (1 / 200)), abs=0.3)  # of 3.7 in 200
+    assert mean(returns).low == 88  # Student's does not
+
+
+@given(
+    st.lists(st.floats(-100, 100), min_size=1, max_size=50),
+    st.floats(-1000, -100),
+    st.floats(100, 1000),
+)
+@settings(deadline=None, max_examples=50)
+def test_bounded_mean_lies_within_its_bounds(values, lowest, highest):
+    values = np.array(values)
+    found = bounded_mean(values, (lowest, highest))
+    assert found.value == pytest.approx(values.mean(), abs=1e-9)
+    assert lowest <= found.low <= found.value <= found.high <= highest
+    worst = worst_decile(values, (lowest, highest))
+    assert lowest - 1e-9 <= worst.low <= worst.value <= worst.high <= highest + 1e-9
+    assert worst.value <= found.value + 1e-9
+    assert bounded_mean(np.flip(values), (lowest, highest)) == found
+
+
+def test_worst_decile_is_the_conditional_value_at_risk():
+    values = np.array([-100.0, -50.0, *[88.0] * 18])
+    assert worst_decile(values, (-100.0, 100.0)).value == pytest.approx(-75)
+    assert worst_decile(np.array([-100.0, *[88.0] * 19]), (-100.0, 100.0)).value == pytest.approx(-6)
+    assert worst_decile(np.array([]), (-100.0, 100.0)) is None
+
+
+@given(st.lists(st.booleans(), min_size=1, max_size=200))
+def test_limits_of_a_rate_are_where_what_was_seen_has_a_probability_of_a_fortieth(successes):
+    estimate, wins, n = success_rate(np.array(successes)), sum(successes), len(successes)
+    assert estimate.value == wins / n
+    at_low = stats.binom.sf(wins - 1, n, estimate.low) if wins else 0.025 + estimate.low
+    at_high = stats.binom.cdf(wins, n, estimate.high) if wins < n else 0.025 + 1 - estimate.high
+    assert (at_low, at_high) == pytest.approx((0.025, 0.025), abs=1e-6)
+
+
+def test_nothing_can_be_said_of_nothing():
+    assert success_rate(np.array([], dtype=bool)) is None
+    assert mean(np.array([])) is None
+
+
+def test_mean_has_students_interval():
+    # Student (1908), "The probable error of a mean": additional hours of sleep, t = 4.06 with 9 degrees of freedom.
+    extra_hours = np.array([1.2, 2.4, 1.3, 1.3, 0.0, 1.0, 1.8, 0.8, 4.6, 1.4])
+    estimate = mean(extra_hours)
+    assert estimate.value == pytest.approx(1.58)
+    assert (estimate.low, estimate.high) == pytest.approx((0.7001, 2.4599), abs=1e-4)
+
+
+def test_mean_covers_the_truth_as_often_as_it_says():
+    rng = np.random.default_rng(0)
+    estimates = [mean(rng.normal(3, 2, 12)) for _ in range(2000)]
+    assert np.mean([estimate.low <= 3 <= estimate.high for estimate in estimates]) == pytest.approx(0.95, abs=0.015)
+
+
+@pytest.mark.parametrize("values", [[4.0], [2.0, 4.0, 6.0]])
+def test_few_values_say_nothing_of_their_precision(values):
+    estimate = mean(np.array(values))
+    assert (estimate.value, estimate.low, estimate.high) == (4, None, None)
+
+
+def test_median_has_the_coverage_it_claims():
+    rng = np.random.default_rng(0)
+    estimates = [median(rng.exponential(size=60)) for _ in range(400)]
+    holds = np.mean([one.low <= np.log(2) <= one.high for one in estimates])
+    assert holds == pytest.approx(0.973, abs=0.02)  # 1 - 2 P(B < 22) of 60 fair coins, and two standard errors
+
+
+@pytest.mark.parametrize("n", [10, 11, 60, 201])
+def test_limits_of_a_median_are_the_innermost_order_statistics_that_hold(n):
+    """That the k-th smallest of n values lies above the median is as likely as fewer than k heads of n fair coins."""
+    found, heads = median(np.arange(1.0, n + 1)), stats.binom(n, 0.5)
+    assert heads.cdf(found.low - 1) <= 0.025 < heads.cdf(found.low)
+    assert found.low + found.high == n + 1
+    assert median(np.empty(0)) is None
+    assert median(np.arange(5.0)) == Estimate(2.0, None, None)
+
+
+def test_mann_whitney_against_conover():
+    # Conover (1999), example 5.1.1: fitness of farm and town boys; ranks of the former add up to 321, p = 0.52.
+    farm = np.array([14.8, 7.3, 5.6, 6.3, 9.0, 4.2, 10.6, 12.5, 12.9, 16.1, 11.4, 2.7])
+    town = [12.7, 14.2, 12.6, 2.1, 17.7, 11.8, 16.9, 7.9, 16.0, 10.6, 5.6, 5.6, 7.6, 11.3, 8.3, 6.7, 3.6, 1.0]
+    town += [2.4, 6.4, 9.1, 6.7, 18.6, 3.2, 6.2, 6.1, 15.3, 10.6, 1.8, 5.9, 9.9, 10.6, 14.8, 5.0, 2.6, 4.0]
+    found = superiority(farm, np.array(town))
+    assert found.probability.value == 243 / (12 * 36)
+    assert found.p == pytest.approx(0.52, abs=0.01)
+    assert found.probability.low < 0.5 < found.probability.high
+
+
+SCORES = st.lists(st.integers(-3, 3), min_size=1, max_size=8)
+
+
+@settings(deadline=None, max_examples=30)
+@given(SCORES, SCORES)
+def test_superiority_counts_pairs(a, b):
+    a, b = np.array(a, dtype=float), np.array(b, dtype=float)
+    wins = (np.sign(a[:, None] - b) + 1) / 2
+    assert superiority(a, b).probability.value == pytest.approx(wins.mean())
+    assert superiority(b, a).probability.value == pytest.approx(1 - wins.mean())
+    assert superiority(a, b).p == superiority(b, a).p == pytest.approx(mann_whitney(a, b, wins.sum()))
+
+
+def mann_whitney(a, b, wins):
+    """The two-sided p-value, after Conover (1999), section 5.1."""
+    both, expected = np.concatenate((a, b)), len(a) * len(b) / 2
+    n, (_, ties) = len(both), np.unique(both, return_counts=True)
+    if max(ties) == 1:  # exact: each choice of ranks for a is as likely
+        ranks = [sum(chosen) - len(a) * (len(a) + 1) / 2 for chosen in itertools.combinations(range(1, n + 1), len(a))]
+        return min(1.0, 2 * np.mean([rank - expected >= abs(wins - expected) for rank in ranks]))
+    spread = math.sqrt(len(a) * len(b) / 12 * (n + 1 - (ties**3 - ties).sum() / (n * (n - 1))))
+    away = abs(wins - expected) - 0.5
+    return 1.0 if spread == 0 else min(1.0, 2 * stats.norm.sf(away / spread))
+
+
+def test_pairs_tell_more_than_their_parts():
+    hardness = np.linspace(0, 100, 40)
+    a, b = hardness + 1.0, hardness.copy()
+    b[:4] += 2
+    paired = paired_superiority(a, b)
+    assert paired.probability.value == 36 / 40
+    assert paired.probability.low > 0.75
+    assert paired.p == pytest.approx(2 * sum(math.comb(40, k) for k in range(5)) / 2**40)
+    assert superiority(a, b).p > 0.5
+
+
+def test_a_tie_counts_half_and_certainty_has_an_interval():
+    found = paired_superiority(np.array([1.0, 2, 3, 4]), np.array([0.0, 2, 4, 4]))
+    assert (found.probability.value, found.p) == (0.5, 1)
+    always = paired_superiority(np.ones(20), np.zeros(20)).probability
+    assert (always.value, always.high) == (1, 1)
+    assert always.low == pytest.approx(success_rate(np.ones(20, dtype=bool)).low, abs=0.01)
+    assert superiority(np.ones(20), np.ones(20)).p == 1
+
+
+def test_performance_profile_is_the_share_above():
+    profile = performance_profile(np.array([1.0, 2, 2, 5]), np.array([0.0, 2, 4.9, 5]))
+    assert profile == [success_rate(np.arange(4) < above) for above in (4, 1, 1, 0)]
+
+
+def test_performance_ratios_of_dolan_and_more():
+    ratios = performance_ratios({"a": np.array([1.0, 3.0, np.inf]), "b": np.array([2.0, 2.0, 4.0])})
+    assert ratios["a"].tolist() == [1, 1.5, np.inf]
+    assert ratios["b"].tolist() == [2, 1, 1]
+    solved = performance_profile(-ratios["a"], np.array([-1e9, -1.2]))  # in the end, and at most 1.2 times the best
+    assert [point.value for point in solved] == pytest.approx([2 / 3, 1 / 3])
+    assert np.isinf(performance_ratios({"a": np.array([np.inf]), "b": np.array([np.inf])})["a"]).all()

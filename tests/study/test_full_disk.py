@@ -1,0 +1,55 @@
+"""On a full disk: one clear line, a status that says so, and nothing half-written under a final name."""
+
+import pytest
+
+from armctl.core.files import unsealed
+from armctl.study.results import read_results
+
+from ..command_line import armctl, program
+
+OPTIONS = ["--set", "max_episode_steps=12"]
+SWEEP = ["sweep", "random", "reach_ik", "--disturbance", "delay=1,2", "--episodes", "12", "--out", "out", *OPTIONS]
+
+
+def lines_of(done):
+    assert "Traceback" not in done.stdout + done.stderr
+    return [line for line in (done.stdout + done.stderr).splitlines() if "written" in line]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def kernels(tmp_path_factory):
+    """All that is compiled for these episodes, while there is room for it."""
+    armctl(*SWEEP, cwd=tmp_path_factory.mktemp("kernels"))
+
+
+@pytest.mark.parametrize("disk", [600, 3_000, 6_000])
+def test_a_sweep_on_a_full_disk_goes_on_later(tmp_path, disk):
+    full = (program if disk == 3_000 else armctl)(*SWEEP, cwd=tmp_path, check=False, disk=disk)
+    assert full.returncode in (1, 2)
+    assert lines_of(full), full.stdout + full.stderr
+    assert "sweep.csv has the curves" not in full.stdout
+    for path in (tmp_path / "out").rglob("*.json"):
+        unsealed(path.read_text())
+    armctl(*SWEEP, cwd=tmp_path)
+    for folder in ("none", "delay-1.0", "delay-2.0"):
+        assert len(read_results(tmp_path / "out" / folder).comparison.episodes) == 24
+
+
+def test_a_report_on_a_full_disk_leaves_the_old_one(tmp_path):
+    armctl("compare", "random", "--episodes", "2", "--out", "out", *OPTIONS, cwd=tmp_path)
+    report = tmp_path / "out" / "report.html"
+    for _ in range(2):
+        full = armctl("report", "out", "--no-video", cwd=tmp_path, check=False, disk=100_000)
+        assert full.returncode == 2
+        assert full.stderr.count("\n") == len(lines_of(full)) == 1
+        assert not list((tmp_path / "out").glob("*unfinished*"))
+        if not report.exists():
+            report.write_text("the old one")
+    assert report.read_text() == "the old one"
+
+
+def test_agents_are_reproduced_without_a_disk(tmp_path):
+    done = program("reproduce", "reach_ppo", "--seed", "1", cwd=tmp_path, check=False, disk=0)
+    assert done.returncode in (0, 1)
+    assert "Traceback" not in done.stderr
+    assert "reach_ppo" in done.stdout

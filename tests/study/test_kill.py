@@ -1,0 +1,146 @@
+"""Comparisons and sweeps that are killed at any moment go on: nothing finished is lost, doubled or mixed."""
+
+import contextlib
+import functools
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+
+from armctl.core.files import unsealed
+from armctl.episodes.record import TIME_COLUMNS
+from armctl.episodes.store import read_episodes
+
+from ..command_line import ARMCTL, armctl
+
+PLAYED = ["random", "reach_ik", "--out", "out", "--set", "max_episode_steps=12", "--policy-seed", "1"]
+COMMANDS = {
+    "compare": ["compare", *PLAYED, "--episodes", "60", "--worlds", "3"],
+    "parquet": ["compare", *PLAYED, "--episodes", "60", "--worlds", "3", "--store", "parquet"],
+    "workers": ["compare", *PLAYED, "--episodes", "60", "--worlds", "3", "--workers", "2"],
+    "sweep": ["sweep", *PLAYED, "--episodes", "12", "--disturbance", "delay=1,2", "--disturbance", "noise=0.02"],
+}
+EPISODES = {"compare": 120, "parquet": 120, "workers": 120, "sweep": 96}
+SMALL_PARTS = """
+from armctl.cli import main
+from armctl.episodes import store
+store.ROWS = 7
+main()
+"""
+KILLS = 3
+
+
+def finished(out):
+    """All columns of each finished episode, with those of time, by its comparison's folder, policy and number."""
+    return {
+        (str(folder.relative_to(out)), result.policy, result.episode): tuple(map(str, result.row().values()))
+        for folder in {path.parent for path in out.rglob("episodes*.*")}
+        for result in read_episodes(folder, unsealed((folder / "comparison.json").read_text()))
+    }
+
+
+def tables(out):
+    """What every file of episodes says, without the columns of time."""
+    paths = sorted(out.rglob("episodes.csv"))
+    return {str(path.relative_to(out)): pd.read_csv(path).drop(columns=list(TIME_COLUMNS)).to_csv() for path in paths}
+
+
+@functools.cache
+def uninterrupted(verb):
+    with tempfile.TemporaryDirectory() as folder:
+        armctl(*COMMANDS[verb], cwd=folder)
+        return tables(Path(folder) / "out")
+
+
+def written(out):
+    """How many episodes are in files, for the moment."""
+    found = sum(path.read_bytes().count(b"\n") - 1 for path in out.rglob("episodes.csv"))
+    for path in out.rglob("episodes*.parquet"):
+        with contextlib.suppress(FileNotFoundError):
+            found += pq.read_metadata(path).num_rows
+    return found
+
+
+def workers_of(process):
+    """Ids of the processes that play for another."""
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    return [int(one) for one in children if b"LokyProcess" in Path(f"/proc/{one}/cmdline").read_bytes()]
+
+
+def kill_at(moment, command, cwd, rng, of_worker):
+    """Kill a run, or one of its workers, as soon as so many episodes are written, or a little later."""
+    program = [sys.executable, "-c", SMALL_PARTS] if "parquet" in command else [ARMCTL]
+    with subprocess.Popen([*program, *command], cwd=cwd, stdout=-1, stderr=-1, text=True) as process:
+        while process.poll() is None and written(cwd / "out") < moment:
+            time.sleep(0.002)
+        time.sleep(rng.choice([0.0, rng.uniform(0.0, 0.1)]))
+        workers = workers_of(process) if of_worker and process.poll() is None else []
+        os.kill(rng.choice(workers or [process.pid]), signal.SIGKILL)
+        _, complaint = process.communicate()
+    assert process.returncode in ((0, 1) if workers else (-9, 0)), complaint
+    assert "Traceback" not in complaint
+
+
+@pytest.mark.parametrize("trial", [0, *(pytest.param(trial, marks=pytest.mark.thorough) for trial in range(1, 6))])
+@pytest.mark.parametrize(
+    ("verb", "of_worker"),
+    [
+        pytest.param("compare", False, marks=pytest.mark.slow),
+        pytest.param("parquet", False, marks=pytest.mark.slow),
+        pytest.param("workers", False, marks=pytest.mark.slow),
+        ("workers", True),
+        ("sweep", False),
+    ],
+)
+def test_what_is_killed_again_and_again(tmp_path, verb, of_worker, trial, sized):
+    """In a quick run, it is killed once."""
+    out, kept, rng = tmp_path / "out", {}, random.Random(trial)
+    for _ in range(sized(1, KILLS)):
+        kill_at(rng.randrange(EPISODES[verb]), COMMANDS[verb], tmp_path, rng, of_worker)
+        now = finished(out)
+        assert kept.items() <= now.items()
+        kept = now
+    armctl(*COMMANDS[verb], cwd=tmp_path)
+    after = finished(out)
+    assert kept.items() <= after.items()
+    assert len(after) == EPISODES[verb] == written(out)
+    if verb == "parquet":
+        armctl(*COMMANDS["compare"], cwd=tmp_path)
+    assert tables(out) == uninterrupted("sweep" if verb == "sweep" else "compare")
+    assert not list(out.rglob("*unfinished*"))
+
+
+def test_what_a_killed_run_left_unfinished_is_removed(tmp_path):
+    armctl(*COMMANDS["compare"], cwd=tmp_path)
+    out = tmp_path / "out"
+    for name in (".armctl-unfinished-x1.csv", "unfinished-thesis.txt"):
+        (out / name).write_text("half a")
+    (out / ".armctl-unfinished-link").symlink_to(tmp_path / "elsewhere")
+    (tmp_path / "elsewhere").touch()
+    armctl(*COMMANDS["compare"], cwd=tmp_path)
+    assert {path.name for path in out.glob("*unfinished*")} == {"unfinished-thesis.txt"}
+    assert (tmp_path / "elsewhere").exists()
+
+
+@pytest.mark.parametrize("verb", ["compare", "sweep"])
+def test_a_second_run_is_refused_while_one_writes(tmp_path, verb):
+    command, out = [verb, *PLAYED, "--episodes", "100000", "--overwrite"], tmp_path / "out"
+    with subprocess.Popen([ARMCTL, *command, "--seed", "1"], cwd=tmp_path, stdout=-1, stderr=-1, text=True) as process:
+        while process.poll() is None and written(out) < 5:
+            time.sleep(0.01)
+        second = armctl(*command, "--seed", "2", cwd=tmp_path, check=False)
+        process.send_signal(signal.SIGINT)
+        _, complaint = process.communicate()
+    assert process.returncode == 130, complaint
+    assert second.returncode == 2
+    assert "another process writes to out" in second.stderr
+    assert set(pd.read_csv(next(out.rglob("episodes.csv"))).seed) == {1}
+    assert len(finished(out)) == written(out) >= 5

@@ -1,0 +1,183 @@
+import csv
+import dataclasses
+import io
+import json
+import os
+import subprocess
+import sys
+import zlib
+
+import pandas as pd
+import pytest
+
+import armctl
+from armctl.core.errors import ResultsError
+from armctl.core.files import digest, sealed, unsealed
+from armctl.episodes.record import ADDED, COLUMNS
+from armctl.episodes.store import RUNS, read_runs
+from armctl.runtime.provenance import BUSY, Run, RunMeter, earlier_looks, processor_model
+from armctl.study import compare
+from armctl.study.results import read_results
+
+SHORT = {"max_episode_steps": 3}
+NOTE = "Deadlines are not judged"
+
+
+def play(folder, episodes=2, **options):
+    return compare(["random"], episodes=episodes, out=folder, env_options=SHORT, **options)
+
+
+def test_every_row_carries_the_run_that_made_it_and_a_resumed_comparison_has_both(tmp_path):
+    play(tmp_path)
+    play(tmp_path, episodes=5, worlds=3)
+    first, second = read_results(tmp_path).runs
+    assert pd.read_csv(tmp_path / "episodes.csv", dtype=str).run.tolist() == 2 * [first.id] + 3 * [second.id]
+    assert ((first.worlds, first.workers), (second.worlds, second.workers)) == ((1, 1), (3, 1))
+    assert (first.load_start, first.load_most, first.load_end) == (0, 0, 0)
+    assert first.versions["mujoco"]
+    assert first.processor == processor_model() != ""
+    assert json.loads((tmp_path / "summary.json").read_text())["runs"][0]["id"] == first.id
+
+
+def test_an_id_is_the_content_of_its_record():
+    run = RunMeter({"env": "a"}, 1, 1).run
+    known = dataclasses.asdict(run)
+    later = {
+        name: known.pop(name) for name in ("id", "load_most", "load_end", "load_own", "judged", "baseline", "margin")
+    }
+    assert later["id"] == digest([{"env": "a"}, known])
+    assert digest([{"env": "b"}, known]) != run.id
+
+
+def test_threads_are_told(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
+    threads = RunMeter({}, 1, 1).run.threads
+    assert threads["OMP_NUM_THREADS"] == "7"
+    assert "MKL_NUM_THREADS" not in threads
+
+
+def test_a_run_that_was_killed_is_known_and_what_was_judged_before_it_too(tmp_path):
+    both = {"policies": ["random", "reach_ik"], "out": tmp_path, "env_options": SHORT}
+    compare(**both, episodes=10)
+    code = f"""
+import os, armctl
+def end(result):
+    if result.episode == 11:
+        os._exit(1)
+armctl.compare(["random", "reach_ik"], episodes=40, out={str(tmp_path)!r}, env_options={SHORT!r}, progress=end)
+"""
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 1
+    first, killed = read_runs(tmp_path)
+    assert (first.judged, killed.judged, killed.load_end) == (10, None, None)
+    resumed = compare(**both, episodes=40)
+    assert resumed.looks == read_results(tmp_path).comparison.looks == [10]
+    words = "; after an earlier look at 10 episodes, p is too small and intervals are too narrow"
+    assert words in resumed.verdict
+    assert words in resumed.headline[0]
+    assert read_results(tmp_path).comparison.verdict == resumed.verdict
+    assert [run.judged for run in read_runs(tmp_path)] == [10, None, 40]
+
+
+def test_another_baseline_or_margin_is_told_forever(tmp_path):
+    both = {"policies": ["random", "reach_ik"], "out": tmp_path, "env_options": SHORT, "episodes": 10}
+    assert not told_before(compare(**both))
+    assert told_before(compare(**both, baseline="random")) == ["no baseline, margin 0.02"]
+    again = compare(**both, margin=0.1)
+    assert told_before(again) == ["baseline random, margin 0.02; no baseline, margin 0.02"]
+    assert again.looks == []
+    assert "earlier look" not in again.verdict
+
+
+def told_before(comparison):
+    prefix = "A verdict was told before by other arguments: "
+    return [note.removeprefix(prefix).rstrip(".") for note in comparison.notes if note.startswith(prefix)]
+
+
+@pytest.mark.parametrize(
+    ("cores", "loads", "own", "busy"),
+    [
+        (2, (0.0, 1.0, 1.0), 1.0, False),
+        (2, (0.0, 1.5, 1.0), 1.0, False),
+        (2, (0.0, 1.6, 1.0), 1.0, True),
+        (2, (3.0, 0.0, 0.0), 1.0, True),
+        (2, (0.0, 1.0, 2.0), 1.0, True),
+        (2, (0.0, 2.0, 2.0), 1.9, False),
+        (64, (9.0, 9.0, 9.0), 1.0, False),
+        (2, (None, None, None), 1.0, False),
+        (None, (0.0, None, None), None, False),
+    ],
+)
+def test_a_machine_is_busy_by_what_others_do(cores, loads, own, busy):
+    run = Run("a", "", {}, "", cores, {}, 1, 1, *loads, own)
+    assert run.busy == busy
+    assert BUSY * 2 == 0.5
+
+
+def test_deadlines_on_a_busy_machine_are_blank_with_the_reason(tmp_path, monkeypatch):
+    idle = play(tmp_path / "idle")
+    assert idle.policies[0].missed_deadlines == 0
+    assert NOTE not in " ".join(idle.notes)
+    monkeypatch.setattr(os, "getloadavg", lambda: (1000.0, 0.0, 0.0), raising=False)
+    busy = play(tmp_path / "busy")
+    assert busy.policies[0].missed_deadlines is None
+    assert busy.episodes.missed_deadlines.isna().all()
+    assert NOTE in " ".join(busy.notes)
+    assert NOTE in " ".join(read_results(tmp_path / "busy").comparison.notes)
+    shares = compare(["random"], episodes=2, worlds=2, env_options=SHORT)
+    assert NOTE not in " ".join(shares.notes)
+
+
+def test_without_a_load_average_deadlines_are_judged(monkeypatch):
+    monkeypatch.delattr(os, "getloadavg")
+    comparison = compare(["random"], episodes=1, env_options=SHORT)
+    assert comparison.policies[0].missed_deadlines == 0
+
+
+def test_results_of_older_versions_have_no_runs(tmp_path):
+    play(tmp_path)
+    older(tmp_path)
+    results = read_results(tmp_path)
+    assert results.runs == []
+    assert {one.run for one in results.episodes["random"]} == {""}
+
+
+@pytest.mark.parametrize("runs", ["", "{}", "[]", sealed({RUNS: 3}), sealed({}), sealed({RUNS: [{"id": 1}]}), "\x00"])
+def test_a_damaged_record_of_runs_is_told(tmp_path, runs):
+    (tmp_path / RUNS).write_text(runs)
+    with pytest.raises(ResultsError, match=r"runs.json cannot be read"):
+        read_runs(tmp_path)
+
+
+def test_evaluate_plays_no_run():
+    assert set(armctl.evaluate("random", episodes=1, env_options=SHORT).run) == {""}
+
+
+def older(folder):
+    """Rewrite a folder as it was before rows had runs."""
+    own = digest(unsealed((folder / "comparison.json").read_text()))
+    rows = list(csv.reader(io.StringIO((folder / "episodes.csv").read_text())))
+    assert rows[0] == list(COLUMNS)
+    rows = [[cell for name, cell in zip(COLUMNS, row, strict=True) if name not in ADDED] for row in rows]
+    decisions = list(csv.reader(io.StringIO((folder / "decisions.csv").read_text())))
+    for row, decision in zip(rows[1:], decisions[1:], strict=True):
+        decision[2] = f"{zlib.crc32((own + lines([row]) + decision[3]).encode()):08x}"
+    (folder / "episodes.csv").write_text(lines(rows))
+    (folder / "decisions.csv").write_text(lines(decisions))
+    summary = unsealed((folder / "summary.json").read_text())
+    del summary["runs"]
+    (folder / "summary.json").write_text(sealed(summary))
+    (folder / RUNS).unlink()
+
+
+def lines(rows):
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue()
+
+
+def test_every_look_at_fewer_episodes_counts_once():
+    judged = (100, None, 57, 100, 200, 200)
+    runs = [Run(str(i), "", {}, "", 1, {}, 1, 1, judged=one) for i, one in enumerate(judged)]
+    assert earlier_looks(runs) == [57, 100]
+    assert earlier_looks(runs[:1]) == earlier_looks([]) == []

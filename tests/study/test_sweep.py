@@ -1,0 +1,340 @@
+import io
+import json
+import os
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from rich.console import Console
+
+import armctl
+from armctl.core.errors import ConfigurationError, ResultsError
+from armctl.core.files import sealed, unsealed
+from armctl.episodes.record import TIME_COLUMNS
+from armctl.episodes.table import EpisodeTable
+from armctl.report import write_report
+from armctl.report.terminal import tables
+from armctl.stats.degradation import Onset, degradations
+from armctl.stats.paired import mcnemar
+from armctl.stats.robustness import NEUTRAL, PairTest
+from armctl.study import compare
+from armctl.study.curves import read_pairs
+from armctl.study.sweep import COLUMNS, _against_undisturbed, sweep, sweep_levels
+from armctl.verdict.summary_tables import sweep_parts
+from tests.report.pages import plot_of
+
+POLICIES = ["reach_ik", "random"]
+LEVELS = {"noise": [0.05], "delay": [2, 0, 2]}
+REACH = "armctl/ArmReach-v0"
+
+
+def run(**arguments):
+    return sweep(arguments.pop("policies", POLICIES), **{"disturbances": LEVELS, "episodes": 4, "seed": 3} | arguments)
+
+
+def printed(found):
+    console = Console(file=io.StringIO(), width=100)
+    console.print(tables(found))
+    return console.file.getvalue()
+
+
+def timeless(folder):
+    return {
+        path.parent.name: pd.read_csv(path).drop(columns=list(TIME_COLUMNS)) for path in folder.glob("*/episodes.csv")
+    }
+
+
+def same(one, other):
+    return one.keys() == other.keys() and all(one[name].equals(other[name]) for name in one)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sweep")
+    return run(out=folder), folder
+
+
+def test_the_points_are_those_of_the_comparisons(finished):
+    found, folder = finished
+    points = pd.read_csv(folder / "sweep.csv")
+    assert tuple(points.columns) == COLUMNS
+    assert list(zip(points.disturbance, points.level, points.policy, strict=True)) == [
+        (name, level, policy)
+        for name, levels in (("noise", (0, 0.05)), ("delay", (0, 2)))
+        for level in levels
+        for policy in POLICIES
+    ]
+    pd.testing.assert_frame_equal(points, found.points, check_dtype=False)
+    for name, disturbances in (("none", {}), ("noise-0.05", {"noise": 0.05}), ("delay-2.0", {"delay": 2.0})):
+        options = {"disturbances": disturbances} if disturbances else {}
+        alone = compare(POLICIES, episodes=4, seed=3, env_options=options)
+        pd.testing.assert_frame_equal(alone.episodes.drop(columns=list(TIME_COLUMNS)), timeless(folder)[name])
+        for policy in alone.policies:
+            level = next(iter(disturbances.values()), 0.0)
+            rows = points[(points.policy == policy.policy) & (points.level == level)]
+            rows = rows[rows.disturbance == next(iter(disturbances), "delay")]
+            assert rows.success.tolist() == [policy.success.value]
+            assert rows.low.tolist() == [policy.success.low]
+            np.testing.assert_allclose(rows["return"], policy.episode_return.value)
+    undisturbed = points[points.level == 0].drop(columns=["disturbance", "unit"])
+    assert undisturbed[:2].reset_index(drop=True).equals(undisturbed[2:].reset_index(drop=True))
+
+
+def test_the_pairs_of_a_sweep_are_kept(finished):
+    found, folder = finished
+    both = frozenset(POLICIES)
+    pairs = {
+        name: PairTest(one.paired[0].mcnemar_p, -one.paired[0].success_difference.value)  # random before reach_ik
+        for name, one in found.comparisons.items()
+        if name != "noise-0.05"  # which spares random: it reads no observation
+    }
+    assert found.pairs == {
+        (*NEUTRAL, both): pairs["none"],
+        ("delay", 2.0, both): pairs["delay-2.0"],
+    }
+    assert read_pairs(folder) == found.pairs
+
+
+def test_a_spared_policy_is_told_so_and_in_no_test(finished):
+    found, folder = finished
+    spared = found.points[found.points.spared]
+    assert list(zip(spared.disturbance, spared.level, spared.policy, strict=True)) == [("noise", 0.05, "random")]
+    assert spared[["p", "change"]].isna().all(axis=None)
+    noise = next(table for table in found.document().tables if table.title.startswith("noise"))
+    assert [[cell.text for cell in row] for row in noise.rows][1][2] == "spared"
+    assert "Spared, and so not ranked: random." in " ".join(printed(found).split())
+    lines = [one for one in plot_of(write_report(folder, video=False), "level of noise")["data"] if one.get("name")]
+    assert [(line["name"], line["line"]["dash"]) for line in lines] == [
+        ("reach_ik", "solid"),
+        ("random (spared)", "dot"),
+    ]
+
+
+def test_p_is_mcnemars_on_the_same_episodes():
+    found = run(policies=["reach_ik"], disturbances={"payload": [20]}, episodes=12, worlds=6)
+    before, after = (found.comparisons[name].episodes.set_index("episode").success for name in ("none", "payload-20.0"))
+    expected = mcnemar(int((before & ~after).sum()), int((~before & after).sum()))
+    assert found.points.p.tolist() == [1.0, expected]
+    assert expected < 1
+
+
+def test_asked_again_nothing_is_played_and_more_is_added(finished, tmp_path):
+    _, folder = finished
+    before = {path: path.read_text() for path in folder.glob("*/episodes.csv")}
+    told = []
+    run(out=folder, progress=lambda setting, result: told.append(setting))
+    assert {path: path.read_text() for path in before} == before
+    assert told == ["none"] * 8 + ["noise-0.05"] * 8 + ["delay-2.0"] * 8
+    more = run(out=folder, disturbances={"noise": [0.05, 0.1]})
+    assert more.points.level.unique().tolist() == [0, 0.05, 0.1]
+    assert {path: path.read_text() for path in before} == before
+
+
+def test_another_seed_is_refused_and_nothing_lost(finished):
+    _, folder = finished
+    before = timeless(folder)
+    with pytest.raises(ResultsError, match="seed: 3 there, 4 here"):
+        run(out=folder, seed=4)
+    assert same(timeless(folder), before)
+
+
+@pytest.mark.slow
+def test_worlds_and_workers_change_nothing(tmp_path):
+    run(out=tmp_path / "one")
+    run(out=tmp_path / "other", worlds=2, workers=2)
+    assert same(timeless(tmp_path / "one"), timeless(tmp_path / "other"))
+    one, other = (pd.read_csv(tmp_path / name / "sweep.csv") for name in ("one", "other"))
+    assert one.equals(other)
+
+
+class Interrupting:
+    """Stops after so many decisions as a variable of the process says, which is no part of what it is."""
+
+    sees, training_steps = "model", 0
+
+    def __init__(self, env):
+        self.policy = armctl.make_policy("reach_ik", env)
+
+    def reset(self, ids):
+        self.policy.reset(ids)
+
+    def act(self, observations):
+        os.environ["DECISIONS_LEFT"] = str(int(os.environ["DECISIONS_LEFT"]) - 1)
+        if os.environ["DECISIONS_LEFT"] == "0":
+            raise KeyboardInterrupt
+        return self.policy.act(observations)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("decisions", [5, 80])
+def test_an_interrupted_sweep_keeps_its_episodes_and_goes_on(decisions, tmp_path, monkeypatch):
+    monkeypatch.setenv("DECISIONS_LEFT", str(decisions))
+    cut = run(policies=[Interrupting], out=tmp_path / "cut")
+    assert cut.interrupted
+    assert "Interrupted." in printed(cut)
+    assert json.loads((tmp_path / "cut" / "sweep.json").read_text())["interrupted"]
+    kept = sum(map(len, timeless(tmp_path / "cut").values()))
+    assert 0 <= kept < 12
+    again = run(policies=[Interrupting], out=tmp_path / "cut")
+    assert not again.interrupted
+    assert sum(one.resumed for one in again.comparisons.values()) == kept
+    run(policies=[Interrupting], out=tmp_path / "whole")
+    assert same(timeless(tmp_path / "cut"), timeless(tmp_path / "whole"))
+    assert (tmp_path / "cut" / "sweep.csv").read_text() == (tmp_path / "whole" / "sweep.csv").read_text()
+
+
+@armctl.sees("state")
+def failing_when_late(env):
+    policy = armctl.make_policy("reach_ik", env)
+    if "delay" in env.disturbances:
+        policy.act = lambda observations: np.full((len(observations), 6), np.nan)
+    return policy
+
+
+def test_a_policy_that_fails_at_one_level_spoils_no_other():
+    found = run(policies=[failing_when_late, "reach_ik"])
+    assert list(found.failures) == ["delay-2.0: failing_when_late"]
+    assert "is not finite" in printed(found)
+    counts = found.points.groupby("policy").size()
+    assert (counts["reach_ik"], counts["failing_when_late"]) == (4, 3)
+
+
+def test_options_of_the_environment_hold_at_every_level():
+    options = {"disturbances": {"strength": 0.1}, "max_episode_steps": 7}
+    found = run(policies=["reach_ik"], env_options=options, disturbances=["noise"])
+    assert all(one.episodes.length.max() <= 7 for one in found.comparisons.values())
+    assert found.comparisons["none"].env_options["disturbances"] == {"strength": 0.1}
+    assert found.comparisons["noise-0.02"].env_options["disturbances"] == {"strength": 0.1, "noise": 0.02}
+    assert options["disturbances"] == {"strength": 0.1}
+
+
+@pytest.mark.parametrize(
+    ("asked", "says"),
+    [
+        (["noises"], "Did you mean 'noise'"),
+        (["dropout"], "no disturbance to sweep here 'dropout'"),
+        ({"payload": [-1]}, "payload is a number from 0"),
+        ({"payload": ["a"]}, "not 'a'"),
+        ({"payload": "1,2"}, "are numbers, such as"),
+        ({"payload": 3}, "are numbers, such as"),
+        ({"payload": []}, "needs a level besides 0"),
+        ({"strength": [1]}, "needs a level besides 1"),
+    ],
+)
+def test_unusable_levels_say_what_is_allowed(asked, says, tmp_path):
+    with pytest.raises(ConfigurationError, match=says):
+        sweep(["random"], disturbances=asked, out=tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_disturbance_that_lasts_is_none_to_sweep():
+    with pytest.raises(ConfigurationError, match="to sweep here 'noise'"):
+        sweep_levels(REACH, ["noise"], {"disturbances": {"noise": 0.1}})
+
+
+def test_without_any_asked_for_there_are_all_with_their_own_levels():
+    assert sweep_levels(REACH)["strength"] == [1, 0.8, 0.6, 0.4, 0.2]
+    assert "dropout" in sweep_levels("armctl/BridgeCross-v0")
+    assert "dropout" not in sweep_levels("armctl/BridgeCross-v0", env_options={"observation": "state"})
+    assert sweep_levels(REACH, {"strength": [0.5, 0.9], "noise": None})["strength"] == [1, 0.9, 0.5]
+
+
+def points(**successes):
+    rows = [
+        {"disturbance": "noise", "level": level, "policy": policy, "success": success, "p": p, "unit": "m",
+         "sees": "observation", "low": success - 0.1, "high": success + 0.1}
+        for policy, curve in successes.items()
+        for level, (success, p) in enumerate(curve)
+    ]  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def test_what_is_said_of_a_curve_minds_chance():
+    frame = points(
+        steady=[(1.0, 1.0), (0.96, 0.5), (0.9, 0.06)],
+        failing=[(1.0, 1.0), (0.7, 1e-5), (0.4, 1e-9)],
+        better=[(0.4, 1.0), (0.9, 1e-6), (1.0, 1e-9)],
+    )
+    found = {one.policy: (one.drops, one.below_half) for one in degradations(frame)}
+    assert found == {
+        "steady": (None, None),
+        "failing": (Onset(1.0), Onset(2.0)),
+        "better": (None, Onset(0.0, lasts=False)),
+    }
+    unlucky = points(**{f"p{i}": [(1.0, 1.0), (0.9, 0.5 if i else 0.04)] for i in range(20)})
+    assert all(one.drops is None for one in degradations(unlucky))  # one of 20 is below 0.05 by chance
+
+
+def test_the_tables_tell_levels_and_failures(finished):
+    text = printed(finished[0])
+    assert "noise, m, rad, m/s" in text
+    assert "random: below half from 0 on." in text
+
+
+def test_whoever_recovers_is_not_worse_from_there_on():
+    frame = points(
+        a=[(1.0, 1.0), (0.8, 1e-4), (0.99, 1.0), (1.0, 1.0)], b=[(0.9, 1.0), (0.4, 1e-9), (0.7, 1e-3), (0.6, 1e-4)]
+    )
+    text = "\n".join(getattr(part, "text", "") for part in sweep_parts(frame, {}))
+    assert "a: worse at 1. b: worse from 1 on, below half at 1." in text
+    assert "crossed" not in text
+    group = frame.replace({"policy": {"b": "b[*]"}})
+    assert "McNemar's exact test; [*]: over trainings and episodes" in sweep_parts(group, {})[-2].text
+
+
+def test_only_what_counts_is_held_against_the_undisturbed():
+    """An infeasible episode, and one that was finished after an unfinished one, are left out of p as of all figures."""
+    found = run(policies=["reach_ik"], disturbances=["delay"], episodes=2)
+    one = found.comparisons["none"].results[0]
+    before = [replace(one, episode=k, success=True, feasible=True) for k in range(12)]
+    labelled = [replace(one, success=False, feasible=one.episode < 4) for one in before]
+    unfinished = [
+        replace(one, success=False, episode=k) for one, k in zip(before, [*range(4), *range(5, 13)], strict=True)
+    ]
+    for spoilt in (labelled, unfinished):
+        comparisons = {
+            "none": replace(found.comparisons["none"], results=EpisodeTable(before)),
+            "x": replace(found.comparisons["none"], results=EpisodeTable(spoilt)),
+        }
+        only = replace(found, comparisons=comparisons)
+        assert _against_undisturbed(only, comparisons["x"], comparisons["x"].policies[0]) == (mcnemar(4, 0), -1.0)
+
+
+@pytest.mark.parametrize(
+    "pairs",
+    [
+        "x",
+        [["noise", 0.05, "a", "b", 7, 0.1]],
+        [["noise", 0.05, "a", "b", 0.5, -2]],
+        [["noise", 0.05, "a", "b", None, 0]],
+        [["noise", 0.05, "a", "b", 0.5]],
+        [[]],
+        {"a": 1},
+    ],
+)
+def test_hostile_pairs_are_an_error(pairs, finished, tmp_path):
+    told = unsealed((finished[1] / "sweep.json").read_text())
+    (tmp_path / "sweep.json").write_text(sealed(told | {"paired": pairs}))
+    with pytest.raises(ResultsError, match="cannot be read"):
+        read_pairs(tmp_path)
+    (tmp_path / "sweep.json").write_text(sealed({name: value for name, value in told.items() if name != "paired"}))
+    assert read_pairs(tmp_path) == {}  # an older version's
+
+
+def test_a_comparison_that_was_replaced_is_not_the_sweeps(tmp_path):
+    sweep("random", disturbances={"delay": [1]}, episodes=2, out=tmp_path, env_options={"max_episode_steps": 3})
+    write_report(tmp_path, video=False)
+    compare("random", seed=9, episodes=2, out=tmp_path / "none", overwrite=True)
+    with pytest.raises(ResultsError, match="holds another comparison by now"):
+        write_report(tmp_path, video=False)
+
+
+def test_the_ranking_is_the_verdict(finished):
+    found, _ = finished
+    *_, last = (part for part in found.document().parts if getattr(part, "kind", "") == "verdict")
+    assert last.text == (
+        "Under noise, no ranking: fewer than two policies are reached and tested; "
+        "under delay, no significant difference between policies."  # four episodes show nothing
+    )
+    assert last.text in " ".join(printed(found).split())

@@ -1,0 +1,64 @@
+"""Which episodes count: feasible ones, up to the first that was not finished."""
+
+from dataclasses import replace
+
+import pytest
+
+from armctl.episodes.table import table_of
+from armctl.verdict.scores import by_learner, counted_rows
+from armctl.verdict.summary import counted_results, summarise
+
+from ..made_up_episodes import played
+
+LOST = 7
+"""The episode that was not finished: those after it ended earlier because they were shorter."""
+
+
+class Untrained:
+    sees, training_steps = "observation", 0
+
+
+def results(feasible=lambda episode: True):
+    """Twelve episodes of a, and of b all but `LOST`; b's later ones are all won, as those that end early are."""
+    whole = [replace(one, feasible=feasible(one.episode), success=one.policy == "b" and one.episode > LOST)
+             for one in played(12, ("a", "b"))]  # fmt: skip
+    return [one for one in whole if (one.policy, one.episode) != ("b", LOST)]
+
+
+def counted_in(found):
+    """Which episodes count, by both implementations."""
+    by_table, infeasible = counted_results(table_of(found))
+    from_table = {name: its.column("episode").tolist() for name, its in by_table.items()}
+    rows = counted_rows(table_of(found).frame())
+    assert from_table == {name: its.episode.tolist() for name, its in rows.groupby("policy")}
+    return from_table, infeasible
+
+
+def test_episodes_after_an_unfinished_one_do_not_count():
+    assert counted_in(results()) == ({"a": [*range(12)], "b": [*range(LOST)]}, 0)
+    policies, (pair,) = summarise(results(), {"a": Untrained(), "b": Untrained()}, 12, (-30.0, 1.0), 30)
+    assert [(one.episodes, one.success.value) for one in policies] == [(12, 0.0), (LOST, 0.0)]
+    assert (pair.episodes, pair.only_b) == (LOST, 0)
+
+
+def test_an_unfinished_first_episode_leaves_nothing():
+    later = [one for one in results() if one.policy == "a" or one.episode > 0]
+    assert counted_in([one for one in later if one.policy == "a"])[0] == {"a": [*range(12)]}
+    by_table, _ = counted_results(table_of(later))
+    assert len(by_table["b"]) == 0
+    assert list(by_learner(by_table, ["a", "b"], {})) == ["a"]
+
+
+@pytest.mark.parametrize("episode", [3, 9])
+def test_an_infeasible_episode_counts_for_nobody_and_does_not_break_the_rest(episode):
+    """Also where only one of the policies has finished it."""
+    found, infeasible = counted_in(results(lambda one: one != episode))
+    assert infeasible == 1
+    assert found["a"] == [k for k in range(12) if k != episode]
+    assert found["b"] == [k for k in range(LOST) if k != episode]
+
+
+def test_a_group_counts_what_all_its_trainings_have_finished():
+    by_table, _ = counted_results(table_of(results()))
+    group = by_learner(by_table, ["a", "b"], {"g[*]": ["a", "b"]})["g[*]"]
+    assert [its.column("episode").tolist() for its in group.values()] == [[*range(LOST)]] * 2

@@ -1,0 +1,458 @@
+"""What the verdict says, and of whom."""
+
+import dataclasses
+import itertools
+import re
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import armctl
+from armctl.agents.costs import TrainingCost
+from armctl.core.errors import ConfigurationError, ResultsError
+from armctl.stats.intervals import Estimate, Superiority, success_rate
+from armctl.stats.paired import (
+    PairedDifference,
+    corrected,
+    holm,
+    mover,
+    paired_difference,
+)
+from armctl.stats.power import episodes_to_detect, episodes_to_show_equivalence
+from armctl.study.sample_size import plan_comparison
+from armctl.verdict.sentences import contests, headline, verdict
+from armctl.verdict.summary import PolicySummary
+from armctl.verdict.summary_tables import paired_table
+
+AGENTS = ("reach_ppo", "reach_sac", "reach_bc", "reach_dagger", "moving_ppo")
+TRAINED = dict.fromkeys(AGENTS, 1_500_000) | {"mine.json": 20_000}
+
+
+def cost_of(name):
+    return TrainingCost(TRAINED[name], 12.0, TRAINED[name], 0, 940_321) if name in TRAINED else TrainingCost()
+
+
+def summary_of(name, won):
+    values = {field.name: None for field in dataclasses.fields(PolicySummary)}
+    known = {
+        "policy": name, "sees": "observation" if name in TRAINED else "model", "training": cost_of(name),
+        "planned": len(won), "episodes": len(won),
+        "spared": (), "outcomes": {}, "success": success_rate(won), "decision_ms_p50": 0.25, "decision_ms_p99": 0.5,
+        "worlds": 1, "workers": 1,
+    }  # fmt: skip
+    return PolicySummary(**values | known)
+
+
+def said(wins, episodes=400, **options):
+    """The verdict on policies that won the episodes whose numbers are in `wins`."""
+    return verdict(*played(wins, episodes), **options)
+
+
+LIMIT = 100
+
+
+def played(wins, episodes=400, steps=None, returns=None):
+    """Summaries and pairs of policies that won these episodes, in so many steps (their numbers, or those of each)."""
+    won = {name: np.isin(np.arange(episodes), list(numbers)) for name, numbers in wins.items()}
+    return compared(won, steps, returns)
+
+
+def compared(won, steps=None, returns=None):
+    earned = returns or {name: of * 1.0 for name, of in won.items()}
+    late = steps and {name: np.where(of, steps[name], LIMIT) for name, of in won.items()}
+    couples = list(itertools.combinations(won, 2))
+    pairs = [
+        paired_difference(
+            a, b, (won[a], won[b]), (earned[a], earned[b]), late and (late[a], late[b]), (0.0, 1.0), LIMIT, len(couples)
+        )
+        for a, b in couples
+    ]
+    return [summary_of(name, of) for name, of in won.items()], pairs
+
+
+def test_it_is_about_the_best_planner_and_the_best_agent():
+    text = said({"random": [], "reach_ppo": range(300), "reach_ik": range(380), "reach_mpc": range(400)})
+    assert text.startswith("reach_mpc is better than reach_ppo: success +25.0 points [")
+    assert "after Holm's correction for 12 tests" in text  # six pairs, success and return: without steps
+    assert "reach_ppo was trained for 1.5 million decisions and 940,000 gradient steps (12.0 minutes)" in text
+    assert "a decision takes reach_mpc 0.25 ms and reach_ppo 0.25 ms" in text
+    assert "Their privileges differ: reach_mpc (observation + robot model), reach_ppo (observation)." in text
+
+
+@pytest.mark.parametrize(
+    ("ppo", "says"),
+    [
+        (300, r"reach_ik beats reach_ppo by 25\.0 points of success \[20\.7, 29\.5\]\."),
+        (400, r"reach_ik and reach_ppo are equivalent within 2 points of success\."),
+        (396, r"Undecided between reach_ik and reach_ppo: success \+1\.0 points \[-0\.\d, 2\.\d\]\."),
+    ],
+)
+def test_the_headline_is_winner_difference_and_cost(ppo, says):
+    result, cost = headline(*played({"reach_ik": range(400), "reach_ppo": range(ppo)}))
+    assert re.fullmatch(says, result), result
+    took = "reach_ppo 0.25 ms after 1.5 million decisions of training"
+    assert cost == f"On average, a decision takes reach_ik 0.25 ms, and {took}."
+    assert len(f"{result} {cost}".split()) <= 32  # read in ten seconds
+
+
+def test_too_few_episodes_have_no_headline_but_that():
+    wins = {"reach_ik": range(5), "reach_ppo": range(4)}
+    assert headline(*played(wins, episodes=5)) == ("No verdict from 5 episodes: it takes 10.", "")
+
+
+def test_without_a_learned_policy_it_is_about_the_two_best():
+    text = said({"random": range(10), "reach_ik": range(300), "reach_mpc": range(400)})
+    assert text.startswith("reach_mpc is better than reach_ik")
+    assert "trained" not in text
+
+
+@pytest.mark.parametrize("order", [["reach_ik", "reach_ppo"], ["reach_ppo", "reach_ik"]])
+def test_the_better_one_comes_first_whatever_the_order(order):
+    wins = {"reach_ik": range(400), "reach_ppo": range(300)}
+    assert said({name: wins[name] for name in order}).startswith("reach_ik is better than reach_ppo: success +25.0")
+
+
+def test_equivalence_is_a_claim_of_its_own():
+    alike = {"reach_ik": range(398), "reach_ppo": range(397)}
+    assert said(alike).startswith("reach_ik and reach_ppo are equivalent in success within 2 points: +0.2 points [")
+    assert said(alike, margin=0.001).startswith("Undecided between reach_ik and reach_ppo")
+    assert "is better than reach_ppo, though by less than 10 points" in said(
+        {"reach_ik": range(400), "reach_ppo": range(390)}, margin=0.1
+    )
+
+
+def test_an_undecided_verdict_says_how_many_episodes_would_tell():
+    text = said({"reach_ik": range(50), "reach_ppo": range(48)}, episodes=50)
+    assert text.startswith("Undecided between reach_ik and reach_ppo: success +4.0 points [")
+    share = 3 / 52  # by Laplace's rule
+    needed = max(episodes_to_detect(0.02, share, tests=2), episodes_to_show_equivalence(0.02, share)) - 50
+    assert needed - 50 > episodes_to_detect(0.02, share)  # success and return are two tests
+    assert f"About {round(needed, 1 - len(str(needed))):,} more episodes would tell 2 points." in text
+
+
+def test_a_baseline_is_held_against_all_others():
+    wins = {"reach_ik": range(400), "reach_ppo": range(300), "random": []}
+    text = said(wins, baseline="random")
+    assert "reach_ik is better than random" in text
+    assert "reach_ppo is better than random" in text
+    assert "correction for 4 tests" in text
+    assert "reach_ik is better than reach_ppo" not in text
+
+
+def test_a_policy_of_ones_own_is_always_named():
+    wins = {"reach_ik": range(400), "reach_ppo": range(300), "mine.py:pd": range(200), "mine.json": range(100)}
+    text = said(wins)
+    assert text.startswith("reach_ik is better than reach_ppo")
+    assert "reach_ik is better than mine.py:pd" in text
+    assert "reach_ik is better than mine.json" in text
+
+
+def quick_and_slow(gap, episodes=500):
+    """Two policies that win all episodes, one of them so many steps faster in each."""
+    won = dict.fromkeys(("reach_ppo", "reach_mpc"), np.ones(episodes, dtype=bool))
+    pace = np.random.default_rng(0).integers(10, 30, episodes).astype(float)
+    return compared(won, {"reach_mpc": pace, "reach_ppo": pace + gap})
+
+
+def test_where_success_does_not_differ_the_steps_are_told():
+    text = verdict(*quick_and_slow(26.0))
+    assert re.match(
+        r"reach_mpc and reach_ppo are equivalent in success within 2 points: \+0\.0 points \[-0\.7, 0\.7\]; "
+        r"reach_mpc takes 26\.0 \[25\.\d, 26\.\d\] steps fewer, p = 0\.0015 after Holm's correction for 3 tests\. "
+        r"reach_ppo was trained",
+        text,
+    ), text
+    assert headline(*quick_and_slow(26.0))[0].startswith(
+        "reach_mpc and reach_ppo are equivalent within 2 points of success; reach_mpc takes 26.0 ["
+    )
+    same = verdict(*quick_and_slow(0.0))
+    assert "steps fewer" not in same
+    assert same.startswith(
+        "reach_mpc and reach_ppo are equivalent in success within 2 points: +0.0 points [-0.7, 0.7]. "
+    )
+
+
+def test_an_interval_beyond_the_margin_does_not_contradict_equivalence():
+    alike = {name: range(200) for name in ("reach_ik", "reach_ppo", "reach_bc")}
+    assert "are equivalent in success within 2 points (two one-sided tests at 5 %): +0.0 points [-2.2, 2.2]" in said(
+        alike, 200
+    )
+    alike.pop("reach_bc")
+    assert "are equivalent in success within 2 points: +0.0 points [-1.8, 1.8]" in said(alike, 200)
+
+
+def test_steps_are_told_of_the_undecided_and_not_of_a_winner():
+    fast, slow = np.full(50, 10.0), np.full(50, 30.0)
+    undecided = verdict(
+        *played({"reach_ik": range(50), "reach_ppo": range(48)}, 50, {"reach_ik": fast, "reach_ppo": slow})
+    )
+    assert re.match(
+        r"Undecided between reach_ik and reach_ppo: success \+4\.0 points \[-\d\.\d, 13\.\d\], p = 0\.95 after Holm's "
+        r"correction for 3 tests; reach_ik takes 22\.8 \[13\.8, 29\.9\] steps fewer, p = 0\.0015\. About [\d,]+ more",
+        undecided,
+    ), undecided
+    better = verdict(
+        *played({"reach_ik": range(50), "reach_ppo": range(20)}, 50, {"reach_ik": fast, "reach_ppo": slow})
+    )
+    assert better.startswith("reach_ik is better than reach_ppo: success +60.0 points [")
+    assert "steps fewer" not in better
+
+
+def test_the_faster_one_may_be_the_one_of_less_success():
+    fast, slow = np.full(50, 10.0), np.full(50, 40.0)
+    text = verdict(*played({"reach_ik": range(50), "reach_ppo": range(48)}, 50, {"reach_ik": slow, "reach_ppo": fast}))
+    assert text.startswith("Undecided between reach_ik and reach_ppo: success +4.0 points [")
+    assert "; reach_ppo takes 26.4 [" in text
+
+
+def test_all_that_a_verdict_may_tell_is_corrected_together():
+    wins = {"reach_ik": range(390), "reach_ppo": range(380), "reach_mpc": range(375)}
+    pace = {"reach_ik": np.full(400, 20.0), "reach_ppo": np.arange(400) % 40, "reach_mpc": np.arange(400) % 38}
+    _, pairs = played(wins, steps=pace)
+    tests = [p for pair in pairs for p in (pair.mcnemar_p, pair.steps_p, pair.return_p)]
+    found = corrected(pairs)
+    assert [p for one in found for p in (one.success, one.steps, one.returns)] == holm(tests)
+    assert {one.tests for one in found} == {9}
+    with_ik = [pair for pair in pairs if "reach_ik" in (pair.a, pair.b)]
+    of_ik = corrected(pairs, "reach_ik")
+    assert [one for one in of_ik if one.tests == 6] == corrected(with_ik)
+    assert [one for one in of_ik if one.tests == 9] == [found[2]]
+    assert paired_table(pairs).records[0]["p_corrected"] == found[0].success
+
+
+@pytest.mark.parametrize("policies", [2, 3])
+def test_of_equally_good_policies_anything_is_told_in_five_of_a_hundred_verdicts_at_most(policies, sized):
+    rng, runs = np.random.default_rng(policies), sized(60, 300)
+    names, wrong = ["reach_ik", "reach_ppo", "reach_mpc"][:policies], 0
+    for _ in range(runs):
+        won = dict(zip(names, rng.random((policies, 60)) < 0.5, strict=True))
+        pace = dict(zip(names, 20.0 * rng.integers(1, 4, (policies, 60)), strict=True))
+        earned = dict(zip(names, rng.integers(0, 2, (policies, 60)) * 1.0, strict=True))
+        text = verdict(*compared(won, pace, earned)).partition("reach_ppo was trained")[0]
+        wrong += any(claim in text for claim in (" is better than ", " steps fewer", " earns "))
+    assert wrong / runs <= 0.05 + 2 * (0.05 * 0.95 / runs) ** 0.5
+
+
+@pytest.mark.parametrize("agents", [2, 9])
+def test_the_interval_of_the_chosen_pair_holds(agents, sized):
+    # With one planner and nine agents, the chosen pair's own 95 % interval holds in 88 % of comparisons.
+    rng, runs = np.random.default_rng(0), sized(60, 300)
+    more = ("moving_dagger", "reach_cloned_ppo", "reach_robust_ppo", "bridge_ppo")
+    names, held = ["reach_ik", *(*AGENTS, *more)[:agents]], 0
+    for _ in range(runs):
+        won = dict(zip(names, rng.random((1 + agents, 100)) < 0.8, strict=True))
+        trained = {name: TrainingCost() if name == "reach_ik" else TrainingCost(1000) for name in names}
+        policies = [dataclasses.replace(summary_of(name, of), training=trained[name]) for name, of in won.items()]
+        (one,) = contests(policies, counted(won), None)
+        assert one.claims == agents
+        held += one.first_ahead.low <= 0 <= one.first_ahead.high
+    assert held / runs >= 0.95 - 2 * (0.05 * 0.95 / runs) ** 0.5
+
+
+def counted(won):
+    """Pairs that know only of success."""
+    never = Estimate(0.0, None, None)
+    return [
+        PairedDifference(
+            a, b, len(won[a]), 0, int((won[a] & ~won[b]).sum()), int((won[b] & ~won[a]).sum()), 0, 1.0, never,
+            Superiority(never, 1.0), None,
+        )
+        for a, b in itertools.combinations(won, 2)
+    ]  # fmt: skip
+
+
+def test_intervals_of_the_sentence_hold_for_all_pairs_at_once():
+    rng = np.random.default_rng(0)
+    names = ["reach_ik", "reach_mpc", "reach_ppo", "reach_sac"]
+    won = dict(zip(names, rng.random((4, 200)) < 0.9, strict=True))
+    policies, pairs = compared(won, {name: rng.integers(10, 60, 200) * 1.0 for name in names})
+    (one,) = contests(policies, pairs, None)
+    assert one.claims == 4  # two classical and two learned ones
+    assert abs(one.first_ahead.value) == abs(one.pair.success_difference.value)
+    counts = (one.pair.only_a, one.pair.only_b, 200)
+    assert one.pair.success_among(4) == mover(*counts, 1 - 0.05 / 4)
+    assert one.pair.success_difference == mover(*counts)
+    spans = ((one.steps_ahead, one.pair.steps_difference), (one.return_ahead, one.pair.return_difference))
+    for wide, own in spans:
+        assert wide.high - wide.low > 1.2 * (own.high - own.low)
+        assert abs(wide.value) == abs(own.value)
+    assert contests(policies, pairs, "reach_ik")[0].claims == 3
+    renamed = {name.replace("reach_mpc", "mine.py:pd"): of for name, of in won.items()}
+    renamed["mine.py:pd"] = np.zeros(200, dtype=bool)
+    assert [found.claims for found in contests(*compared(renamed), None)] == [6, 6]  # all: one more is told
+
+
+def test_equivalence_is_for_all_pairs_among_which_the_best_were_chosen():
+    alone = {name: range(170) for name in ("reach_ik", "reach_ppo")}
+    assert said(alone, 170).startswith("reach_ik and reach_ppo are equivalent in success within 2 points")
+    assert headline(*played(alone, 170))[0].startswith("reach_ik and reach_ppo are equivalent within 2 points")
+    for found in (
+        said({**alone, "reach_bc": range(170)}, 170),
+        headline(*played({**alone, "reach_bc": range(170)}, 170))[0],
+    ):
+        assert found.startswith("Undecided between reach_ik and reach_ppo: success +0.0 points [")
+
+
+def test_earlier_looks_are_a_part_of_the_sentence():
+    once, twice = ({"looks": looks} for looks in ([100], [100, 1200]))
+    words = "after 2 earlier looks at 100 and 1,200 episodes, p is too small and intervals are too narrow"
+    for ppo in (300, 399, 396):
+        policies, pairs = played({"reach_ik": range(400), "reach_ppo": range(ppo)})
+        plain, looked = verdict(policies, pairs), verdict(policies, pairs, **twice)
+        assert f"; {words}." in looked
+        assert looked.replace(f"; {words}", "") == plain
+        assert headline(policies, pairs, **twice)[0].endswith(f"; {words}.")
+        assert "; after an earlier look at 100 episodes, p is too small" in verdict(policies, pairs, **once)
+
+
+def test_without_bounds_of_returns_the_sign_test_speaks():
+    returns = {"bold": np.where(np.arange(100) < 71, 1.0, -500.0), "timid": np.zeros(100)}
+    pair = paired_difference("bold", "timid", None, (returns["bold"], returns["timid"]), None, (-500.0, 1.0))
+    unknown = dataclasses.replace(
+        pair, return_p=None, return_difference=dataclasses.replace(pair.return_difference, low=None, high=None),
+        simultaneous=dataclasses.replace(pair.simultaneous, returns=Estimate(-144.3, None, None)),
+    )  # fmt: skip
+    summaries = [
+        dataclasses.replace(
+            summary_of(name, np.ones(100, dtype=bool)), success=None, episode_return=Estimate(mean, None, None)
+        )
+        for name, mean in (("bold", -144.3), ("timid", 0.0))
+    ]
+    sentence = "bold has the higher return in 71 % [61, 80] of episodes (sign test, p = 3.2e-05; ties count half)"
+    for policies, pairs in ((summaries, [unknown]), (summaries[::-1], [unknown])):
+        assert verdict(policies, pairs).startswith(f"{sentence}. On average")
+        assert headline(policies, pairs)[0] == f"{sentence}."
+        assert verdict(policies, pairs, looks=[50]).startswith(
+            f"{sentence}; after an earlier look at 50 episodes, p is"
+        )
+    even = np.where(np.arange(100) < 55, 1.0, -500.0)
+    close = paired_difference("timid", "bold", None, (returns["timid"], even), None, (-500.0, 1.0))
+    text = verdict(summaries, [dataclasses.replace(close, return_p=None)])
+    assert text.startswith(
+        "Undecided between bold and timid: bold has the higher return in 55 % [45, 65] of episodes (sign"
+    )
+    assert "earns" not in verdict(summaries, [unknown])
+    third = paired_difference("bold", "third", None, (returns["bold"], returns["timid"]), None, None)
+    among = [unknown, third, paired_difference("timid", "third", None, (returns["timid"],) * 2, None, None)]
+    best = dataclasses.replace(summaries[0], episode_return=Estimate(1.0, None, None))
+    text = verdict([best, summaries[1], dataclasses.replace(summaries[1], policy="third")], among)
+    assert text.startswith("bold has the higher return in 71 % [")
+    assert "of episodes (sign test, p = 9.6e-05 after Holm's correction for 3 pairs; ties count half)." in text
+
+
+@pytest.mark.slow
+def test_the_best_of_many_is_not_equivalent_for_being_the_best():
+    # One planner of 98 %, five agents of 96 %: without correction, 17 % of verdicts claimed equivalence.
+    rng = np.random.default_rng(0)
+    claimed = 0
+    for _ in range(100):
+        ease = (rng.normal(size=1000) + rng.normal(size=(6, 1000))) / 2**0.5
+        won = ease < stats.norm.ppf([0.98, *[0.96] * 5])[:, None]
+        names = ["reach_ik", *AGENTS]
+        pairs = [
+            paired_difference(names[i], names[j], (won[i], won[j]), (won[i] * 1.0, won[j] * 1.0), None, (0.0, 1.0))
+            for i, j in itertools.combinations(range(6), 2)
+        ]
+        text = verdict([summary_of(name, of) for name, of in zip(names, won, strict=True)], pairs)
+        claimed += "are equivalent in success within 2 points" in text.partition(". ")[0]
+    assert claimed <= 9
+
+
+def test_verdicts_by_return_are_corrected_for_their_number():
+    gain = np.where(np.arange(200) < 118, 0.5, -0.5)
+    returns = {"a": gain, "b": np.zeros(200), "c": np.zeros(200), "d": np.zeros(200)}
+    pairs = [
+        paired_difference(a, b, None, (returns[a], returns[b]), None, (-1.0, 1.0))
+        for a, b in itertools.combinations(returns, 2)
+    ]
+    first = pairs[0]
+    assert first.return_p < 0.05 < 6 * first.return_p
+    summaries = [
+        dataclasses.replace(
+            summary_of(name, np.ones(200, dtype=bool)), success=None, episode_return=Estimate(one.mean(), None, None)
+        )
+        for name, one in returns.items()
+    ]
+    assert re.match(
+        r"a earns 0\.1 \[0\.0, 0\.2\] more an episode than b, p = 0\.0\d+\.", verdict(summaries[:2], pairs[:1])
+    )
+    assert verdict(summaries, pairs).startswith("The returns of a and b are not shown to differ.")
+
+
+def test_a_baseline_must_take_part():
+    with pytest.raises(ConfigurationError, match=r"no baseline among the compared policies 'reach_ki'.*reach_ik"):
+        armctl.compare(["reach_ik"], episodes=1, baseline="reach_ki")
+    with pytest.raises(ConfigurationError, match="margin"):
+        armctl.compare(["reach_ik"], episodes=1, margin=2)
+
+
+class FailsAtOnce:
+    sees, training_steps = "observation", 0
+
+    def __init__(self, env):
+        pass
+
+    def reset(self, ids):
+        pass
+
+    def act(self, observations):
+        raise ArithmeticError("no luck")
+
+
+def test_a_baseline_that_failed_leaves_the_verdict_to_the_others():
+    failing = f"{__name__}:FailsAtOnce"
+    made = armctl.compare(["reach_ik", "random", failing], episodes=10, worlds=10, baseline=failing)
+    assert "no luck" in made.failures[failing]
+    assert made.verdict.startswith("reach_ik is better than random")
+    assert made.headline[0].startswith("reach_ik beats random")
+
+
+def test_baseline_and_margin_survive_in_the_folder(tmp_path):
+    from armctl.study.results import read_results
+
+    made = armctl.compare(["reach_ik", "random"], episodes=10, worlds=10, out=tmp_path, baseline="random", margin=0.1)
+    read = read_results(tmp_path).comparison
+    assert (read.baseline, read.margin, read.verdict) == ("random", 0.1, made.verdict)
+
+
+def test_a_plan_from_a_pilot_has_a_row_for_each_pair(tmp_path):
+    armctl.compare(["reach_ik", "random"], episodes=10, worlds=10, out=tmp_path)
+    (pair,) = plan_comparison(0.05, pilot=tmp_path).tables[0].records
+    assert pair["discordant"] == 11 / 12
+    assert pair["episodes_to_detect"] > 2000
+    rows = plan_comparison(0.05).tables[0].records
+    assert [row["episodes_to_detect"] for row in rows] == sorted(row["episodes_to_detect"] for row in rows)
+
+
+def test_a_plan_has_its_power_after_the_corrections_of_the_verdict(tmp_path):
+    armctl.compare(["reach_ik", "reach_ppo", "reach_bc", "random"], episodes=10, worlds=10, out=tmp_path)
+    document = plan_comparison(0.02, pilot=tmp_path)
+    corrections = "to detect, for 18 tests of success, steps and return; to show equivalence, for 4 pairs"
+    assert f"Bonferroni's correction ({corrections})" in document.tables[0].caption
+    for record in document.tables[0].records:
+        share = record["discordant"]
+        assert record["episodes_to_detect"] == episodes_to_detect(0.02, share, tests=18)
+        assert record["episodes_to_show_equivalence"] == episodes_to_show_equivalence(0.02, share, claims=4)
+
+
+def test_a_plan_without_a_pilot_is_for_a_single_pair_or_those_that_are_named():
+    assert "to detect, for 3 tests of success, steps and return; to show equivalence, for 1 pair)" in (
+        plan_comparison(0.02).tables[0].caption
+    )
+    one, six = (plan_comparison(0.02, pairs=pairs).tables[0].records for pairs in (None, 6))
+    for name in ("episodes_to_detect", "episodes_to_show_equivalence"):
+        assert all(more[name] > few[name] for few, more in zip(one, six, strict=True))
+    with pytest.raises(ConfigurationError, match="at least one pair"):
+        plan_comparison(0.02, pairs=0)
+
+
+@pytest.mark.parametrize(("difference", "power"), [(0.0, 0.8), (1.5, 0.8), (0.02, 0.0), (0.02, 1.0)])
+def test_a_plan_needs_a_difference_and_a_power(difference, power):
+    with pytest.raises(ConfigurationError, match=r"between 0 and 1"):
+        plan_comparison(difference, power)
+
+
+def test_a_plan_needs_results(tmp_path):
+    with pytest.raises(ResultsError):
+        plan_comparison(0.02, pilot=tmp_path)
