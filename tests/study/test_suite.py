@@ -151,7 +151,7 @@ def test_an_agent_whose_file_is_damaged_is_told(tmp_path, monkeypatch):
 
 def test_only_agents_made_for_a_task_are_missed_in_it(monkeypatch):
     assert unusable_agents(REACH) == {}
-    monkeypatch.setattr("armctl.agents.sha256", lambda *_: "other")
+    monkeypatch.setattr("armctl.agents.agent.sha256", lambda *_: "other")
     told = unusable_agents(REACH)
     assert "reach_ppo" in told
     assert "bridge_ppo" not in told
