@@ -18,7 +18,7 @@ from armctl.agents import AgentCard, read_card
 from armctl.envs import make_worlds
 from armctl.policies import make_policy
 from armctl.policies.find import is_expert
-from armctl.rl.zoo import HOME
+from armctl.rl.agents import AGENTS
 from armctl.rollout import evaluate
 from armctl.study.compare import default_policies
 from armctl.study.curves import read_curve
@@ -31,7 +31,7 @@ def main(
     episodes: Annotated[int, typer.Option(min=1, help="Episodes of each expert.")] = 100,
 ) -> None:
     """Plot the curves of all agents that come with armctl, a panel for each task."""
-    cards = [path for path in sorted((HOME / "agents").rglob("*.json")) if path.with_suffix(".csv").exists()]
+    cards = [path for path in sorted((AGENTS).rglob("*.json")) if path.with_suffix(".csv").exists()]
     agents = [(read_card(path), read_curve(path.with_suffix(".csv"))) for path in cards]
     tasks = sorted({card.env for card, _ in agents})
     experts = [(env, name) for env in tasks for name in _untrained(env)]

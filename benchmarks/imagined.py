@@ -10,9 +10,9 @@ from rich.progress import track
 import armctl
 from armctl.agents import load_agent, read_card
 from armctl.policies import Policy, sees
+from armctl.rl.agents import AGENTS
 from armctl.rl.imagining import ImaginingPolicy
 from armctl.rl.looking_ahead import looking_ahead
-from armctl.rl.zoo import HOME
 from armctl.rollout.seeds import TEST_SEED
 
 COLUMNS = (
@@ -25,7 +25,7 @@ def main(episodes: Annotated[int, typer.Option(min=1, help="Episodes of each age
     """Print a table of networks by themselves and with imagination. Steps: a failure counts as the time limit."""
     rows = [COLUMNS, ("---",) * len(COLUMNS)]
     for network, imagined in (("obstacles_plan_bc", _imagining), ("bridge_moving_state_ppo", _looking_ahead)):
-        cards = [HOME / "agents" / f"{network}.json", *sorted((HOME / "agents" / "seeds").glob(f"{network}-*.json"))]
+        cards = [AGENTS / f"{network}.json", *sorted((AGENTS / "seeds").glob(f"{network}-*.json"))]
         rows += [_row(network, card, imagined(card), episodes) for card in track(cards, network)]
     print("\n".join(f"| {' | '.join(row)} |" for row in rows))
 

@@ -11,11 +11,9 @@ from armctl.datasets.minari import policy_of
 from armctl.envs import EpisodeVectorEnv
 from armctl.policies import make_policy, policy_names
 from armctl.policies.trainings import card_of
+from armctl.rl.agents import AGENTS
 from armctl.training.learners import Recipe
 from armctl.training.trials import TRIALS, read_trials
-
-AGENTS = Path(__file__).with_name("agents")
-"""The agents that come with armctl, beside the ledger of their trainings."""
 
 
 def lineage_of(recipe: Recipe, options: Any, worlds: EpisodeVectorEnv) -> list[Ancestor]:

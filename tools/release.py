@@ -25,6 +25,8 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+import zoo
+from make_layout_pool import with_seeds
 
 import armctl
 from armctl.agents import Evaluation, read_card
@@ -32,11 +34,9 @@ from armctl.core import seeds
 from armctl.core.files import write_atomically
 from armctl.core.registration import environment_names
 from armctl.policies import agent_cards
-from armctl.rl import zoo
 from armctl.study.reproduce import evaluation_of, reproduce
 from armctl.study.suite import line_up
 from armctl.tasks.reach.layout_pool import POOL_FILE, read_pool, write_pool
-from armctl.tasks.reach.make_layout_pool import with_seeds
 
 ROOT = Path(__file__).parents[1]
 PLAYS, SEEDS, GOLDEN = ROOT / "tools" / "plays.csv", Path(seeds.__file__), ROOT / "benchmarks" / "golden.json"

@@ -10,90 +10,90 @@ from armctl.policies import sees
 from armctl.rl.imagining import ImaginingPolicy
 from armctl.rl.looking_ahead import LookingAheadPolicy, looking_ahead
 
-FOLDER = Path(__file__).parent
+AGENTS = Path(__file__).parent
 LOOKING_AHEAD = TuningCost(trials=3)
 """What `rl/trials.csv` has on the options of looking ahead."""
 
 
 def reach_ppo(env: Interface) -> OnnxPolicy:
     """PPO on `armctl/ArmReach-v0`, robot `ur5`, position control."""
-    return load_agent(FOLDER / "reach_ppo.json", env)
+    return load_agent(AGENTS / "reach_ppo.json", env)
 
 
 def bridge_ppo(env: Interface) -> OnnxPolicy:
     """`bridge_distil`, improved by PPO; it sees the depth camera and its own motion."""
-    return load_agent(FOLDER / "bridge_ppo.json", env)
+    return load_agent(AGENTS / "bridge_ppo.json", env)
 
 
 def reach_bc(env: Interface) -> OnnxPolicy:
     """Behaviour cloning on `armctl/ArmReach-v0`, from 500 episodes of `reach_ik`."""
-    return load_agent(FOLDER / "reach_bc.json", env)
+    return load_agent(AGENTS / "reach_bc.json", env)
 
 
 def reach_dagger(env: Interface) -> OnnxPolicy:
     """DAgger on `armctl/ArmReach-v0`, with 500 episodes labelled by `reach_ik`."""
-    return load_agent(FOLDER / "reach_dagger.json", env)
+    return load_agent(AGENTS / "reach_dagger.json", env)
 
 
 def reach_sac(env: Interface) -> OnnxPolicy:
     """SAC with hindsight on `armctl/ArmReach-v0`, without reward shaping."""
-    return load_agent(FOLDER / "reach_sac.json", env)
+    return load_agent(AGENTS / "reach_sac.json", env)
 
 
 def reach_cloned_ppo(env: Interface) -> OnnxPolicy:
     """A clone of `reach_ik` on `armctl/ArmReach-v0`, improved by PPO."""
-    return load_agent(FOLDER / "reach_cloned_ppo.json", env)
+    return load_agent(AGENTS / "reach_cloned_ppo.json", env)
 
 
 def reach_robust_ppo(env: Interface) -> OnnxPolicy:
     """PPO on `armctl/ArmReach-v0`, each of whose training episodes was disturbed."""
-    return load_agent(FOLDER / "reach_robust_ppo.json", env)
+    return load_agent(AGENTS / "reach_robust_ppo.json", env)
 
 
 def moving_ppo(env: Interface) -> OnnxPolicy:
     """A clone of `reach_ik` on `armctl/ArmReachMoving-v0`, from which PPO goes on."""
-    return load_agent(FOLDER / "moving_ppo.json", env)
+    return load_agent(AGENTS / "moving_ppo.json", env)
 
 
 def moving_dagger(env: Interface) -> OnnxPolicy:
     """DAgger on `armctl/ArmReachMoving-v0`, from `reach_ik`."""
-    return load_agent(FOLDER / "moving_dagger.json", env)
+    return load_agent(AGENTS / "moving_dagger.json", env)
 
 
 @sees("model")
 def obstacles_plan_bc(env: ModelInterface) -> OnnxPolicy:
     """Clone of plans on `armctl/ArmReachObstacles-v0`; it sees the boxes, and knows where the arm's links are."""
-    return load_agent(FOLDER / "obstacles_plan_bc.json", env)
+    return load_agent(AGENTS / "obstacles_plan_bc.json", env)
 
 
 @sees("model")
 def obstacles_imagined(env: ModelInterface) -> ImaginingPolicy:
     """`obstacles_plan_bc`, which plays its episodes in imagination first, by kinematics, and executes the best."""
-    return ImaginingPolicy(load_agent(FOLDER / "obstacles_plan_bc.json", env), env)
+    return ImaginingPolicy(load_agent(AGENTS / "obstacles_plan_bc.json", env), env)
 
 
 @sees("state")
 def bridge_state_ppo(env: EpisodeVectorEnv) -> OnnxPolicy:
     """PPO on `armctl/BridgeCross-v0`, without physics; it sees the true state."""
-    return load_agent(FOLDER / "bridge_state_ppo.json", env)
+    return load_agent(AGENTS / "bridge_state_ppo.json", env)
 
 
 @sees("state")
 def bridge_robust_ppo(env: EpisodeVectorEnv) -> OnnxPolicy:
     """PPO on `armctl/BridgeCross-v0`, in training episodes that were disturbed; it sees the true state."""
-    return load_agent(FOLDER / "bridge_robust_ppo.json", env)
+    return load_agent(AGENTS / "bridge_robust_ppo.json", env)
 
 
 @sees("state")
 def bridge_moving_state_ppo(env: EpisodeVectorEnv) -> OnnxPolicy:
     """PPO on `armctl/BridgeCrossMoving-v0`, without physics; it sees the true state."""
-    return load_agent(FOLDER / "bridge_moving_state_ppo.json", env)
+    return load_agent(AGENTS / "bridge_moving_state_ppo.json", env)
 
 
 @sees("state")
 def bridge_moving_imagined(env: TaskVectorEnv) -> LookingAheadPolicy:
     """`bridge_moving_state_ppo`, which looks ahead: where it would touch something, it tries other commands first."""
-    policy = looking_ahead(FOLDER / "bridge_moving_state_ppo.json", env)
+    policy = looking_ahead(AGENTS / "bridge_moving_state_ppo.json", env)
     cost = policy.training_cost
     policy.training_cost = replace(cost, tuning=total_tuning([cost.tuning, LOOKING_AHEAD]))
     return policy
@@ -101,14 +101,14 @@ def bridge_moving_imagined(env: TaskVectorEnv) -> LookingAheadPolicy:
 
 def bridge_distil(env: Interface) -> OnnxPolicy:
     """`bridge_state_ppo`, distilled into a network with a memory; it sees the depth camera and its own motion."""
-    return load_agent(FOLDER / "bridge_distil.json", env)
+    return load_agent(AGENTS / "bridge_distil.json", env)
 
 
 def bridge_moving_distil(env: Interface) -> OnnxPolicy:
     """`bridge_moving_state_ppo`, distilled into a network with a memory; it sees the depth camera and its motion."""
-    return load_agent(FOLDER / "bridge_moving_distil.json", env)
+    return load_agent(AGENTS / "bridge_moving_distil.json", env)
 
 
 def bridge_moving_ppo(env: Interface) -> OnnxPolicy:
     """PPO on `armctl/BridgeCrossMoving-v0`, from `bridge_moving_distil`; it sees the depth camera and its motion."""
-    return load_agent(FOLDER / "bridge_moving_ppo.json", env)
+    return load_agent(AGENTS / "bridge_moving_ppo.json", env)

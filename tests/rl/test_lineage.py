@@ -187,7 +187,7 @@ def test_the_ledger_of_this_repository_tells_of_every_recipe_that_was_tuned():
     assert recorded_tuning("bridge_state_ppo") is None
     for path in CARDS:
         card = read_card(path)
-        assert card.tuning == recorded_tuning(card.recipe), f"{path.stem}: run python -m armctl.rl.zoo --lineage"
+        assert card.tuning == recorded_tuning(card.recipe), f"{path.stem}: run python tools/zoo.py"
 
 
 def test_an_agent_that_looks_ahead_costs_what_its_network_did_and_the_trials_of_its_options():

@@ -6,6 +6,7 @@ import itertools
 import time
 
 import gymnasium
+import make_layout_pool
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -19,7 +20,7 @@ from armctl.planning import PathCertificate
 from armctl.robot_description import load_arm
 from armctl.scene import BOX_NUMBERS, Boxes
 from armctl.tasks import ReachObstaclesOptions, ReachObstaclesTask
-from armctl.tasks.reach import layout_pool, make_layout_pool, read_boxes
+from armctl.tasks.reach import layout_pool, read_boxes
 from armctl.tasks.reach.layout_pool import (
     OWN,
     PARTS,
@@ -69,7 +70,7 @@ def sample(size, rows=None):
 def test_the_parts_are_as_large_as_made_and_share_no_layout():
     sizes = {part: len(rows) for part, rows in SHIPPED.parts.items()}
     own = dict.fromkeys(map(str, OWN), make_layout_pool.OWN_SIZE)
-    assert sizes == own | make_layout_pool.SIZES, "run python -m armctl.tasks.reach.make_layout_pool --keep"
+    assert sizes == own | make_layout_pool.SIZES, "run python tools/make_layout_pool.py --keep"
     assert len(np.unique(SHIPPED.targets, axis=0)) == len(SHIPPED.targets)
     assert all(SHIPPED.feasible[SHIPPED.parts[part]].all() for part in own)
     assert 0.99 < SHIPPED.feasible.mean() < 1

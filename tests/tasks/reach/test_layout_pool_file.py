@@ -4,6 +4,7 @@ import dataclasses
 import tomllib
 from pathlib import Path
 
+import make_layout_pool
 import numpy as np
 import pytest
 
@@ -11,7 +12,6 @@ from armctl.core.errors import ConfigurationError
 from armctl.envs import TaskVectorEnv
 from armctl.scene import BOX_NUMBERS
 from armctl.tasks import ReachObstaclesTask
-from armctl.tasks.reach import make_layout_pool
 from armctl.tasks.reach.layout_pool import FORMAT, LARGEST_POOL, PARTS, POOL_FILE, read_pool, write_pool
 from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES
 

@@ -3,7 +3,7 @@
 The pool is for one arm and one tolerance. Seeds for different uses draw from different parts of it, which share no
 layout: nobody is judged on layouts that it was trained on. The sealed test, and the seed by which trainings judge
 themselves, have layouts of their own in each episode, as drawn without a pool. All other development seeds draw from
-the same 2,000 layouts: their episodes are no independent ones. `make_layout_pool` makes the file.
+the same 2,000 layouts: their episodes are no independent ones. `tools/make_layout_pool.py` makes the file.
 """
 
 import functools

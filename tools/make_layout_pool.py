@@ -1,4 +1,4 @@
-"""Makes the pool of layouts that comes with armctl: `python -m armctl.tasks.reach.make_layout_pool`.
+"""Makes the pool of layouts that comes with armctl: `python tools/make_layout_pool.py`.
 
 With the same versions of all packages, it makes the same file again. After a release has drawn another test's seed,
 `--keep` draws the layouts of its episodes only.

@@ -2,11 +2,11 @@ import csv
 import shutil
 
 import pytest
+import zoo
+from publish import publish
 
 from armctl.agents import read_card
 from armctl.core.errors import ArmctlError, ConfigurationError
-from armctl.rl import zoo
-from armctl.rl.publish import publish
 from armctl.training.trials import COLUMNS, add_trial, read_trials, write_trials
 
 AGENTS = zoo.HOME / "agents"

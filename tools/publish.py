@@ -1,4 +1,4 @@
-"""Put trained agents among those that come with armctl: `python -m armctl.rl.publish FOLDER...`.
+"""Put trained agents among those that come with armctl: `python tools/publish.py FOLDER...`.
 
 Folders are those of `armctl train RECIPE --seed S --out FOLDER`, of one recipe. Of all its training seeds, also of
 those that are there already, the one with the median success in development is shipped in `rl/agents/`; the others go
@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import typer
+import zoo
 
 from armctl.agents import AgentCard, read_card, sha256
 from armctl.core.errors import AgentFileError, ConfigurationError
 from armctl.core.files import write_atomically
 from armctl.policies.trainings import by_seed
-from armctl.rl import zoo
 from armctl.study.curves import curve_path
 from armctl.training.learners import recipe_names
 from armctl.training.trials import TRIALS, read_trials, write_trials

@@ -1,31 +1,29 @@
 """The sealed test: drawn by nobody's choice, and played once by all that is published."""
 
 import csv
-import importlib.util
 import json
 import shutil
 from pathlib import Path
 
 import pytest
+import release as tool
+import zoo
 from typer.testing import CliRunner
 
 from armctl.agents import read_card
 from armctl.core import seeds
 from armctl.core.seeds import TEST_SEED, VALIDATION_SEED
-from armctl.rl import zoo
 from armctl.study.reproduce import card_path
 from armctl.tasks.reach.layout_pool import POOL_FILE, read_pool, write_pool
 from armctl.training.trials import read_trials
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture
 def release(tmp_path, monkeypatch):
     """The tool with files of its own, and one agent and one expert to publish."""
-    spec = importlib.util.spec_from_file_location("release", ROOT / "tools" / "release.py")
-    tool = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(tool)
+    tool.checksum_of_episodes.cache_clear()
     agents = tmp_path / "agents"
     agents.mkdir()
     for suffix in (".json", ".onnx"):
@@ -34,7 +32,7 @@ def release(tmp_path, monkeypatch):
     few = card.evaluation.model_copy(update={"episodes": 3, "seed": 5})
     trained = card.model_copy(update={"evaluation": few, "development": None})
     (agents / "reach_ppo.json").write_text(trained.model_dump_json())
-    (tmp_path / "seeds.py").write_text((ROOT / "src" / "armctl" / "seeds.py").read_text())
+    (tmp_path / "seeds.py").write_text(Path(seeds.__file__).read_text())
     shutil.copy(tool.GOLDEN, tmp_path / "golden.json")
     monkeypatch.setattr(tool, "EPISODES", 2)
     monkeypatch.setattr(tool, "PLAYS", tmp_path / "plays.csv")
@@ -129,9 +127,6 @@ def test_published_agents_are_of_the_present_test():
 def test_every_published_policy_has_its_trials_in_the_ledger():
     """Experts too, and agents that look ahead; of what nobody recorded, it says so."""
     known = {row["recipe"] for row in read_trials(ROOT / "rl" / "trials.csv")}
-    spec = importlib.util.spec_from_file_location("release", ROOT / "tools" / "release.py")
-    tool = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(tool)
     names = {read_card(one.card).recipe if one.card else one.name for one in tool.published()} - {"random"}
     assert names > {"bridge_moving_imagined", "obstacles_imagined", "bridge_ompl", "reach_ik"}
     assert names <= known

@@ -1,13 +1,10 @@
-"""The table of all trained agents, from their cards: `python -m armctl.rl.zoo` writes `rl/README.md`.
+"""The table of all trained agents, from their cards: `python tools/zoo.py` writes `rl/README.md`.
 
 Shipped agents have their cards in `rl/agents/`, those of other training seeds theirs in `rl/agents/seeds/`; a release
-gives them their evaluations on the sealed test (`tools/release.py`). With `--recount`, cards that are older than the
-counters get those costs of their training that are certain. With `--lineage`, cards get the costs of their teachers,
-and what the ledger has on the trials of their recipes.
+gives them their evaluations on the sealed test (`tools/release.py`). Cards that lack them get the costs of their
+teachers, and what the ledger has on the trials of their recipes.
 """
 
-import sys
-from contextlib import closing
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
@@ -16,13 +13,11 @@ from typing import Any
 from armctl.agents import AgentCard, Ancestor, read_card
 from armctl.agents.costs import UNTRAINED
 from armctl.core.files import write_atomically
-from armctl.envs import make_worlds
 from armctl.policies.configured import tuning_of
 from armctl.rl.lineage import ancestors, recorded_tuning
-from armctl.rl.recount import recount
 
-HOME = Path(__file__).parent
-HEAD = """<!-- Made by `python -m armctl.rl.zoo` from the agents' cards: change those, or rl/zoo.py. -->
+HOME = Path(__file__).parents[1] / "rl"
+HEAD = """<!-- Made by `python tools/zoo.py` from the agents' cards: change those, or tools/zoo.py. -->
 # The zoo: agents that come with armctl
 
 `armctl compare reach_ik NAME` compares an agent with an expert. `armctl train NAME` trains it again by its recipe in
@@ -101,15 +96,6 @@ def _minutes(seconds: float | None) -> str:
     return "-" if seconds is None else f"{seconds / 60:.1f}"
 
 
-def fill_in() -> None:
-    """Give the cards what is certain of their costs."""
-    for path in (*(HOME / "agents").glob("*.json"), *(HOME / "agents" / "seeds").glob("*.json")):
-        card = read_card(path)
-        with closing(make_worlds(card.env, 1, card.env_options)) as worlds:
-            certain = recount(card, worlds.max_episode_steps or 0)
-        _update(path, **certain)
-
-
 def trace() -> None:
     """Give the cards the lineage that they lack, and what is recorded of the trials of their recipes."""
     agents = HOME / "agents"
@@ -141,8 +127,5 @@ def _update(path: Path, **changes: Any) -> AgentCard:
 
 
 if __name__ == "__main__":
-    if "--recount" in sys.argv:
-        fill_in()
-    if "--lineage" in sys.argv:
-        trace()
+    trace()
     write()

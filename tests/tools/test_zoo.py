@@ -1,8 +1,8 @@
-from armctl.rl import zoo
+import zoo
 
 
 def test_the_table_is_that_of_the_cards():
-    assert (zoo.HOME / "README.md").read_text() == zoo.HEAD + zoo.table(), "run python -m armctl.rl.zoo"
+    assert (zoo.HOME / "README.md").read_text() == zoo.HEAD + zoo.table(), "run python tools/zoo.py"
 
 
 def test_every_shipped_agent_is_in_it_with_its_success():
