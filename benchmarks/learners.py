@@ -83,10 +83,10 @@ def gymnasium_alone(env: str, way: str) -> Env:
 
 def _for_stable_baselines(env: str, way: str, **options: Any) -> tuple[Env, Env]:
     """An environment, and the same as Stable-Baselines3 takes it."""
-    import armctl.sb3
+    from armctl.integrations.sb3 import VecEnv
 
     made = make(env, way, **options)
-    return made, made if way == "gymnasium.make" else armctl.sb3.VecEnv(made)
+    return made, made if way == "gymnasium.make" else VecEnv(made)
 
 
 def _on_policy(library: str, algorithm: str, network: str = "") -> Learner:

@@ -1,6 +1,6 @@
 """RecurrentPPO of sb3-contrib: an LSTM that remembers what the default observation hides, which is velocity.
 
-Library: sb3-contrib, through `armctl.sb3.VecEnv`.
+Library: sb3-contrib, through `armctl.integrations.sb3.VecEnv`.
 Autoreset: `same_step`, as Stable-Baselines3 expects.
 Options: normalized actions, relative to where the joints are; the observation is the task's default (`paper`).
 
@@ -13,7 +13,7 @@ import gymnasium
 from held_out import arguments, report
 from sb3_contrib import RecurrentPPO
 
-import armctl.sb3
+from armctl.integrations.sb3 import VecEnv
 from armctl.shaping import Shaped
 
 ID = "armctl:armctl/ArmReach-v0"
@@ -25,7 +25,7 @@ worlds = gymnasium.make_vec(ID, num_envs=16, autoreset_mode="same_step", reward_
 shaped = Shaped(worlds, "ik", gamma=GAMMA, scale=150)  # per second nearer to the target
 model = RecurrentPPO(
     "MlpLstmPolicy",
-    armctl.sb3.VecEnv(shaped),
+    VecEnv(shaped),
     n_steps=128,
     batch_size=256,
     gamma=GAMMA,

@@ -1,6 +1,6 @@
 """PPO of Stable-Baselines3, unmodified, on 16 worlds of the reach task that are stepped at once.
 
-Library: stable-baselines3, through `armctl.sb3.VecEnv`.
+Library: stable-baselines3, through `armctl.integrations.sb3.VecEnv`.
 Autoreset: `same_step`, as Stable-Baselines3 expects.
 Options: normalized actions, each a move until the next control step; features instead of raw positions; rewards scaled
 to the order of one. `Shaped` adds what the IK expert knows of the time to the target, and changes no optimal policy.
@@ -14,7 +14,7 @@ import gymnasium
 from held_out import arguments, report
 from stable_baselines3 import PPO
 
-import armctl.sb3
+from armctl.integrations.sb3 import VecEnv
 from armctl.shaping import Shaped
 
 ID = "armctl:armctl/ArmReach-v0"
@@ -31,7 +31,7 @@ tuned = {
     "policy_kwargs": {"net_arch": [128, 128], "log_std_init": -0.5},
 }
 settings = tuned if given.settings == "tuned" else {}
-model = PPO("MlpPolicy", armctl.sb3.VecEnv(shaped), gamma=GAMMA, seed=given.seed, device="cpu", **settings)
+model = PPO("MlpPolicy", VecEnv(shaped), gamma=GAMMA, seed=given.seed, device="cpu", **settings)
 model.learn(given.steps)
 model.save("runs/sb3_ppo.zip")
 report(model, ID, given.episodes, **OPTIONS)

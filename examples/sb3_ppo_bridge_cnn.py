@@ -1,6 +1,6 @@
 """PPO of Stable-Baselines3 with its own convolutional network, on the bridge, from the rover's depth camera.
 
-Library: stable-baselines3, through `armctl.sb3.VecEnv`.
+Library: stable-baselines3, through `armctl.integrations.sb3.VecEnv`.
 Autoreset: `same_step`, as Stable-Baselines3 expects.
 Options: `observation="features"` shows depths as nearness, which tells what is close; `image_format="uint8"` makes them
 images (36, 48, 1) from 0 to 255, which `MultiInputPolicy` recognises and hands to its `NatureCNN`. Collisions cost
@@ -16,7 +16,7 @@ import gymnasium
 from held_out import arguments, report
 from stable_baselines3 import PPO
 
-import armctl.sb3
+from armctl.integrations.sb3 import VecEnv
 from armctl.shaping import Shaped
 
 ID = "armctl:armctl/BridgeCross-v0"
@@ -29,7 +29,7 @@ worlds = gymnasium.make_vec(ID, num_envs=32, autoreset_mode="same_step", **rewar
 shaped = Shaped(worlds, "ompl", gamma=GAMMA, scale=5)  # per metre nearer to the goal line
 model = PPO(
     "MultiInputPolicy",
-    armctl.sb3.VecEnv(shaped),
+    VecEnv(shaped),
     n_steps=64,
     batch_size=256,
     n_epochs=5,

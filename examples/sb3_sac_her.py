@@ -1,6 +1,6 @@
 """SAC with hindsight experience replay, both of Stable-Baselines3 and unmodified, on the task's own sparse reward.
 
-Library: stable-baselines3, through `armctl.sb3.VecEnv`.
+Library: stable-baselines3, through `armctl.integrations.sb3.VecEnv`.
 Autoreset: `same_step`, as Stable-Baselines3 expects.
 Options: normalized actions, relative to where the joints are. `goal=True` observes `achieved_goal` and `desired_goal`
 beside the rest, and offers `compute_reward`, so that what was reached can count as what was wanted; the goal may change
@@ -21,7 +21,7 @@ from stable_baselines3 import SAC, HerReplayBuffer
 from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise
 from stable_baselines3.common.utils import LinearSchedule
 
-import armctl.sb3
+from armctl.integrations.sb3 import GoalFeatures, VecEnv
 
 ID = "armctl:armctl/ArmReach-v0"
 OPTIONS = {"actions": "normalized", "control": "relative", "observation": "features", "goal": True}
@@ -31,7 +31,7 @@ given = arguments(__doc__, steps=100_000)
 worlds = gymnasium.make_vec(ID, num_envs=16, autoreset_mode="same_step", goal_reward=1, **OPTIONS)
 model = SAC(
     "MultiInputPolicy",
-    armctl.sb3.VecEnv(worlds),
+    VecEnv(worlds),
     replay_buffer_class=HerReplayBuffer,
     learning_starts=2_000,  # hindsight needs an episode that has ended: 16 worlds, at most 100 steps each
     gradient_steps=4,
@@ -40,7 +40,7 @@ model = SAC(
     tau=0.01,
     ent_coef="auto_0.1",
     action_noise=OrnsteinUhlenbeckActionNoise(np.zeros(JOINTS), np.full(JOINTS, 0.2), theta=0.1, dt=1.0),
-    policy_kwargs={"features_extractor_class": armctl.sb3.GoalFeatures, "net_arch": [128, 128]},
+    policy_kwargs={"features_extractor_class": GoalFeatures, "net_arch": [128, 128]},
     seed=given.seed,
     device="cpu",
 )

@@ -1,6 +1,6 @@
 """PPO, SAC or CrossQ of SBX, which is Stable-Baselines3 in JAX, on 16 worlds of the reach task.
 
-Library: sbx-rl, through `armctl.sb3.VecEnv`: what works with Stable-Baselines3 works with SBX.
+Library: sbx-rl, through `armctl.integrations.sb3.VecEnv`: what works with Stable-Baselines3 works with SBX.
 Autoreset: `same_step`, as Stable-Baselines3 expects.
 Options: normalized actions, relative to where the joints are; features; rewards scaled to the order of one. `Shaped`
 adds what the IK expert knows of the time to the target.
@@ -18,7 +18,7 @@ import gymnasium
 import sbx
 from held_out import arguments, report
 
-import armctl.sb3
+from armctl.integrations.sb3 import VecEnv
 from armctl.shaping import Shaped
 
 ID = "armctl:armctl/ArmReach-v0"
@@ -31,6 +31,6 @@ given = arguments(__doc__, steps=150_000, algorithm=list(SETTINGS))
 worlds = gymnasium.make_vec(ID, num_envs=16, autoreset_mode="same_step", reward_scale=0.02, **OPTIONS)
 shaped = Shaped(worlds, "ik", gamma=GAMMA, scale=150)  # per second nearer to the target
 learner, settings = getattr(sbx, given.algorithm), SETTINGS[given.algorithm]
-model = learner("MlpPolicy", armctl.sb3.VecEnv(shaped), gamma=GAMMA, seed=given.seed, **settings)
+model = learner("MlpPolicy", VecEnv(shaped), gamma=GAMMA, seed=given.seed, **settings)
 model.learn(given.steps)
 report(model, ID, given.episodes, **OPTIONS)

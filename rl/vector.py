@@ -6,8 +6,8 @@ import gymnasium
 import torch
 from numpy.typing import NDArray
 
+from armctl.integrations.sb3 import VecEnv
 from armctl.rl.actor import tensors
-from armctl.sb3 import VecEnv
 
 
 class StableBaselinesVectorEnv(VecEnv):

@@ -32,7 +32,7 @@ from armctl.training.learners import learner_names, load_recipe, recipe_names
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-GROUPS = {f"armctl.{kind}" for kind in ("learners", "policies", "recipes", "tasks", "trackers")}
+GROUPS = {f"armctl.{kind}" for kind in ("dataset_formats", "learners", "policies", "recipes", "tasks", "trackers")}
 SECONDS = 600
 """That a page's examples may take."""
 

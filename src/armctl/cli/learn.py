@@ -115,8 +115,8 @@ def train(
     """
     from armctl.core.options import option_arguments
     from armctl.envs import task_of
+    from armctl.integrations.tracking import tracked
     from armctl.simulation.threads import LIMIT
-    from armctl.tracking import tracked
     from armctl.training.learners import load_learner, load_recipe
     from armctl.training.run import SETTINGS, Job, recorded
 

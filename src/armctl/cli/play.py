@@ -42,8 +42,13 @@ def run(
     """Play episodes with one policy, and print its states, actions and rewards."""
     from armctl.viewer.terminal import run_episodes
 
+    log = None
+    if rerun:
+        from armctl.integrations.rerun import rerun_opener
+
+        log = rerun_opener(rerun)
     options = options_of(env_options)
-    if not run_episodes(policy, env, episodes, steps, seed, video, watch, options, episode, rerun, policy_seed):
+    if not run_episodes(policy, env, episodes, steps, seed, video, watch, options, episode, log, policy_seed):
         raise typer.Exit(130)
 
 

@@ -36,7 +36,7 @@ def push(
     them, `README.md`. The card has all options of the training, paths among them: look at it before you share it.
     """
     from armctl.core.console import PlainConsole
-    from armctl.hub import push as upload
+    from armctl.integrations.hub import push as upload
 
     address = upload(agent, repository, private=private, message=message, licence=licence)
     PlainConsole().print(
@@ -66,8 +66,8 @@ def pull(
     from armctl.agents import read_card
     from armctl.core.console import PlainConsole
     from armctl.core.errors import ConfigurationError
-    from armctl.hub import comparison_command
-    from armctl.hub import pull as download
+    from armctl.integrations.hub import comparison_command
+    from armctl.integrations.hub import pull as download
 
     path = download(repository, out, overwrite=overwrite)
     try:

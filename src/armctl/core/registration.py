@@ -73,6 +73,22 @@ def installed(group: str) -> EntryPoints:
     return entry_points(group=group)
 
 
+def load_installed(group: str, name: str, kind: str) -> Any:
+    """Return what is installed under a name in an entry-point group; messages call it a `kind`.
+
+    Raises `ConfigurationError`, whatever its module raises.
+    """
+    entries = installed(group)
+    if name not in entries.names:
+        raise unknown_name(kind, name, entries.names)
+    try:
+        return entries[name].load()
+    except ConfigurationError:
+        raise
+    except FAILURES as error:
+        raise ConfigurationError(f"cannot load the {kind} {name}: {described(error)}") from error
+
+
 def files_beside(group: str, suffix: str) -> dict[str, Path]:
     """Files `NAME` + `suffix` beside the modules of what is installed in a group, by name. No module is imported."""
     homes = {entry.name: importlib.util.find_spec(entry.module) for entry in installed(group)}

@@ -17,7 +17,7 @@ from armctl import DEFAULT_ENV
 from armctl.core.errors import EnvironmentFailed, ResultsError
 from armctl.core.files import LOCK, one_writer
 from armctl.datasets.demonstrations import Demonstration, demonstrate
-from armctl.datasets.formats import FORMATS, Format, format_of
+from armctl.datasets.formats import Format, load_format, load_formats
 from armctl.datasets.minari import UNFINISHED, check_recordable
 from armctl.datasets.parallel import WorldsAsAsked, demonstrate_in_workers
 from armctl.datasets.unfinished import IDENTITY, OTHERWISE, Unfinished, check_same
@@ -67,7 +67,7 @@ def collect(
     The episodes are in the order of their numbers, and the same however many worlds play at once, and wherever: with
     `workers`, that many processes play, each with `worlds` worlds on one core; an engine's workers play, if one is
     given (`armctl.runtime.engines.connect`). They play blocks of 4 episodes per world, which come back whole, so
-    that an interrupt loses those that are not finished. `format` is one of `FORMATS`:
+    that an interrupt loses those that are not finished. `format` is an installed one:
 
     - `minari`: `minari.MinariDataset(out / "data")` opens it. So does `minari.load_dataset(out.name)` if
       `MINARI_DATASETS_PATH` is the parent folder and `out.name` ends with a version, such as `-v0`.
@@ -84,7 +84,7 @@ def collect(
     another dataset (unless `overwrite`), cannot be written or is written by another process, or if no episode was
     finished.
     """
-    kind = format_of(format)
+    kind = load_format(format)
     libraries = kind.library_versions()
     engine = engine_of(workers)
     check_counts(episodes=episodes, worlds=worlds, **({"workers": workers} if isinstance(workers, int) else {}))
@@ -155,7 +155,7 @@ def collect(
 def _claimed(folder: Path, kind: Format, overwrite: bool) -> Iterator[None]:
     """Keep other processes from writing to the folder; with `overwrite`, delete its dataset, of whatever format."""
     with one_writer(folder):
-        there = [one for one in FORMATS.values() if one is kind or (folder / one.MANIFEST).exists()]
+        there = [one for one in load_formats().values() if one is kind or (folder / one.MANIFEST).exists()]
         parts = [folder / part for part in dict.fromkeys(part for one in there for part in (*one.PARTS, UNFINISHED))]
         if link := next((part for part in parts if part.is_symlink()), None):
             raise ResultsError(f"{link} is a symbolic link, through which armctl does not write: choose another folder")
@@ -173,7 +173,7 @@ def _claimed(folder: Path, kind: Format, overwrite: bool) -> Iterator[None]:
 
 def _stored_policy_seed(folder: Path) -> int | None:
     """The policy seed of the dataset in a folder, finished or not; None if there is none that can be read."""
-    manifests = (folder / UNFINISHED / IDENTITY, *(folder / kind.MANIFEST for kind in FORMATS.values()))
+    manifests = (folder / UNFINISHED / IDENTITY, *(folder / kind.MANIFEST for kind in load_formats().values()))
     return next((seed for path in manifests if (seed := stored_policy_seed(path)) is not None), None)
 
 
@@ -184,7 +184,7 @@ def _finished(folder: Path, kind: Format, own: Mapping[str, Any], episodes: int)
     """
     if (folder / UNFINISHED).exists():
         return None
-    for name, other in FORMATS.items():
+    for name, other in load_formats().items():
         if other is not kind and (folder / other.MANIFEST).exists():
             raise ResultsError(f"{folder} already holds a dataset in the format {name}: {OTHERWISE}")
     if not any((folder / part).exists() for part in kind.PARTS):

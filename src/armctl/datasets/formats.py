@@ -1,13 +1,14 @@
-"""The formats in which `collect` writes datasets: each is a module."""
+"""Formats in which `collect` writes datasets: modules, which packages offer in the entry-point group of `FORMATS`."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
-from armctl.core.errors import unknown_name
-from armctl.datasets import lerobot, minari
+from armctl.core.registration import installed, load_installed
 from armctl.datasets.demonstrations import Demonstration
 from armctl.envs import EpisodeVectorEnv
+
+FORMATS = "armctl.dataset_formats"
 
 
 class Format(Protocol):
@@ -32,12 +33,11 @@ class Format(Protocol):
         """Write `PARTS` to a folder: episodes with their attributes, and metadata. Raises `OSError`."""
 
 
-FORMATS: Mapping[str, Format] = {"minari": minari, "lerobot": lerobot}
-"""By the name that the user gives."""
+def load_format(name: str) -> Format:
+    """Return the installed format of that name. Raises `ConfigurationError`."""
+    return load_installed(FORMATS, name, "dataset format")  # type: ignore[no-any-return]
 
 
-def format_of(name: str) -> Format:
-    """The format with a name. Raises `ConfigurationError`."""
-    if name not in FORMATS:
-        raise unknown_name("dataset format", name, FORMATS)
-    return FORMATS[name]
+def load_formats() -> dict[str, Format]:
+    """Return all installed formats by name. Raises `ConfigurationError`."""
+    return {name: load_format(name) for name in sorted(installed(FORMATS).names)}

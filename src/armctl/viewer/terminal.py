@@ -1,20 +1,39 @@
 """Plays N episodes of M steps, prints states, actions and rewards, and records them for later."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.text import Text
 
 from armctl.core.console import PlainConsole
 from armctl.core.errors import ConfigurationError
+from armctl.envs import EpisodeVectorEnv
 from armctl.policies import Plans, Policy, WorldsByInterface, make_policy
 from armctl.rollout.rollouts import wrap_environment_errors, wrap_policy_errors
+from armctl.tasks import Observations
 from armctl.viewer.recording import Film, check_video, recording
-from armctl.viewer.rerun import EpisodeLog, check_rerun, rerun_log
+
+
+class StepLog(Protocol):
+    """Records control steps. An episode is a number of `decision` and `rewards`, and then `end`."""
+
+    def decision(self, observations: Observations, actions: NDArray[Any], plans: Mapping[str, NDArray[Any]]) -> None:
+        """Record what a policy sees, does and plans, before that has any effect."""
+
+    def rewards(self, terms: Mapping[str, float], reward: float) -> None:
+        """Record the rewards of the control step, by term if these are known."""
+
+    def end(self, observations: Observations, ending: str) -> None:
+        """Record the last state of an episode, and how it ended."""
+
+
+LogOpener = Callable[[EpisodeVectorEnv, Callable[[Path, int], object]], AbstractContextManager[StepLog]]
+"""Opener of a log of the first world's steps, such as Rerun's; it calls its second argument with file and steps."""
 
 MOST_NUMBERS = 200
 """Of an array that is printed."""
@@ -30,7 +49,7 @@ def run_episodes(
     watch: bool,
     env_options: Mapping[str, Any],
     first: int = 0,
-    rerun: Path | None = None,
+    log: LogOpener | None = None,
     policy_seed: int | None = None,
 ) -> bool:
     """Play episodes with one policy, from number `first` on, and print each step. Returns False if interrupted.
@@ -38,23 +57,21 @@ def run_episodes(
     The policy's own random numbers come from `policy_seed`, or else from a new secret.
 
     Raises `ConfigurationError`, `AgentFileError`, `PolicyFailed`, and `ResultsError` if the video or
-    the recording for Rerun cannot be written.
+    the log cannot be written.
     """
     if watch and video:
         raise ConfigurationError("--watch and --video exclude each other: choose one")
     if video:
         check_video(video)
-    if rerun:
-        check_rerun(rerun)
     console = PlainConsole()
     interfaces = _make(env, steps, "human" if watch else "rgb_array" if video else None, env_options)
     try:
         worlds = interfaces.of(policy)
         actor = make_policy(policy, worlds, policy_seed=policy_seed)
-        with _film(video, worlds.metadata["render_fps"], console) as film, _log(rerun, worlds, console) as log:
+        with _film(video, worlds.metadata["render_fps"], console) as film, _log(log, worlds, console) as step_log:
             for episode in range(first, first + episodes):
                 console.rule(f"{policy}, episode {episode} of seed {seed}", align="left")
-                _play(console, policy, actor, worlds, seed, episode, film, log, watch, steps)
+                _play(console, policy, actor, worlds, seed, episode, film, step_log, watch, steps)
     except KeyboardInterrupt:
         console.print("Interrupted.")
         return False
@@ -71,7 +88,7 @@ def _play(
     seed: int,
     episode: int,
     film: Film | None,
-    log: EpisodeLog | None,
+    log: StepLog | None,
     watch: bool,
     asked: int | None,
 ) -> None:
@@ -147,8 +164,8 @@ def _film(video: Path | None, fps: int, console: PlainConsole) -> AbstractContex
     return recording(video, fps, lambda frames: console.print(f"{video}: {frames} frames", soft_wrap=True))
 
 
-def _log(file: Path | None, worlds: Any, console: PlainConsole) -> AbstractContextManager[EpisodeLog | None]:
-    """What records episodes for Rerun in a file; None without a file."""
-    if file is None:
+def _log(log: LogOpener | None, worlds: Any, console: PlainConsole) -> AbstractContextManager[StepLog | None]:
+    """Open a log of control steps; None if none is asked for."""
+    if log is None:
         return nullcontext()
-    return rerun_log(file, worlds, lambda steps: console.print(f"{file}: {_steps(steps)}", soft_wrap=True))
+    return log(worlds, lambda file, steps: console.print(f"{file}: {_steps(steps)}", soft_wrap=True))

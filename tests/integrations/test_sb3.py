@@ -1,4 +1,4 @@
-"""`armctl.sb3.VecEnv`: what Stable-Baselines3's learners and wrappers get of armctl's vector environments."""
+"""`VecEnv`: what Stable-Baselines3's learners and wrappers get of armctl's vector environments."""
 
 import gymnasium
 import numpy as np
@@ -10,7 +10,7 @@ from stable_baselines3.common.vec_env import VecFrameStack, VecMonitor, VecNorma
 
 from armctl.core.errors import ConfigurationError
 from armctl.envs import make_worlds
-from armctl.sb3 import GoalFeatures, VecEnv
+from armctl.integrations.sb3 import GoalFeatures, VecEnv
 from armctl.shaping import Shaped
 
 REACH, BRIDGE = "armctl/ArmReach-v0", "armctl/BridgeCross-v0"

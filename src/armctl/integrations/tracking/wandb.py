@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from armctl.core.errors import missing_extra
-from armctl.tracking.tracker import PROJECT, Ending, Tracker
+from armctl.integrations.tracking.tracker import PROJECT, Ending, Tracker
 
 try:
     import wandb

@@ -16,9 +16,9 @@ from typing import Any
 from armctl.agents import read_card
 from armctl.core.errors import FAILURES, ResultsError, described
 from armctl.core.files import bounded_text, inside, write_atomically
+from armctl.integrations.tracking.film import film_agent
+from armctl.integrations.tracking.tracker import Ending, Tracker, load_tracker
 from armctl.study.curves import CURVE, read_curve
-from armctl.tracking.film import film_agent
-from armctl.tracking.tracker import Ending, Tracker, load_tracker
 from armctl.training.learners import Recipe
 
 FOLDER = "tracking"

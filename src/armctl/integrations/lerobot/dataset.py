@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from armctl.core.errors import missing_extra
 from armctl.core.files import sealed, write_atomically
 from armctl.datasets.demonstrations import Demonstration
-from armctl.datasets.lerobot_features import features_of, observed_parts
-from armctl.datasets.lerobot_stats import Stats, aggregated, picture_stats, stats_of
 from armctl.datasets.pictures import bounds_of, count_frames, is_image, pictures
 from armctl.envs import EpisodeVectorEnv, full_id
+from armctl.integrations.lerobot.features import features_of, observed_parts
+from armctl.integrations.lerobot.stats import Stats, aggregated, picture_stats, stats_of
 
 PARTS: tuple[str, ...] = ("data", "videos", "meta")
 """The folders within the dataset's folder of which it consists; `videos` only with image observations."""

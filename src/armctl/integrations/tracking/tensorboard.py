@@ -15,7 +15,7 @@ import imageio
 from PIL import Image
 
 from armctl.core.errors import missing_extra
-from armctl.tracking.tracker import Ending, Tracker
+from armctl.integrations.tracking.tracker import Ending, Tracker
 
 try:
     from tensorboard.compat.proto.summary_pb2 import Summary  # type: ignore[import-untyped]

@@ -8,8 +8,8 @@ import pandas as pd
 import pytest
 
 from armctl.core.errors import ConfigurationError
+from armctl.integrations.tracking import Tracker, following, tracked
 from armctl.study.curves import CURVE_COLUMNS
-from armctl.tracking import Tracker, following, tracked
 from armctl.training.learners import Recipe
 
 RECIPE = Recipe(name="mine", learner="foreign", env="armctl/ArmReach-v0", options={"gamma": 0.9})

@@ -18,11 +18,11 @@ from huggingface_hub import constants
 from armctl.agents import load_agent, read_card
 from armctl.core.errors import AgentFileError, ConfigurationError, HubError, ResultsError
 from armctl.envs import make_worlds
-from armctl.hub import model_card, pull, push
-from armctl.hub.download import LARGEST
+from armctl.integrations.hub import model_card, pull, push
+from armctl.integrations.hub.download import LARGEST
 from armctl.study.reproduce import card_path
 
-from ..command_line import armctl, program
+from ...command_line import armctl, program
 from .fake_hub import broken_off, endless, huge
 
 NAME = "owner/reach"

@@ -9,6 +9,7 @@ from rerun.chunk import RrdReader
 
 from armctl.core.errors import ConfigurationError, ResultsError
 from armctl.episodes.failures import PolicyFailed
+from armctl.integrations.rerun import rerun_opener
 from armctl.viewer.stage import Stage
 from armctl.viewer.terminal import run_episodes
 
@@ -17,7 +18,7 @@ STEPS = 8
 
 
 def record(file, policy, env, episodes=1, steps=STEPS, **options):
-    return run_episodes(policy, env, episodes, steps, 2, None, False, options, rerun=file)
+    return run_episodes(policy, env, episodes, steps, 2, None, False, options, log=rerun_opener(file))
 
 
 class Recording:

@@ -15,7 +15,7 @@ from armctl.core.errors import ConfigurationError
 from armctl.core.options import option_arguments
 from armctl.core.registration import bare_id
 from armctl.envs import check_from_file, task_of
-from armctl.hub.client import CARD, GRAPH
+from armctl.integrations.hub.client import CARD, GRAPH
 
 TAGS = ("reinforcement-learning", "robotics", "onnx", "armctl")
 PAGE = """---

@@ -7,7 +7,7 @@ from huggingface_hub import ModelCard
 
 from armctl.agents import AgentCard, read_card
 from armctl.core.seeds import TEST_SEED
-from armctl.hub import model_card
+from armctl.integrations.hub import model_card
 from armctl.policies import agent_cards
 from armctl.study.reproduce import card_path
 

@@ -18,10 +18,10 @@ from wandb.proto.wandb_internal_pb2 import Record
 
 from armctl.cli import completion
 from armctl.core.errors import ConfigurationError
-from armctl.tracking import load_tracker, tracked, tracker_names
+from armctl.integrations.tracking import load_tracker, tracked, tracker_names
 from armctl.training.learners import load_learner, load_recipe
 
-from ..command_line import armctl
+from ...command_line import armctl
 
 TRACKERS = ("wandb", "mlflow", "tensorboard")
 QUICK = {"worlds": 8, "batch_size": 64, "evaluation_every": 100, "validation_episodes": 2, "evaluation_episodes": 2}
@@ -166,7 +166,7 @@ def test_tensorboard_has_it_all(trained):
 
 ALONE = """
 from pathlib import Path
-from armctl.tracking.wandb import WandbTracker
+from armctl.integrations.tracking.wandb import WandbTracker
 
 tracker = WandbTracker("alone", Path.cwd(), {}, None)
 tracker.log(3, {"success": 0.5})
@@ -193,7 +193,7 @@ def test_without_account_or_network_wandb_works_offline(account, home, tmp_path)
 )
 def test_a_missing_extra_is_named_in_a_line(name, package, extra, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)
-    monkeypatch.delitem(sys.modules, f"armctl.tracking.{name}", raising=False)
+    monkeypatch.delitem(sys.modules, f"armctl.integrations.tracking.{name}", raising=False)
     with pytest.raises(ConfigurationError) as raised:
         load_tracker(name)
     assert f"tracking by {name} needs {package}: pip install 'armctl-suite[{extra}]'" in str(raised.value)
@@ -216,7 +216,7 @@ def test_what_is_shipped():
 
 def test_a_strangers_tracker_that_cannot_be_loaded_is_named(monkeypatch):
     entries = {"mine": EntryPoint("mine", "no_such_module:Mine", "armctl.trackers")}
-    monkeypatch.setattr("armctl.tracking.tracker.installed", lambda group: Offered(entries))
+    monkeypatch.setattr("armctl.core.registration.installed", lambda group: Offered(entries))
     with pytest.raises(ConfigurationError, match="cannot load the tracker mine: ModuleNotFoundError"):
         load_tracker("mine")
 

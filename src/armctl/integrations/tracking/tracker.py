@@ -5,8 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-from armctl.core.errors import FAILURES, ConfigurationError, described, unknown_name
-from armctl.core.registration import installed
+from armctl.core.registration import installed, load_installed
 
 TRACKERS = "armctl.trackers"
 PROJECT = "armctl"
@@ -56,13 +55,5 @@ def tracker_names() -> list[str]:
 
 
 def load_tracker(name: str) -> type[Tracker]:
-    """The installed tracker of that name. Raises `ConfigurationError`, also if its extra is not installed."""
-    entries = installed(TRACKERS)
-    if name not in entries.names:
-        raise unknown_name("tracker", name, entries.names)
-    try:
-        return entries[name].load()  # type: ignore[no-any-return]
-    except ConfigurationError:
-        raise
-    except FAILURES as error:
-        raise ConfigurationError(f"cannot load the tracker {name}: {described(error)}") from error
+    """Return the installed tracker of that name. Raises `ConfigurationError`, also if its extra is not installed."""
+    return load_installed(TRACKERS, name, "tracker")  # type: ignore[no-any-return]

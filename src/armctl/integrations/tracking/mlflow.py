@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from armctl.core.errors import missing_extra
-from armctl.tracking.tracker import PROJECT, Ending, Tracker
+from armctl.integrations.tracking.tracker import PROJECT, Ending, Tracker
 
 try:
     import alembic  # noqa: F401  # MLflow asks for it only when it makes a database

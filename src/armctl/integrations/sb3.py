@@ -1,7 +1,7 @@
 """Any vector environment of armctl's for Stable-Baselines3, which the extra `rl` installs.
 
 worlds = gymnasium.make_vec("armctl:armctl/ArmReach-v0", num_envs=16, autoreset_mode="same_step")
-model = stable_baselines3.PPO("MlpPolicy", armctl.sb3.VecEnv(worlds))
+model = stable_baselines3.PPO("MlpPolicy", armctl.integrations.sb3.VecEnv(worlds))
 """
 
 import time
@@ -39,13 +39,11 @@ class VecEnv(vec_env.VecEnv):  # type: ignore[misc]
 
     def __init__(self, env: gymnasium.vector.VectorEnv[Any, Any, Any]) -> None:
         if not isinstance(env.unwrapped, EpisodeVectorEnv):
-            raise ConfigurationError(
-                f"armctl.sb3.VecEnv takes what gymnasium.make_vec makes of an armctl environment, not {env}"
-            )
+            raise ConfigurationError(f"VecEnv takes what gymnasium.make_vec makes of an armctl environment, not {env}")
         if env.metadata["autoreset_mode"] is not AutoresetMode.SAME_STEP:
             raise ConfigurationError("Stable-Baselines3 needs autoreset_mode='same_step'")
         if getattr(env.unwrapped, "flat_infos", False):
-            raise ConfigurationError("armctl.sb3.VecEnv reads reward_terms, which flat_infos=True takes apart")
+            raise ConfigurationError("VecEnv reads reward_terms, which flat_infos=True takes apart")
         self.env: Any = env
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
         self._returns, self._lengths = np.zeros(self.num_envs), np.zeros(self.num_envs, dtype=np.int64)
@@ -135,7 +133,7 @@ class GoalFeatures(BaseFeaturesExtractor):  # type: ignore[misc]
         highest = getattr(parts.get("observation"), "high", np.zeros(0))
         self.dof = (len(highest) - 3) // 3
         if "desired_goal" not in parts or (highest[3 : 3 + 2 * self.dof] != 1).any():
-            raise ConfigurationError("armctl.sb3.GoalFeatures takes observations of goal=True, observation='features'")
+            raise ConfigurationError("GoalFeatures takes observations of goal=True, observation='features'")
         super().__init__(observation_space, 13 + 2 * (self.dof - 1) + self.dof)
 
     def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:

@@ -16,12 +16,12 @@ from rerun.chunk import RrdReader
 from rerun.experimental import LeRobotReader
 
 from armctl.core.errors import ConfigurationError, ResultsError
-from armctl.datasets import lerobot
 from armctl.datasets.collect import collect
 from armctl.datasets.demonstrations import Demonstration
-from armctl.datasets.lerobot_stats import QUANTILES, aggregated, stats_of
 from armctl.datasets.minari import read_demonstrations
 from armctl.envs import make_worlds
+from armctl.integrations.lerobot import dataset as lerobot
+from armctl.integrations.lerobot.stats import QUANTILES, aggregated, stats_of
 
 LIBRARY = Path(sys.prefix) / "lerobot"
 """LeRobot, which cannot be installed beside armctl: `make .venv/lerobot`."""

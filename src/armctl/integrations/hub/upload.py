@@ -5,8 +5,8 @@ from pathlib import Path
 from armctl import __version__
 from armctl.agents import OnnxPolicy, read_agent
 from armctl.core.errors import AgentFileError, ConfigurationError
-from armctl.hub.client import CARD, GRAPH, MODEL_CARD, check_repository, hub_api, hub_errors
-from armctl.hub.model_card import model_card
+from armctl.integrations.hub.client import CARD, GRAPH, MODEL_CARD, check_repository, hub_api, hub_errors
+from armctl.integrations.hub.model_card import model_card
 from armctl.policies import agent_cards
 from armctl.study.curves import CURVE, curve_path, read_curve
 from armctl.study.reproduce import card_path
@@ -23,8 +23,8 @@ def push(
     """Upload an agent as one commit, into a repository OWNER/NAME that is made if need be. Returns its address.
 
     `agent` is an installed agent's name, the path of a card or graph, or a training's folder. It has to pass the checks
-    of `armctl.hub.pull`. `private` keeps a new repository to yourself. `message` is the commit's. `licence` is by the
-    hub's names, such as `mit`.
+    of `pull`. `private` keeps a new repository to yourself. `message` is the commit's. `licence` is by the hub's names,
+    such as `mit`.
 
     Raises `AgentFileError` and `ResultsError` for unusable files, `ConfigurationError` for an unknown name or if a
     private agent would become public, and `HubError`.

@@ -4,6 +4,7 @@ The timeline `step` counts control steps, and `time` is the simulation's, in sec
 next.
 """
 
+import functools
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,11 +20,12 @@ from armctl.datasets.pictures import bounds_of, is_image
 from armctl.envs import EpisodeVectorEnv, ThirdPartyVectorEnv
 from armctl.tasks import Observations
 from armctl.viewer.recording import check_writable
+from armctl.viewer.terminal import LogOpener
 
 if TYPE_CHECKING:
     import rerun as rr
 
-    from armctl.viewer.rerun_scene import RerunScene
+    from armctl.integrations.rerun.scene import RerunScene
 
 COLOURS = {"path": (40, 100, 240), "horizon": (255, 130, 10)}
 """RGB colours of plans, by name."""
@@ -32,27 +34,31 @@ PLAN_RADIUS = 0.006
 """m."""
 
 
-def check_rerun(file: Path) -> None:
-    """Raise `ConfigurationError` or `ResultsError` if Rerun is missing, or the file cannot be written."""
+def rerun_opener(file: Path) -> LogOpener:
+    """Return the opener of a Rerun recording in that file.
+
+    Raises `ConfigurationError` or `ResultsError` if Rerun is missing, or the file cannot be written.
+    """
     try:
         import rerun  # noqa: F401
     except ModuleNotFoundError as error:
         raise missing_extra("--rerun", error, "rerun") from error
     check_writable("Rerun recording", file, (".rrd",))
+    return functools.partial(_recording, file)
 
 
 @contextmanager
-def rerun_log(file: Path, worlds: EpisodeVectorEnv, written: Callable[[int], object]) -> Iterator["EpisodeLog"]:
+def _recording(file: Path, worlds: EpisodeVectorEnv, written: Callable[[Path, int], object]) -> Iterator["RerunLog"]:
     """Record episodes of the first world. The file is there at the end, even if that is an interrupt or an error.
 
-    Calls `written` with the number of control steps then. Raises `ResultsError` if it cannot be written, and leaves an
-    older file as it was.
+    Calls `written` with the file and the number of control steps then. Raises `ResultsError` if it cannot be written,
+    and leaves an older file as it was.
     """
     import rerun as rr
 
     stream = rr.RecordingStream("armctl", send_properties=False)
     content = rr.binary_stream(stream)
-    log = EpisodeLog(stream, worlds)
+    log = RerunLog(stream, worlds)
     try:
         yield log
     finally:
@@ -64,10 +70,10 @@ def rerun_log(file: Path, worlds: EpisodeVectorEnv, written: Callable[[int], obj
                 write_atomically(file, lambda path: path.write_bytes(recorded))
             except OSError as error:
                 raise ResultsError(f"the Rerun recording {file} cannot be written: {error.strerror}") from error
-            written(log.steps)
+            written(file, log.steps)
 
 
-class EpisodeLog:
+class RerunLog:
     """Logs control steps. An episode is a number of `decision` and `rewards`, and then `end`."""
 
     def __init__(self, stream: "rr.RecordingStream", worlds: EpisodeVectorEnv) -> None:
@@ -166,6 +172,6 @@ class EpisodeLog:
 
 
 def _scene(stream: "rr.RecordingStream", worlds: EpisodeVectorEnv) -> "RerunScene":
-    from armctl.viewer.rerun_scene import RerunScene  # imports Rerun
+    from armctl.integrations.rerun.scene import RerunScene  # imports Rerun
 
     return RerunScene(stream, worlds.task.simulation)
