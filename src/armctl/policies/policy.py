@@ -18,8 +18,8 @@ class Policy(Protocol):
     """Acts in n worlds at once.
 
     Three attributes are optional, and go into the results: `failures` (n,), the number of times that its solver has
-    failed in each world, `training_minutes`, and `training_cost`, an `armctl.agents.TrainingCost`. A fourth, `reads`,
-    names which of `observation` and `state` its actions depend on, if that is not what it declares to see: a
+    failed in each world, `training_minutes`, and `training_cost`, an `armctl.agents.costs.TrainingCost`. A fourth,
+    `reads`, names which of `observation` and `state` its actions depend on, if that is not what it declares to see: a
     disturbance of what it does not read spares it.
     """
 
