@@ -214,3 +214,11 @@ def test_families_are_compared_only_over_tasks_that_all_of_them_have_played():
         for name, mean in league.ranks.items():
             assert mean == mean_over_tasks([ranks[name][task] for task in league.tasks])
     assert leagues({}) == leagues({"none": {}}) == []
+
+
+def test_a_setting_in_which_no_pair_was_played_costs_no_episode_of_the_others():
+    index = pd.RangeIndex(3)
+    played = pd.DataFrame({"a": [1.0, 0.0, 1.0], "b": [0.0, 0.0, 1.0]}, index)
+    nobody = pd.DataFrame({"a": np.nan, "b": np.nan}, index)
+    cells = {"none": played, "noise": nobody}
+    assert improvement(cells, Choice("a"), Choice("b")).tolist() == [1.0, 0.5, 0.5]

@@ -34,9 +34,9 @@ def test_the_power_to_detect_is_that_of_mcnemars_exact_test(episodes, difference
     assert detection_power(episodes, difference, discordant, tests) == pytest.approx(exact, abs=1e-6)
 
 
-@pytest.mark.parametrize("episodes", [5, 24, 41])
+@pytest.mark.parametrize("episodes", [5, 7, 24, 41])
 @pytest.mark.parametrize(
-    ("margin", "discordant", "claims"), [(0.2, 0.0, 1), (0.3, 0.1, 1), (0.25, 0.4, 1), (0.4, 1.0, 2)]
+    ("margin", "discordant", "claims"), [(0.2, 0.0, 1), (0.3, 0.1, 1), (0.25, 0.4, 1), (0.4, 1.0, 2), (0.7, 0.4, 1)]
 )
 def test_the_power_to_show_equivalence_is_that_of_movers_interval(episodes, margin, discordant, claims):
     exact = added_up(

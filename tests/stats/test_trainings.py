@@ -272,3 +272,11 @@ def test_many_episodes_do_not_make_up_for_few_trainings():
         pooled.append(mean(scores.ravel()))
     assert max(misses(crossed, 0)) <= allowed(0.025, 200)
     assert sum(misses(pooled, 0)) > 0.5
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_superiority_of_two_single_trainings_is_limited_by_their_episodes(sign):
+    ahead, behind = np.ones((1, 10)), np.zeros((1, 10))
+    found = superiority_over_trainings(*(ahead, behind)[::sign])[0].probability
+    assert found.value == (sign + 1) / 2
+    assert found.high - found.low == pytest.approx(1 - 0.025 ** (1 / 10), abs=0.02)

@@ -197,3 +197,13 @@ def test_a_setting_that_spares_who_stands_for_a_kind_is_not_compared(tmp_path):
     page = tmp_path / "page.html"
     write_suite_page(Suite(0, 2, [env], tasks={env: swept}), tmp_path, page, {})
     assert "bridge_mpc 0 spared 0" in text_of(page)
+
+
+def test_steps_of_a_task_are_a_bounded_paired_difference():
+    swept = sweep(["reach_ik", "reach_ppo"], disturbances={"noise": [0.01]}, episodes=12, worlds=12)
+    steps = swept.comparisons[UNDISTURBED].episodes.pivot(index="episode", columns="policy", values="length")
+    found = answer(swept).undisturbed
+    gains = (steps.reach_ik - steps.reach_ppo).to_numpy(float)
+    assert gains.min() > -99  # so that the bounds are the time limit's, not what was seen
+    expected = bounded_difference(gains, (-99.0, 99.0))
+    assert (found.steps, found.steps_p) == (expected.estimate, expected.p)

@@ -10,7 +10,7 @@ from scipy import stats
 
 import armctl
 from armctl.agents.costs import TrainingCost
-from armctl.core.errors import ConfigurationError, ResultsError
+from armctl.core.errors import ConfigurationError
 from armctl.stats.intervals import Estimate, Superiority, success_rate
 from armctl.stats.paired import (
     PairedDifference,
@@ -20,7 +20,6 @@ from armctl.stats.paired import (
     paired_difference,
 )
 from armctl.stats.power import episodes_to_detect, episodes_to_show_equivalence
-from armctl.study.sample_size import plan_comparison
 from armctl.verdict.sentences import contests, headline, verdict
 from armctl.verdict.summary import PolicySummary
 from armctl.verdict.summary_tables import paired_table
@@ -341,6 +340,16 @@ def test_without_bounds_of_returns_the_sign_test_speaks():
     assert "of episodes (sign test, p = 9.6e-05 after Holm's correction for 3 pairs; ties count half)." in text
 
 
+def test_a_share_just_above_one_half_is_told_as_shown():
+    won = np.where(np.arange(1000) < 532, 1.0, -1.0)
+    pair = paired_difference("bold", "timid", None, (won, np.zeros(1000)), None, (-1.0, 1.0))
+    summaries = [
+        dataclasses.replace(summary_of(name, np.ones(1000, dtype=bool)), success=None) for name in ("bold", "timid")
+    ]
+    told = verdict(summaries, [dataclasses.replace(pair, return_p=None)])
+    assert told.startswith("bold has the higher return in 53 % [50, 56] of episodes (sign test, p = 0.0")
+
+
 @pytest.mark.slow
 def test_the_best_of_many_is_not_equivalent_for_being_the_best():
     # One planner of 98 %, five agents of 96 %: without correction, 17 % of verdicts claimed equivalence.
@@ -414,45 +423,3 @@ def test_baseline_and_margin_survive_in_the_folder(tmp_path):
     made = armctl.compare(["reach_ik", "random"], episodes=10, worlds=10, out=tmp_path, baseline="random", margin=0.1)
     read = read_results(tmp_path).comparison
     assert (read.baseline, read.margin, read.verdict) == ("random", 0.1, made.verdict)
-
-
-def test_a_plan_from_a_pilot_has_a_row_for_each_pair(tmp_path):
-    armctl.compare(["reach_ik", "random"], episodes=10, worlds=10, out=tmp_path)
-    (pair,) = plan_comparison(0.05, pilot=tmp_path).tables[0].records
-    assert pair["discordant"] == 11 / 12
-    assert pair["episodes_to_detect"] > 2000
-    rows = plan_comparison(0.05).tables[0].records
-    assert [row["episodes_to_detect"] for row in rows] == sorted(row["episodes_to_detect"] for row in rows)
-
-
-def test_a_plan_has_its_power_after_the_corrections_of_the_verdict(tmp_path):
-    armctl.compare(["reach_ik", "reach_ppo", "reach_bc", "random"], episodes=10, worlds=10, out=tmp_path)
-    document = plan_comparison(0.02, pilot=tmp_path)
-    corrections = "to detect, for 18 tests of success, steps and return; to show equivalence, for 4 pairs"
-    assert f"Bonferroni's correction ({corrections})" in document.tables[0].caption
-    for record in document.tables[0].records:
-        share = record["discordant"]
-        assert record["episodes_to_detect"] == episodes_to_detect(0.02, share, tests=18)
-        assert record["episodes_to_show_equivalence"] == episodes_to_show_equivalence(0.02, share, claims=4)
-
-
-def test_a_plan_without_a_pilot_is_for_a_single_pair_or_those_that_are_named():
-    assert "to detect, for 3 tests of success, steps and return; to show equivalence, for 1 pair)" in (
-        plan_comparison(0.02).tables[0].caption
-    )
-    one, six = (plan_comparison(0.02, pairs=pairs).tables[0].records for pairs in (None, 6))
-    for name in ("episodes_to_detect", "episodes_to_show_equivalence"):
-        assert all(more[name] > few[name] for few, more in zip(one, six, strict=True))
-    with pytest.raises(ConfigurationError, match="at least one pair"):
-        plan_comparison(0.02, pairs=0)
-
-
-@pytest.mark.parametrize(("difference", "power"), [(0.0, 0.8), (1.5, 0.8), (0.02, 0.0), (0.02, 1.0)])
-def test_a_plan_needs_a_difference_and_a_power(difference, power):
-    with pytest.raises(ConfigurationError, match=r"between 0 and 1"):
-        plan_comparison(difference, power)
-
-
-def test_a_plan_needs_results(tmp_path):
-    with pytest.raises(ResultsError):
-        plan_comparison(0.02, pilot=tmp_path)

@@ -167,7 +167,7 @@ def answer(swept: Sweep) -> Answer:
     spared = {name: {one.policy for one in at.policies if one.spared} for name, at in swept.comparisons.items()}
     plain = swept.comparisons.get(UNDISTURBED)
     if plain is None or UNDISTURBED not in tables:
-        return Answer(swept.env, plain.policies if plain else [], {}, labels, spared=spared)
+        return Answer(swept.env, plain.policies if plain else [], {}, labels)
     played = counted_rows(plain.episodes)
     returns = played.pivot(index="episode", columns="policy", values="return").reindex(tables[UNDISTURBED].index)
     kinds: list[Choice | None] = []

@@ -1,0 +1,61 @@
+"""How many episodes a comparison takes, from a pilot or in general."""
+
+import pytest
+
+import armctl
+from armctl.core.errors import ConfigurationError, ResultsError
+from armctl.stats.power import episodes_to_detect, episodes_to_show_equivalence
+from armctl.study.sample_size import plan_comparison
+from armctl.verdict.tables import Remark
+
+
+def test_a_plan_from_a_pilot_has_a_row_for_each_pair(tmp_path):
+    armctl.compare(["reach_ik", "random"], episodes=10, worlds=10, out=tmp_path)
+    (pair,) = plan_comparison(0.05, pilot=tmp_path).tables[0].records
+    assert pair["discordant"] == 11 / 12
+    assert pair["episodes_to_detect"] > 2000
+    general = plan_comparison(0.05, power=0.9)
+    (table,) = general.tables
+    needed = [record["episodes_to_detect"] for record in table.records]
+    assert needed == sorted(needed)
+    assert [row[1].text for row in table.rows] == [f"{number:,}" for number in needed]
+    assert (table.key, general.head) == ("plan", {"difference": 0.05, "power": 0.9})
+    with_pilot, without = (
+        [part.text for part in one.parts if isinstance(part, Remark)]
+        for one in (plan_comparison(0.05, pilot=tmp_path), general)
+    )
+    assert with_pilot == ["Play them with another seed, or with the pilot's, which resumes it."]
+    assert without[0].startswith("Two policies of 95 and 97 %")
+
+
+def test_a_plan_has_its_power_after_the_corrections_of_the_verdict(tmp_path):
+    armctl.compare(["reach_ik", "reach_ppo", "reach_bc", "random"], episodes=10, worlds=10, out=tmp_path)
+    document = plan_comparison(0.02, pilot=tmp_path)
+    corrections = "to detect, for 18 tests of success, steps and return; to show equivalence, for 4 pairs"
+    assert f"Bonferroni's correction ({corrections})" in document.tables[0].caption
+    for record in document.tables[0].records:
+        share = record["discordant"]
+        assert record["episodes_to_detect"] == episodes_to_detect(0.02, share, tests=18)
+        assert record["episodes_to_show_equivalence"] == episodes_to_show_equivalence(0.02, share, claims=4)
+
+
+def test_a_plan_without_a_pilot_is_for_a_single_pair_or_those_that_are_named():
+    assert "to detect, for 3 tests of success, steps and return; to show equivalence, for 1 pair)" in (
+        plan_comparison(0.02).tables[0].caption
+    )
+    one, six = (plan_comparison(0.02, pairs=pairs).tables[0].records for pairs in (None, 6))
+    for name in ("episodes_to_detect", "episodes_to_show_equivalence"):
+        assert all(more[name] > few[name] for few, more in zip(one, six, strict=True))
+    with pytest.raises(ConfigurationError, match="at least one pair"):
+        plan_comparison(0.02, pairs=0)
+
+
+@pytest.mark.parametrize(("difference", "power"), [(0.0, 0.8), (1.5, 0.8), (0.02, 0.0), (0.02, 1.0)])
+def test_a_plan_needs_a_difference_and_a_power(difference, power):
+    with pytest.raises(ConfigurationError, match=r"between 0 and 1"):
+        plan_comparison(difference, power)
+
+
+def test_a_plan_needs_results(tmp_path):
+    with pytest.raises(ResultsError):
+        plan_comparison(0.02, pilot=tmp_path)
