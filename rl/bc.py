@@ -10,7 +10,7 @@ from armctl.core.errors import ConfigurationError
 from armctl.core.options import options
 from armctl.rl.cloning import CloningOptions, check_teaching, demonstrations, examples_for, fit_and_export, new_actor
 from armctl.rl.training import Training, check_no_curriculum
-from armctl.training.learners import Recipe
+from armctl.training.learners import Callback, Recipe
 
 
 @options
@@ -21,14 +21,16 @@ class BcOptions(CloningOptions):
     """Minari dataset to learn from, instead of the teacher: a folder (see `armctl collect`), or an id."""
 
 
-def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True) -> AgentCard:
+def train(
+    recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True, on_evaluation: Callback = None
+) -> AgentCard:
     """Train an agent into the folder `out`. See `armctl.rl.training.Training`, also for the errors raised."""
     options = recipe.read_options(BcOptions)
     check_teaching(recipe)
     check_no_curriculum(recipe)
     if recipe.training_options and options.dataset is not None:
         raise ConfigurationError("a dataset shows what it shows: training_options are for a teacher's episodes")
-    training = Training(recipe, options, out, seed, resume)
+    training = Training(recipe, options, out, seed, resume, on_evaluation)
     examples = examples_for(training, options)
     examples.add(demonstrations(training, options, options.dataset, progress))
     with training:

@@ -19,7 +19,7 @@ from armctl.rl.cloning import CloningOptions, demonstrations, examples_for, fit
 from armctl.rl.ppo import actor_of, shown
 from armctl.rl.training import Count, Positive, Training
 from armctl.rl.view import Features
-from armctl.training.learners import Recipe
+from armctl.training.learners import Callback, Recipe
 
 
 @options
@@ -42,12 +42,14 @@ class ClonedPpoOptions(AnchoredPpoOptions, CloningOptions):
     """Minari dataset to clone from, instead of the teacher."""
 
 
-def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True) -> AgentCard:
+def train(
+    recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True, on_evaluation: Callback = None
+) -> AgentCard:
     """Train an agent into the folder `out`. See `armctl.rl.training.Training`, also for the errors raised."""
     options = recipe.read_options(ClonedPpoOptions)
     if options.frames > 1:
         raise ConfigurationError("cloned_ppo clones from single observations: leave the option frames out")
-    training = Training(recipe, options, out, seed, resume)
+    training = Training(recipe, options, out, seed, resume, on_evaluation)
     examples = examples_for(training, options)
     if training.newest_checkpoint() is None:
         examples.add(demonstrations(training, options, options.dataset, progress))

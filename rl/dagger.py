@@ -21,7 +21,7 @@ from armctl.rl.actor import Actor, tensors
 from armctl.rl.cloning import CloningOptions, Examples, Teacher, check_teaching, examples_for, fit, new_actor
 from armctl.rl.disk import save_torch
 from armctl.rl.training import Count, Training, check_no_curriculum
-from armctl.training.learners import Recipe
+from armctl.training.learners import Callback, Recipe
 
 RECORD = "rounds.pt"
 
@@ -54,7 +54,9 @@ class MemorylessTeacher:
         return self._policy.act(observations)
 
 
-def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True) -> AgentCard:
+def train(
+    recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True, on_evaluation: Callback = None
+) -> AgentCard:
     """Train an agent into the folder `out`. See `armctl.rl.training.Training`, also for the errors raised."""
     options = recipe.read_options(DaggerOptions)
     check_teaching(recipe)
@@ -63,7 +65,7 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
     if not each or options.steps < options.rounds:
         raise ConfigurationError(f"{options.rounds} rounds need an episode and a gradient step each")
     steps = options.steps // options.rounds
-    training = Training(recipe, options, out, seed, resume)
+    training = Training(recipe, options, out, seed, resume, on_evaluation)
     teacher = Teacher(recipe, min(options.worlds, each), training.seed)
     if not options.teacher_memory:
         teacher.policy = MemorylessTeacher(teacher.policy)

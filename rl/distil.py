@@ -29,7 +29,7 @@ from armctl.rl.meter import Metered
 from armctl.rl.recurrent import RecurrentNetwork
 from armctl.rl.training import Count, Positive, Training, TrainingOptions, bar_fits
 from armctl.rl.view import Features
-from armctl.training.learners import Recipe
+from armctl.training.learners import Callback, Recipe
 
 Steps = Annotated[int, Field(ge=0)]
 
@@ -62,14 +62,16 @@ class DistilOptions(TrainingOptions):
             raise ConfigurationError(f"{self.worlds} worlds cannot be split into {self.minibatches} minibatches")
 
 
-def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True) -> AgentCard:
+def train(
+    recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True, on_evaluation: Callback = None
+) -> AgentCard:
     """Train an agent into the folder `out`. See `armctl.rl.training.Training`, also for the errors raised."""
     options = recipe.read_options(DistilOptions)
     check_teaching(recipe)
     for stage in recipe.stages:
         with closing(make_worlds(stage.env, 1, stage.options_in_training)) as worlds:
             teacher_in(worlds, stage, seed)  # raises an error now rather than in hours
-    training = Training(recipe, options, out, seed, resume)
+    training = Training(recipe, options, out, seed, resume, on_evaluation)
     with training:
         student = Student(training, options)
         try:

@@ -25,7 +25,7 @@ from armctl.rl.recurrent import MEMORY, RecurrentNetwork
 from armctl.rl.training import Count, Training
 from armctl.rl.vector import StableBaselinesVectorEnv
 from armctl.rl.view import Features, View
-from armctl.training.learners import Recipe
+from armctl.training.learners import Callback, Recipe
 
 
 @options
@@ -41,12 +41,14 @@ class DistilledPpoOptions(AnchoredPpoOptions):
     evaluation_every: Count = 100_000
 
 
-def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True) -> AgentCard:
+def train(
+    recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True, on_evaluation: Callback = None
+) -> AgentCard:
     """Train an agent into the folder `out`. See `armctl.rl.training.Training`, also for the errors raised."""
     options = recipe.read_options(DistilledPpoOptions)
     if options.frames > 1:
         raise ConfigurationError("distilled_ppo starts from an agent that remembers: leave the option frames out")
-    training = Training(recipe, options, out, seed, resume)
+    training = Training(recipe, options, out, seed, resume, on_evaluation)
     sizes, weights = network_of(recipe, training)
 
     def show() -> StableBaselinesVectorEnv:

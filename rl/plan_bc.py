@@ -19,7 +19,7 @@ from armctl.rl.training import Count, Positive, Share, Training, TrainingOptions
 from armctl.rl.view import Features
 from armctl.tasks import ReachObstaclesTask
 from armctl.tasks.reach.obstacles import OBSTACLES_OBSERVATION
-from armctl.training.learners import Recipe
+from armctl.training.learners import Callback, Recipe
 
 LAYOUTS = "layouts"
 """The folder of a training's layouts, in its own."""
@@ -54,14 +54,16 @@ class PlanBcOptions(TrainingOptions):
     """Share of control steps in which the command is disturbed."""
 
 
-def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True) -> AgentCard:
+def train(
+    recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True, on_evaluation: Callback = None
+) -> AgentCard:
     """Train an agent into the folder `out`. See `armctl.rl.training.Training`, also for the errors raised."""
     options = recipe.read_options(PlanBcOptions)
     check_teaching(recipe)
     check_no_curriculum(recipe)
     if recipe.teacher is not None:
         raise ConfigurationError(f"{recipe.learner} learns from plans of its own: it takes no teacher")
-    training = Training(recipe, options, out, seed, resume)
+    training = Training(recipe, options, out, seed, resume, on_evaluation)
     task = training.held_out.task
     if not isinstance(task, ReachObstaclesTask) or list(task.options.parts) != list(OBSTACLES_OBSERVATION):
         raise ConfigurationError(f"{recipe.learner} is for armctl/ArmReachObstacles-v0 and its observation 'paper'")

@@ -23,7 +23,7 @@ from armctl.rl.learning import decaying, learn
 from armctl.rl.training import Count, Positive, Share, Training
 from armctl.rl.vector import StableBaselinesVectorEnv
 from armctl.rl.view import View
-from armctl.training.learners import Recipe
+from armctl.training.learners import Callback, Recipe
 
 Model = TypeVar("Model", bound=PPO)
 ACTIVATIONS = {"elu": torch.nn.ELU, "relu": torch.nn.ReLU}
@@ -49,10 +49,12 @@ class PpoOptions(FrameOptions):
     """Whether the critic sees the state, which the actor does not. The agent is the actor."""
 
 
-def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True) -> AgentCard:
+def train(
+    recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True, on_evaluation: Callback = None
+) -> AgentCard:
     """Train an agent into the folder `out`. See `armctl.rl.training.Training`, also for the errors raised."""
     options = recipe.read_options(PpoOptions)
-    training = Training(recipe, options, out, seed, resume)
+    training = Training(recipe, options, out, seed, resume, on_evaluation)
     show = functools.partial(shown, training, options)
     model = load_or_make(training, options, PPO, show)
     with training:

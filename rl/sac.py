@@ -26,7 +26,7 @@ from armctl.rl.training import Count, Positive, Share, Training, check_no_curric
 from armctl.rl.vector import StableBaselinesVectorEnv
 from armctl.tasks import ReachTask
 from armctl.tasks.reach import OBSERVATION
-from armctl.training.learners import Recipe
+from armctl.training.learners import Callback, Recipe
 
 NOISE_TIME_CONSTANT = 10
 """Control steps in which the exploration noise decays to about a third."""
@@ -60,7 +60,9 @@ class SacOptions(FrameOptions):
     evaluation_every: Count = 20_000
 
 
-def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True) -> AgentCard:
+def train(
+    recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True, on_evaluation: Callback = None
+) -> AgentCard:
     """Train an agent into the folder `out`. See `armctl.rl.training.Training`, also for the errors raised."""
     options = recipe.read_options(SacOptions)
     check_no_curriculum(recipe)
@@ -69,7 +71,7 @@ def train(recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progres
             "relabelled transitions earn the task's plain reward: with shaping, reward_weights or another reward, "
             "set the option relabelled to 0"
         )
-    training = Training(recipe, options, out, seed, resume)
+    training = Training(recipe, options, out, seed, resume, on_evaluation)
     venv = _vector_env(training, options)
     newest = training.newest_checkpoint()
     model = _new_model(venv, training, options) if newest is None else _load(newest, venv)

@@ -41,7 +41,7 @@ from armctl.shaping import Shaped
 from armctl.stats.intervals import success_rate
 from armctl.study.curves import COSTS, CURVE, read_curve
 from armctl.study.reproduce import evaluation_of
-from armctl.training.learners import Recipe
+from armctl.training.learners import Callback, Recipe
 
 LOG = logging.getLogger(__name__)
 
@@ -94,10 +94,19 @@ class Training:
     `ResultsError` at its end if the disk is full; finished checkpoints are whole.
     """
 
-    def __init__(self, recipe: Recipe, options: TrainingOptions, out: Path, seed: int, resume: bool) -> None:
+    def __init__(
+        self,
+        recipe: Recipe,
+        options: TrainingOptions,
+        out: Path,
+        seed: int,
+        resume: bool,
+        on_evaluation: Callback = None,
+    ) -> None:
         if not 0 <= seed < 2**32:
             raise ConfigurationError(f"a training seed is a whole number from 0 to {2**32 - 1}, not {seed}")
         self.recipe, self.options, self.out, self.seed = recipe, options, out, seed
+        self._on_evaluation = on_evaluation
         self.held_out = make_worlds(recipe.env, min(VALIDATION_WORLDS, options.validation_episodes), recipe.env_options)
         with ExitStack() as opened:
             stages = [opened.enter_context(closing(self._make_worlds(stage, 1))) for stage in recipe.stages]
@@ -200,6 +209,8 @@ class Training:
         for name in ("success", "return"):
             self.logger.record(f"held-out/{name}", row[name])
         self.logger.dump(steps)
+        if self._on_evaluation:
+            self._on_evaluation(row)
 
     def finish(self, actor: Actor, steps: int) -> AgentCard:
         """Evaluate the last actor too, export the best one, and write its card with an evaluation in development."""

@@ -62,9 +62,11 @@ def graded(monkeypatch):
 
 
 def test_the_best_is_kept_and_exported(tmp_path, graded):
-    with Training(recipe(), OPTIONS, tmp_path / "run", 0, False) as training:
+    rows = []
+    with Training(recipe(), OPTIONS, tmp_path / "run", 0, False, rows.append) as training:
         for steps, value in enumerate((0.25, 0.75, 0.5, 0.0)):
             training.evaluate(constant_actor(training, value), steps)
+            assert rows == training.curve(), "who is called finds the row in the file, too"
         card = training.finish(constant_actor(training, 0.25), 5)
     assert (card.best_after, card.training_steps) == (1, 5)
     worlds = TaskVectorEnv(3, task=ReachTask)

@@ -35,6 +35,25 @@ def test_a_shipped_recipe_can_be_followed(name):
     assert recipe.read_options(kind).steps == recipe.options["steps"]
 
 
+@pytest.mark.parametrize("name", sorted({load_recipe(name).learner: name for name in recipe_names()}.values()))
+def test_a_shipped_learner_hands_its_callback_to_the_training(name, tmp_path, monkeypatch):
+    from armctl.rl.training import Training
+
+    class Seen(Exception):
+        """The callback has arrived."""
+
+    def begin(training, recipe, options, out, seed, resume, on_evaluation):
+        on_evaluation({})
+
+    def raise_seen(row):
+        raise Seen
+
+    monkeypatch.setattr(Training, "__init__", begin)
+    recipe = load_recipe(name)
+    with pytest.raises(Seen):
+        load_learner(recipe.learner)(recipe, out=tmp_path, seed=0, on_evaluation=raise_seen)
+
+
 def test_what_is_shipped():
     assert {"reach_ppo", "bridge_ppo", "bridge_moving_state_ppo", "reach_sac"} <= set(recipe_names())
     assert {"ppo", "sac"} <= set(learner_names())

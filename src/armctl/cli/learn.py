@@ -152,9 +152,10 @@ def train(
         with (
             recorded(job, seed_here, folder),
             _evaluations_logged(),
-            tracked(track or (), chosen, folder, seed_here, resume, tell),
+            tracked(track or (), chosen, folder, seed_here, resume, tell) as on_evaluation,
         ):
-            card = load_learner(chosen.learner)(chosen, out=folder, seed=seed_here, resume=resume)
+            learner = load_learner(chosen.learner)
+            card = learner(chosen, out=folder, seed=seed_here, resume=resume, on_evaluation=on_evaluation)
     except KeyboardInterrupt:
         begun = (folder / SETTINGS).exists()
         how = f"with --resume {words('--out', folder)} resumes the training" if begun else "starts it again"

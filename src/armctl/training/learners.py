@@ -5,7 +5,7 @@ A package offers learners under the entry-point group `armctl.learners`, package
 """
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -104,11 +104,25 @@ class Recipe(BaseModel):
         return make_options(options_type, self.options, f"option of {self.learner}")
 
 
+Callback = Callable[[Mapping[str, float]], object] | None
+"""Receiver of rows of a learning curve, by `armctl.study.curves.CURVE_COLUMNS`; what it raises ends the training."""
+
+
 class Learner(Protocol):
-    """Trains an agent into the folder `out`, or resumes the training there."""
+    """Trains an agent into the folder `out`, or resumes the training there.
+
+    `on_evaluation` is called with each held-out evaluation of this call, as soon as `curve.csv` has it.
+    """
 
     def __call__(  # noqa: D102
-        self, recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True
+        self,
+        recipe: Recipe,
+        *,
+        out: Path,
+        seed: int,
+        resume: bool = False,
+        progress: bool = True,
+        on_evaluation: Callback = None,
     ) -> AgentCard: ...
 
 

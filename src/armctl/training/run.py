@@ -20,7 +20,7 @@ from armctl.runtime.identity import checksums_of_code
 from armctl.runtime.sending import relative
 from armctl.runtime.workers import check_alike
 from armctl.simulation.threads import one_thread
-from armctl.training.learners import Recipe, load_learner
+from armctl.training.learners import Callback, Recipe, load_learner
 from armctl.training.trials import TRIALS, add_trial, progress_of, read_trials, results_of, trial
 
 SETTINGS, CARD = "settings.json", "agent.json"
@@ -150,11 +150,12 @@ def finished(folder: Path) -> AgentCard | None:
     return card if card and card.evaluation else None
 
 
-def train_here(recipe: Recipe, seed: int, folder: Path, resume: bool) -> AgentCard:
+def train_here(recipe: Recipe, seed: int, folder: Path, resume: bool, on_evaluation: Callback = None) -> AgentCard:
     """Train in a worker, on one core; with `resume`, go on from what is in the folder, if there is anything."""
     with one_thread():
         begun = resume and (folder / SETTINGS).exists()
-        return load_learner(recipe.learner)(recipe, out=folder, seed=seed, resume=begun, progress=False)
+        train = load_learner(recipe.learner)
+        return train(recipe, out=folder, seed=seed, resume=begun, progress=False, on_evaluation=on_evaluation)
 
 
 def code_of(recipe: Recipe) -> dict[str, str]:

@@ -2,17 +2,15 @@
 
 import contextlib
 import itertools
-import signal
-import threading
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from armctl.core.errors import ConfigurationError, ResultsError, unknown_name
+from armctl.core.errors import ConfigurationError, unknown_name
 from armctl.core.files import read_toml
 from armctl.core.search_space import Range, SearchSpace, search_space, value_at, with_values
 from armctl.envs import full_id, new_policy_seed, task_of
@@ -42,10 +40,8 @@ BLOCK = 25
 """Episodes of an expert between two reports."""
 WORLDS = 5
 """An expert plays in, so that batches save time and no block waits long for its last episode."""
-MOST_EVALUATIONS = 1000
+MAX_EVALUATIONS = 1000
 """Of a training: by so much, the steps of its trial's next one are higher."""
-POLLING = 0.5
-"""s between two looks at a learning curve."""
 
 Report = Callable[[int, float], None]
 """Told the score so far after each of a trial's steps; it raises `Pruned` when the trial is not worth more time."""
@@ -118,16 +114,22 @@ class RecipeCandidate(Candidate):
         return self.recipe.model_dump(mode="json", exclude={"name", "tuned"}, exclude_none=True)
 
     def measure(self, values: Mapping[str, Any], folder: Path, report: Report) -> list[float]:
-        """A score for each training seed. Each is trained on one core, or resumed; curves are reported as they grow."""
+        """Return a score for each training seed. Each is trained, or resumed, on one core; its curve is reported."""
         recipe, scores = self.recipe.changed(**with_values(self.content, values)), list[float]()
         for i, seed in enumerate(self.seeds):
-            home, steps = folder / f"seed-{seed}", itertools.count(i * MOST_EVALUATIONS)
-            with _followed(home / CURVE, self.score, steps, report):
-                if finished(home) is None:
-                    train_here(recipe, seed, home, resume=True)
+            home, steps = folder / f"seed-{seed}", itertools.count(i * MAX_EVALUATIONS)
+            self._train(recipe, seed, home, lambda score, steps=steps: report(next(steps), score))  # type: ignore[misc]
             curve = read_curve(home / CURVE)
             scores.append(float(curve.sort_values(["success", "return"])[self.score].iloc[-1]))
         return scores
+
+    def _train(self, recipe: Recipe, seed: int, home: Path, report: Callable[[float], None]) -> None:
+        """Train, or resume a training, and report each score of its curve. `Pruned` ends it, unless it has finished."""
+        with contextlib.suppress(Pruned) if finished(home) else contextlib.nullcontext():
+            for score in read_curve(home / CURVE)[self.score].tolist() if (home / CURVE).exists() else ():
+                report(score)
+        if not finished(home):
+            train_here(recipe, seed, home, resume=True, on_evaluation=lambda row: report(row[self.score]))
 
     @property
     def learner(self) -> str:
@@ -252,43 +254,3 @@ def _space(table: Mapping[str, Any], values: Mapping[str, Any], source: str, key
         if key not in keys:
             raise unknown_name(f"key of [tune] in {source}:", key, keys)
     return search_space(table, values, source)
-
-
-@contextlib.contextmanager
-def _followed(curve: Path, score: Score, steps: Iterator[int], report: Report) -> Iterator[None]:
-    """Report each row of a learning curve when it is written. A training that is to be pruned is ended by `Pruned`.
-
-    Learners need not know of it: they are interrupted as by Ctrl-C.
-    """
-    ended, reported = threading.Event(), 0
-
-    def look() -> None:
-        nonlocal reported
-        with contextlib.suppress(ResultsError):  # there is no curve yet
-            for value in read_curve(curve)[score].tolist()[reported:]:
-                reported += 1
-                report(next(steps), value)
-
-    def follow() -> None:
-        while not ended.wait(POLLING):
-            try:
-                look()
-            except Pruned:
-                signal.pthread_kill(main, signal.SIGUSR1)
-                return
-
-    def prune(*_: object) -> None:
-        raise Pruned
-
-    main = threading.get_ident()
-    before = signal.signal(signal.SIGUSR1, prune)
-    follower = threading.Thread(target=follow, daemon=True)
-    follower.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        follower.join()
-        signal.signal(signal.SIGUSR1, before)
-    with contextlib.suppress(Pruned):  # it has finished
-        look()

@@ -49,8 +49,7 @@ class Hanging(Notes):
 
 @pytest.fixture
 def follow(tmp_path, monkeypatch):
-    """Follow a training in `tmp_path` by trackers of these kinds; returns what is said to the user."""
-    monkeypatch.setattr(following, "POLLING", 0.01)
+    """Follow a training in `tmp_path` by trackers of these kinds; what is said to the user, and its `on_evaluation`."""
     monkeypatch.setattr(following, "PATIENCE", 0.3)
     monkeypatch.setattr(Notes, "told", [])
 
@@ -59,15 +58,17 @@ def follow(tmp_path, monkeypatch):
         named = {kind.__name__.lower(): kind for kind in kinds}
         monkeypatch.setattr(following, "load_tracker", named.__getitem__)
         said: list[str] = []
-        with tracked(list(named), RECIPE, tmp_path, 3, resume, said.append):
-            yield said
+        with tracked(list(named), RECIPE, tmp_path, 3, resume, said.append) as on_evaluation:
+            yield said, on_evaluation
 
     return follow
 
 
-def write_curve(folder, *steps):
+def write_curve(folder, *steps, on_evaluation=lambda row: None):
     """As a learner of another package does, which writes nothing else before the end."""
-    pd.DataFrame({name: [float(k) for k in steps] for name in CURVE_COLUMNS}).to_csv(folder / "curve.csv", index=False)
+    curve = pd.DataFrame({name: [float(k) for k in steps] for name in CURVE_COLUMNS})
+    curve.to_csv(folder / "curve.csv", index=False)
+    on_evaluation(curve.iloc[-1])
 
 
 def logged():
@@ -81,12 +82,11 @@ def until(condition):
         time.sleep(0.01)
 
 
-def test_rows_arrive_while_a_learner_that_knows_nothing_of_trackers_learns(follow, tmp_path):
-    with contextlib.suppress(ValueError), follow(Notes) as said:
-        write_curve(tmp_path, 0, 10)
+def test_rows_arrive_while_a_learner_learns(follow, tmp_path):
+    with contextlib.suppress(ValueError), follow(Notes) as (said, on_evaluation):
+        write_curve(tmp_path, 0, 10, on_evaluation=on_evaluation)
         until(lambda: logged() == [0, 10])
-        (tmp_path / "curve.csv").write_text("steps,succ")  # it is about to write another row
-        write_curve(tmp_path, 0, 10, 20)
+        write_curve(tmp_path, 0, 10, 20)  # and nobody is told
         raise ValueError("the learner fails")
     begin, *_, last = Notes.told
     assert begin[1] == tmp_path.name
@@ -113,15 +113,15 @@ def test_a_training_that_is_refused_leaves_no_run(follow, tmp_path):
     write_curve(tmp_path, 0)
     before = sorted(tmp_path.iterdir())
     for resume in (False, True):
-        with pytest.raises(ConfigurationError), follow(Notes, resume=resume) as said:
+        with pytest.raises(ConfigurationError), follow(Notes, resume=resume) as (said, _):
             raise ConfigurationError("no such robot")
         assert (said, Notes.told) == ([], [])
     assert sorted(tmp_path.iterdir()) == before
 
 
 def test_a_tracker_that_fails_or_hangs_is_told_of_once_and_harms_nobody(follow, tmp_path):
-    with contextlib.suppress(KeyboardInterrupt), follow(Failing, Hanging, Notes) as said:
-        write_curve(tmp_path, 0)
+    with contextlib.suppress(KeyboardInterrupt), follow(Failing, Hanging, Notes) as (said, on_evaluation):
+        write_curve(tmp_path, 0, on_evaluation=on_evaluation)
         until(lambda: logged() == [0])
         write_curve(tmp_path, 0, 10)
         raise KeyboardInterrupt
@@ -147,7 +147,7 @@ def test_a_tracker_that_failed_catches_up(follow, tmp_path):
 def test_a_damaged_note_ends_the_tracking_alone(follow, tmp_path):
     (tmp_path / "tracking").mkdir()
     (tmp_path / "tracking" / "notes.json").write_text("{")
-    with contextlib.suppress(KeyboardInterrupt), follow(Notes, resume=True) as said:
+    with contextlib.suppress(KeyboardInterrupt), follow(Notes, resume=True) as (said, _):
         write_curve(tmp_path, 0)
         raise KeyboardInterrupt
     assert ["Tracking by notes failed" in one for one in said] == [True]
@@ -157,7 +157,7 @@ def test_nothing_is_written_through_a_link_that_leads_elsewhere(follow, tmp_path
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     (tmp_path / "tracking").symlink_to(elsewhere)
-    with follow(Notes) as said:
+    with follow(Notes) as (said, _):
         write_curve(tmp_path, 0)
     assert [one.partition(": ")[0] for one in said] == [
         "There is no video of the agent",
@@ -168,7 +168,21 @@ def test_nothing_is_written_through_a_link_that_leads_elsewhere(follow, tmp_path
 
 def test_an_agent_that_cannot_be_filmed_is_handed_over_without_a_video(follow, tmp_path):
     card = {"damaged": True}
-    with follow(Notes) as said:
+    with follow(Notes) as (said, _):
         (tmp_path / "agent.json").write_text(json.dumps(card))
     assert any(one.startswith("There is no video of the agent: ") for one in said)
     assert all("\n" not in one for one in said)
+
+
+def test_a_training_that_has_begun_and_is_refused_later_has_failed(follow, tmp_path):
+    with contextlib.suppress(ConfigurationError), follow(Notes) as (_, on_evaluation):
+        write_curve(tmp_path, 0, on_evaluation=on_evaluation)
+        raise ConfigurationError("no such robot")
+    assert Notes.told[-1] == ("finish", "failed")
+
+
+def test_an_interrupt_before_a_training_has_begun_leaves_no_run(follow, tmp_path):
+    with contextlib.suppress(KeyboardInterrupt), follow(Notes) as (said, _):
+        raise KeyboardInterrupt
+    assert (said, Notes.told) == ([], [])
+    assert not list(tmp_path.iterdir())

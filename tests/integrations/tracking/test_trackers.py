@@ -56,8 +56,11 @@ def trained(home):
         shaping=None, options=recipe.options | QUICK | {"steps": 256}, env_options={"max_episode_steps": 9}
     )
     said: list[str] = []
-    with contextlib.suppress(KeyboardInterrupt), tracked(TRACKERS, recipe, home / "run", 0, False, said.append):
-        load_learner("ppo")(recipe, out=home / "run", seed=0, resume=False, progress=False)
+    with (
+        contextlib.suppress(KeyboardInterrupt),
+        tracked(TRACKERS, recipe, home / "run", 0, False, said.append) as on_evaluation,
+    ):
+        load_learner("ppo")(recipe, out=home / "run", seed=0, progress=False, on_evaluation=on_evaluation)
         raise KeyboardInterrupt
     assert [run.info.status for run in mlflow_runs(home)] == ["KILLED"]
     assert len(said) == len(TRACKERS), said

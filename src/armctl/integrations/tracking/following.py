@@ -1,20 +1,21 @@
-"""Follows trainings by their folders, and hands what is new there to trackers, each in a thread of its own.
+"""Hands a training's evaluations and agent to trackers, each in a thread of its own.
 
-So learners need not know of trackers, and one that hangs or fails costs a training nothing. What a tracker has been
-given is noted in the training's folder: a resumed training continues its run, and catches up on what is missing there.
+So a tracker that hangs or fails costs a training nothing. What a tracker has been given is noted in the training's
+folder: a resumed training continues its run, and catches up on what is missing there.
 """
 
 import contextlib
 import json
 import math
+import queue
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from armctl.agents import read_card
-from armctl.core.errors import FAILURES, ResultsError, described
+from armctl.core.errors import FAILURES, ConfigurationError, ResultsError, described
 from armctl.core.files import bounded_text, inside, write_atomically
 from armctl.integrations.tracking.film import film_agent
 from armctl.integrations.tracking.tracker import Ending, Tracker, load_tracker
@@ -24,17 +25,17 @@ from armctl.training.learners import Recipe
 FOLDER = "tracking"
 """In a training's folder: what trackers were given, their own files, and the video."""
 SETTINGS, CARD, GRAPH, VIDEO = "settings.json", "agent.json", "agent.onnx", "agent.mp4"
-POLLING = 1.0
-"""s between two looks at the folder."""
 PATIENCE = 60.0
 """s to wait for uploads after the training."""
+Event = Ending | Literal["evaluated", "refused"]
+"""What happens to a training: its curve has another row, or it ends; one that is refused has not begun."""
 
 
 @contextlib.contextmanager
 def tracked(
     trackers: Sequence[str], recipe: Recipe, out: Path, seed: int, resume: bool, say: Callable[[str], object]
-) -> Iterator[None]:
-    """Let trackers follow the training that is made in the folder `out`, or resumed there.
+) -> Iterator[Callable[[Mapping[str, float]], None]]:
+    """Let trackers follow the training that is made in the folder `out`, or resumed there; yields its `on_evaluation`.
 
     In the end, an agent is filmed. `say` is told where the runs are, and once of each tracker that fails, which the
     training does not notice. A training that is refused leaves no run. Raises `ConfigurationError` for a tracker that
@@ -45,12 +46,20 @@ def tracked(
     followers = [Follower(name, kind, out, config, resume, say) for name, kind in kinds.items()]
     for follower in followers:
         follower.start()
-    ending: Ending = "failed"
+
+    def on_evaluation(row: Mapping[str, float]) -> None:
+        for follower in followers:
+            follower.tell("evaluated")
+
+    ending: Event = "failed"
     try:
-        yield
+        yield on_evaluation
         ending = "finished"
     except KeyboardInterrupt:
         ending = "interrupted"
+        raise
+    except ConfigurationError:
+        ending = "refused"
         raise
     finally:
         try:
@@ -62,7 +71,7 @@ def tracked(
 
 
 class Follower(threading.Thread):
-    """Gives one tracker what a training writes to its folder, from the first file that it writes on."""
+    """Gives one tracker the evaluations of a training, from the first one on, and in the end the agent."""
 
     def __init__(
         self, name: str, kind: type[Tracker], out: Path, config: dict[str, Any], resume: bool, say: Callable[[str], Any]
@@ -74,46 +83,41 @@ class Follower(threading.Thread):
         self._tracker: Tracker | None = None
         self._steps = -1
         """Steps of the last row of the curve that the tracker has."""
-        self._seen = self._stamps()
-        self._ended = threading.Event()
-        self._ending: Ending = "failed"
+        self._events: queue.SimpleQueue[Event] = queue.SimpleQueue()
 
-    def end(self, ending: Ending) -> None:
-        """Let the tracker finish its run. Returns at once."""
-        self._ending = ending
-        self._ended.set()
+    def tell(self, event: Event) -> None:
+        """Tell the tracker what has happened to the training. Returns at once."""
+        self._events.put(event)
 
     def run(self) -> None:
         """Follow the training until it ends, or the tracker fails."""
         try:
-            while not self._ended.wait(POLLING):
-                self._look()
-            self._look()
-            if self._tracker is not None:
-                if self._ending == "finished":
-                    self._hand_over(self._tracker)
-                self._tracker.finish(self._ending)
-                self._say(f"{self.name}: {self._tracker.where}")
+            while (event := self._events.get()) == "evaluated":
+                self._catch_up()
+            has_begun = event != "refused" and any((self._out / name).exists() for name in (SETTINGS, CURVE, CARD))
+            if has_begun or self._tracker:
+                tracker = self._catch_up()
+                if event == "finished":
+                    self._hand_over(tracker)
+                tracker.finish("failed" if event == "refused" else event)
+                self._say(f"{self.name}: {tracker.where}")
         except FAILURES as error:
             self._say(
                 f"{self.name} failed, which does not affect the training: {_line(error)}. "
                 "With --resume, the same command catches up."
             )
 
-    def _look(self) -> None:
-        """Give the tracker what is new, if anything is."""
-        stamps = self._stamps()
-        if stamps == self._seen:
-            return
-        self._seen = stamps
+    def _catch_up(self) -> Tracker:
+        """Give the tracker the rows of the curve that it does not have. Its run begins with the first."""
         tracker = self._tracker = self._tracker or self._begin()
-        with contextlib.suppress(ResultsError):  # there is no curve yet, or half a one that is whole at the next look
+        with contextlib.suppress(ResultsError):  # there is no curve
             for row in read_curve(self._out / CURVE).select_dtypes("number").to_dict("records"):
                 if row["steps"] > self._steps:
                     values = {str(name): float(value) for name, value in row.items() if name != "steps"}
                     tracker.log(int(row["steps"]), {k: value for k, value in values.items() if math.isfinite(value)})
                     self._steps = int(row["steps"])
                     self._remember(tracker)
+        return tracker
 
     def _begin(self) -> Tracker:
         folder = inside(self._out, FOLDER)
@@ -141,11 +145,6 @@ class Follower(threading.Thread):
         if video.exists():
             tracker.video(video, card.training_steps)
 
-    def _stamps(self) -> list[tuple[int, int]]:
-        """What changes when the training begins, resumes, or writes a row."""
-        files = [self._out / name for name in (SETTINGS, CURVE, CARD)]
-        return [(file.stat().st_ino, file.stat().st_mtime_ns) if file.exists() else (0, 0) for file in files]
-
 
 def _film(recipe: Recipe, out: Path, say: Callable[[str], object]) -> None:
     """Film the finished agent, if scenes can be rendered on this machine."""
@@ -158,9 +157,9 @@ def _film(recipe: Recipe, out: Path, say: Callable[[str], object]) -> None:
         say(f"There is no video of the agent: {_line(error)}")
 
 
-def _end(followers: Sequence[Follower], ending: Ending, say: Callable[[str], object]) -> None:
+def _end(followers: Sequence[Follower], ending: Event, say: Callable[[str], object]) -> None:
     for follower in followers:
-        follower.end(ending)
+        follower.tell(ending)
     latest = time.monotonic() + PATIENCE
     for follower in followers:
         follower.join(max(0.0, latest - time.monotonic()))
