@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
 from importlib.metadata import version
 from pathlib import Path
-from types import TracebackType
 from typing import Annotated, Any, Self
 
 import gymnasium
@@ -91,22 +90,17 @@ class Training:
     `agent.json`. Checkpoints are pickles: resume only trainings that you trust.
 
     Raises `ConfigurationError` for a recipe that cannot be followed, or a folder that another training has used, and
-    `ResultsError` at its end if the disk is full; finished checkpoints are whole.
+    `ResultsError` at its end if the disk is full; finished checkpoints are whole. `callback` is the learner's
+    `on_evaluation`.
     """
 
     def __init__(
-        self,
-        recipe: Recipe,
-        options: TrainingOptions,
-        out: Path,
-        seed: int,
-        resume: bool,
-        on_evaluation: Callback = None,
+        self, recipe: Recipe, options: TrainingOptions, out: Path, seed: int, resume: bool, callback: Callback = None
     ) -> None:
         if not 0 <= seed < 2**32:
             raise ConfigurationError(f"a training seed is a whole number from 0 to {2**32 - 1}, not {seed}")
         self.recipe, self.options, self.out, self.seed = recipe, options, out, seed
-        self._on_evaluation = on_evaluation
+        self._on_evaluation = callback or (lambda row: None)
         self.held_out = make_worlds(recipe.env, min(VALIDATION_WORLDS, options.validation_episodes), recipe.env_options)
         with ExitStack() as opened:
             stages = [opened.enter_context(closing(self._make_worlds(stage, 1))) for stage in recipe.stages]
@@ -143,10 +137,8 @@ class Training:
             self._opened = opened.pop_all()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._opened.__exit__(kind, error, trace)
+    def __exit__(self, *error: Any) -> None:
+        self._opened.__exit__(*error)
 
     def first_seed(self, steps: int = 0) -> int:
         """Seed of the first world after so many steps: a resumed training plays episodes that are new to it."""
@@ -209,8 +201,7 @@ class Training:
         for name in ("success", "return"):
             self.logger.record(f"held-out/{name}", row[name])
         self.logger.dump(steps)
-        if self._on_evaluation:
-            self._on_evaluation(row)
+        self._on_evaluation(row)
 
     def finish(self, actor: Actor, steps: int) -> AgentCard:
         """Evaluate the last actor too, export the best one, and write its card with an evaluation in development."""
@@ -251,12 +242,9 @@ class Training:
 
     def _make_worlds(self, recipe: Recipe, count: int) -> gymnasium.vector.VectorEnv[Any, Any, Any]:
         options = self.options
-        rewards = {
-            "reward_scale": getattr(options, "reward_scale", 1.0),
-            "reward_weights": recipe.reward_weights,
-        }
-        asked = {**recipe.options_in_training, **rewards}
-        worlds = make_worlds(recipe.env, count, asked, autoreset_mode="same_step")
+        rewards = {"reward_scale": getattr(options, "reward_scale", 1.0), "reward_weights": recipe.reward_weights}
+        env_options = recipe.options_in_training | rewards
+        worlds = make_worlds(recipe.env, count, env_options, autoreset_mode="same_step")
         if recipe.shaping is None:
             return worlds
         return Shaped(worlds, recipe.shaping, gamma=options.gamma, scale=recipe.shaping_scale)
