@@ -12,10 +12,11 @@ from armctl.stats.across_tasks import (
     leagues,
     mean_over_tasks,
     rank,
+    rate_of,
     success_profile,
     values_of,
 )
-from armctl.stats.intervals import Estimate, bounded_mean
+from armctl.stats.intervals import Estimate, bounded_mean, success_rate
 from armctl.stats.paired import holm, mcnemar
 
 A, B = Choice("a"), Choice("b")
@@ -222,3 +223,9 @@ def test_a_setting_in_which_no_pair_was_played_costs_no_episode_of_the_others():
     nobody = pd.DataFrame({"a": np.nan, "b": np.nan}, index)
     cells = {"none": played, "noise": nobody}
     assert improvement(cells, Choice("a"), Choice("b")).tolist() == [1.0, 0.5, 0.5]
+
+
+def test_the_rate_of_a_choice_is_its_share_of_wins_in_the_episodes_that_it_played():
+    success = pd.DataFrame({"a": [1.0, 0.0, 1.0, 1.0, np.nan], "b": [0.0] * 5})
+    assert rate_of(success, Choice("a")) == success_rate(np.array([True, False, True, True]))
+    assert rate_of(success, Choice("b")).value == 0

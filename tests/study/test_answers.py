@@ -207,3 +207,14 @@ def test_steps_of_a_task_are_a_bounded_paired_difference():
     assert gains.min() > -99  # so that the bounds are the time limit's, not what was seen
     expected = bounded_difference(gains, (-99.0, 99.0))
     assert (found.steps, found.steps_p) == (expected.estimate, expected.p)
+
+
+@pytest.mark.parametrize(("kind", "missing"), [("classical", "learned"), ("learned", "classical")])
+def test_a_task_without_one_of_the_kinds_says_which(kind, missing):
+    played = [summary_of("reach_ik", np.ones(10, dtype=bool))]
+    cells = {UNDISTURBED: pd.DataFrame({"reach_ik": np.ones(10)})}
+    one = Answer("armctl/Some-v0", played, cells, {}, **{kind: Choice("reach_ik")})
+    assert one.sentence == f"armctl/Some-v0: no {missing} policy has played."
+    assert one.rate(Choice("reach_ik")).value == 1
+    assert Answer("armctl/Some-v0", [], {}, {}).verdict == "no episode was finished undisturbed"
+    assert Answer("armctl/Some-v0", played, {}, {}).verdict == "the environment does not say what a success is"

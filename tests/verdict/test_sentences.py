@@ -98,6 +98,10 @@ def test_the_headline_is_winner_difference_and_cost(ppo, says):
 def test_too_few_episodes_have_no_headline_but_that():
     wins = {"reach_ik": range(5), "reach_ppo": range(4)}
     assert headline(*played(wins, episodes=5)) == ("No verdict from 5 episodes: it takes 10.", "")
+    alone = played({"reach_ik": range(400)})
+    assert headline(*alone) == (verdict(*alone), "")
+    more = played(wins | {"mine.json": range(5)}, episodes=5)
+    assert headline(*more)[0] == "No verdict from 5 episodes: it takes 10."
 
 
 def test_without_a_learned_policy_it_is_about_the_two_best():
