@@ -1,6 +1,6 @@
 # make compare: set up, then let the IK expert, the PPO agent and random actions meet the same 200 episodes, of the test seed.
 # make test:    set up with everything, then run the quick tests; make test-all: the slow ones too; make test-thorough: thousands of trials.
-# make check:   lint, format, types. make lock: after a change of dependencies. make dist: sdist and wheel.
+# make check:   lint, format, types, spelling. make lock: after a change of dependencies. make dist: sdist and wheel.
 # make mutants: plant faults in the statistics and the verdict, one at a time, and list those that no quick test notices: hours.
 # make docs:    the documentation as a site, in site/; make docs-serve: the same in the browser, while you write.
 # For some of the tests: make test ARGS="tests/kinematics -k jacobian"
@@ -44,6 +44,7 @@ check: $(VENV)/full
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/codespell src rl baselines docs README.md CONTRIBUTING.md CHANGELOG.md
 
 docs: $(VENV)/full
 	$(MKDOCS) build --strict

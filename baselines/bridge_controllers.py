@@ -1,4 +1,4 @@
-"""What the bridge experts share: a policy with one controller per world, which sees the map and the true state."""
+"""Common part of the bridge experts: a policy with one controller per world, which sees the map and the true state."""
 
 from collections.abc import Callable
 from typing import Any, Protocol
@@ -23,13 +23,13 @@ class BridgeController(Protocol):
     """Crosses one bridge."""
 
     def act(self, pose: Array, velocity: Array, time: float) -> tuple[float, float]:
-        """Linear (m/s) and angular velocity (rad/s) for a pose (x, y, yaw), current velocities, and time (s)."""
+        """Return linear (m/s) and angular velocity (rad/s) for a pose (x, y, yaw), current velocities, and time (s)."""
 
     def see(self, bridge: BridgeMap) -> None:
         """Go by this map from now on: it is where things are believed to be, and noise may move them."""
 
     def plans(self) -> dict[str, Array]:
-        """Planned paths by name: lines of points (m, 2) m."""
+        """Return planned paths by name: lines of points (m, 2) m."""
 
 
 class PathFollower(Protocol):
@@ -40,13 +40,13 @@ class PathFollower(Protocol):
 
 
 def path_from(bridge: BridgeMap, position: Array, goal_x: float) -> Array:
-    """Corners (m, 2) m of a path to the goal line; (0, 2) if there is none, as off the free deck."""
+    """Return corners (m, 2) m of a path to the goal line; (0, 2) if there is none, as off the free deck."""
     on_deck = bridge.clearance(position[None])[0] > 0 and position[0] < goal_x
     return plan_path(bridge, position, goal_x).path if on_deck else np.zeros((0, 2))
 
 
 def distance_from_path(follower: PathFollower, pose: Array) -> float:
-    """Distance (m) of a pose from the point of the path that a follower has reached."""
+    """Return the distance (m) of a pose from the point of the path that a follower has reached."""
     return float(np.linalg.norm(follower.path.points_at(follower.progress) - pose[:2]))
 
 
@@ -66,11 +66,11 @@ class BridgePolicy:
     @property
     def failures(self) -> NDArray[np.int64]:
         """(n,) number of solver failures in each world; 0 for controllers that do not count them."""
-        now = [getattr(controller, "failures", 0) for controller in self._controllers]
-        return np.add(self._failed_before, now, dtype=np.int64)
+        counts = [getattr(controller, "failures", 0) for controller in self._controllers]
+        return np.add(self._failed_before, counts, dtype=np.int64)
 
     def plans(self, world: int) -> dict[str, Array]:
-        """The plans of a world's controller: lines of points (m, 3) m, just above the deck."""
+        """Return the plans of a world's controller: lines of points (m, 3) m, just above the deck."""
         controller = self._controllers[world]
         lines = controller.plans() if controller else {}
         return {name: np.column_stack((points, np.full(len(points), SHOWN_HEIGHT))) for name, points in lines.items()}
@@ -82,7 +82,7 @@ class BridgePolicy:
             self._controllers[i] = self._make_one(self._env.perceived().map(i), self._env.task.goal_x)
 
     def act(self, observations: Any) -> Array:
-        """Linear and angular velocities (n, 2), m/s and rad/s."""
+        """Return linear and angular velocities (n, 2), m/s and rad/s."""
         perceived = self._env.perceived()
         if perceived is not self._env.task:
             for i, controller in enumerate(self._controllers):
@@ -90,4 +90,4 @@ class BridgePolicy:
                     controller.see(perceived.map(i))
         state = perceived.state
         states = zip(self._controllers, state.poses, state.velocities, state.time, strict=True)
-        return np.array([controller.act(*known) if controller else (0.0, 0.0) for controller, *known in states])
+        return np.array([controller.act(*values) if controller else (0.0, 0.0) for controller, *values in states])

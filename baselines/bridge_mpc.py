@@ -67,7 +67,7 @@ class BridgeMpc:
         return self._failed_before + (self._mpc.failures if self._mpc else 0)
 
     def plans(self) -> dict[str, Array]:
-        """The path (m, 2) and the predicted positions (steps + 1, 2) of the rover, m."""
+        """Return the path (m, 2) and the predicted positions (steps + 1, 2) of the rover, m."""
         return self._plans
 
     def see(self, bridge: BridgeMap) -> None:
@@ -75,7 +75,7 @@ class BridgeMpc:
         self._bridge = bridge
 
     def act(self, pose: Array, velocity: Array, time: float) -> tuple[float, float]:
-        """Linear and angular velocity for a pose (x, y, yaw), current velocities (m/s, rad/s) and time (s)."""
+        """Return linear and angular velocity for a pose (x, y, yaw), current velocities (m/s, rad/s) and time (s)."""
         if self._mpc is None or distance_from_path(self._mpc, pose) > REPLAN_DISTANCE:
             path = path_from(self._bridge, pose[:2], self._goal_x)
             if not len(path):

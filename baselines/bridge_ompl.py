@@ -47,7 +47,7 @@ class BridgeOmpl:
         self._pursuit: RegulatedPurePursuit | None = None
 
     def plans(self) -> dict[str, Array]:
-        """The path, (m, 2) m."""
+        """Return the path, (m, 2) m."""
         return {} if self._path is None else {"path": self._path}
 
     def see(self, bridge: BridgeMap) -> None:
@@ -55,7 +55,7 @@ class BridgeOmpl:
         self._bridge, self._crossing = bridge, bridge.pedestrians.across()
 
     def act(self, pose: Array, velocity: Array, time: float) -> tuple[float, float]:
-        """Linear and angular velocity for a pose (x, y, yaw), current velocities (m/s, rad/s) and time (s)."""
+        """Return linear and angular velocity for a pose (x, y, yaw), current velocities (m/s, rad/s) and time (s)."""
         speed = float(velocity[0])
         if self._pursuit is None or distance_from_path(self._pursuit, pose) > REPLAN_DISTANCE:
             path = path_from(self._bridge, pose[:2], self._goal_x)
@@ -69,21 +69,21 @@ class BridgeOmpl:
         return share * linear, share * angular
 
     def _highest_safe_share(self, pursuit: RegulatedPurePursuit, linear: float, speed: float, time: float) -> float:
-        """Highest fraction of the speed at which the rover meets nobody until it is clear of all lanes."""
+        """Return the highest fraction of the speed at which the rover meets no one until it is clear of all lanes."""
         shares = np.array(SPEEDS)
         clock = np.arange(0.0, FORESIGHT, 0.05)
-        wanted = shares[:, None] * linear
-        change = np.abs(wanted - speed) / ACCELERATION
+        targets = shares[:, None] * linear
+        change = np.abs(targets - speed) / ACCELERATION
         travelled = np.where(
             clock < change,
-            speed * clock + np.sign(wanted - speed) * ACCELERATION * clock**2 / 2,
-            speed * change + np.sign(wanted - speed) * ACCELERATION * change**2 / 2 + wanted * (clock - change),
+            speed * clock + np.sign(targets - speed) * ACCELERATION * clock**2 / 2,
+            speed * change + np.sign(targets - speed) * ACCELERATION * change**2 / 2 + targets * (clock - change),
         )
         points = pursuit.path.points_at(pursuit.progress + travelled)
         people = self._crossing.positions(time + clock)
         distances = np.linalg.norm(points[:, :, None] - people, axis=-1).min(axis=-1)
         room = distances - RADIUS - self._crossing.radius
-        stops = pursuit.path.points_at(pursuit.progress + travelled + wanted**2 / (2 * ACCELERATION))
+        stops = pursuit.path.points_at(pursuit.progress + travelled + targets**2 / (2 * ACCELERATION))
         refuge = self._off_all_lanes(points) & self._off_all_lanes(stops) & (clock >= CONTROL_PERIOD)
         until = np.where(refuge.any(axis=1), refuge.argmax(axis=1), len(clock) - 1)
         closest = np.array([row[: last + 1].min() for row, last in zip(room, until, strict=True)])

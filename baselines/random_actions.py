@@ -24,12 +24,12 @@ class RandomActions:
         self._samplers = [kind(space, env.rng(i)) for i in range(env.num_envs)]
 
     def reset(self, ids: NDArray[np.int32]) -> None:
-        """Worlds `ids` start a new episode, for which armctl has seeded their generators."""
+        """Begin new episodes in worlds `ids`; armctl has seeded their generators."""
         for i in ids:
             self._samplers[i].reset()
 
     def act(self, observations: Any) -> NDArray[Any]:
-        """Actions (n, ...), independent of observations."""
+        """Return actions (n, ...), independent of observations."""
         samples = [sampler.sample() for sampler in self._samplers]
         if not isinstance(samples[0], (dict, tuple)):
             return np.array(samples)
@@ -45,7 +45,7 @@ class _Uniform:
         self._space, self._rng = space, rng
 
     def reset(self) -> None:
-        """Its generator is all that it has."""
+        """Do nothing: the generator is all state, and armctl seeds it."""
 
     def sample(self) -> NDArray[np.float64]:
         return np.asarray(self._rng.uniform(self._space.low, self._space.high))

@@ -33,7 +33,7 @@ LAG = 0.05
 """s from an observation until the arm is where it is commanded to: a control step, and a little."""
 DAMPING = 1e-4
 """m^2, of joint velocities near singularities."""
-PATIENCE = 5
+REPLAN_STEPS = 5
 """Control steps after the planned arrival until it plans again."""
 
 
@@ -60,7 +60,7 @@ class ReachIk:
         self._target, self._tip_offset = np.zeros(3), np.zeros(3)
 
     def act(self, observation: NDArray[np.float32]) -> Array:
-        """Action (dof,) for an observation: end-effector position, joint positions, target position, and others."""
+        """Return the action (dof,) for an observation: positions of end-effector, joints and target, and others."""
         model = self._search.model
         tip, q, target, _ = np.split(observation.astype(float), (3, 3 + model.dof, 6 + model.dof))
         self._readings += 1
@@ -79,7 +79,7 @@ class ReachIk:
         goal = self._search.find(q, self._aim, MARGIN * self._tolerance / self._plans)
         self._goal = self._search.ik.position(self._aim, q).closest if goal is None else goal.command
         self._jacobian = self._search.model.jacobian(self._goal)[:3]
-        self._steps_to_plan = PATIENCE + (0 if goal is None else math.ceil(goal.time / self._period))
+        self._steps_to_plan = REPLAN_STEPS + (0 if goal is None else math.ceil(goal.time / self._period))
 
     def _towards(self, goal: Array, q: Array) -> Array:
         velocity = towards(goal, q, self._search.model.limits, self._period)
@@ -94,7 +94,7 @@ class ReachIkTracking(ReachIk):
     """
 
     def act(self, observation: NDArray[np.float32]) -> Array:
-        """Action (dof,) for an observation, whose last part is the target's velocity, m/s."""
+        """Return the action (dof,) for an observation, whose last part is the target's velocity, m/s."""
         dof = self._search.model.dof
         tip, q, target, velocity = np.split(observation.astype(float), (3, 3 + dof, 6 + dof))
         if np.linalg.norm(tip - target) > self._tolerance and (goal := self._meet(q, target, velocity)) is not None:
@@ -102,16 +102,16 @@ class ReachIkTracking(ReachIk):
         return self._towards(self._along(q, target, velocity), q)
 
     def _meet(self, q: Array, target: Array, velocity: Array) -> Array | None:
-        """The command with which the arm reaches the target as early as possible; None if none was found."""
+        """Return the command with which the arm reaches the target as early as possible; None if none was found."""
         radius = MARGIN * self._tolerance
-        now = self._search.find(q, target, radius)
-        if now is None:
+        goal = self._search.find(q, target, radius)
+        if goal is None:
             return None
-        then = self._search.find(q, target + min(now.time, FARTHEST_AHEAD) * velocity, radius)
-        return (then or now).command
+        later_goal = self._search.find(q, target + min(goal.time, FARTHEST_AHEAD) * velocity, radius)
+        return (later_goal or goal).command
 
     def _along(self, q: Array, target: Array, velocity: Array) -> Array:
-        """The command with which the joints pass the target's next position at its velocity.
+        """Return the command with which the joints pass the target's next position at its velocity.
 
         Drives stop at what is commanded, and so it is farther by their braking distances.
         """

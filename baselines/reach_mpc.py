@@ -26,9 +26,9 @@ from armctl.tasks.reach import read_boxes
 
 Array = NDArray[np.float64]
 
-PATIENCE, MIN_PROGRESS = 12, 0.005
-"""After this many control steps in which the tip came less than so many m nearer to the target, another posture is
-looked up; without boxes, the arm goes there first."""
+STUCK_STEPS, MIN_PROGRESS = 12, 0.005
+"""Control steps in which the tip came less than so many m nearer to the target, after which another posture is looked
+up; without boxes, the arm goes there first."""
 PASSING = 0.3
 """rad: largest joint error at which a posture on the way counts as passed."""
 WAY_POINTS = 25
@@ -36,7 +36,7 @@ WAY_POINTS = 25
 POSTURE_TOLERANCE = 0.02
 """rad: largest joint error at which a posture counts as reached."""
 AMONG_BOXES = ReachMpcOptions()
-ALONE = ReachMpcOptions(margin=0.01, influence_distance=0.06)
+WITHOUT_BOXES = ReachMpcOptions(margin=0.01, influence_distance=0.06)
 """Nearer to the floor and to itself than an arm goes to boxes."""
 
 
@@ -45,7 +45,7 @@ def make(env: ModelInterface, options: Mapping[str, Any] = MappingProxyType({}))
     """MPC with OSQP on Pinocchio's kinematics: keeps joint limits and predicts the target's motion."""
     task = checked_options("reach_mpc", env, ReachOptions, "armctl/ArmReach-v0", OBSERVATION, ["position"])
     configurations, parts = ReachabilityMap(ArmModel(env.robot)), list(task.parts)
-    mpc = changed_options(AMONG_BOXES if "boxes" in parts else ALONE, options, "option of reach_mpc")
+    mpc = changed_options(AMONG_BOXES if "boxes" in parts else WITHOUT_BOXES, options, "option of reach_mpc")
     return PerWorld([ReachWithMpc(configurations, task.tolerance, parts, mpc) for _ in range(env.num_envs)])
 
 
@@ -77,11 +77,11 @@ class ReachWithMpc:
         self._nearest, self._waited = np.inf, 0
 
     def plans(self) -> dict[str, Array]:
-        """Planned end-effector positions at the end of each period of the horizon, (N + 1, 3) m."""
+        """Return planned end-effector positions at the end of each period of the horizon, (N + 1, 3) m."""
         return {} if self._plan is None else {"horizon": self._model.positions(self._plan.positions)}
 
     def act(self, observation: NDArray[np.float32]) -> Array:
-        """Joint positions (dof,) to move to, for an observation (6 + dof + k,)."""
+        """Return joint positions (dof,) to move to, for an observation (6 + dof + k,)."""
         dof = self._model.dof
         tip, q, target, extra = np.split(observation.astype(float), (3, 3 + dof, 6 + dof))
         distance = float(np.linalg.norm(tip - target))
@@ -115,7 +115,7 @@ class ReachWithMpc:
         return self._stream.goal(self._plan)
 
     def _chosen(self, q: Array, target: Array) -> Array:
-        """The posture (dof,) to go to from `q` (dof,).
+        """Return the posture (dof,) to go to from `q` (dof,).
 
         Among boxes it is the first of a way, if one is found, unless at first, the straight motion to the posture
         reached earliest is free: then the target itself is tracked, which is faster.
@@ -133,22 +133,22 @@ class ReachWithMpc:
         return np.asarray(way[0])
 
     def _positions_ahead(self, q: Array, posture: Array) -> Array:
-        """End-effector positions (N, 3) on the straight motion from `q` (dof,) to `posture` (dof,)."""
+        """Return end-effector positions (N, 3) on the straight motion from `q` (dof,) to `posture` (dof,)."""
         time = max(float(self._model.cruise_time(q, posture)), self.mpc.problem.period)
         return self._model.positions(q + np.minimum(self._ahead / time, 1.0) * (posture - q))
 
     def _is_stuck(self, distance: float) -> bool:
-        """Whether the tip has not come nearer to the target for long."""
+        """Return True if the tip has not come nearer to the target for long."""
         if distance < self._nearest - MIN_PROGRESS:
             self._nearest, self._waited = distance, 0
         self._waited += 1
-        if distance < self._tolerance or self._waited <= PATIENCE or self._stream is None:
+        if distance < self._tolerance or self._waited <= STUCK_STEPS or self._stream is None:
             return False
         self._nearest, self._waited = np.inf, 0
         return True
 
     def _predicted_targets(self, target: Array, velocity: Array) -> Array:
-        """Predicted target positions (N, 3), with its acceleration since the last control step."""
+        """Return predicted target positions (N, 3), with the target's acceleration since the last control step."""
         last = velocity if self._target_velocity is None else self._target_velocity
         acceleration = (velocity - last) / self.mpc.problem.period
         self._target_velocity = velocity

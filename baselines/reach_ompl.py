@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 CLEARANCES = (0.01, 0.0075, 0.005)
 """m, of the path: of the first plan, and of the next ones if it fails. Layouts are certified with the last."""
 GOALS = 32
-"""Of the first plan, and added after each failure: the earliest ones may all be shut in."""
+"""Number of goals of the first plan, and added after each failure: the earliest ones may all be shut in."""
 SIGHT, BRAKING = 0.9, 0.6
 """Shares of it that are kept by the straight motion ahead, and by the joints' own motion until they rest, in which they
 do not move in proportion."""
@@ -36,10 +36,10 @@ LARGEST_MOVE = 0.5
 """rad: a command is at most so far from the observed joints: more than a joint needs to stop, less than would take the
 drives, each of which is as fast as it can be, far off the straight motion."""
 SHARES = 0.6 ** np.arange(13)
-"""Of the move to command: the first is taken after which the drives stop freely."""
+"""Shares of the move to command: the first is taken after which the drives stop freely."""
 LOST = 0.1
-"""rad: beyond, the joints do not follow this expert's commands, but somebody else's. Servos are off by 0.08 at most."""
-PATIENCE = 5
+"""rad: beyond, the joints do not follow this expert's commands. Servos are off by 0.08 at most."""
+REPLAN_STEPS = 5
 """Control steps after a plan until the next; none while there are clearances left."""
 
 
@@ -65,11 +65,11 @@ class ReachOmpl:
         self._sight: EdgeChecker | None = None
         self._braking: EdgeChecker | None = None
         self._path = np.zeros((0, self._model.dof))
-        self._since_plan, self._failures = PATIENCE, 0
+        self._since_plan, self._failures = REPLAN_STEPS, 0
         self._drives: tuple[Array, Array] | None = None
 
     def plans(self) -> dict[str, Array]:
-        """The end-effector's path, (m, 3) m."""
+        """Return the end-effector's path, (m, 3) m."""
         if len(self._path) < 2:
             return {}
         shares = np.linspace(0, 1, 9)[:, None, None]
@@ -77,7 +77,7 @@ class ReachOmpl:
         return {"path": self._model.positions(points.transpose(1, 0, 2).reshape(-1, self._model.dof))}
 
     def act(self, observation: NDArray[np.float32]) -> Array:
-        """Joint positions (dof,) to move to, for an observation (6 + dof + boxes,)."""
+        """Return joint positions (dof,) to move to, for an observation (6 + dof + boxes,)."""
         dof, limits = self._model.dof, self._model.limits
         _, q, target, boxes = np.split(observation.astype(float), (3, 3 + dof, 6 + dof))
         q = np.clip(q, limits.lower, limits.upper)
@@ -89,10 +89,10 @@ class ReachOmpl:
         return command
 
     def _goal(self, q: Array, target: Array, boxes: Boxes) -> Array:
-        """Where to go on the path (dof,), which is planned anew if nothing of it is in sight; `q` if there is none."""
+        """Return where to go on the path (dof,), which is planned again if none of it is in sight; `q` if no path."""
         self._since_plan += 1
         goal = self._on_path(q)
-        if goal is None and (self._since_plan > PATIENCE or 0 < self._failures < len(CLEARANCES)):
+        if goal is None and (self._since_plan > REPLAN_STEPS or 0 < self._failures < len(CLEARANCES)):
             self._plan(q, target, boxes)
             goal = self._on_path(q)
         return q if goal is None else goal
@@ -103,13 +103,13 @@ class ReachOmpl:
         tries = 1 + self._failures
         options = ArmPlannerOptions(clearance=clearance, goals=GOALS * tries, seed=tries)
         plan = ArmPlanner(self._model, options).plan(q, target, self._tolerance, boxes)
-        self._path, self._failures = plan.path, 0 if plan.found else self._failures + 1
+        self._path, self._failures = plan.path, 0 if plan.solved else self._failures + 1
         self._sight, self._braking = (
             EdgeChecker(self._shapes, boxes, share * clearance, q) for share in (SIGHT, BRAKING)
         )
 
     def _on_path(self, q: Array) -> Array | None:
-        """The farthest point (dof,) in sight of the path, or, too near to something, the nearest; if there is any."""
+        """Return the farthest point (dof,) of the path in sight, or the nearest if too near to something; or None."""
         if self._sight is None or self._braking is None:
             return None
         self._sight.relax(q, SIGHT_NEARER)
@@ -117,7 +117,7 @@ class ReachOmpl:
         return self._sight.farthest_goal(self._path, q) if nearest is None else nearest
 
     def _nearest(self, q: Array, sight: EdgeChecker) -> Array | None:
-        """The nearest point (dof,) of the path to which the straight motion from `q` (dof,) is free, if any."""
+        """Return the nearest point (dof,) of the path to which the straight motion from `q` (dof,) is free, if any."""
         steps = np.diff(self._path, axis=0)
         lengths = np.maximum((steps**2).sum(axis=1), 1e-12)
         shares = np.clip(((q - self._path[:-1]) * steps).sum(axis=1) / lengths, 0.0, 1.0)
@@ -126,7 +126,7 @@ class ReachOmpl:
         return next((point for point in points if sight.is_edge_free(q, point)), None)
 
     def _driven(self, q: Array) -> tuple[Array, Array]:
-        """Position and velocity (dof,) of the drives, which are not observed: those that follow the own commands.
+        """Return position and velocity (dof,) of the drives, which are not observed: those that follow own commands.
 
         If the joints do not follow these, they are as observed.
         """
@@ -137,7 +137,7 @@ class ReachOmpl:
         return self._drives
 
     def _command(self, q: Array, goal: Array, position: Array, velocity: Array) -> Array:
-        """The joint positions (dof,) to command: `goal`, or as far on the straight motion there as is safe."""
+        """Return the joint positions (dof,) to command: `goal`, or as far on the straight motion there as is safe."""
         assert self._braking is not None
         move = (goal - q) * min(1.0, LARGEST_MOVE / max(float(np.abs(goal - q).max()), LARGEST_MOVE))
         for share in SHARES:
@@ -147,7 +147,7 @@ class ReachOmpl:
         return self._commanded if still_free else np.asarray(q + SHARES[-1] * move)
 
     def _stops_freely(self, q: Array, position: Array, velocity: Array, goal: Array) -> bool:
-        """Whether the arm keeps clear until it rests at `goal` (dof,).
+        """Return True if the arm keeps clear until it rests at `goal` (dof,).
 
         The joints are off their drives, and fall back to them meanwhile: both the drives' motion, and the same motion
         from the joints observed are checked.

@@ -1,4 +1,4 @@
-"""What the reach experts share: the check that an environment is one that they can work in."""
+"""Check of the reach experts that an environment is one that they can work in."""
 
 from collections.abc import Iterable, Sequence
 from typing import TypeVar
@@ -18,16 +18,16 @@ def checked_options(
     observation: Iterable[str],
     controls: Sequence[str],
 ) -> Options:
-    """The task's options; raises `ConfigurationError` unless the task suits the expert called `name`.
+    """Return the task's options; raises `ConfigurationError` unless the task suits the expert called `name`.
 
     It has to be one with `options`, whose observation begins with the parts `observation`, with one of `controls`.
     """
     if not isinstance(env.options, options):
         raise ConfigurationError(f"{name} cannot play this task: use it with {env_id}")
     expected = list(observation)
-    if (found := list(env.options.parts))[: len(expected)] != expected or env.options.goal:
-        raise ConfigurationError(f"{name} reads the observation {', '.join(expected)}, not {', '.join(found)}")
+    if (parts := list(env.options.parts))[: len(expected)] != expected or env.options.goal:
+        raise ConfigurationError(f"{name} reads the observation {', '.join(expected)}, not {', '.join(parts)}")
     if env.options.control not in controls:
-        wanted = " or ".join(map(repr, controls))
-        raise ConfigurationError(f"{name} needs control {wanted}, not {env.options.control!r}")
+        allowed = " or ".join(map(repr, controls))
+        raise ConfigurationError(f"{name} needs control {allowed}, not {env.options.control!r}")
     return env.options

@@ -174,7 +174,7 @@ def _kind(command: str) -> str:
     """What a process does. Of a scheduler, a cluster has one, or one for each client."""
     kinds = {
         "scheduler": ("dask scheduler", "gcs_server", "raylet", "ray.util.client.server"),
-        "worker": ("dask worker", "ray::IDLE", "ray::work_in_child", "Loky"),
+        "worker": ("dask worker", "ray::IDLE", "ray::run_isolated", "Loky"),
     }
     return next((kind for kind, words in kinds.items() if any(word in command for word in words)), "other")
 

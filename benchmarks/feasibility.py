@@ -25,7 +25,7 @@ def main(layouts: int = 500, robot: str = "ur5") -> None:
     workspace, certificate, planner = Workspace(model), PathCertificate(model), ArmPlanner(model)
     judges = {
         "certificate": lambda one: len(certificate.path(model.home, one.target, one.boxes)) > 0,
-        "planner": lambda one: planner.plan(model.home, one.target, TOLERANCE, one.boxes).found,
+        "planner": lambda one: planner.plan(model.home, one.target, TOLERANCE, one.boxes).solved,
     }
     drawn = [sample_layout(rng, workspace, TOLERANCE) for _ in range(layouts)]
     solved, milliseconds = {}, {}

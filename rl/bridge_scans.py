@@ -7,7 +7,7 @@ from gymnasium import spaces
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 from armctl.scene.pedestrians import turned_back
-from armctl.tasks.bridge.observation import BLOCK, OWN, WALKER
+from armctl.tasks.bridge.observation import BLOCK, ROVER, WALKER
 
 BEAMS = 48
 AHEAD = (0.0, 0.4, 0.8, 1.2, 1.6)
@@ -37,8 +37,8 @@ class Surroundings(BaseFeaturesExtractor):
         turn: float,
     ) -> None:
         scans = 1 + (len(AHEAD) if walkers else 0)
-        super().__init__(observation_space, OWN + scans * BEAMS)
-        self.parts = [1] * OWN + [BLOCK * blocks, WALKER * walkers]
+        super().__init__(observation_space, ROVER + scans * BEAMS)
+        self.parts = [1] * ROVER + [BLOCK * blocks, WALKER * walkers]
         self.half_width, self.goal_x, self.radius, self.turn = half_width, goal_x, radius, turn
         angles = torch.arange(BEAMS) * (2 * math.pi / BEAMS)
         self.register_buffer("cosines", angles.cos())

@@ -25,7 +25,7 @@ from armctl.rl.of_state import world_of_states
 from armctl.scene.pedestrians import turned_back
 from armctl.tasks import BridgeTask
 from armctl.tasks.bridge import CONTROL_PERIOD
-from armctl.tasks.bridge.observation import BLOCK, OWN, WALKER
+from armctl.tasks.bridge.observation import BLOCK, ROVER, WALKER
 from armctl.tasks.bridge.options import MOVES
 from armctl.tasks.bridge.planar import ACCELERATION, Geometry, block_rows
 
@@ -120,11 +120,11 @@ class ImaginedRovers:
     def __init__(self, geometry: Geometry, states: NDArray[np.float32], steps: int) -> None:
         n = len(states)
         x, y, cos, sin, *_ = states.T.astype(float)
-        self.poses, self.velocities = np.column_stack((x, y, np.arctan2(sin, cos))), states[:, 4:OWN].astype(float)
+        self.poses, self.velocities = np.column_stack((x, y, np.arctan2(sin, cos))), states[:, 4:ROVER].astype(float)
         self._steps, self._step = steps, 0
         self._geometry, self._ended = geometry, np.zeros(n, dtype=np.int64)
-        self._seen_blocks = states[:, OWN : OWN + BLOCK * geometry.blocks]
-        self._people = self._predicted(states[:, OWN + BLOCK * geometry.blocks :].reshape(n, -1, WALKER))
+        self._seen_blocks = states[:, ROVER : ROVER + BLOCK * geometry.blocks]
+        self._people = self._predicted(states[:, ROVER + BLOCK * geometry.blocks :].reshape(n, -1, WALKER))
         self._scenes = planar.Scenes(
             block_rows(self._seen_blocks.reshape(n, -1, BLOCK).astype(float)),
             np.ones((n, 2, geometry.segments), dtype=bool),

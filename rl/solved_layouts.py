@@ -142,7 +142,7 @@ class _Solver:
         layout = sample_layout(rng, self._workspace, self._tolerance)
         for planner in self._planners:
             plan = planner.plan(self._model.home, layout.target, self._tolerance, layout.boxes)
-            if plan.found:
+            if plan.solved:
                 return (layout, plan.path) if len(plan.path) > 1 else None
         return None
 

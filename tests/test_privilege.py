@@ -274,7 +274,7 @@ CHEATS = [
     (REACH, sets("max_episode_steps", 10**9), "env.max_episode_steps"),
     ("ArmReachMoving-v0", writes("task._within_for", value=9.0), "task._within_for"),
     ("ArmReachMoving-v0", writes("task._amplitudes", value=0.0), "task._amplitudes"),
-    (OBSTACLES, writes("task._touches._noted", value=0.5), "task._touches._noted"),
+    (OBSTACLES, writes("task._contacts._touched", value=0.5), "task._contacts._touched"),
     (OBSTACLES, moves_boxes, "simulation.body_pos"),
 ]
 

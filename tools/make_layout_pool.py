@@ -24,19 +24,27 @@ from armctl.disturbances import episode_entropy
 from armctl.kinematics import ArmModel, Workspace
 from armctl.planning import PathCertificate
 from armctl.robot_description import load_arm
-from armctl.tasks.reach.layout_pool import OWN, PARTS, POOL_FILE, LayoutPool, read_pool, robot_digest, write_pool
+from armctl.tasks.reach.layout_pool import (
+    PARTS,
+    POOL_FILE,
+    SEEDS_WITH_LAYOUTS,
+    LayoutPool,
+    read_pool,
+    robot_digest,
+    write_pool,
+)
 from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES, ReachLayout, sample_certified_layout
 from armctl.tasks.reach.options import ReachOptions
 
 SIZES = {"development": 2000, "validation": 1000, "training": 7000}
 """Layouts that are drawn for each part that many seeds draw from."""
-OWN_SIZE = 1000
+LAYOUTS_PER_SEED = 1000
 """Layouts of a seed's own: those of its first episodes."""
 
 
 def layout_of(part: str | int, number: int) -> tuple[ReachLayout, bool]:
     """A layout of the pool, and whether it is certified. That of a seed is the episode's, as drawn without a pool."""
-    own = isinstance(part, int)
+    seeds = isinstance(part, int)
     sequence = (
         np.random.SeedSequence(episode_entropy(part, number))
         if isinstance(part, int)
@@ -44,7 +52,7 @@ def layout_of(part: str | int, number: int) -> tuple[ReachLayout, bool]:
     )
     workspace, certificate = _tools()
     rng, tolerance = np.random.default_rng(sequence), ReachOptions().tolerance
-    return sample_certified_layout(rng, workspace, certificate, tolerance, solvable=own)
+    return sample_certified_layout(rng, workspace, certificate, tolerance, solvable=seeds)
 
 
 @functools.cache
@@ -80,7 +88,7 @@ def draw(sizes: Mapping[str | int, int], processes: int) -> LayoutPool:
     )
 
 
-def with_seeds(pool: LayoutPool, seeds: Sequence[int], processes: int, size: int = OWN_SIZE) -> LayoutPool:
+def with_seeds(pool: LayoutPool, seeds: Sequence[int], processes: int, size: int = LAYOUTS_PER_SEED) -> LayoutPool:
     """A pool with the layouts of other seeds' episodes; those that are there already are kept, and so are the parts."""
     new = [seed for seed in seeds if str(seed) not in pool.names]
     found = draw(dict.fromkeys(new, size) | dict.fromkeys(PARTS, 1), processes) if new else pool
@@ -108,8 +116,9 @@ def main(
     keep: Annotated[bool, typer.Option("--keep", help="Draw only for seeds of which the file has no layouts.")] = False,
 ) -> None:
     """Draw and certify layouts, and write the pool."""
-    own = list(dict.fromkeys(OWN))
-    pool = with_seeds(read_pool(out), own, processes) if keep else draw(dict.fromkeys(own, OWN_SIZE) | SIZES, processes)
+    seeds = list(dict.fromkeys(SEEDS_WITH_LAYOUTS))
+    sizes = dict.fromkeys(seeds, LAYOUTS_PER_SEED) | SIZES
+    pool = with_seeds(read_pool(out), seeds, processes) if keep else draw(sizes, processes)
     write_atomically(out, functools.partial(write_pool, pool))
     certified = ", ".join(f"{part} {pool.feasible[rows].sum()} of {len(rows)}" for part, rows in pool.parts.items())
     print(f"{out}: {out.stat().st_size:,} bytes; certified: {certified}")

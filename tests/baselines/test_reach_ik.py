@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from armctl.baselines.reach_ik import PATIENCE
+from armctl.baselines.reach_ik import REPLAN_STEPS
 from armctl.disturbances import ARM
 from armctl.envs import make_worlds
 from armctl.policies import make_policy
@@ -51,7 +51,7 @@ def test_it_plans_again_by_the_clock_under_every_disturbance(name, strength):
     level = spec.neutral if strength == "neutral" else spec.levels[-1]
     waits = list(steps_between_plans({name: level}))
     assert len(waits) > 3 * 2
-    assert all(wait <= arrival + PATIENCE for wait, arrival in waits)
+    assert all(wait <= arrival + REPLAN_STEPS for wait, arrival in waits)
 
 
 def test_noise_does_not_change_how_often_it_plans():

@@ -10,7 +10,7 @@ from armctl.envs import make_worlds
 from armctl.study import compare
 from armctl.study.suite import line_up
 from armctl.study.sweep import sweep_levels
-from armctl.tasks.bridge.observation import BLOCK, OWN
+from armctl.tasks.bridge.observation import BLOCK, ROVER
 
 MOVING = "armctl/BridgeCrossMoving-v0"
 NOISE = {"disturbances": {"noise_on_state": 0.05}}
@@ -33,12 +33,12 @@ def test_who_reads_the_state_gets_what_who_observes_it_gets():
             assert np.abs(seen - task.state_observation()).max() > 0.05
             np.testing.assert_allclose(perceived.state.poses[:, :2], seen[:, :2], rtol=1e-6)
             np.testing.assert_allclose(np.tan(perceived.state.poses[:, 2]), seen[:, 3] / seen[:, 2], rtol=1e-5)
-            np.testing.assert_allclose(perceived.state.velocities, seen[:, 4:OWN], rtol=1e-6)
+            np.testing.assert_allclose(perceived.state.velocities, seen[:, 4:ROVER], rtol=1e-6)
             for i in range(2):
                 believed = perceived.map(i)
-                blocks = seen[i, OWN : OWN + BLOCK * len(believed.blocks)].reshape(-1, BLOCK)
+                blocks = seen[i, ROVER : ROVER + BLOCK * len(believed.blocks)].reshape(-1, BLOCK)
                 np.testing.assert_allclose(believed.blocks, blocks, rtol=1e-6)
-                people = seen[i, OWN + blocks.size :].reshape(-1, 4)[:, :2]
+                people = seen[i, ROVER + blocks.size :].reshape(-1, 4)[:, :2]
                 np.testing.assert_allclose(believed.pedestrians.positions(task.state.time[i]), people, atol=1e-5)
 
 

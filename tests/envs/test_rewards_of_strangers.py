@@ -9,7 +9,7 @@ import pytest
 import armctl
 from armctl.core.errors import EnvironmentFailed
 from armctl.envs import make_worlds
-from armctl.tasks import REWARD, Once, ReachTask
+from armctl.tasks import REWARD, OneTimeTerm, ReachTask
 
 
 class GoesOn(ReachTask):
@@ -45,7 +45,7 @@ def test_what_is_paid_once_is_paid_once():
 
 
 def test_own_terms_are_paid_as_they_say():
-    near = {"goal": lambda state: -state.distance, "bonus": Once(lambda state: 5.0 * (state.distance < 0.3))}
+    near = {"goal": lambda state: -state.distance, "bonus": OneTimeTerm(lambda state: 5.0 * (state.distance < 0.3))}
     earned = played(near)
     assert (earned["goal"] < 0).all()
     assert (earned["bonus"].sum(axis=0) == 5).all()

@@ -205,7 +205,7 @@ def test_quadratic_models(model, rng, exact):
     axes, gradients = np.empty((2, HORIZON, dof, 3))
     samples = np.ones(len(model.links), dtype=int)
     scene = model.links, np.zeros(0, dtype=PAIR), box_records(model.boxes), samples, np.ones(0)
-    reach_mpc.look(model.joints, *scene, q, targets, errors, axes, gradients, least)
+    reach_mpc.evaluate_knots(model.joints, *scene, q, targets, errors, axes, gradients, least)
     np.testing.assert_allclose(errors, [model.position(at) - one for at, one in zip(q, targets, strict=True)], **CLOSE)
     jacobians = np.array([model.jacobian(at) for at in q])
     np.testing.assert_allclose(gradients.swapaxes(1, 2), jacobians[:, :3], **CLOSE)

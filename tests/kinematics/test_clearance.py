@@ -72,7 +72,7 @@ def distances_by_coal(model, q):
 
 def test_distances_are_those_of_coal(model, postures):
     expected = np.array([distances_by_coal(model, q) for q in postures])
-    found = Clearance(model).least(postures)
+    found = Clearance(model).min_distances(postures)
     upper_arm = next(c for c in model.description.capsules if c.link == "upper_arm_link")
     elbow = np.array([elbow_height(model, q) for q in postures])
     clear = (expected > 0) & (elbow > upper_arm.radius + expected)
@@ -101,10 +101,10 @@ def test_the_nearest_pairs_are_chosen_and_missing_ones_are_harmless(model, postu
     everything, gradients = clearance.nearest(postures, ALL)
     few = clearance.nearest(postures, 3)[0]
     np.testing.assert_allclose(np.sort(few), np.sort(everything)[:, :3])
-    np.testing.assert_allclose(clearance.least(postures), few.min(axis=1))
+    np.testing.assert_allclose(clearance.min_distances(postures), few.min(axis=1))
     missing = np.isinf(everything)
     assert (gradients[missing] == 0).all()
-    assert (clearance.least(postures, clearance.among(NO_BOXES)) >= few.min(axis=1)).all()
+    assert (clearance.min_distances(postures, clearance.among(NO_BOXES)) >= few.min(axis=1)).all()
 
 
 def test_segments():
@@ -132,7 +132,7 @@ def test_no_pair_has_to_keep_more_than_it_has_at_home(name):
     kept = margin * at_home / scaled.nearest(model.home[None], pairs)[0][0]
     assert (kept <= at_home).all()
     assert (kept <= margin + 1e-12).all()
-    assert scaled.least(model.home[None])[0] >= margin
+    assert scaled.min_distances(model.home[None])[0] >= margin
 
 
 def test_no_pair_has_to_keep_more_than_it_has_on_a_way(model):

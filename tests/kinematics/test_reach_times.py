@@ -13,7 +13,7 @@ def test_times_are_near_above_the_least(robot):
     centres = np.array([workspace.sample(rng, clearance=0.05) for _ in range(30)])
     q = np.clip(model.home + rng.uniform(-0.7, 0.7, (30, model.dof)), model.limits.lower, model.limits.upper)
     velocity = rng.uniform(-0.7, 0.7, (30, model.dof)) * model.limits.velocity
-    found = times.least(q, velocity, times.spheres(centres))
+    found = times.min_times(q, velocity, times.spheres(centres))
     least = np.array([touch.least_time(*one) for one in zip(q, centres, np.full(30, 0.05), velocity, strict=True)])
     assert (found > least - 0.05).mean() >= 0.9, "even the thorough search misses some, where joints are moving"
     assert np.median(found - least) < 0.05
@@ -29,7 +29,7 @@ def test_goals_are_in_the_sphere_or_said_not_to_be():
     assert (spheres.excess[0] == 0).mean() > 0.9
     assert (spheres.excess[1] > 1.5).all()
     assert model.within_limits(spheres.goals).all()
-    least = times.least(np.tile(model.home, (2, 1)), np.zeros((2, 6)), spheres)
+    least = times.min_times(np.tile(model.home, (2, 1)), np.zeros((2, 6)), spheres)
     assert np.isfinite(least).all()
     assert least[1] > 1.5
 
@@ -40,8 +40,8 @@ def test_a_batch_is_as_its_members():
     rng = np.random.default_rng(2)
     centres, q, velocity = rng.uniform(-0.4, 0.4, (7, 3)), rng.uniform(0, 1, (7, 6)), rng.uniform(-1, 1, (7, 6))
     spheres = times.spheres(centres)
-    alone = [times.least(q[i : i + 1], velocity[i : i + 1], times.spheres(centres[i : i + 1]))[0] for i in range(7)]
-    np.testing.assert_allclose(times.least(q, velocity, spheres), alone, rtol=1e-9)
+    alone = [times.min_times(q[i : i + 1], velocity[i : i + 1], times.spheres(centres[i : i + 1]))[0] for i in range(7)]
+    np.testing.assert_allclose(times.min_times(q, velocity, spheres), alone, rtol=1e-9)
     spheres.put(np.array([2, 5]), times.spheres(centres[[5, 2]]))
-    swapped = times.least(q[[2]], velocity[[2]], times.spheres(centres[[5]]))
-    np.testing.assert_allclose(times.least(q, velocity, spheres)[2], swapped[0], rtol=1e-9)
+    swapped = times.min_times(q[[2]], velocity[[2]], times.spheres(centres[[5]]))
+    np.testing.assert_allclose(times.min_times(q, velocity, spheres)[2], swapped[0], rtol=1e-9)

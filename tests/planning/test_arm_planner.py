@@ -63,7 +63,7 @@ def test_paths_are_free_in_mujoco_and_end_in_the_sphere(case):
     found = searched = 0
     for layout in case.layouts(16):
         plan = case.plan(layout)
-        if not plan.found:
+        if not plan.solved:
             continue
         found, searched = found + 1, searched + plan.searched
         world, among = CapsuleWorld(case.model, layout.boxes), case.model.among(layout.boxes)
@@ -83,7 +83,7 @@ def test_paths_are_free_in_mujoco_and_end_in_the_sphere(case):
 
 def test_nearly_all_layouts_are_solved_and_straight_motions_are_not_enough(ur5):
     plans = [ur5.plan(layout) for layout in ur5.layouts(50, seed=1)]
-    assert np.mean([plan.found for plan in plans]) >= 0.98
+    assert np.mean([plan.solved for plan in plans]) >= 0.98
     assert np.mean([plan.searched for plan in plans]) >= 0.3
     assert np.median([plan.checks for plan in plans]) <= 400
     assert max(plan.checks for plan in plans) <= 8000
@@ -121,7 +121,7 @@ def test_without_boxes_the_way_is_as_straight_as_soon(case):
     for _ in range(15):
         target = case.workspace.sample(rng, TOLERANCE)
         plan = case.planner.plan(case.model.home, target, TOLERANCE, NO_BOXES)
-        assert plan.found
+        assert plan.solved
         if len(plan.path) == 2:
             assert plan.time == pytest.approx(case.model.cruise_time(*plan.path))
 
@@ -131,7 +131,7 @@ def test_boxes_cost_time_and_shortcuts_save_it(ur5):
     free, raw, short = [], [], []
     for layout in ur5.layouts(24, seed=5):
         plan = ur5.plan(layout)
-        if plan.searched and plan.found:
+        if plan.searched and plan.solved:
             short.append(plan.time)
             raw.append(plain.plan(ur5.model.home, layout.target, TOLERANCE, layout.boxes).time)
             free.append(ur5.planner.plan(ur5.model.home, layout.target, TOLERANCE, NO_BOXES).time)
@@ -141,7 +141,7 @@ def test_boxes_cost_time_and_shortcuts_save_it(ur5):
 def test_an_enclosed_target_is_not_found_within_bounded_effort(ur5):
     target = np.array((0.6, 0.3, 0.4))
     plan = ur5.planner.plan(ur5.model.home, target, TOLERANCE, cage(target, 0.15))
-    assert not plan.found
+    assert not plan.solved
     assert plan.path.shape == (0, 6)
     assert plan.time == plan.raw_time == np.inf
     assert np.isnan(plan.clearance)
@@ -155,19 +155,19 @@ def test_a_search_without_a_way_gives_up(ur5):
     assert (ur5.model.box_distances(ur5.model.home, frame) > 0.02).all()
     plan = ur5.planner.plan(ur5.model.home, (-0.5, 0.0, 0.3), TOLERANCE, frame)
     assert plan.searched
-    assert not plan.found
+    assert not plan.solved
     assert plan.checks <= ArmPlannerOptions().checks + 500
 
 
 def test_targets_out_of_reach_are_not_found(case):
     for target in ((5.0, 0, 0.5), (0, 0, -0.5)):
-        assert not case.planner.plan(case.model.home, target, TOLERANCE, NO_BOXES).found
+        assert not case.planner.plan(case.model.home, target, TOLERANCE, NO_BOXES).solved
 
 
 def test_a_start_that_touches_something_is_not_left(ur5):
     boxes = Boxes(ur5.model.position(ur5.model.home)[None], np.full((1, 3), 0.05), np.zeros(1))
     plan = ur5.planner.plan(ur5.model.home, (-0.5, 0.2, 0.4), TOLERANCE, boxes)
-    assert not plan.found
+    assert not plan.solved
     assert not plan.searched
 
 
@@ -181,7 +181,7 @@ def test_a_start_beside_a_box_is_left_with_part_of_the_clearance_that_it_has(ur5
     gap = ur5.model.box_distances(ur5.model.home, boxes)[0]
     assert gap < 0.006
     plan, world = ur5.planner.plan(ur5.model.home, (-0.5, 0.2, 0.4), TOLERANCE, boxes), CapsuleWorld(ur5.model, boxes)
-    assert plan.found
+    assert plan.solved
     assert plan.clearance <= gap + 1e-5
     assert min(world.distance(q) for q in densely(plan.path)) >= gap / 3 - 1e-5
 
@@ -200,14 +200,14 @@ def test_other_clearances_are_kept_too(ur5, clearance):
         plan = planner.plan(ur5.model.home, layout.target, TOLERANCE, layout.boxes)
         world = CapsuleWorld(ur5.model, layout.boxes)
         kept = min(clearance, world.distance(ur5.model.home) / 3)
-        found += plan.found
+        found += plan.solved
         assert all(world.distance(q) >= kept - 1e-5 for q in densely(plan.path))
     assert found >= 5
 
 
 def test_being_there_already_is_a_path_without_a_way(ur5):
     plan = ur5.planner.plan(ur5.model.home, ur5.model.position(ur5.model.home) + 0.02, TOLERANCE, NO_BOXES)
-    assert plan.found
+    assert plan.solved
     np.testing.assert_array_equal(plan.path, ur5.model.home[None])
     assert plan.time == 0
 
@@ -216,7 +216,7 @@ def test_starts_at_a_joint_limit_and_arguments_untouched(ur5):
     start = np.where([1, 0, 0, 0, 0, 1], ur5.model.limits.upper, ur5.model.home)
     target, before = np.array((0.4, 0.4, 0.4)), start.copy()
     plan = ur5.planner.plan(start, target, TOLERANCE, NO_BOXES)
-    assert plan.found
+    assert plan.solved
     assert ur5.model.within_limits(plan.path).all()
     np.testing.assert_array_equal(start, before)
     np.testing.assert_array_equal(target, (0.4, 0.4, 0.4))

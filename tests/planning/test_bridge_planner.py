@@ -23,7 +23,7 @@ def layouts(count, seed=0):
 
 
 def assert_crosses_with_clearance(bridge, plan, clearance):
-    assert plan.found
+    assert plan.solved
     np.testing.assert_array_equal(plan.path[0], START)
     assert plan.path[-1, 0] == GOAL_X
     path = shapely.LineString(plan.path)
@@ -48,7 +48,7 @@ def test_there_is_a_path_wherever_the_map_can_be_crossed_however_narrow_its_gaps
         if not bridge.crossable(clearance):
             walled_up += 1
             if walled_up <= 20:
-                assert not plan_path(bridge, START, GOAL_X, PathPlannerOptions(clearance=clearance)).found
+                assert not plan_path(bridge, START, GOAL_X, PathPlannerOptions(clearance=clearance)).solved
         elif not bridge.crossable(clearance + 0.01) and bridge.clearance([START])[0] >= clearance:
             narrow += 1
             plan = plan_path(bridge, START, GOAL_X, PathPlannerOptions(clearance=clearance))
@@ -110,7 +110,7 @@ def test_a_walled_up_bridge_or_goal_is_a_failure_and_no_path():
     for x in (10.0, GOAL_X):
         wall = np.array([(x, 0.0, 0.0, 0.2, HALF_WIDTH)])
         plan = plan_path(BridgeMap(LENGTH, HALF_WIDTH, wall), START, GOAL_X)
-        assert not plan.found
+        assert not plan.solved
         assert plan.path.shape == (0, 2)
         assert plan.length == np.inf
         assert np.isnan(plan.clearance)
@@ -127,14 +127,14 @@ def test_a_start_beside_a_block_is_left_for_where_there_is_clearance():
 def test_a_start_in_a_gap_too_narrow_is_left_with_the_clearance_that_it_has():
     bridge = BridgeMap(LENGTH, HALF_WIDTH, np.array([(4.0, y, 0.0, 3.9, 0.55) for y in (-0.9, 0.9)]))
     plan = plan_path(bridge, START, GOAL_X)
-    assert plan.found
+    assert plan.solved
     assert plan.clearance == pytest.approx(0.35, abs=1e-6)
 
 
 def test_a_start_in_a_lane_leaves_it():
     pedestrians = PedestrianTrajectories(np.array([(0.5, 0.0)]), np.array([(4.0, 0.0)]), np.ones(1), np.zeros(1), 0.25)
     plan = plan_path(BridgeMap(LENGTH, HALF_WIDTH, np.zeros((0, 5)), pedestrians), START, GOAL_X)
-    assert plan.found
+    assert plan.solved
     assert abs(plan.path[1, 1]) >= 0.65 - 1e-6
 
 
@@ -159,7 +159,7 @@ def test_unusable_clearances_are_refused(clearance):
 def test_ompl_says_nothing():
     code = (
         "import numpy as np; from armctl.planning import plan_path; from armctl.scene import BridgeMap; "
-        "bridge = BridgeMap(20.0, 1.4, np.array([(10, 0, 0, 0.3, 0.3)])); print(plan_path(bridge, (1, 0), 19.0).found)"
+        "bridge = BridgeMap(20.0, 1.4, np.array([(10, 0, 0, 0.3, 0.3)])); print(plan_path(bridge, (1, 0), 19.0).solved)"
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert (run.stdout, run.stderr) == ("True\n", "")

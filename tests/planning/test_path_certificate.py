@@ -48,9 +48,9 @@ def test_certificate_and_expert_do_not_follow_each_other(ur5):
     query = ur5.model.home, layout.target
     starved = PathCertificate(ur5.model, PathCertificateOptions(checks=0))
     assert not len(starved.path(*query, layout.boxes))
-    assert ur5.plan(layout).found
+    assert ur5.plan(layout).solved
     hasty = ArmPlanner(ur5.model, ArmPlannerOptions(checks=0, direct=0))
-    assert not hasty.plan(*query, TOLERANCE, layout.boxes).found
+    assert not hasty.plan(*query, TOLERANCE, layout.boxes).solved
     assert len(PathCertificate(ur5.model).path(*query, layout.boxes))
 
 

@@ -23,7 +23,7 @@ def bridge(*people, blocks=GAP):
 def to_go(found, points, times):
     points, times = np.broadcast_arrays(np.array(points, float), np.asarray(times, float)[..., None])
     points, times = points.reshape(-1, 2), times[..., 0].ravel()
-    alone, extra = (np.broadcast_to(one, (len(points), *one.shape)) for one in (found.alone, found.extra))
+    alone, extra = (np.broadcast_to(one, (len(points), *one.shape)) for one in (found.unhindered, found.extra))
     return SPACE_TIME.interpolate(alone, extra, points, times)
 
 
@@ -34,7 +34,7 @@ def test_without_people_it_is_the_path_over_the_speed():
         space_time = SpaceTime(Lattice(one.length, one.half_width), speed=2.0, horizon=5.0)
         found = space_time.times(one, 11.0, 0.36)
         lengths = space_time.lattice.lengths(one, 11.0, 0.36)
-        np.testing.assert_allclose(found.alone, lengths / 2.0, atol=1e-9)
+        np.testing.assert_allclose(found.unhindered, lengths / 2.0, atol=1e-9)
         np.testing.assert_allclose(found.extra, 0.0, atol=1e-4)
 
 
@@ -56,7 +56,7 @@ def test_who_stands_before_a_gap_waits_while_somebody_comes_through_it():
     found = SPACE_TIME.times(bridge(walker), GOAL, CLEARANCE)
     times = np.linspace(0.0, 3.0, 13)
     ahead = to_go(found, [3.2, -0.6], times)  # beside the walker's lane
-    alone = SPACE_TIME.lattice.interpolate(found.alone[None], np.array([[3.2, -0.6]]))[0]
+    alone = SPACE_TIME.lattice.interpolate(found.unhindered[None], np.array([[3.2, -0.6]]))[0]
     assert ahead[0] > alone + 2.0
     np.testing.assert_allclose(np.diff(ahead), -0.25, atol=0.03)  # a second of waiting brings the goal a second nearer
     later = to_go(found, [3.2, -0.6], 11.0)
@@ -95,5 +95,5 @@ def test_times_are_finite_everywhere_and_zero_beyond_the_line():
 def test_a_bridge_that_nobody_can_cross_has_finite_times_too():
     closed = dataclasses.replace(bridge(), blocks=np.array([[4.0, 0.0, 0.0, 0.2, 1.0]]))
     found = SPACE_TIME.times(closed, GOAL, CLEARANCE)
-    assert np.isfinite(found.alone).all()
+    assert np.isfinite(found.unhindered).all()
     assert (np.abs(found.extra) < 1e-3).all()

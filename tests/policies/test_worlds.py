@@ -14,7 +14,7 @@ BRIDGE = "armctl/BridgeCross-v0"
 def test_a_policy_without_images_is_spared_lost_images():
     disturbed = {"disturbances": {"dropout": 0.5, "payload": 5.0}}
     with closing(WorldsByInterface(BRIDGE, 1, disturbed)) as worlds:
-        assert set(worlds.asked.disturbances) == {"dropout", "payload"}
+        assert set(worlds.requested.disturbances) == {"dropout", "payload"}
         assert set(worlds.of("bridge_state_ppo").disturbances) == {"payload"}
         assert set(worlds.of("bridge_ppo").disturbances) == {"dropout", "payload"}
 

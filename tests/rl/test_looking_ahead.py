@@ -4,7 +4,7 @@ import pytest
 from armctl.core.errors import ArmctlError, ConfigurationError
 from armctl.envs import make_worlds
 from armctl.policies import make_policy, sees
-from armctl.rl.bridge_scans import OWN, WALKER
+from armctl.rl.bridge_scans import ROVER, WALKER
 from armctl.rl.looking_ahead import ImaginedRovers, LookAheadOptions, LookingAheadPolicy
 from armctl.tasks.bridge.planar import Geometry
 
@@ -71,7 +71,7 @@ def test_imagined_rovers_drive_as_those_without_physics_until_their_episodes_end
         states, _, terminated, *_ = worlds.step(commands)
         still = rovers.going
         np.testing.assert_array_equal(np.isin(going, still), ~terminated[going])
-        np.testing.assert_allclose(rovers.states(still)[:, :OWN], states[still, :OWN], atol=1e-5)
+        np.testing.assert_allclose(rovers.states(still)[:, :ROVER], states[still, :ROVER], atol=1e-5)
     assert 0 < len(rovers.going) < 16
     assert (rovers.lasted[rovers.going] == 18).all()
     assert (rovers.lasted < 18).any()
@@ -82,13 +82,13 @@ def test_people_who_walk_across_are_where_they_are_imagined(width):
     worlds = make_worlds(ENV, 16, STATE | {"deck_width": width, "blocks": 0})
     states, _ = worlds.reset(seed=1)
     rovers, still = imagined(worlds, states, steps=40), np.zeros((16, 2))
-    across = states[:, OWN:].reshape(16, -1, WALKER)[..., 2] == 0  # they have no velocity along the bridge
+    across = states[:, ROVER:].reshape(16, -1, WALKER)[..., 2] == 0  # they have no velocity along the bridge
     assert across.any()
     for _ in range(40):
         rovers.drive(still)
         states, *_ = worlds.step(still.astype(np.float32))
         found, expected = (
-            seen[:, OWN:].reshape(16, -1, WALKER)[across, :2] for seen in (rovers.states(np.arange(16)), states)
+            seen[:, ROVER:].reshape(16, -1, WALKER)[across, :2] for seen in (rovers.states(np.arange(16)), states)
         )
         np.testing.assert_allclose(found, expected, atol=1e-4)
     worlds.close()

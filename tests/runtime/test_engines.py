@@ -20,7 +20,7 @@ from armctl.core.search_space import Range
 from armctl.datasets.collect import collect
 from armctl.episodes.record import TIME_COLUMNS
 from armctl.runtime.engines import Dask, Local, Ray, connect
-from armctl.simulation.threads import LIMIT
+from armctl.simulation.threads import THREADS_ENV_VAR
 from armctl.study import compare, sweep
 from armctl.training.learners import load_learner
 from armctl.training.run import Job, train_seeds
@@ -197,7 +197,7 @@ def test_a_cluster_records_what_one_process_records_also_if_a_node_is_killed(clu
 
 
 def test_a_cluster_trains_and_tunes_as_this_machine_does(dask_cluster, tmp_path, monkeypatch):
-    monkeypatch.setenv(LIMIT, "1")
+    monkeypatch.setenv(THREADS_ENV_VAR, "1")
     shutil.copy(Path(str(resources.files("armctl.rl.agents"))) / "reach_bc.onnx", tmp_path / "teacher.onnx")
     shutil.copy(Path(str(resources.files("armctl.rl.agents"))) / "reach_bc.json", tmp_path / "teacher.json")
     recipe = RECIPE.changed(teacher=str(tmp_path / "teacher.json"))

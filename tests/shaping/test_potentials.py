@@ -109,7 +109,7 @@ def test_the_path_of_ompl_ends_in_the_sphere():
     reach = MinimumTimeReach(worlds.task._workspace.model, THOROUGH)
     potential = make_potential("ompl", worlds)
     potential.begin(np.arange(5, dtype=np.int32))
-    found = np.flatnonzero(potential._known)
+    found = np.flatnonzero(potential._has_path)
     assert len(found) >= 4  # feasible is what another planner, with more time and less clearance, has certified
     for i in found:
         tip = reach.model.position(potential._points[i, -1])

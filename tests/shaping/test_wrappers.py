@@ -91,7 +91,7 @@ def test_wrong_wrappers_are_found_out(wrong, monkeypatch):
 def test_a_potential_that_is_stale_after_a_reset_is_found_out(monkeypatch):
     class Stale(armctl.shaping.wrappers._Difference):
         def began(self, ids):
-            if np.isnan(self._now[ids]).any():
+            if np.isnan(self._latest[ids]).any():
                 super().began(ids)
 
     def second_episode(shaped):

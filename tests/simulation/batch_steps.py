@@ -5,7 +5,7 @@ import numpy as np
 
 from armctl.kernels.control_step import ROUNDING
 from armctl.kernels.drives import drive_joints
-from armctl.simulation.control_step import NO_DRIVES, NO_MOVES, NO_SAMPLES, NO_TOUCHES, NO_WATCH
+from armctl.simulation.control_step import NO_CONTACTS, NO_DRIVES, NO_POSES, NO_SAMPLES, NO_TARGETS
 
 CURRENT = int(mujoco.mjtStage.mjSTAGE_VEL)
 
@@ -31,8 +31,8 @@ class BatchSteps:
         """The batch fills its own arrays."""
 
     def step(
-        self, ids, ticks, substeps, drives=NO_DRIVES, samples=NO_SAMPLES, watch=NO_WATCH, touches=NO_TOUCHES,
-        moves=NO_MOVES,
+        self, ids, ticks, substeps, drives=NO_DRIVES, samples=NO_SAMPLES, target_query=NO_TARGETS, contacts=NO_CONTACTS,
+        poses=NO_POSES,
     ):  # fmt: skip
         """As `Stepper.step`."""
         worlds, fields, refined = self._worlds, self._fields, np.zeros(len(self._worlds.refined), dtype=int)
@@ -40,32 +40,32 @@ class BatchSteps:
         standing[ids] = False
         for k in range(ticks):
             going = np.flatnonzero(~standing).astype(np.int32)
-            if len(moves.bodies):
-                moves.body_places[going[:, None], moves.bodies, :2] = moves.places[k, going]
+            if len(poses.bodies):
+                poses.body_positions[going[:, None], poses.bodies, :2] = poses.positions[k, going]
             for i in going:
                 drive_joints(
-                    drives.joints, drives.wanted[i] if len(drives.joints) else np.zeros(0), drives.to_positions,
+                    drives.joints, drives.setpoints[i] if len(drives.joints) else np.zeros(0), drives.to_positions,
                     fields["qpos"][i], fields["act"][i], fields["ctrl"][i], drives.following_error,
                     substeps * self.batch.model.opt.timestep,
                 )  # fmt: skip
             start = fields["time"].copy()
             self.tick(substeps, going)
             hit = np.flatnonzero((worlds.refined > 0) & ~worlds.unstable)
-            late = worlds.state[hit[:, None, None], touches.times] > start[hit, None, None] - ROUNDING
-            touching = worlds.state[hit[:, None, None], touches.samples] > 0
-            if touches.noted.size:
-                touches.noted[hit] |= (late & touching).any(axis=-1)
+            late = worlds.state[hit[:, None, None], contacts.times] > start[hit, None, None] - ROUNDING
+            touching = worlds.state[hit[:, None, None], contacts.samples] > 0
+            if contacts.touched.size:
+                contacts.touched[hit] |= (late & touching).any(axis=-1)
             refined += worlds.refined
             standing |= worlds.unstable
             if samples.speeds.size:
                 samples.speeds[k, ids] = fields["qvel"][ids][:, samples.dofs]
                 samples.torques[k, ids] = self._outputs["qfrc_actuator"][ids][:, samples.dofs]
-            if len(watch.targets):
-                target = np.float32(watch.targets[min(k, len(watch.targets) - 1)]).astype(float)
-                offset = target - np.float32(self._outputs["xpos"][:, watch.body])
+            if len(target_query.targets):
+                target = np.float32(target_query.targets[min(k, len(target_query.targets) - 1)]).astype(float)
+                offset = target - np.float32(self._outputs["xpos"][:, target_query.body])
                 distances = np.sqrt((offset * offset).sum(axis=-1))
-                watch.distances[k, ids] = distances[ids]
-                standing |= distances <= watch.tolerance
+                target_query.distances[k, ids] = distances[ids]
+                standing |= distances <= target_query.tolerance
         worlds.refined[:] = refined
 
     def tick(self, substeps, ids):

@@ -87,18 +87,18 @@ def test_each_part_reports_just_the_class_that_it_is_driven_into(bridge, part, l
     simulation.array("qpos")[driven, :7] = [*position, *quaternion]
     simulation.array("qvel")[driven, :3] = velocity
     simulation.refresh()
-    assert not sensors.now()[driven].any()
+    assert not sensors.current()[driven].any()
     for _ in range(5):
         simulation.step(1)
-        if sensors.now()[driven].any():
+        if sensors.current()[driven].any():
             break
     expected = np.zeros((len(PARTS), len(CONTACT_CLASSES)), dtype=bool)
     expected[PARTS.index(part), list(CONTACT_CLASSES).index(label)] = True
-    np.testing.assert_array_equal(sensors.now()[driven], expected)
+    np.testing.assert_array_equal(sensors.current()[driven], expected)
     standing = np.zeros_like(expected)
     standing[1:, list(CONTACT_CLASSES).index("floor")] = True
     for world in (0, 2):
-        np.testing.assert_array_equal(sensors.now()[world], standing)
+        np.testing.assert_array_equal(sensors.current()[world], standing)
 
 
 def test_a_touch_between_two_readings_is_remembered_and_then_forgotten(bridge):
@@ -116,7 +116,7 @@ def test_a_touch_between_two_readings_is_remembered_and_then_forgotten(bridge):
         simulation.array("qvel")[:] = 0.0
         simulation.step(4)
         touched.append(sensors.since_last_step()[0, 1:].any())
-        assert not sensors.now().any() or data[0, 2] < 0.1
+        assert not sensors.current().any() or data[0, 2] < 0.1
     assert all(touched[::10])
     assert not any(touched[1::10])
     assert not sensors.since_last_step()[0, 0, goal]

@@ -53,7 +53,7 @@ def test_a_copy_of_the_model_and_what_is_missing_show_the_world_as_it_is(env):
         worlds.reset(seed=[0], options={"episode": [episode]})
         for _ in range(3):
             worlds.step(np.zeros(worlds.action_space.shape))
-        state, geoms = scenery.now()
+        state, geoms = scenery.snapshot()
         viewed = mujoco.MjData(scenery.model)
         mujoco.mj_setState(scenery.model, viewed, state, STATE)
         mujoco.mj_forward(scenery.model, viewed)
@@ -71,7 +71,7 @@ def test_contacts_are_decorated_and_the_physics_is_left_alone():
     before = simulation.model.geom_group.copy()
     scenery = Scenery(simulation, worlds.task.camera)
     worlds.step([[1.0, 0.0]])
-    decorations = [geom for geom in scenery.now()[1] if geom.category == mujoco.mjtCatBit.mjCAT_DECOR]
+    decorations = [geom for geom in scenery.snapshot()[1] if geom.category == mujoco.mjtCatBit.mjCAT_DECOR]
     assert len(decorations) >= 4  # each wheel stands on the deck
     np.testing.assert_array_equal(simulation.model.geom_group, before)
     assert (scenery.model.geom_group != before).any()

@@ -4,25 +4,25 @@ import gymnasium
 import pytest
 
 from armctl.core.errors import ConfigurationError
-from armctl.simulation.threads import LIMIT, usable_threads
+from armctl.simulation.threads import THREADS_ENV_VAR, usable_threads
 
 CORES = len(os.sched_getaffinity(0))
 
 
 @pytest.mark.parametrize(("limit", "threads"), [("1", 1), (str(CORES + 7), CORES)])
 def test_a_limit_lowers_the_number_of_threads(monkeypatch, limit, threads):
-    monkeypatch.setenv(LIMIT, limit)
+    monkeypatch.setenv(THREADS_ENV_VAR, limit)
     assert usable_threads() == threads
     assert gymnasium.make_vec("armctl/ArmReach-v0", num_envs=2).unwrapped.task.simulation.threads == threads
 
 
 def test_without_a_limit_all_cores_are_used(monkeypatch):
-    monkeypatch.delenv(LIMIT, raising=False)
+    monkeypatch.delenv(THREADS_ENV_VAR, raising=False)
     assert usable_threads() == CORES
 
 
 @pytest.mark.parametrize("limit", ["0", "-1", "two", "", "1.5"])
 def test_what_is_no_number_of_threads_is_refused(monkeypatch, limit):
-    monkeypatch.setenv(LIMIT, limit)
-    with pytest.raises(ConfigurationError, match=LIMIT):
+    monkeypatch.setenv(THREADS_ENV_VAR, limit)
+    with pytest.raises(ConfigurationError, match=THREADS_ENV_VAR):
         usable_threads()

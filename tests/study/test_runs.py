@@ -15,7 +15,7 @@ from armctl.core.errors import ResultsError
 from armctl.core.files import digest, sealed, unsealed
 from armctl.episodes.record import ADDED, COLUMNS
 from armctl.episodes.store import RUNS, read_runs
-from armctl.runtime.provenance import BUSY, Run, RunMeter, earlier_looks, processor_model
+from armctl.runtime.provenance import MAX_BACKGROUND_LOAD, Run, RunMeter, earlier_looks, processor_model
 from armctl.study import compare
 from armctl.study.results import read_results
 
@@ -111,7 +111,7 @@ def told_before(comparison):
 def test_a_machine_is_busy_by_what_others_do(cores, loads, own, busy):
     run = Run("a", "", {}, "", cores, {}, 1, 1, *loads, own)
     assert run.busy == busy
-    assert BUSY * 2 == 0.5
+    assert MAX_BACKGROUND_LOAD * 2 == 0.5
 
 
 def test_deadlines_on_a_busy_machine_are_blank_with_the_reason(tmp_path, monkeypatch):

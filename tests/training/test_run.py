@@ -9,7 +9,7 @@ import pytest
 from armctl.agents import read_card
 from armctl.core.errors import ConfigurationError
 from armctl.runtime.engines import Cluster, Local
-from armctl.simulation.threads import LIMIT
+from armctl.simulation.threads import THREADS_ENV_VAR
 from armctl.training.learners import Recipe, load_learner
 from armctl.training.run import Job, recorded, train_seeds
 from armctl.training.trials import read_trials
@@ -61,7 +61,7 @@ def test_each_seed_has_its_agent_and_a_row(trained):
 
 
 def test_it_is_the_training_of_that_seed_alone(trained, tmp_path, monkeypatch):
-    monkeypatch.setenv(LIMIT, "1")
+    monkeypatch.setenv(THREADS_ENV_VAR, "1")
     alone = load_learner("bc")(RECIPE, out=tmp_path / "small-1", seed=1, progress=False)
     assert alone.sha256 == next(one.card.sha256 for one in trained[1] if one.seed == 1)
 

@@ -15,7 +15,7 @@ from optuna.trial import TrialState
 from armctl.agents.costs import TuningCost
 from armctl.core.errors import ConfigurationError, ResultsError
 from armctl.core.search_space import value_at
-from armctl.simulation.threads import LIMIT
+from armctl.simulation.threads import THREADS_ENV_VAR
 from armctl.study import compare
 from armctl.training.learners import load_recipe
 from armctl.training.trials import read_trials
@@ -264,9 +264,9 @@ def test_nothing_is_written_through_a_link(tmp_path):
 
 
 def test_this_process_may_use_its_threads_again(recipe, tmp_path, monkeypatch):
-    monkeypatch.delenv(LIMIT, raising=False)
+    monkeypatch.delenv(THREADS_ENV_VAR, raising=False)
     tune(candidate_of(recipe, training_seeds=1), tmp_path, trials=1)
-    assert LIMIT not in os.environ
+    assert THREADS_ENV_VAR not in os.environ
 
 
 def test_a_folder_that_cannot_be_made_is_told(tmp_path):

@@ -39,9 +39,9 @@ class Evaluation(BaseModel):
     """Exact 95 % interval of Clopper and Pearson."""
     mean_return: float
     mean_steps_to_goal: float | None
-    """Over successful episodes."""
+    """Mean over successful episodes."""
     mean_steps: float | None = None
-    """Over all episodes. It and the next three are unknown (None) on cards of older versions."""
+    """Mean over all episodes. It and the next three are unknown (None) on cards of older versions."""
     std_return: float | None = None
     """Sample standard deviation of the return over episodes."""
     std_steps: float | None = None
@@ -56,12 +56,12 @@ class Ancestor(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     name: str
-    """Of the policy, when it taught."""
+    """Name of the policy, when it taught."""
     sha256: str | None = None
     """Checksum of the network's graph; None: it is no network, or its file is unknown."""
     recipe: str | None = None
     cost: TrainingCost
-    """What its own training took, without its teachers; `UNTRAINED` for an expert, whose decisions as a teacher are
+    """Cost of its own training, without its teachers; `UNTRAINED` for an expert, whose decisions as a teacher are
     among the costs of the training that it taught. `tuning` is of its own recipe or options."""
 
     @property
@@ -71,12 +71,12 @@ class Ancestor(BaseModel):
 
 
 def distinct(lineage: Sequence[Ancestor]) -> list[Ancestor]:
-    """Each network and expert of a lineage once, in their order."""
+    """Return each network and expert of a lineage once, in their order."""
     return list({ancestor.key: ancestor for ancestor in lineage}.values())
 
 
 class Conversion(BaseModel):
-    """How another library's model became this agent, and how alike both act."""
+    """Provenance of another library's model that became this agent, and how alike both act."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -90,11 +90,11 @@ class Conversion(BaseModel):
     observations: int
     """Number of observations on which both were compared."""
     largest_difference: float
-    """Between their actions: as a share of the action's range, or, if actions are discrete, the share that differs."""
+    """Difference between their actions: as a share of the action's range, or of all actions if they are discrete."""
 
 
 class AgentCard(BaseModel):
-    """How an agent was trained, and what it can be used for."""
+    """Card of an agent: how it was trained, and what it can be used for."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -119,16 +119,16 @@ class AgentCard(BaseModel):
     lineage: list[Ancestor] | None = None
     """All networks and experts that it learned from, directly or through its teachers, each once; None: unknown."""
     tuning: TuningCost | None = None
-    """What was tried to find its recipe; None: nothing is recorded."""
+    """Trials made to find its recipe; None: nothing is recorded."""
     interface: dict[str, str]
     """Properties that the task must share with the training, such as robot and control."""
     observation_shape: list[int] | dict[str, list[int]]
-    """Of the observation, or of each of its arrays."""
+    """Shape of the observation, or of each of its arrays."""
     action_shape: list[int]
     memory: dict[str, list[int]] = {}
-    """What the agent remembers from step to step: arrays of zeros at first, of these shapes for each world."""
+    """Memory from step to step: arrays of zeros at first, of these shapes for each world."""
     training_steps: int
-    """As the learner counts them: see `TrainingCost`, which has the next four too."""
+    """Training steps as the learner counts them: see `TrainingCost`, which has the next four too."""
     decisions: Count | None = None
     teacher_queries: Count | None = None
     gradient_steps: Count | None = None
@@ -145,9 +145,9 @@ class AgentCard(BaseModel):
     conversion: Conversion | None = None
     """None: armctl trained it."""
     evaluation: Evaluation | None = None
-    """On the sealed test's episodes if a release has played them, or else on development episodes, as `seed` says."""
+    """Figures of the sealed test if a release has played it, or else of development episodes, as `seed` says."""
     development: Evaluation | None = None
-    """On development episodes, from before a release played the test's."""
+    """Figures of development episodes, from before a release played the test's."""
 
     @property
     def judgement(self) -> Evaluation | None:
@@ -156,26 +156,26 @@ class AgentCard(BaseModel):
 
     @property
     def sees(self) -> str:
-        """What the agent sees, for tables: the observation, unless it was trained with more, or the robot's model."""
-        seen = self.interface.get("observation", "")
-        if self.env_options.get("observation") in ("full", "state") and seen.startswith("state"):
+        """Privilege for tables: the observation, unless it was trained with more, or the robot's model."""
+        observation = self.interface.get("observation", "")
+        if self.env_options.get("observation") in ("full", "state") and observation.startswith("state"):
             return "state"
         if self.learner_options.get("features") == "model":
             return "model"
-        return "observation + velocities" if "joint_velocities" in seen else "observation"
+        return "observation + velocities" if "joint_velocities" in observation else "observation"
 
     @property
     def cost(self) -> TrainingCost:
-        """What the training took, those of its teachers, and the tuning of all their recipes."""
+        """Cost of the training, those of its teachers, and the tuning of all their recipes."""
         counts = (self.decisions, self.teacher_queries, self.gradient_steps, self.processor_seconds)
-        own = TrainingCost(self.training_steps, self.training_minutes, *counts)
+        cost = TrainingCost(self.training_steps, self.training_minutes, *counts)
         if self.lineage is None:
-            return replace(own, teachers=None if self.teacher is None else TrainingCost(), tuning=self.tuning)
+            return replace(cost, teachers=None if self.teacher is None else TrainingCost(), tuning=self.tuning)
         trained = [ancestor.cost for ancestor in distinct(self.lineage) if not ancestor.cost.is_untrained]
         tunings = {self.recipe or self.name: self.tuning}
         tunings |= {ancestor.recipe or ancestor.name: ancestor.cost.tuning for ancestor in self.lineage}
         return replace(
-            own, teachers=total_cost(trained) if trained else None, tuning=total_tuning(list(tunings.values()))
+            cost, teachers=total_cost(trained) if trained else None, tuning=total_tuning(list(tunings.values()))
         )
 
 
@@ -194,10 +194,10 @@ class OnnxPolicy:
         self._graph = AgentGraph(graph)
         observed = list(card.observation_shape) if isinstance(card.observation_shape, dict) else [INPUT]
         expected, outputs = [*observed, *card.memory], [OUTPUT, *(NEXT + name for name in card.memory)]
-        found = list(self._graph.dtypes)
-        if (sorted(found), self._graph.outputs) != (sorted(expected), outputs):
+        inputs_ = list(self._graph.dtypes)
+        if (sorted(inputs_), self._graph.outputs) != (sorted(expected), outputs):
             raise AgentFileError(
-                f"{graph} maps {found} to {self._graph.outputs}; by its card, it maps {expected} to {outputs}"
+                f"{graph} maps {inputs_} to {self._graph.outputs}; by its card, it maps {expected} to {outputs}"
             )
         self._memory: dict[str, NDArray[np.float32]] = {}
 
@@ -212,20 +212,20 @@ class OnnxPolicy:
             remembered[ids] = 0.0
 
     def act(self, observations: Observations) -> NDArray[Any]:
-        """Actions (n, ...) for observations (n, ...). A world's action does not depend on the number of worlds."""
+        """Return actions (n, ...) for observations (n, ...). A world's action does not depend on other worlds."""
         arrays = observations if isinstance(observations, dict) else {INPUT: observations}
         # an environment may observe in another precision than its space says
         arrays = {name: np.asarray(values, dtype=self._graph.dtypes[name]) for name, values in arrays.items()}
-        worlds = len(next(iter(arrays.values())))
-        actions, *memory = self._graph.run(arrays | self._remembered(worlds))
+        num_envs = len(next(iter(arrays.values())))
+        actions, *memory = self._graph.run(arrays | self._memory_of(num_envs))
         self._memory = dict(zip(self.card.memory, memory, strict=True))
         return actions
 
-    def _remembered(self, worlds: int) -> dict[str, NDArray[np.float32]]:
-        """The memory (n, ...) of each world; zeros on the first step, or if the number of worlds has changed."""
-        if any(len(remembered) == worlds for remembered in self._memory.values()):
+    def _memory_of(self, num_envs: int) -> dict[str, NDArray[np.float32]]:
+        """Return the memory (n, ...) of each world; zeros on the first step, or if the number of worlds has changed."""
+        if any(len(remembered) == num_envs for remembered in self._memory.values()):
             return self._memory
-        return {name: np.zeros((worlds, *shape), dtype=np.float32) for name, shape in self.card.memory.items()}
+        return {name: np.zeros((num_envs, *shape), dtype=np.float32) for name, shape in self.card.memory.items()}
 
 
 def load_agent(path: Path, worlds: EpisodeVectorEnv | Interface) -> OnnxPolicy:
@@ -239,7 +239,7 @@ def load_agent(path: Path, worlds: EpisodeVectorEnv | Interface) -> OnnxPolicy:
 
 
 def read_agent(path: Path) -> AgentCard:
-    """The card of an agent whose graph is there and is the one that the card describes. Raises `AgentFileError`."""
+    """Return the card of an agent whose graph is there and fits the card. Raises `AgentFileError`."""
     from armctl.agents.graph import LARGEST_FILE  # onnx takes longer to import than the rest, and few need it
 
     graph = path.with_suffix(".onnx")
@@ -268,7 +268,7 @@ def read_card(path: Path) -> AgentCard:
 
 
 def sha256(path: Path, largest: float = math.inf) -> str:
-    """SHA-256 checksum of a graph or model of at most `largest` bytes. Raises `AgentFileError`."""
+    """Return the SHA-256 checksum of a graph or model of at most `largest` bytes. Raises `AgentFileError`."""
     try:
         return file_checksum(path, largest)
     except OSError as error:
@@ -279,11 +279,11 @@ def sha256(path: Path, largest: float = math.inf) -> str:
 
 def _check_made_for(card: AgentCard, worlds: EpisodeVectorEnv | Interface) -> None:
     trained = (card.observation_shape, card.action_shape)
-    here = (shapes(worlds.single_observation_space), shapes(worlds.single_action_space))
-    if trained != here:
+    spaces = (shapes(worlds.single_observation_space), shapes(worlds.single_action_space))
+    if trained != spaces:
         raise AgentFileError(
             f"agent {card.name}, trained in {card.env}, maps observations {trained[0]} to actions {trained[1]}; "
-            f"here they are {here[0]} and {here[1]}"
+            f"here they are {spaces[0]} and {spaces[1]}"
         )
     if (card.env_options.get("actions") == "normalized") != worlds.normalized:
         raise AgentFileError(f"agent {card.name} was trained with other units: give actions as in its training")
@@ -296,12 +296,12 @@ def _check_made_for(card: AgentCard, worlds: EpisodeVectorEnv | Interface) -> No
 
 
 def inputs(space: gymnasium.Space[Any]) -> dict[str, gymnasium.Space[Any]]:
-    """The inputs of an agent's graph for an observation space, by name."""
+    """Return the inputs of an agent's graph for an observation space, by name."""
     return dict(space.spaces) if isinstance(space, gymnasium.spaces.Dict) else {INPUT: space}
 
 
 def shapes(space: gymnasium.Space[Any]) -> Any:
-    """Shape of a space in the format of a card: a list, or one for each of its arrays."""
+    """Return the shape of a space in the format of a card: a list, or one for each of its arrays."""
     if isinstance(space, gymnasium.spaces.Dict):
         return {name: shapes(part) for name, part in space.spaces.items()}
     return list(space.shape or ())

@@ -1,4 +1,4 @@
-"""What trainings cost, with those of an agent's teachers, and what was tried to find recipes and options."""
+"""Costs of trainings, with those of an agent's teachers, and of the search for recipes and options."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -12,12 +12,12 @@ Seconds = Annotated[float, Field(ge=0, le=1e12)]
 
 @dataclass(frozen=True)
 class TuningCost:
-    """What was tried to find a recipe, or an expert's options, besides the trainings that are shown. None: unknown."""
+    """Trials made to find a recipe, or an expert's options, besides the trainings that are shown. None: unknown."""
 
     trials: Count | None = None
     """Trials of a search, and trainings that failed, were stopped or replaced, as far as they were recorded."""
     minutes: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
-    """Of those whose time was recorded: of a processor in a search, wall time on one core in other trainings."""
+    """Minutes of those with a recorded time: of a processor in a search, wall time on one core in other trainings."""
 
     __pydantic_config__: ClassVar = ConfigDict(strict=False, extra="forbid")
     """Files have it as a table, in models that are strict otherwise."""
@@ -25,48 +25,48 @@ class TuningCost:
     def __str__(self) -> str:
         if self.trials is None:
             return "an unknown number of trials"
-        said = f"{self.trials:,} recorded trial{'' if self.trials == 1 else 's'}"
-        return f"{said} ({self.minutes:,.0f} minutes)" if self.minutes else said
+        text = f"{self.trials:,} recorded trial{'' if self.trials == 1 else 's'}"
+        return f"{text} ({self.minutes:,.0f} minutes)" if self.minutes else text
 
 
 @dataclass(frozen=True)
 class TrainingCost:
-    """What a training took, without its evaluations on held-out episodes but for their time. None: unknown."""
+    """Cost of a training; of its evaluations on held-out episodes only the time counts. None: unknown."""
 
     steps: Count = 0
-    """As the learner counts them: decisions, or gradient steps of a clone. 0 for a policy that was not trained."""
+    """Steps as the learner counts them: decisions, or gradient steps of a clone. 0 for an untrained policy."""
     minutes: Annotated[float, Field(ge=0)] | None = None
     """Wall time, of a machine that may have been busy."""
     decisions: Count | None = None
     """Control steps decided in simulation for it: by the agent, by a teacher, or in demonstrations."""
     teacher_queries: Count | None = None
-    """How many actions a teacher was asked for, or demonstrations show."""
+    """Number of actions that a teacher was asked for, or that demonstrations show."""
     gradient_steps: Count | None = None
     """Updates of the network, each on a batch."""
     processor_seconds: Seconds | None = None
-    """Of all cores and processes."""
+    """Seconds of all cores and processes."""
     teachers: "TrainingCost | None" = None
-    """What all networks took that it learned from, directly or through its teachers, each once; None: there are none.
+    """Cost of all networks that it learned from, directly or through its teachers, each once; None: there are none.
     All other fields are the training's own."""
     tuning: TuningCost | None = None
-    """What was tried to find its recipe and those of its teachers; None: nothing is recorded."""
+    """Trials made to find its recipe and those of its teachers; None: nothing is recorded."""
 
     @property
     def total(self) -> "TrainingCost":
-        """What the training and those of its teachers took together; what is unknown of one is unknown."""
+        """Cost of the training and those of its teachers together; what is unknown of one is unknown."""
         return self if self.teachers is None else replace(total_cost([self, self.teachers]), tuning=self.tuning)
 
     @property
     def is_untrained(self) -> bool:
-        """Whether it is known that there was no training."""
+        """True if it is known that there was no training."""
         return replace(self, tuning=None) == UNTRAINED
 
     @property
     def brief(self) -> str:
-        """What the training took most, to go behind something else; empty for a policy that was not trained."""
+        """Largest cost of the training, to go behind something else; empty for a policy that was not trained."""
         total = self.total
         counts = {"decisions": total.decisions, "gradient steps": total.gradient_steps, "steps": total.steps}
-        return next((f" after {rounded(count)} {what} of training" for what, count in counts.items() if count), "")
+        return next((f" after {rounded(count)} {unit} of training" for unit, count in counts.items() if count), "")
 
     def __str__(self) -> str:
         total = self.total
@@ -77,24 +77,24 @@ class TrainingCost:
             counts["steps"] = self.steps
         if self.teacher_queries and self.teacher_queries != self.decisions:
             counts["teacher queries"] = self.teacher_queries
-        words = {what: f"{rounded(count)} {what}" for what, count in counts.items() if count is not None}
+        words = {unit: f"{rounded(count)} {unit}" for unit, count in counts.items() if count is not None}
         if self.teachers is not None and self.decisions is not None and self.teachers.decisions is not None:
-            own, theirs = rounded(self.decisions), rounded(self.teachers.decisions)
-            words["decisions"] += f" ({own} its own, {theirs} its teachers')"
-        said = " and ".join(words.values())
+            decisions, theirs = rounded(self.decisions), rounded(self.teachers.decisions)
+            words["decisions"] += f" ({decisions} its own, {theirs} its teachers')"
+        text = " and ".join(words.values())
         if total.processor_seconds is not None:
-            return f"{said} ({total.processor_seconds / 60:.1f} minutes of processor)"
-        return f"{said} ({total.minutes:.1f} minutes)" if total.minutes else said
+            return f"{text} ({total.processor_seconds / 60:.1f} minutes of processor)"
+        return f"{text} ({total.minutes:.1f} minutes)" if total.minutes else text
 
 
 UNTRAINED = TrainingCost(0, 0.0, 0, 0, 0, 0.0)
-"""Of a policy that was not trained."""
+"""Cost of a policy that was not trained."""
 COUNTED = tuple(field.name for field in fields(TrainingCost) if field.name not in ("teachers", "tuning"))
 """The fields of a `TrainingCost` that are numbers."""
 
 
 def total_cost(costs: Sequence[TrainingCost]) -> TrainingCost:
-    """What several trainings took by themselves, together; unknown is what is unknown of any."""
+    """Add up the own costs of several trainings; unknown is what is unknown of any."""
     sums: dict[str, Any] = {}
     for name in COUNTED:
         values = [getattr(cost, name) for cost in costs]
@@ -103,7 +103,7 @@ def total_cost(costs: Sequence[TrainingCost]) -> TrainingCost:
 
 
 def mean_cost(costs: Sequence[TrainingCost]) -> TrainingCost:
-    """What one of several trainings took in the mean; unknown is what is unknown of any.
+    """Return the mean cost of several trainings; unknown is what is unknown of any.
 
     A teacher that they share counts once in the mean, as it does in each of them. Their recipe was tuned once.
     """
@@ -123,14 +123,14 @@ def mean_cost(costs: Sequence[TrainingCost]) -> TrainingCost:
 
 
 def total_tuning(tunings: Sequence[TuningCost | None]) -> TuningCost | None:
-    """What is recorded of several tunings, together; None: nothing is."""
+    """Add up what is recorded of several tunings; None: nothing is."""
     trials = [tuning.trials for tuning in tunings if tuning is not None and tuning.trials is not None]
     minutes = [tuning.minutes for tuning in tunings if tuning is not None and tuning.minutes is not None]
     return TuningCost(sum(trials), round(sum(minutes), 1) if minutes else None) if trials else None
 
 
 def rounded(count: int) -> str:
-    """A count in words, to three digits."""
+    """Return a count in words, to three digits."""
     if count >= 999_500:
         return f"{count / 1e6:.3g} million" if count < 999_500_000 else f"{count / 1e6:,.0f} million"
     return f"{float(f'{count:.3g}'):,.0f}"

@@ -28,7 +28,7 @@ LARGEST_FILE = 2**28
 """Bytes."""
 MOST_NODES = 10_000
 MOST_NUMBERS = 50_000_000
-"""In all arrays that a graph computes for two worlds."""
+"""Limit on the numbers in all arrays that a graph computes for two worlds."""
 MOST_SLICES = 100
 MOST_WORK = 2_000_000_000
 """Multiplications in products, convolutions and recurrent layers for two worlds."""
@@ -65,7 +65,7 @@ class AgentGraph:
         _check_sizes(model, path)
         self.numbers = {tensor.name: onnx.numpy_helper.to_array(tensor) for tensor in model.graph.initializer}
         """Its constants, by name."""
-        self._alone = any(node.op_type in MIXING for node in model.graph.node)
+        self._mixes_rows = any(node.op_type in MIXING for node in model.graph.node)
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = 1
         options.log_severity_level = 4
@@ -84,9 +84,9 @@ class AgentGraph:
         self._try()
 
     def run(self, arrays: dict[str, NDArray[Any]], **options: Any) -> list[NDArray[Any]]:
-        """The outputs (n, ...) for the inputs (n, ...). A world's outputs do not depend on the number of worlds."""
+        """Return the outputs (n, ...) for the inputs (n, ...). A world's outputs do not depend on other worlds."""
         worlds = len(next(iter(arrays.values())))
-        if self._alone and worlds > 1:
+        if self._mixes_rows and worlds > 1:
             rows = [self.run({name: values[i : i + 1] for name, values in arrays.items()}) for i in range(worlds)]
             return [np.concatenate(outputs) for outputs in zip(*rows, strict=True)]
         if missing := -worlds % TOGETHER:
@@ -96,7 +96,7 @@ class AgentGraph:
         return [np.asarray(values)[:worlds] for values in self._session.run(self.outputs, arrays, **options)]
 
     def _try(self) -> None:
-        """One control step of two worlds, with an end."""
+        """Make one control step of two worlds, with an end."""
         zeros = {
             value.name: np.zeros([2, *value.shape[1:]], dtype=self.dtypes[value.name])
             for value in self._session.get_inputs()
@@ -123,7 +123,7 @@ def _read(path: Path) -> ModelProto:
 
 
 def _check_operators(model: ModelProto, path: Path) -> None:
-    """Standard operators only, without subgraphs, functions and files beside."""
+    """Check that all operators are standard ones, without subgraphs, functions and files beside."""
     graph = model.graph
     if model.functions or graph.sparse_initializer or len(graph.node) > MOST_NODES:
         raise _refused(path, f"an agent has no functions, no sparse arrays and up to {MOST_NODES} nodes")
@@ -146,7 +146,7 @@ def _tensors(model: ModelProto) -> Iterator[TensorProto]:
 
 
 def _check_sizes(model: ModelProto, path: Path) -> None:
-    """All arrays have sizes that are known beforehand, and are not too large together."""
+    """Check that all arrays have sizes that are known beforehand, and are not too large together."""
     two_worlds = ModelProto()
     two_worlds.CopyFrom(model)
     initialised = {tensor.name for tensor in model.graph.initializer}
@@ -159,18 +159,19 @@ def _check_sizes(model: ModelProto, path: Path) -> None:
     _check_slices(two_worlds, path)
     graph = _inferred(two_worlds, path).graph
     values = (*graph.input, *graph.value_info, *graph.output)
-    shapes = {value.name: _shape(value) for value in values} | {one.name: list(one.dims) for one in graph.initializer}
+    shapes = {value.name: _shape(value) for value in values}
+    shapes |= {tensor.name: list(tensor.dims) for tensor in graph.initializer}
     unknown = [value.name for value in graph.input if shapes[value.name] is None]
     numbers = work = 0
     for node in graph.node:
-        given = [shapes.get(name) for name in node.input]
+        inputs = [shapes.get(name) for name in node.input]
         for name in filter(None, node.output):
-            if shapes.get(name) is None and node.op_type in SAME_SIZE and given[0] is not None:
-                shapes[name] = [math.prod(given[0])]
+            if shapes.get(name) is None and node.op_type in SAME_SIZE and inputs[0] is not None:
+                shapes[name] = [math.prod(inputs[0])]
             shape = shapes.get(name)
             unknown += [name] if shape is None else []
             numbers += math.prod(shape or [0])
-            work += _work(node, given, shape or [0])
+            work += _work(node, inputs, shape or [0])
     if unknown:
         raise _refused(path, f"the size of {unknown[0]!r} is not known beforehand")
     if numbers > MOST_NUMBERS or work > MOST_WORK:
@@ -181,24 +182,24 @@ def _check_sizes(model: ModelProto, path: Path) -> None:
         )
 
 
-def _work(node: NodeProto, given: list[list[int] | None], result: list[int]) -> int:
-    """At most so many multiplications for one of a node's results; 0 for operators that need about one a number."""
-    sizes = [math.prod(shape or [0]) for shape in given]
+def _work(node: NodeProto, inputs: list[list[int] | None], result: list[int]) -> int:
+    """Return an upper bound on multiplications for a node's result; 0 for operators that need about one a number."""
+    sizes = [math.prod(shape or [0]) for shape in inputs]
     match node.op_type:
         case "MatMul" | "Gemm":
-            return math.prod(result) * max(given[0] or [0])
+            return math.prod(result) * max(inputs[0] or [0])
         case "Conv":
-            return math.prod(result) * math.prod((given[1] or [0])[1:])
+            return math.prod(result) * math.prod((inputs[1] or [0])[1:])
         case "MaxPool" | "AveragePool":
             kernels = [attribute.ints for attribute in node.attribute if attribute.name == "kernel_shape"]
             return math.prod(result) * math.prod(int(size) for kernel in kernels for size in kernel)
         case "LSTM" | "GRU" | "RNN":
-            return (sizes[1] + sizes[2]) * math.prod((given[0] or [0])[:2])
+            return (sizes[1] + sizes[2]) * math.prod((inputs[0] or [0])[:2])
     return 0
 
 
 def _check_slices(model: ModelProto, path: Path) -> None:
-    """What is sliced has no empty or negative dimension: inferring the shape of such a slice ends the process."""
+    """Check that no sliced dimension is empty or negative: inferring the shape of such a slice ends the process."""
     nodes = model.graph.node
     slices = [i for i, node in enumerate(nodes) if node.op_type == "Slice"]
     if len(slices) > MOST_SLICES:
@@ -206,10 +207,10 @@ def _check_slices(model: ModelProto, path: Path) -> None:
     if any(size < 0 for tensor in _tensors(model) for size in tensor.dims):
         raise _refused(path, "one of its arrays has a negative size")
     for i in slices:
-        before = ModelProto()
-        before.CopyFrom(model)
-        del before.graph.node[i:], before.graph.output[:]
-        graph = _inferred(before, path).graph
+        earlier_part = ModelProto()
+        earlier_part.CopyFrom(model)
+        del earlier_part.graph.node[i:], earlier_part.graph.output[:]
+        graph = _inferred(earlier_part, path).graph
         dims = {tensor.name: list(tensor.dims) for tensor in graph.initializer}
         for value in (*graph.input, *graph.value_info):
             dims[value.name] = [dim.dim_value for dim in value.type.tensor_type.shape.dim]

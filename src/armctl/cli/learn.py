@@ -116,12 +116,12 @@ def train(
     from armctl.core.options import option_arguments
     from armctl.envs import task_of
     from armctl.integrations.tracking import tracked
-    from armctl.simulation.threads import LIMIT
+    from armctl.simulation.threads import THREADS_ENV_VAR
     from armctl.training.learners import load_learner, load_recipe
     from armctl.training.run import SETTINGS, Job, recorded
 
     if threads:
-        os.environ[LIMIT] = str(threads)
+        os.environ[THREADS_ENV_VAR] = str(threads)
     chosen = load_recipe(recipe, env, teacher)
     given = {"shaping": shaping, "shaping_scale": shaping_scale}
     changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}

@@ -13,7 +13,7 @@ SPACING = 0.025
 
 
 class ArcPath:
-    """One path (m, 2), m, of at least two points, extended straight beyond its ends."""
+    """Arc-length parametrisation of a path (m, 2), m, of at least two points, extended straight beyond its ends."""
 
     def __init__(self, path: ArrayLike) -> None:
         points = np.asarray(path, dtype=float)
@@ -31,14 +31,14 @@ class ArcPath:
         """Length of the path, m."""
 
     def points_at(self, arc_lengths: ArrayLike) -> Array:
-        """Points (..., 2) of the path at arc lengths (...), m."""
+        """Return points (..., 2) of the path at arc lengths (...), m."""
         arcs = np.asarray(arc_lengths, dtype=float)
         points = np.empty((*arcs.shape, 2))
         kernel.points_at(self.segments, arcs.ravel(), points.reshape(-1, 2))
         return points
 
     def nearest(self, points: ArrayLike, low: float, high: float) -> Array:
-        """Arc lengths (...) m, between `low` and `high`, of the path's points nearest to `points` (..., 2)."""
+        """Return arc lengths (...) m, between `low` and `high`, of the path's points nearest to `points` (..., 2)."""
         points = np.ascontiguousarray(points, dtype=float)
         arcs = np.empty(points.shape[:-1])
         kernel.nearest(self.segments, points.reshape(-1, 2), low, high, SPACING, arcs.reshape(-1))

@@ -1,10 +1,10 @@
 """Nonlinear model predictive control of a robot that drives along a path, around obstacles and pedestrians.
 
 Each control step solves the problem of `drive_nlp` near the last plan. The solver finds a local optimum near its guess,
-which decides on which side to pass somebody, and who goes first. So it looks for another plan too, near the cheapest of
-a few drives along or beside the path at constant speed, unless that leads to the same plan. While the cheapest drive
-stays the same, that search goes on from one control step to the next. The first velocity of the cheaper plan is the
-command.
+which decides on which side to pass a pedestrian, and who goes first. So it looks for another plan too, near the
+cheapest of a few drives along or beside the path at constant speed, unless that leads to the same plan. While the
+cheapest drive stays the same, that search goes on from one control step to the next. The first velocity of the cheaper
+plan is the command.
 """
 
 import time
@@ -66,10 +66,10 @@ class DriveMpcResult:
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """A search for another plan: the drive where it began, and the knots that it has come to."""
+    """A search for another plan: the drive where it began, and its current knots."""
 
     drive: Array
-    found: Array
+    knots: Array
 
 
 class DriveMpc:
@@ -93,7 +93,7 @@ class DriveMpc:
         self._numbers = np.array(tuple(getattr(self.options, name) for name in kernel.NAMES), kernel.OPTIONS)[()]
 
     def decide(self, pose: ArrayLike, velocity: ArrayLike, people: ArrayLike | None = None) -> DriveMpcResult:
-        """Commands for a pose x, y (m), yaw (rad) and a velocity, linear (m/s) and angular (rad/s).
+        """Return commands for a pose x, y (m), yaw (rad) and a velocity, linear (m/s) and angular (rad/s).
 
         `people` (steps + 1, w, 2), m, are the positions of w pedestrians now and after each period. Raises
         `ConfigurationError` for arrays of another shape, and for numbers that are not finite or exceed `MAX_INPUT`.
@@ -130,7 +130,7 @@ class DriveMpc:
         )  # fmt: skip
 
     def _plans(self, start: Array, people: Array) -> list[Solution]:
-        """The plan near the last one, and another if there may be a better."""
+        """Return the plan near the last one, and another if there may be a better."""
         drive, plans = self._best_drive(start, people), []
         if self._planned is not None:
             plans = [self._solve(start, people, self._shifted(start, self._planned), near=True)]
@@ -140,12 +140,12 @@ class DriveMpc:
         return [*plans, self._solve(start, people, drive)]
 
     def _other_plans(self, start: Array, people: Array, drive: Array, plan: Solution) -> list[Solution]:
-        """One near a drive; none if that leads to the same plan."""
+        """Return a plan near a drive; none if that leads to the same plan."""
         guess, search, goes_on, self._search = drive, self._search, False, None
         if _alike(drive, plan.knots):
             return []
         if search and _alike(drive, self._shifted(start, search.drive)):
-            guess, goes_on = self._shifted(start, search.found), True
+            guess, goes_on = self._shifted(start, search.knots), True
             if _alike(guess, plan.knots):
                 self._search = _Search(drive, plan.knots)
                 return []
@@ -155,13 +155,13 @@ class DriveMpc:
         return [other]
 
     def _shifted(self, start: Array, knots: Array) -> Array:
-        """Knots one period later."""
+        """Return the knots one period later."""
         shifted = np.empty_like(knots)
         kernel.shift(start, knots, self.options.period, shifted)
         return shifted
 
     def _solve(self, start: Array, people: Array, knots: Array, near: bool = False, brief: bool = False) -> Solution:
-        """The plan near a guess: each of its positions is kept away from what is nearest to it."""
+        """Return the plan near a guess: each of its positions is kept away from the nearest obstacles."""
         solver, points, options = self._solvers[near, brief], knots[:, :2].copy(), self.options
         reach = options.steps * options.period * options.max_speed
         arcs = self.path.nearest(points, self.progress - SEARCH, self.progress + SEARCH + reach)
@@ -176,7 +176,7 @@ class DriveMpc:
         return replace(plan, cost=plan.cost - float(arcs.sum()))
 
     def _best_drive(self, start: Array, people: Array) -> Array:
-        """The knots of the cheapest drive along or beside the path at one speed."""
+        """Return the knots of the cheapest drive along or beside the path at one speed."""
         numbers, steps, speeds = self._numbers, self.options.steps, SHARES * self.options.max_speed
         points = np.empty((len(speeds), len(OFFSETS), steps + 2, 2))
         costs, knots = np.empty(points.shape[:2]), np.empty((steps + 1, STATES + CONTROLS))
@@ -199,7 +199,7 @@ class DriveMpc:
         return np.asarray(np.sign(start[3:]) * np.maximum(0.0, np.abs(start[3:]) - lost))
 
     def _poses(self, start: Array, velocities: Array) -> Array:
-        """Poses (steps + 1, 3) for velocities (steps, 2), each reached at the end of its period."""
+        """Return poses (steps + 1, 3) for velocities (steps, 2), each reached at the end of its period."""
         velocities = np.vstack((start[3:], velocities))
         distance, turn = (self.options.period * (velocities[1:] + velocities[:-1]) / 2).T
         yaw = start[2] + np.concatenate(([0.0], np.cumsum(turn)))

@@ -36,7 +36,7 @@ STATES, CONTROLS = 5, 3
 PLANES, PEOPLE = 4, 3
 """Numbers of static obstacles and of pedestrians that constrain each step: the nearest ones."""
 SCALE = 10.0
-"""Of the cost, for the solver."""
+"""Scale of the cost, for the solver."""
 
 
 @options
@@ -64,7 +64,7 @@ class DriveMpcOptions:
     period: Positive = 0.1
     """s: control period, and time between two predicted poses."""
     steps: Annotated[int, Field(ge=2, le=200)] = 25
-    """Predicted periods: enough to stop, or to pass somebody who walks across the path."""
+    """Predicted periods: enough to stop, or to pass a pedestrian who walks across the path."""
     off_path: NonNegative = 1.0
     """Weight of the squared distance from the path, 1/m^2; a metre of progress earns 1 in each step."""
     misaligned: NonNegative = 0.5
@@ -112,13 +112,13 @@ class DriveNlp:
         variables: list[Any] = []
         low: list[float] = []
         high: list[float] = []
-        constraints, least, greatest, structure = [], [], [], []
+        constraints, lower_bounds, upper_bounds, structure = [], [], [], []
 
         def constrain(expression: Any, lower: float, upper: float) -> None:
             constraints.append(expression)
             count = expression.numel()
-            least.extend([lower] * count)
-            greatest.extend([upper] * count)
+            lower_bounds.extend([lower] * count)
+            upper_bounds.extend([upper] * count)
             structure.extend([lower == upper] * count)
 
         for k, state in enumerate(states):
@@ -151,14 +151,14 @@ class DriveNlp:
 
         self.problem = {
             "x": casadi.vertcat(*variables),
-            "p": casadi.vertcat(start, *(casadi.vec(one) for one in (reference, planes, people))),
+            "p": casadi.vertcat(start, *(casadi.vec(values) for values in (reference, planes, people))),
             "f": cost,
             "g": casadi.vertcat(*constraints),
         }
         """For `casadi.nlpsol`."""
         self.bounds = {
             name: np.array(bound, dtype=float)
-            for name, bound in (("lbx", low), ("ubx", high), ("lbg", least), ("ubg", greatest))
+            for name, bound in (("lbx", low), ("ubx", high), ("lbg", lower_bounds), ("ubg", upper_bounds))
         }
         self.functions: dict[tuple[bool, bool], Any] = {
             (near, brief): self._function(near, brief, structure)
@@ -186,7 +186,7 @@ class DriveNlp:
 
 
 class DriveSolver:
-    """One of the solvers of a problem, in memory of its own: what others solve has no influence.
+    """Solver of a problem, with memory of its own: other solvers have no influence.
 
     Write the problem and the guess into its arrays before `solve`.
     """
@@ -208,34 +208,34 @@ class DriveSolver:
         """Normals n and offsets o of constraints n p - o >= clearance, (steps + 1, `PLANES`, 3)."""
         self.people = people.reshape(-1, PEOPLE, 2)
         """Where people are, (steps + 1, `PEOPLE`, 2) m."""
-        self._found, self._cost = np.zeros_like(self.knots), np.zeros(1)
+        self._solution, self._cost = np.zeros_like(self.knots), np.zeros(1)
         # CasADi reads and writes these arrays where they are, so they have to live as long as its buffer.
-        self._given: dict[str, Any] = {"x0": _variables(self.knots), "p": self.parameters, **nlp.bounds}
-        found: dict[str, Any] = {"x": _variables(self._found), "f": self._cost}
+        self._arguments: dict[str, Any] = {"x0": _variables(self.knots), "p": self.parameters, **nlp.bounds}
+        results: dict[str, Any] = {"x": _variables(self._solution), "f": self._cost}
         self._buffer, self._solve = function.buffer()
-        for name, array in self._given.items():
+        for name, array in self._arguments.items():
             self._buffer.set_arg(function.index_in(name), memoryview(array))
-        for name, array in found.items():
+        for name, array in results.items():
             self._buffer.set_res(function.index_out(name), memoryview(array))
 
     def __reduce__(self) -> Any:
         return DriveSolver, self._made_of
 
     def solve(self) -> Solution:
-        """The local optimum near the guess. A failure is a result not `solved`."""
+        """Return the local optimum near the guess. A failure is a result that is not `solved`."""
         try:
             with _deferred_interrupts():
                 self._solve()
             stats = self._buffer.stats()
         except RuntimeError:  # Fatrop's exceptions, such as overflow
             return Solution(self.knots.copy(), math.inf, False, 0)
-        solved = bool(stats["success"]) and bool(np.isfinite(self._found).all())
-        return Solution(self._found.copy(), float(self._cost[0]) / SCALE, solved, int(stats["iter_count"]))
+        solved = bool(stats["success"]) and bool(np.isfinite(self._solution).all())
+        return Solution(self._solution.copy(), float(self._cost[0]) / SCALE, solved, int(stats["iter_count"]))
 
 
 @lru_cache(maxsize=8)
 def drive_nlp(options: DriveMpcOptions) -> DriveNlp:
-    """The problem that all robots with these options share."""
+    """Return the problem that all robots with these options share."""
     return DriveNlp(options)
 
 
@@ -246,22 +246,22 @@ def _deferred_interrupts() -> Iterator[None]:
         yield
         return
     kept: list[int] = []
-    before = signal.signal(signal.SIGINT, lambda number, _: kept.append(number))
+    previous_handler = signal.signal(signal.SIGINT, lambda number, _: kept.append(number))
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, previous_handler)
         if kept:
             signal.raise_signal(signal.SIGINT)
 
 
 def _variables(knots: Array) -> Array:
-    """The variables of the problem: all but the last controls."""
+    """Return the variables of the problem: all but the last controls."""
     return knots.reshape(-1)[:-CONTROLS]
 
 
 def _next_state(state: Any, control: Any, period: float) -> Any:
-    """The state after a period of constant accelerations, by the midpoint rule."""
+    """Return the state after a period of constant accelerations, by the midpoint rule."""
     yaw = state[2] + period / 2 * (state[4] + period / 4 * control[1])
     distance = period * (state[3] + period / 2 * control[0])
     turn = period * (state[4] + period / 2 * control[1])

@@ -63,7 +63,7 @@ class RegulatedPurePursuit:
         """Arc length (m) of the path's point nearest to the robot; it never decreases."""
 
     def command(self, pose: ArrayLike, speed: float) -> tuple[float, float]:
-        """Linear (m/s) and angular velocity (rad/s) for a pose x, y (m), yaw (rad) and the current speed (m/s)."""
+        """Return linear (m/s) and angular velocity (rad/s) for a pose x, y (m), yaw (rad) and a speed (m/s)."""
         x, y, yaw = (float(number) for number in np.asarray(pose))
         options = self.options
         self._advance(x, y)
@@ -80,13 +80,13 @@ class RegulatedPurePursuit:
         return linear, linear * curvature
 
     def _speed_profile(self) -> tuple[Array, Array]:
-        """Arc lengths (m), and the speed limit (m/s) there."""
+        """Return arc lengths (m), and the speed limit (m/s) there."""
         options = self.options
         arc = np.arange(0.0, self.path.length + PROFILE_STEP, PROFILE_STEP)
-        before, here, after = (
+        previous, point, following = (
             self.path.points_at(arc + offset) for offset in (-options.bend / 2, 0.0, options.bend / 2)
         )
-        headings = [np.arctan2(chord[:, 1], chord[:, 0]) for chord in (here - before, after - here)]
+        headings = [np.arctan2(chord[:, 1], chord[:, 0]) for chord in (point - previous, following - point)]
         turn = np.abs((headings[1] - headings[0] + np.pi) % (2 * np.pi) - np.pi)
         allowed = np.sqrt(options.lateral_acceleration * options.bend / np.maximum(turn, 1e-9))
         speed = np.clip(allowed, options.slowest, options.max_speed)

@@ -114,7 +114,7 @@ class ReachMpc:
         self._duals = self._constrained.qp.first_duals()
 
     def begin(self, position: ArrayLike, velocity: ArrayLike, posture: ArrayLike) -> JointTrajectory:
-        """A straight motion to a posture (dof,) rad, as the next plan's first guess. It takes a tenth of the time.
+        """Take a straight motion to a posture (dof,) rad as the next plan's first guess. It takes a tenth of the time.
 
         Raises `ConfigurationError` as `plan` does.
         """
@@ -150,11 +150,11 @@ class ReachMpc:
         motion = best.motion
         return MpcResult(
             motion.positions, motion.velocities, motion.accelerations,
-            best.cost, best.least, velocities is not None, iterations, time.perf_counter() - began,
+            best.cost, best.min_distance, velocities is not None, iterations, time.perf_counter() - began,
         )  # fmt: skip
 
     def _first_guess(self, parameters: OcpParameters, worst: JointTrajectory) -> "_Linearisation":
-        """The last plan, shifted by a period; for a new posture, also the straight motion to it; or braking."""
+        """Return the last plan, shifted by a period; for a new posture, also the straight motion to it; or braking."""
         limits, guesses = self.model.limits, []
         if self._last is not None:
             shifted = np.concatenate((self._last.velocities[1:], self._last.velocities[-1:]))
@@ -164,15 +164,15 @@ class ReachMpc:
         if goal is not None and (last_goal is None or not np.array_equal(last_goal, goal)):
             guesses.append(straight_to(self.problem, limits, parameters, goal))
         linearised = [_Linearisation(self, parameters, guess) for guess in guesses or [worst]]
-        return min(linearised, key=lambda one: one.merit)
+        return min(linearised, key=lambda guess: guess.merit)
 
     def _safe(self, parameters: OcpParameters, worst: JointTrajectory, best: "_Linearisation") -> "_Linearisation":
-        """The plan, unless braking after its first period would come too late for an obstacle: then braking now.
+        """Return the plan, unless braking after its first period would come too late for an obstacle: then braking now.
 
         A few iterations may not suffice to plan around an obstacle.
         """
         min_distance = self.options.margin / 2
-        if best.least >= min_distance:
+        if best.min_distance >= min_distance:
             return best
         first, falls = best.motion.velocities[1], self.model.limits.acceleration * self.problem.period
         speeds = np.maximum(np.abs(first) - np.arange(self.problem.horizon)[:, None] * falls, 0.0)
@@ -180,16 +180,16 @@ class ReachMpc:
         later = _Linearisation(
             self, parameters, project_onto_limits(self.problem, self.model.limits, parameters, velocities)
         )
-        if later.least >= min_distance:
+        if later.min_distance >= min_distance:
             return best
-        now = _Linearisation(self, parameters, worst)
-        return now if now.least > later.least else best
+        braking = _Linearisation(self, parameters, worst)
+        return braking if braking.min_distance > later.min_distance else best
 
     def _solve(
         self, parameters: OcpParameters, worst: JointTrajectory, at: "_Linearisation"
     ) -> tuple[Array | None, int]:
-        """Velocities (N + 1, dof) from the problem linearised `at` a motion, or None if unsolved; and iterations."""
-        solver = self._constrained if at.least < self.options.influence_distance else self._unconstrained
+        """Return velocities (N + 1, dof) from the problem linearised `at` a motion (None: unsolved); and iterations."""
+        solver = self._constrained if at.min_distance < self.options.influence_distance else self._unconstrained
         qp = solver.qp
         qp.write(parameters, worst, *at.quadratic_model())
         if qp.rows:
@@ -197,20 +197,20 @@ class ReachMpc:
             qp.write_obstacles(q, *self.clearance.nearest(q, qp.rows), self.options.margin)
         motion = at.motion
         displacements = motion.velocities[1:] * self.problem.period
-        found = solver.solve(np.concatenate((motion.positions[1:].ravel(), displacements.ravel())), self._duals)
-        if found is None:
+        solution = solver.solve(np.concatenate((motion.positions[1:].ravel(), displacements.ravel())), self._duals)
+        if solution is None:
             return None, solver.iterations
-        displacements = found[qp.states : 2 * qp.states].reshape(-1, self.model.dof)
+        displacements = solution[qp.states : 2 * qp.states].reshape(-1, self.model.dof)
         return np.concatenate((parameters.velocity[None], displacements / self.problem.period)), solver.iterations
 
     def _line_search(self, parameters: OcpParameters, guess: "_Linearisation", velocities: Array) -> "_Linearisation":
-        """Line search: the motion after the longest step from a guess towards `velocities` that makes it cheaper."""
+        """Return the motion after the longest step from a guess towards `velocities` that makes it cheaper."""
         for step in STEPS:
-            wanted = guess.motion.velocities + step * (velocities - guess.motion.velocities)
-            motion = project_onto_limits(self.problem, self.model.limits, parameters, wanted)
-            found = _Linearisation(self, parameters, motion)
-            if found.merit < guess.merit:
-                return found
+            targets = guess.motion.velocities + step * (velocities - guess.motion.velocities)
+            motion = project_onto_limits(self.problem, self.model.limits, parameters, targets)
+            candidate = _Linearisation(self, parameters, motion)
+            if candidate.merit < guess.merit:
+                return candidate
         return guess
 
 
@@ -228,7 +228,7 @@ class _Solver:
         )  # fmt: skip
 
     def solve(self, start: Array, duals: Array) -> Array | None:
-        """The solution of `qp`, or None, warm-started from `start` and `duals`, of which `duals` is updated in place.
+        """Return the solution of `qp`, or None, warm-started from `start` and `duals`; `duals` is updated in place.
 
         `start` may omit the last unknowns, the slacks, which are then 0.
         """
@@ -256,19 +256,19 @@ class _Linearisation:
         self.errors, distances = np.empty((knots, 3)), np.full(knots, np.inf)
         self.axes, self.gradients = np.empty((knots, dof, 3)), np.empty((knots, dof, 3))
         """(N, dof, 3): the joints' axes, and derivatives of the tip's position by each joint, m/rad"""
-        kernel.look(
+        kernel.evaluate_knots(
             model.joints, *controller.scene, q, parameters.targets,
             self.errors, self.axes, self.gradients, distances,
         )  # fmt: skip
         self.cost = self.merit = cost(self.problem, parameters, motion, self.errors)
         """m^2; the merit has the penalty for violated margins too"""
-        self.least = float(distances.min())
+        self.min_distance = float(distances.min())
         """m: least distance"""
-        if self.least < options.margin:
+        if self.min_distance < options.margin:
             self.merit += options.slack_penalty * float(np.maximum(options.margin - distances, 0.0).sum())
 
     def quadratic_model(self) -> tuple[Array, Array]:
-        """Convexified Hessians (N, dof, dof) and gradients (N, dof), at q = 0, of the cost of the knots' positions."""
+        """Return convex Hessians (N, dof, dof) and gradients (N, dof), at q = 0, of the cost of the knots' places."""
         q = self.motion.positions[1:]
         hessians, slopes = np.empty((*q.shape, q.shape[1])), np.empty(q.shape)
         posture, weight = self.parameters.preference(self.problem)

@@ -54,7 +54,7 @@ class OcpParameters:
     """(dof,) rad: preferred joint positions, if any."""
 
     def preference(self, problem: ReachProblem) -> tuple[Array, float]:
-        """The posture (dof,), rad, and its weight: 0 if there is none."""
+        """Return the posture (dof,), rad, and its weight: 0 if there is none."""
         return (self.position, 0.0) if self.posture is None else (self.posture, problem.posture)
 
     @classmethod
@@ -94,7 +94,7 @@ class MpcResult(JointTrajectory):
     clearance: float
     """m: least distance from obstacles, floor and the arm itself along the plan; infinite if not computed."""
     solved: bool
-    """Whether the solver succeeded. If not, the joints brake."""
+    """True if the solver succeeded. If not, the joints brake."""
     iterations: int
     """Solver iterations."""
     seconds: float
@@ -102,19 +102,19 @@ class MpcResult(JointTrajectory):
 
 
 def cost(problem: ReachProblem, parameters: OcpParameters, motion: JointTrajectory, errors: Array) -> float:
-    """Cost (m^2) of a motion whose end-effector misses the targets by `errors` (N, 3) m."""
+    """Return the cost (m^2) of a motion whose end-effector misses the targets by `errors` (N, 3) m."""
     posture, weight = parameters.preference(problem)
     weights = weight, problem.velocity, problem.acceleration
     return float(reach_mpc.cost_of(weights, posture, motion.positions, motion.velocities, motion.accelerations, errors))
 
 
 def reach_cost(model: ArmModel, problem: ReachProblem, parameters: OcpParameters, motion: JointTrajectory) -> float:
-    """Cost of a motion, m^2."""
+    """Return the cost of a motion, m^2."""
     return cost(problem, parameters, motion, model.positions(motion.positions[1:]) - parameters.targets)
 
 
 def stopping_times(limits: JointLimits) -> Array:
-    """Seconds (dof,) s such that position + velocity * s, once within the limits, can be kept within them for ever.
+    """Return seconds s (dof,) such that position + velocity * s, once within the limits, can stay within them for ever.
 
     A joint of velocity v that brakes at its limit a for a period T moves by T (v - T a / 2), while v * s falls by
     T a * s. That suffices at all velocities if s = (maximum velocity) / a. (The exact bound v^2 / 2 a is not convex.)
@@ -123,7 +123,7 @@ def stopping_times(limits: JointLimits) -> Array:
 
 
 def braking(problem: ReachProblem, limits: JointLimits, parameters: OcpParameters) -> JointTrajectory:
-    """All joints brake at their acceleration limits until they stop."""
+    """Return the motion of joints that all brake at their acceleration limits until they stop."""
     motion = _empty(problem, parameters)
     reach_mpc.brake(limits.drives, problem.period, parameters.velocity, motion.velocities)
     reach_mpc.roll_out(problem.period, parameters.position, motion.velocities, motion.positions, motion.accelerations)
@@ -131,26 +131,26 @@ def braking(problem: ReachProblem, limits: JointLimits, parameters: OcpParameter
 
 
 def straight_to(problem: ReachProblem, limits: JointLimits, parameters: OcpParameters, goal: Array) -> JointTrajectory:
-    """Each joint moves to `goal` (dof,) in minimum time, and stops there."""
-    wanted = np.empty((problem.horizon + 1, len(goal)))
-    reach_mpc.go_straight(limits.drives, problem.period, parameters.position, parameters.velocity, goal, wanted)
-    return project_onto_limits(problem, limits, parameters, wanted)
+    """Return the motion of joints that each move to `goal` (dof,) in minimum time, and stop there."""
+    targets = np.empty((problem.horizon + 1, len(goal)))
+    reach_mpc.go_straight(limits.drives, problem.period, parameters.position, parameters.velocity, goal, targets)
+    return project_onto_limits(problem, limits, parameters, targets)
 
 
 def project_onto_limits(
-    problem: ReachProblem, limits: JointLimits, parameters: OcpParameters, wanted: Array
+    problem: ReachProblem, limits: JointLimits, parameters: OcpParameters, targets: Array
 ) -> JointTrajectory:
-    """The motion near velocities `wanted` (N + 1, dof) that keeps the limits, as far as the initial state allows."""
+    """Return the motion near velocities `targets` (N + 1, dof) that keeps the limits, if the initial state allows."""
     motion = _empty(problem, parameters)
     reach_mpc.project(
-        limits.drives, problem.period, parameters.position, parameters.velocity, wanted,
+        limits.drives, problem.period, parameters.position, parameters.velocity, targets,
         motion.positions, motion.velocities, motion.accelerations,
     )  # fmt: skip
     return motion
 
 
 def _empty(problem: ReachProblem, parameters: OcpParameters) -> JointTrajectory:
-    """Memory for a motion."""
+    """Return memory for a motion."""
     knots, dof = problem.horizon, len(parameters.position)
     return JointTrajectory(np.empty((knots + 1, dof)), np.empty((knots + 1, dof)), np.empty((knots, dof)))
 

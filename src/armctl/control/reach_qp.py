@@ -1,4 +1,4 @@
-"""One linearisation of a `ReachProblem` as a sparse quadratic program with a fixed sparsity pattern.
+"""Linearisation of a `ReachProblem` as a sparse quadratic program with a fixed sparsity pattern.
 
     minimise  x' P x / 2 + q' x   subject to  l <= A x <= u
 
@@ -53,12 +53,12 @@ class ReachQp:
         """
         problem, limits, states, dof = self.problem, self.limits, self.states, self.dof
         kernel.write_positions_cost(hessians, gradients, *self._blocks, self.hessian.data, self.gradient)
-        now = parameters.velocity * problem.period
-        self.gradient[states : states + dof] = -2 * problem.acceleration / problem.period**4 * now
+        displacement = parameters.velocity * problem.period
+        self.gradient[states : states + dof] = -2 * problem.acceleration / problem.period**4 * displacement
         self.lower, self.upper = lower, upper = self._bounds[0].copy(), self._bounds[1].copy()
-        lower[:dof] = upper[:dof] = parameters.position + now / 2
+        lower[:dof] = upper[:dof] = parameters.position + displacement / 2
         for bound in (lower, upper):
-            bound[states : states + dof] += ACCELERATION * now
+            bound[states : states + dof] += ACCELERATION * displacement
         if np.any(np.abs(parameters.velocity) > limits.velocity):
             displacements = VELOCITY * problem.period * braking.velocities[1:].ravel()
             velocity = slice(2 * states, 3 * states)
@@ -77,7 +77,7 @@ class ReachQp:
         )
 
     def first_duals(self) -> Array:
-        """Initial multipliers of all rows: zero, but for those of the slacks."""
+        """Return initial multipliers of all rows: zero except for those of the slacks."""
         duals = np.zeros(self.matrix.shape[0])
         if self.rows:
             duals[-self.problem.horizon :] = -self.gradient[-1]
@@ -93,7 +93,7 @@ class ReachQp:
             part[:, :-1] = part[:, 1:]
 
     def _hessian_pattern(self) -> tuple[Any, tuple[Integers, Integers, Integers, Integers]]:
-        """P, and the places of the blocks' entries: in its data, and by knot, row and column."""
+        """Return P, and the places of the blocks' entries: in its data, and by knot, row and column."""
         problem, dof, knots = self.problem, self.dof, self.problem.horizon
         velocity, acceleration = 2 * problem.velocity / problem.period**2, 2 * problem.acceleration / problem.period**4
         changes = np.append(np.full(knots - 1, 2.0), 1.0)
@@ -112,15 +112,15 @@ class ReachQp:
         return hessian, (marked, row // dof, row % dof, column % dof)
 
     def _matrix_pattern(self) -> tuple[Any, tuple[Integers, Integers]]:
-        """A, and the indices that map the normals' entries to its data."""
+        """Return A, and the indices that map the normals' entries to its data."""
         dof, knots, rows = self.dof, self.problem.horizon, self.rows
         eye = sparse.eye_array(self.states)
-        before = sparse.eye_array(self.states, k=-dof)
+        previous = sparse.eye_array(self.states, k=-dof)
         last = sparse.eye_array(dof, self.states, k=self.states - dof)
         times = sparse.diags_array(stopping_times(self.limits) / self.problem.period)
         blocks: list[list[Any]] = [
-            [eye - before, -0.5 * (eye + before)],  # dynamics
-            [None, ACCELERATION * (eye - before)],
+            [eye - previous, -0.5 * (eye + previous)],  # dynamics
+            [None, ACCELERATION * (eye - previous)],
             [None, VELOCITY * eye],
             [POSITION * eye, None],
             [POSITION * last, POSITION * times @ last],  # the stop after the last
@@ -156,7 +156,7 @@ class ReachQp:
 
 
 def _compressed(pattern: Any) -> Any:
-    """In the form that OSQP takes without copying: sorted columns without zeros, and 32-bit indices."""
+    """Return a matrix as OSQP takes it without copying: sorted columns without zeros, and 32-bit indices."""
     matrix = sparse.csc_matrix(pattern)
     matrix.eliminate_zeros()
     matrix.sort_indices()

@@ -42,7 +42,7 @@ class ReachReference:
         self, position: ArrayLike, velocity: ArrayLike, targets: ArrayLike, posture: ArrayLike | None = None,
         start: JointTrajectory | None = None,
     ) -> MpcResult:  # fmt: skip
-        """As `ReachMpc.plan`, with the motion `start` as initial guess; by default, braking."""
+        """Plan as `ReachMpc.plan`, with the motion `start` as initial guess; by default, braking."""
         began = time.perf_counter()
         problem, limits, dof = self.problem, self.model.limits, self.model.dof
         parameters = OcpParameters.checked(problem, dof, position, velocity, targets, posture)
@@ -50,18 +50,20 @@ class ReachReference:
         guess = start or worst
         self._solver = self._solver or self._built()
         stop = worst.positions[-1]
-        wanted = np.zeros(dof) if parameters.posture is None else parameters.posture
+        target_posture = np.zeros(dof) if parameters.posture is None else parameters.posture
         weight = 0.0 if parameters.posture is None else problem.posture
-        found = self._solver(
+        solution = self._solver(
             x0=_stacked(guess.positions, guess.velocities),
-            p=np.concatenate((parameters.position, parameters.velocity, wanted, [weight], parameters.targets.ravel())),
+            p=np.concatenate(
+                (parameters.position, parameters.velocity, target_posture, [weight], parameters.targets.ravel())
+            ),
             lbx=_stacked(np.minimum(limits.lower, worst.positions), np.minimum(-limits.velocity, worst.velocities)),
             ubx=_stacked(np.maximum(limits.upper, worst.positions), np.maximum(limits.velocity, worst.velocities)),
             lbg=self._rows(-limits.acceleration, np.minimum(limits.lower, stop)),
             ubg=self._rows(limits.acceleration, np.maximum(limits.upper, stop)),
         )
         statistics = self._solver.stats()
-        velocities = np.array(found["x"].full()).reshape(2, problem.horizon, dof)[1]
+        velocities = np.array(solution["x"].full()).reshape(2, problem.horizon, dof)[1]
         motion = project_onto_limits(
             problem, limits, parameters, np.concatenate((parameters.velocity[None], velocities))
         )
@@ -72,7 +74,7 @@ class ReachReference:
         )  # fmt: skip
 
     def _rows(self, change: Array, last: Array) -> Array:
-        """Bounds of the constraints: dynamics, accelerations, and the stop after the last knot."""
+        """Return bounds of the constraints: dynamics, accelerations, and the stop after the last knot."""
         return np.concatenate(
             (np.zeros(self.problem.horizon * self.model.dof), np.tile(change, self.problem.horizon), last)
         )
@@ -82,19 +84,19 @@ class ReachReference:
 
         problem, dof, knots = self.problem, self.model.dof, self.problem.horizon
         q, v = casadi.SX.sym("q", dof, knots), casadi.SX.sym("v", dof, knots)
-        now, velocity, posture = (casadi.SX.sym(name, dof) for name in ("now", "velocity", "posture"))
+        position, velocity, posture = (casadi.SX.sym(name, dof) for name in ("now", "velocity", "posture"))
         weight, targets = casadi.SX.sym("weight"), casadi.SX.sym("targets", 3, knots)
-        before, speed_before = casadi.horzcat(now, q[:, :-1]), casadi.horzcat(velocity, v[:, :-1])
+        previous, speed_before = casadi.horzcat(position, q[:, :-1]), casadi.horzcat(velocity, v[:, :-1])
         acceleration = (v - speed_before) / problem.period
         tips = casadi.horzcat(*(symbolic_position(self.model, q[:, k]) for k in range(knots)))
         cost = casadi.sumsqr(tips - targets) + problem.velocity * casadi.sumsqr(v)
         cost += problem.acceleration * casadi.sumsqr(acceleration)
         cost += weight * casadi.sumsqr(q - casadi.repmat(posture, 1, knots))
         last = q[:, -1] + stopping_times(self.model.limits) * v[:, -1]
-        dynamics = q - before - (v + speed_before) * (problem.period / 2)
+        dynamics = q - previous - (v + speed_before) * (problem.period / 2)
         program = {
             "x": casadi.vertcat(casadi.vec(q), casadi.vec(v)),
-            "p": casadi.vertcat(now, velocity, posture, weight, casadi.vec(targets)),
+            "p": casadi.vertcat(position, velocity, posture, weight, casadi.vec(targets)),
             "f": cost,
             "g": casadi.vertcat(casadi.vec(dynamics), casadi.vec(acceleration), last),
         }
@@ -103,7 +105,7 @@ class ReachReference:
 
 
 def symbolic_position(model: ArmModel, q: Any) -> Any:
-    """Symbolic end-effector position (3,) m at CasADi's symbols q (dof,)."""
+    """Return the symbolic end-effector position (3,) m at CasADi's symbols q (dof,)."""
     import casadi
 
     rotation, position = casadi.SX.eye(3), casadi.SX.zeros(3)
@@ -116,5 +118,5 @@ def symbolic_position(model: ArmModel, q: Any) -> Any:
 
 
 def _stacked(positions: Array, velocities: Array) -> Array:
-    """The knots after the current state, in the order of the program's unknowns."""
+    """Return the knots after the current state, in the order of the program's unknowns."""
     return np.concatenate((positions[1:].ravel(), velocities[1:].ravel()))

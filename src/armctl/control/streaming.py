@@ -22,14 +22,14 @@ SHARES = np.linspace(-1.2, 1.2, 49)
 
 
 def follow(limits: JointLimits, position: Array, velocity: Array, goal: Array, period: float) -> tuple[Array, Array]:
-    """Position (dof,) rad and velocity (dof,) rad/s of a command after a `period` (s) towards `goal` (dof,) rad."""
+    """Return position (dof,) rad and velocity (dof,) rad/s of a command after `period` (s) towards `goal` (dof,)."""
     position, velocity = position.copy(), velocity.copy()
     drives.follow_all(limits.drives, goal, position, velocity, max(1, round(period / TICK)), TICK)
     return position, velocity
 
 
 def command_for(limits: JointLimits, position: Array, velocity: Array, displacement: Array, period: float) -> Array:
-    """The goal (dof,) rad with which drives move by `displacement` (dof,) rad within the next `period` (s).
+    """Return the goal (dof,) rad with which drives move by `displacement` (dof,) rad within the next `period` (s).
 
     They start at `position` (dof,) with `velocity` (dof,). If no goal gives the displacement, the nearest is taken.
     """
@@ -54,13 +54,13 @@ class CommandStream:
         self._drives: Array = np.zeros_like(self.position)
 
     def goal(self, motion: JointTrajectory) -> Array:
-        """The goal (dof,) rad that makes drives execute a plan's first period."""
+        """Return the goal (dof,) rad that makes drives execute a plan's first period."""
         goal = self.goal_towards(motion.positions[1])
         self.velocity = motion.velocities[1]
         return goal
 
     def goal_towards(self, position: Array) -> Array:
-        """The goal (dof,) rad that brings the command to `position` (dof,) rad within the next period, or near it."""
+        """Return the goal (dof,) rad that brings the command to `position` (dof,) rad in the next period, or near."""
         goal = command_for(self.limits, self.position, self._drives, position - self.position, self.period)
         self.position, self._drives = follow(self.limits, self.position, self._drives, goal, self.period)
         self.velocity = self._drives
@@ -68,7 +68,7 @@ class CommandStream:
 
 
 def commanded(limits: JointLimits, motion: Trajectory, period: float) -> Array:
-    """Positions (ticks, dof) rad of drives that are commanded to follow a `motion`."""
+    """Return positions (ticks, dof) rad of drives that are commanded to follow a `motion`."""
     stream = CommandStream(limits, period, motion.positions[0])
     positions = [stream.position]
     for step in range(1, 2 + math.ceil(motion.duration / period)):

@@ -41,16 +41,16 @@ class Trajectory:
         return SAMPLE * (len(self.positions) - 1)
 
     def at(self, times: ArrayLike) -> Array:
-        """Positions (..., dof) rad at `times` (...), s."""
+        """Return positions (..., dof) rad at `times` (...), s."""
         samples = np.asarray(times, dtype=float) / SAMPLE
-        before = np.clip(np.floor(samples).astype(int), 0, len(self.positions) - 1)
-        after = np.minimum(before + 1, len(self.positions) - 1)
-        share = np.clip(samples - before, 0.0, 1.0)[..., None]
-        return np.asarray((1 - share) * self.positions[before] + share * self.positions[after])
+        first = np.clip(np.floor(samples).astype(int), 0, len(self.positions) - 1)
+        second = np.minimum(first + 1, len(self.positions) - 1)
+        share = np.clip(samples - first, 0.0, 1.0)[..., None]
+        return np.asarray((1 - share) * self.positions[first] + share * self.positions[second])
 
 
 def point_to_point(limits: JointLimits, start: ArrayLike, goal: ArrayLike, straight: bool = False) -> Trajectory:
-    """The minimum-time motion from rest at `start` to rest at `goal`, (dof,) each; with `straight`, on a straight line.
+    """Return the minimum-time motion from rest at `start` to rest at `goal`, (dof,) each; `straight` keeps to the line.
 
     Raises `ConfigurationError` for configurations outside the limits.
     """
@@ -61,14 +61,14 @@ def point_to_point(limits: JointLimits, start: ArrayLike, goal: ArrayLike, strai
     problem.max_velocity, problem.max_acceleration = limits.velocity.tolist(), limits.acceleration.tolist()
     problem.max_jerk = limits.jerk.tolist()
     problem.synchronization = Synchronization.Phase if straight else Synchronization.Time
-    found = RuckigTrajectory(dof)
-    Ruckig(dof).calculate(problem, found)
-    times = np.arange(0.0, found.duration + SAMPLE, SAMPLE)
-    return Trajectory(np.array([found.at_time(float(time))[0] for time in times]))
+    trajectory = RuckigTrajectory(dof)
+    Ruckig(dof).calculate(problem, trajectory)
+    times = np.arange(0.0, trajectory.duration + SAMPLE, SAMPLE)
+    return Trajectory(np.array([trajectory.at_time(float(time))[0] for time in times]))
 
 
 def along(limits: JointLimits, path: ArrayLike, pace: float = 1.0, stops: bool = False) -> Trajectory:
-    """A smooth motion from rest to rest along the corners of a path (m, dof) rad.
+    """Return a smooth motion from rest to rest along the corners of a path (m, dof) rad.
 
     It cuts corners: less at a lower `pace`, which is a fraction of the full speed, and not at all with `stops`.
 
@@ -94,7 +94,7 @@ def along(limits: JointLimits, path: ArrayLike, pace: float = 1.0, stops: bool =
 
 
 def smooth(limits: JointLimits, path: ArrayLike, is_free: Callable[[Trajectory], bool]) -> Trajectory:
-    """The fastest collision-free trajectory along a path (m, dof): at a slower pace or with stops if needed.
+    """Return the fastest collision-free trajectory along a path (m, dof): at a slower pace or with stops if needed.
 
     The path itself is assumed to be free, and so is the motion with stops.
     """
@@ -109,7 +109,7 @@ def smooth(limits: JointLimits, path: ArrayLike, is_free: Callable[[Trajectory],
 
 
 def _paced(limits: JointLimits, pace: float) -> JointLimits:
-    """Limits under which the same motions take 1 / `pace` times as long."""
+    """Return limits under which the same motions take 1 / `pace` times as long."""
     velocity, acceleration, jerk = pace * limits.velocity, pace**2 * limits.acceleration, pace**3 * limits.jerk
     return replace(limits, velocity=velocity, acceleration=acceleration, jerk=jerk)
 

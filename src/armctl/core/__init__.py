@@ -1,1 +1,1 @@
-"""What all packages stand on: errors, files, options, registration, seeds, the terminal."""
+"""Foundations of all packages: errors, files, options, registration, seeds, the terminal."""

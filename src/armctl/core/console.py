@@ -1,4 +1,4 @@
-"""What armctl says in a terminal: all strings are text, neither markup nor control sequences.
+"""Output of armctl in a terminal: all strings are text, neither markup nor control sequences.
 
 Names and messages come from files, and files from strangers. `[red]` is shown as it is, and the escape sequences by
 which a text could hide lines, forge others or write to the clipboard are shown as escapes.
@@ -11,12 +11,12 @@ from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 
 CONTROLS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
-"""Control characters but for tabs and line feeds; what turns the direction of writing; halves of characters."""
+"""Control characters except tabs and line feeds; what turns the direction of writing; halves of characters."""
 
 
 def printable(text: str) -> str:
-    r"""The text as a terminal may have it: control characters are escapes, such as `\x1b`."""
-    return CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+    r"""Return the text as a terminal may have it: control characters are escapes, such as `\x1b`."""
+    return CONTROLS.sub(lambda match: match[0].encode("unicode_escape").decode(), text)
 
 
 class PlainConsole(Console):

@@ -12,7 +12,7 @@ from typing import Any
 from armctl import DISTRIBUTION
 
 FAILURES = (Exception, SystemExit)
-"""What the code of others raises when it fails. `sys.exit` in a policy ends the policy, not the comparison."""
+"""Exceptions of other people's code when it fails. `sys.exit` in a policy ends the policy, not the comparison."""
 
 
 class ArmctlError(Exception):
@@ -61,12 +61,12 @@ class ResultsError(ArmctlError):
 
 
 def described(error: BaseException) -> str:
-    """An error of somebody's code in a line: its type, its message, and its place."""
+    """Return an error of user code in a line: its type, its message, and its place."""
     return f"{type(error).__name__}: {error}{place_of(error)}"
 
 
 def place_of(error: BaseException) -> str:
-    """Where in the user's own code an error arose, such as ` (mine.py:27)`; empty if that took no part."""
+    """Return the place in the user's own code of an error, such as ` (mine.py:27)`; empty if that took no part."""
     if isinstance(error, SyntaxError):
         return ""  # its message says where
     library = sysconfig.get_path("stdlib")
@@ -75,13 +75,13 @@ def place_of(error: BaseException) -> str:
         for frame, line in traceback.walk_tb(error.__traceback__)
         if not f"{frame.f_globals.get('__name__')}.".startswith(("armctl.", "importlib."))
     ]
-    own = [one for one in frames if "site-packages" not in one[0] and not one[0].startswith(library)]
-    return f" ({Path(own[-1][0]).name}:{own[-1][1]})" if own else ""
+    user_frames = [frame for frame in frames if "site-packages" not in frame[0] and not frame[0].startswith(library)]
+    return f" ({Path(user_frames[-1][0]).name}:{user_frames[-1][1]})" if user_frames else ""
 
 
-def defined_at(given: Any) -> str:
-    """Where a function, a class or an object's class is defined, such as ` (mine.py:12)`; empty if that is unknown."""
-    source = given if inspect.isclass(given) or inspect.isroutine(given) else type(given)
+def defined_at(value: Any) -> str:
+    """Return where a function, a class or an object's class is defined, such as ` (mine.py:12)`; empty if unknown."""
+    source = value if inspect.isclass(value) or inspect.isroutine(value) else type(value)
     try:
         return f" ({Path(inspect.getsourcefile(source) or '').name}:{inspect.getsourcelines(source)[1]})"
     except (OSError, TypeError):
@@ -89,7 +89,7 @@ def defined_at(given: Any) -> str:
 
 
 def format_cause(error: BaseException) -> str:
-    """The traceback of what an error was made of, or its own."""
+    """Return the traceback of what an error was made of, or its own."""
     return formatted(error.__cause__ or error)
 
 
@@ -99,13 +99,13 @@ def formatted(error: BaseException) -> str:
 
 
 def missing_extra(purpose: str, error: ModuleNotFoundError, extra: str = "rl") -> ConfigurationError:
-    """Error for a feature whose packages, those of an extra, are not installed."""
+    """Return an error for a feature whose packages, those of an extra, are not installed."""
     how = f"pip install '{DISTRIBUTION}[{extra}]', or pip install -e '.[{extra}]' in a clone"
     return ConfigurationError(f"{purpose} needs {error.name}: {how}")
 
 
 def unknown_name(kind: str, name: object, allowed: Iterable[str]) -> ConfigurationError:
-    """Error for a misspelt name: what was asked for, what there is, and the nearest."""
+    """Return an error for a misspelt name: what was asked for, what there is, and the nearest."""
     names = sorted(allowed)
     return ConfigurationError(
         f"there is no {kind} {name!r}.{nearest(name, names)} There are: {', '.join(names) or 'none'}"
@@ -113,6 +113,6 @@ def unknown_name(kind: str, name: object, allowed: Iterable[str]) -> Configurati
 
 
 def nearest(name: object, names: Iterable[str]) -> str:
-    """A question whether the nearest of some names was meant; nothing if none is near."""
-    found = get_close_matches(str(name), list(names), n=1)
-    return f" Did you mean {found[0]!r}?" if found else ""
+    """Return a question whether the nearest of some names was meant; nothing if none is near."""
+    matches = get_close_matches(str(name), list(names), n=1)
+    return f" Did you mean {matches[0]!r}?" if matches else ""

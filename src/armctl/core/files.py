@@ -24,7 +24,7 @@ from armctl.core.errors import ConfigurationError, ResultsError
 
 LOCK = ".lock"
 UNFINISHED = ".armctl-unfinished-"
-"""What the name of a file begins with until it is whole."""
+"""Beginning of a file's name until the file is whole."""
 LARGEST_TEXT = 64 * 2**20
 """Bytes of a JSON or TOML file that armctl reads."""
 LONGEST_NAME = 100
@@ -39,8 +39,8 @@ def write_atomically(path: Path, content: str | Callable[[Path], object]) -> Non
 
     Raises `OSError`, or what the function raises, and leaves the old file as it was.
     """
-    with tempfile.NamedTemporaryFile(prefix=UNFINISHED, suffix=path.suffix, dir=path.parent, delete=False) as made:
-        unfinished = Path(made.name)
+    with tempfile.NamedTemporaryFile(prefix=UNFINISHED, suffix=path.suffix, dir=path.parent, delete=False) as temporary:
+        unfinished = Path(temporary.name)
     try:
         if isinstance(content, str):
             unfinished.write_text(content, encoding="utf-8", newline="")
@@ -63,37 +63,37 @@ def _umask() -> int:
 
 
 def bounded_text(path: Path, largest: int = LARGEST_TEXT) -> str:
-    """The text of a regular file of at most `largest` bytes. Raises `OSError` or `ValueError`."""
+    """Return the text of a regular file of at most `largest` bytes. Raises `OSError` or `ValueError`."""
     return bounded_bytes(path, largest).decode("utf-8")
 
 
 def bounded_bytes(path: Path, largest: int) -> bytes:
-    """The content of a regular file of at most `largest` bytes. Raises `OSError` or `ValueError`."""
+    """Return the content of a regular file of at most `largest` bytes. Raises `OSError` or `ValueError`."""
     with opened_regular(path, largest) as file:
         return file.read(largest)
 
 
-def read_toml(file: Traversable, what: str) -> dict[str, Any]:
-    """The values of a TOML file, `what` in words. Raises `ConfigurationError`."""
+def read_toml(file: Traversable, description: str) -> dict[str, Any]:
+    """Return the values of a TOML file, which messages call `description`. Raises `ConfigurationError`."""
     try:
         return tomllib.loads(bounded_text(file) if isinstance(file, Path) else file.read_text("utf-8"))
     except OSError as error:
-        raise ConfigurationError(f"the {what} {file} cannot be read: {error.strerror}") from error
+        raise ConfigurationError(f"the {description} {file} cannot be read: {error.strerror}") from error
     except ValueError as error:
         raise ConfigurationError(f"{file} is not TOML: {error}") from error
     except RecursionError:
-        raise ConfigurationError(f"{file} is nested too deeply for a {what}") from None
+        raise ConfigurationError(f"{file} is nested too deeply for a {description}") from None
 
 
 def file_checksum(path: Path, largest: float = math.inf) -> str:
-    """SHA-256 checksum of a regular file of at most `largest` bytes. Raises `OSError` or `ValueError`."""
+    """Return the SHA-256 checksum of a regular file of at most `largest` bytes. Raises `OSError` or `ValueError`."""
     with opened_regular(path, largest) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 @contextlib.contextmanager
 def opened_regular(path: Path, largest: float = math.inf) -> Iterator[BufferedReader]:
-    """A regular file of at most `largest` bytes, to be read. Raises `OSError` or `ValueError`."""
+    """Open a regular file of at most `largest` bytes to read. Raises `OSError` or `ValueError`."""
     with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
         about = os.fstat(file.fileno())
         if not stat.S_ISREG(about.st_mode):
@@ -104,12 +104,12 @@ def opened_regular(path: Path, largest: float = math.inf) -> Iterator[BufferedRe
 
 
 def open_without_links(path: str, flags: int) -> int:
-    """An opener for `open` that refuses symbolic links with `OSError`."""
+    """Open a file, but refuse symbolic links with `OSError`: an opener for `open`."""
     return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
 
 
 def inside(folder: Path, name: str) -> Path:
-    """A folder in another one. Raises `ResultsError` if it is a symbolic link, which may lead elsewhere."""
+    """Return a folder in another one. Raises `ResultsError` if it is a symbolic link, which may lead elsewhere."""
     if (folder / name).is_symlink():
         raise ResultsError(f"{folder / name} is a symbolic link, through which nothing is written")
     return folder / name
@@ -141,12 +141,12 @@ def one_writer(folder: Path) -> Iterator[None]:
 
 
 def sealed(values: Mapping[str, Any]) -> str:
-    """A JSON text with a checksum of its values, which `unsealed` checks: a changed digit is noticed."""
+    """Return a JSON text with a checksum of its values, which `unsealed` checks: a changed digit is noticed."""
     return json.dumps({**values, CHECKSUM: digest(values)}, indent=2) + "\n"
 
 
 def unsealed(text: str | bytes) -> dict[str, Any]:
-    """The values of a text that `sealed` made. Raises `ValueError` if it was changed, or is something else."""
+    """Return the values of a text that `sealed` made. Raises `ValueError` if it was changed, or is something else."""
     try:
         values = json.loads(text)
         json.dumps(values, ensure_ascii=False).encode()  # halves of characters can be written nowhere
@@ -161,17 +161,17 @@ def unsealed(text: str | bytes) -> dict[str, Any]:
 
 
 def digest(values: Any) -> str:
-    """A short checksum of JSON values."""
+    """Return a short checksum of JSON values."""
     return short_checksum(json.dumps(values, sort_keys=True).encode())
 
 
 def short_checksum(content: bytes) -> str:
-    """The first 16 digits of the SHA-256 checksum of some bytes."""
+    """Return the first 16 digits of the SHA-256 checksum of some bytes."""
     return hashlib.sha256(content).hexdigest()[:16]
 
 
 def checked_name(kind: str, name: str) -> str:
-    """A name that can safely become part of a path. Raises `ConfigurationError`."""
+    """Return a name that can safely become part of a path. Raises `ConfigurationError`."""
     if not _NAME.fullmatch(name) or len(name) > LONGEST_NAME:
         raise ConfigurationError(
             f"{name[:LONGEST_NAME]!r} cannot be the name of a {kind}: names begin with a letter or digit, and have up "

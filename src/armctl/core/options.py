@@ -18,13 +18,13 @@ Model = TypeVar("Model", bound=pydantic.BaseModel)
 
 @dataclass_transform(frozen_default=True, field_specifiers=(dataclasses.field,))
 def options(cls: type[Options]) -> type[Options]:
-    """Decorator: a frozen dataclass that checks its fields' types and bounds, as pydantic does, strictly.
+    """Make a class a frozen dataclass that checks its fields' types and bounds, as pydantic does, strictly.
 
     What does not fit raises `ConfigurationError`, which names the option, what is allowed, and the value.
     """
     config = ConfigDict(strict=True, arbitrary_types_allowed=True, allow_inf_nan=False)
-    made: Any = pydantic.dataclasses.dataclass(cls, frozen=True, config=config)
-    checked = made.__init__
+    dataclass: Any = pydantic.dataclasses.dataclass(cls, frozen=True, config=config)
+    checked = dataclass.__init__
 
     @functools.wraps(checked)
     def init(self: Any, *args: Any, **values: Any) -> None:
@@ -33,14 +33,14 @@ def options(cls: type[Options]) -> type[Options]:
         except ValidationError as error:
             raise _explained(error) from error
 
-    made.__init__ = init
-    return made  # type: ignore[no-any-return]
+    dataclass.__init__ = init
+    return dataclass  # type: ignore[no-any-return]
 
 
 def make_options(
     options_type: type[Options], values: Mapping[str, Any], kind: str = "option", others: Sequence[str] = ()
 ) -> Options:
-    """Options from values by name.
+    """Return options from values by name.
 
     Raises `ConfigurationError`, and `UnknownOption` for an unknown name. Its message names the valid ones, and
     `others`, which are options in another place.
@@ -53,21 +53,21 @@ def make_options(
     return options_type(**values)
 
 
-def checked_model(model: type[Model], values: Mapping[str, Any], what: str, source: str) -> Model:
-    """A pydantic model of values, which are `what` in words, from `source`. Raises `ConfigurationError`."""
+def checked_model(model: type[Model], values: Mapping[str, Any], description: str, source: str) -> Model:
+    """Return a pydantic model of values from `source`, in messages `description`. Raises `ConfigurationError`."""
     for key in values:
         if key not in model.model_fields:
-            raise unknown_name(f"key of a {what} in {source}:", key, model.model_fields)
+            raise unknown_name(f"key of a {description} in {source}:", key, model.model_fields)
     try:
         return model.model_validate(values)
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
-        raise ConfigurationError(f"{source} is not a {what}: {where}: {first['msg']}") from error
+        raise ConfigurationError(f"{source} is not a {description}: {where}: {first['msg']}") from error
 
 
 def changed_options(options: Options, values: Mapping[str, Any], kind: str = "option") -> Options:
-    """Options with other values, as a TOML file has them: by name, options within as tables, and tuples as lists.
+    """Return options with other values, as a TOML file has them: by name, options within as tables, tuples as lists.
 
     Raises `ConfigurationError` as `make_options` does.
     """
@@ -83,7 +83,7 @@ def changed_options(options: Options, values: Mapping[str, Any], kind: str = "op
 
 
 def option_value(text: str) -> Any:
-    """A number, tuple, True, False or None as Python writes it; anything else is text."""
+    """Return a number, tuple, True, False or None as Python writes it; anything else is text."""
     try:
         return ast.literal_eval(text)
     except (ValueError, TypeError, SyntaxError, MemoryError, RecursionError):
@@ -91,7 +91,7 @@ def option_value(text: str) -> Any:
 
 
 def option_arguments(options: Mapping[str, Any]) -> list[str]:
-    """An environment's options as arguments of the command line, which it reads as the same values."""
+    """Return an environment's options as arguments of the command line, which it reads as the same values."""
     arguments = []
     for name, value in options.items():
         text = value if isinstance(value, str) and option_value(value) == value else repr(value)

@@ -1,4 +1,4 @@
-"""How tasks become environments, and how code is found by its name. Light: it imports neither MuJoCo nor a task.
+"""Registration of tasks as environments, and code by its name. Light: it imports neither MuJoCo nor a task.
 
 Code is named by the person at the keyboard or offered by an installed package, never named by a file.
 
@@ -26,7 +26,7 @@ from armctl.core.errors import FAILURES, ConfigurationError, described, unknown_
 GROUP = "armctl.tasks"
 ENV, VECTOR_ENV = "armctl.envs:TaskEnv", "armctl.envs:TaskVectorEnv"
 _named: set[str] = set()
-"""What the user has named in this process, such as `mine.py:pd`. Of code, a file can name only this."""
+"""Names that the user has used in this process, such as `mine.py:pd`. Of code, a file can name only this."""
 
 
 def register(env_id: str, task: "str | type[Any]", *, max_episode_steps: int | None, **options: Any) -> None:
@@ -49,12 +49,12 @@ def register(env_id: str, task: "str | type[Any]", *, max_episode_steps: int | N
 
 
 def bare_id(env: str) -> str:
-    """The id of an environment without the module that registers it: `mine/Hover-v0` of `hover:mine/Hover-v0`."""
+    """Return an environment's id without the module that registers it: `mine/Hover-v0` of `hover:mine/Hover-v0`."""
     return env.rpartition(":")[2]
 
 
 def environment_names() -> list[str]:
-    """Ids of all environments that were made of tasks."""
+    """Return ids of all environments that were made of tasks."""
     return sorted(env_id for env_id, spec in gymnasium.registry.items() if spec.vector_entry_point == VECTOR_ENV)
 
 
@@ -69,7 +69,7 @@ def register_installed() -> None:
 
 @functools.cache
 def installed(group: str) -> EntryPoints:
-    """What all installed packages offer under an entry-point group."""
+    """Return what all installed packages offer under an entry-point group."""
     return entry_points(group=group)
 
 
@@ -90,19 +90,19 @@ def load_installed(group: str, name: str, kind: str) -> Any:
 
 
 def files_beside(group: str, suffix: str) -> dict[str, Path]:
-    """Files `NAME` + `suffix` beside the modules of what is installed in a group, by name. No module is imported."""
+    """Return files `NAME` + `suffix` beside the modules of what is installed in a group, by name. Imports no module."""
     homes = {entry.name: importlib.util.find_spec(entry.module) for entry in installed(group)}
     files = {name: Path(home.origin).with_name(name + suffix) for name, home in homes.items() if home and home.origin}
     return {name: file for name, file in files.items() if file.exists()}
 
 
 def load_task(task: "str | type[Any]") -> type[Any]:
-    """The task class that was registered, imported if it was registered by name; raises `ConfigurationError`."""
+    """Return the registered task class, imported if it was registered by name; raises `ConfigurationError`."""
     return import_attribute(task, "task") if isinstance(task, str) else task
 
 
 def import_attribute(name: str, kind: str) -> Any:
-    """What `module:attribute` or `path/to/module.py:attribute` names; raises `ConfigurationError`."""
+    """Return what `module:attribute` or `path/to/module.py:attribute` names; raises `ConfigurationError`."""
     module, _, attribute = name.rpartition(":")
     loaded = import_named(module, f"the {kind} {name!r}")
     if not hasattr(loaded, attribute):
@@ -112,7 +112,7 @@ def import_attribute(name: str, kind: str) -> Any:
 
 
 def own_names(module: ModuleType) -> list[str]:
-    """What a module defines itself."""
+    """Return what a module defines itself."""
     return [name for name, value in vars(module).items() if getattr(value, "__module__", None) == module.__name__]
 
 
@@ -133,7 +133,7 @@ def remember_named(*names: str) -> None:
 
 
 def was_named(name: str) -> bool:
-    """Whether the user has named this in this process."""
+    """Return True if the user has named this in this process."""
     return name in _named
 
 
@@ -174,8 +174,8 @@ def _import_file(path: Path) -> ModuleType:
     if not path.is_file():
         raise FileNotFoundError(f"there is no file {path}")
     with importable_from(path.parent):
-        found = importlib.util.find_spec(path.stem) if path.stem.isidentifier() else None
-        if found is not None and found.origin == str(path):
+        spec = importlib.util.find_spec(path.stem) if path.stem.isidentifier() else None
+        if spec is not None and spec.origin == str(path):
             return importlib.import_module(path.stem)
         name = f"{path.stem}_{zlib.crc32(bytes(path)):08x}"
         if name not in sys.modules:

@@ -29,15 +29,15 @@ class Range(BaseModel):
     low: int | float | None = None
     high: int | float | None = None
     log: bool = False
-    """Whether values are drawn by their logarithm, as for learning rates."""
+    """True if values are drawn by their logarithm, as for learning rates."""
     choices: tuple[Value, ...] = ()
 
     @model_validator(mode="before")
     @classmethod
-    def _tuple_of_choices(cls, given: Any) -> Any:
-        if isinstance(given, dict) and isinstance(choices := given.get("choices"), list):
-            return given | {"choices": tuple(choices)}
-        return given
+    def _tuple_of_choices(cls, value: Any) -> Any:
+        if isinstance(value, dict) and isinstance(choices := value.get("choices"), list):
+            return value | {"choices": tuple(choices)}
+        return value
 
     @model_validator(mode="after")
     def _is_one_or_the_other(self) -> "Range":
@@ -56,12 +56,12 @@ class Range(BaseModel):
 
     @property
     def is_whole(self) -> bool:
-        """Whether its values are whole numbers."""
+        """True if its values are whole numbers."""
         return isinstance(self.low, int) and isinstance(self.high, int)
 
     def __contains__(self, value: object) -> bool:
         if self.choices:
-            return any(value == one and type(value) is type(one) for one in self.choices)
+            return any(value == choice and type(value) is type(choice) for choice in self.choices)
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             return False
         assert self.low is not None
@@ -74,31 +74,31 @@ SearchSpace = Mapping[str, Range]
 
 
 def search_space(table: Mapping[str, Any], values: Mapping[str, Any], source: str) -> dict[str, Range]:
-    """The ranges in a table `[tune]`, by path. `values` are those of the file, `source` its name.
+    """Return the ranges in a table `[tune]`, by path. `values` are those of the file, `source` its name.
 
     Raises `ConfigurationError` for what is no range, and for an option whose present value is not in its range, or not
     in the file: a tuning begins with it.
     """
-    found: dict[str, Range] = {}
-    for path, given in _leaves(table):
+    ranges: dict[str, Range] = {}
+    for path, definition in _leaves(table):
         try:
-            found[path] = Range.model_validate(given)
+            ranges[path] = Range.model_validate(definition)
         except ValidationError as error:
             why = error.errors()[0]["msg"].removeprefix("Value error, ")
-            raise ConfigurationError(f"{source}: [tune] {path}: {why}; not {given!r}") from error
+            raise ConfigurationError(f"{source}: [tune] {path}: {why}; not {definition!r}") from error
         try:
             present = value_at(values, path)
         except KeyError:
             raise ConfigurationError(
                 f"{source} does not say which value {path} has now: add it, for a tuning begins there"
             ) from None
-        if present not in found[path]:
-            raise ConfigurationError(f"{source}: the present value of {path}, {present!r}, is not in {given!r}")
-    return found
+        if present not in ranges[path]:
+            raise ConfigurationError(f"{source}: the present value of {path}, {present!r}, is not in {definition!r}")
+    return ranges
 
 
 def value_at(values: Mapping[str, Any], path: str) -> Any:
-    """The value at a path. Raises `KeyError`."""
+    """Return the value at a path. Raises `KeyError`."""
     for key in path.split("."):
         if not isinstance(values, Mapping):
             raise KeyError(path)
@@ -107,7 +107,7 @@ def value_at(values: Mapping[str, Any], path: str) -> Any:
 
 
 def with_values(values: Mapping[str, Any], chosen: Mapping[str, Any]) -> dict[str, Any]:
-    """A copy with other values at some paths, all of which it has."""
+    """Return a copy with other values at some paths, all of which it has."""
     changed = copy.deepcopy(dict(values))
     for path, value in chosen.items():
         *above, last = path.split(".")
@@ -119,7 +119,7 @@ def with_values(values: Mapping[str, Any], chosen: Mapping[str, Any]) -> dict[st
 
 
 def _leaves(table: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
-    """Everything that should be a range, with its path: what is no table, or a table with a range's keys."""
+    """Yield everything that should be a range, with its path: what is no table, or a table with a range's keys."""
     for key, value in table.items():
         path = f"{above}{key}"
         if isinstance(value, Mapping) and not value.keys() & Range.model_fields.keys():

@@ -1,4 +1,4 @@
-"""Which seeds are for what, so that nobody is judged on episodes that it was made with.
+"""Purposes of seeds, so that nothing is judged on episodes that it was made with.
 
 | seeds | episodes |
 |---|---|

@@ -92,12 +92,12 @@ def collect(
     folder, name, options = Path(out).absolute(), policy_name(policy), dict(env_options or {})
     worlds = min(worlds, episodes)
     secret = chosen_policy_seed(policy_seed, None if overwrite else _stored_policy_seed(folder))
-    with contextlib.closing(WorldsAsAsked(env, worlds if engine.is_here else 1, options)) as interfaces:
-        made_env = interfaces.asked
+    with contextlib.closing(WorldsAsAsked(env, worlds if engine.is_local else 1, options)) as interfaces:
+        made_env = interfaces.requested
         check_recordable(made_env)
         made = build_policy(policy, made_env, name, secret)
         made_env.reset(seed=seed)  # raises for an invalid seed, before anything is written
-        if not engine.is_here:
+        if not engine.is_local:
             check_sendable({name: policy})
         own = identity(full_id(env), options, seed, {name: policy}, {name: made}, made_env)
         own |= {"format": format, POLICY_SEED: str(secret)}
@@ -117,7 +117,7 @@ def collect(
             collection = Collection(folder, resumed=len(unfinished.outcomes))
             failure: PolicyFailed | EnvironmentFailed | WorkersFailed | None = None
             waiting = [number for number in range(episodes) if number not in unfinished.outcomes]
-            if engine.is_here:
+            if engine.is_local:
                 stream = demonstrate(made, made_env, waiting, seed, name)
             else:
                 config = WorkerConfig(env, worlds, options, seed, secret, engine.workers, interfaces=WorldsAsAsked)

@@ -20,15 +20,15 @@ class WorldsAsAsked:
     """Worlds with the interface that was asked for, whoever plays in them: it is what is recorded."""
 
     def __init__(self, env: str, worlds: int, options: Mapping[str, Any], threads: int = 0) -> None:
-        self.asked = make_worlds(env, worlds, options, threads)
+        self.requested = make_worlds(env, worlds, options, threads)
 
     def of(self, _: Any) -> EpisodeVectorEnv:
         """These worlds, whatever the policy."""
-        return self.asked
+        return self.requested
 
     def close(self) -> None:
         """Close them."""
-        self.asked.close()
+        self.requested.close()
 
 
 def demonstrate_in_workers(

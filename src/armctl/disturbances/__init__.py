@@ -65,7 +65,7 @@ GENERIC: dict[str, DisturbanceSpec] = {
     ),
     "dropout": Share(Dropout, "lost camera images", "share", (0, 0.1, 0.25, 0.5, 0.75), applies=_has_camera),
 }
-"""For any task."""
+"""Disturbances of any task."""
 ARM: dict[str, DisturbanceSpec] = {
     "noise": DisturbanceSpec(
         Noise, "sensor noise, standard deviation", "m, rad, m/s", (0, 0.005, 0.01, 0.02, 0.05), 10
@@ -82,7 +82,7 @@ ARM: dict[str, DisturbanceSpec] = {
         LARGEST_MISMATCH,
     ),
 }  # fmt: skip
-"""For an arm."""
+"""Disturbances of an arm."""
 ROVER: dict[str, DisturbanceSpec] = {
     "noise": DisturbanceSpec(
         Noise, "sensor noise, standard deviation", "m, m/s, rad/s", (0, 0.05, 0.1, 0.2, 0.5), 10,
@@ -113,11 +113,11 @@ ROVER: dict[str, DisturbanceSpec] = {
     ),
     "dropout": GENERIC["dropout"],
 }  # fmt: skip
-"""For a rover."""
+"""Disturbances of a rover."""
 
 
 def available(specs: Mapping[str, DisturbanceSpec], task: Disturbable) -> dict[str, DisturbanceSpec]:
-    """The disturbances in `specs` that apply to a task with its present options, by name."""
+    """Return the disturbances in `specs` that apply to a task with its present options, by name."""
     return {name: spec for name, spec in specs.items() if spec.applies(task)}
 
 
@@ -137,16 +137,16 @@ def disturb(
         if name not in usable:
             raise unknown_name("disturbance here", name, usable)
     ranges = {name: spec.checked_range(name, levels[name]) for name, spec in usable.items() if name in levels}
-    made = {}
+    disturbances = {}
     for name, drawn_from in ranges.items():
         if drawn_from.low == drawn_from.high == usable[name].neutral:
             continue
-        made[name] = usable[name].make(task, drawn_from.high)
+        disturbances[name] = usable[name].make(task, drawn_from.high)
         if drawn_from.low < drawn_from.high:
-            if not made[name].per_episode:
+            if not disturbances[name].per_episode:
                 raise ConfigurationError(f"the level of {name} cannot differ between episodes: give one level")
-            made[name].drawn_from = drawn_from
-    return made
+            disturbances[name].drawn_from = drawn_from
+    return disturbances
 
 
 def begin_episodes(
@@ -156,23 +156,23 @@ def begin_episodes(
 
     A disturbance changes what earlier ones have left of the robot. So all are renewed if one is.
     """
-    for name, one in disturbances.items():
+    for name, disturbance in disturbances.items():
         for i in ids:
             seed, episode = int(seeds[i]), int(episodes[i])
-            one.rngs[i] = episode_rng(name, seed, episode)
-            if one.drawn_from is not None:  # by a generator of its own: all else is as at that level fixed
-                one.levels[i] = one.drawn_from.draw(episode_rng(f"level of {name}", seed, episode))
-    if any(one.renewed for one in disturbances.values()):
-        for one in reversed([*disturbances.values()]):
-            one.undo(ids)
-        for one in disturbances.values():
-            one.apply(ids)
-    for one in disturbances.values():
-        one.begin(ids)
+            disturbance.rngs[i] = episode_rng(name, seed, episode)
+            if disturbance.drawn_from is not None:  # by a generator of its own: all else is as at that level fixed
+                disturbance.levels[i] = disturbance.drawn_from.draw(episode_rng(f"level of {name}", seed, episode))
+    if any(disturbance.renewed for disturbance in disturbances.values()):
+        for disturbance in reversed([*disturbances.values()]):
+            disturbance.undo(ids)
+        for disturbance in disturbances.values():
+            disturbance.apply(ids)
+    for disturbance in disturbances.values():
+        disturbance.begin(ids)
 
 
 def episode_entropy(seed: int, episode: int) -> tuple[int, ...]:
-    """An episode's entropy for `numpy.random.SeedSequence`, which is no other episode's.
+    """Return an episode's entropy for `numpy.random.SeedSequence`, which is no other episode's.
 
     NumPy cuts seeds into words of 32 bits, and fills up with zeros: without the 1, episode 0 of seed 2^32 + s would be
     episode 1 of seed s.
@@ -189,12 +189,12 @@ def episode_of(rng: np.random.Generator) -> tuple[int, int] | None:
     match sequence:
         case np.random.SeedSequence(entropy=(int(seed), int(episode), *_) as entropy, spawn_key=()):
             fresh = np.random.default_rng(sequence).bit_generator.state
-            known = tuple(entropy) == episode_entropy(seed, episode)
-            return (seed, episode) if known and rng.bit_generator.state == fresh else None
+            is_ours = tuple(entropy) == episode_entropy(seed, episode)
+            return (seed, episode) if is_ours and rng.bit_generator.state == fresh else None
     return None
 
 
 def episode_rng(name: str, seed: int, episode: int) -> np.random.Generator:
-    """The random generator of a disturbance in an episode, independent of the task's and of other disturbances'."""
+    """Return the generator of a disturbance in an episode, independent of the task's and of other disturbances'."""
     sequence = np.random.SeedSequence(episode_entropy(seed, episode), spawn_key=(zlib.crc32(name.encode()),))
     return np.random.default_rng(sequence)

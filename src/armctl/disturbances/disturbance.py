@@ -15,11 +15,11 @@ from armctl.simulation import Simulation
 Array = NDArray[np.float64]
 Observations = NDArray[np.float32] | dict[str, NDArray[Any]]
 Channel = Literal["observation", "state", "action", "physics"]
-"""What a disturbance acts on. A policy reads observation, state, both or none; actions and physics reach everybody."""
+"""Target of a disturbance. Policies read observation, state, both or none; actions and physics reach all of them."""
 
 
 class Disturbable(Protocol):
-    """What disturbances need of a task."""
+    """Interface that disturbances need of a task."""
 
     n: int
     simulation: Simulation
@@ -33,7 +33,7 @@ class Disturbable(Protocol):
 
     @property
     def physical(self) -> bool:
-        """Whether masses, friction and pushes change anything."""
+        """True if masses, friction and pushes change anything."""
 
     @property
     def idle_action(self) -> Array:
@@ -44,7 +44,7 @@ class Disturbable(Protocol):
         """The body to which payloads are attached and pushes are applied."""
 
     def observe(self, ids: NDArray[np.int32] | None = None) -> Observations:
-        """What policies see now."""
+        """Return the current observations of policies."""
 
 
 class Disturbance:
@@ -55,11 +55,11 @@ class Disturbance:
     """
 
     channels: ClassVar[frozenset[Channel]] = frozenset({"physics"})
-    """What it acts on. Subclasses that override `observe` act on the observation, unless they say more themselves."""
+    """Channels it acts on. A subclass that overrides `observe` acts on the observation unless it says more itself."""
     per_episode: ClassVar[bool] = False
-    """Whether each episode can have a level of its own: the class goes by `levels`, not by `level`."""
+    """True if each episode can have a level of its own: the class goes by `levels`, not by `level`."""
     renewed = False
-    """Whether `apply` has to be called anew in each episode."""
+    """True if `apply` has to be called again in each episode."""
 
     def __init__(self, task: Disturbable, level: float) -> None:
         self.task, self.level = task, level
@@ -87,18 +87,18 @@ class Disturbance:
         """Change the simulated robots of worlds `ids`, whose `levels` and `rngs` are those of their new episodes."""
 
     def begin(self, ids: NDArray[np.int32]) -> None:
-        """Worlds `ids` are about to be reset; their `rngs` are new."""
+        """Prepare for the reset of worlds `ids`; their `rngs` are new."""
 
     def command(self, actions: Array) -> Array:
-        """The actions that reach the robots, given `actions` (n, ...). Called once per control step, before it."""
+        """Return the actions that reach the robots, for `actions` (n, ...). Called once per control step, before it."""
         return actions
 
     def observe(self, observations: Observations, ids: NDArray[np.int32] | slice) -> Observations:
-        """The observations that policies see in worlds `ids`. Repeated calls return the same."""
+        """Return the observations that policies see in worlds `ids`. Repeated calls return the same."""
         return observations
 
     def perceive(self, numbers: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The state's numbers (n, k) that policies read which see the state. Repeated calls return the same."""
+        """Return the state's numbers (n, k) for policies that see the state. Repeated calls return the same."""
         return numbers
 
 
@@ -109,37 +109,37 @@ class LevelRange:
     low: float
     high: float
     whole: bool
-    """Whether levels are whole numbers."""
+    """True if levels are whole numbers."""
 
     def draw(self, rng: np.random.Generator) -> float:
-        """A level, drawn uniformly, both ends included."""
+        """Draw a level uniformly, both ends included."""
         if self.whole:
             return float(rng.integers(int(self.low), int(self.high), endpoint=True))
         return float(rng.uniform(self.low, self.high))
 
 
 def everywhere(task: Disturbable) -> bool:
-    """Applies to every task."""
+    """Return True: it applies to every task."""
     return True
 
 
 @dataclass(frozen=True)
 class DisturbanceSpec:
-    """One kind of disturbance for one kind of task."""
+    """Kind of disturbance for one kind of task."""
 
     make: Callable[[Any, float], Disturbance]
     """Makes the disturbance from the task and the level."""
     does: str
-    """What it does, in one line."""
+    """Effect, in one line."""
     unit: str
     levels: tuple[float, ...]
     """Default levels of a sweep, beginning with the one that changes nothing."""
     highest: float
     """Levels are from 0 to this."""
     whole: bool = False
-    """Whether levels are whole numbers."""
+    """True if levels are whole numbers."""
     applies: Callable[[Any], bool] = everywhere
-    """Whether it applies to a task with its present options."""
+    """Function of a task: whether it applies with the task's present options."""
 
     @property
     def neutral(self) -> float:
@@ -152,21 +152,21 @@ class DisturbanceSpec:
         return 0.0 if self.neutral > 0 else self.highest
 
     def checked(self, name: str, level: object) -> float:
-        """A level as a float. Raises `ConfigurationError` for an invalid level."""
+        """Return a level as a float. Raises `ConfigurationError` for an invalid level."""
         usable = isinstance(level, (int, float, np.number)) and not isinstance(level, bool)
         if not (usable and 0 <= level <= self.highest and (not self.whole or level == int(level))):  # type: ignore[operator, call-overload]
             number = "a whole number" if self.whole else "a number"
             raise ConfigurationError(f"{name} is {number} from 0 to {self.highest:g} ({self.unit}), not {level!r}")
         return float(level)  # type: ignore[arg-type]
 
-    def checked_range(self, name: str, given: object) -> LevelRange:
-        """The range of a level, or of a pair of the lowest and highest. Raises `ConfigurationError`."""
-        if not isinstance(given, (list, tuple)):
-            level = self.checked(name, given)
+    def checked_range(self, name: str, levels: object) -> LevelRange:
+        """Return the range of a level, or of a pair of the lowest and highest. Raises `ConfigurationError`."""
+        if not isinstance(levels, (list, tuple)):
+            level = self.checked(name, levels)
             return LevelRange(level, level, self.whole)
-        if len(given) != 2:
-            raise ConfigurationError(f"{name} is one level, or a pair of the lowest and the highest, not {given!r}")
-        low, high = (self.checked(name, level) for level in given)
+        if len(levels) != 2:
+            raise ConfigurationError(f"{name} is one level, or a pair of the lowest and the highest, not {levels!r}")
+        low, high = (self.checked(name, level) for level in levels)
         if low > high:
-            raise ConfigurationError(f"the levels of {name} are from the lowest to the highest, not {given!r}")
+            raise ConfigurationError(f"the levels of {name} are from the lowest to the highest, not {levels!r}")
         return LevelRange(low, high, self.whole)

@@ -32,19 +32,19 @@ class FieldDisturbance(Disturbance):
     def __init__(self, task: Disturbable, level: float, entries: Mapping[str, Sequence[int]]) -> None:
         super().__init__(task, level)
         self.fields = {name: task.simulation.per_world(name) for name in entries}
-        self._before = {name: (chosen, self.fields[name][:, chosen].copy()) for name, chosen in entries.items()}
+        self._undisturbed = {name: (chosen, self.fields[name][:, chosen].copy()) for name, chosen in entries.items()}
         if not self.random:
             self.apply(self.worlds)
 
     @property
     def renewed(self) -> bool:  # type: ignore[override]
-        """Whether `apply` has to be called anew in each episode."""
+        """True if `apply` has to be called again in each episode."""
         return self.random or self.drawn_from is not None
 
     def undo(self, ids: NDArray[np.int32]) -> None:
-        """Restore what the entries were before this disturbance was made."""
-        for name, (chosen, before) in self._before.items():
-            self.fields[name][ids[:, None], chosen] = before[ids]
+        """Restore the undisturbed entries."""
+        for name, (chosen, undisturbed) in self._undisturbed.items():
+            self.fields[name][ids[:, None], chosen] = undisturbed[ids]
 
 
 class Payload(FieldDisturbance):
@@ -67,9 +67,9 @@ class Payload(FieldDisturbance):
         rotation, quaternion = np.zeros(9), body["body_iquat"][0].copy()
         mujoco.mju_quat2Mat(rotation, quaternion)
         axes = rotation.reshape(3, 3)
-        own = pinocchio.Inertia(float(mass), centre, axes @ np.diag(moments) @ axes.T)
+        inertia = pinocchio.Inertia(float(mass), centre, axes @ np.diag(moments) @ axes.T)
         ball = pinocchio.Inertia.FromSphere(self.levels[world], PAYLOAD_RADIUS)
-        total = own + ball.se3Action(pinocchio.SE3(np.eye(3), self._offset))
+        total = inertia + ball.se3Action(pinocchio.SE3(np.eye(3), self._offset))
         principal, vectors = np.linalg.eigh(total.inertia)
         vectors[:, 2] *= np.sign(np.linalg.det(vectors))
         mujoco.mju_mat2Quat(quaternion, vectors.ravel())

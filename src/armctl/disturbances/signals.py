@@ -23,8 +23,8 @@ class Noise(Disturbance):
 
     def __init__(self, task: Disturbable, level: float) -> None:
         super().__init__(task, level)
-        seen = task.observe()
-        arrays = seen if isinstance(seen, dict) else {"": seen}
+        observation = task.observe()
+        arrays = observation if isinstance(observation, dict) else {"": observation}
         numbers = {name: values for name, values in arrays.items() if values.dtype.kind == "f"}
         self._noise = {name: np.zeros(values.shape, dtype=np.float32) for name, values in numbers.items()}
 
@@ -43,7 +43,7 @@ class Noise(Disturbance):
                 self.rngs[i].standard_normal(out=noise[i], dtype=np.float32)
 
     def observe(self, observations: Observations, ids: NDArray[np.int32] | slice) -> Observations:
-        """Observations with noise."""
+        """Return observations with noise."""
         space: Any = self.task.observation_space
         if isinstance(observations, dict):
             return {
@@ -87,7 +87,7 @@ class StateNoise(Noise):
             self._state_rngs[i].standard_normal(out=self._state_noise[i], dtype=np.float32)
 
     def perceive(self, numbers: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The state's numbers with noise."""
+        """Return the state's numbers with noise."""
         task: Any = self.task
         return self._noisy(numbers, self._state_noise, task.state_space, slice(None))
 
@@ -112,7 +112,7 @@ class Dropout(Disturbance):
         return actions
 
     def observe(self, observations: Observations, ids: NDArray[np.int32] | slice) -> Observations:
-        """Observations with lost images black."""
+        """Return observations with lost images black."""
         assert isinstance(observations, dict)
         lost = self._lost[ids][:, *[None] * (observations["image"].ndim - 1)]
         return observations | {"image": np.where(lost, np.zeros_like(observations["image"]), observations["image"])}
@@ -133,7 +133,7 @@ class Delay(Disturbance):
         self._waiting[ids] = self._idle
 
     def command(self, actions: Array) -> Array:
-        """The actions of `levels` control steps ago."""
+        """Return the actions of `levels` control steps ago."""
         line = np.concatenate((self._waiting, actions[:, None]), axis=1)
         self._waiting = line[:, 1:]
         return np.asarray(line[self.worlds, int(self.level) - self.levels.astype(int)])

@@ -22,7 +22,7 @@ from armctl.envs.make import RESERVED, find_spec, is_task
 
 LIMIT = "Control steps until an episode is truncated."
 BOUNDS = {"gt": "> {}", "ge": ">= {}", "lt": "< {}", "le": "<= {}"}
-"""How pydantic's constraints are written, by name."""
+"""Notation of pydantic's constraints, by name."""
 
 
 @dataclass(frozen=True)
@@ -37,18 +37,20 @@ class OptionDescription:
 
 
 def describe_options(env: str) -> list[OptionDescription]:
-    """The options of an environment, with the defaults that it was registered with. Raises `ConfigurationError`."""
+    """Return an environment's options, with the defaults it was registered with. Raises `ConfigurationError`."""
     spec = find_spec(env)
     described = _fields(load_task(spec.kwargs["task"]).options_type) if is_task(spec) else _parameters(spec)
     registered = {name: _default(value) for name, value in spec.kwargs.items()}
-    described = [dataclasses.replace(one, default=registered.get(one.name, one.default)) for one in described]
+    described = [
+        dataclasses.replace(option, default=registered.get(option.name, option.default)) for option in described
+    ]
     return [*described, OptionDescription("max_episode_steps", str(spec.max_episode_steps), "int", LIMIT)]
 
 
 def _fields(options_type: type[Any]) -> list[OptionDescription]:
     texts: dict[str, str] = {}
-    for one in reversed(options_type.__mro__):
-        texts |= _docstrings(one)
+    for base in reversed(options_type.__mro__):
+        texts |= _docstrings(base)
     hints = typing.get_type_hints(options_type, include_extras=True)
     return [
         OptionDescription(field.name, _field_default(field), type_text(hints[field.name]), texts.get(field.name, ""))
@@ -56,10 +58,10 @@ def _fields(options_type: type[Any]) -> list[OptionDescription]:
     ]
 
 
-def _docstrings(one: type[Any]) -> dict[str, str]:
-    """The docstrings beneath the fields of a class, by name; none if its source is not there."""
+def _docstrings(cls: type[Any]) -> dict[str, str]:
+    """Return the docstrings beneath the fields of a class, by name; none if its source is missing."""
     try:
-        tree = ast.parse(textwrap.dedent(inspect.getsource(one)))
+        tree = ast.parse(textwrap.dedent(inspect.getsource(cls)))
     except (OSError, TypeError, SyntaxError):
         return {}
     body = tree.body[0].body if isinstance(tree.body[0], ast.ClassDef) else []
@@ -78,44 +80,45 @@ def _field_default(field: "dataclasses.Field[Any]") -> str:
 
 
 def _default(value: Any) -> str:
-    """A default as it is written after `--set`; of named parts, such as reward terms, the names."""
+    """Return a default as it is written after `--set`; of named parts, such as reward terms, the names."""
     return ", ".join(value) or "none" if isinstance(value, Mapping) else str(value)
 
 
 def _parameters(spec: EnvSpec) -> list[OptionDescription]:
-    """Of an environment of others: its constructor's parameters."""
+    """Return the constructor's parameters of an environment of others."""
     maker = load_env_creator(spec.entry_point) if isinstance(spec.entry_point, str) else spec.entry_point
     parameters = inspect.signature(maker).parameters if maker else {}
     return [
         OptionDescription(
             name,
-            "" if one.default is one.empty else _default(one.default),
-            "any" if one.annotation is one.empty else type_text(one.annotation),
+            "" if parameter.default is parameter.empty else _default(parameter.default),
+            "any" if parameter.annotation is parameter.empty else type_text(parameter.annotation),
             "",
         )
-        for name, one in parameters.items()
-        if name not in RESERVED | {"self"} and one.kind in (one.POSITIONAL_OR_KEYWORD, one.KEYWORD_ONLY)
+        for name, parameter in parameters.items()
+        if name not in RESERVED | {"self"}
+        and parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY)
     ]
 
 
 def type_text(hint: Any) -> str:
-    """A type for readers: `float > 0`, `position | delta`, `tuple of 3 float`."""
+    """Return a type for readers: `float > 0`, `position | delta`, `tuple of 3 float`."""
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
     if origin is typing.Annotated:
         limits = [limit for extra in arguments[1:] for limit in (extra, *getattr(extra, "metadata", ()))]
-        found = [
+        bounds = [
             shape.format(f"{getattr(limit, name):g}")
             for limit in limits
             for name, shape in BOUNDS.items()
             if isinstance(getattr(limit, name, None), (int, float))
         ]
-        return " ".join([type_text(arguments[0]), " and ".join(dict.fromkeys(found))]).rstrip()
+        return " ".join([type_text(arguments[0]), " and ".join(dict.fromkeys(bounds))]).rstrip()
     if origin is typing.Literal:
         return " | ".join(map(str, arguments))
     if origin in (typing.Union, types.UnionType):
         return " | ".join(map(type_text, arguments))
     if origin is tuple:
-        parts = [type_text(one) for one in arguments if one is not ...]
+        parts = [type_text(argument) for argument in arguments if argument is not ...]
         return f"({', '.join(parts)})" if ... not in arguments else f"tuple of {parts[0]}"
     if hint is types.NoneType:
         return "None"

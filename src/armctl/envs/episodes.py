@@ -1,4 +1,4 @@
-"""What all vector environments of armctl share: episodes by number, and worlds that are reset one by one."""
+"""Common part of armctl's vector environments: episodes by number, and worlds that are reset one by one."""
 
 from abc import abstractmethod
 from collections.abc import Callable
@@ -37,14 +37,14 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     task: Any
     """A `Task`, or what stands for one in the environments of others (`ThirdPartyTask`)."""
     outcomes: tuple[str, ...]
-    """How an episode can end, by `outcome_id`; the last one is `running`."""
+    """Possible ends of an episode, by `outcome_id`; the last one is `running`."""
     max_episode_steps: int | None
     autoreset_mode: AutoresetMode
     disturbances: dict[str, Disturbance]
     stated_return_bounds: tuple[float, float] | None = None
-    """Least and largest possible return, as whoever compares policies states them."""
+    """Least and largest possible return, as stated for a comparison."""
     normalized = False
-    """Whether actions are from -1 to 1, and not in the task's units."""
+    """True if actions are from -1 to 1, and not in the task's units."""
 
     def __init__(self, num_envs: int) -> None:
         self.num_envs = num_envs
@@ -102,7 +102,7 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
 
     @abstractmethod
     def render(self) -> Any:
-        """Images (height, width, 3) of all worlds, as a tuple."""
+        """Return images (height, width, 3) of all worlds, as a tuple."""
 
     @property
     def control_period(self) -> float | None:
@@ -134,8 +134,8 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     def perceived(self) -> Any:
         """Return what policies that see the state read it from: the task, or what disturbances let them know of it.
 
-        A disturbance acts on the numbers of `task.state_observation()`, of which `task.perceived(numbers)` makes what
-        is read in place of the task. Rewards and outcomes stay true.
+        A disturbance acts on the numbers of `task.state_observation()`, and `task.perceived(numbers)` makes of them
+        what is read in place of the task. Rewards and outcomes stay true.
         """
         acting = [disturbance for disturbance in self.disturbances.values() if "state" in disturbance.channels]
         if not acting:
@@ -147,7 +147,7 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
 
     @abstractmethod
     def _infos(self) -> Infos:
-        """What `reset` tells of the new episodes."""
+        """Return what `reset` tells of the new episodes."""
 
     @abstractmethod
     def _begin(self, ids: NDArray[np.int32]) -> None:
@@ -155,7 +155,7 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
 
     @abstractmethod
     def _observe(self) -> Observations:
-        """Observations of all worlds."""
+        """Return observations of all worlds."""
 
     def _begin_next(self, ids: NDArray[np.integer[Any]]) -> None:
         self._episodes[ids] += 1
@@ -178,11 +178,11 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         return observations
 
     def _checked(self, actions: Any) -> Any:
-        """Actions that `step` takes. Raises `InvalidAction`."""
+        """Return actions that `step` takes. Raises `InvalidAction`."""
         return self._checked_numbers(actions)
 
     def _checked_numbers(self, actions: ArrayLike) -> Array:
-        """Actions as numbers of the right shape. Raises `InvalidAction`."""
+        """Return actions as numbers of the right shape. Raises `InvalidAction`."""
         checked = action_numbers(actions)
         expected = (self.num_envs, *(self.single_action_space.shape or ()))
         if checked.shape != expected:
@@ -199,16 +199,16 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         if not self._seeded:
             raise gymnasium.error.ResetNeeded("call reset() before the first step()")
 
-    def _whole_numbers(self, name: str, given: Any) -> NDArray[np.int64]:
-        numbers = np.array([_folded(one) for one in given] if isinstance(given, list) else _folded(given))
+    def _whole_numbers(self, name: str, seeds: Any) -> NDArray[np.int64]:
+        numbers = np.array([_folded(seed) for seed in seeds] if isinstance(seeds, list) else _folded(seeds))
         usable = numbers.shape in ((), (self.num_envs,)) and numbers.dtype.kind in "iu"
         if not usable or (numbers < 0).any() or (numbers >= LARGEST_SEED).any():
-            raise ConfigurationError(f"{name} is a whole number from 0 on, or {self.num_envs} of them, not {given!r}")
+            raise ConfigurationError(f"{name} is a whole number from 0 on, or {self.num_envs} of them, not {seeds!r}")
         return np.broadcast_to(numbers, self.num_envs).astype(np.int64)
 
 
 def _folded(number: Any) -> Any:
-    """A seed as it is, or mixed into the upper half of the seeds if it is too large, as some libraries draw them."""
+    """Return a seed, mixed into the upper half of the seeds if it is too large, as some libraries draw them."""
     if not isinstance(number, (int, np.integer)) or number < LARGEST_SEED:
         return number
     half = LARGEST_SEED // 2

@@ -1,4 +1,4 @@
-"""What a policy is told about its environment: as much as it declares to see, and no more.
+"""Knowledge of a policy about its environment: as much as it declares to see, and no more.
 
 Everything in an `Interface` is a copy. Nothing in it leads to the simulation: armctl writes into it when an episode
 begins, and never reads it.
@@ -28,12 +28,12 @@ SEES: Mapping[str, str] = {
     "map": "map",
     "state": "true state",
 }
-"""What a policy can declare to see, from the least to the most, and how tables say it. Each includes the ones before
-it."""
+"""Privileges that a policy can declare, from the least to the most, and their text in tables.
+Each includes those before it."""
 
 
 class CurrentEpisode:
-    """What a policy is told of one world's current episode. armctl changes it when the next one begins."""
+    """Knowledge of a policy about one world's current episode. armctl changes it when the next one begins."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self.rng = rng
@@ -42,40 +42,40 @@ class CurrentEpisode:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Interface:
-    """What every policy may know of n worlds before it acts."""
+    """Knowledge of every policy about n worlds before it acts."""
 
     sees: ClassVar[Sees] = "observation"
     env_id: str
     num_envs: int
     single_observation_space: gymnasium.Space[Any]
-    """Of one world."""
+    """Observation space of one world."""
     single_action_space: gymnasium.Space[Any]
-    """Of one world."""
+    """Action space of one world."""
     control_period: float | None
     """Seconds between two control steps; None if the environment does not say."""
     max_episode_steps: int | None
     interface: Mapping[str, str]
-    """What a learned policy depends on, such as robot and control, by `Task.interface`."""
+    """Facts that a learned policy depends on, such as robot and control, by `Task.interface`."""
     idle_action: NDArray[Any] | None
     """The action that leaves the robot where it starts; None if actions are not boxes."""
     normalized: bool = False
-    """Whether actions are from -1 to 1, and not in the task's units."""
+    """True if actions are from -1 to 1, and not in the task's units."""
     of_one_world: bool = False
-    """Whether the policy acts in one world, without a batch axis."""
+    """True if the policy acts in one world, without a batch axis."""
     _episodes: Sequence[CurrentEpisode] = ()
 
     @functools.cached_property
     def observation_space(self) -> gymnasium.Space[Any]:
-        """Of all worlds at once, or of the one world in which the policy acts."""
+        """Observation space of all worlds at once, or of the one world in which the policy acts."""
         return self._space(self.single_observation_space)
 
     @functools.cached_property
     def action_space(self) -> gymnasium.Space[Any]:
-        """Of all worlds at once, or of the one world in which the policy acts."""
+        """Action space of all worlds at once, or of the one world in which the policy acts."""
         return self._space(self.single_action_space)
 
     def rng(self, world: int = 0) -> np.random.Generator:
-        """For random choices in a world. armctl seeds it anew for each episode, by a secret of the run.
+        """Return a generator for random choices in a world. armctl seeds it for each episode, by a secret of the run.
 
         The numbers are the same however many worlds and workers play, and tell neither the episode's seed nor its
         number (see `armctl.envs.policy_seed`).
@@ -83,11 +83,11 @@ class Interface:
         return self._episodes[world].rng
 
     def in_world(self, world: int) -> "Interface":
-        """The interface of a policy that acts in one of the worlds."""
+        """Return the interface of a policy that acts in one of the worlds."""
         return dataclasses.replace(self, num_envs=1, of_one_world=True, _episodes=(self._episodes[world],))
 
     def limited_to(self, sees: str, name: str) -> "Interface":
-        """What this policy may tell another one, called `name`, which declares what it `sees`.
+        """Return what this policy may tell another one, called `name`, which declares what it `sees`.
 
         Raises `ConfigurationError` if that is more than this one knows itself.
         """
@@ -100,14 +100,14 @@ class Interface:
         return kind(**{field.name: getattr(self, field.name) for field in dataclasses.fields(kind)})
 
     def __getattr__(self, name: str) -> Any:
-        """Only called for what is not there: raises an AttributeError that says which declaration gives it."""
+        """Raise an AttributeError that says which declaration gives a missing attribute."""
         if name.startswith("_"):
             raise AttributeError(name)
-        known = [one for one in dir(type(self)) if not one.startswith("_")]
-        known += [field.name for field in dataclasses.fields(self) if not field.name.startswith("_")]
+        names = [attribute for attribute in dir(type(self)) if not attribute.startswith("_")]
+        names += [field.name for field in dataclasses.fields(self) if not field.name.startswith("_")]
         needed = next((sees for sees, kind in INTERFACES.items() if name in _names(kind)), "state")
         raise AttributeError(
-            f"env.{name} is not for a policy that sees the {SEES[self.sees]}.{nearest(name, known)} If it needs it, it "
+            f"env.{name} is not for a policy that sees the {SEES[self.sees]}.{nearest(name, names)} If it needs it, it "
             f"has to say so: {how_to_declare(needed)}"
         )
 
@@ -117,7 +117,7 @@ class Interface:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ModelInterface(Interface):
-    """For policies that use a model of the robot."""
+    """Interface of policies that use a model of the robot."""
 
     sees: ClassVar[Sees] = "model"
     robot: Any
@@ -128,26 +128,26 @@ class ModelInterface(Interface):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MapInterface(ModelInterface):
-    """For policies that see the map as well: what stands still during an episode."""
+    """Interface of policies that see the map as well: what stands still during an episode."""
 
     sees: ClassVar[Sees] = "map"
 
     def map(self, world: int = 0) -> Any:
-        """The static surroundings in a world's current episode, by `Task.static_map`."""
+        """Return the static surroundings in a world's current episode, by `Task.static_map`."""
         return self._episodes[world].map
 
 
 INTERFACES: Mapping[str, type[Interface]] = {"observation": Interface, "model": ModelInterface, "map": MapInterface}
-"""By what a policy declares to see. The state has none: such a policy gets the environment itself."""
+"""Interfaces by privilege. The state has none: such a policy gets the environment itself."""
 
 
 def how_to_declare(sees: str) -> str:
-    """How a policy says what it sees."""
+    """Return how a policy says what it sees."""
     return f'put @armctl.sees("{sees}") above its function or class, and every table will say it'
 
 
 def interface_of(worlds: EpisodeVectorEnv, sees: str, streams: PolicyStreams) -> Interface:
-    """What a policy that declares to see so much is told about these worlds. `sees` is a key of `INTERFACES`.
+    """Return what a policy with this privilege is told about these worlds. `sees` is a key of `INTERFACES`.
 
     Its random numbers come from `streams`.
     """

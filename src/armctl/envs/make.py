@@ -43,13 +43,13 @@ RETURN_BOUNDS = "return_bounds"
 
 def make_worlds(
     env: str,
-    worlds: int,
+    num_envs: int,
     options: Mapping[str, Any] | None = None,
     threads: int = 0,
     autoreset_mode: AutoresetMode | str = AutoresetMode.DISABLED,
     render_mode: str | None = None,
 ) -> EpisodeVectorEnv:
-    """A vector environment of `worlds` worlds; see `find_spec` for the forms of `env`.
+    """Return a vector environment of `num_envs` worlds; see `find_spec` for the forms of `env`.
 
     By default there is no autoreset: worlds stand still after an episode. Environments made of tasks step their worlds
     on `threads` threads (0: all cores), those of others one by one. Raises `ConfigurationError`.
@@ -57,20 +57,20 @@ def make_worlds(
     options = dict(options or {})
     if reserved := RESERVED & set(options):
         raise ConfigurationError(f"{reserved.pop()} cannot be set as an option: armctl sets it itself")
-    stated = None if (given := options.pop(RETURN_BOUNDS, None)) is None else _checked_return_bounds(given)
+    stated = None if (bounds := options.pop(RETURN_BOUNDS, None)) is None else _checked_return_bounds(bounds)
     spec = find_spec(env)
     if is_task(spec):
         vector: dict[str, Any] = {
-            "num_envs": worlds,
+            "num_envs": num_envs,
             "autoreset_mode": autoreset_mode,
             "threads": threads,
             "render_mode": render_mode,
         }
         with _wrap_errors(spec.id):
-            made: Any = gymnasium.make_vec(spec, **vector, **options)
-        assert isinstance(made, TaskVectorEnv)
-        made.stated_return_bounds = stated
-        return made
+            vec_env: Any = gymnasium.make_vec(spec, **vector, **options)
+        assert isinstance(vec_env, TaskVectorEnv)
+        vec_env.stated_return_bounds = stated
+        return vec_env
     if autoreset_mode is not AutoresetMode.DISABLED:
         raise ConfigurationError(
             f"{env} is not made of a task, and armctl trains in such environments only: train in it with a library "
@@ -79,40 +79,41 @@ def make_worlds(
     scoring = {name: options.pop(name) for name in SCORING & set(options)}
     if not isinstance(scoring.get("success_return", 0.0), (int, float)):
         raise ConfigurationError(f"success_return is a number, not {scoring['success_return']!r}")
-    others = ThirdPartyVectorEnv(lambda: _make_third_party(spec, options, render_mode), worlds, **scoring)
+    others = ThirdPartyVectorEnv(lambda: _make_third_party(spec, options, render_mode), num_envs, **scoring)
     others.stated_return_bounds = stated
     return others
 
 
-def _checked_return_bounds(given: Any) -> tuple[float, float]:
-    numbers = [float(one) for one in given if isinstance(one, (int, float))] if isinstance(given, (tuple, list)) else []
-    if len(numbers) != 2 or len(given) != 2 or not -math.inf < numbers[0] < numbers[1] < math.inf:
+def _checked_return_bounds(bounds: Any) -> tuple[float, float]:
+    values = bounds if isinstance(bounds, (tuple, list)) else []
+    numbers = [float(value) for value in values if isinstance(value, (int, float))]
+    if len(numbers) != 2 or len(bounds) != 2 or not -math.inf < numbers[0] < numbers[1] < math.inf:
         raise ConfigurationError(
             f"{RETURN_BOUNDS} are the least and the largest possible return, two finite numbers such as (-200, 0), not "
-            f"{given!r}"
+            f"{bounds!r}"
         )
     return numbers[0], numbers[1]
 
 
 def task_of(env: str) -> type[Any]:
-    """The task class of an environment, or what stands for it; raises `ConfigurationError`."""
+    """Return the task class of an environment, or what stands for it; raises `ConfigurationError`."""
     spec = find_spec(env)
     return load_task(spec.kwargs["task"]) if is_task(spec) else ThirdPartyTask
 
 
 def full_id(env: Any) -> str:
-    """An environment's id with its namespace, after the module or file in `env`, if any."""
+    """Return an environment's id with its namespace, after the module or file in `env`, if any."""
     module, colon, _ = _as_text(env).rpartition(":")
     return f"{module}{colon}{find_spec(env).id}"
 
 
 def is_task(spec: EnvSpec) -> bool:
-    """Whether an environment is made of a task."""
+    """Return True if an environment is made of a task."""
     return spec.vector_entry_point == VECTOR_ENV
 
 
 def find_spec(env: Any) -> EnvSpec:
-    """Gymnasium's specification of an environment.
+    """Return Gymnasium's specification of an environment.
 
     `env` is an id (`armctl/ArmReach-v0`, `Pendulum-v1`), an id whose namespace is left out (`ArmReach-v0`), or
     either after the module that registers it, or its file (`mine:mine/Hover-v0`, `mine.py:Hover-v0`). What follows the
@@ -127,8 +128,8 @@ def find_spec(env: Any) -> EnvSpec:
         return _registered(name, env, None)
     loaded = import_named(module, f"the environment {env!r}")
     maker = getattr(loaded, name, None)
-    known = name in gymnasium.registry or not callable(maker)
-    spec = _registered(name, env, loaded) if known else EnvSpec(id=name, entry_point=maker)
+    is_id = name in gymnasium.registry or not callable(maker)
+    spec = _registered(name, env, loaded) if is_id else EnvSpec(id=name, entry_point=maker)
     if isinstance(spec.entry_point, str):
         with _wrap_errors(env), importable_from(Path(module).parent if module.endswith(".py") else Path.cwd()):
             load_env_creator(spec.entry_point)
@@ -139,7 +140,7 @@ def find_spec(env: Any) -> EnvSpec:
 def check_from_file(env: str, options: Mapping[str, Any], source: str) -> None:
     """Check an environment that a file names. Raises `ConfigurationError` if it is code that the user has not named.
 
-    Texts among the options of somebody else's environment may be paths, so that has to be named too.
+    Texts among the options of an environment of others may be paths, so that has to be named too.
     """
     check_named(env, source, "--env")
     texts = [name for name, value in options.items() if isinstance(value, str)]
@@ -153,14 +154,14 @@ def check_from_file(env: str, options: Mapping[str, Any], source: str) -> None:
 def _registered(name: str, env: str, loaded: ModuleType | None) -> EnvSpec:
     if name in gymnasium.registry:
         return gymnasium.spec(name)
-    full = [known for known in gymnasium.registry if known.partition("/")[2] == name]
+    full = [id_ for id_ in gymnasium.registry if id_.partition("/")[2] == name]
     if len(full) == 1:
         return gymnasium.spec(full[0])
     raise ConfigurationError(f"there is no environment {env!r}.{_hint(name, loaded)}")
 
 
 def _as_text(env: Any) -> str:
-    """The id of an environment, or `module:NAME` of a class or function that makes one."""
+    """Return the id of an environment, or `module:NAME` of a class or function that makes one."""
     if isinstance(env, str):
         return env
     name = getattr(env, "__qualname__", "")
@@ -174,11 +175,11 @@ def _as_text(env: Any) -> str:
 
 def _hint(name: str, loaded: ModuleType | None) -> str:
     if loaded is not None:
-        own = own_names(loaded)
-        return f"{nearest(name, own)} In {loaded.__name__} there are: {', '.join(own) or 'none'}"
+        definitions = own_names(loaded)
+        return f"{nearest(name, definitions)} In {loaded.__name__} there are: {', '.join(definitions) or 'none'}"
     if name.endswith(".py"):
         return f" Name what makes it in that file: {name}:NAME"
-    short = [known.rpartition("/")[2] for known in gymnasium.registry]
+    short = [id_.rpartition("/")[2] for id_ in gymnasium.registry]
     return (
         f"{nearest(name, [*gymnasium.registry, *short])} There are: {', '.join(environment_names())}, those that "
         "Gymnasium knows, such as Pendulum-v1, and yours: file.py:NAME"
@@ -194,7 +195,7 @@ def _make_third_party(spec: EnvSpec, options: Mapping[str, Any], render_mode: st
 
 @contextmanager
 def _wrap_errors(name: str) -> Iterator[None]:
-    """Turn any error of somebody's environment into `ConfigurationError`, with its place."""
+    """Turn any error of an environment of others into `ConfigurationError`, with its place."""
     try:
         yield
     except ArmctlError:
@@ -210,7 +211,7 @@ def _check_options(spec: EnvSpec, options: Mapping[str, Any]) -> None:
         raise ConfigurationError(f"max_episode_steps is a whole number from 1 on, not {steps!r}")
     maker = load_env_creator(spec.entry_point) if isinstance(spec.entry_point, str) else spec.entry_point
     parameters = inspect.signature(maker).parameters if maker else {}
-    if any(one.kind is inspect.Parameter.VAR_KEYWORD for one in parameters.values()):
+    if any(parameter.kind is inspect.Parameter.VAR_KEYWORD for parameter in parameters.values()):
         return
     allowed = {*parameters, "max_episode_steps", *SCORING, RETURN_BOUNDS} - RESERVED - {"self"}
     for name in options:

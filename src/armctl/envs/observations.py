@@ -13,17 +13,17 @@ Array = NDArray[np.float64]
 
 
 def one_of(observations: Observations, world: int) -> Any:
-    """The observation of one world."""
+    """Return the observation of one world."""
     if isinstance(observations, dict):
         return {name: values[world] for name, values in observations.items()}
     return observations[world]
 
 
 def stacked(observations: Sequence[Any]) -> Observations:
-    """The observations of n worlds as a batch. What has no common shape becomes an array of objects, (n,)."""
+    """Return the observations of n worlds as a batch. What has no common shape becomes an array of objects, (n,)."""
     first = observations[0]
     if isinstance(first, dict):
-        return {name: stacked([seen[name] for seen in observations]) for name in first}  # type: ignore[misc]
+        return {name: stacked([observation[name] for observation in observations]) for name in first}  # type: ignore[misc]
     if isinstance(first, (np.ndarray, np.generic, int, float)):
         return np.stack(observations)
     batch = np.empty(len(observations), dtype=object)
@@ -32,7 +32,7 @@ def stacked(observations: Sequence[Any]) -> Observations:
 
 
 def with_replaced(observations: Observations, ids: NDArray[np.int32], new: Observations) -> Observations:
-    """Observations in which those of worlds `ids` are replaced by new ones."""
+    """Return observations in which those of worlds `ids` are replaced by new ones."""
     if isinstance(observations, dict):
         assert isinstance(new, dict)
         return {name: _replaced_rows(values, ids, new[name]) for name, values in observations.items()}
@@ -47,14 +47,14 @@ def _replaced_rows(values: NDArray[Any], ids: NDArray[np.int32], new: NDArray[An
 
 
 def batch_of_one(observation: Any) -> Observations:
-    """One world's observation as a batch."""
+    """Return one world's observation as a batch."""
     if isinstance(observation, dict):
         return {name: np.asarray(value)[None] for name, value in observation.items()}
     return np.asarray(observation)[None]
 
 
 def action_numbers(actions: ArrayLike) -> Array:
-    """Actions as an array of floats. Raises `InvalidAction`."""
+    """Return actions as an array of floats. Raises `InvalidAction`."""
     try:
         return np.array(actions, dtype=float)
     except (TypeError, ValueError) as error:

@@ -11,17 +11,17 @@ class MadeAgain:
 
     def __new__(cls, *args: Any, **kwargs: Any) -> Self:
         """Keep the arguments."""
-        made = super().__new__(cls)
-        made._arguments = args, kwargs
-        return made
+        instance = super().__new__(cls)
+        instance._arguments = args, kwargs
+        return instance
 
     def __reduce__(self) -> Any:
-        """What pickle keeps."""
+        """Return what pickle keeps."""
         args, kwargs = self._arguments
         return _make_again, (type(self), args, kwargs, self.spec)
 
 
 def _make_again(kind: type[Any], args: tuple[Any, ...], kwargs: dict[str, Any], spec: Any) -> Any:
-    made = kind(*args, **kwargs)
-    made.spec = spec
-    return made
+    instance = kind(*args, **kwargs)
+    instance.spec = spec
+    return instance

@@ -17,7 +17,7 @@ BITS = 128
 
 
 def new_policy_seed() -> int:
-    """Return a secret that nobody has drawn before."""
+    """Return a new secret."""
     return secrets.randbits(BITS)
 
 

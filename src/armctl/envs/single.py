@@ -1,4 +1,4 @@
-"""One world as an ordinary Gymnasium environment."""
+"""Ordinary Gymnasium environment of one world."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -53,17 +53,17 @@ class TaskEnv(MadeAgain, gymnasium.Env[Any, Any]):
         """Make one control step. If the action is invalid, raises `InvalidAction` and steps nothing."""
         if self.worlds._finished[0]:
             raise gymnasium.error.ResetNeeded("the episode has ended, or none has begun: call reset() before step()")
-        given = action_numbers(action)
-        if given.shape != self.action_space.shape:
-            raise InvalidAction(f"the action has shape {given.shape}; expected {self.action_space.shape}")
-        observations, rewards, terminated, truncated, infos = self.worlds.step(given[None])
+        numbers = action_numbers(action)
+        if numbers.shape != self.action_space.shape:
+            raise InvalidAction(f"the action has shape {numbers.shape}; expected {self.action_space.shape}")
+        observations, rewards, terminated, truncated, infos = self.worlds.step(numbers[None])
         if self.render_mode == "human":
             self.render()
-        ended = bool(terminated[0]), bool(truncated[0])
-        return one_of(observations, 0), float(rewards[0]), *ended, self._info(infos)
+        ends = bool(terminated[0]), bool(truncated[0])
+        return one_of(observations, 0), float(rewards[0]), *ends, self._info(infos)
 
     def render(self) -> Any:
-        """Image (height, width, 3), or None in the mode `human`."""
+        """Return an image (height, width, 3), or None in the mode `human`."""
         frames = self.worlds.render()
         return None if frames is None else frames[0]
 
@@ -77,23 +77,23 @@ class TaskEnv(MadeAgain, gymnasium.Env[Any, Any]):
 
 @dataclass(frozen=True)
 class OneWorld:
-    """What a controller of one world is told about an environment that was made of a task."""
+    """Knowledge of a controller of one world about an environment that was made of a task."""
 
     observation_space: gymnasium.spaces.Space[Any]
     action_space: gymnasium.spaces.Space[Any]
     task: Any
     spec: Any
     perceived: Callable[[], Any]
-    """What a controller that sees the state reads it from: see `EpisodeVectorEnv.perceived`."""
+    """Source of the state for a controller that sees it: see `EpisodeVectorEnv.perceived`."""
 
     @classmethod
     def of(cls, worlds: EpisodeVectorEnv) -> "OneWorld":
-        """What there is to say about any of these worlds."""
+        """Return what there is to say about any of these worlds."""
         return cls(
             worlds.single_observation_space, worlds.single_action_space, worlds.task, worlds.spec, worlds.perceived
         )
 
 
 def _first(infos: Infos) -> Infos:
-    """The first world's part of a vector environment's infos."""
+    """Return the first world's part of a vector environment's infos."""
     return {key: _first(value) if isinstance(value, dict) else value[0].item() for key, value in infos.items()}

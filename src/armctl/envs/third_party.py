@@ -24,18 +24,18 @@ from armctl.tasks.task import TaskFacts
 
 SUCCESS_KEYS = ("is_success", "success")
 RENDER_FPS = 25
-"""Of environments that do not say."""
+"""Frames per second of environments that do not say."""
 ENDLESS = 100_000
 """Steps after which an episode without a limit is taken for endless."""
 
 
 def episode_seed(seed: int, episode: int) -> int:
-    """The seed that starts an episode in an environment of others."""
+    """Return the seed that starts an episode in an environment of others."""
     return int(np.random.SeedSequence(episode_entropy(seed, episode)).generate_state(1)[0])
 
 
 class ThirdPartyTask(TaskFacts):
-    """What stands for a task in an environment of others: what it does not tell is NaN or None."""
+    """Stand-in for a task in an environment of others: what it does not tell is NaN or None."""
 
     disturbances: ClassVar[Mapping[str, DisturbanceSpec]] = GENERIC
     default_policies: ClassVar[tuple[str, ...]] = ("random",)
@@ -60,11 +60,11 @@ class ThirdPartyTask(TaskFacts):
         return np.clip(np.zeros(self.action_space.shape), self.action_space.low, self.action_space.high)
 
     def observe(self) -> Observations:
-        """Observations of all worlds, without disturbances."""
+        """Return observations of all worlds, without disturbances."""
         return stacked(self.observations)
 
     def motion(self) -> MotionSample:
-        """An unknown motion."""
+        """Return an unknown motion."""
         return MotionSample(np.full((self.n, 3), np.nan), np.full((self.n, 1), np.nan), None)
 
 
@@ -115,14 +115,14 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
             if isinstance(self.single_action_space, spaces.Box):
                 action = action.astype(self.single_action_space.dtype)
             with self._wrap_errors(int(i)):
-                seen, reward, terminated[i], truncated[i], info = self.worlds[i].step(action)
+                observation, reward, terminated[i], truncated[i], info = self.worlds[i].step(action)
                 rewards[i] = _one_number(reward)
             self._steps[i] += 1
             self._check_step(int(i), rewards[i], bool(terminated[i] or truncated[i]))
             self._returns[i] += rewards[i]
-            self.task.observations[i] = seen
-            for name, earned in _reward_terms(info).items():
-                terms.setdefault(name, np.zeros(n))[i] = earned
+            self.task.observations[i] = observation
+            for name, value in _reward_terms(info).items():
+                terms.setdefault(name, np.zeros(n))[i] = value
             if terminated[i] or truncated[i]:
                 success[i] = self._success(int(i), info)
                 ending = "success" if success[i] else "terminated" if terminated[i] else "truncated"
@@ -136,7 +136,7 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
         return {"is_success": np.full(n, None), "outcome_id": np.full(n, RUNNING), "reward_terms": {}}
 
     def render(self) -> tuple[NDArray[np.uint8], ...]:
-        """Images (height, width, 3) of all worlds. Raises `EnvironmentFailed`."""
+        """Return images (height, width, 3) of all worlds. Raises `EnvironmentFailed`."""
         frames = []
         for i, world in enumerate(self.worlds):
             with self._wrap_errors(i):
@@ -159,7 +159,7 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
         return self._disturbed_observations(self.task.observe())
 
     def _checked(self, actions: Any) -> Any:
-        """Actions that are in the action space; boxes only by shape, since many environments clip."""
+        """Return actions that are in the action space; boxes only by shape, since many environments clip."""
         space, n = self.single_action_space, self.num_envs
         if isinstance(space, spaces.Box):
             return self._checked_numbers(actions)
@@ -167,16 +167,18 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
             actions = [_whole(action) for action in actions]
         if len(actions) != n:
             raise InvalidAction(f"{len(actions)} actions, {list(actions)!r}, are not {n} of {space}")
-        if outside := {i: f"its action {one!r} is not of {space}" for i, one in enumerate(actions) if one not in space}:
+        if outside := {
+            i: f"its action {action!r} is not of {space}" for i, action in enumerate(actions) if action not in space
+        }:
             raise InvalidAction(f"actions {list(actions)!r} are not {n} of {space}", outside)
         return actions
 
-    def _check_step(self, i: int, reward: float, ended: bool) -> None:
+    def _check_step(self, i: int, reward: float, finished: bool) -> None:
         if not abs(reward) <= LARGEST_REWARD:
             raise EnvironmentFailed(
                 f"{self._name} returned the reward {reward} in step {self._steps[i]} of episode {self._episodes[i]}"
             )
-        if not ended and self.max_episode_steps is None and self._steps[i] >= ENDLESS:
+        if not finished and self.max_episode_steps is None and self._steps[i] >= ENDLESS:
             raise EnvironmentFailed(
                 f"episode {self._episodes[i]} of {self._name} has not ended after {ENDLESS:,} steps: limit them, "
                 "such as by --set max_episode_steps=1000"
@@ -185,8 +187,8 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
     def _success(self, i: int, info: Mapping[str, Any]) -> bool | None:
         if self._success_return is not None:
             return bool(self._returns[i] >= self._success_return)
-        told = next((info[key] for key in SUCCESS_KEYS if info.get(key) is not None), None)
-        return None if told is None else bool(np.asarray(told).any())
+        success = next((info[key] for key in SUCCESS_KEYS if info.get(key) is not None), None)
+        return None if success is None else bool(np.asarray(success).any())
 
     @property
     def _name(self) -> str:
@@ -202,13 +204,13 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
 
 
 def _reward_terms(info: Mapping[str, Any]) -> dict[str, float]:
-    """What a step earned by term, if the environment says so as armctl's own do."""
+    """Return the rewards of a step by term, if the environment says so as armctl's own do."""
     terms = info.get("reward_terms", {})
-    return {str(name): float(earned) for name, earned in terms.items()} if isinstance(terms, Mapping) else {}
+    return {str(name): float(value) for name, value in terms.items()} if isinstance(terms, Mapping) else {}
 
 
 def _whole(action: Any) -> Any:
-    """A discrete action as an int, even if it came as a float array."""
+    """Return a discrete action as an int, even if it came as a float array."""
     array = np.asarray(action)
     number = array.item() if array.size == 1 else action
     return int(number) if isinstance(number, float) and number.is_integer() else number
@@ -221,7 +223,7 @@ def _one_number(reward: Any) -> float:
 
 
 def _zero(space: spaces.Space[Any]) -> Any:
-    """An observation of the right shape, for before the first reset."""
+    """Return an observation of the right shape, for before the first reset."""
     if isinstance(space, spaces.Dict):
         return {name: _zero(part) for name, part in space.spaces.items()}
     if isinstance(space, (spaces.Box, spaces.Discrete, spaces.MultiDiscrete, spaces.MultiBinary)):

@@ -29,7 +29,7 @@ TIMEOUT = 0
 """The value of every task's `TIMEOUT` outcome."""
 ACTIONS = ("physical", "normalized")
 GOAL_METHODS = ("compute_reward", "compute_terminated", "compute_truncated")
-"""What goal-conditioned learners ask for: functions of achieved goals, desired goals and infos."""
+"""Methods that goal-conditioned learners ask for: functions of achieved goals, desired goals and infos."""
 ENVIRONMENT_OPTIONS = (
     "actions", "disturbances", "flat_infos", "max_episode_steps", "reward_scale", "reward_weights",
 )  # fmt: skip
@@ -42,10 +42,10 @@ class Observer(Protocol):
     """Callbacks of a vector environment. They see final states too, before an autoreset replaces them."""
 
     def began(self, ids: NDArray[np.int32]) -> None:
-        """Worlds `ids` have begun a new episode."""
+        """Take note that worlds `ids` have begun a new episode."""
 
     def stepped(self, awake: NDArray[np.bool_]) -> None:
-        """The worlds in the mask `awake` (n,) have made a control step; none has been reset yet."""
+        """Take note of a control step of the worlds in the mask `awake` (n,); none has been reset yet."""
 
 
 class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any, Any, Any]):
@@ -131,10 +131,10 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
             self.single_action_space = gymnasium.spaces.Box(-1, 1, self.task.action_space.shape, dtype=np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._paid_before: dict[str, NDArray[np.bool_]] = {}
+        self._paid_terms: dict[str, NDArray[np.bool_]] = {}
         self._viewer: Camera | Window | None = None
         self.observers: list[Observer] = []
-        self._earned_names = tuple(self.task.reward_functions)
+        self._reward_names = tuple(self.task.reward_functions)
         self._check_weighted_terms()
         if getattr(task_options, "goal", False):
             if self.reward_weights:
@@ -156,10 +156,10 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
         self, *, seed: int | list[int] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, Infos]:
         """Start new episodes, as in `EpisodeVectorEnv.reset`."""
-        if not self._earned_names:  # only the task's own code knows them, and it may have none before a reset
+        if not self._reward_names:  # only the task's own code knows them, and it may have none before a reset
             everywhere = np.arange(self.num_envs, dtype=np.int32)
             self.task.reset(everywhere, [np.random.default_rng(0) for _ in everywhere])
-            self._earned_names = tuple(self.task.reward_terms())
+            self._reward_names = tuple(self.task.reward_terms())
             self._check_weighted_terms()
         return super().reset(seed=seed, options=options)
 
@@ -176,9 +176,9 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
         terms, outcome = self.task.reward_terms(), np.array(self.task.outcome(), dtype=np.int64)
         if self.task.simulation.any_unstable:
             unstable = self.task.simulation.unstable
-            terms = {name: np.where(unstable, 0.0, earned) for name, earned in terms.items()}
+            terms = {name: np.where(unstable, 0.0, values) for name, values in terms.items()}
             outcome[unstable] = self.outcomes.index(UNSTABLE)
-        terms = self._paid(terms)
+        terms = self._mask_paid_terms(terms)
         if restart is not None:
             outcome[restart] = TIMEOUT
         terminated = outcome != TIMEOUT
@@ -188,8 +188,8 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
             truncated = ~terminated & (self._steps >= self.max_episode_steps)
         if restart is not None:
             truncated[restart] = False
-            for earned in terms.values():
-                earned[restart] = 0.0
+            for values in terms.values():
+                values[restart] = 0.0
         rewards = self._rewards(terms)
         finished = terminated | truncated
         infos = self._infos(np.where(finished, outcome, RUNNING), terms)
@@ -209,14 +209,14 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
                 "final_info": infos | {f"_{key}": finished for key in infos},
                 "_final_info": finished,
             }
-            ended = np.flatnonzero(finished).astype(np.int32)
-            self._begin_next(ended)
+            ids = np.flatnonzero(finished).astype(np.int32)
+            self._begin_next(ids)
             infos |= self._task_info()
-            observations = with_replaced(observations, ended, self._observe(ended))
+            observations = with_replaced(observations, ids, self._observe(ids))
         return observations, rewards, terminated, truncated, infos
 
     def render(self) -> Any:
-        """Images (height, width, 3) of all worlds, as a tuple. The mode `human` shows the first, and returns None."""
+        """Return images (height, width, 3) of all worlds. The mode `human` shows the first, and returns None."""
         simulation = self.task.simulation
         if self.render_mode is None:
             raise ConfigurationError("nothing to render: make the environment with render_mode='rgb_array' or 'human'")
@@ -238,12 +238,12 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
         if outcome is None:
             outcome = np.full(self.num_envs, RUNNING)
         if terms is None:
-            terms = {name: np.zeros(self.num_envs) for name in self._earned_names}
-        earned = {"reward_terms": terms}
+            terms = {name: np.zeros(self.num_envs) for name in self._reward_names}
+        rewards = {"reward_terms": terms}
         return {
             "is_success": self._successes[outcome],
             "outcome_id": outcome,
-            **(_flat(earned) if self.flat_infos else earned),
+            **(_flat(rewards) if self.flat_infos else rewards),
             **self._task_info(),
         }
 
@@ -251,7 +251,7 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
         return _flat(self.task.info()) if self.flat_infos else self.task.info()
 
     def _physical(self, actions: Array) -> Array:
-        """Actions in the task's units."""
+        """Return actions in the task's units."""
         if not self.normalized:
             return actions
         return np.asarray(self._lowest + (np.clip(actions, -1, 1) + 1) / 2 * (self._highest - self._lowest))
@@ -259,8 +259,8 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
     def _begin(self, ids: NDArray[np.int32]) -> None:
         numbers = zip(self._seeds[ids].tolist(), self._episodes[ids].tolist(), strict=True)
         rngs = [np.random.default_rng(episode_entropy(seed, episode)) for seed, episode in numbers]
-        for paid in self._paid_before.values():
-            paid[ids] = False
+        for mask in self._paid_terms.values():
+            mask[ids] = False
         self.task.reset(ids, rngs)
         for observer in self.observers:
             observer.began(ids)
@@ -268,44 +268,44 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
     def _observe(self, ids: NDArray[np.int32] | None = None) -> Observations:
         return self._disturbed_observations(self.task.observe(ids), slice(None) if ids is None else ids)
 
-    def _paid(self, terms: RewardTerms) -> RewardTerms:
-        """The terms without what they have paid before, if they are paid once an episode."""
+    def _mask_paid_terms(self, terms: RewardTerms) -> RewardTerms:
+        """Return the terms without repeated payments of terms that are paid once an episode."""
         for name in self.task.paid_once & terms.keys():
             if not terms[name].any():
                 continue
-            before = self._paid_before.setdefault(name, np.zeros(self.num_envs, dtype=bool))
-            terms[name] = np.where(before, 0.0, terms[name])
-            before |= terms[name] != 0
+            paid_before = self._paid_terms.setdefault(name, np.zeros(self.num_envs, dtype=bool))
+            terms[name] = np.where(paid_before, 0.0, terms[name])
+            paid_before |= terms[name] != 0
         return terms
 
     def _check_weighted_terms(self) -> None:
-        for name in self.reward_weights if self._earned_names else ():
-            if name not in self._earned_names:
-                raise unknown_name("reward term", name, self._earned_names)
+        for name in self.reward_weights if self._reward_names else ():
+            if name not in self._reward_names:
+                raise unknown_name("reward term", name, self._reward_names)
 
     def _rewards(self, terms: RewardTerms) -> Array:
-        """The weighted sums of the terms. Raises `EnvironmentFailed` if one is too large, or no number."""
-        earned = np.array([*terms.values()]).reshape(len(terms), self.num_envs)
-        if not np.abs(earned).max(initial=0.0) <= LARGEST_REWARD:
+        """Return the weighted sums of the terms. Raises `EnvironmentFailed` if one is too large or not a number."""
+        rewards = np.array([*terms.values()]).reshape(len(terms), self.num_envs)
+        if not np.abs(rewards).max(initial=0.0) <= LARGEST_REWARD:
             self._refuse(terms)
         if self.reward_weights:
-            earned *= np.array([[self.reward_weights.get(name, 1.0)] for name in terms])
-        return self.reward_scale * sum(earned, start=np.zeros(self.num_envs))
+            rewards *= np.array([[self.reward_weights.get(name, 1.0)] for name in terms])
+        return self.reward_scale * sum(rewards, start=np.zeros(self.num_envs))
 
     def _refuse(self, terms: RewardTerms) -> None:
-        for name, earned in terms.items():
-            if not (fine := np.abs(earned) <= LARGEST_REWARD).all():
+        for name, rewards in terms.items():
+            if not (fine := np.abs(rewards) <= LARGEST_REWARD).all():
                 i = int(np.flatnonzero(~fine)[0])
                 raise EnvironmentFailed(
-                    f"the reward term {name!r} is {earned[i]} in step {self._steps[i]} of episode {self._episodes[i]}"
+                    f"the reward term {name!r} is {rewards[i]} in step {self._steps[i]} of episode {self._episodes[i]}"
                 )
 
 
-def _flat(infos: Infos, before: str = "") -> Infos:
-    """Infos in which dicts are replaced by what they hold: `a/b` in place of `b` in `a`."""
+def _flat(infos: Infos, prefix: str = "") -> Infos:
+    """Return infos in which dicts are replaced by what they hold: `a/b` in place of `b` in `a`."""
     flat: Infos = {}
     for name, value in infos.items():
-        flat |= _flat(value, f"{before}{name}/") if isinstance(value, dict) else {f"{before}{name}": value}
+        flat |= _flat(value, f"{prefix}{name}/") if isinstance(value, dict) else {f"{prefix}{name}": value}
     return flat
 
 

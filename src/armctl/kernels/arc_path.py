@@ -13,7 +13,7 @@ from armctl.kernels.compiling import compiled, copy_to
 
 @compiled
 def point_at(segments, arc):
-    """The point x, y at an arc length."""
+    """Return the point x, y at an arc length."""
     k = 0
     while k + 1 < len(segments) and segments[k + 1, 0] <= arc:
         k += 1
@@ -23,30 +23,30 @@ def point_at(segments, arc):
 
 @compiled
 def points_at(segments, arcs, points):
-    """The `points` (m, 2) at arc lengths (m,)."""
+    """Write the `points` (m, 2) at arc lengths (m,)."""
     for i in range(len(arcs)):
         copy_to(point_at(segments, arcs[i]), points[i])
 
 
 @compiled
 def nearest(segments, points, low, high, spacing, arcs):
-    """Which of the arc lengths between `low` and `high`, about `spacing` apart, are nearest to points (m, 2): (m,)."""
+    """Write into `arcs` (m,) the arc lengths from `low` to `high`, about `spacing` apart, nearest to points (m, 2)."""
     gaps = round((high - low) / spacing)
     along = np.linspace(low, high, gaps + 1)
     places = np.empty((gaps + 1, 2))
     points_at(segments, along, places)
     for i in range(len(points)):
-        least = np.inf
+        nearest_square = np.inf
         for k in range(gaps + 1):
             x, y = points[i, 0] - places[k, 0], points[i, 1] - places[k, 1]
-            if x * x + y * y < least:
-                least = x * x + y * y
+            if x * x + y * y < nearest_square:
+                nearest_square = x * x + y * y
                 arcs[i] = along[k]
 
 
 @compiled
 def rounded(segments, arc, reach):
-    """Where the path is at an arc length, and its direction there, with corners rounded over `reach` both ways."""
+    """Return the point x, y at an arc length and the direction there; corners are rounded over `reach` both ways."""
     x, y = 0.0, 0.0
     for k in range(-2, 3):
         at_x, at_y = point_at(segments, arc + k * (reach / 2))

@@ -27,7 +27,7 @@ JOINT = np.dtype(
 
 @compiled
 def forward(joints, q, rotations, origins):
-    """Frames of all joints at q (dof,)."""
+    """Compute the frames of all joints at q (dof,)."""
     turn = np.empty((3, 3))
     for k in range(len(joints)):
         joint, sine, versine = joints[k], math.sin(q[k]), 1 - math.cos(q[k])
@@ -49,21 +49,21 @@ def forward(joints, q, rotations, origins):
 
 @compiled
 def carried(rotation, origin, point, out):
-    """A point (3,) of a frame, in the base."""
+    """Transform a point (3,) of a frame into the base."""
     for i in range(3):
         out[i] = origin[i] + rotation[i, 0] * point[0] + rotation[i, 1] * point[1] + rotation[i, 2] * point[2]
 
 
 @compiled
 def turned(rotation, vector, out):
-    """A vector (3,) of a frame, in the base."""
+    """Rotate a vector (3,) of a frame into the base."""
     for i in range(3):
         out[i] = rotation[i, 0] * vector[0] + rotation[i, 1] * vector[1] + rotation[i, 2] * vector[2]
 
 
 @compiled
 def cross(a, b, out):
-    """Cross product of a and b (3,)."""
+    """Compute the cross product of a and b (3,)."""
     out[0] = a[1] * b[2] - a[2] * b[1]
     out[1] = a[2] * b[0] - a[0] * b[2]
     out[2] = a[0] * b[1] - a[1] * b[0]
@@ -71,21 +71,21 @@ def cross(a, b, out):
 
 @compiled
 def tip_of(joints, rotations, origins, out):
-    """End-effector position (3,)."""
+    """Compute the end-effector position (3,)."""
     last = len(joints) - 1
     carried(rotations[last], origins[last], joints[last].tip, out)
 
 
 @compiled
 def axes_of(joints, rotations, axes):
-    """Axes (dof, 3) of the joints."""
+    """Compute the axes (dof, 3) of the joints."""
     for k in range(len(joints)):
         turned(rotations[k], joints[k].axis, axes[k])
 
 
 @compiled
 def gradients_of(axes, origins, point, out):
-    """Motion (dof, 3) of a point of the last link by each joint, m/rad: axis x (point - origin)."""
+    """Compute the motion (dof, 3) of a point of the last link by each joint, m/rad: axis x (point - origin)."""
     lever = np.empty(3)
     for k in range(len(axes)):
         for i in range(3):
@@ -95,14 +95,14 @@ def gradients_of(axes, origins, point, out):
 
 @compiled
 def workspace(joints):
-    """Memory for `linearise`: frames, axes, the end-effector's position, and how the joints move it."""
+    """Allocate memory for `linearise`: frames, axes, the end-effector's position, and how the joints move it."""
     dof = len(joints)
     return np.empty((dof, 3, 3)), np.empty((dof, 3)), np.empty((dof, 3)), np.empty(3), np.empty((dof, 3))
 
 
 @compiled
 def linearise(joints, q, memory):
-    """End-effector position (3,) at q (dof,), and how the joints move it, (dof, 3) m/rad."""
+    """Return the end-effector position (3,) at q (dof,), and how the joints move it, (dof, 3) m/rad."""
     rotations, origins, axes, tip, gradients = memory
     forward(joints, q, rotations, origins)
     tip_of(joints, rotations, origins, tip)
@@ -113,7 +113,7 @@ def linearise(joints, q, memory):
 
 @compiled
 def tips(joints, q, out):
-    """End-effector positions (n, 3) of q (n, dof)."""
+    """Compute the end-effector positions (n, 3) of q (n, dof)."""
     rotations, origins = np.empty((len(joints), 3, 3)), np.empty((len(joints), 3))
     for row in range(len(q)):
         forward(joints, q[row], rotations, origins)
@@ -122,7 +122,7 @@ def tips(joints, q, out):
 
 @compiled
 def tips_and_gradients(joints, q, positions, gradients):
-    """The same, and how the joints move them, (n, dof, 3) m/rad."""
+    """Compute the end-effector positions of q (n, dof), and how the joints move them, (n, dof, 3) m/rad."""
     memory = workspace(joints)
     for row in range(len(q)):
         tip, rates = linearise(joints, q[row], memory)

@@ -14,7 +14,7 @@ LESS = 1e-6
 
 @compiled
 def segment_to_block(ax, ay, bx, by, block):
-    """Distance of a segment from a block, m; 0 if they meet.
+    """Return the distance of a segment from a block, m; 0 if they meet.
 
     Separate ones are nearest at an end of the segment, or at the block's foremost corner towards it.
     """
@@ -40,13 +40,13 @@ def segment_to_block(ax, ay, bx, by, block):
 
 @compiled
 def to_sides(half_width, length, x, y):
-    """Distance (m) of a point from the nearest side or end of the deck."""
+    """Return the distance (m) of a point from the nearest side or end of the deck."""
     return min(half_width - abs(y), x, length - x)
 
 
 @compiled
 def clearances(blocks, half_width, length, points, out):
-    """Distance (n,) m of each of `points` (n, 2) from the nearest block, side or end; 0 or below inside a block."""
+    """Compute the distance (n,) m of `points` (n, 2) from the nearest block, side or end; 0 or below inside a block."""
     for i in range(len(points)):
         x, y = points[i, 0], points[i, 1]
         out[i] = to_sides(half_width, length, x, y)
@@ -59,7 +59,7 @@ def clearances(blocks, half_width, length, points, out):
 
 @compiled
 def segment_clearances(blocks, half_width, length, starts, ends, out):
-    """The same for segments from `starts` to `ends`, (n, 2) each."""
+    """Compute the distances (n,) m of segments from `starts` to `ends`, (n, 2) each."""
     for i in range(len(starts)):
         ax, ay, bx, by = starts[i, 0], starts[i, 1], ends[i, 0], ends[i, 1]
         out[i] = min(to_sides(half_width, length, ax, ay), to_sides(half_width, length, bx, by))
@@ -69,7 +69,7 @@ def segment_clearances(blocks, half_width, length, starts, ends, out):
 
 @compiled
 def edge_is_free(blocks, half_width, length, clearance, ax, ay, bx, by):
-    """Whether an edge keeps a clearance from blocks, sides and ends of the deck."""
+    """Return True if an edge keeps a clearance from blocks, sides and ends of the deck."""
     if max(abs(ay), abs(by)) > half_width - clearance:
         return False
     if min(ax, bx) < clearance or max(ax, bx) > length - clearance:
@@ -84,12 +84,12 @@ def edge_is_free(blocks, half_width, length, clearance, ax, ay, bx, by):
 
 
 @compiled
-def pull(deck, before, corner, after, points):
+def pull(deck, previous, corner, following, points):
     """Move a path's `corner` (2,) to the one of `points` (n, 2) with which the path past it is shortest; whether it is.
 
     `deck` are the first arguments of `edge_is_free`.
     """
-    ax, ay, bx, by, moved = before[0], before[1], after[0], after[1], False
+    ax, ay, bx, by, moved = previous[0], previous[1], following[0], following[1], False
     length = math.hypot(corner[0] - ax, corner[1] - ay) + math.hypot(bx - corner[0], by - corner[1])
     for x, y in points:
         through = math.hypot(x - ax, y - ay) + math.hypot(bx - x, by - y)
@@ -124,8 +124,8 @@ def shorten(deck, path, points, ends):
 
 
 @compiled
-def nearest(blocks, half_width, length, points, found):
-    """The points `found` (m, k + 2, 2) of the blocks and of the two sides that are nearest to points (m, 2)."""
+def nearest(blocks, half_width, length, points, nearest_points):
+    """Write the `nearest_points` (m, k + 2, 2) of the blocks and of the two sides to points (m, 2)."""
     for i in range(len(points)):
         for k in range(len(blocks)):
             block = blocks[k]
@@ -133,6 +133,7 @@ def nearest(blocks, half_width, length, points, found):
             x, y = points[i, 0] - block[4], points[i, 1] - block[5]
             ahead = min(max(x * cos + y * sin, -block[8]), block[8])
             left = min(max(y * cos - x * sin, -block[9]), block[9])
-            copy_to((block[4] + (ahead * cos - left * sin), block[5] + (ahead * sin + left * cos)), found[i, k])
-        copy_to((points[i, 0], -half_width), found[i, len(blocks)])
-        copy_to((points[i, 0], half_width), found[i, len(blocks) + 1])
+            x, y = block[4] + (ahead * cos - left * sin), block[5] + (ahead * sin + left * cos)
+            copy_to((x, y), nearest_points[i, k])
+        copy_to((points[i, 0], -half_width), nearest_points[i, len(blocks)])
+        copy_to((points[i, 0], half_width), nearest_points[i, len(blocks) + 1])

@@ -21,7 +21,7 @@ TINY = 1e-12
 
 @compiled
 def place(links, rotations, origins, ends):
-    """Ends of all links' segments."""
+    """Compute the ends of all links' segments."""
     for i in range(len(links)):
         joint = links[i].joint
         if joint == 0:
@@ -34,7 +34,7 @@ def place(links, rotations, origins, ends):
 
 @compiled
 def place_all(joints, links, q, ends):
-    """The same at each of q (n, dof): (n, links, 2, 3)."""
+    """Compute the ends of all links' segments, (n, links, 2, 3), at each of q (n, dof)."""
     rotations, origins = np.empty((len(joints), 3, 3)), np.empty((len(joints), 3))
     for row in range(len(q)):
         forward(joints, q[row], rotations, origins)
@@ -43,7 +43,7 @@ def place_all(joints, links, q, ends):
 
 @compiled
 def shares_on_segments(first, second):
-    """The points of two segments (2, 3) that are nearest to each other, as shares from start to end.
+    """Return the points of two segments (2, 3) nearest to each other, as shares from start to end.
 
     Ericson, "Real-time collision detection", 2005, section 5.1.9.
     """
@@ -63,19 +63,19 @@ def shares_on_segments(first, second):
 
 @compiled
 def segments_distance(first, second):
-    """Distance of two segments (2, 3), m."""
-    share, other = shares_on_segments(first, second)
+    """Return the distance of two segments (2, 3), m."""
+    share, share_of_second = shares_on_segments(first, second)
     square = 0.0
     for i in range(3):
-        one = first[0, i] + share * (first[1, i] - first[0, i])
-        offset = one - second[0, i] - other * (second[1, i] - second[0, i])
+        along_first = first[0, i] + share * (first[1, i] - first[0, i])
+        offset = along_first - second[0, i] - share_of_second * (second[1, i] - second[0, i])
         square += offset * offset
     return math.sqrt(square)
 
 
 @compiled
 def in_frame(box, vector):
-    """A vector (3,) of the base, along the axes of a box."""
+    """Rotate a vector (3,) of the base into the axes of a box."""
     rotation, x, y, z = box.rotation, vector[0], vector[1], vector[2]
     return (
         rotation[0, 0] * x + rotation[1, 0] * y + rotation[2, 0] * z,
@@ -86,7 +86,7 @@ def in_frame(box, vector):
 
 @compiled
 def offset(start, step, half_size, share):
-    """Offset of a segment's point from the nearest point of a box, in the box's frame; zero inside."""
+    """Compute the offset of a segment's point from the nearest point of a box, in the box's frame; zero inside."""
     x, y, z = start[0] + share * step[0], start[1] + share * step[1], start[2] + share * step[2]
     return (
         x - min(max(x, -half_size[0]), half_size[0]),
@@ -97,17 +97,17 @@ def offset(start, step, half_size, share):
 
 @compiled
 def slope(start, step, half_size, share):
-    """Half the derivative of the squared distance of a segment's point from a box, by its share of the segment."""
+    """Return half the derivative of the squared distance of a segment's point from a box, by the segment's share."""
     x, y, z = offset(start, step, half_size, share)
     return x * step[0] + y * step[1] + z * step[2]
 
 
 @compiled
 def segment_box_distance(segment, box):
-    """Distance of a segment (2, 3) from a box, m; 0 inside.
+    """Return the distance of a segment (2, 3) from a box, m; 0 inside.
 
     The squared distance is a convex function of the share of the segment, and a parabola between the places where the
-    segment crosses the planes of faces, of which there are at most six.
+    segment crosses the planes of faces: at most six.
     """
     centre, half_size = box.centre, (box.half_size[0], box.half_size[1], box.half_size[2])
     ax, ay, az = segment[0, 0], segment[0, 1], segment[0, 2]
@@ -132,7 +132,7 @@ def segment_box_distance(segment, box):
 
 @compiled
 def touches(links, pairs, on_floor, boxes, ends):
-    """Whether one of the `pairs` (p, 2) of links touches, or a link of `on_floor` the floor, or a moving link a box."""
+    """Return True if one of `pairs` (p, 2) of links touches, a link of `on_floor` the floor, or a moving link a box."""
     for link in on_floor:
         if min(ends[link, 0, 2], ends[link, 1, 2]) <= links[link].radius:
             return True
@@ -148,7 +148,7 @@ def touches(links, pairs, on_floor, boxes, ends):
 
 @compiled
 def are_free(joints, links, pairs, on_floor, boxes, q, free):
-    """Whether an arm touches nothing at each of q (n, dof)."""
+    """Compute for each of q (n, dof) whether the arm touches nothing."""
     rotations, origins = np.empty((len(joints), 3, 3)), np.empty((len(joints), 3))
     ends = np.empty((len(links), 2, 3))
     for row in range(len(q)):
@@ -158,12 +158,12 @@ def are_free(joints, links, pairs, on_floor, boxes, q, free):
 
 
 @compiled
-def box_distances(joints, links, boxes, q, least):
-    """Lower `least` (k,) m to the distance of each box from the arm at q (dof,)."""
+def box_distances(joints, links, boxes, q, distances):
+    """Lower `distances` (k,) m to the distance of each box from the arm at q (dof,)."""
     rotations, origins = np.empty((len(joints), 3, 3)), np.empty((len(joints), 3))
     ends = np.empty((len(links), 2, 3))
     forward(joints, q, rotations, origins)
     place(links, rotations, origins, ends)
     for i in range(len(boxes)):
         for link in range(len(links)):
-            least[i] = min(least[i], segment_box_distance(ends[link], boxes[i]) - links[link].radius)
+            distances[i] = min(distances[i], segment_box_distance(ends[link], boxes[i]) - links[link].radius)

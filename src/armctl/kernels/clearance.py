@@ -16,14 +16,14 @@ from armctl.kernels.edges import FLOOR_END, LINKS
 
 @compiled
 def point_on(segment, share, out):
-    """The point of a segment (2, 3) at that share of it."""
+    """Compute the point of a segment (2, 3) at a share of it."""
     for i in range(3):
         out[i] = segment[0, i] + share * (segment[1, i] - segment[0, i])
 
 
 @compiled
 def box_distance(point, box):
-    """Signed distance of a point (3,) from a box, m: negative inside."""
+    """Return the signed distance of a point (3,) from a box, m: negative inside."""
     square, inside = 0.0, -np.inf
     for i in range(3):
         local = 0.0
@@ -37,7 +37,7 @@ def box_distance(point, box):
 
 @compiled
 def box_normal(point, box, out):
-    """Outward unit vector of a box towards a point (3,); inside, that of the nearest face."""
+    """Compute the outward unit vector of a box towards a point (3,); inside, that of the nearest face."""
     away, inside, square = np.zeros(3), -np.inf, 0.0
     face, side = 0, 1.0
     for i in range(3):
@@ -61,21 +61,21 @@ def box_normal(point, box, out):
 
 @compiled
 def nearest_sample(segment, samples, box):
-    """The share of a segment at which one of its evenly spaced points is nearest to a box, and that distance."""
-    point, nearest, least = np.empty(3), 0.0, np.inf
+    """Return the share of a segment at which one of its evenly spaced points is nearest to a box, and that distance."""
+    point, nearest, min_distance = np.empty(3), 0.0, np.inf
     for k in range(samples):
         share = k / max(samples - 1, 1)
         point_on(segment, share, point)
         distance = box_distance(point, box)
-        if distance < least:
-            nearest, least = share, distance
-    return nearest, least
+        if distance < min_distance:
+            nearest, min_distance = share, distance
+    return nearest, min_distance
 
 
 @compiled
 def measure(links, pairs, boxes, samples, scales, ends, out):
-    """Distances (pairs,) of all pairs, m; returns the least."""
-    least = np.inf
+    """Compute the distances (pairs,) of all pairs, m; return the least."""
+    min_distance = np.inf
     for i in range(len(pairs)):
         kind, link, other = pairs[i].kind, pairs[i].link, pairs[i].other
         if kind == LINKS:
@@ -85,8 +85,8 @@ def measure(links, pairs, boxes, samples, scales, ends, out):
         else:
             out[i] = nearest_sample(ends[link], samples[link], boxes[other])[1] - links[link].radius
         out[i] *= scales[i]
-        least = min(least, out[i])
-    return least
+        min_distance = min(min_distance, out[i])
+    return min_distance
 
 
 @compiled
@@ -102,7 +102,7 @@ def add_motion(axes, origins, joint, point, normal, sign, row):
 
 @compiled
 def gradient(links, pair, boxes, samples, ends, axes, origins, row):
-    """Gradient (dof,) of a pair's distance, m/rad."""
+    """Compute the gradient (dof,) of a pair's distance, m/rad."""
     point, foot, normal = np.empty(3), np.empty(3), np.zeros(3)
     row[:] = 0.0
     if pair.kind == LINKS:
@@ -126,36 +126,36 @@ def gradient(links, pair, boxes, samples, ends, axes, origins, row):
 
 
 @compiled
-def clearances(joints, links, pairs, boxes, samples, scales, q, least):
-    """The least distance of all pairs, (n,) m, at each of q (n, dof)."""
+def clearances(joints, links, pairs, boxes, samples, scales, q, min_distances):
+    """Compute the least distance of all pairs, (n,) m, at each of q (n, dof)."""
     rotations, origins = np.empty((len(joints), 3, 3)), np.empty((len(joints), 3))
     ends, distances = np.empty((len(links), 2, 3)), np.empty(len(pairs))
     for row in range(len(q)):
         forward(joints, q[row], rotations, origins)
         place(links, rotations, origins, ends)
-        least[row] = measure(links, pairs, boxes, samples, scales, ends, distances)
+        min_distances[row] = measure(links, pairs, boxes, samples, scales, ends, distances)
 
 
 @compiled
 def nearest_pairs(joints, links, pairs, boxes, samples, scales, q, distances, gradients):
-    """`distances` (n, m) of the m nearest pairs at each of q (n, dof), in the order of pairs, and their `gradients`.
+    """Compute `distances` (n, m) of the m nearest pairs at each of q (n, dof), in the order of pairs, and `gradients`.
 
     Distances of pairs that are missing are infinite, and gradients zero.
     """
     dof, count = len(joints), distances.shape[1]
     rotations, origins, axes = np.empty((dof, 3, 3)), np.empty((dof, 3)), np.empty((dof, 3))
-    ends, found = np.empty((len(links), 2, 3)), np.empty(len(pairs))
+    ends, pair_distances = np.empty((len(links), 2, 3)), np.empty(len(pairs))
     for row in range(len(q)):
         forward(joints, q[row], rotations, origins)
         axes_of(joints, rotations, axes)
         place(links, rotations, origins, ends)
-        measure(links, pairs, boxes, samples, scales, ends, found)
+        measure(links, pairs, boxes, samples, scales, ends, pair_distances)
         distances[row], gradients[row] = np.inf, 0.0
-        furthest = np.sort(found)[count - 1] if count <= len(pairs) else np.inf
+        furthest = np.sort(pair_distances)[count - 1] if count <= len(pairs) else np.inf
         column = 0
         for i in range(len(pairs)):
-            if found[i] <= furthest and column < count:
-                distances[row, column] = found[i]
+            if pair_distances[i] <= furthest and column < count:
+                distances[row, column] = pair_distances[i]
                 gradient(links, pairs[i], boxes, samples, ends, axes, origins, gradients[row, column])
                 for k in range(dof):
                     gradients[row, column, k] *= scales[i]

@@ -1,4 +1,4 @@
-"""How kernels are compiled: when they are first called, once for each version of them, into the user's cache folder."""
+"""Compilation of kernels: at the first call, once for each version, into the user's cache folder."""
 
 import hashlib
 import os
@@ -15,16 +15,16 @@ def compiled(function: Callable[..., Any]) -> Any:
 
     Kernels may call each other, also across files. Their machine code is kept for later processes.
     """
-    before = numba.config.CACHE_DIR
+    previous = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(_FOLDER or "")
     try:
         return numba.njit(function, cache=_FOLDER is not None, nogil=True, error_model="numpy")
     finally:
-        numba.config.CACHE_DIR = before
+        numba.config.CACHE_DIR = previous
 
 
 def _cache_folder() -> Path | None:
-    """A folder for the present sources of all kernels, since numba sees changes in a kernel's own file only.
+    """Return a folder for the present sources of all kernels, since numba sees changes in a kernel's own file only.
 
     None if it cannot be written: then each process compiles.
     """
@@ -46,6 +46,6 @@ _FOLDER = _cache_folder()
 
 @numba.njit(inline="always")
 def copy_to(values, out):
-    """`out[:] = values`, (k,) each. Compiling that line takes seconds, because of NumPy's errors."""
+    """Set `out[:] = values`, (k,) each. Compiling that line takes seconds, because of NumPy's errors."""
     for i in range(len(out)):
         out[i] = values[i]

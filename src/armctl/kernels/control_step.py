@@ -1,7 +1,7 @@
 """A control step of MuJoCo's physics, in one world after another: see `armctl.simulation.control_step`.
 
 It calls MuJoCo's library, by addresses of models and data. A model and the data on which worlds are stepped are a
-`Bench`; a world's state is copied there and back.
+`StepBuffers`; a world's state is copied there and back.
 """
 
 from pathlib import Path
@@ -23,8 +23,8 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 
-class Bench(NamedTuple):
-    """A model, the same with a finer time step, and the data of one thread."""
+class StepBuffers(NamedTuple):
+    """Buffers of one thread: a model, the same with a finer time step, and the data."""
 
     model: int
     finer: int
@@ -36,20 +36,20 @@ class Bench(NamedTuple):
     torques: Array
     """`qfrc_actuator`."""
     sensors: Array
-    places: Array
+    positions: Array
     """`xpos`, (bodies, 3)."""
     warnings: NDArray[np.int32]
     """Counts of warnings of bad positions, velocities and accelerations, (3,)."""
-    body_places: tuple[Array, Array]
+    body_positions: tuple[Array, Array]
     """`body_pos` of both models."""
-    own_fields: Indices
+    world_fields: Indices
     """Model fields that each world has, (k, 4): address of the first row, bytes of a row, addresses in both models."""
     outputs: Indices
-    """What is copied out after a control step, (k, 3): address in the data, bytes of a row, address of the first."""
+    """Fields copied out after a control step, (k, 3): address in the data, bytes of a row, address of the first."""
 
 
 class Worlds(NamedTuple):
-    """What determines how n worlds go on."""
+    """States of n worlds."""
 
     state: Array
     """(n, k) as MuJoCo has it."""
@@ -61,7 +61,7 @@ class Worlds(NamedTuple):
 
 
 class HardImpact(NamedTuple):
-    """When a tick is repeated in finer steps, and how fast joints may be in these."""
+    """Conditions under which a tick is repeated in finer steps, and speed limits in these."""
 
     columns: Indices
     """Columns (k,) of the state, which are between `lowest` and `highest` (k,) unless something was hit hard."""
@@ -82,7 +82,7 @@ class Drives(NamedTuple):
     """Joints (k,) with the fields of `drives.DRIVE`, and the positions or velocities (n, k) that they are to have."""
 
     joints: NDArray[np.void]
-    wanted: Array
+    setpoints: Array
     to_positions: bool
     following_error: float
     """rad."""
@@ -96,8 +96,8 @@ class Samples(NamedTuple):
     torques: Array
 
 
-class Watch(NamedTuple):
-    """How far a body is from its target after each tick, and whether a world stands still when it is there."""
+class TargetQuery(NamedTuple):
+    """Distance of a body from its target after each tick, and whether a world stands still at the target."""
 
     body: int
     targets: Array
@@ -108,21 +108,21 @@ class Watch(NamedTuple):
     """(ticks, n) m."""
 
 
-class Touches(NamedTuple):
+class ContactOutput(NamedTuple):
     """Contacts in finer steps: columns of the state with samples of k sensors, and their times, (k, samples)."""
 
     samples: Indices
     times: Indices
-    noted: NDArray[np.bool_]
+    touched: NDArray[np.bool_]
     """(n, k)."""
 
 
-class Moves(NamedTuple):
+class PoseInput(NamedTuple):
     """Bodies (k,) that are at x, y (m) before each tick, (ticks, n, k, 2), and `body_pos` (n, bodies, 3) of worlds."""
 
     bodies: Indices
-    places: Array
-    body_places: Array
+    positions: Array
+    body_positions: Array
 
 
 def _load_mujoco() -> None:
@@ -143,7 +143,7 @@ _copy = types.ExternalFunction("memcpy", types.intp(types.intp, types.intp, type
 
 @compiled
 def distance_as_observed(position, target):
-    """Distance (m) of a position from a target (3,), rounded as they are observed."""
+    """Return the distance (m) of a position from a target (3,), rounded as in observations."""
     square = 0.0
     for axis in range(3):
         offset = np.float64(np.float32(target[axis])) - np.float64(np.float32(position[axis]))
@@ -153,14 +153,14 @@ def distance_as_observed(position, target):
 
 @compiled
 def distances_as_observed(positions, targets, distances):
-    """The same of n positions and targets, (n, 3) each, into `distances` (n,)."""
+    """Compute `distances` (n,) of n positions from targets, (n, 3) each, rounded as in observations."""
     for i in range(len(distances)):
         distances[i] = distance_as_observed(positions[i], targets[i])
 
 
 @compiled
 def was_hit_hard(impact, state, sensors):
-    """Whether a column of the state (k,) is not between its bounds, is no number, or a contact is deep."""
+    """Return True if a column of the state (k,) is out of its bounds or not a number, or a contact is deep."""
     usual = sensors[impact.depth] > -impact.deepest
     for i in range(len(impact.columns)):
         usual = usual and impact.lowest[i] < state[impact.columns[i]] < impact.highest[i]
@@ -168,124 +168,125 @@ def was_hit_hard(impact, state, sensors):
 
 
 @compiled
-def step_finely(bench, impact, state, steps):
+def step_finely(buffers, impact, state, steps):
     """Make `steps` finer ones from `state`, with bounds on speeds."""
-    _set_state(bench.model, bench.data, state.ctypes.data, STATE)
-    bench.warnings[:] = 1
+    _set_state(buffers.model, buffers.data, state.ctypes.data, STATE)
+    buffers.warnings[:] = 1
     for _ in range(steps):
-        _step(bench.finer, bench.data)
+        _step(buffers.finer, buffers.data)
         for k in range(len(impact.dofs)):
-            speed = bench.qvel[impact.dofs[k]]
-            bench.qvel[impact.dofs[k]] = min(max(speed, -impact.bounds[k]), impact.bounds[k])
-    _forward(bench.model, bench.data)
+            speed = buffers.qvel[impact.dofs[k]]
+            buffers.qvel[impact.dofs[k]] = min(max(speed, -impact.bounds[k]), impact.bounds[k])
+    _forward(buffers.model, buffers.data)
 
 
 @compiled
-def is_unstable(bench):
-    """Whether MuJoCo has warned, which counts on from 1, or its numbers are too large, or none."""
+def is_unstable(buffers):
+    """Return True if MuJoCo has warned (counts start at 1), or its numbers are too large or not finite."""
     stable = True
-    for count in bench.warnings:
+    for count in buffers.warnings:
         stable = stable and count <= 1
-    for position in bench.qpos:
+    for position in buffers.qpos:
         stable = stable and abs(position) < mujoco.mjMAXVAL
-    for velocity in bench.qvel:
+    for velocity in buffers.qvel:
         stable = stable and abs(velocity) < mujoco.mjMAXVAL
     return not stable
 
 
 @compiled
-def tick(bench, impact, row, before, good, substeps, begun):
+def tick(buffers, impact, row, state_before, good, substeps, is_current):
     """Make `substeps` physics steps. Returns whether they were repeated in finer ones, and whether all is stable.
 
     The state after them is written into `row` (k,), and into `good` (k,), which is taken back to if they are unstable.
-    `before` (k,) is room for the state before them. If the step has `begun`, positions and velocities are current.
+    `state_before` (k,) is room for the state before them. With `is_current`,
+    positions and velocities are those of the state.
     """
-    _get_state(bench.model, bench.data, before.ctypes.data, STATE)
-    bench.warnings[:] = 1
-    if not begun:
-        _begin_step(bench.model, bench.data)
+    _get_state(buffers.model, buffers.data, state_before.ctypes.data, STATE)
+    buffers.warnings[:] = 1
+    if not is_current:
+        _begin_step(buffers.model, buffers.data)
     for _ in range(substeps):
-        _end_step(bench.model, bench.data)
-        _begin_step(bench.model, bench.data)
-    _get_state(bench.model, bench.data, row.ctypes.data, STATE)
-    hit = was_hit_hard(impact, row, bench.sensors)
+        _end_step(buffers.model, buffers.data)
+        _begin_step(buffers.model, buffers.data)
+    _get_state(buffers.model, buffers.data, row.ctypes.data, STATE)
+    hit = was_hit_hard(impact, row, buffers.sensors)
     if hit:
-        step_finely(bench, impact, before, substeps * impact.steps)
-        _get_state(bench.model, bench.data, row.ctypes.data, STATE)
-    stable = not is_unstable(bench)
+        step_finely(buffers, impact, state_before, substeps * impact.steps)
+        _get_state(buffers.model, buffers.data, row.ctypes.data, STATE)
+    stable = not is_unstable(buffers)
     if not stable:
-        _set_state(bench.model, bench.data, good.ctypes.data, STATE)
-        _forward(bench.model, bench.data)
-        _get_state(bench.model, bench.data, row.ctypes.data, STATE)
-    _get_state(bench.model, bench.data, good.ctypes.data, STATE)
+        _set_state(buffers.model, buffers.data, good.ctypes.data, STATE)
+        _forward(buffers.model, buffers.data)
+        _get_state(buffers.model, buffers.data, row.ctypes.data, STATE)
+    _get_state(buffers.model, buffers.data, good.ctypes.data, STATE)
     return hit, stable
 
 
 @compiled
-def move(bench, moves, world, tick_number):
+def move(buffers, poses, world, tick_number):
     """Put bodies where they are in a world during a tick."""
-    for i in range(len(moves.bodies)):
-        body = moves.bodies[i]
+    for i in range(len(poses.bodies)):
+        body = poses.bodies[i]
         for axis in range(2):
-            place = moves.places[tick_number, world, i, axis]
-            moves.body_places[world, body, axis] = place
-            for places in bench.body_places:
-                places[body, axis] = place
+            coordinate = poses.positions[tick_number, world, i, axis]
+            poses.body_positions[world, body, axis] = coordinate
+            for positions in buffers.body_positions:
+                positions[body, axis] = coordinate
 
 
 @compiled
-def note_touches(touches, world, row, since):
+def record_contacts(contacts, world, row, since):
     """Note contacts in the samples that were taken after a time (s)."""
-    for i in range(len(touches.samples)):
-        for k in range(touches.samples.shape[1]):
-            if row[touches.times[i, k]] > since and row[touches.samples[i, k]] > 0:
-                touches.noted[world, i] = True
+    for i in range(len(contacts.samples)):
+        for k in range(contacts.samples.shape[1]):
+            if row[contacts.times[i, k]] > since and row[contacts.samples[i, k]] > 0:
+                contacts.touched[world, i] = True
 
 
 @compiled
-def sample(bench, samples, watch, world, tick_number):
+def sample(buffers, samples, target_query, world, tick_number):
     """Record speeds, torques and the distance after a tick. Returns whether the body is at its target."""
     for k in range(len(samples.dofs)):
-        samples.speeds[tick_number, world, k] = bench.qvel[samples.dofs[k]]
-        samples.torques[tick_number, world, k] = bench.torques[samples.dofs[k]]
-    if not len(watch.targets):
+        samples.speeds[tick_number, world, k] = buffers.qvel[samples.dofs[k]]
+        samples.torques[tick_number, world, k] = buffers.torques[samples.dofs[k]]
+    if not len(target_query.targets):
         return False
-    target = watch.targets[min(tick_number, len(watch.targets) - 1), world]
-    distance = distance_as_observed(bench.places[watch.body], target)
-    watch.distances[tick_number, world] = distance
-    return distance <= watch.tolerance
+    target = target_query.targets[min(tick_number, len(target_query.targets) - 1), world]
+    distance = distance_as_observed(buffers.positions[target_query.body], target)
+    target_query.distances[tick_number, world] = distance
+    return distance <= target_query.tolerance
 
 
 @compiled
 def control_steps(
-    ids, ticks, substeps, bench, worlds, impact, drives, samples, watch, touches, moves, time_column, timestep
+    ids, ticks, substeps, buffers, worlds, impact, drives, samples, target_query, contacts, poses, time_column, timestep
 ):
     """Advance worlds `ids` by `ticks` of `substeps` physics steps (s) each: all arguments are in this module."""
-    before = np.empty(worlds.state.shape[1])
+    state_before = np.empty(worlds.state.shape[1])
     for world in ids:
         row, good = worlds.state[world], worlds.good[world]
-        for i in range(len(bench.own_fields)):
-            first, size, field, finer_field = bench.own_fields[i]
+        for i in range(len(buffers.world_fields)):
+            first, size, field, finer_field = buffers.world_fields[i]
             _copy(field, first + world * size, size)
             _copy(finer_field, first + world * size, size)
-        _set_state(bench.model, bench.data, row.ctypes.data, STATE)
-        worlds.refined[world], standing, moving = 0, False, len(moves.bodies) > 0
+        _set_state(buffers.model, buffers.data, row.ctypes.data, STATE)
+        worlds.refined[world], standing, moving = 0, False, len(poses.bodies) > 0
         for k in range(ticks):
             if not standing:
                 if moving:
-                    move(bench, moves, world, k)
+                    move(buffers, poses, world, k)
                 start = row[time_column]
                 drive_joints(
-                    drives.joints, drives.wanted[world], drives.to_positions, bench.qpos, bench.act, bench.ctrl,
-                    drives.following_error, timestep * substeps,
+                    drives.joints, drives.setpoints[world], drives.to_positions, buffers.qpos, buffers.act,
+                    buffers.ctrl, drives.following_error, timestep * substeps,
                 )  # fmt: skip
-                hit, stable = tick(bench, impact, row, before, good, substeps, k > 0 and not moving)
+                hit, stable = tick(buffers, impact, row, state_before, good, substeps, k > 0 and not moving)
                 worlds.refined[world] += hit
                 worlds.unstable[world] = standing = not stable
                 if hit and stable:
-                    note_touches(touches, world, row, start - ROUNDING)
-            if sample(bench, samples, watch, world, k):
+                    record_contacts(contacts, world, row, start - ROUNDING)
+            if sample(buffers, samples, target_query, world, k):
                 standing = True
-        for i in range(len(bench.outputs)):
-            field, size, first = bench.outputs[i]
+        for i in range(len(buffers.outputs)):
+            field, size, first = buffers.outputs[i]
             _copy(first + world * size, field, size)

@@ -12,7 +12,7 @@ from armctl.kernels.arc_path import rounded
 from armctl.kernels.compiling import compiled, copy_to
 
 NAMES = "max_turn_rate", "max_acceleration", "clearance", "distance", "period", "off_path", "intrusion"
-"""Those of `DriveMpcOptions` that are needed here, as records `OPTIONS`."""
+"""Fields of `DriveMpcOptions` needed here, as records `OPTIONS`."""
 OPTIONS = np.dtype([(name, float) for name in NAMES])
 NOWHERE = 100.0
 """m: offset at which missing obstacles and pedestrians are placed."""
@@ -20,7 +20,7 @@ NOWHERE = 100.0
 
 @compiled
 def follow_path(segments, arcs, smoothing, reference):
-    """Points of the path, and its directions, at arc lengths (m,): rows (m, 4)."""
+    """Compute points of the path and its directions at arc lengths (m,): rows (m, 4)."""
     for k in range(len(arcs)):
         copy_to(rounded(segments, arcs[k], smoothing), reference[k])
 
@@ -62,7 +62,7 @@ def choose(others, x, y, chosen):
 
 @compiled
 def separate(points, obstacles, planes):
-    """Half-planes with points (m, 2) and without the obstacles whose nearest points are (m, k, 2).
+    """Compute half-planes that contain points (m, 2) and exclude the obstacles with nearest points (m, k, 2).
 
     `planes` (m, c, 3) of the c closest are normals n and offsets o: n p > o on the point's side.
     """
@@ -79,20 +79,20 @@ def separate(points, obstacles, planes):
 
 @compiled
 def choose_people(points, people, chosen):
-    """The `chosen` (m, c, 2) of people (m, w, 2) who are closest to points (m, 2)."""
+    """Write the `chosen` (m, c, 2) of people (m, w, 2) closest to points (m, 2)."""
     for i in range(len(points)):
         choose(people[i], points[i, 0], points[i, 1], chosen[i])
 
 
 @compiled
-def speed_after(start, wanted, change):
-    """The speed nearest to the one `wanted` that differs from the one at the start by at most `change`."""
-    return start + min(max(wanted - start, -change), change)
+def speed_after(start, target, change):
+    """Return the speed nearest to `target` that differs from `start` by at most `change`."""
+    return start + min(max(target - start, -change), change)
 
 
 @compiled
 def drive_beside(options, segments, smoothing, start, progress, speeds, offsets, sidestep, points, costs):
-    """Drives from a state (5,) at arc length `progress`, at each of `speeds` and each of `offsets` from the path.
+    """Compute drives from a state (5,) at arc length `progress`, at each of `speeds` and `offsets` from the path.
 
     They reach their offsets with time constant `sidestep`. `points` (speeds, offsets, N + 2, 2) are where they are
     after each period, and then a metre ahead; `costs` (speeds, offsets) are those of their offsets and progress.
@@ -103,9 +103,9 @@ def drive_beside(options, segments, smoothing, start, progress, speeds, offsets,
     for i in range(len(speeds)):
         arc, speed = progress, start[3]
         for k in range(points.shape[2] - 1):
-            before, time = speed, k * options.period
+            previous_speed, time = speed, k * options.period
             speed = speed_after(start[3], speeds[i], options.max_acceleration * time)
-            arc += options.period * (before + speed) / 2 if k > 0 else 0.0
+            arc += options.period * (previous_speed + speed) / 2 if k > 0 else 0.0
             x, y, ahead_x, ahead_y = rounded(segments, arc, smoothing)
             for j in range(len(offsets)):
                 offset = offsets[j] + (beginning - offsets[j]) * math.exp(-time / sidestep)
@@ -133,28 +133,28 @@ def intrude(options, points, obstacles, people, costs):
 
 
 @compiled
-def drive_through(options, start, wanted, points, knots):
-    """The knots of a drive from a state (5,) through points (N + 2, 2), at a speed `wanted`, ahead at all times."""
+def drive_through(options, start, target_speed, points, knots):
+    """Compute the knots of a drive from a state (5,) through points (N + 2, 2), at `target_speed`, facing ahead."""
     last, raw = len(knots) - 1, start[2]
     knots[:] = 0.0
     knots[0, 2] = raw
     for k in range(1, last + 1):
-        before = raw
+        previous_yaw = raw
         raw = math.atan2(points[k + 1, 1] - points[k, 1], points[k + 1, 0] - points[k, 0])
-        turn = raw - before
+        turn = raw - previous_yaw
         knots[k, 2] = knots[k - 1, 2] + turn - 2 * math.pi * round(turn / (2 * math.pi))
         knots[k, 0], knots[k, 1] = points[k, 0], points[k, 1]
-        knots[k, 3] = speed_after(start[3], wanted, options.max_acceleration * options.period * k)
+        knots[k, 3] = speed_after(start[3], target_speed, options.max_acceleration * options.period * k)
     for k in range(1, last + 1):
-        after = min(k + 1, last)
-        rate = (knots[after, 2] - knots[k - 1, 2]) / ((after - k + 1) * options.period)
+        following = min(k + 1, last)
+        rate = (knots[following, 2] - knots[k - 1, 2]) / ((following - k + 1) * options.period)
         knots[k, 4] = min(max(rate, -options.max_turn_rate), options.max_turn_rate)
     copy_to(start, knots[0, :5])
 
 
 @compiled
 def shift(start, plan, period, knots):
-    """The knots of a plan (N + 1, 8) one period later, from a state (5,), with its last velocities at the end."""
+    """Compute a plan's knots (N + 1, 8) one period later, from a state (5,), with its last velocities at the end."""
     last = len(plan) - 1
     turns = 2 * math.pi * round((start[2] - plan[1, 2]) / (2 * math.pi))
     for k in range(last + 1):
@@ -168,7 +168,7 @@ def shift(start, plan, period, knots):
 
 @compiled
 def farthest_apart(first, second):
-    """The greatest distance (m) between the positions of two plans at the same time."""
+    """Return the greatest distance (m) between the positions of two plans at the same time."""
     apart = 0.0
     for k in range(len(first)):
         apart = max(apart, math.hypot(first[k, 0] - second[k, 0], first[k, 1] - second[k, 1]))

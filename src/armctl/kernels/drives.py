@@ -15,7 +15,7 @@ DRIVE = np.dtype([(name, float) for name in ("lower", "upper", "top", "accelerat
 
 @compiled
 def highest_stoppable(distance, acceleration, tick):
-    """The highest speed for one tick from which a joint, braking at a constant rate, stops at `distance`.
+    """Return the highest speed for one tick from which a joint, braking at a constant rate, stops at `distance`.
 
     Over this tick and `k` further ones: distance = (k + 1) speed tick - acceleration tick^2 k (k + 1) / 2.
     """
@@ -26,36 +26,36 @@ def highest_stoppable(distance, acceleration, tick):
 
 @compiled
 def towards(goal, position, acceleration, tick):
-    """Velocity for the next tick on the minimum-time profile from `position` to rest at `goal`."""
+    """Return the velocity for the next tick on the minimum-time profile from `position` to rest at `goal`."""
     displacement = goal - position
     return math.copysign(highest_stoppable(abs(displacement), acceleration, tick), displacement)
 
 
 @compiled
-def limited(wanted, velocity, top, acceleration, tick):
-    """The velocity nearest to `wanted` that the limits allow after the last tick's `velocity`."""
+def limited(target, velocity, top, acceleration, tick):
+    """Return the velocity nearest to `target` that the limits allow after the last tick's `velocity`."""
     change = acceleration * tick
-    return min(max(wanted, max(velocity - change, -top)), min(velocity + change, top))
+    return min(max(target, max(velocity - change, -top)), min(velocity + change, top))
 
 
 @compiled
-def within_range(wanted, position, lower, upper, acceleration, tick):
-    """The velocity nearest to `wanted` after which the joint can still stop within its position limits."""
+def within_range(target, position, lower, upper, acceleration, tick):
+    """Return the velocity nearest to `target` after which the joint can still stop within its position limits."""
     to_upper = highest_stoppable(max(upper - position, 0.0), acceleration, tick)
     to_lower = highest_stoppable(max(position - lower, 0.0), acceleration, tick)
-    return min(max(wanted, -to_lower), to_upper)
+    return min(max(target, -to_lower), to_upper)
 
 
 @compiled
-def drive_joints(joints, wanted, to_positions, positions, commands, velocities, following_error, tick):
-    """Set the velocities of `commands` (dof,) for the next tick, towards `wanted` positions or velocities (dof,).
+def drive_joints(joints, setpoints, to_positions, positions, commands, velocities, following_error, tick):
+    """Set the velocities of `commands` (dof,) for the next tick, towards `setpoints` positions or velocities (dof,).
 
     Commands wait for `positions` (dof,) that are more than `following_error` (rad) behind. `velocities` (2 dof,) are
     given twice: to the servos' position and to their velocity.
     """
     dof = len(joints)
     for i in range(dof):
-        joint, position, velocity = joints[i], positions[i], wanted[i]
+        joint, position, velocity = joints[i], positions[i], setpoints[i]
         command = min(max(commands[i], position - following_error), position + following_error)
         if to_positions:
             velocity = towards(velocity, command, joint.acceleration, tick)
@@ -67,7 +67,7 @@ def drive_joints(joints, wanted, to_positions, positions, commands, velocities, 
 
 @compiled
 def follow(joint, goal, position, velocity, ticks, tick):
-    """Position and velocity of one joint after some ticks towards a goal within its limits."""
+    """Return position and velocity of one joint after some ticks towards a goal within its limits."""
     for _ in range(ticks):
         velocity = limited(
             towards(goal, position, joint.acceleration, tick), velocity, joint.top, joint.acceleration, tick
@@ -85,7 +85,7 @@ def follow_all(joints, goals, positions, velocities, ticks, tick):
 
 @compiled
 def goals_for(joints, positions, velocities, displacements, shares, ticks, tick, goals):
-    """Goals (dof,) with which joints move by `displacements` (dof,) within some ticks, or as nearly as they can.
+    """Compute goals (dof,) at which joints move by `displacements` (dof,) within some ticks, or as nearly as they can.
 
     The displacement increases with the goal. Goals are tried at which a joint stops after it has gained each of the
     `shares` (m,) of its largest change of speed; between the two that enclose the displacement, it is interpolated.
@@ -93,22 +93,22 @@ def goals_for(joints, positions, velocities, displacements, shares, ticks, tick,
     period = ticks * tick
     for i in range(len(joints)):
         joint, position, velocity = joints[i], positions[i], velocities[i]
-        low = high = before = after = 0.0
+        low = high = low_displacement = high_displacement = 0.0
         for k in range(len(shares)):
             end = velocity + shares[k] * (joint.acceleration * period)
             goal = position + (velocity + end) / 2 * period + end * abs(end) / (2 * joint.acceleration)
-            low, before = high, after
+            low, low_displacement = high, high_displacement
             high = min(max(goal, joint.lower), joint.upper)
-            after = follow(joint, high, position, velocity, ticks, tick)[0] - position
-            if k > 0 and after >= displacements[i]:
+            high_displacement = follow(joint, high, position, velocity, ticks, tick)[0] - position
+            if k > 0 and high_displacement >= displacements[i]:
                 break
-        share = (displacements[i] - before) / max(after - before, 1e-12)
+        share = (displacements[i] - low_displacement) / max(high_displacement - low_displacement, 1e-12)
         goals[i] = low + min(max(share, 0.0), 1.0) * (high - low)
 
 
 @compiled
 def travel_time(displacement, velocity, top, acceleration):
-    """Minimum time (s) for a joint with an initial `velocity` to move by `displacement`, at any final velocity."""
+    """Return the minimum time (s) for a joint with initial `velocity` to move by `displacement`, at any final speed."""
     ahead = -velocity if displacement < 0 else velocity
     distance = abs(displacement)
     run_up = (top * top - ahead * ahead) / (2 * acceleration)
@@ -118,7 +118,7 @@ def travel_time(displacement, velocity, top, acceleration):
 
 @compiled
 def least_time(joints, start, velocity, goal):
-    """Minimum time (s) for all joints to move from `start` with `velocity` to `goal`, (dof,) each."""
+    """Return the minimum time (s) for all joints to move from `start` with `velocity` to `goal`, (dof,) each."""
     time = 0.0
     for i in range(len(joints)):
         time = max(time, travel_time(goal[i] - start[i], velocity[i], joints[i].top, joints[i].acceleration))
@@ -127,14 +127,14 @@ def least_time(joints, start, velocity, goal):
 
 @compiled
 def least_times(joints, start, velocity, goals, times):
-    """The same from one state to many `goals` (n, dof)."""
+    """Compute the minimum `times` (n,) s from one state to many `goals` (n, dof)."""
     for row in range(len(goals)):
         times[row] = least_time(joints, start, velocity, goals[row])
 
 
 @compiled
 def trapezoidal_displacement(time, displacement, top, acceleration):
-    """Displacement at `time` (s) on the trapezoidal profile from rest to rest at `displacement`."""
+    """Return the displacement at `time` (s) on the trapezoidal profile from rest to rest at `displacement`."""
     distance = abs(displacement)
     speed = min(top, math.sqrt(acceleration * distance))
     ramp = speed / acceleration
@@ -148,7 +148,7 @@ def trapezoidal_displacement(time, displacement, top, acceleration):
 
 @compiled
 def profiles(joints, times, displacements, moved):
-    """The same for all joints: `moved` (n, dof) at `times` (n,), to `displacements` (dof,)."""
+    """Compute the trapezoidal profiles of all joints: `moved` (n, dof) at `times` (n,), to `displacements` (dof,)."""
     for row in range(len(times)):
         for i in range(len(joints)):
             moved[row, i] = trapezoidal_displacement(
@@ -158,7 +158,7 @@ def profiles(joints, times, displacements, moved):
 
 @compiled
 def fly_by(joints, start, positions, time, overruns, commands):
-    """Positions (dof,) to command, from rest at `start` (dof,), so that joints are at `positions` (dof,) by `time` (s).
+    """Compute `commands` (dof,) with which joints at rest at `start` (dof,) are at `positions` (dof,) by `time` (s).
 
     A joint that would be late if it stopped there overruns it, by the least of the fractions `overruns` of its braking
     distance with which it is in time.

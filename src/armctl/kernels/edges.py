@@ -18,7 +18,7 @@ AT_REST = 1e-5
 
 @compiled
 def distance(links, boxes, ends, pair):
-    """Distance of a pair, m; 0 or below in contact."""
+    """Return the distance of a pair, m; 0 or below in contact."""
     link, other = pair.link, pair.other
     if pair.kind == LINKS:
         return segments_distance(ends[link], ends[other]) - links[link].radius - links[other].radius
@@ -28,42 +28,42 @@ def distance(links, boxes, ends, pair):
 
 
 @compiled
-def measure(joints, links, pairs, boxes, q, margins, known):
-    """Distance (pairs,) m of each pair at q (dof,), unless it is `known` to be infinite, until one is below its margin.
+def measure(joints, links, pairs, boxes, q, margins, distances):
+    """Measure `distances` (pairs,) m at q (dof,) until one is below its margin; return True if none is.
 
-    Returns whether none is.
+    Pairs whose distance is infinite beforehand are not measured.
     """
     rotations, origins = np.empty((len(joints), 3, 3)), np.empty((len(joints), 3))
     ends = np.empty((len(links), 2, 3))
     forward(joints, q, rotations, origins)
     place(links, rotations, origins, ends)
     for i in range(len(pairs)):
-        if known[i] < np.inf:
-            known[i] = distance(links, boxes, ends, pairs[i])
-            if known[i] < margins[i]:
+        if distances[i] < np.inf:
+            distances[i] = distance(links, boxes, ends, pairs[i])
+            if distances[i] < margins[i]:
                 return False
     return True
 
 
 @compiled
-def check_edge(joints, links, pairs, boxes, a, b, margins, kept, motion, finest, known):
-    """Whether the motion from `a` to `b` (dof,) keeps the distances `kept`, and how many configurations were looked at.
+def check_edge(joints, links, pairs, boxes, a, b, margins, kept, motion, finest, distances):
+    """Return whether the motion from `a` to `b` (dof,) keeps distances `kept`, and the number of checks.
 
     At these, distances are at least `margins`. `motion` (pairs, dof) bounds how far each joint moves a pair, m/rad.
-    `known` (m, pairs) is memory for distances; the motion counts as blocked if it does not suffice, or if spans become
-    shorter than `finest`. In between, pairs that keep their margins for certain are not measured again.
+    `distances` (m, pairs) is memory; the motion counts as blocked if it does not suffice, or if spans become shorter
+    than `finest`. In between, pairs that keep their margins for certain are not measured again.
     """
     dof = len(joints)
-    known[:2] = 0.0
-    if not measure(joints, links, pairs, boxes, b, margins, known[1]):
+    distances[:2] = 0.0
+    if not measure(joints, links, pairs, boxes, b, margins, distances[1]):
         return False, 1
-    if not measure(joints, links, pairs, boxes, a, margins, known[0]):
+    if not measure(joints, links, pairs, boxes, a, margins, distances[0]):
         return False, 2
     moved, q = np.zeros(len(pairs)), np.empty(dof)
     for i in range(len(pairs)):
         for j in range(dof):
             moved[i] += motion[i, j] * abs(b[j] - a[j])
-    spans, rows = np.empty((2 * len(known), 2)), np.empty((2 * len(known), 2), np.int64)
+    spans, rows = np.empty((2 * len(distances), 2)), np.empty((2 * len(distances), 2), np.int64)
     spans[0, 0], spans[0, 1], rows[0, 0], rows[0, 1] = 0.0, 1.0, 0, 1
     first, last, checks = 0, 1, 2
     while first < last:
@@ -72,21 +72,21 @@ def check_edge(joints, links, pairs, boxes, a, b, margins, kept, motion, finest,
         first += 1
         enough = True
         for i in range(len(pairs)):
-            if known[at_low, i] + known[at_high, i] < 2 * kept[i] + moved[i] * (high - low):
+            if distances[at_low, i] + distances[at_high, i] < 2 * kept[i] + moved[i] * (high - low):
                 enough = False
                 break
         if enough:
             continue
-        if high - low < finest or checks == len(known):
+        if high - low < finest or checks == len(distances):
             return False, checks
         middle = (low + high) / 2
         for j in range(dof):
             q[j] = a[j] + middle * (b[j] - a[j])
         for i in range(len(pairs)):
-            certain = known[at_low, i] + known[at_high, i] >= 2 * margins[i] + moved[i] * (high - low)
-            known[checks, i] = np.inf if certain else 0.0
+            certain = distances[at_low, i] + distances[at_high, i] >= 2 * margins[i] + moved[i] * (high - low)
+            distances[checks, i] = np.inf if certain else 0.0
         checks += 1
-        if not measure(joints, links, pairs, boxes, q, margins, known[checks - 1]):
+        if not measure(joints, links, pairs, boxes, q, margins, distances[checks - 1]):
             return False, checks
         spans[last, 0], spans[last, 1], rows[last, 0], rows[last, 1] = low, middle, at_low, checks - 1
         spans[last + 1, 0], spans[last + 1, 1] = middle, high
@@ -101,7 +101,7 @@ def shortcut(scene, path, corners, draws, faster, bounds):
 
     `path` (corners + draws, dof) begins with that many `corners`. Each of `draws` (k, 2) is two shares of its time at
     the velocity limits. A motion that takes less than the share `faster` of the time between its ends is taken, if it
-    is free. Returns the number of corners, and how many configurations were looked at. `scene` and `bounds` are the
+    is free. Returns the number of corners, and the number of configurations checked. `scene` and `bounds` are the
     first and the last arguments of `check_edge`.
     """
     joints = scene[0]
@@ -138,7 +138,7 @@ def farthest_goal(scene, path, q, halvings, places, bounds, goal):
     """Set `goal` (dof,) to the farthest point of `path` (m, dof) to which the straight motion from `q` is free.
 
     Behind the last corner that is reached so, the rest of its edge is halved so many times; if none is, so many places
-    of each edge are tried. Returns whether there is such a point, and how many configurations were looked at.
+    of each edge are tried. Returns whether there is such a point, and the number of configurations checked.
     """
     checks, last, tried = 0, len(path) - 1, np.empty(len(q))
     for corner in range(last, -1, -1):
@@ -173,22 +173,22 @@ def farthest_goal(scene, path, q, halvings, places, bounds, goal):
 
 
 @compiled
-def stops_freely(scene, position, velocity, goal, ticks, tick, most, bounds):
-    """Whether drives at `position` with `velocity` (dof,) keep the distances until they are at rest at `goal`.
+def stops_freely(scene, position, velocity, goal, ticks, tick, max_edges, bounds):
+    """Check that drives from `position` with `velocity` (dof,) keep the distances until they rest at `goal`.
 
-    The straight motions between positions every so many `ticks` are checked, but no more than `most` of them. Returns
-    how many configurations were looked at, too.
+    The straight motions between positions every so many `ticks` are checked, at most `max_edges` of them. Returns
+    whether all are free, and the number of configurations checked.
     """
-    before, now, speed, checks = position.copy(), position.copy(), velocity.copy(), 0
-    for _ in range(most):
-        follow_all(scene[0], goal, now, speed, ticks, tick)
-        free, looks = check_edge(*scene, before, now, *bounds)
+    start, current, speed, checks = position.copy(), position.copy(), velocity.copy(), 0
+    for _ in range(max_edges):
+        follow_all(scene[0], goal, current, speed, ticks, tick)
+        free, looks = check_edge(*scene, start, current, *bounds)
         checks += looks
         if not free:
             return False, checks
-        if np.abs(speed).max() * tick < AT_REST and np.abs(now - goal).max() < AT_REST:
+        if np.abs(speed).max() * tick < AT_REST and np.abs(current - goal).max() < AT_REST:
             break
-        copy_to(now, before)
+        copy_to(current, start)
     return True, checks
 
 

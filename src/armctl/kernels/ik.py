@@ -11,7 +11,7 @@ from armctl.kernels.reach import nearest_turn
 
 @compiled
 def is_rigid(pose, tolerance):
-    """Whether a matrix (4, 4) is a proper rotation and a translation."""
+    """Return True if a matrix (4, 4) is a proper rotation and a translation."""
     for i in range(4):
         for j in range(4):
             if not math.isfinite(pose[i, j]):
@@ -34,7 +34,7 @@ def is_rigid(pose, tolerance):
 
 @compiled
 def twist_length(rotation, position, pose):
-    """Length of the twist (m and rad) from a frame to a pose (4, 4), in that frame.
+    """Return the length of the twist (m and rad) from a frame to a pose (4, 4), in that frame.
 
     With the rotation vector w of the relative rotation, and its angle a, and the relative translation p, the twist is w
     and p - w x p / 2 + (1 - a / 2 cot(a / 2)) w x (w x p) / a^2.
@@ -67,7 +67,7 @@ def twist_length(rotation, position, pose):
 
 @compiled
 def tip_pose(joints, q, rotations, origins, rotation, position):
-    """Orientation (3, 3) and position (3,) of the end-effector at q (dof,)."""
+    """Compute orientation (3, 3) and position (3,) of the end-effector at q (dof,)."""
     forward(joints, q, rotations, origins)
     tip_of(joints, rotations, origins, position)
     last = len(joints) - 1
@@ -79,14 +79,14 @@ def tip_pose(joints, q, rotations, origins, rotation, position):
 
 
 @compiled
-def choose(joints, pose, found, approximate, seed, exact, near, distinct, solutions, residuals):
-    """The configurations `found` (k, dof) for a `pose` (4, 4) that are within the limits, the nearest to `seed` first.
+def choose(joints, pose, candidates, approximate, seed, exact, near, distinct, solutions, residuals):
+    """Choose the `candidates` (k, dof) for a `pose` (4, 4) that are within the limits, the nearest to `seed` first.
 
     They are written to `solutions` (k + 1, dof), with their `residuals` (k + 1,), and of all the one of least residual
     to the last rows. Returns their number. It is -1 if that does not suffice: none is exact, a residual is above
     `exact`, or that of `seed` (dof,) below `near`. Of solutions nearer to each other than `distinct`, one counts.
     """
-    dof, last = len(joints), len(found)
+    dof, last = len(joints), len(candidates)
     rotations, origins = np.empty((dof, 3, 3)), np.empty((dof, 3))
     rotation, position, q = np.empty((3, 3)), np.empty(3), np.empty(dof)
     distances = np.empty(last)
@@ -97,11 +97,11 @@ def choose(joints, pose, found, approximate, seed, exact, near, distinct, soluti
     for row in range(last):
         if approximate[row]:
             continue
-        tip_pose(joints, found[row], rotations, origins, rotation, position)
+        tip_pose(joints, candidates[row], rotations, origins, rotation, position)
         residual = twist_length(rotation, position, pose)
         if not residual < exact:
             return -1
-        nearest_turn(joints, found[row], seed, q)
+        nearest_turn(joints, candidates[row], seed, q)
         if residual < residuals[last]:
             residuals[last] = residual
             copy_to(q, solutions[last])

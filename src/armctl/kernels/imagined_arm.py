@@ -13,12 +13,12 @@ from armctl.kernels.drives import follow_all
 from armctl.kernels.edges import check_edge, distance
 
 MOVING, ARRIVED, TOUCHED = range(3)
-"""How an arm's episode stands."""
+"""States of an arm's episode."""
 
 
 @compiled
 def number_of_pairs(shape, counts, arm):
-    """Pairs of an arm; `shape` is `own` and `each`."""
+    """Return the number of pairs of an arm; `shape` is `own` and `each`."""
     return shape[0] + shape[1] * counts[arm]
 
 
@@ -79,13 +79,13 @@ def move(
 
 @compiled
 def farthest_waypoints(
-    robot, motion, shape, boxes, counts, states, positions, ways, lengths, margin, share, slack_factor, finest, known,
-    found,
+    robot, motion, shape, boxes, counts, states, positions, ways, lengths, margin, share, slack_factor, finest,
+    distances, farthest,
 ):  # fmt: skip
-    """Raise `found` (n,) to the farthest of `ways` (n, most, dof) to which a straight motion is free, of `MOVING` arms.
+    """Raise `farthest` (n,) to the farthest of `ways` (n, most, dof) with a free straight motion, of `MOVING` arms.
 
     Of way i, `lengths[i]` corners count. Pairs keep `margin`, or a `share` of what is less at the start, at checked
-    configurations, and these by `slack_factor` in between. `finest` and `known` are those of `check_edge`.
+    configurations, and these by `slack_factor` in between. `finest` and `distances` are those of `check_edge`.
     """
     joints, links, pairs = robot
     rotations, origins = np.empty((len(joints), 3, 3)), np.empty((len(joints), 3))
@@ -101,10 +101,10 @@ def farthest_waypoints(
         for k in range(count):
             margins[k] = min(margin, share * max(distance(links, boxes[arm], ends, pairs[k]), 0.0))
             kept[k] = margins[k] / slack_factor
-        for k in range(lengths[arm] - 1, found[arm], -1):
+        for k in range(lengths[arm] - 1, farthest[arm], -1):
             free, _ = check_edge(
-                joints, links, pairs[:count], boxes[arm], start, ways[arm, k], margins, kept, motion, finest, known
+                joints, links, pairs[:count], boxes[arm], start, ways[arm, k], margins, kept, motion, finest, distances
             )
             if free:
-                found[arm] = k
+                farthest[arm] = k
                 break

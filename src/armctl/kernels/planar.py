@@ -23,14 +23,14 @@ class Deck(NamedTuple):
 
     length: float
     half_width: float
-    """Between the barriers' feet."""
+    """Distance between the barriers' feet."""
     walker_radius: float
     edge: float
-    """From the middle of the deck to its edges."""
+    """Distance from the middle of the deck to its edges."""
 
 
 class Scenes(NamedTuple):
-    """What stands and walks on n bridges."""
+    """Obstacles and walkers on n bridges."""
 
     blocks: Array
     """(n, k, 6)."""
@@ -41,21 +41,21 @@ class Scenes(NamedTuple):
 
 
 class Drive(NamedTuple):
-    """How rovers follow commands: limits of linear (m/s^2) and angular acceleration (rad/s^2)."""
+    """Limits of rovers that follow commands: linear (m/s^2) and angular acceleration (rad/s^2)."""
 
     linear: float
     angular: float
 
 
 @compiled
-def towards(value, goal, most):
-    """A value, moved towards a goal by at most so much."""
-    return value + min(max(goal - value, -most), most)
+def towards(value, goal, max_change):
+    """Move a value towards a goal by at most `max_change`."""
+    return value + min(max(goal - value, -max_change), max_change)
 
 
 @compiled
 def barrier_at(barriers, length, side, x):
-    """Whether a barrier stands at x on a side, 0 or 1."""
+    """Return True if a barrier stands at x on a side, 0 or 1."""
     segments = barriers.shape[1]
     i = math.floor(x / length * segments)
     return 0 <= i < segments and barriers[side, i]
@@ -63,7 +63,7 @@ def barrier_at(barriers, length, side, x):
 
 @compiled
 def apart(x, y, cos, sin, half_x, half_y, block):
-    """Whether a rectangle at x, y is apart from a block: whether one of their four axes separates them."""
+    """Return True if one of the four axes of a rectangle at x, y and of a block separates them."""
     dx, dy = block[0] - x, block[1] - y
     cross, dot = abs(cos * block[3] - sin * block[2]), abs(cos * block[2] + sin * block[3])
     if abs(dx * cos + dy * sin) > half_x + block[4] * dot + block[5] * cross:
@@ -77,7 +77,7 @@ def apart(x, y, cos, sin, half_x, half_y, block):
 
 @compiled
 def touched(deck, blocks, barriers, walkers, x, y, yaw, outline):
-    """What a rover at a pose touches: `FREE`, `BARRIER` (blocks too, as in MuJoCo's model) or `OBSTACLE`."""
+    """Return what a rover at a pose touches: `FREE`, `BARRIER` (blocks too, as in MuJoCo's model) or `OBSTACLE`."""
     cos, sin = math.cos(yaw), math.sin(yaw)
     for half_x, half_y in outline:
         for ahead in (-half_x, half_x):
@@ -126,7 +126,7 @@ def drive(ids, deck, scenes, limits, outline, places, period, commands, poses, v
 
 @compiled
 def to_block(x, y, dx, dy, block):
-    """Length of a ray, in lengths of its direction, to a block; infinite if it misses."""
+    """Return the length of a ray, in lengths of its direction, to a block; infinite if it misses."""
     ox, oy = x - block[0], y - block[1]
     ax, ay = ox * block[2] + oy * block[3], oy * block[2] - ox * block[3]
     bx, by = dx * block[2] + dy * block[3], dy * block[2] - dx * block[3]
@@ -143,7 +143,7 @@ def to_block(x, y, dx, dy, block):
 
 @compiled
 def to_disc(x, y, dx, dy, centre, radius):
-    """The same for a disc."""
+    """Return the length of a ray to a disc, as `to_block` does."""
     ox, oy = x - centre[0], y - centre[1]
     a, b, c = dx * dx + dy * dy, ox * dx + oy * dy, ox * ox + oy * oy - radius * radius
     if c <= 0:
@@ -156,7 +156,7 @@ def to_disc(x, y, dx, dy, centre, radius):
 
 @compiled
 def to_side(deck, barriers, x, y, dx, dy, half_width, farthest_hole):
-    """The same for the barriers along both sides, at `half_width` from the middle of the deck.
+    """Return the length of a ray to the barriers along both sides, at `half_width` from the middle of the deck.
 
     Where one is missing, the ray ends at the deck's edge if that is at most `farthest_hole` away.
     """
@@ -172,7 +172,7 @@ def to_side(deck, barriers, x, y, dx, dy, half_width, farthest_hole):
 
 @compiled
 def scan(ids, deck, scenes, half_width, mount, directions, farthest, farthest_hole, poses, out):
-    """Ranges (len(ids), columns) from `mount` m before the rovers' centres, in lengths of `directions` (columns, 2).
+    """Compute ranges from `mount` m before the rovers' centres, in lengths of `directions` (columns, 2).
 
     Directions are m ahead and to the left. Barriers are at `half_width` m from the middle of the deck; without one, its
     edge is seen up to `farthest_hole`.

@@ -18,7 +18,7 @@ NEAR = 1e-6
 
 @compiled
 def first_of(enter, leave):
-    """Where a ray that is inside from `enter` to `leave` first meets the surface."""
+    """Return the length at which a ray that is inside from `enter` to `leave` first meets the surface."""
     if enter > leave or leave < 0:
         return NONE
     return enter if enter >= 0 else leave
@@ -26,7 +26,7 @@ def first_of(enter, leave):
 
 @compiled
 def hit_quadratic(a, b, c):
-    """The least t >= 0 with a t^2 + 2 b t + c = 0."""
+    """Return the least t >= 0 with a t^2 + 2 b t + c = 0."""
     discriminant = b * b - a * c
     if discriminant < 0 or a < 1e-15:
         return NONE
@@ -36,7 +36,7 @@ def hit_quadratic(a, b, c):
 
 @compiled
 def hit_plane(size, origin, direction):
-    """The plane z = 0, seen from above, within its half sizes (0: unbounded)."""
+    """Intersect the plane z = 0, seen from above, within its half sizes (0: unbounded)."""
     if direction[2] > -1e-15:
         return NONE
     t = -origin[2] / direction[2]
@@ -48,7 +48,7 @@ def hit_plane(size, origin, direction):
 
 @compiled
 def hit_sphere(radius, centre_z, origin, direction):
-    """A sphere on the z axis."""
+    """Intersect a sphere on the z axis."""
     a = b = 0.0
     c = -radius * radius
     for i in range(3):
@@ -61,7 +61,7 @@ def hit_sphere(radius, centre_z, origin, direction):
 
 @compiled
 def hit_tube(radius, origin, direction):
-    """Where a ray enters and leaves the endless cylinder around the z axis."""
+    """Return the lengths at which a ray enters and leaves the endless cylinder around the z axis."""
     a = direction[0] ** 2 + direction[1] ** 2
     b = direction[0] * origin[0] + direction[1] * origin[1]
     c = origin[0] ** 2 + origin[1] ** 2 - radius * radius
@@ -76,21 +76,21 @@ def hit_tube(radius, origin, direction):
 
 @compiled
 def hit_box(size, count, origin, direction):
-    """A box with half sizes; of these, the last `count` axes bound it."""
+    """Intersect a box with half sizes; of these, the last `count` axes bound it."""
     enter, leave = -np.inf, np.inf
     for i in range(3 - count, 3):
         if abs(direction[i]) < 1e-15:
             if abs(origin[i]) > size[i]:
                 return np.inf, -np.inf
             continue
-        one, other = (-size[i] - origin[i]) / direction[i], (size[i] - origin[i]) / direction[i]
-        enter, leave = max(enter, min(one, other)), min(leave, max(one, other))
+        near, far = (-size[i] - origin[i]) / direction[i], (size[i] - origin[i]) / direction[i]
+        enter, leave = max(enter, min(near, far)), min(leave, max(near, far))
     return enter, leave
 
 
 @compiled
 def hit_polytope(faces, origin, direction):
-    """A convex polytope n x <= d, with `faces` (k, 4) of n and d."""
+    """Intersect a convex polytope n x <= d, with `faces` (k, 4) of n and d."""
     enter, leave = -np.inf, np.inf
     for k in range(len(faces)):
         along = faces[k, 0] * direction[0] + faces[k, 1] * direction[1] + faces[k, 2] * direction[2]
@@ -107,7 +107,7 @@ def hit_polytope(faces, origin, direction):
 
 @compiled
 def hit(kind, size, faces, origin, direction):
-    """The length of a ray, in a shape's frame, to its first hit; infinite for a miss."""
+    """Return the length of a ray, in a shape's frame, to its first hit; infinite for a miss."""
     if kind == BOX:
         enter, leave = hit_box(size, 3, origin, direction)
         return first_of(enter, leave)
@@ -133,7 +133,7 @@ def hit(kind, size, faces, origin, direction):
 
 @compiled
 def seen_rectangle(kind, aabb, turn, origin, pixel, rows, columns, corners):
-    """Rows and columns of the pixels whose rays can hit a shape, first and last plus one, by its bounding box.
+    """Return rows and columns of the pixels whose rays can hit a shape, first and last plus one, by its bounding box.
 
     `turn` (3, 3) leads from the camera's frame to the shape's, and `origin` (3,) is the camera in the latter. There is
     room for `corners` (8, 3).
@@ -174,7 +174,7 @@ def seen_rectangle(kind, aabb, turn, origin, pixel, rows, columns, corners):
 
 @compiled
 def cast(shapes, sizes, aabbs, faces, positions, rotations, camera, camera_rotation, rays, pixel, depths, hits):
-    """Depths (rows, columns) of the nearest hits of one world's `rays` (rows, columns, 3), and the shapes hit.
+    """Compute depths (rows, columns) of the nearest hits of one world's `rays` (rows, columns, 3), and the shapes hit.
 
     `shapes` (k, 4) are rows of kind, geom, first face and last face plus one. Of all geoms, `sizes` (g, 3), `aabbs`
     (g, 6), `positions` (g, 3) and `rotations` (g, 9) as MuJoCo has them. Misses are infinite, and -1.
@@ -205,7 +205,7 @@ def cast(shapes, sizes, aabbs, faces, positions, rotations, camera, camera_rotat
 def cast_all(
     worlds, shapes, sizes, aabbs, faces, positions, rotations, cameras, camera_rotations, rays, pixel, depths, hits
 ):
-    """The same for some worlds: `sizes` and `aabbs` are of each world, or one for all."""
+    """Cast the rays of some worlds: `sizes` and `aabbs` are of each world, or one for all."""
     for i in range(len(worlds)):
         world = worlds[i]
         own_size, own_box = world if len(sizes) > 1 else 0, world if len(aabbs) > 1 else 0

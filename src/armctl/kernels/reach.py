@@ -53,7 +53,7 @@ def damped_step(gradients, error, damping, step):
 
 @compiled
 def approach(joints, q, centres, iterations):
-    """Levenberg-Marquardt iterations from q (n, dof), in place, towards end-effector positions `centres` (n, 3), m."""
+    """Make Levenberg-Marquardt iterations from q (n, dof), in place, to end-effector positions `centres` (n, 3), m."""
     dof = len(joints)
     memory, error, step = workspace(joints), np.empty(3), np.empty(dof)
     for row in range(len(q)):
@@ -74,7 +74,7 @@ def approach(joints, q, centres, iterations):
 
 @compiled
 def step_into_sphere(joints, q, start, centre, radius, velocity, max_step, memory, step):
-    """One linear program at q (dof,): a step (dof,) towards the sphere, so as to be there in the least time.
+    """Solve one linear program at q (dof,): the step (dof,) into the sphere that takes the least time.
 
     All arrays are of one arm that moves from `start` with `velocity`, (dof,) each. Returns the time (s) from there to
     q, and the distance (m) at q from the sphere's centre. Newton's method improves the time. Two of its steps are
@@ -113,7 +113,7 @@ def step_into_sphere(joints, q, start, centre, radius, velocity, max_step, memor
 
 @compiled
 def refine(joints, q, starts, centres, radius, velocities, max_steps, times):
-    """Linear programs with joint steps up to `max_steps` (m,) rad, from q (n, dof), each in its sphere.
+    """Improve q (n, dof) by linear programs with joint steps up to `max_steps` (m,) rad, each in its sphere.
 
     In place, q becomes the best that was met in the sphere, and `times` (n,) when it is reached: infinite if none was.
     Its sphere is around `centres` (n, 3), and arms move from `starts` with `velocities`, (n, dof) each.
@@ -137,7 +137,7 @@ def refine(joints, q, starts, centres, radius, velocities, max_steps, times):
 
 @compiled
 def nearest_turn(joints, q, seed, out):
-    """Q (dof,), each joint shifted by whole turns to be near `seed` (dof,), as far as its limits allow."""
+    """Shift each joint of q (dof,) by whole turns to be near `seed` (dof,), as far as its limits allow."""
     turn = 2 * math.pi
     for k in range(len(joints)):
         near = q[k] + turn * round((seed[k] - q[k]) / turn)
@@ -150,14 +150,14 @@ def move_to(joints, q, positions, centres, radius, tip_speed, iterations, excess
 
     `excess` (n,) becomes the time (s) to the sphere around `centres` (n, 3) at `tip_speed` (m/s), for tips outside it.
     """
-    found = np.empty((len(q), 3))
+    tip_positions = np.empty((len(q), 3))
     approach(joints, q, positions, iterations)
     for row in range(len(q)):
         for k in range(len(joints)):
             q[row, k] = min(max(q[row, k], joints[k].lower), joints[k].upper)
-    tips(joints, q, found)
+    tips(joints, q, tip_positions)
     for row in range(len(q)):
-        excess[row] = late(found[row], centres[row], radius, tip_speed)
+        excess[row] = late(tip_positions[row], centres[row], radius, tip_speed)
 
 
 @compiled
@@ -173,7 +173,7 @@ def late(tip, centre, radius, tip_speed):
 def least_times_into_spheres(
     joints, q, velocities, centres, goals, excess, radius, tip_speed, inside, iterations, max_steps, times
 ):
-    """Times (m,) of `armctl.kinematics.ReachTimes`, s, from q (m, dof) with `velocities`, each into its sphere.
+    """Compute `times` (m,) of `armctl.kinematics.ReachTimes`, s, from q (m, dof) with `velocities`, each into a sphere.
 
     Of sphere i, around `centres[i]`, `goals[i]` (g, dof) lead into it, `excess[i]` (g,) s later than they are reached.
     The straight move aims at the fraction `inside` of the radius.
@@ -191,18 +191,18 @@ def least_times_into_spheres(
             aim[0, axis] = centres[i, axis] + (tip[0, axis] - centres[i, axis]) * (inside * radius / distance)
         copy_to(q[i], goal[0])
         move_to(joints, goal, aim, centres[i : i + 1], radius, tip_speed, iterations, late_by)
-        least = least_time(joints, q[i], velocities[i], goal[0]) + late_by[0]
+        min_time = least_time(joints, q[i], velocities[i], goal[0]) + late_by[0]
         for g in range(len(goals[i])):
             nearest_turn(joints, goals[i, g], q[i], turned)
             time = least_time(joints, q[i], velocities[i], turned) + excess[i, g]
-            if time <= least:
-                least = time
+            if time <= min_time:
+                min_time = time
                 copy_to(turned, goal[0])
         for max_step in max_steps:
             time, at = step_into_sphere(
                 joints, goal[0], q[i], centres[i], radius, velocities[i], max_step, memory, step
             )
-            least = min(least, time + max(at - radius, 0.0) / tip_speed)
+            min_time = min(min_time, time + max(at - radius, 0.0) / tip_speed)
             for k in range(dof):
                 goal[0, k] += step[k]
-        times[i] = least
+        times[i] = min_time

@@ -12,31 +12,31 @@ from armctl.kernels.compiling import compiled
 
 @compiled
 def roll_out(period, position, velocities, positions, accelerations):
-    """`positions` (N + 1, dof) and `accelerations` (N, dof) of a motion with `velocities` (N + 1, dof)."""
+    """Compute `positions` (N + 1, dof) and `accelerations` (N, dof) of a motion with `velocities` (N + 1, dof)."""
     for i in range(len(position)):
         positions[0, i] = position[i]
         for k in range(len(accelerations)):
-            now, then = velocities[k, i], velocities[k + 1, i]
-            positions[k + 1, i] = positions[k, i] + (now + then) * (period / 2)
-            accelerations[k, i] = (then - now) / period
+            velocity, next_velocity = velocities[k, i], velocities[k + 1, i]
+            positions[k + 1, i] = positions[k, i] + (velocity + next_velocity) * (period / 2)
+            accelerations[k, i] = (next_velocity - velocity) / period
 
 
 @compiled
 def fastest_to_stop(room, period, acceleration):
-    """The highest velocity at the end of a period from which a joint stops within `room`, half the period included."""
+    """Return the highest velocity at a period's end from which a joint stops within `room`, with half the period."""
     return acceleration * (math.sqrt(period * period + 2 * max(room, 0.0) / acceleration) - period)
 
 
 @compiled
-def project(joints, period, position, velocity, wanted, positions, velocities, accelerations):
-    """The motion near velocities `wanted` (N + 1, dof) that keeps the limits, as far as the initial state allows."""
+def project(joints, period, position, velocity, targets, positions, velocities, accelerations):
+    """Compute the motion near velocities `targets` (N + 1, dof) that keeps the limits, if the initial state allows."""
     horizon, leaves = len(accelerations), False
     for i in range(len(joints)):
         joint, changed = joints[i], velocity[i]
         change = joint.acceleration * period
         velocities[0, i] = changed
         for k in range(horizon):
-            changed += min(max(wanted[k + 1, i] - wanted[k, i], -change), change)
+            changed += min(max(targets[k + 1, i] - targets[k, i], -change), change)
             velocities[k + 1, i] = min(max(changed, -joint.top), joint.top)
     roll_out(period, position, velocities, positions, accelerations)
     for i in range(len(joints)):
@@ -50,19 +50,19 @@ def project(joints, period, position, velocity, wanted, positions, velocities, a
             joint, at = joints[i], position[i]
             change = joint.acceleration * period
             for k in range(horizon):
-                now = velocities[k, i]
-                fastest = fastest_to_stop(joint.upper - at - now * period / 2, period, joint.acceleration)
-                slowest = -fastest_to_stop(at + now * period / 2 - joint.lower, period, joint.acceleration)
-                then = min(max(velocities[k + 1, i], slowest), fastest)
-                then = min(max(then, -joint.top), joint.top)
-                velocities[k + 1, i] = min(max(then, now - change), now + change)
-                at += (now + velocities[k + 1, i]) * period / 2
+                speed = velocities[k, i]
+                fastest = fastest_to_stop(joint.upper - at - speed * period / 2, period, joint.acceleration)
+                slowest = -fastest_to_stop(at + speed * period / 2 - joint.lower, period, joint.acceleration)
+                next_speed = min(max(velocities[k + 1, i], slowest), fastest)
+                next_speed = min(max(next_speed, -joint.top), joint.top)
+                velocities[k + 1, i] = min(max(next_speed, speed - change), speed + change)
+                at += (speed + velocities[k + 1, i]) * period / 2
         roll_out(period, position, velocities, positions, accelerations)
 
 
 @compiled
 def brake(joints, period, velocity, velocities):
-    """`velocities` (N + 1, dof) of joints that brake from `velocity` (dof,) until they stop."""
+    """Compute `velocities` (N + 1, dof) of joints that brake from `velocity` (dof,) until they stop."""
     for k in range(len(velocities)):
         for i in range(len(joints)):
             slower = max(abs(velocity[i]) - k * joints[i].acceleration * period, 0.0)
@@ -71,24 +71,24 @@ def brake(joints, period, velocity, velocities):
 
 @compiled
 def go_straight(joints, period, position, velocity, goal, velocities):
-    """`velocities` (N + 1, dof) of joints that each move to `goal` (dof,) in minimum time, and stop there."""
+    """Compute `velocities` (N + 1, dof) of joints that each move to `goal` (dof,) in minimum time, and stop there."""
     for i in range(len(joints)):
-        joint, at, now = joints[i], position[i], velocity[i]
+        joint, at, speed = joints[i], position[i], velocity[i]
         change = joint.acceleration * period
-        velocities[0, i] = now
+        velocities[0, i] = speed
         for k in range(1, len(velocities)):
-            distance = goal[i] - at - now * period / 2
+            distance = goal[i] - at - speed * period / 2
             fastest = fastest_to_stop(abs(distance), period, joint.acceleration)
-            wanted = math.copysign(min(fastest, joint.top), distance)
-            then = min(max(wanted, now - change), now + change)
-            at += (now + then) * period / 2
-            now = then
-            velocities[k, i] = now
+            target = math.copysign(min(fastest, joint.top), distance)
+            next_speed = min(max(target, speed - change), speed + change)
+            at += (speed + next_speed) * period / 2
+            speed = next_speed
+            velocities[k, i] = speed
 
 
 @compiled
 def cost_of(weights, posture, positions, velocities, accelerations, errors):
-    """Cost (m^2) of a motion whose tips miss their targets by `errors` (N, 3).
+    """Return the cost (m^2) of a motion whose tips miss their targets by `errors` (N, 3).
 
     `weights` are those of distance from `posture` (dof,), velocity, and acceleration.
     """
@@ -103,11 +103,11 @@ def cost_of(weights, posture, positions, velocities, accelerations, errors):
 
 
 @compiled
-def look(joints, links, pairs, boxes, samples, scales, q, targets, errors, axes, gradients, least):
-    """Kinematics at the knots q (N, dof).
+def evaluate_knots(joints, links, pairs, boxes, samples, scales, q, targets, errors, axes, gradients, min_distances):
+    """Compute the kinematics at the knots q (N, dof).
 
-    How far the tips miss their `targets`, (N, 3) m; the joints' `axes` and the tips' `gradients`, (N, dof, 3); and the
-    `least` distance of the pairs, (N,) m.
+    These are the `errors` of the tips from their `targets`, (N, 3) m; the joints' `axes` and the tips' `gradients`,
+    (N, dof, 3); and the `min_distances` of the pairs, (N,) m.
     """
     dof = len(joints)
     rotations, origins, tip = np.empty((dof, 3, 3)), np.empty((dof, 3)), np.empty(3)
@@ -121,12 +121,12 @@ def look(joints, links, pairs, boxes, samples, scales, q, targets, errors, axes,
             errors[k, i] = tip[i] - targets[k, i]
         if len(pairs):
             place(links, rotations, origins, ends)
-            least[k] = measure(links, pairs, boxes, samples, scales, ends, distances)
+            min_distances[k] = measure(links, pairs, boxes, samples, scales, ends, distances)
 
 
 @compiled
 def quadratic_model(q, errors, axes, gradients, exact, weight, posture, hessians, slopes):
-    """Convexified `hessians` (N, dof, dof) and `slopes` (N, dof), at q = 0, of the cost of the knots q (N, dof).
+    """Compute convex `hessians` (N, dof, dof) and `slopes` (N, dof), at q = 0, of the cost of the knots q (N, dof).
 
     Without `exact`, they are Gauss and Newton's. The tip's second derivative by joints i <= j is
     axis_i x (its first by j). `weight` is that of the distance from `posture` (dof,).
@@ -191,7 +191,7 @@ def write_obstacles(distances, normals, q, margin, scale, marked, order, data, l
         data[marked[i]] = scale * flat[order[i]]
     for k in range(horizon):
         for i in range(count):
-            least = margin - distances[k, i]
+            bound = margin - distances[k, i]
             for j in range(q.shape[1]):
-                least += normals[k, i, j] * q[k, j]
-            lower[begin + k * count + i] = scale * least
+                bound += normals[k, i, j] * q[k, j]
+            lower[begin + k * count + i] = scale * bound

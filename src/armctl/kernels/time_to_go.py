@@ -16,34 +16,34 @@ def spread(times, goal, wall, people, reach, y, x, slower, wait, moves, duration
     """
     last, ny, nx = len(times) - 1, len(y), len(x)
     for k in range(last - 1, -1, -1):
-        now, after = times[k], times[k + 1]
+        layer, next_layer = times[k], times[k + 1]
         for i in range(pad, ny + pad):
             for j in range(pad, nx + pad):
-                now[i, j] = wait + after[i, j]
+                layer[i, j] = wait + next_layer[i, j]
         for e in range(len(moves)):
             first, second = times[min(k + layers[e], last)], times[min(k + layers[e] + 1, last)]
             left, ahead = moves[e, 0] + pad, moves[e, 1] + pad
             for i in range(ny):
-                one, other = first[i + left, ahead : ahead + nx], second[i + left, ahead : ahead + nx]
-                improve(now[i + pad, pad : pad + nx], one, other, durations[e], shares[e])
-        detain(now, times, k, people[k], reach, y, x, slower, wait, moves, durations, shares, layers, pad)
+                before_share, after_share = first[i + left, ahead : ahead + nx], second[i + left, ahead : ahead + nx]
+                improve(layer[i + pad, pad : pad + nx], before_share, after_share, durations[e], shares[e])
+        detain(layer, times, k, people[k], reach, y, x, slower, wait, moves, durations, shares, layers, pad)
         for i in range(ny):
             for j in range(nx):
-                time = max(now[i + pad, j + pad], wall[i, j])
-                now[i + pad, j + pad] = 0.0 if goal[i, j] else time
+                time = max(layer[i + pad, j + pad], wall[i, j])
+                layer[i + pad, j + pad] = 0.0 if goal[i, j] else time
 
 
 @compiled
 def improve(row, first, second, duration, share):
     """Take the times (n,) of a move where they are less; without `min`, which does not run on vectors."""
     for j in range(len(row)):
-        there = duration + first[j] + share * (second[j] - first[j])
-        if there < row[j]:
-            row[j] = there
+        time = duration + first[j] + share * (second[j] - first[j])
+        if time < row[j]:
+            row[j] = time
 
 
 @compiled
-def detain(now, times, k, people, reach, y, x, slower, wait, moves, durations, shares, layers, pad):
+def detain(layer, times, k, people, reach, y, x, slower, wait, moves, durations, shares, layers, pad):
     """Set the times of layer `k` at the points within `reach` of people (w, 2), where everything takes longer."""
     last = len(times) - 1
     for w in range(len(people)):
@@ -53,9 +53,9 @@ def detain(now, times, k, people, reach, y, x, slower, wait, moves, durations, s
             for j in range(len(x)):
                 if (x[j] - people[w, 0]) ** 2 + (y[i] - people[w, 1]) ** 2 > reach * reach:
                     continue
-                least = slower * wait + times[k + 1, i + pad, j + pad]
+                min_time = slower * wait + times[k + 1, i + pad, j + pad]
                 for e in range(len(moves)):
                     at, to = i + pad + moves[e, 0], j + pad + moves[e, 1]
                     first, second = times[min(k + layers[e], last), at, to], times[min(k + layers[e] + 1, last), at, to]
-                    least = min(least, slower * durations[e] + first + shares[e] * (second - first))
-                now[i + pad, j + pad] = least
+                    min_time = min(min_time, slower * durations[e] + first + shares[e] * (second - first))
+                layer[i + pad, j + pad] = min_time

@@ -49,7 +49,7 @@ class Clearance:
         self.scene = self.among(model.boxes)
 
     def among(self, boxes: Boxes) -> Scene:
-        """What to measure among boxes. The first link only turns on the spot, and is not checked against them."""
+        """Return the scene among boxes. The first link only turns on the spot, and is not checked against them."""
         moving = np.flatnonzero(self.model.links["joint"] > 1)
         with_boxes = [(edges.LINK_AND_BOX, link, box) for link in moving for box in range(len(boxes))]
         pairs = np.array([*self._pairs, *with_boxes], dtype=edges.PAIR)
@@ -57,19 +57,19 @@ class Clearance:
         return self.model.links, pairs, box_records(boxes), self._samples, scales
 
     def along(self, way: Array) -> Scene:
-        """The same scene for a controller that is to follow a `way` (n, dof)."""
+        """Return the same scene for a controller that is to follow a `way` (n, dof)."""
         links, pairs, boxes, samples, scales = self.scene
         distances = self.nearest(way, len(pairs))[0].min(axis=0) / scales
         return links, pairs, boxes, samples, np.maximum(scales, self._margin / np.maximum(distances, NARROWEST))
 
-    def least(self, q: Array, scene: Scene | None = None) -> Array:
-        """The least distance of all pairs, (n,) m, at each of q (n, dof)."""
-        least = np.empty(len(q))
-        clearance.clearances(self.model.joints, *(scene or self.scene), np.ascontiguousarray(q), least)
-        return least
+    def min_distances(self, q: Array, scene: Scene | None = None) -> Array:
+        """Return the least distance of all pairs, (n,) m, at each of q (n, dof)."""
+        min_distances = np.empty(len(q))
+        clearance.clearances(self.model.joints, *(scene or self.scene), np.ascontiguousarray(q), min_distances)
+        return min_distances
 
     def nearest(self, q: Array, count: int) -> tuple[Array, Array]:
-        """Distances (n, count) m of the nearest pairs at q (n, dof), and their gradients (n, count, dof) m/rad.
+        """Return distances (n, count) m of the nearest pairs at q (n, dof), and their gradients (n, count, dof) m/rad.
 
         They are in an order that stays the same from one configuration to the next; infinite and zero if there are
         fewer pairs.
@@ -79,7 +79,7 @@ class Clearance:
         return distances, gradients
 
     def _ends_over_floor(self) -> NDArray[np.int64]:
-        """Links and their ends (k, 2) that may come near the floor: those whose height the joints change."""
+        """Return links and their ends (k, 2) that may come near the floor: those whose height the joints change."""
         samples = np.random.default_rng(0).uniform(-np.pi, np.pi, (100, self.model.dof))
         ends = np.empty((len(samples), len(self.model.links), 2, 3))
         capsules.place_all(self.model.joints, self.model.links, samples, ends)

@@ -19,7 +19,7 @@ from armctl.kinematics.model import ArmModel
 
 Array = NDArray[np.float64]
 ClosedForm = Callable[[Array], tuple[Array, NDArray[np.bool_]]]
-"""From a pose (4, 4) to configurations (k, dof), and whether each is only an approximation, (k,)."""
+"""Function of a pose (4, 4) that gives configurations (k, dof), and whether each is an approximation, (k,)."""
 
 PREBUILT = {"panda": "franka_panda", "UF_ROBOT": "xarm7"}
 """Robots that ssik knows, by the names in their URDF files."""
@@ -28,7 +28,7 @@ SAME = 1e-9
 
 
 def six_joints(model: ArmModel) -> ClosedForm | None:
-    """EAIK's closed form for the arm, or None if it has no decomposition for it."""
+    """Return EAIK's closed form for the arm, or None if it has no decomposition for it."""
     if model.dof != 6:
         return None
     origins = [np.zeros(3)]
@@ -45,14 +45,14 @@ def six_joints(model: ArmModel) -> ClosedForm | None:
         return None
 
     def solve(pose: Array) -> tuple[Array, NDArray[np.bool_]]:
-        found = solver.calculate_IK(pose)
-        return found.Q, found.is_LS
+        solution = solver.calculate_IK(pose)
+        return solution.Q, solution.is_LS
 
     return solve
 
 
 def seven_joints(model: ArmModel) -> ClosedForm | None:
-    """Ssik's closed form for the arm; None if ssik is not installed, or does not know the arm."""
+    """Return ssik's closed form for the arm; None if ssik is not installed, or does not know the arm."""
     name = PREBUILT.get(model.description.name)
     solver = _ssik(name) if name else None
     if solver is None or solver.dof != model.dof:
@@ -64,15 +64,15 @@ def seven_joints(model: ArmModel) -> ClosedForm | None:
     from_tip = np.linalg.inv(to_tip)
 
     def solve(pose: Array) -> tuple[Array, NDArray[np.bool_]]:
-        found = [solution.q for solution in solver.solve(pose @ from_tip, enumerate_windings=False)]
-        return np.array(found, dtype=float).reshape(-1, model.dof), np.zeros(len(found), dtype=bool)
+        solutions = [solution.q for solution in solver.solve(pose @ from_tip, enumerate_windings=False)]
+        return np.array(solutions, dtype=float).reshape(-1, model.dof), np.zeros(len(solutions), dtype=bool)
 
     return solve
 
 
 @functools.cache
 def _ssik(name: str) -> Any:
-    """Ssik's solver for an arm; loading it takes seconds."""
+    """Return ssik's solver for an arm; loading it takes seconds."""
     try:
         import ssik
     except ImportError:

@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 
 def damped_step(jacobian: Array, error: Array, damping: Array | float) -> Array:
-    """J^T (J J^T + damping I)^-1 error, (..., dof).
+    """Return J^T (J J^T + damping I)^-1 error, (..., dof).
 
     Args: `jacobian` (..., m, dof), `error` (..., m), `damping` (...), in squared units of the Jacobian.
     """

@@ -31,7 +31,7 @@ NEAR_START = 0.5
 FINEST = 2**-12
 """Finest fraction of an edge: an edge still undecided there counts as blocked, which bounds the effort."""
 HALVINGS, PLACES = 6, 8
-"""To find the farthest point that is reached on an edge of a path: halvings, or places tried."""
+"""Number of halvings, and of places tried, to find the farthest point that is reached on an edge of a path."""
 TICKS_CHECKED, MOST_CHECKED = 3, 40
 """Ticks of the drives between configurations whose edges are checked, and the number of these: about a second."""
 MOST_CHECKS = 2048
@@ -65,30 +65,30 @@ class ArmShapes:
                 self._motion[-1][0] *= not self._on_upright  # turning about the vertical does not change heights
 
     def with_boxes(self, boxes: Boxes) -> tuple[Records, Array]:
-        """All pairs, with those of moving links and boxes, and bounds on their relative motion, (pairs, dof) m/rad."""
+        """Return all pairs with `boxes`, and bounds on their relative motion, (pairs, dof) m/rad."""
         beyond = boxes.distances(self.model.shoulder)
         near = (beyond[:, None] <= self._reach + FAR) & (self.model.links["joint"] > 0)
         pairs = [*self._pairs, *((edges.LINK_AND_BOX, link, box) for box, link in np.argwhere(near))]
         motion = [*self._motion, *self._radii[np.argwhere(near)[:, 1]]]
         return np.array(pairs, dtype=edges.PAIR), np.array(motion).reshape(-1, self.model.dof)
 
-    def with_any_boxes(self, most: int) -> tuple[Records, Array, int]:
-        """The same for up to `most` boxes wherever they are: all own pairs, and how many, then those of box after box.
+    def with_any_boxes(self, max_boxes: int) -> tuple[Records, Array, int]:
+        """Return the same for any `max_boxes` boxes: all own pairs, their number, then the pairs of each box.
 
         Of k boxes, the pairs are the first of these.
         """
         moving = np.flatnonzero(self.model.links["joint"] > 0)
-        pairs = [*self._pairs, *((edges.LINK_AND_BOX, link, box) for box in range(most) for link in moving)]
-        motion = [*self._motion, *np.tile(self._radii[moving], (most, 1))]
+        pairs = [*self._pairs, *((edges.LINK_AND_BOX, link, box) for box in range(max_boxes) for link in moving)]
+        motion = [*self._motion, *np.tile(self._radii[moving], (max_boxes, 1))]
         return np.array(pairs, dtype=edges.PAIR), np.array(motion).reshape(-1, self.model.dof), len(self._pairs)
 
     def _between(self, first: int, second: int) -> NDArray[np.bool_]:
-        """Which joints (dof,) move two joints' frames against each other."""
+        """Return which joints (dof,) move two joints' frames against each other."""
         joints = np.arange(1, self.model.dof + 1)
         return np.asarray((joints > min(first, second)) & (joints <= max(first, second)))
 
     def _lowest_on_second_joint(self, point: Array) -> float:
-        """Lowest height (m) of a `point` (3,) in the second joint's frame; -inf if unknown."""
+        """Return the lowest height (m) of a `point` (3,) in the second joint's frame; -inf if unknown."""
         if not self._on_upright:
             return -np.inf
         first, second = self.model.joints[:2]
@@ -97,7 +97,7 @@ class ArmShapes:
         return float(height - _off_axis(point, axis) * np.sqrt(max(0.0, 1 - upward**2)))
 
     def _bounds(self, joint: int, ends: Array, radius: float) -> tuple[Array, float]:
-        """Upper bounds on the distance of a shape's points from each joint's axis (dof,) and from the shoulder, m.
+        """Bound the distance (m) of a shape's points from each joint's axis (dof,) and from the shoulder.
 
         Its points are within `radius` of a segment between `ends` (k, 3), in the frame of `joint`.
         """
@@ -127,46 +127,46 @@ class EdgeChecker:
         pairs, motion = shapes.with_boxes(boxes)
         self._self_pairs = shapes.self_pairs
         self._scene = shapes.model.joints, shapes.model.links, pairs, box_records(boxes)
-        self._known, self._anything = np.empty((MOST_CHECKS, len(pairs))), np.full(len(pairs), -np.inf)
+        self._distances, self._no_margins = np.empty((MOST_CHECKS, len(pairs))), np.full(len(pairs), -np.inf)
         self.checks = 0
         """Configurations checked."""
         distances = self._measured(start)
         self.start_is_free = bool((distances > 0).all())
-        self._wanted = np.minimum(SLACK * clearance, NEAR_START * np.maximum(distances, 0.0))
+        self._full_margins = np.minimum(SLACK * clearance, NEAR_START * np.maximum(distances, 0.0))
         self._motion = motion
-        self._set_margins(self._wanted)
+        self._set_margins(self._full_margins)
 
     def is_free(self, q: Array) -> bool:
-        """Whether a configuration (dof,) keeps the clearance, with the margin that edges need."""
+        """Return True if a configuration (dof,) keeps the clearance, with the margin that edges need."""
         self.checks += 1
-        self._known[0] = 0.0
-        return bool(edges.measure(*self._scene, q, self._margins, self._known[0]))
+        self._distances[0] = 0.0
+        return bool(edges.measure(*self._scene, q, self._margins, self._distances[0]))
 
     def is_edge_free(self, a: Array, b: Array) -> bool:
-        """Whether the straight motion from `a` to `b`, (dof,) each, keeps the clearance throughout."""
+        """Return True if the straight motion from `a` to `b`, (dof,) each, keeps the clearance throughout."""
         free, checks = edges.check_edge(*self._scene, a, b, *self._bounds)
         self.checks += checks
         return bool(free)
 
     def relax(self, q: Array, share: float) -> bool:
-        """From now on, pairs that are nearer at `q` (dof,) than they should be must keep this share of their distance.
+        """Lower the margins of pairs that are too near at `q` (dof,) to a share of their distance there.
 
         Without that, no motion away from there would be free. Pairs in contact stay blocked. Returns whether there are
         such pairs.
         """
         distances = self._measured(q)
-        self._set_margins(np.minimum(self._wanted, share * np.maximum(distances, 0.0)))
-        return bool((distances < self._wanted).any())
+        self._set_margins(np.minimum(self._full_margins, share * np.maximum(distances, 0.0)))
+        return bool((distances < self._full_margins).any())
 
     def farthest_goal(self, path: Array, q: Array) -> Array | None:
-        """The farthest point (dof,) of a path (m, dof) to which the straight motion from `q` (dof,) is free, if any."""
+        """Return the farthest point (dof,) of a path (m, dof) with a free straight motion from `q` (dof,), if any."""
         goal = np.empty(len(q))
-        found, checks = edges.farthest_goal(self._scene, path, q, HALVINGS, PLACES, self._bounds, goal)
+        exists, checks = edges.farthest_goal(self._scene, path, q, HALVINGS, PLACES, self._bounds, goal)
         self.checks += checks
-        return goal if found else None
+        return goal if exists else None
 
     def stops_freely(self, position: Array, velocity: Array, goal: Array) -> bool:
-        """Whether drives at `position` (dof,) with `velocity` (dof,) keep the clearance until they rest at `goal`."""
+        """Return True if drives from `position` (dof,) with `velocity` (dof,) keep the clearance to rest at `goal`."""
         free, checks = edges.stops_freely(
             self._scene, position, velocity, goal, TICKS_CHECKED, TICK, MOST_CHECKED, self._bounds
         )
@@ -174,7 +174,7 @@ class EdgeChecker:
         return bool(free)
 
     def shortened(self, path: Array, draws: Array, faster: float) -> Array:
-        """The path (m, dof) after shortcuts between random places, where they are free and save time.
+        """Return the path (m, dof) after shortcuts between random places, where they are free and save time.
 
         `draws` (k, 2) are shares of the path's time at the velocity limits, and `faster` is the share of the time
         between such places that a shortcut may need.
@@ -185,19 +185,19 @@ class EdgeChecker:
         return room[:corners]
 
     def clearance(self, path: ArrayLike) -> float:
-        """Least distance (m) of the arm from boxes and floor at the corners of a path (m, dof); at most `FAR`."""
+        """Return the least distance (m) from boxes and floor at the corners of a path (m, dof); at most `FAR`."""
         corners = (self._measured(q)[self._self_pairs :] for q in np.asarray(path, float))
         return min((float(distances.min(initial=FAR)) for distances in corners), default=np.nan)
 
     def _set_margins(self, margins: Array) -> None:
         self._margins = margins
-        self._bounds = margins, margins / SLACK, self._motion, FINEST, self._known
+        self._bounds = margins, margins / SLACK, self._motion, FINEST, self._distances
 
     def _measured(self, q: Array) -> Array:
-        """Distance of each pair, (pairs,) m: 0 or below in contact."""
+        """Return the distance of each pair, (pairs,) m: 0 or below in contact."""
         self.checks += 1
-        distances = np.zeros(len(self._anything))
-        edges.measure(*self._scene, q, self._anything, distances)
+        distances = np.zeros(len(self._no_margins))
+        edges.measure(*self._scene, q, self._no_margins, distances)
         return distances
 
 

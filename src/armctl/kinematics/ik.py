@@ -67,7 +67,7 @@ class IkResult:
 
     @property
     def reachable(self) -> bool:
-        """Whether there is a solution."""
+        """True if there is a solution."""
         return len(self.solutions) > 0
 
     @property
@@ -98,7 +98,7 @@ class Ik:
         return self._six_joints or seven_joints(self.model)
 
     def pose(self, target: Array, seed: Array | None = None, count: int | None = None) -> IkResult:
-        """Up to `count` configurations for a full pose, homogeneous (4, 4); the nearest to `seed` (dof,) comes first.
+        """Return up to `count` configurations for a full pose, homogeneous (4, 4), the nearest to `seed` (dof,) first.
 
         The closed form gives all solutions (up to 8 for a UR). The numeric search stops at `count` (default 1).
         Raises `ConfigurationError` if `target` is not a rigid transform.
@@ -115,7 +115,7 @@ class Ik:
     def _chosen(
         self, target: Array, q: Array, approximate: NDArray[np.bool_], seed: Array, count: int | None
     ) -> IkResult | None:
-        """The closed form's solutions; None if one of them needs to be polished, or there is none."""
+        """Return the closed form's solutions; None if one of them needs to be polished, or there is none."""
         options = self.options
         solutions, residuals = np.empty((len(q) + 1, self.model.dof)), np.empty(len(q) + 1)
         number = kernel.choose(
@@ -131,7 +131,7 @@ class Ik:
     def _polished(
         self, target: Array, q: Array, approximate: NDArray[np.bool_], seed: Array, count: int | None
     ) -> IkResult:
-        """Its solutions, or its approximations if there are none, improved numerically."""
+        """Return the closed form's solutions, or its approximations if there are none, improved numerically."""
         problem = _PoseProblem(self.model, target)
         starts = list(q if approximate.all() else q[~approximate])
         if np.linalg.norm(problem.error(seed)) < self.options.near:
@@ -139,7 +139,7 @@ class Ik:
         return self._result([self._polish(problem, start) for start in starts], seed, count)
 
     def position(self, target: Array, seed: Array | None = None, count: int = 1) -> IkResult:
-        """Up to `count` distinct configurations for a position (3,) m; the nearest to `seed` (dof,) comes first.
+        """Return up to `count` distinct configurations for a position (3,) m, the nearest to `seed` (dof,) first.
 
         Raises `ConfigurationError` if `target` is not three finite numbers.
         """
@@ -150,7 +150,7 @@ class Ik:
         return self._search(_PositionProblem(self.model, target), seed, count)
 
     def free_configurations(self, position: Array) -> Iterator[Array]:
-        """Collision-free configurations (dof,) at `position` (3,).
+        """Return collision-free configurations (dof,) at `position` (3,).
 
         These are not all, but the same every time: a fixed set of orientations (or of numeric starts) is tried, with
         what the core of armctl installs.
@@ -160,7 +160,7 @@ class Ik:
             yield from within[self.model.are_free(within)]
 
     def configurations(self, position: Array) -> Iterator[Array]:
-        """The same in groups (k, dof), in collision or not; joints may exceed their limits by whole turns."""
+        """Yield the same in groups (k, dof), in collision or not; joints may exceed their limits by whole turns."""
         if self._six_joints is None:
             yield self.position(position, count=self.options.starts).solutions
             return
@@ -194,7 +194,7 @@ class Ik:
         return self._result(attempts, seed, count)
 
     def _polish(self, problem: "_Problem", q: Array) -> "_Attempt":
-        """Levenberg-Marquardt from `q` until the tolerance is met or the residual stalls."""
+        """Make Levenberg-Marquardt steps from `q` until the tolerance is met or the residual stalls."""
         best, best_residual, stalled = q, np.inf, 0
         for step in range(self.options.max_iterations):  # noqa: B007
             error = problem.error(q)

@@ -25,7 +25,7 @@ __all__ = ["ARRIVED", "MOVING", "TOUCHED", "ImaginedArms"]
 
 
 class ImaginedArms:
-    """n arms of one kind, each with its target and up to `most` boxes. Not thread-safe.
+    """n arms of one kind, each with its target and up to `max_boxes` boxes. Not thread-safe.
 
     An arm has to keep `margin` (m) from boxes, floor and itself, or half of its distance at the start if that is less.
     It arrives when its end-effector is within `tolerance` (m) of its target after a tick. `period` (s) is that of
@@ -33,16 +33,16 @@ class ImaginedArms:
     """
 
     def __init__(
-        self, shapes: ArmShapes, n: int, most: int, *, tolerance: float, period: float, margin: float = 0.0
+        self, shapes: ArmShapes, n: int, max_boxes: int, *, tolerance: float, period: float, margin: float = 0.0
     ) -> None:
         if not 0 <= margin < np.inf:
             raise ConfigurationError(f"margin should be 0 m or more, not {margin!r}")
         model = shapes.model
-        self.model, self.tolerance, self.margin, self.most = model, tolerance, margin, most
+        self.model, self.tolerance, self.margin, self.max_boxes = model, tolerance, margin, max_boxes
         self._ticks = max(1, round(period / TICK))
-        pairs, self._motion, own = shapes.with_any_boxes(most)
+        pairs, self._motion, num_own_pairs = shapes.with_any_boxes(max_boxes)
         self._robot = model.joints, model.links, pairs
-        self._shape = own, (len(pairs) - own) // max(most, 1)
+        self._shape = num_own_pairs, (len(pairs) - num_own_pairs) // max(max_boxes, 1)
         self.positions: Array = np.tile(model.home, (n, 1))
         """(n, dof) rad: of the commands, which the joints follow."""
         self.velocities: Array = np.zeros((n, model.dof))
@@ -51,9 +51,9 @@ class ImaginedArms:
         """(n, 3) m."""
         self.states = np.full(n, TOUCHED)
         """(n,) `MOVING`, `ARRIVED` or `TOUCHED`: arms that do not move stand still."""
-        self._boxes, self._counts = np.zeros((n, most), BOX), np.zeros(n, int)
+        self._boxes, self._counts = np.zeros((n, max_boxes), BOX), np.zeros(n, int)
         self._margins, self._slack = np.zeros((n, len(pairs))), np.zeros((n, len(pairs)))
-        self._known = np.empty((MOST_CHECKS, len(pairs)))
+        self._distances = np.empty((MOST_CHECKS, len(pairs)))
 
     @property
     def tips(self) -> Array:
@@ -66,7 +66,7 @@ class ImaginedArms:
         `targets` are (k, 3) m, and `boxes` (k, most, `BOX_NUMBERS`), absent ones last.
         """
         rows = np.asarray(ids, dtype=int)
-        numbers = np.asarray(boxes, dtype=float).reshape(len(rows), self.most, BOX_NUMBERS)
+        numbers = np.asarray(boxes, dtype=float).reshape(len(rows), self.max_boxes, BOX_NUMBERS)
         self.positions[rows], self.velocities[rows], self.targets[rows] = positions, velocities, targets
         self._counts[rows] = (numbers[..., 3:6] > 0).all(axis=-1).sum(axis=-1)
         records = np.zeros(numbers.shape[:2], BOX)
@@ -87,14 +87,14 @@ class ImaginedArms:
             self._ticks, TICK, self.positions, self.velocities, self._margins, self._slack, self.states,
         )  # fmt: skip
 
-    def next_waypoints(self, ways: Array, lengths: NDArray[np.int64], margin: float, found: NDArray[np.int64]) -> None:
-        """Raise `found` (n,) to the farthest corner of each arm's way to which a straight joint motion is free.
+    def next_waypoints(self, ways: Array, lengths: NDArray[np.int64], margin: float, best: NDArray[np.int64]) -> None:
+        """Raise `best` (n,) to the farthest corner of each arm's way to which a straight joint motion is free.
 
-        Ways are (n, m, dof) rad, of which `lengths` (n,) corners count. A motion is free if it keeps `margin` (m), or
-        half of its start's distance if that is less, at configurations that are so near to each other that two thirds
-        of it are kept in between. Arms that do not move keep what was found before.
+        Ways are (n, m, dof) rad; their first `lengths` (n,) corners count. A motion is free if it keeps `margin` (m),
+        or half of its start's distance if that is less, at configurations so near to each other that two thirds of it
+        are kept in between. Arms that do not move keep what was found before.
         """
         imagined_arm.farthest_waypoints(
             self._robot, self._motion, self._shape, self._boxes, self._counts, self.states, self.positions, ways,
-            lengths, margin, NEAR_START, SLACK, FINEST, self._known, found,
+            lengths, margin, NEAR_START, SLACK, FINEST, self._distances, best,
         )  # fmt: skip

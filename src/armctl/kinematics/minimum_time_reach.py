@@ -47,7 +47,7 @@ class MinimumTimeReachOptions:
 
 
 THOROUGH = MinimumTimeReachOptions(starts=96, refine_iterations=48)
-"""For a lower bound on time: as good as a general solver's best from many starts."""
+"""Options for a lower bound on time: as good as a general solver's best from many starts."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class ReachGoal:
     command: Array
     """(dof,) rad: joint positions to command, beyond `q` for joints that have no time to stop there."""
     collision_free: bool
-    """Whether the path to `q` is free of collisions while the drives move to `command`."""
+    """True if the path to `q` is free of collisions while the drives move to `command`."""
 
 
 class MinimumTimeReach:
@@ -77,7 +77,7 @@ class MinimumTimeReach:
         self._around = rng.uniform(-self.options.spread, self.options.spread, (half, model.dof))
 
     def find(self, start: Array, centre: Array, radius: float) -> ReachGoal | None:
-        """The earliest collision-free goal found from rest at `start` (dof,); if none is free, the earliest.
+        """Return the earliest collision-free goal found from rest at `start` (dof,); if none is free, the earliest.
 
         None if no start led into the sphere.
         """
@@ -89,7 +89,7 @@ class MinimumTimeReach:
         return self._goal(start, candidates[0]) if goal is None and len(candidates) else goal
 
     def least_time(self, start: Array, centre: Array, radius: float, velocity: Array | None = None) -> float:
-        """Seconds from `start` (dof,), moving with `velocity` (dof,) rad/s, into the sphere. Obstacles are ignored.
+        """Return the seconds from `start` (dof,) with `velocity` (dof,) rad/s into the sphere without obstacles.
 
         Infinite if no start led into the sphere. With the options `THOROUGH`, no policy is faster.
         """
@@ -100,7 +100,7 @@ class MinimumTimeReach:
         return np.asarray(goals[np.argsort(self.model.least_time(start, goals), kind="stable")])
 
     def _first_free(self, start: Array, q: Array) -> ReachGoal | None:
-        goals = (self._goal(start, one) for one in q)
+        goals = (self._goal(start, configuration) for configuration in q)
         return next((goal for goal in goals if goal.collision_free), None)
 
     def _goal(self, start: Array, q: Array) -> ReachGoal:
@@ -112,7 +112,7 @@ class MinimumTimeReach:
         return ReachGoal(q, time, command, bool(self.model.are_free(path).all()))
 
     def _candidates(self, start: Array, centre: Array, radius: float, velocity: Array) -> tuple[Array, Array]:
-        """Configurations (k, dof) in the sphere, as early as possible, and their times (k,): one from each start."""
+        """Return early configurations (k, dof) in the sphere, and their times (k,): one from each start."""
         if np.linalg.norm(self.model.position(start) - centre) <= radius:
             return start[None], np.zeros(1)
         starts = np.vstack([start, start + self._around, self._anywhere])
@@ -122,7 +122,7 @@ class MinimumTimeReach:
     def refined(
         self, start: Array, q: Array, centre: Array, radius: float, velocity: Array | float = 0.0
     ) -> tuple[Array, Array]:
-        """Configurations (k, dof) in the sphere, as early as possible, and their times (k,), s.
+        """Return configurations (k, dof) in the sphere, as early as possible, and their times (k,), s.
 
         One from each of q (n, dof) that led into it. `start` is (dof,), or (n, dof): one for each.
         """
@@ -135,12 +135,12 @@ class MinimumTimeReach:
 
 
 def approach(model: ArmModel, q: Array, centre: Array, iterations: int) -> Array:
-    """Configurations (n, dof) after Levenberg-Marquardt iterations from q (n, dof) to `centre`, (3,) or (n, 3) m."""
+    """Make Levenberg-Marquardt steps from q (n, dof) to `centre`, (3,) or (n, 3) m; return (n, dof)."""
     q = np.array(q, dtype=float)
     reach.approach(model.joints, q, _rows(centre, len(q), 3), iterations)
     return q
 
 
 def _rows(values: Array | float, count: int, size: int) -> Array:
-    """The same values (count, size) in each row, unless there are as many."""
+    """Return the same values (count, size) in each row, unless there are as many."""
     return np.ascontiguousarray(np.broadcast_to(values, (count, size)), dtype=float)

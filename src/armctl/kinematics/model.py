@@ -53,66 +53,66 @@ class ArmModel:
         """Origin of the first joint, (3,) m."""
 
     def among(self, boxes: Boxes) -> "ArmModel":
-        """The same arm among boxes: `is_free` then takes them into account."""
+        """Return the same arm among boxes: `is_free` then takes them into account."""
         model = copy.copy(self)
         model.boxes, model._boxes = boxes, box_records(boxes)
         model._data = self.pinocchio.createData()
         return model
 
     def placement(self, q: Array) -> pinocchio.SE3:
-        """Pose of the end-effector as a Pinocchio object, valid until the next call."""
+        """Return the end-effector's pose as a Pinocchio object, valid until the next call."""
         pinocchio.forwardKinematics(self.pinocchio, self._data, q)
         return pinocchio.updateFramePlacement(self.pinocchio, self._data, self.tip)
 
     def pose(self, q: Array) -> Array:
-        """Pose of the end-effector, homogeneous (4, 4)."""
+        """Return the end-effector's pose, homogeneous (4, 4)."""
         return np.asarray(self.placement(q).homogeneous)
 
     def position(self, q: Array) -> Array:
-        """Position of the end-effector, (3,) m."""
+        """Return the end-effector's position, (3,) m."""
         return np.array(self.placement(q).translation)
 
     def jacobian(self, q: Array) -> Array:
-        """World-aligned Jacobian at the end-effector, (6, dof): linear (m/rad) above angular (rad/rad)."""
+        """Return the world-aligned Jacobian at the end-effector, (6, dof): linear (m/rad) above angular (rad/rad)."""
         return self._jacobian(q, pinocchio.LOCAL_WORLD_ALIGNED)
 
     def local_jacobian(self, q: Array) -> Array:
-        """Jacobian (6, dof) in the end-effector's own frame: linear (m/rad) above angular (rad/rad)."""
+        """Return the Jacobian (6, dof) in the end-effector's own frame: linear (m/rad) above angular (rad/rad)."""
         return self._jacobian(q, pinocchio.LOCAL)
 
     def positions(self, q: ArrayLike) -> Array:
-        """End-effector positions (..., 3) m of a batch (..., dof)."""
+        """Return end-effector positions (..., 3) m of a batch (..., dof)."""
         flat = self._rows(q)
-        found = np.empty((len(flat), 3))
-        arm.tips(self.joints, flat, found)
-        return found.reshape(*np.shape(q)[:-1], 3)
+        positions = np.empty((len(flat), 3))
+        arm.tips(self.joints, flat, positions)
+        return positions.reshape(*np.shape(q)[:-1], 3)
 
     def positions_and_jacobians(self, q: ArrayLike) -> tuple[Array, Array]:
-        """Positions (..., 3) m and linear Jacobians (..., 3, dof) m/rad of a batch (..., dof)."""
+        """Return positions (..., 3) m and linear Jacobians (..., 3, dof) m/rad of a batch (..., dof)."""
         flat, batch = self._rows(q), np.shape(q)[:-1]
         positions, gradients = np.empty((len(flat), 3)), np.empty((len(flat), self.dof, 3))
         arm.tips_and_gradients(self.joints, flat, positions, gradients)
         return positions.reshape(*batch, 3), gradients.swapaxes(-1, -2).reshape(*batch, 3, self.dof)
 
     def is_free(self, q: ArrayLike) -> bool:
-        """Whether q (dof,) is collision-free: the capsules touch neither each other, nor the floor, nor a box."""
+        """Return True if q (dof,) is collision-free: the capsules touch no other capsule, floor or box."""
         return bool(self.are_free(np.asarray(q)[None])[0])
 
     def are_free(self, q: ArrayLike) -> NDArray[np.bool_]:
-        """The same for a batch (n, dof), (n,)."""
+        """Return (n,) whether each of q (n, dof) is collision-free."""
         rows = self._rows(q)
         free = np.empty(len(rows), dtype=bool)
         capsules.are_free(self.joints, self.links, self.link_pairs, self.floor_links, self._boxes, rows, free)
         return free
 
     def box_distances(self, q: ArrayLike, boxes: Boxes) -> Array:
-        """Distance (k,) m of each box from the whole arm at `q` (dof,): 0 or below in contact."""
+        """Return the distance (k,) m of each box from the whole arm at `q` (dof,): 0 or below in contact."""
         distances = np.full(len(boxes), np.inf)
         capsules.box_distances(self.joints, self.links, box_records(boxes), self._rows(q)[0], distances)
         return distances
 
     def base_distance(self, position: ArrayLike) -> float:
-        """Distance (m) of `position` (3,) from the arm's fixed links; infinite if they have no shape."""
+        """Return the distance (m) of `position` (3,) from the arm's fixed links; infinite if they have no shape."""
         point = np.array((position, position), dtype=float)
         fixed = self.links[self.links["joint"] == 0]
         ends = np.stack((fixed["start"], fixed["end"]), axis=1)
@@ -122,42 +122,42 @@ class ArmModel:
         return min(distances, default=np.inf)
 
     def within_limits(self, q: Array) -> NDArray[np.bool_]:
-        """Whether all joints of q (..., dof) are within their position limits, (...)."""
+        """Return (...) whether all joints of q (..., dof) are within their position limits."""
         return np.asarray(np.all((q >= self.limits.lower) & (q <= self.limits.upper), axis=-1))
 
     def random_configurations(self, rng: np.random.Generator, count: int) -> Array:
-        """Configurations (count, dof), uniform within the joint limits and +-pi."""
+        """Return configurations (count, dof), uniform within the joint limits and +-pi."""
         low, high = np.maximum(self.limits.lower, -np.pi), np.minimum(self.limits.upper, np.pi)
         return rng.uniform(low, high, (count, self.dof))
 
     def nearest_turn(self, q: Array, seed: Array) -> Array:
-        """The same configurations, each joint shifted by whole turns to be near `seed`, as far as its limits allow."""
+        """Shift each joint of configurations by whole turns to be near `seed`, as far as its limits allow."""
         turn = 2 * np.pi
         near = q + turn * np.round((seed - q) / turn)
         return near + turn * ((near < self.limits.lower).astype(float) - (near > self.limits.upper))
 
     @cached_property
     def base_yaw_is_vertical(self) -> bool:
-        """Whether the first joint turns the end-effector about the vertical through the origin."""
+        """True if the first joint turns the end-effector about the vertical through the origin."""
         q = self.home + np.array([[0.3], [0.3]])
         q[1, 0] += 1.0
-        (x, y, z), after = self.positions(q)
+        (x, y, z), turned = self.positions(q)
         cos, sin = np.cos(1.0), np.sin(1.0)
-        return bool(np.allclose((cos * x - sin * y, sin * x + cos * y, z), after, atol=1e-4))
+        return bool(np.allclose((cos * x - sin * y, sin * x + cos * y, z), turned, atol=1e-4))
 
     def least_time(self, start: Array, goals: Array) -> Array:
-        """Seconds (...) in which all joints can move from rest at `start` (dof,) to `goals` (..., dof) at any speed."""
+        """Return the seconds (...) from rest at `start` (dof,) to `goals` (..., dof) at any final speed."""
         rows = self._rows(goals)
         times = np.empty(len(rows))
         drives.least_times(self.joints, start, np.zeros(self.dof), rows, times)
         return times.reshape(np.shape(goals)[:-1])
 
     def cruise_time(self, start: Array, goal: Array) -> Array:
-        """Seconds from `start` to `goal` (..., dof) at the slowest joint's velocity limit: additive along a path."""
+        """Return the seconds from `start` to `goal` (..., dof) at the velocity limits: additive along a path."""
         return np.asarray(np.max(np.abs(goal - start) / self.limits.velocity, axis=-1))
 
     def geometry(self, spacing: float = 0.15) -> dict[str, Any]:
-        """The moving links as plain numbers, for networks: joints as in `armctl.kernels.arm`, and points along links.
+        """Return the moving links as numbers, for networks: joints as in `armctl.kernels.arm`, and points along links.
 
         `base`, `sine`, `versine` are (dof, 3, 3), `offset` is (dof, 3). Points (p, 3) are in the frame of their `joint`
         (p,), which counts from 1, at most `spacing` (m) apart; `radii` (p,) are the links' radii, m.
@@ -174,11 +174,11 @@ class ArmModel:
         return {**turning, "joint": joint, "points": points, "radii": radii}
 
     def _jacobian(self, q: Array, frame: pinocchio.ReferenceFrame) -> Array:
-        found = pinocchio.computeFrameJacobian(self.pinocchio, self._data, q, self.tip, frame)
-        return np.asarray(found).reshape(6, self.dof)  # Pinocchio returns a vector for a single joint
+        jacobian = pinocchio.computeFrameJacobian(self.pinocchio, self._data, q, self.tip, frame)
+        return np.asarray(jacobian).reshape(6, self.dof)  # Pinocchio returns a vector for a single joint
 
     def _joint_axes(self) -> Array:
-        """Axis of each joint in its own frame, (dof, 3)."""
+        """Return the axis of each joint in its own frame, (dof, 3)."""
         pinocchio.computeJointJacobians(self.pinocchio, self._data, np.zeros(self.dof))
         jacobians = (
             pinocchio.getJointJacobian(self.pinocchio, self._data, i + 1, pinocchio.LOCAL) for i in range(self.dof)
@@ -186,5 +186,5 @@ class ArmModel:
         return np.array([jacobian.reshape(6, self.dof)[3:, i] for i, jacobian in enumerate(jacobians)])
 
     def _rows(self, q: ArrayLike) -> Array:
-        """A batch (..., dof) as (n, dof), the one layout for which kernels are compiled."""
+        """Return a batch (..., dof) as (n, dof), the one layout for which kernels are compiled."""
         return np.ascontiguousarray(q, dtype=float).reshape(-1, self.dof)

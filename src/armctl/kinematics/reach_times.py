@@ -36,7 +36,7 @@ class ReachTimesOptions:
     nearby: Annotated[int, Field(ge=2, le=CONFIGURATIONS)] = 256
     """Configurations with the end-effector nearest to the centre."""
     goals: Annotated[int, Field(ge=1)] = 32
-    """Of these, those reached earliest from home."""
+    """Number of these, those reached earliest from home."""
     iterations: Annotated[int, Field(ge=0)] = 3
     """Levenberg-Marquardt iterations from these into the sphere."""
 
@@ -58,7 +58,7 @@ class Spheres:
             mine[ids] = theirs
 
     def only(self, ids: NDArray[np.integer[Any]] | slice) -> "Spheres":
-        """Spheres `ids`."""
+        """Return the spheres `ids`."""
         return Spheres(self.centres[ids], self.goals[ids], self.excess[ids])
 
 
@@ -72,7 +72,7 @@ class ReachTimes:
         self._from_home = model.least_time(model.home, self._near_home)
 
     def spheres(self, centres: Array) -> Spheres:
-        """Spheres around `centres` (m, 3), m."""
+        """Return spheres around `centres` (m, 3), m."""
         near = self._map.nearest(centres, self.effort.nearby)[1]
         earliest = np.argpartition(self._from_home[near], self.effort.goals, axis=1)[:, : self.effort.goals]
         goals = self._near_home[np.take_along_axis(near, earliest, axis=1)]
@@ -84,8 +84,8 @@ class ReachTimes:
         )  # fmt: skip
         return Spheres(centres.copy(), goals, excess)
 
-    def least(self, q: Array, velocity: Array, spheres: Spheres) -> Array:
-        """Seconds (m,) from q (m, dof), moving with `velocity` (m, dof) rad/s, each into its sphere; 0 inside."""
+    def min_times(self, q: Array, velocity: Array, spheres: Spheres) -> Array:
+        """Return the seconds (m,) from q (m, dof) with `velocity` (m, dof) rad/s, each into its sphere; 0 inside."""
         times = np.empty(len(q))
         q, velocity = np.ascontiguousarray(q), np.ascontiguousarray(velocity)
         reach.least_times_into_spheres(

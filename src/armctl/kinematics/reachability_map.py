@@ -48,12 +48,12 @@ class ReachabilityMap:
         self._by_position = KDTree(model.positions(self.configurations))
 
     def nearest(self, positions: Array, count: int) -> tuple[Array, NDArray[np.intp]]:
-        """Distances (..., count) m and indices of the configurations whose end-effector is nearest to `positions`."""
+        """Return distances (..., count) m and indices of the configurations nearest to `positions`."""
         distances, indices = self._by_position.query(positions, count)
         return np.asarray(distances), np.asarray(indices)
 
     def towards(self, target: Array, start: Array, among: ArmModel) -> Array:
-        """The configuration (dof,) with the end-effector at `target` (3,) that is reached earliest from `start` (dof,).
+        """Return the configuration (dof,) at `target` (3,) that is reached earliest from `start` (dof,).
 
         The straight path to it is free in the model `among`, if such a candidate was found.
         """
@@ -63,7 +63,7 @@ class ReachabilityMap:
         return np.asarray(next(free, goals[0]))
 
     def way(self, target: Array, start: Array, boxes: Boxes) -> Array:
-        """Configurations (k, dof), the last with the end-effector at `target` (3,), to be reached from `start` in turn.
+        """Return configurations (k, dof) to pass from `start` on, the last with the end-effector at `target` (3,).
 
         Straight motions from one to the next keep clear of boxes, floor and the arm itself. There are one or two, or
         none if no such way was found.
@@ -75,7 +75,7 @@ class ReachabilityMap:
         return way if len(way) else self._through(edges, start, self._ik_goals(target, start))
 
     def _through(self, edges: EdgeChecker, start: Array, goals: Array) -> Array:
-        """The way (k, dof) to one of `goals` (n, dof): straight, or through one configuration; (0, dof) if none."""
+        """Return the way (k, dof) to one of `goals` (n, dof): straight or with one corner; (0, dof) if none."""
         goals = np.array([goal for goal in goals if edges.is_free(goal)]).reshape(-1, self.model.dof)
         for goal in goals:
             if edges.is_edge_free(start, goal):
@@ -90,13 +90,13 @@ class ReachabilityMap:
         return np.zeros((0, self.model.dof))
 
     def _ik_goals(self, target: Array, start: Array) -> Array:
-        """Configurations (n, dof) by inverse kinematics, those reached earliest first."""
+        """Return configurations (n, dof) by inverse kinematics, those reached earliest first."""
         goals = np.array(list(self._ik.free_configurations(target))).reshape(-1, self.model.dof)
         goals = self.model.nearest_turn(goals, start)
         return np.asarray(goals[np.argsort(self.model.cruise_time(start, goals), kind="stable")])
 
     def _goals(self, target: Array, start: Array, count: int) -> Array:
-        """Configurations (count, dof) with the end-effector at `target` (3,), those reached earliest first."""
+        """Return configurations (count, dof) with the end-effector at `target` (3,), those reached earliest first."""
         limits = self.model.limits
         distances, near = self.nearest(target, NEIGHBOURS)
         time = self.model.least_time(start, self.configurations[near]) + distances / TIP_SPEED

@@ -15,7 +15,7 @@ Records = NDArray[np.void]
 
 
 def joint_records(model: pinocchio.Model, axes: NDArray[np.float64], description: ArmDescription) -> Records:
-    """The joints (dof,) of an arm, whose `axes` (dof, 3) are in their own frames."""
+    """Return the joints (dof,) of an arm, whose `axes` (dof, 3) are in their own frames."""
     joints = np.zeros(description.dof, JOINT)
     for joint, placement, axis in zip(joints, model.jointPlacements[1:], axes, strict=True):
         turn = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
@@ -30,7 +30,7 @@ def joint_records(model: pinocchio.Model, axes: NDArray[np.float64], description
 
 
 def link_records(model: pinocchio.Model, description: ArmDescription) -> Records:
-    """The links of an arm that have a shape, in the order of the description's capsules."""
+    """Return the links of an arm that have a shape, in the order of the description's capsules."""
     links = np.zeros(len(description.capsules), LINK)
     for link, capsule in zip(links, description.capsules, strict=True):
         frame = model.frames[link_frame(model, capsule.link)]
@@ -40,7 +40,7 @@ def link_records(model: pinocchio.Model, description: ArmDescription) -> Records
 
 
 def box_records(boxes: Boxes) -> Records:
-    """Boxes (k,)."""
+    """Return boxes (k,) as records."""
     records = np.zeros(len(boxes), BOX)
     records["rotation"], records["centre"], records["half_size"] = boxes.rotations, boxes.centres, boxes.half_sizes
     return records

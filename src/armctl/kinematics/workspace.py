@@ -1,4 +1,4 @@
-"""Which positions an arm's end-effector can reach."""
+"""Positions that an arm's end-effector can reach."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +38,7 @@ class Workspace:
         )
 
     def reachable(self, position: Array, tolerance: float = 0.0) -> bool:
-        """Whether the end-effector can reach `position` (3,), or a point within `tolerance` (m) of it.
+        """Return True if the end-effector can reach `position` (3,), or a point within `tolerance` (m) of it.
 
         True is certain. False is wrong for about 1 % of reachable positions: almost all of them lie within 2 cm of the
         workspace boundary, where the arm is stretched out and few of the orientations tried are feasible.

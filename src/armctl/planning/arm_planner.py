@@ -51,7 +51,7 @@ class ArmPlannerOptions:
     shortcuts: Annotated[int, Field(ge=0)] = 100
     """Number of shortcuts tried."""
     seed: Annotated[int, Field(ge=1)] = 1
-    """Of a search."""
+    """Random seed of a search."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,15 +67,15 @@ class ArmPlan:
     clearance: float
     """m: least distance from boxes and floor at the path's corners; NaN for a failure."""
     searched: bool
-    """Whether no straight motion was free, so that OMPL searched."""
+    """True if no straight motion was free, so that OMPL searched."""
     checks: int
     """Configurations checked for collisions."""
     seconds: float
     """Planning time."""
 
     @property
-    def found(self) -> bool:
-        """Whether there is a path."""
+    def solved(self) -> bool:
+        """True if there is a path."""
         return len(self.path) > 0
 
 
@@ -114,7 +114,7 @@ class ArmPlanner:
 
     def _checked(self, start: ArrayLike, target: ArrayLike, tolerance: float) -> tuple[Array, Array]:
         try:
-            origin, centre, radius = (np.asarray(one, dtype=float) for one in (start, target, tolerance))
+            origin, centre, radius = (np.asarray(values, dtype=float) for values in (start, target, tolerance))
         except (TypeError, ValueError):
             origin = centre = radius = np.empty(0)
         if origin.shape != (self.model.dof,) or not self.model.within_limits(origin):
@@ -126,7 +126,7 @@ class ArmPlanner:
         return origin, centre
 
     def _goals(self, edges: EdgeChecker, start: Array, centre: Array, radius: float) -> Iterator[Array]:
-        """Free configurations (dof,) in the sphere, those reached earliest first."""
+        """Yield free configurations (dof,) in the sphere, those reached earliest first."""
         q = np.vstack(list(self._minimum_time.ik.configurations(centre)))
         q = self._by_time(start, self.model.nearest_turn(q, start))
         earliest = self._minimum_time.refined(start, q[: self.options.goals], centre, INSIDE * radius)[0]
@@ -138,7 +138,7 @@ class ArmPlanner:
         return np.asarray(q[np.argsort(self.model.cruise_time(start, q), kind="stable")])
 
     def _straight(self, edges: EdgeChecker, start: Array, goals: Iterable[Array]) -> tuple[Array, list[Array]]:
-        """The straight motion to the first goal that has a free one, (2, dof), or (0, dof); and the goals tried."""
+        """Return the straight motion to the first goal with a free one, (2, dof) or (0, dof); and the goals tried."""
         tried = []
         for goal in goals:
             tried.append(goal)
@@ -147,13 +147,13 @@ class ArmPlanner:
         return np.zeros((0, self.model.dof)), tried
 
     def _search(self, edges: EdgeChecker, start: Array, goals: Array) -> Array:
-        """The path that RRT-Connect finds, (m, dof), or (0, dof)."""
-        asked = self.options
-        search = ArmSearch(geometric.RRTConnect, asked.seed, DETOUR, asked.stride, asked.checks)
+        """Return the path that RRT-Connect finds, (m, dof), or (0, dof)."""
+        options = self.options
+        search = ArmSearch(geometric.RRTConnect, options.seed, DETOUR, options.stride, options.checks)
         return search.path(edges, self.model.limits, start, goals)
 
     def _shortened(self, edges: EdgeChecker, path: Array, centre: Array, radius: float) -> Array:
-        """The path with random shortcuts and another end, where they save time."""
+        """Return the path with random shortcuts and another end, where they save time."""
         if len(path) > 2:
             for draws in np.array_split(np.random.default_rng(0).random((self.options.shortcuts, 2)), 2):
                 path = edges.shortened(path, draws, MAX_TIME_RATIO)
@@ -161,7 +161,7 @@ class ArmPlanner:
         return path
 
     def _with_earlier_end(self, edges: EdgeChecker, path: Array, centre: Array, radius: float) -> Array:
-        """The path, left at the corner from which a straight motion into the sphere saves most time."""
+        """Return the path, left at the corner from which a straight motion into the sphere saves most time."""
         corners = path[:-1]
         ends = self._minimum_time.refined(corners, np.tile(path[-1], (len(corners), 1)), centre, INSIDE * radius)[0]
         times = self.model.cruise_time(corners[:, None], ends) + self._times(path)[:-1, None]
@@ -174,7 +174,7 @@ class ArmPlanner:
         return path
 
     def _times(self, path: Array) -> Array:
-        """Seconds from the start to each corner, (m,)."""
+        """Return the seconds from the start to each corner, (m,)."""
         return np.concatenate(([0.0], np.cumsum(self.model.cruise_time(path[:-1], path[1:]))))
 
     def _time(self, path: Array) -> float:

@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ArmSearch:
-    """How to search."""
+    """Parameters of a search."""
 
     planner: Any
     """OMPL's planner, such as `ompl.geometric.RRTConnect`."""
@@ -29,7 +29,7 @@ class ArmSearch:
     """Collision checks after which the search gives up."""
 
     def path(self, edges: EdgeChecker, limits: JointLimits, start: Array, goals: Array) -> Array:
-        """Corners (m, dof) rad, of a path from `start` (dof,) to one of `goals` (k, dof); (0, dof) if none is found."""
+        """Return corners (m, dof) rad of a path from `start` (dof,) to one of `goals` (k, dof); (0, dof) if none."""
         util.RNG.setSeed(self.seed)
         dof, ends = len(start), np.vstack((start, goals))
         problem = OmplProblem(

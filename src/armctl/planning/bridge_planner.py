@@ -68,8 +68,8 @@ class PlanResult:
     """Planning time."""
 
     @property
-    def found(self) -> bool:
-        """Whether there is a path."""
+    def solved(self) -> bool:
+        """True if there is a path."""
         return len(self.path) > 0
 
 
@@ -124,13 +124,13 @@ def _length(path: Array) -> float:
 
 
 def _to_open_deck(bridge: BridgeMap, blocked: BridgeMap, start: Array, clearance: float, room: float) -> Array:
-    """The segment from the start to the nearest point with the clearance, keeping `room` from blocks.
+    """Return the segment from the start to the nearest point with the clearance, keeping `room` from blocks.
 
     (2, 2), or (1, 2) if the start has the clearance, or (0, 2) if there is no such point.
     """
     if blocked.clearance(start[None])[0] >= clearance:
         return start[None]
-    distances, angles = (one.ravel() for one in np.meshgrid(ESCAPE_DISTANCES, ESCAPE_ANGLES, indexing="ij"))
+    distances, angles = (grid.ravel() for grid in np.meshgrid(ESCAPE_DISTANCES, ESCAPE_ANGLES, indexing="ij"))
     points = start + distances[:, None] * np.column_stack((np.cos(angles), np.sin(angles)))
     points = points[blocked.clearance(points) >= clearance]
     points = points[bridge.segment_clearance(np.broadcast_to(start, points.shape), points) >= room]
@@ -138,7 +138,7 @@ def _to_open_deck(bridge: BridgeMap, blocked: BridgeMap, start: Array, clearance
 
 
 def _points(bridge: BridgeMap, clearance: float, spread: int) -> Array:
-    """The points (m, 2) of a search."""
+    """Return the points (m, 2) of a search."""
     corners = bridge.corners
     radius = (clearance + ROUNDING) / math.cos(ARC[1] / 2)
     angles = bridge.blocks[:, 2, None, None] + np.radians((0, 90, 180, 270))[:, None] + ARC
@@ -158,7 +158,7 @@ def _points(bridge: BridgeMap, clearance: float, spread: int) -> Array:
 
 
 def _search(bridge: BridgeMap, start: Array, goal_x: float, clearance: float, points: Array) -> tuple[Array, int]:
-    """The path over points (m, 2) that FMT* finds, (k, 2) or (0, 2), and the number of edges checked."""
+    """Return the path over points (m, 2) that FMT* finds, (k, 2) or (0, 2), and the number of edges checked."""
     side = bridge.half_width - clearance
     goals = np.append(np.linspace(-side, side, GOALS), np.clip(start[1], -side, side))
     points = np.vstack((points[points[:, 0] < goal_x], np.column_stack((np.full(len(goals), goal_x), goals))))

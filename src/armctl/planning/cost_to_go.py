@@ -40,29 +40,29 @@ class Lattice:
         return len(self.axes[0]), len(self.axes[1])
 
     def lengths(self, bridge: BridgeMap, goal_x: float, clearance: float) -> Array:
-        """Length (nx, ny) m of the shortest path from each point to x = `goal_x`, beside the lanes along the bridge."""
+        """Return the length (nx, ny) m of the shortest path from each point to x = `goal_x`, beside lanes."""
         lengths = self.paths(bridge.with_lanes_blocked(), goal_x, clearance)
         nearest, off = self.nearest(np.isfinite(lengths))
         return np.asarray(lengths[nearest] + OFF_CLEARANCE * off)
 
     def paths(self, bridge: BridgeMap, goal_x: float, clearance: float) -> Array:
-        """The same around the blocks only, (nx, ny) m: infinite where there is no path with the clearance."""
+        """Return lengths around the blocks only, (nx, ny) m: infinite where there is no path with the clearance."""
         points = np.stack(np.meshgrid(*self.axes, indexing="ij"), axis=-1)
         free = (bridge.clearance(points.reshape(-1, 2)) >= clearance).reshape(points.shape[:2])
-        there = points[..., 0] >= goal_x
+        beyond_goal = points[..., 0] >= goal_x
         first, second, edge_lengths = self._edges
         open_ = free.ravel()[first] & free.ravel()[second]
         graph = csr_array((edge_lengths[open_], (first[open_], second[open_])), shape=(free.size, free.size))
-        lengths = dijkstra(graph, directed=False, indices=np.flatnonzero(there & free), min_only=True)
-        return np.where(there, 0.0, lengths.reshape(free.shape))
+        lengths = dijkstra(graph, directed=False, indices=np.flatnonzero(beyond_goal & free), min_only=True)
+        return np.where(beyond_goal, 0.0, lengths.reshape(free.shape))
 
-    def nearest(self, known: NDArray[np.bool_]) -> tuple[tuple[NDArray[np.intp], ...], Array]:
-        """Indices of the `known` point (nx, ny) that is nearest to each point, and the distance from it, (nx, ny) m."""
-        off, nearest = distance_transform_edt(~known, self.spacings, return_indices=True)
+    def nearest(self, mask: NDArray[np.bool_]) -> tuple[tuple[NDArray[np.intp], ...], Array]:
+        """Return indices of the nearest point in the `mask` (nx, ny) to each point, and its distance, (nx, ny) m."""
+        off, nearest = distance_transform_edt(~mask, self.spacings, return_indices=True)
         return tuple(nearest), np.asarray(off)
 
     def interpolate(self, lengths: Array, points: Array, every: int = 1) -> Array:
-        """Lengths (m,) at points (m, 2), by bilinear interpolation, each point on a bridge of its own (m, nx, ny).
+        """Interpolate lengths (m,) at points (m, 2) bilinearly, each point on a bridge of its own (m, nx, ny).
 
         Lengths may be those of every second, third ... point in both directions, by `every`.
         """
@@ -94,8 +94,8 @@ class Lattice:
         first, second, lengths = [], [], []
         for right, left in STEPS:
             begin, end = max(0, -left), index.shape[1] - max(0, left)
-            one = index[: len(index) - right, begin:end].ravel()
-            first.append(one)
+            starts = index[: len(index) - right, begin:end].ravel()
+            first.append(starts)
             second.append(index[right:, begin + left : end + left].ravel())
-            lengths.append(np.full(len(one), np.hypot(*(self.spacings * (right, left)))))
+            lengths.append(np.full(len(starts), np.hypot(*(self.spacings * (right, left)))))
         return np.concatenate(first), np.concatenate(second), np.concatenate(lengths)

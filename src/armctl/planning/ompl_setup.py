@@ -13,7 +13,7 @@ util.noOutputHandler()  # results report failures
 
 
 class OmplProblem:
-    """One query from `start` (n,), in the box from `low` to `high`, (n,) each.
+    """Query from `start` (n,), in the box from `low` to `high`, (n,) each.
 
     `is_edge_free` takes two OMPL states and checks the straight edge between them, both ends included.
     """
@@ -40,14 +40,14 @@ class OmplProblem:
         return self._validator.checked
 
     def state(self, values: Array) -> Any:
-        """OMPL's state for coordinates (n,)."""
+        """Return OMPL's state for coordinates (n,)."""
         state = self._space.allocState()
         for i, value in enumerate(values.tolist()):
             state[i] = value
         return state
 
     def solve(self, planner: Any, goal: Any, termination: Any) -> Array:
-        """Corners (m, n) of the path that `planner` finds; (0, n) if it finds no exact solution."""
+        """Return corners (m, n) of the path that `planner` finds; (0, n) if it finds no exact solution."""
         self._definition.setGoal(goal)
         planner.setProblemDefinition(self._definition)
         planner.setup()

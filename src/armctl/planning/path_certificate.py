@@ -22,7 +22,7 @@ from armctl.scene import Boxes
 Array = NDArray[np.float64]
 
 SEED = 2
-"""Of each search: not the one of `ArmPlanner`."""
+"""Random seed of each search: not the one of `ArmPlanner`."""
 DETOUR = np.pi
 """rad: margin of the search space beyond start and goals."""
 
@@ -49,7 +49,7 @@ class PathCertificate:
         self._ik, self._shapes = Ik(model), ArmShapes(model)
 
     def path(self, start: Array, target: Array, boxes: Boxes) -> Array:
-        """Corners (m, dof) rad, from `start` (dof,) to a configuration with the end-effector at `target` (3,), m.
+        """Return corners (m, dof) rad from `start` (dof,) to a configuration with the end-effector at `target` (3,), m.
 
         (0, dof) if none was found within the budget. The same arguments give the same path.
         """
@@ -58,6 +58,6 @@ class PathCertificate:
         goals = list(itertools.islice(free, self.options.goals))
         if not goals or not edges.start_is_free:
             return np.zeros((0, self.model.dof))
-        asked = self.options
-        search = ArmSearch(geometric.LBKPIECE1, SEED, DETOUR, asked.stride, asked.checks)
+        options = self.options
+        search = ArmSearch(geometric.LBKPIECE1, SEED, DETOUR, options.stride, options.checks)
         return search.path(edges, self.model.limits, start, np.array(goals))

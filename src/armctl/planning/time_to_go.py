@@ -20,21 +20,21 @@ from armctl.scene.pedestrians import NO_PEDESTRIANS
 Array = NDArray[np.float64]
 
 SLOWER = 20.0
-"""How much longer everything takes near a person: it is quicker to wait than to run through him."""
+"""Factor by which everything takes longer near a person: it is quicker to wait than to run through him."""
 BLOCKED = 1e4
 """s: more than any time to go."""
 PAD = max(max(abs(right), abs(left)) for right, left in STEPS)
 """Points around the lattice, blocked, so that moves need no check."""
 ROUNDING = 1e-9
 EVERY, EVERY_LAYER = 2, 4
-"""What is kept of the time that people cost: every second point, every fourth moment."""
+"""Strides of what is kept of the time that people cost: every second point, every fourth moment."""
 
 
 @dataclass(frozen=True, eq=False)
 class TimesToGo:
     """Least times over one bridge."""
 
-    alone: Array
+    unhindered: Array
     """(nx, ny) s without people."""
     extra: NDArray[np.float32]
     """(m, nx / 2, ny / 2) s more because of people, in intervals of `SpaceTime.interval`."""
@@ -62,40 +62,40 @@ class SpaceTime:
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Of `TimesToGo.extra`."""
+        """Shape of `TimesToGo.extra`."""
         nx, ny = self.lattice.shape
         return 1 + self._layers // EVERY_LAYER, 1 + (nx - 1) // EVERY, 1 + (ny - 1) // EVERY
 
     def times(self, bridge: BridgeMap, goal_x: float, clearance: float) -> TimesToGo:
-        """Least times to x = `goal_x` (m) from time 0 on, with a `clearance` (m) from blocks and people."""
+        """Return least times to x = `goal_x` (m) from time 0 on, with a `clearance` (m) from blocks and people."""
         people, (x, y) = bridge.pedestrians, self.lattice.axes
         paths = self.lattice.paths(dataclasses.replace(bridge, pedestrians=NO_PEDESTRIANS), goal_x, clearance)
-        known = np.isfinite(paths)
-        nearest, off = self.lattice.nearest(known)
-        alone = np.where(known, paths / self.speed, BLOCKED)
+        reachable = np.isfinite(paths)
+        nearest, off = self.lattice.nearest(reachable)
+        unhindered = np.where(reachable, paths / self.speed, BLOCKED)
         moves = np.array([sign * np.array(step[::-1]) for step in STEPS for sign in (1, -1)])
         durations = np.hypot(*(moves * self.lattice.spacings[::-1]).T) / self.speed
         layers = np.floor(durations / self.step + ROUNDING).astype(int)
         shares = np.maximum(durations / self.step - layers, 0.0)
         times = np.full((1 + self._layers, len(y) + 2 * PAD, len(x) + 2 * PAD), BLOCKED, dtype=np.float32)
         inside = times[:, PAD:-PAD, PAD:-PAD]
-        inside[-1] = alone.T
+        inside[-1] = unhindered.T
         kernel.spread(
-            times, np.ascontiguousarray((alone == 0).T), np.where(known.T, 0.0, BLOCKED).astype(np.float32),
+            times, np.ascontiguousarray((unhindered == 0).T), np.where(reachable.T, 0.0, BLOCKED).astype(np.float32),
             people.positions(self.step * np.arange(len(times))), people.radius + clearance, y, x, SLOWER, self.step,
             moves, durations.astype(np.float32), shares.astype(np.float32), layers, PAD,
         )  # fmt: skip
         i, j = (index[::EVERY, ::EVERY] for index in nearest)
-        extra = inside[::EVERY_LAYER, j, i] - alone[i, j].astype(np.float32)
-        return TimesToGo(alone[nearest] + OFF_CLEARANCE / self.speed * off, extra)
+        extra = inside[::EVERY_LAYER, j, i] - unhindered[i, j].astype(np.float32)
+        return TimesToGo(unhindered[nearest] + OFF_CLEARANCE / self.speed * off, extra)
 
-    def interpolate(self, alone: Array, extra: NDArray[np.float32], points: Array, times: Array) -> Array:
-        """Times to go (m,) s at points (m, 2) and times (m,) s, on a bridge each: (m, nx, ny), (m, *shape)."""
+    def interpolate(self, unhindered: Array, extra: NDArray[np.float32], points: Array, times: Array) -> Array:
+        """Return times to go (m,) s at points (m, 2) and times (m,) s, on a bridge each: (m, nx, ny), (m, *shape)."""
         moments = np.clip(times / self.interval, 0, extra.shape[1] - 1)
         first = np.minimum(moments.astype(int), extra.shape[1] - 2)
         bridges, share = np.arange(len(points)), moments - first
         early, late = (self.lattice.interpolate(extra[bridges, first + k], points, EVERY) for k in (0, 1))
-        return np.asarray(self.lattice.interpolate(alone, points) + (1 - share) * early + share * late)
+        return np.asarray(self.lattice.interpolate(unhindered, points) + (1 - share) * early + share * late)
 
     @property
     def _layers(self) -> int:

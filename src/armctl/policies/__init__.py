@@ -17,12 +17,12 @@ from armctl.policies.find import (
 )
 from armctl.policies.policy import Actions, Controller, ControllersFailed, PerWorld, Plans, Policy, PolicyFactory
 from armctl.policies.privilege import privileges, sees
-from armctl.policies.trainings import GROUP, agent_cards, expanded, is_group, learners, training_card
+from armctl.policies.trainings import GROUP, agent_cards, expanded, is_seed_group, learners, training_card
 from armctl.policies.worlds import WorldsByInterface
 
 __all__ = [
     "GROUP", "SUFFIX", "Actions", "Controller", "ControllersFailed", "PerWorld", "Plans", "Policy",
     "PolicyConfiguration", "PolicyFactory", "WorldsByInterface", "agent_cards", "configurations", "configured",
-    "declared_sees", "describe_policy", "expanded", "is_group", "learners", "make_policy", "named_policies",
+    "declared_sees", "describe_policy", "expanded", "is_seed_group", "learners", "make_policy", "named_policies",
     "policy_name", "policy_names", "privileges", "read_configuration", "sees", "training_card",
 ]  # fmt: skip

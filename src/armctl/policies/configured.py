@@ -26,7 +26,7 @@ from armctl.core.registration import files_beside, installed
 from armctl.policies.trainings import GROUP
 
 SUFFIX = ".toml"
-WHAT = "file of a policy's options"
+DESCRIPTION = "file of a policy's options"
 
 
 class PolicyConfiguration(BaseModel):
@@ -42,10 +42,10 @@ class PolicyConfiguration(BaseModel):
     tune: dict[str, Any] = {}
     """The search space of `armctl tune` (see `armctl.core.search_space`)."""
     tuned: TuningCost | None = None
-    """The search for these values, or for better ones, whoever won it."""
+    """The search for these values, or for better ones, whatever its winner."""
 
     def make(self) -> Callable[..., Any]:
-        """The function that makes the policy, with these options. Raises `ConfigurationError` if it takes none."""
+        """Return the function that makes the policy so. Raises `ConfigurationError` if it takes no options."""
         factory = installed(GROUP)[self.policy].load()
         if "options" not in inspect.signature(factory).parameters:
             raise ConfigurationError(
@@ -55,31 +55,31 @@ class PolicyConfiguration(BaseModel):
 
 
 def configured(policy: Any) -> PolicyConfiguration | None:
-    """The configuration that a policy's name is the file of; None for any other policy. Raises `ConfigurationError`."""
+    """Return the configuration in the file `policy`; None for other policies. Raises `ConfigurationError`."""
     if isinstance(policy, (str, Path)) and Path(policy).suffix == SUFFIX:
         return read_configuration(Path(policy))
     return None
 
 
 def read_configuration(file: Path) -> PolicyConfiguration:
-    """The configuration in a TOML file, whose policy is installed: a file runs no other code.
+    """Read the configuration in a TOML file, whose policy is installed: a file runs no other code.
 
     Raises `ConfigurationError`.
     """
-    found = checked_model(PolicyConfiguration, read_toml(file, WHAT), WHAT, str(file))
-    if found.policy not in installed(GROUP).names:
-        raise unknown_name(f"installed policy in {file}:", found.policy, installed(GROUP).names)
-    return found
+    configuration = checked_model(PolicyConfiguration, read_toml(file, DESCRIPTION), DESCRIPTION, str(file))
+    if configuration.policy not in installed(GROUP).names:
+        raise unknown_name(f"installed policy in {file}:", configuration.policy, installed(GROUP).names)
+    return configuration
 
 
 def tuning_of(policy: str) -> TuningCost | None:
-    """What is declared of the tuning of an expert, by the file that names it or that is beside it; None: nothing."""
-    found = configured(policy)
-    if found is None and (file := configurations().get(policy)) is not None:
-        found = read_configuration(file)
-    return None if found is None else found.tuned
+    """Return the declared tuning of an expert, by the file that names it or that is beside it; None: nothing."""
+    configuration = configured(policy)
+    if configuration is None and (file := configurations().get(policy)) is not None:
+        configuration = read_configuration(file)
+    return None if configuration is None else configuration.tuned
 
 
 def configurations() -> dict[str, Path]:
-    """The files with the own options of installed policies that take options, by name."""
+    """Return the files with the options of installed policies that take options, by name."""
     return files_beside(GROUP, SUFFIX)

@@ -1,4 +1,4 @@
-"""How policies are found, by name, file or as Python objects.
+"""Search for policies by name, file or as Python objects.
 
 A package offers a policy under the entry-point group `armctl.policies`: a function from an environment to a `Policy`.
 """
@@ -24,46 +24,46 @@ from armctl.policies.trainings import GROUP, agent_cards, training_card
 
 
 def policy_names() -> list[str]:
-    """Names of all installed policies."""
+    """Return the names of all installed policies."""
     return sorted(installed(GROUP).names)
 
 
 def describe_policy(name: str) -> str:
-    """First line of the docstring of an installed policy's factory."""
+    """Return the first line of the docstring of an installed policy's factory."""
     return (inspect.getdoc(installed(GROUP)[name].load()) or "").partition("\n")[0]
 
 
 def declared_sees(name: str) -> str:
-    """What an installed policy declares to see: a key of `armctl.envs.SEES`."""
+    """Return what an installed policy declares to see: a key of `armctl.envs.SEES`."""
     return declared(installed(GROUP)[name].load())
 
 
 def is_expert(policy: Any) -> bool:
-    """Whether this names an installed policy that works with a model of the robot, a map or the state."""
+    """Return True if this names an installed policy that works with a model of the robot, a map or the state."""
     name = str(policy) if isinstance(policy, (str, Path)) else ""
-    if (found := configured(name)) is not None:
-        name = found.policy
+    if (configuration := configured(name)) is not None:
+        name = configuration.policy
     return name in policy_names() and name not in agent_cards() and declared_sees(name) != "observation"
 
 
 def policy_name(policy: Any) -> str:
-    """A policy's name in results."""
+    """Return a policy's name in results."""
     return str(policy) if isinstance(policy, (str, Path)) else getattr(policy, "__name__", type(policy).__name__)
 
 
 def named_policies(policies: Any) -> dict[str, Any]:
-    """Policies by the names that they have in results, from one policy, several, or a mapping from names.
+    """Return policies by the names that they have in results, from one policy, several, or a mapping from names.
 
     Raises `ConfigurationError` if there is none, or one twice.
     """
     if isinstance(policies, Mapping):
         by_name = dict(policies)
     else:
-        given = [policies] if isinstance(policies, (str, Path)) or callable(policies) else list(policies)
-        by_name = {policy_name(policy): policy for policy in given}
-        if len(by_name) != len(given):
+        named = [policies] if isinstance(policies, (str, Path)) or callable(policies) else list(policies)
+        by_name = {policy_name(policy): policy for policy in named}
+        if len(by_name) != len(named):
             raise ConfigurationError(
-                f"each policy can be compared only once, not {', '.join(map(policy_name, given))}: two of one name "
+                f"each policy can be compared only once, not {', '.join(map(policy_name, named))}: two of one name "
                 "need others, {'first': policy, 'second': policy}"
             )
     if not by_name:
@@ -112,17 +112,17 @@ def make_policy(
     try:
         label = policy_name(policy) if name is None else name
         streams = PolicyStreams(label, chosen_policy_seed(policy_seed))
-        made = _made(policy, worlds, streams)
+        result = _make(policy, worlds, streams)
     except ArmctlError:
         raise
     except FAILURES as error:
         raise ConfigurationError(f"{policy_name(policy)} could not be made: {described(error)}") from error
-    if isinstance(policy, (str, Path)) and (tuned := tuning_of(str(policy))) and not hasattr(made, "training_cost"):
-        made.training_cost = replace(UNTRAINED, tuning=tuned)  # type: ignore[attr-defined]
-    return made
+    if isinstance(policy, (str, Path)) and (tuned := tuning_of(str(policy))) and not hasattr(result, "training_cost"):
+        result.training_cost = replace(UNTRAINED, tuning=tuned)  # type: ignore[attr-defined]
+    return result
 
 
-def _made(policy: Any, worlds: EpisodeVectorEnv | Interface, streams: PolicyStreams) -> Policy:
+def _make(policy: Any, worlds: EpisodeVectorEnv | Interface, streams: PolicyStreams) -> Policy:
     if not isinstance(policy, (str, Path)):
         return adapted(policy, worlds, policy_name(policy), streams)
     name = str(policy)
@@ -137,8 +137,8 @@ def _made(policy: Any, worlds: EpisodeVectorEnv | Interface, streams: PolicyStre
         )
     if worlds.normalized and is_expert(name):
         raise ConfigurationError(f"{name} acts in physical units, not in worlds with actions='normalized'")
-    if (found := configured(name)) is not None:
-        return adapted(found.make(), worlds, name, streams)
+    if (configuration := configured(name)) is not None:
+        return adapted(configuration.make(), worlds, name, streams)
     if name in policy_names():
         return adapted(installed(GROUP)[name].load(), worlds, name, streams)
     if name.endswith(".py"):

@@ -13,7 +13,7 @@ from armctl.core.errors import ConfigurationError, InvalidAction, defined_at
 from armctl.envs import EpisodeVectorEnv, Interface, PolicyStreams, Sees, ThirdPartyVectorEnv
 from armctl.envs.single import OneWorld
 from armctl.policies.policy import Actions, PerWorld, Policy
-from armctl.policies.privilege import as_declared, declared, told
+from armctl.policies.privilege import as_declared, declared, knowledge_for
 from armctl.tasks import Observations
 
 ENV_PARAMETERS = {"env", "envs", "environment", "worlds"}
@@ -23,36 +23,37 @@ Worlds = EpisodeVectorEnv | Interface
 """An environment, for a policy that sees the state; for all others, what they are told about it."""
 
 
-def adapted(given: Any, worlds: Worlds, name: str, streams: PolicyStreams) -> Policy:
-    """A policy from any of the objects that `make_policy` takes, made of what it declares to see, and `streams`.
+def adapted(source: Any, worlds: Worlds, name: str, streams: PolicyStreams) -> Policy:
+    """Return a policy from any object that `make_policy` takes, made of what it declares to see, and `streams`.
 
     Raises `ConfigurationError`.
     """
-    what = declared(given)
-    policy: Policy = as_declared(_adapted(given, told(what, worlds, name, streams), name), what, name, given)
+    privilege = declared(source)
+    knowledge = knowledge_for(privilege, worlds, name, streams)
+    policy: Policy = as_declared(_adapted(source, knowledge, name), privilege, name, source)
     return policy
 
 
-def _adapted(given: Any, worlds: Worlds, name: str) -> Policy:
-    if isinstance(given, type):
-        if _acts_in_batches(given):
-            return given(worlds)  # type: ignore[no-any-return]
-        if not callable(getattr(given, "act", None)):
-            raise ConfigurationError(f"{name} is a class without act(observation){defined_at(given)}")
-        return PlainPolicy([_instance(given, worlds, i) for i in range(worlds.num_envs)], worlds, given)
-    if isinstance(given, Policy):
-        return given
-    if callable(getattr(given, "predict", None)):
-        return ModelPolicy(given, worlds, name)
-    if callable(getattr(given, "act", None)):
-        return PlainPolicy([given, *(copy.deepcopy(given) for _ in range(worlds.num_envs - 1))], worlds, given)
-    if not callable(given):
+def _adapted(source: Any, worlds: Worlds, name: str) -> Policy:
+    if isinstance(source, type):
+        if _acts_in_batches(source):
+            return source(worlds)  # type: ignore[no-any-return]
+        if not callable(getattr(source, "act", None)):
+            raise ConfigurationError(f"{name} is a class without act(observation){defined_at(source)}")
+        return PlainPolicy([_instance(source, worlds, i) for i in range(worlds.num_envs)], worlds, source)
+    if isinstance(source, Policy):
+        return source
+    if callable(getattr(source, "predict", None)):
+        return ModelPolicy(source, worlds, name)
+    if callable(getattr(source, "act", None)):
+        return PlainPolicy([source, *(copy.deepcopy(source) for _ in range(worlds.num_envs - 1))], worlds, source)
+    if not callable(source):
         raise ConfigurationError(
-            f"{name} is of type {type(given).__name__}, which cannot be called: it is not a policy"
+            f"{name} is of type {type(source).__name__}, which cannot be called: it is not a policy"
         )
-    if _makes_policies(given):
-        return _from_factory(given, worlds, name)
-    return PlainPolicy([_Function(given)] * worlds.num_envs, worlds, given)
+    if _makes_policies(source):
+        return _from_factory(source, worlds, name)
+    return PlainPolicy([_Function(source)] * worlds.num_envs, worlds, source)
 
 
 class PlainPolicy(PerWorld):
@@ -104,9 +105,9 @@ class ModelPolicy:
     reads = ("observation",)
 
     def __init__(self, model: Any, worlds: Worlds, name: str) -> None:
-        here = worlds.single_action_space
-        if (trained := getattr(model, "action_space", here)) != here:
-            raise ConfigurationError(f"the actions of {name} are {trained}; here they are {here}")
+        space = worlds.single_action_space
+        if (trained := getattr(model, "action_space", space)) != space:
+            raise ConfigurationError(f"the actions of {name} are {trained}; here they are {space}")
         self.training_steps = int(getattr(model, "num_timesteps", 0))
         self._model = model
         self._normalizer = getattr(model, "get_vec_normalize_env", lambda: None)()
@@ -114,11 +115,11 @@ class ModelPolicy:
         self._starts = np.ones(worlds.num_envs, dtype=bool)
 
     def reset(self, ids: NDArray[np.int32]) -> None:
-        """Worlds `ids` start a new episode: a recurrent model forgets the last one."""
+        """Begin new episodes in worlds `ids`: a recurrent model forgets the last one."""
         self._starts[ids] = True
 
     def act(self, observations: Observations) -> Actions:
-        """The model's deterministic actions."""
+        """Return the model's deterministic actions."""
         if self._normalizer is not None:
             observations = self._normalizer.normalize_obs(observations)
         actions, self._state = self._model.predict(
@@ -138,26 +139,26 @@ class _Function:
 
 
 def _from_factory(factory: Callable[..., Any], worlds: Worlds, name: str) -> Policy:
-    """What a factory makes: a policy for all worlds, or one controller, and then another for each further world."""
+    """Return what a factory makes: a policy for all worlds, or one controller per world."""
     arguments = [worlds] if inspect.signature(factory).parameters else []
-    made = factory(*arguments)
-    if isinstance(made, Policy):
-        return made
-    if not callable(getattr(made, "act", None)):
+    policy = factory(*arguments)
+    if isinstance(policy, Policy):
+        return policy
+    if not callable(getattr(policy, "act", None)):
         raise ConfigurationError(
-            f"{name} made something of type {type(made).__name__}, which is not a policy: it needs act(observation)"
+            f"{name} made something of type {type(policy).__name__}, which is not a policy: it needs act(observation)"
             f"{defined_at(factory)}"
         )
     others = [factory(*arguments) for _ in range(worlds.num_envs - 1)]
-    return PlainPolicy([made, *others], worlds, factory)
+    return PlainPolicy([policy, *others], worlds, factory)
 
 
-def _acts_in_batches(given: Any) -> bool:
-    return all(hasattr(given, name) for name in ("sees", "training_steps", "reset", "act"))
+def _acts_in_batches(source: Any) -> bool:
+    return all(hasattr(source, name) for name in ("sees", "training_steps", "reset", "act"))
 
 
 def _makes_policies(function: Callable[..., Any]) -> bool:
-    """Whether a function is given an environment, or nothing, rather than an observation."""
+    """Return True if a function is given an environment, or nothing, rather than an observation."""
     try:
         parameters = list(inspect.signature(function).parameters.values())
     except (TypeError, ValueError):  # built-in functions have none
@@ -166,9 +167,9 @@ def _makes_policies(function: Callable[..., Any]) -> bool:
 
 
 def _instance(cls: type[Any], worlds: Worlds, i: int) -> Any:
-    """An instance of a controller's class for world i."""
+    """Return an instance of a controller's class for world i."""
     parameters = inspect.signature(cls).parameters.values()
-    wants_env = next((one.name for one in parameters if one.name in ENV_PARAMETERS), None)
+    wants_env = next((parameter.name for parameter in parameters if parameter.name in ENV_PARAMETERS), None)
     if wants_env is None:
         return cls()
     if isinstance(worlds, Interface):

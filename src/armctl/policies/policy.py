@@ -1,4 +1,4 @@
-"""What a policy is: it acts in n worlds at once, or consists of one controller for each."""
+"""Protocols of policies: a policy acts in n worlds at once, or consists of one controller for each."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Protocol, runtime_checkable
@@ -24,15 +24,15 @@ class Policy(Protocol):
     """
 
     sees: Sees
-    """What it may see (see `armctl.sees`). What it is made by has to declare that beforehand."""
+    """Privilege (see `armctl.sees`). What makes the policy has to declare it beforehand."""
     training_steps: int
     """Environment steps of its training; 0 for a policy that was not trained."""
 
     def reset(self, ids: NDArray[np.int32]) -> None:
-        """Worlds `ids` start a new episode."""
+        """Begin new episodes in worlds `ids`."""
 
     def act(self, observations: Observations) -> Actions:
-        """Actions (n, ...) for the observations (n, ...) of all worlds."""
+        """Return actions (n, ...) for the observations (n, ...) of all worlds."""
 
 
 @runtime_checkable
@@ -40,17 +40,17 @@ class Plans(Protocol):
     """A policy that can show its plans."""
 
     def plans(self, world: int) -> Mapping[str, NDArray[np.float64]]:
-        """Polylines by name, (m, 3) m each: the `path` it follows, the `horizon` it predicts; none before it plans."""
+        """Return polylines by name, (m, 3) m: the `path` it follows, the `horizon` it predicts; none without a plan."""
 
 
 class Controller(Protocol):
     """Acts in one world."""
 
     def reset(self) -> None:
-        """A new episode starts."""
+        """Begin a new episode."""
 
     def act(self, observation: Any) -> Actions:
-        """The action for one world's observation."""
+        """Return the action for one world's observation."""
 
 
 class ControllersFailed(ArmctlError):
@@ -84,15 +84,15 @@ class PerWorld:
         return np.array([getattr(controller, "failures", 0) for controller in self.controllers])
 
     def plans(self, world: int) -> Mapping[str, NDArray[np.float64]]:
-        """The plans of the world's controller; none if it does not have the method `plans`."""
+        """Return the plans of the world's controller; none if it does not have the method `plans`."""
         return dict(getattr(self.controllers[world], "plans", dict)())
 
     def reset(self, ids: NDArray[np.int32]) -> None:
-        """Worlds `ids` start a new episode. Raises `ControllersFailed`."""
+        """Begin new episodes in worlds `ids`. Raises `ControllersFailed`."""
         self._each(ids.tolist(), self._reset_one)
 
     def act(self, observations: Observations) -> Actions:
-        """Each controller's action for its own observation. Raises `ControllersFailed`."""
+        """Return each controller's action for its own observation. Raises `ControllersFailed`."""
         return self._batch(self._each(range(len(self.controllers)), lambda i: self._act_one(i, observations)))
 
     def _reset_one(self, world: int) -> None:
@@ -102,7 +102,7 @@ class PerWorld:
         return self.controllers[world].act(one_of(observations, world))
 
     def _batch(self, actions: list[Any]) -> Actions:
-        """Actions of all worlds, (n, ...)."""
+        """Return actions of all worlds, (n, ...)."""
         return np.array(actions)
 
     @staticmethod

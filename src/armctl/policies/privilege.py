@@ -1,4 +1,4 @@
-"""What policies declare to see, and what they get for it."""
+"""Declarations of what policies see, and what they get for it."""
 
 import functools
 from collections.abc import Callable, Mapping
@@ -12,69 +12,69 @@ PERCEIVED = ("observation", "state")
 """Through which of a disturbance's channels policies perceive their worlds."""
 
 
-def sees(what: Sees) -> Callable[[Factory], Factory]:
+def sees(privilege: Sees) -> Callable[[Factory], Factory]:
     """Declare what a policy sees: a decorator of the function or class that makes it, or of a plain policy.
 
-    - `observation`: only what the environment gives to everybody; so it is without a declaration;
+    - `observation`: only what the environment gives to every policy; this is the default;
     - `model`: the robot's description and the task's options as well;
     - `map`: also what stands still around the robot;
     - `state`: everything that is true. Only such a policy gets the environment itself.
 
     Raises `ConfigurationError` for anything else.
     """
-    check_sees(what)
+    check_sees(privilege)
 
     def declare(factory: Factory) -> Factory:
-        factory.sees = what  # type: ignore[attr-defined]
+        factory.sees = privilege  # type: ignore[attr-defined]
         return factory
 
     return declare
 
 
-def check_sees(what: object) -> None:
+def check_sees(privilege: object) -> None:
     """Raise `ConfigurationError` for what is not a key of `SEES`."""
-    if what not in SEES:
-        raise unknown_name("privilege", what, SEES)
+    if privilege not in SEES:
+        raise unknown_name("privilege", privilege, SEES)
 
 
-def declared(given: Any) -> str:
-    """What a policy, or what makes one, declares to see. Raises `ConfigurationError`."""
-    while isinstance(given, functools.partial) and "sees" not in vars(given):
-        given = given.func
-    what = getattr(given, "sees", "observation")
-    if isinstance(given, type) and isinstance(what, property):  # its instances know
+def declared(source: Any) -> str:
+    """Return what a policy, or its maker, declares to see. Raises `ConfigurationError`."""
+    while isinstance(source, functools.partial) and "sees" not in vars(source):
+        source = source.func
+    privilege = getattr(source, "sees", "observation")
+    if isinstance(source, type) and isinstance(privilege, property):  # its instances know
         return "observation"
-    check_sees(what)
-    return str(what)
+    check_sees(privilege)
+    return str(privilege)
 
 
-def told(
-    what: str, env: EpisodeVectorEnv | Interface, name: str, streams: PolicyStreams
+def knowledge_for(
+    privilege: str, env: EpisodeVectorEnv | Interface, name: str, streams: PolicyStreams
 ) -> EpisodeVectorEnv | Interface:
-    """What a policy called `name` gets of an environment: an interface, or all of it if the policy sees the state.
+    """Return what a policy called `name` gets of an environment: an interface, or all of it with privilege `state`.
 
     Its random numbers are those of `streams`, or of the policy that makes it.
 
     Raises `ConfigurationError` if it is made by another policy, in whose interface there is less.
     """
     if isinstance(env, Interface):
-        return env.limited_to(what, name)
-    return env if what == "state" else interface_of(env, what, streams)
+        return env.limited_to(privilege, name)
+    return env if privilege == "state" else interface_of(env, privilege, streams)
 
 
-def as_declared(policy: Any, what: str, name: str, source: Any) -> Any:
-    """A policy that was made with what had been declared, and says so itself.
+def as_declared(policy: Any, privilege: str, name: str, source: Any) -> Any:
+    """Return a policy that was made with a declared privilege, and says so itself.
 
     Raises `ConfigurationError` if it says that it sees more.
     """
-    own = declared(policy)
-    if list(SEES).index(own) > list(SEES).index(what):
+    declaration = declared(policy)
+    if list(SEES).index(declaration) > list(SEES).index(privilege):
         raise ConfigurationError(
-            f"{name} made a policy that sees the {SEES[own]}, which has to be declared before it is made: "
-            f"{how_to_declare(own)}{defined_at(source)}"
+            f"{name} made a policy that sees the {SEES[declaration]}, which has to be declared before it is made: "
+            f"{how_to_declare(declaration)}{defined_at(source)}"
         )
-    if own != what:
-        policy.sees = what
+    if declaration != privilege:
+        policy.sees = privilege
     return policy
 
 
@@ -91,9 +91,9 @@ def channels_read(policy: Any) -> tuple[str, ...]:
     return tuple(reads)
 
 
-def privileges(seen: Mapping[str, str]) -> str:
-    """A sentence about what some policies see, from a key of `SEES` by name; empty if they all see the same."""
-    if len(set(seen.values())) < 2:
+def privileges(by_name: Mapping[str, str]) -> str:
+    """Return a sentence about what policies see, from keys of `SEES` by name; empty if they all see the same."""
+    if len(set(by_name.values())) < 2:
         return ""
-    said = (f"{name} ({SEES.get(what, what)})" for name, what in seen.items())
-    return f"Their privileges differ: {', '.join(said)}."
+    parts = (f"{name} ({SEES.get(privilege, privilege)})" for name, privilege in by_name.items())
+    return f"Their privileges differ: {', '.join(parts)}."

@@ -18,46 +18,46 @@ from armctl.core.registration import files_beside
 GROUP = "armctl.policies"
 SEEDS = "seeds"
 """Folder of further trainings, beside the shipped one: `NAME-SEED.json` and `.onnx`."""
-ALIKE = (
+FIELDS_THAT_MUST_MATCH = (
     "learner", "recipe", "env", "env_options", "training_options", "shaping", "shaping_scale", "reward_weights",
     "curriculum", "teacher", "interface", "learner_options",
 )  # fmt: skip
-"""What trainings of one recipe have in common on their cards."""
+"""Fields of their cards in which trainings of one recipe agree."""
 _NAME = re.compile(r"(?P<recipe>.+)\[(?P<seed>\*|\d{1,18})\]")
 
 
 def agent_cards() -> dict[str, Path]:
-    """The cards of installed agents, by name."""
+    """Return the cards of installed agents, by name."""
     return files_beside(GROUP, ".json")
 
 
-def is_group(name: object) -> bool:
-    """Whether this names all trainings of a recipe."""
-    return isinstance(name, (str, Path)) and (found := _NAME.fullmatch(str(name))) is not None and found["seed"] == "*"
+def is_seed_group(name: object) -> bool:
+    """Return True if this names all trainings of a recipe."""
+    return isinstance(name, (str, Path)) and (match := _NAME.fullmatch(str(name))) is not None and match["seed"] == "*"
 
 
 def training_card(name: str) -> Path | None:
-    """The card of the training that `NAME[SEED]` names; None for a name of another form.
+    """Return the card of the training that `NAME[SEED]` names; None for a name of another form.
 
     Raises `ConfigurationError` if there is no such training, or for a whole group, and `AgentFileError`.
     """
-    found = _NAME.fullmatch(name)
-    if found is None:
+    match = _NAME.fullmatch(name)
+    if match is None:
         return None
-    trainings = trainings_of(found["recipe"])
-    if found["seed"] == "*":
+    trainings = trainings_of(match["recipe"])
+    if match["seed"] == "*":
         raise ConfigurationError(
             f"{name} is {len(trainings)} trainings, which compare and sweep take as one learner; "
-            f"{_named(found['recipe'], min(trainings))} is one of them"
+            f"{_named(match['recipe'], min(trainings))} is one of them"
         )
-    if int(found["seed"]) not in trainings:
-        known = ", ".join(_named(found["recipe"], seed) for seed in trainings)
-        raise ConfigurationError(f"there is no training {name!r}. Known: {known}")
-    return trainings[int(found["seed"])]
+    if int(match["seed"]) not in trainings:
+        names = ", ".join(_named(match["recipe"], seed) for seed in trainings)
+        raise ConfigurationError(f"there is no training {name!r}. Known: {names}")
+    return trainings[int(match["seed"])]
 
 
 def trainings_of(recipe: str) -> dict[int, Path]:
-    """The cards of all trainings of a shipped agent's recipe, or of those in folders `recipe-SEED`, by training seed.
+    """Return the cards of a shipped agent's trainings, or of those in folders `recipe-SEED`, by training seed.
 
     Raises `ConfigurationError` if there are none, or if they differ in more than the seed, and `AgentFileError`.
     """
@@ -67,10 +67,10 @@ def trainings_of(recipe: str) -> dict[int, Path]:
         paths = [shipped, *(path for path in beside if path.with_suffix(".onnx").exists())]
     else:
         home = Path(recipe)
-        own = re.compile(re.escape(home.name) + r"-\d+")
+        pattern = re.compile(re.escape(home.name) + r"-\d+")
         paths = []
         with contextlib.suppress(OSError, ValueError):  # a name that no file can have
-            folders = (one for one in home.parent.glob("*") if own.fullmatch(one.name)) if home.name else ()
+            folders = (path for path in home.parent.glob("*") if pattern.fullmatch(path.name)) if home.name else ()
             paths = [path for folder in sorted(folders) if (path := folder / "agent.json").is_file()]
     if not paths:
         raise ConfigurationError(
@@ -81,27 +81,27 @@ def trainings_of(recipe: str) -> dict[int, Path]:
 
 
 def by_seed(recipe: str, paths: Sequence[Path]) -> dict[int, Path]:
-    """Cards of a recipe's trainings, by training seed.
+    """Return cards of a recipe's trainings, by training seed.
 
     Raises `ConfigurationError` if they differ in more than the seed or have the same one, and `AgentFileError`.
     """
     cards = [read_card(path) for path in paths]
-    found: dict[int, Path] = {}
+    paths_by_seed: dict[int, Path] = {}
     for path, card in zip(paths, cards, strict=True):
         _check_alike(recipe, cards[0], card, path)
         if card.training_seed is None:
             raise AgentFileError(f"{path} does not say with which seed it was trained, and so is none of {recipe}[*]")
-        if card.training_seed in found:
+        if card.training_seed in paths_by_seed:
             raise ConfigurationError(
-                f"{path} and {found[card.training_seed]} are both of training seed {card.training_seed}: each counts "
-                f"once in {recipe}[*]"
+                f"{path} and {paths_by_seed[card.training_seed]} are both of training seed {card.training_seed}: each "
+                f"counts once in {recipe}[*]"
             )
-        found[card.training_seed] = path
-    return dict(sorted(found.items()))
+        paths_by_seed[card.training_seed] = path
+    return dict(sorted(paths_by_seed.items()))
 
 
 def expanded(policies: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, list[str]]]:
-    """Policies by name with the trainings of each group instead of it, and the names of these, by group.
+    """Replace each group by its trainings; return the policies by name, and the names of trainings, by group.
 
     A recipe with a single training is no group: it stays under that training's name.
 
@@ -109,69 +109,69 @@ def expanded(policies: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, lis
     """
     players: dict[str, Any] = {}
     groups: dict[str, list[str]] = {}
-    for name, given in policies.items():
-        members = {name: given}
-        if is_group(given):
-            recipe = str(given).rpartition("[")[0]
+    for name, policy in policies.items():
+        members = {name: policy}
+        if is_seed_group(policy):
+            recipe = str(policy).rpartition("[")[0]
             members = {_named(name.removesuffix("[*]"), seed): _named(recipe, seed) for seed in trainings_of(recipe)}
         if len(members) > 1:
             groups[name] = list(members)
         if twice := players.keys() & members.keys():
             raise ConfigurationError(f"{min(twice)} is named, and is one of a group that is named too: leave one out")
         players |= members
-    if any(map(is_group, policies.values())):
+    if any(map(is_seed_group, policies.values())):
         _check_once(players)
     return players, groups
 
 
 def _check_once(players: Mapping[str, Any]) -> None:
-    seen: dict[str, str] = {}
-    for name, given in players.items():
-        card = card_of(given)
+    names: dict[str, str] = {}
+    for name, policy in players.items():
+        card = card_of(policy)
         if card is None:
             continue
-        if card.sha256 in seen:
+        if card.sha256 in names:
             raise ConfigurationError(
-                f"{seen[card.sha256]} and {name} are the same network, which can take part once: leave one of them out"
+                f"{names[card.sha256]} and {name} are the same network, which can take part once: leave one of them out"
             )
-        seen[card.sha256] = name
+        names[card.sha256] = name
 
 
-def card_of(given: Any) -> AgentCard | None:
-    """The card of a policy, if it is a learned agent's name or file. Raises `AgentFileError`."""
-    if not isinstance(given, (str, Path)):
+def card_of(policy: Any) -> AgentCard | None:
+    """Return the card of a policy, if it is a learned agent's name or file. Raises `AgentFileError`."""
+    if not isinstance(policy, (str, Path)):
         return None
-    path = training_card(str(given)) or agent_cards().get(str(given))
-    if path is None and Path(given).suffix in FILES and os.path.isfile(given):  # also for a name that no file can have
-        path = Path(given).with_suffix(".json")
+    path = training_card(str(policy)) or agent_cards().get(str(policy))
+    if path is None and Path(policy).suffix in FILES and os.path.isfile(policy):  # also for impossible file names
+        path = Path(policy).with_suffix(".json")
     return None if path is None else read_card(path)
 
 
 def _check_alike(recipe: str, first: AgentCard, card: AgentCard, path: Path) -> None:
-    for name in ALIKE:
-        for what, one, other in _differences(name, getattr(first, name), getattr(card, name)):
+    for name in FIELDS_THAT_MUST_MATCH:
+        for field, value, other in _differences(name, getattr(first, name), getattr(card, name)):
             raise ConfigurationError(
-                f"{recipe}[*] are trainings that differ only in their seed, and {path} has the {what} {other!r} "
-                f"instead of {one!r}"
+                f"{recipe}[*] are trainings that differ only in their seed, and {path} has the {field} {other!r} "
+                f"instead of {value!r}"
             )
 
 
-def _differences(name: str, one: Any, other: Any) -> Iterator[tuple[str, Any, Any]]:
-    """What differs between two cards. Options of the learner that only one version of armctl knew do not count."""
+def _differences(name: str, first: Any, second: Any) -> Iterator[tuple[str, Any, Any]]:
+    """Yield differences of two cards. Options of the learner that only one version of armctl knew do not count."""
     if name == "learner_options":
-        one, other = _present_options(one), _present_options(other)
-        names = one.keys() & other.keys()
-    elif isinstance(one, dict):
-        names = one.keys() | other.keys()
+        first, second = _present_options(first), _present_options(second)
+        names = first.keys() & second.keys()
+    elif isinstance(first, dict):
+        names = first.keys() | second.keys()
     else:
-        if one != other:
-            yield name, one, other
+        if first != second:
+            yield name, first, second
         return
-    yield from ((key, one.get(key), other.get(key)) for key in sorted(names) if one.get(key) != other.get(key))
+    yield from ((key, first.get(key), second.get(key)) for key in sorted(names) if first.get(key) != second.get(key))
 
 
 def _present_options(options: Mapping[str, Any]) -> dict[str, Any]:
-    """The options of a learner; on older cards, two of them said which features it sees."""
+    """Return the options of a learner; on older cards, two of them said which features it sees."""
     if not isinstance(options.get("features"), bool):
         return dict(options)
     features = "invariant" if options.get("turned") else "plain"
@@ -183,6 +183,6 @@ def _named(recipe: str, seed: int) -> str:
 
 
 def learners(names: Sequence[str], groups: Mapping[str, Sequence[str]]) -> list[str]:
-    """Names of policies, with each group instead of its members."""
+    """Return names of policies, with each group instead of its members."""
     group_of = {member: group for group, members in groups.items() for member in members}
     return list(dict.fromkeys(group_of.get(name, name) for name in names))

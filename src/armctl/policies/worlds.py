@@ -1,8 +1,8 @@
 """Worlds in which policies with different interfaces meet the same episodes.
 
 How a policy sees and commands the robot is its own affair (`Task.interface_options`): a learned agent plays with the
-interface that it was trained with, which its card names, and an installed expert with the task's own, but for `control`
-and named parts of the observation. Everything else plays with the one that was asked for.
+interface that it was trained with, which its card names, and an installed expert with the task's own, except for
+`control` and named parts of the observation. Everything else plays with the requested one.
 """
 
 from collections.abc import Mapping
@@ -27,58 +27,59 @@ class WorldsByInterface:
     """
 
     def __init__(
-        self, env: str, worlds: int, options: Mapping[str, Any] | None = None, threads: int = 0, **how: Any
+        self, env: str, num_envs: int, options: Mapping[str, Any] | None = None, threads: int = 0, **how: Any
     ) -> None:
         self._env, self._interface = env, frozenset(task_of(env).interface_options)
-        self._arguments: dict[str, Any] = {"worlds": worlds, "threads": threads, **how}
+        self._arguments: dict[str, Any] = {"num_envs": num_envs, "threads": threads, **how}
         self._options = {name: value for name, value in (options or {}).items() if name not in LEARNERS_ONLY}
-        self.asked: EpisodeVectorEnv = make_worlds(env, options=self._options, **self._arguments)
-        """With the interface that was asked for."""
-        self._made = [(self._options, self.asked)]
+        self.requested: EpisodeVectorEnv = make_worlds(env, options=self._options, **self._arguments)
+        """Environment with the requested interface."""
+        self._envs = [(self._options, self.requested)]
 
     def of(self, policy: Any) -> EpisodeVectorEnv:
-        """Those in which a policy plays, of any of the forms that `make_policy` takes."""
+        """Return the worlds in which a policy plays, of any of the forms that `make_policy` takes."""
         options = self.options_of(policy)
-        for known, worlds in self._made:
-            if known == options:
+        for made_for, worlds in self._envs:
+            if made_for == options:
                 return worlds
-        felt = self._felt(options)
-        self._made.append((options, make_worlds(self._env, options=felt, **self._arguments)))
-        return self._made[-1][1]
+        applicable = self._applicable_options(options)
+        self._envs.append((options, make_worlds(self._env, options=applicable, **self._arguments)))
+        return self._envs[-1][1]
 
     def options_of(self, policy: Any) -> dict[str, Any]:
-        """The environment's options for a policy."""
+        """Return the environment's options for a policy."""
         card = card_of(policy)
         others = {name: value for name, value in self._options.items() if name not in self._interface}
         if card is not None and bare_id(card.env) == bare_id(self._env):
-            own = self._interface - LEARNERS_ONLY
-            return others | {name: value for name, value in card.env_options.items() if name in own}
+            names = self._interface - LEARNERS_ONLY
+            return others | {name: value for name, value in card.env_options.items() if name in names}
         if card is None and is_expert(policy):
             kept = {name: value for name, value in self._options.items() if _is_for_experts(name, value)}
             return others | kept
         return self._options
 
-    def spared(self, policy: Any, made: Policy) -> tuple[str, ...]:
+    def spared(self, policy: Any, built: Policy) -> tuple[str, ...]:
         """Return the disturbances that do not reach a policy.
 
         They change what is not in its interface, or what it does not read.
-        `made` is the policy as made for `of(policy)`. Raises `ConfigurationError` if it reads an unknown channel.
+        `built` is the policy as made for `of(policy)`. Raises `ConfigurationError` if it reads an unknown channel.
         """
-        here, reads = self.of(policy).disturbances, channels_read(made)
-        return tuple(name for name in self.asked.disturbances if name not in here or not here[name].reaches(reads))
+        effective, reads = self.of(policy).disturbances, channels_read(built)
+        names = self.requested.disturbances
+        return tuple(name for name in names if name not in effective or not effective[name].reaches(reads))
 
-    def _felt(self, options: dict[str, Any]) -> dict[str, Any]:
-        """The options without disturbances of what is not in this interface: who gets no image loses none."""
+    def _applicable_options(self, options: dict[str, Any]) -> dict[str, Any]:
+        """Return the options without disturbances of what this interface lacks: who gets no image loses none."""
         if not (levels := options.get("disturbances")):
             return options
         undisturbed = {name: value for name, value in options.items() if name != "disturbances"}
-        with closing(make_worlds(self._env, options=undisturbed, **self._arguments | {"worlds": 1})) as plain:
-            there = available(plain.task.disturbances, plain.task)
-        return undisturbed | {"disturbances": {name: level for name, level in levels.items() if name in there}}
+        with closing(make_worlds(self._env, options=undisturbed, **self._arguments | {"num_envs": 1})) as plain:
+            effective = available(plain.task.disturbances, plain.task)
+        return undisturbed | {"disturbances": {name: level for name, level in levels.items() if name in effective}}
 
     def close(self) -> None:
         """Close all of them."""
-        for _, worlds in self._made:
+        for _, worlds in self._envs:
             worlds.close()
 
 

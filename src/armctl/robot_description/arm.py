@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class BuiltinArm:
-    """What armctl adds to the URDF of an arm from example-robot-data."""
+    """Additions of armctl to the URDF of an arm from example-robot-data."""
 
     urdf: str
     srdf: str
@@ -118,7 +118,7 @@ class ArmDescription:
 
 @functools.cache
 def robot_data() -> Path:
-    """Folder of example-robot-data's robots."""
+    """Return the folder of example-robot-data's robots."""
     relative = Path("cmeel.prefix/share/example-robot-data/robots")
     for site in (sysconfig.get_path("platlib"), sysconfig.get_path("purelib"), *pinocchio.__path__):
         for folder in (Path(site), *Path(site).parents):
@@ -178,10 +178,10 @@ def load_arm(
 
 
 def _existing(path: Path) -> Path:
-    """The absolute path of a file; raises `ConfigurationError` if there is none."""
+    """Return the absolute path of a file; raises `ConfigurationError` if there is none."""
     try:
-        if (found := path.resolve()).is_file():
-            return found
+        if (absolute := path.resolve()).is_file():
+            return absolute
     except (OSError, ValueError, RuntimeError):
         pass  # a name that no file can have, or links that go round in circles
     raise ConfigurationError(f"there is no robot's file {str(path)!r}")
@@ -253,7 +253,7 @@ def _home_position(home: tuple[float, ...] | None, limits: JointLimits) -> Array
 
 
 def _frozen(*arrays: Array) -> tuple[Array, ...]:
-    """Read-only copies, since descriptions are shared."""
+    """Return read-only copies, since descriptions are shared."""
     copies = tuple(np.array(array) for array in arrays)
     for copy in copies:
         copy.flags.writeable = False

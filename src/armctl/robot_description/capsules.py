@@ -28,7 +28,7 @@ class Capsule:
 
 
 def enclosing_capsule(link: str, vertices: Array) -> Capsule:
-    """Small capsule that encloses all `vertices` (k, 3), m.
+    """Return a small capsule that encloses all `vertices` (k, 3), m.
 
     Its direction is the principal or coordinate axis that gives the least volume.
     """
@@ -39,7 +39,7 @@ def enclosing_capsule(link: str, vertices: Array) -> Capsule:
 
 
 def _capsule_along(link: str, vertices: Array, axis: Array) -> Capsule:
-    """Enclosing capsule along the unit vector `axis` (3,)."""
+    """Return the enclosing capsule along the unit vector `axis` (3,)."""
     side = np.linalg.svd(axis[None])[2][1:]
     across = vertices @ side.T
     centre = _enclosing_circle_centre(across)
@@ -57,7 +57,7 @@ def _capsule_along(link: str, vertices: Array, axis: Array) -> Capsule:
 
 
 def _enclosing_circle_centre(points: Array, iterations: int = 100) -> Array:
-    """Centre of the smallest circle around `points` (k, 2).
+    """Return the centre of the smallest circle around `points` (k, 2).
 
     Badoiu and Clarkson, "Smaller core-sets for balls" (2003): ever smaller steps towards the farthest point.
     """

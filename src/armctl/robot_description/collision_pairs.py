@@ -23,7 +23,7 @@ SAMPLES = 1000
 
 
 def capsule_geometry(model: pinocchio.Model, capsules: tuple[Capsule, ...]) -> pinocchio.GeometryModel:
-    """Pinocchio's collision geometry: the capsules, and the floor."""
+    """Return Pinocchio's collision geometry: the capsules, and the floor."""
     geometry = pinocchio.GeometryModel()
     for capsule in capsules:
         frame = model.frames[link_frame(model, capsule.link)]
@@ -39,7 +39,7 @@ def capsule_geometry(model: pinocchio.Model, capsules: tuple[Capsule, ...]) -> p
 
 
 def link_frame(model: pinocchio.Model, link: str) -> int:
-    """Pinocchio's frame id of a link, which may share its name with a joint."""
+    """Return Pinocchio's frame id of a link, which may share its name with a joint."""
     return int(model.getFrameId(link, pinocchio.FrameType.BODY))
 
 
@@ -52,7 +52,7 @@ def add_collision_pairs(geometry: pinocchio.GeometryModel, pairs: Iterable[Pair]
 def pairs_worth_testing(
     urdf: str, capsules: tuple[Capsule, ...], home: Array, impossible: set[frozenset[str]]
 ) -> tuple[Pair, ...]:
-    """Pairs of links, or of a link and `FLOOR`, that can touch.
+    """Return pairs of links, or of a link and `FLOOR`, that can touch.
 
     Excluded are neighbours, pairs in contact at `home` (capsules are wider than links), pairs that are near each other
     in all configurations (as MoveIt's setup assistant finds them, by sampling), and pairs whose joints carry a pair of
@@ -78,7 +78,7 @@ def pairs_worth_testing(
 
 
 def _always_near(model: pinocchio.Model, capsules: tuple[Capsule, ...], pairs: list[Pair]) -> set[Pair]:
-    """The pairs of links that are never farther apart than a share of their radii, in random configurations."""
+    """Return the pairs of links that are never farther apart than a share of their radii, in random configurations."""
     radii = {capsule.link: capsule.radius for capsule in capsules}
     geometry, kinematics = capsule_geometry(model, capsules), model.createData()
     add_collision_pairs(geometry, pairs)
@@ -94,7 +94,7 @@ def _always_near(model: pinocchio.Model, capsules: tuple[Capsule, ...], pairs: l
 
 
 def _may_touch(model: pinocchio.Model, first: int | None, second: int | None) -> bool:
-    """Whether bodies on two joints (None: the floor) can move against each other without being neighbours."""
+    """Return True if bodies on two joints (None: the floor) can move against each other without being neighbours."""
     if first is None or second is None:
         return (first or second or 0) > 1  # the first link only turns on the spot
     return first != second and model.parents[max(first, second)] != min(first, second)

@@ -21,7 +21,7 @@ OVERRUNS = np.linspace(0.0, 1.0, 17)
 
 
 def towards(goal: Array, position: Array, limits: JointLimits, tick: float = TICK) -> Array:
-    """Velocity (dof,) for the next `tick` (s) on the minimum-time profile from `position` to rest at `goal`, (dof,)."""
+    """Return the velocity (dof,) for the next `tick` (s) on the fastest profile from `position` to rest at `goal`."""
     return np.array([
         drives.towards(*ends, acceleration, tick)
         for *ends, acceleration in zip(goal, position, limits.acceleration, strict=True)
@@ -29,14 +29,14 @@ def towards(goal: Array, position: Array, limits: JointLimits, tick: float = TIC
 
 
 def trapezoidal_displacement(times: ArrayLike, displacement: Array, limits: JointLimits) -> Array:
-    """Displacement (n, dof) at `times` (n,) s on the trapezoidal profiles to `displacement` (dof,)."""
+    """Return the displacement (n, dof) at `times` (n,) s on the trapezoidal profiles to `displacement` (dof,)."""
     moved = np.empty((len(np.atleast_1d(times)), len(displacement)))
     drives.profiles(limits.drives, np.ascontiguousarray(times, dtype=float).reshape(-1), displacement, moved)
     return moved
 
 
 def fly_by_setpoint(start: Array, position: Array, time: float, limits: JointLimits) -> Array:
-    """Joint positions (dof,) to command, from rest at `start`, so that all joints are at `position` by `time` (s).
+    """Return joint positions (dof,) to command, from rest at `start`, so that joints are at `position` by `time` (s).
 
     Joints that would be late if they stopped there overrun it.
     """

@@ -27,7 +27,7 @@ _NUMBER = re.compile(rb"[-+]?[\d.]+(?:[eE][-+]?\d+)?|[-+]?(?:nan|inf|infinity)",
 
 
 class MeshError(ValueError):
-    """What is wrong with a mesh."""
+    """Problem with a mesh."""
 
 
 class Meshes:
@@ -45,7 +45,7 @@ class Meshes:
         self._bytes_left = MAX_BYTES
 
     def read(self, filename: str, scale: Array) -> tuple[Array, NDArray[np.int32]]:
-        """Vertices (k, 3) m and triangles (m, 3) of a mesh, as a URDF names it. Raises `MeshError`."""
+        """Return vertices (k, 3) m and triangles (m, 3) of a mesh, as a URDF names it. Raises `MeshError`."""
         path = self._find(filename)
         if path.suffix.lower() not in FORMATS:
             raise MeshError(f"is no mesh of a format that armctl reads: {', '.join(FORMATS)}")
@@ -83,10 +83,10 @@ class Meshes:
         try:
             for allowed, path in candidates:
                 if path.is_file():
-                    found = path.resolve()
-                    if not found.is_relative_to(allowed.resolve()):
+                    absolute = path.resolve()
+                    if not absolute.is_relative_to(allowed.resolve()):
                         raise MeshError(f"lies outside of the URDF's package {allowed.name!r}")
-                    return found
+                    return absolute
         except (OSError, RuntimeError) as error:  # a name too long, links that go round in circles
             raise MeshError(f"cannot be opened: {error}") from error
         raise MeshError(f"was not found in the URDF's package, the folder {self.package.name!r}")
@@ -107,7 +107,7 @@ def _parse(path: Path, content: bytes, scale: Array) -> tuple[Array, NDArray[np.
 
 
 def _shape_of_obj(content: bytes) -> bytes:
-    """Vertices and faces of an `.obj` alone: other lines name files, of colours, and a line may have many spellings."""
+    """Return vertices and faces of an `.obj` alone: other lines name files, of colours, and may have many spellings."""
     lines = []
     for line in re.split(rb"[\r\n\f\0]+", re.sub(rb"\\\r?\n", b"", content)):
         kind, *values = line.partition(b"#")[0].split() or [b""]
@@ -150,4 +150,4 @@ class _Limited:
         self._depth -= 1
 
     def close(self) -> None:
-        """Nothing is built."""
+        """Do nothing: nothing is built."""

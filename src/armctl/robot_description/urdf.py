@@ -1,6 +1,6 @@
 """Reads the URDF file of a reach arm, and explains what is wrong with an unsuitable one.
 
-The libraries behind armctl get a URDF that is written anew from checked numbers, never the file itself: some of them
+The libraries behind armctl get a URDF that is written again from checked numbers, never the file itself: some of them
 crash on a malformed one.
 """
 
@@ -81,7 +81,7 @@ class Urdf:
         return np.array([self._limits_of(joint) for joint in self._chain]).T
 
     def text(self) -> str:
-        """The URDF without geometry, with all joints fixed except those of the chain."""
+        """Return the URDF without geometry, with all joints fixed except those of the chain."""
         bare = ElementTree.Element("robot", {"name": self.name})
         for name, link in self._links.items():
             copy = ElementTree.SubElement(bare, "link", {"name": name})
@@ -101,8 +101,8 @@ class Urdf:
         return ElementTree.tostring(bare, encoding="unicode")
 
     def shapes(self) -> tuple[Shape, ...]:
-        """All collision shapes."""
-        collisions = [(name, one) for name, link in self._links.items() for one in link.findall("collision")]
+        """Return all collision shapes."""
+        collisions = [(name, element) for name, link in self._links.items() for element in link.findall("collision")]
         if len(collisions) > MAX_SHAPES:
             raise self._error(f"it has {len(collisions)} collision shapes; at most {MAX_SHAPES} are allowed")
         return tuple(self._shape(name, collision) for name, collision in collisions)
@@ -115,15 +115,15 @@ class Urdf:
         ElementTree.SubElement(copy, "inertia", {name: repr(value) for name, value in moments.items()})
         return copy
 
-    def _copy_numbers(self, source: Element, copy: Element, what: str, tag: str, **defaults: str) -> None:
+    def _copy_numbers(self, source: Element, copy: Element, owner: str, tag: str, **defaults: str) -> None:
         """Copy an element of vectors, such as an origin, if there is one."""
-        if (found := source.find(tag)) is not None:
-            vectors = {name: self._numbers(found, name, f"{tag} of {what}", 3, at) for name, at in defaults.items()}
+        if (element := source.find(tag)) is not None:
+            vectors = {name: self._numbers(element, name, f"{tag} of {owner}", 3, at) for name, at in defaults.items()}
             words = {name: " ".join(repr(float(number)) for number in vector) for name, vector in vectors.items()}
             ElementTree.SubElement(copy, tag, words)
 
-    def _error(self, what: str) -> ConfigurationError:
-        return ConfigurationError(f"{self.path.name} is not an arm that armctl can use: {what}")
+    def _error(self, problem: str) -> ConfigurationError:
+        return ConfigurationError(f"{self.path.name} is not an arm that armctl can use: {problem}")
 
     def _check_tree(self) -> None:
         for kind in ("link", "joint"):
@@ -183,14 +183,15 @@ class Urdf:
 
     def _limits_of(self, joint: Element) -> list[float]:
         name, limit = joint.get("name"), joint.find("limit")
-        found = {} if limit is None else dict(limit.attrib)
+        limits = {} if limit is None else dict(limit.attrib)
         if joint.get("type") == "continuous":
-            found |= {"lower": str(-FULL_TURN), "upper": str(FULL_TURN)}
-        missing = [key for key in ("lower", "upper", "velocity", "effort") if key not in found]
+            limits |= {"lower": str(-FULL_TURN), "upper": str(FULL_TURN)}
+        missing = [key for key in ("lower", "upper", "velocity", "effort") if key not in limits]
         if missing:
             raise self._error(f"joint {name!r} has no {' and no '.join(missing)} limit")
         lower, upper, velocity, effort = (
-            self._number(found[key], f"joint {name!r}, {key} limit") for key in ("lower", "upper", "velocity", "effort")
+            self._number(limits[key], f"joint {name!r}, {key} limit")
+            for key in ("lower", "upper", "velocity", "effort")
         )
         if not (lower < upper and velocity > 0 and effort > 0):
             raise self._error(
@@ -208,10 +209,10 @@ class Urdf:
 
     def _moments(self, link: str, inertial: Element) -> dict[str, float]:
         inertia = inertial.find("inertia")
-        found = {} if inertia is None else inertia.attrib
-        if missing := [name for name in _INERTIA if name not in found]:
+        moments = {} if inertia is None else inertia.attrib
+        if missing := [name for name in _INERTIA if name not in moments]:
             raise self._error(f"link {link!r} has a mass, but no {' and no '.join(missing)} in its <inertia>")
-        return {name: self._number(found[name], f"inertia of link {link!r}") for name in _INERTIA}
+        return {name: self._number(moments[name], f"inertia of link {link!r}") for name in _INERTIA}
 
     def _check_inertia(self) -> None:
         for joint in self._chain:
@@ -241,67 +242,67 @@ class Urdf:
         shape = None if geometry is None else next(iter(geometry), None)
         if shape is None:
             raise self._error(f"link {link!r} has a <collision> without a shape")
-        what = f"<{shape.tag}> of link {link!r}"
+        description = f"<{shape.tag}> of link {link!r}"
         triangles = np.empty((0, 3), dtype=np.int32)
         if shape.tag == "mesh":
-            vertices, triangles = self._mesh(shape, what)
+            vertices, triangles = self._mesh(shape, description)
         elif shape.tag == "box":
-            size = self._numbers(shape, "size", what, 3)
-            vertices = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * self._positive(size, what)
+            size = self._numbers(shape, "size", description, 3)
+            vertices = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * self._positive(size, description)
         elif shape.tag in ("cylinder", "sphere"):
-            radius = self._positive(self._numbers(shape, "radius", what, 1), what)[0]
+            radius = self._positive(self._numbers(shape, "radius", description, 1), description)[0]
             length = 0.0
             if shape.tag == "cylinder":
-                length = self._positive(self._numbers(shape, "length", what, 1), what)[0]
+                length = self._positive(self._numbers(shape, "length", description, 1), description)[0]
             vertices = np.array(list(_rings(shape.tag, radius, length / 2)))
         else:
-            raise self._error(f"it has a {what}; armctl supports mesh, box, cylinder and sphere")
+            raise self._error(f"it has a {description}; armctl supports mesh, box, cylinder and sphere")
         placement = pinocchio.SE3.Identity()
         if (origin := collision.find("origin")) is not None:
-            rotation = pinocchio.rpy.rpyToMatrix(self._numbers(origin, "rpy", what, 3, "0 0 0"))
-            placement = pinocchio.SE3(rotation, self._numbers(origin, "xyz", what, 3, "0 0 0"))
+            rotation = pinocchio.rpy.rpyToMatrix(self._numbers(origin, "rpy", description, 3, "0 0 0"))
+            placement = pinocchio.SE3(rotation, self._numbers(origin, "xyz", description, 3, "0 0 0"))
         return Shape(link, vertices @ placement.rotation.T + placement.translation, triangles)
 
-    def _mesh(self, shape: Element, what: str) -> tuple[Array, NDArray[np.int32]]:
+    def _mesh(self, shape: Element, description: str) -> tuple[Array, NDArray[np.int32]]:
         filename = shape.get("filename", "")
         try:
-            return self._meshes.read(filename, self._numbers(shape, "scale", what, 3, "1 1 1"))
+            return self._meshes.read(filename, self._numbers(shape, "scale", description, 3, "1 1 1"))
         except MeshError as error:
-            raise self._error(f"the mesh {short(filename)} of a {what} {error}") from error
+            raise self._error(f"the mesh {short(filename)} of a {description} {error}") from error
 
-    def _numbers(self, element: Element, attribute: str, what: str, count: int, default: str | None = None) -> Array:
+    def _numbers(self, element: Element, attribute: str, owner: str, count: int, default: str | None = None) -> Array:
         words = element.get(attribute, default or "").split()
         if len(words) != count:
-            raise self._error(f"{what} needs {count} numbers as {attribute}, not {short(' '.join(words))}")
-        return np.array([self._number(word, f"{attribute} of {what}") for word in words])
+            raise self._error(f"{owner} needs {count} numbers as {attribute}, not {short(' '.join(words))}")
+        return np.array([self._number(word, f"{attribute} of {owner}") for word in words])
 
-    def _number(self, word: str, what: str) -> float:
+    def _number(self, word: str, place: str) -> float:
         try:
             number = float(word)
         except ValueError:
             number = math.nan
         if not abs(number) <= LARGEST:
-            raise self._error(f"{what}: {short(word)} is not a finite number between -{LARGEST:g} and {LARGEST:g}")
+            raise self._error(f"{place}: {short(word)} is not a finite number between -{LARGEST:g} and {LARGEST:g}")
         return number
 
-    def _positive(self, numbers: Array, what: str) -> Array:
+    def _positive(self, numbers: Array, description: str) -> Array:
         if not (numbers >= LEAST_SIZE).all():
-            raise self._error(f"{what} has a size of {numbers.min():g}")
+            raise self._error(f"{description} has a size of {numbers.min():g}")
         return numbers
 
 
 def _end(joint: Element, tag: str) -> str:
-    found = joint.find(tag)
-    return "" if found is None else found.get("link", "")
+    element = joint.find(tag)
+    return "" if element is None else element.get("link", "")
 
 
 def short(text: str) -> str:
-    """A text from a file as messages show it: quoted, and not too long."""
+    """Return a text from a file as messages show it: quoted, and not too long."""
     return reprlib.repr(text)
 
 
 def _rings(shape: str, radius: float, half_length: float, points: int = 24) -> Iterator[tuple[float, float, float]]:
-    """Points on rings around z that enclose a shape: the two rims of a cylinder, or parallels of a sphere."""
+    """Return points on rings around z that enclose a shape: the two rims of a cylinder, or parallels of a sphere."""
     radius /= math.cos(math.pi / points)
     levels = [(radius, -half_length), (radius, half_length)]
     if shape == "sphere":

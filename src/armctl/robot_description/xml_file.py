@@ -15,7 +15,7 @@ MAX_DEPTH = 32
 
 
 def read_xml(path: Path) -> Element:
-    """Root element of a URDF or SRDF file; raises `ConfigurationError` if it is neither, or beyond the limits."""
+    """Return the root of a URDF or SRDF file; raises `ConfigurationError` if it is neither, or beyond the limits."""
     try:
         content = bounded_bytes(path, MAX_BYTES)
         root = ElementTree.fromstring(content, ElementTree.XMLParser(target=_Limited(path.name)))
@@ -31,7 +31,7 @@ def read_xml(path: Path) -> Element:
 
 
 def impossible_pairs(srdf: Path) -> set[frozenset[str]]:
-    """Pairs of links that cannot touch, according to an SRDF."""
+    """Return pairs of links that cannot touch, according to an SRDF."""
     pairs = read_xml(srdf).iter("disable_collisions")
     return {frozenset((pair.get("link1", ""), pair.get("link2", ""))) for pair in pairs}
 

@@ -32,7 +32,7 @@ SERVO_BANDWIDTH = 60.0
 """rad/s: natural frequency of the critically damped joint servos, which settle within a tenth of a second"""
 
 BRAKE_GAIN = 10.0
-"""With torque control, a joint that exceeds its velocity limit by a tenth is braked with its full effort."""
+"""Gain of the brakes: with torque control, a joint a tenth above its velocity limit is braked with its full effort."""
 
 HARD = (0.001, 1.0), (0.99, 0.99, 0.001, 0.5, 2.0)
 """`solref` and `solimp` of contacts and joint limits: as hard as physics steps of 2 ms allow (MuJoCo's manual, "Solver
@@ -100,18 +100,18 @@ class Arm:
 
     def command(self, actions: Array) -> None:
         """Set actions (n, dof), clipped to their bounds."""
-        wanted = np.clip(actions, self.action_low, self.action_high, out=self.drives.wanted)
+        setpoints = np.clip(actions, self.action_low, self.action_high, out=self.drives.setpoints)
         if self.control == "torque":
-            np.copyto(self._velocity_commands, wanted)
+            np.copyto(self._velocity_commands, setpoints)
         elif self.control == "delta":
-            wanted /= self.period
+            setpoints /= self.period
         elif self.control == "relative":
             limits = self.description.limits
-            np.clip(self.joint_positions + wanted, limits.lower, limits.upper, out=wanted)
+            np.clip(self.joint_positions + setpoints, limits.lower, limits.upper, out=setpoints)
 
 
 def speed_limits(description: ArmDescription) -> dict[str, float]:
-    """The joints' speed limits, rad/s, by their names in a world's model."""
+    """Return the joints' speed limits, rad/s, by their names in a world's model."""
     names = (PREFIX + name for name in description.joints)
     return dict(zip(names, description.limits.velocity, strict=True))
 
@@ -119,7 +119,7 @@ def speed_limits(description: ArmDescription) -> dict[str, float]:
 def build_arm_world(
     description: ArmDescription, control: str, furnish: Callable[[Any, ArmDescription], None] | None = None
 ) -> mujoco.MjModel:
-    """Model of the MJCF world `models/arm_reach.xml` with the arm at its origin, its servos, and the keyframe `home`.
+    """Return the MJCF world `models/arm_reach.xml` with the arm at its origin, its servos, and the keyframe `home`.
 
     `furnish`, a function of a module, adds to the `MjSpec` what else a task needs. Each world is compiled once; the
     model returned is a copy.
@@ -179,9 +179,9 @@ def _add_shapes(spec: mujoco.MjSpec, description: ArmDescription) -> None:
             conaffinity=0,
             mass=0,
         )
-    drawn = {mesh.link for mesh in description.meshes}
+    links_with_meshes = {mesh.link for mesh in description.meshes}
     for capsule in description.capsules:
-        group = _COLLISION_GROUP if capsule.link in drawn else _VISUAL_GROUP
+        group = _COLLISION_GROUP if capsule.link in links_with_meshes else _VISUAL_GROUP
         _add_capsule(_link(spec, capsule.link), capsule, group)
     for first, second in description.collision_pairs:
         add_collision_pair(spec, collision_geom(first), collision_geom(second))
@@ -193,7 +193,7 @@ def add_collision_pair(spec: Any, first: str, second: str) -> None:
 
 
 def _link(spec: mujoco.MjSpec, link: str) -> Any:
-    """Body of a link; MuJoCo merges a URDF's root link `world` with its own."""
+    """Return the body of a link; MuJoCo merges a URDF's root link `world` with its own."""
     return spec.body(PREFIX + link) or spec.worldbody
 
 
@@ -219,7 +219,7 @@ def _add_capsule(body: Any, capsule: Capsule, group: int) -> None:
 
 
 def _add_motors(spec: mujoco.MjSpec, description: ArmDescription) -> None:
-    """A motor per joint, and a brake for each of its directions, which acts above the velocity limit only."""
+    """Add a motor per joint, and a brake for each of its directions, which acts above the velocity limit only."""
     limits = description.limits
     joints = list(zip(description.joints, limits.effort, limits.velocity, strict=True))
     for name, effort, _ in joints:
@@ -237,7 +237,7 @@ def _add_motors(spec: mujoco.MjSpec, description: ArmDescription) -> None:
 
 
 def _add_servos(spec: mujoco.MjSpec, description: ArmDescription, inertia: Array) -> None:
-    """Two actuators per joint, driven by the command's velocity: one integrates it to a position, one feeds it forward.
+    """Add two actuators per joint, driven by the command's velocity: an integrator to a position, and a feed-forward.
 
     Together they form a critically damped servo: force = kp (command - q) + kv (command velocity - q velocity).
     """
@@ -254,7 +254,7 @@ def _add_servos(spec: mujoco.MjSpec, description: ArmDescription, inertia: Array
 
 
 def _joint_inertia(model: mujoco.MjModel) -> Array:
-    """Largest inertia at each joint over random configurations, (dof,) kg m^2."""
+    """Return the largest inertia at each joint over random configurations, (dof,) kg m^2."""
     data = mujoco.MjData(model)
     rng = np.random.default_rng(0)
     mass = np.zeros((model.nv, model.nv))

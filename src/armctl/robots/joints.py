@@ -43,5 +43,5 @@ class JointSamples:
         """What `Simulation.control_step` fills."""
 
     def since_last_step(self) -> Array:
-        """Joint speeds (rad/s) and motor torques at the joints (N m), (2, samples, n, k)."""
+        """Return joint speeds (rad/s) and motor torques at the joints (N m), (2, samples, n, k)."""
         return self._samples.copy()

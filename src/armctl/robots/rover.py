@@ -63,7 +63,7 @@ class Rover:
         self._ctrl[:, self._motors] = wheel_speeds(np.clip(velocities, -MAX_VELOCITY, MAX_VELOCITY))
 
     def wheel_samples(self, samples: int, period: float) -> JointSamples:
-        """Recorder of the wheels with `samples` per control period (s)."""
+        """Return a recorder of the wheels with `samples` per control period (s)."""
         torque = self._simulation.model.actuator_forcerange[self._motors, 1]
         limits = ActuatorLimits(np.full(len(WHEELS), MAX_WHEEL_SPEED), torque)
         return JointSamples(self._simulation, self._spin_columns, limits, samples, period)
@@ -112,7 +112,7 @@ class Rover:
 
 
 def wheel_speeds(velocities: Array) -> Array:
-    """Wheel speeds (n, 4) rad/s for linear and angular velocities (n, 2), m/s and rad/s."""
+    """Return wheel speeds (n, 4) rad/s for linear and angular velocities (n, 2), m/s and rad/s."""
     linear, angular = velocities.T
     turning = angular * TRACK * WHEEL_SEPARATION_MULTIPLIER / 2
     sides = np.stack((linear - turning, linear + turning), axis=1) / WHEEL_RADIUS

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from armctl.episodes.record import EpisodeResult
 from armctl.episodes.table import EpisodeTable, table_of
 from armctl.policies import Actions, ControllersFailed, Policy
-from armctl.runtime.provenance import BUSY, Run
+from armctl.runtime.provenance import MAX_BACKGROUND_LOAD, Run
 from armctl.tasks import Observations
 
 Errors = dict[int, BaseException]
@@ -131,8 +131,8 @@ def load_notes(results: EpisodeTable, runs: Iterable[Run]) -> list[str]:
     count = sum(found for (run, *_), found in played.items() if run in busy)
     where = "" if count == len(results) else f" in {count} of {len(results)} episodes"
     return [
-        f"Deadlines are not judged{where}: other processes kept more than {BUSY:.0%} of the processor's cores busy, so "
-        "that decision times are longer than those of an idle machine."
+        f"Deadlines are not judged{where}: other processes kept more than {MAX_BACKGROUND_LOAD:.0%} of the processor's "
+        "cores busy, so that decision times are longer than those of an idle machine."
     ]
 
 

@@ -1,1 +1,1 @@
-"""Where episodes are played, and by what code: workers, clusters, versions, checksums of what ran."""
+"""Execution of episodes, and provenance of their code: workers, clusters, versions, checksums of what ran."""

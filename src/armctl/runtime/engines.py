@@ -1,4 +1,4 @@
-"""Where work is done in parallel: in processes of this machine, or on a cluster of Ray or Dask.
+"""Parallel work: in processes of this machine, or on a cluster of Ray or Dask.
 
 An engine does units of work and yields their results as they come. Units of a worker that is lost are done again by
 another; each unit has one result. Ray and Dask are used directly: joblib's backend for Ray cannot yield results as they
@@ -17,17 +17,17 @@ from typing import Any, Self
 import joblib
 
 from armctl.core.errors import ConfigurationError, described, missing_extra, unknown_name
-from armctl.runtime.sending import Parcel
-from armctl.runtime.workers import Work, WorkersFailed, end_with_parent, here, work_in_child
+from armctl.runtime.sending import JobBundle
+from armctl.runtime.workers import Work, WorkersFailed, end_with_parent, environment_of, run_isolated
 
 RETRIES = 3
-"""How often a unit is done again whose worker was lost."""
+"""Number of times that a unit is done again whose worker was lost."""
 SILENCE = 30.0
 """s between two looks whether there are workers left, while none has finished anything."""
 AHEAD = 2
 """Units that wait or run on a cluster at once, per worker: so that none is idle between two units."""
 
-LEAST = 2
+MIN_CLUSTER_WORKERS = 2
 """Workers that are assumed: other machines' decision times are never judged as those of this one, working alone."""
 
 
@@ -35,11 +35,11 @@ class Engine(ABC):
     """Workers, each with a core. It is a context manager, whose end lets go of the workers."""
 
     workers: int
-    """How many units are worked on at once."""
-    is_here = False
-    """Whether it is this process alone."""
+    """Number of units that are worked on at once."""
+    is_local = False
+    """True if all work is done in this process."""
     groups_units = False
-    """Whether small units are sent together."""
+    """True if small units are sent together."""
 
     @abstractmethod
     def run(self, work: Work, shared: Any, units: Iterable[tuple[Any, ...]]) -> Generator[Any, None, None]:
@@ -59,12 +59,12 @@ class Engine(ABC):
 
 
 def engine_of(workers: "int | Engine") -> Engine:
-    """An engine; so many processes of this machine, if a number is given."""
+    """Return an engine; so many processes of this machine, if a number is given."""
     return workers if isinstance(workers, Engine) else Local(workers)
 
 
 def connect(address: str, workers: int = 1) -> Engine:
-    """The engine at an address: `local`, `ray`, `ray://HOST:PORT` or `dask://HOST:PORT`.
+    """Return the engine at an address: `local`, `ray`, `ray://HOST:PORT` or `dask://HOST:PORT`.
 
     `ray` is the cluster of which this machine is a part, or else this machine. `workers` is for `local`.
 
@@ -88,7 +88,7 @@ class Local(Engine):
     groups_units = True
 
     def __init__(self, workers: int) -> None:
-        self.workers, self.is_here = workers, workers == 1
+        self.workers, self.is_local = workers, workers == 1
 
     def run(self, work: Work, shared: Any, units: Iterable[tuple[Any, ...]]) -> Generator[Any, None, None]:
         """Yield results; see `Engine`. What this process has imported, or has in memory, its workers can use."""
@@ -107,18 +107,18 @@ class Local(Engine):
 
 
 class Cluster(Engine):
-    """Workers on other machines, to which everything is sent in a parcel."""
+    """Workers on other machines, to which everything is sent in a bundle."""
 
     def run(
         self, work: Work, shared: Any, units: Iterable[tuple[Any, ...]], files: Iterable[Path] = ()
     ) -> Generator[Any, None, None]:
         """Yield results; see `Engine`. `files` are sent along, which `shared` names by relative paths."""
-        parcel = Parcel.of(shared, files)
-        yield from self._results(work_in_child, (work, parcel, here(work)), units)
+        bundle = JobBundle.of(shared, files)
+        yield from self._results(run_isolated, (work, bundle, environment_of(work)), units)
 
     @abstractmethod
     def count(self) -> int:
-        """How many workers there are at present."""
+        """Return the present number of workers."""
 
     @abstractmethod
     def _results(self, function: Work, first: tuple[Any, ...], units: Iterable[Any]) -> Generator[Any, None, None]:
@@ -134,31 +134,31 @@ class Ray(Cluster):
         except ModuleNotFoundError as error:
             raise missing_extra("--on ray", error, "cluster") from error
         os.environ.setdefault("RAY_IGNORE_UNHANDLED_ERRORS", "1")  # they are raised here
-        self._ray, self._begun = ray, not ray.is_initialized()
-        if address and not self._begun:
+        self._ray, self._started_here = ray, not ray.is_initialized()
+        if address and not self._started_here:
             raise ConfigurationError(f"this process belongs to a cluster of Ray already: `ray` is that, not {address}")
-        if self._begun:
+        if self._started_here:
             try:
                 ray.init(address, log_to_driver=False, logging_level="ERROR", include_dashboard=False)
             except (ConnectionError, ValueError, RuntimeError) as error:
                 raise ConfigurationError(
                     f"no cluster of Ray answers at {address}: {error}. If it asks for a token, set RAY_AUTH_MODE=token"
                 ) from error
-        self.workers = max(LEAST, self.count())
+        self.workers = max(MIN_CLUSTER_WORKERS, self.count())
 
     def count(self) -> int:
-        """Processors of the cluster at present."""
+        """Return the present number of processors of the cluster."""
         return int(self._ray.cluster_resources().get("CPU", 0))
 
     def close(self) -> None:
         """Leave the cluster, if this engine has joined it."""
-        if self._begun:
+        if self._started_here:
             self._ray.shutdown()
 
     def _results(self, function: Work, first: tuple[Any, ...], units: Iterable[Any]) -> Generator[Any, None, None]:
         ray = self._ray
         task = ray.remote(num_cpus=1, max_retries=RETRIES)(function)
-        sent, waiting = [ray.put(one) for one in first], iter(units)
+        sent, waiting = [ray.put(item) for item in first], iter(units)
         running: list[Any] = []
         try:
             while True:
@@ -170,13 +170,13 @@ class Ray(Cluster):
                 finished, running = ray.wait(running, num_returns=len(running), timeout=0)
                 yield from _fetched(ray.get, finished)
         except ray.exceptions.RayTaskError as error:
-            raise _told(error.cause) from None
+            raise _as_workers_failed(error.cause) from None
         except (ray.exceptions.RayError, ConnectionError) as error:
             raise _lost(error) from error
         finally:
             with contextlib.suppress(Exception):  # of a cluster that was lost
-                for one in running:
-                    ray.cancel(one)
+                for item in running:
+                    ray.cancel(item)
 
 
 class Dask(Cluster):
@@ -192,7 +192,7 @@ class Dask(Cluster):
             self._client = distributed.Client(address, timeout=10, set_as_default=False)
         except OSError as error:
             raise ConfigurationError(f"no scheduler of Dask answers at {address}: {error}") from error
-        self.workers = max(LEAST, self.count())
+        self.workers = max(MIN_CLUSTER_WORKERS, self.count())
 
     def close(self) -> None:
         """Leave the cluster."""
@@ -200,7 +200,7 @@ class Dask(Cluster):
 
     def _results(self, function: Work, first: tuple[Any, ...], units: Iterable[Any]) -> Generator[Any, None, None]:
         # sent as tasks, which the scheduler keeps: data that is scattered is lost with the workers that hold it
-        sent = [self._client.submit(_itself, one, pure=False) for one in first]
+        sent = [self._client.submit(_itself, item, pure=False) for item in first]
         waiting = iter(units)
         running: set[Any] = set()
         try:
@@ -217,7 +217,7 @@ class Dask(Cluster):
                 self._client.cancel(list(running))
 
     def _first_of(self, running: set[Any]) -> set[Any]:
-        """Those that have finished, as soon as one has. Raises `WorkersFailed` if no worker is left for that."""
+        """Return the units that have finished, as soon as one has. Raises `WorkersFailed` if no worker is left."""
         while True:
             try:
                 with self._client.as_current():
@@ -240,19 +240,19 @@ class Dask(Cluster):
             raise _lost(error) from error
 
     def count(self) -> int:
-        """Worker processes of the cluster at present."""
+        """Return the present number of the cluster's worker processes."""
         return len(self._client.scheduler_info(n_workers=-1)["workers"])
 
 
 def _fetched(fetch: Callable[[list[Any]], list[Any]], finished: list[Any]) -> Iterator[Any]:
-    """Results of what has finished, by one call, since a call takes longer than a result; if one failed, by one each.
+    """Yield results of finished units by one call, since a call takes longer than a result; one each if one failed.
 
     So those before it are kept. Raises what `fetch` raises for it.
     """
     try:
         results: Iterable[Any] = fetch(finished)
     except Exception:  # whatever a unit raises
-        results = (fetch([one])[0] for one in finished)
+        results = (fetch([unit])[0] for unit in finished)
     yield from results
 
 
@@ -260,7 +260,7 @@ def _lost(error: Exception) -> WorkersFailed:
     return WorkersFailed(f"workers died again and again, or the cluster was lost: {error}")
 
 
-def _told(error: BaseException) -> WorkersFailed:
+def _as_workers_failed(error: BaseException) -> WorkersFailed:
     return error if isinstance(error, WorkersFailed) else WorkersFailed(described(error))
 
 

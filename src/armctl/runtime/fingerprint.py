@@ -32,7 +32,7 @@ from armctl.core.errors import described
 from armctl.runtime.own_code import file_of, in_plugin, is_own
 
 UNKNOWN = "unknown ("
-"""What the text begins with that stands for the checksum of an object which has none."""
+"""Beginning of the text that replaces a checksum for an object without one."""
 _ATOMS = (type(None), bool, int, float, complex, str, bytes)
 _CONTAINERS: tuple[Any, ...] = (list, tuple, dict, set, frozenset, str, bytes, int, float)
 """Built-in classes, which others inherit; called with such an object, they return what is inherited."""
@@ -41,11 +41,11 @@ _HEAP_TYPE = 1 << 9
 """`Py_TPFLAGS_HEAPTYPE`: whether a class may have been defined in Python."""
 
 
-def fingerprint(given: Any) -> str:
+def fingerprint(value: Any) -> str:
     """Return a checksum of an object; a unique text with the reason if it has none, so that it equals nothing."""
     hasher = _Hasher()
     try:
-        hasher.add(given)
+        hasher.add(value)
     except Exception as error:  # taking an object apart may raise anything
         return f"{UNKNOWN}{hasher.place}: {described(error)}, {uuid.uuid4().hex[:8]})"
     return hasher.checksum
@@ -121,14 +121,14 @@ def _checksum_of(obj: Any) -> str:
     return hasher.checksum
 
 
-def _in_order(given: Mapping[Any, Any]) -> Iterable[tuple[Any, Any]]:
-    if all(isinstance(key, str) for key in given):
-        return sorted(given.items())  # no two keys are equal, so that no values are compared
-    return sorted(given.items(), key=lambda item: _checksum_of(item[0]))
+def _in_order(mapping: Mapping[Any, Any]) -> Iterable[tuple[Any, Any]]:
+    if all(isinstance(key, str) for key in mapping):
+        return sorted(mapping.items())  # no two keys are equal, so that no values are compared
+    return sorted(mapping.items(), key=lambda item: _checksum_of(item[0]))
 
 
 def _parts(obj: Any) -> tuple[Any, ...]:
-    """What an object is made of; a name, for what counts by that."""
+    """Yield what an object is made of; a name, for what counts by that."""
     match obj:
         case CodeType():
             return _code(obj)
@@ -200,7 +200,7 @@ def _class(cls: type[Any]) -> tuple[Any, ...]:
 
 
 def _object(obj: Any) -> tuple[Any, ...]:
-    """An object by its type and all its attributes; as it would be pickled, if its class is not one's own."""
+    """Yield an object by its type and all its attributes; as it would be pickled, if its class is not one's own."""
     cls = type(obj)
     if _name_of(cls) or _is_compiled(sys.modules.get(cls.__module__)):
         return "object", cls, *_reduced(obj)
@@ -217,7 +217,7 @@ def _object(obj: Any) -> tuple[Any, ...]:
 
 
 def _reduced(obj: Any) -> tuple[Any, ...]:
-    """What `pickle` would write of an object."""
+    """Return what `pickle` would write of an object."""
     reduce = copyreg.dispatch_table.get(type(obj))
     reduced: Any = reduce(obj) if reduce else obj.__reduce_ex__(4)
     if isinstance(reduced, str):
@@ -240,30 +240,30 @@ def _statistics(model: Any) -> Any:
 
 
 def _name_of(code: Any) -> tuple[Any, ...]:
-    """A function or class by its name, if an installed package defines it under that; empty for all others."""
+    """Return a function or class by its name, if an installed package defines it under that; empty for all others."""
     module = sys.modules.get(code.__module__ or "")
     if module is None or module.__name__ == "__main__" or is_own(module):
         return ()
-    found: Any = module
+    member: Any = module
     for name in code.__qualname__.split("."):
-        found = getattr(found, name, None)
-    return ("named", code.__module__, code.__qualname__) if found is code else ()
+        member = getattr(member, name, None)
+    return ("named", code.__module__, code.__qualname__) if member is code else ()
 
 
 def _is_compiled(module: ModuleType | None) -> bool:
-    """Whether a module is not written in Python, so that attributes do not tell all of its objects."""
+    """Return True if a module is not written in Python, so that attributes do not tell all of its objects."""
     if module is None or module.__name__ in sys.builtin_module_names:
         return module is not None
     return str(getattr(module, "__file__", "")).endswith(tuple(EXTENSION_SUFFIXES))
 
 
 def _globals_of(function: FunctionType) -> dict[str, Any]:
-    """The global names that a function uses, with what they stand for."""
+    """Yield the global names that a function uses, with what they stand for."""
     return _named(function.__globals__, frozenset(_names(function.__code__)))
 
 
 def _named(namespace: Mapping[str, Any], names: frozenset[str]) -> dict[str, Any]:
-    """What code with these names uses of a namespace; of a module of one's own, its attributes with these names."""
+    """Yield what code with these names uses of a namespace; of one's own module, its attributes with these names."""
     values = {name: namespace[name] for name in names if name in namespace and not name.startswith("__")}
     return {
         name: [value, _named(vars(value), names - {name})] if isinstance(value, ModuleType) and is_own(value) else value
@@ -279,6 +279,6 @@ def _names(code: CodeType) -> Iterator[str]:
 
 
 def _source(module: ModuleType) -> tuple[bytes, ...]:
-    """The content of the file of a module of one's own."""
+    """Return the content of the file of a module of one's own."""
     file = file_of(module)
     return (file.read_bytes(),) if file is not None and is_own(module) else ()

@@ -1,4 +1,4 @@
-"""What determines a comparison's episodes: a results folder holds the episodes of one identity only."""
+"""Identity of a comparison: what determines its episodes. A results folder holds the episodes of one identity only."""
 
 import ast
 import functools
@@ -29,7 +29,7 @@ from armctl.runtime.state_guard import constants
 WITHOUT_EFFECT = {"baselines", "cli", "datasets", "models", "report", "rl", "viewer"}
 """Folders of armctl that take no part in an episode, or count by other means."""
 LOADED = "loaded"
-"""In an identity: the files of all modules of one's own that were loaded."""
+"""Key of an identity: the files of all modules of one's own that were loaded."""
 _first_seen: dict[Path, bytes] = {}
 """Files of modules, as this process has seen them first."""
 
@@ -38,33 +38,33 @@ def identity(
     env: str,
     env_options: Mapping[str, Any],
     seed: int,
-    given: Mapping[str, Any],
+    requested: Mapping[str, Any],
     policies: Mapping[str, Policy],
     worlds: EpisodeVectorEnv,
     real_time: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Everything that determines a comparison's episodes, as JSON values.
+    """Return everything that determines a comparison's episodes, as JSON values.
 
-    `given` are the policies as they were asked for, `policies` as they were made for `worlds`, as far as they play;
+    `requested` are the policies as they were asked for, `policies` as they were made for `worlds`, as far as they play;
     `real_time` is `RealTime.identity`. Agents, code of one's own, objects, files among the options, the compiled MuJoCo
     model with its meshes, and armctl's source count by checksum; so do the task's constants, as they are, and all
     loaded modules of one's own, by their files. What other files a policy or an environment opens is not known, nor
     what it imports by a computed name while it plays.
     """
-    definitions = {name: _definition(policy) for name, policy in given.items()}
+    definitions = {name: _definition(policy) for name, policy in requested.items()}
     return {
         "env": env,
         "env_options": {name: _in_words(value) for name, value in env_options.items()},
         "registered": _registration(env),
         "seed": seed,
         "real_time": real_time,
-        "policies": list(given),
+        "policies": list(requested),
         "sees": {name: policy.sees for name, policy in policies.items()},
         "agents": {name: policy.card.sha256 for name, policy in policies.items() if isinstance(policy, OnnxPolicy)},
         "interfaces": {
             name: policy.card.env_options for name, policy in policies.items() if isinstance(policy, OnnxPolicy)
         },
-        "objects": {name: fingerprint(given) for name, given in definitions.items() if given is not None},
+        "objects": {name: fingerprint(requested) for name, requested in definitions.items() if requested is not None},
         "makers": fingerprint([*_makers(env, worlds)]),
         "constants": fingerprint(constants(worlds)),
         LOADED: _loaded(),
@@ -77,7 +77,7 @@ def identity(
 def checksums(
     env: str, worlds: EpisodeVectorEnv, env_options: Mapping[str, Any], things: Iterable[Any] = ()
 ) -> dict[str, Any]:
-    """Checksums of the code of an environment and of other things, of files among its options, and of its model."""
+    """Return checksums of the code of an environment and of other things, of files among its options, and its model."""
     return {
         "code": checksums_of_code([*things, *_makers(env, worlds)]),
         "files": {str(value): short_checksum(Path(value).read_bytes()) for value in _files(env_options.values())},
@@ -85,25 +85,25 @@ def checksums(
     }
 
 
-def differences(stored: Mapping[str, Any], here: Mapping[str, Any]) -> list[str]:
-    """What differs between two identities, in words."""
-    found = []
-    for name, value in here.items():
+def differences(stored: Mapping[str, Any], local: Mapping[str, Any]) -> list[str]:
+    """Return what differs between two identities, in words."""
+    texts = []
+    for name, value in local.items():
         other = stored.get(name)
         if isinstance(value, dict) and isinstance(other, dict):
             keys = [key for key in {**other, **value} if other.get(key) != value.get(key)]
-            found += [f"{name}: {key} {other.get(key)} there, {value.get(key)} here" for key in keys]
+            texts += [f"{name}: {key} {other.get(key)} there, {value.get(key)} here" for key in keys]
         elif other != value:
-            found.append(f"{name}: {other} there, {value} here")
-    return found
+            texts.append(f"{name}: {other} there, {value} here")
+    return texts
 
 
-def reasons_not_to_resume(stored: Mapping[str, Any], here: Mapping[str, Any]) -> list[str]:
-    """Why episodes of a stored identity cannot be continued here, in words: what has no checksum, or what differs.
+def reasons_not_to_resume(stored: Mapping[str, Any], local: Mapping[str, Any]) -> list[str]:
+    """Return why episodes of a stored identity cannot be continued, in words: a missing checksum, or a difference.
 
-    Modules of one's own that have been loaded since then do not count; those which were loaded then do, loaded or not.
+    Modules of one's own that were loaded then count, loaded now or not; modules loaded since then do not.
     """
-    fields = [(name, what) for name, what in here.items() if isinstance(what, Mapping)] + [("", here)]
+    fields = [(name, value) for name, value in local.items() if isinstance(value, Mapping)] + [("", local)]
     unknown = [
         f"episodes of {name} cannot be resumed, since it cannot be hashed ({value.removeprefix(UNKNOWN)[:-11]}): use a "
         "module:function"
@@ -112,12 +112,12 @@ def reasons_not_to_resume(stored: Mapping[str, Any], here: Mapping[str, Any]) ->
         if isinstance(value, str) and value.startswith(UNKNOWN)
     ]
     loaded = stored.get(LOADED)
-    now = {file: _checksum_at(Path(file)) for file in loaded} if isinstance(loaded, Mapping) else None
-    return unknown or differences(stored, {**here, LOADED: now})
+    present = {file: _checksum_at(Path(file)) for file in loaded} if isinstance(loaded, Mapping) else None
+    return unknown or differences(stored, {**local, LOADED: present})
 
 
 def checksums_of_code(things: Iterable[Any]) -> dict[str, str]:
-    """Checksums of the files that define some functions, classes, objects and modules, by file name.
+    """Return checksums of the files that define some functions, classes, objects and modules, by file name.
 
     Files of one's own which these import count too, wherever in the code they do. The core of armctl is left out, and
     so are scripts and notebooks, which may change from run to run: what these define has a `fingerprint`.
@@ -125,14 +125,14 @@ def checksums_of_code(things: Iterable[Any]) -> dict[str, str]:
     Raises `ConfigurationError` if a file has changed since this process has first seen it.
     """
     modules = [thing if inspect.ismodule(thing) else inspect.getmodule(_code_of(thing)) for thing in things]
-    waiting = [file for one in modules if one is not None and _counts(one) and (file := file_of(one))]
+    waiting = [file for module in modules if module is not None and _counts(module) and (file := file_of(module))]
     sources: dict[str, list[bytes]] = {}
-    seen: set[Path] = set()
+    visited: set[Path] = set()
     while waiting:
         file = waiting.pop()
-        if file in seen:
+        if file in visited:
             continue
-        seen.add(file)
+        visited.add(file)
         sources.setdefault(file.name, []).append(content := file.read_bytes())
         _check_unchanged(file, content)
         waiting += _imports_of(file, content)
@@ -140,38 +140,39 @@ def checksums_of_code(things: Iterable[Any]) -> dict[str, str]:
 
 
 def own_modules() -> dict[str, Path]:
-    """Files of all imported modules that belong to no installed package, by name.
+    """Return files of all imported modules that belong to no installed package, by name.
 
     Raises `ConfigurationError` if a file has changed since this process has first seen it.
     """
-    own = _own_files()
-    for file in own.values():
+    files = _own_files()
+    for file in files.values():
         _check_unchanged(file, file.read_bytes())
-    return own
+    return files
 
 
 def _loaded() -> dict[str, str]:
-    """Checksums of the files of all loaded modules of one's own, by their paths, relative to this folder if in it."""
+    """Return checksums of the files of one's own loaded modules, by their paths, relative to this folder if in it."""
     files = set(_own_files().values())
-    here = Path.cwd()
+    folder = Path.cwd()
     return {
-        str(file.relative_to(here) if file.is_relative_to(here) else file): _checksum_at(file) for file in sorted(files)
+        str(file.relative_to(folder) if file.is_relative_to(folder) else file): _checksum_at(file)
+        for file in sorted(files)
     }
 
 
 def _own_files() -> dict[str, Path]:
-    """Files of all loaded modules of one's own, by the modules' names."""
-    found = {name: file_of(module) for name, module in list(sys.modules.items())}
+    """Return files of all loaded modules of one's own, by the modules' names."""
+    files = {name: file_of(module) for name, module in list(sys.modules.items())}
     others = "__main__", "__mp_main__", "armctl"  # the script, also as multiprocessing calls it
     return {
         name: file
-        for name, file in found.items()
+        for name, file in files.items()
         if file is not None and name.partition(".")[0] not in others and not is_library(file)
     }
 
 
 def _checksum_at(file: Path) -> str:
-    """The checksum of a module's file; another text if it is gone, or is no longer what this process has loaded."""
+    """Return the checksum of a module's file; another text if it is gone or has changed since it was loaded."""
     try:
         content = file.read_bytes()
     except OSError:
@@ -186,43 +187,43 @@ def _check_unchanged(file: Path, content: bytes) -> None:
 
 
 def _definition(policy: Any) -> Any:
-    """What defines a policy: a function, a class or an object; None for a learned agent's file."""
+    """Return what defines a policy: a function, a class or an object; None for a learned agent's file."""
     if not isinstance(policy, (str, Path)):
         return policy
     name = str(policy)
-    if (found := configured(name)) is not None:
-        return found.make()
+    if (configuration := configured(name)) is not None:
+        return configuration.make()
     if name in policy_names():
         return installed(GROUP)[name].load()
     return import_attribute(name, "policy") if ":" in name else None
 
 
 def _makers(env: str, worlds: EpisodeVectorEnv) -> Iterator[Any]:
-    """What makes an environment: its task, or its class, wrappers and constructor; and the module that registers it."""
+    """Yield what makes an environment: its task, or its class, wrappers and constructor; and its registering module."""
     module, _, _ = env.rpartition(":")
     if module:
         yield import_named(module, env)
     if not isinstance(worlds, ThirdPartyVectorEnv):
         yield type(worlds.task)
         return
-    made = worlds.worlds[0]
-    while made is not made.unwrapped:
-        yield type(made)
-        made = made.env  # type: ignore[attr-defined]
-    yield type(made)
+    world = worlds.worlds[0]
+    while world is not world.unwrapped:
+        yield type(world)
+        world = world.env  # type: ignore[attr-defined]
+    yield type(world)
     if (maker := find_spec(env).entry_point) is not None:
         yield load_env_creator(maker) if isinstance(maker, str) else maker
 
 
 def _registration(env: str) -> str:
-    """A checksum of what an environment was registered with. The code of its maker counts by itself."""
+    """Return a checksum of what an environment was registered with. The code of its maker counts by itself."""
     spec = find_spec(env)
     maker = getattr(spec.entry_point, "__qualname__", spec.entry_point)
     return fingerprint((maker, spec.max_episode_steps, spec.kwargs, spec.additional_wrappers))
 
 
 def _in_words(value: Any) -> str:
-    """An option's value; a checksum, if it is not made of plain values."""
+    """Return an option's value; a checksum, if it is not made of plain values."""
     return str(value) if _is_plain(value) else fingerprint(value)
 
 
@@ -244,7 +245,7 @@ def _code_of(thing: Any) -> Any:
 
 
 def _imports_of(file: Path, content: bytes) -> Iterator[Path]:
-    """The files of one's own that a module imports, at its beginning or later."""
+    """Yield the files of one's own that a module imports, at its beginning or later."""
     try:
         nodes = list(ast.walk(ast.parse(content)))
     except (SyntaxError, ValueError):  # an extension module, or a file that nothing imports in fact
@@ -262,15 +263,15 @@ def _imports_of(file: Path, content: bytes) -> Iterator[Path]:
                 continue
         for name in filter(None, names):
             module = sys.modules.get(name) if folder == file.parent else None
-            if module is not None and is_own(module) and (found := file_of(module)):
-                yield found
+            if module is not None and is_own(module) and (path := file_of(module)):
+                yield path
             beside = folder.joinpath(*name.split("."))
             if not is_library(beside):
                 yield from filter(Path.is_file, (beside.with_suffix(".py"), beside / "__init__.py"))
 
 
 def _imports_by_name(function: ast.expr) -> bool:
-    """Whether an expression is one of Python's functions that import a module by a text."""
+    """Return True if an expression is one of Python's functions that import a module by a text."""
     name = getattr(function, "attr", getattr(function, "id", ""))
     return name in ("import_module", "__import__")
 
@@ -290,7 +291,7 @@ def _checksum_of_model(worlds: EpisodeVectorEnv) -> str | None:
 
 @functools.cache
 def checksum_of_core(also: str = "") -> str:
-    """Checksum of armctl's own files that may take part in an episode, and of those in the folder `also`."""
+    """Return the checksum of armctl's own files that may take part in an episode, and of those in the folder `also`."""
     package = importlib.util.find_spec("armctl")
     assert package is not None
     files = {

@@ -15,12 +15,12 @@ _PACKAGES = {"site-packages", "dist-packages"}
 
 
 def is_core(module: ModuleType) -> bool:
-    """Whether a module is armctl's, and not one of the plug-ins that come with it."""
+    """Return True if a module is armctl's, and not one of the plug-ins that come with it."""
     return f"{module.__name__}.".startswith("armctl.") and not is_plugin(module)
 
 
 def is_plugin(module: ModuleType) -> bool:
-    """Whether a module belongs to a package that offers policies."""
+    """Return True if a module belongs to a package that offers policies."""
     return module.__name__.startswith(_plugins())
 
 
@@ -30,7 +30,7 @@ def _plugins() -> tuple[str, ...]:
 
 
 def in_plugin(path: PurePath) -> PurePath:
-    """A path in a plug-in relative to its folder, which is another on each machine; any other path as it is."""
+    """Return a path in a plug-in relative to its folder, which is another on each machine; any other path as it is."""
     folders = (
         Path(file).parent for name in _plugins() if (file := getattr(sys.modules.get(name[:-1]), "__file__", ""))
     )
@@ -38,7 +38,7 @@ def in_plugin(path: PurePath) -> PurePath:
 
 
 def is_own(module: ModuleType) -> bool:
-    """Whether a module is the user's or a plug-in's: neither of another installed package, nor Python's."""
+    """Return True if a module is the user's or a plug-in's: neither of another installed package, nor Python's."""
     file = file_of(module)
     if file is None or is_core(module):
         return False
@@ -46,7 +46,7 @@ def is_own(module: ModuleType) -> bool:
 
 
 def is_library(file: Path) -> bool:
-    """Whether a file or folder belongs to Python or to an installed package."""
+    """Return True if a file or folder belongs to Python or to an installed package."""
     return not _PACKAGES.isdisjoint(file.parts) or any(map(file.is_relative_to, _libraries()))
 
 
@@ -57,6 +57,6 @@ def _libraries() -> tuple[Path, ...]:
 
 
 def file_of(module: ModuleType) -> Path | None:
-    """A module's file; None if it has none that is there."""
+    """Return a module's file; None if it has none that exists."""
     file = getattr(module, "__file__", None)
     return Path(file).resolve() if file and Path(file).is_file() else None

@@ -17,13 +17,13 @@ from armctl.core.files import digest
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 """Environment variables that say how many threads a process may use."""
-BUSY = 0.25
+MAX_BACKGROUND_LOAD = 0.25
 """Share of the cores that other processes may keep busy while decisions are held against deadlines."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """One call of `compare`: when, with what and where its episodes were played. Loads are one-minute averages."""
+    """Call of `compare`: when, with what and where its episodes were played. Loads are one-minute averages."""
 
     id: str
     """Digest of the comparison's identity and of all that is known at the start."""
@@ -33,35 +33,35 @@ class Run:
     processor: str
     cores: int | None
     threads: dict[str, str]
-    """Those of `THREADS` that are set."""
+    """Values of those of `THREADS` that are set."""
     worlds: int
     workers: int
     load_start: float | None = None
     """None where the system does not tell."""
     load_most: float | None = None
-    """At the end of any episode; this and the next are None if the run was killed."""
+    """Highest load at the end of any episode; this and the next are None if the run was killed."""
     load_end: float | None = None
     load_own: float | None = None
     """Processor time of this process, over the time that passed."""
     judged: int | None = None
-    """After how many episodes of every policy it told a verdict; None if it was killed before."""
+    """Number of episodes of every policy after which it told a verdict; None if it was killed before."""
     baseline: str | None = None
-    """That of the verdict, like the next one."""
+    """Baseline of the verdict; the next is its margin."""
     margin: float | None = None
     """None if it was killed before, and in results of older versions."""
 
     @property
     def busy(self) -> bool:
-        """Whether other processes kept more than `BUSY` of the cores busy. A load that is not known is none."""
+        """True if other processes kept more than `MAX_BACKGROUND_LOAD` of the cores busy; an unknown load is 0."""
         loads = [load for load in (self.load_start, self.load_most, self.load_end) if load is not None]
-        return max(loads, default=0.0) - max(1.0, self.load_own or 0.0) > BUSY * (self.cores or 1)
+        return max(loads, default=0.0) - max(1.0, self.load_own or 0.0) > MAX_BACKGROUND_LOAD * (self.cores or 1)
 
 
 class RunMeter:
     """Notes the load while a run goes on."""
 
     def __init__(self, identity: Mapping[str, Any], worlds: int, workers: int) -> None:
-        known: dict[str, Any] = {
+        facts: dict[str, Any] = {
             "date": datetime.now(UTC).isoformat(timespec="milliseconds"),
             "versions": versions(),
             **machine(),
@@ -70,53 +70,54 @@ class RunMeter:
             "workers": workers,
             "load_start": load_average(),
         }
-        self.run = Run(digest([identity, known]), **known)
-        self._most = self.run.load_start
+        self.run = Run(digest([identity, facts]), **facts)
+        self._highest_load = self.run.load_start
         self._wall, self._processor = time.perf_counter(), time.process_time()
 
-    def look(self) -> None:
+    def update_load(self) -> None:
         """Note the load of this moment."""
-        if self._most is not None:
-            self._most = max(self._most, load_average() or 0.0)
+        if self._highest_load is not None:
+            self._highest_load = max(self._highest_load, load_average() or 0.0)
 
-    def ended(self, judged: int, baseline: str | None, margin: float) -> Run:
-        """The run with its loads, at the end of which so many episodes of every policy were judged like this."""
-        self.look()
-        own = (time.process_time() - self._processor) / max(time.perf_counter() - self._wall, 1e-9)
+    def finished(self, judged: int, baseline: str | None, margin: float) -> Run:
+        """Return the run with its loads, after so many judged episodes of every policy."""
+        self.update_load()
+        own_load = (time.process_time() - self._processor) / max(time.perf_counter() - self._wall, 1e-9)
         return replace(
-            self.run, load_most=self._most, load_end=load_average(), load_own=round(own, 2), judged=judged,
+            self.run, load_most=self._highest_load, load_end=load_average(), load_own=round(own_load, 2), judged=judged,
             baseline=baseline, margin=margin,
         )  # fmt: skip
 
 
 def earlier_looks(runs: Sequence[Run]) -> list[int]:
-    """The numbers of episodes of every policy after which runs before the last one told a verdict."""
+    """Return the numbers of episodes of every policy after which runs before the last one told a verdict."""
     return sorted({run.judged for run in runs[:-1] if run.judged} - {run.judged for run in runs[-1:]})
 
 
 def looks_in_words(looks: Sequence[int]) -> str:
-    """What earlier looks mean for a verdict, as a part of its sentence; there is at least one."""
-    counts = [f"{one:,}" for one in looks]
+    """Return what earlier looks mean for a verdict, as a part of its sentence; there is at least one."""
+    counts = [f"{update_load:,}" for update_load in looks]
     listed = counts[0] if len(counts) == 1 else f"{', '.join(counts[:-1])} and {counts[-1]}"
     times = f"{len(counts)} earlier looks" if len(counts) > 1 else "an earlier look"
     return f"after {times} at {listed} episodes, p is too small and intervals are too narrow"
 
 
 def with_looks(sentence: str, looks: Sequence[int]) -> str:
-    """A sentence that names earlier looks at its end; an empty one stays empty."""
+    """Return a sentence that names earlier looks at its end; an empty one stays empty."""
     return f"{sentence.removesuffix('.')}; {looks_in_words(looks)}." if sentence and looks else sentence
 
 
 def argument_notes(runs: Sequence[Run]) -> list[str]:
-    """A remark if a verdict was told before the last run's by other arguments."""
-    told, last = [run for run in runs[:-1] if run.judged], runs[-1]
-    others = {(run.baseline, run.margin) for run in told if run.margin is not None} - {(last.baseline, last.margin)}
-    said = sorted(f"{f'baseline {name}' if name else 'no baseline'}, margin {margin:g}" for name, margin in others)
-    return [f"A verdict was told before by other arguments: {'; '.join(said)}."] if said else []
+    """Return a remark if a verdict was told before the last run's by other arguments."""
+    judged_runs, last = [run for run in runs[:-1] if run.judged], runs[-1]
+    others = {(run.baseline, run.margin) for run in judged_runs if run.margin is not None}
+    others -= {(last.baseline, last.margin)}
+    arguments = sorted(f"{f'baseline {name}' if name else 'no baseline'}, margin {margin:g}" for name, margin in others)
+    return [f"A verdict was told before by other arguments: {'; '.join(arguments)}."] if arguments else []
 
 
 def load_average() -> float | None:
-    """The mean number of processes that ran or waited in the last minute; None where the system does not tell."""
+    """Return the mean number of processes that ran or waited in the last minute; None where the system is silent."""
     try:
         return round(os.getloadavg()[0], 2)
     except (AttributeError, OSError):
@@ -124,7 +125,7 @@ def load_average() -> float | None:
 
 
 def processor_model() -> str:
-    """The processor's name, as far as the system tells it."""
+    """Return the processor's name, as far as the system tells it."""
     with contextlib.suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines():
             name, _, value = line.partition(":")
@@ -153,17 +154,17 @@ def _versions() -> dict[str, str]:
         "llvmlite",
         "coal",
     )
-    found = {"python": platform.python_version()} | {package: version(package) for package in packages}
+    numbers = {"python": platform.python_version()} | {package: version(package) for package in packages}
     with contextlib.suppress(PackageNotFoundError):  # only learners need it
-        found["torch"] = version("torch")
-    return found
+        numbers["torch"] = version("torch")
+    return numbers
 
 
 def versions() -> dict[str, str]:
-    """Versions of Python and of the packages on which results depend."""
+    """Return versions of Python and of the packages on which results depend."""
     return dict(_versions())
 
 
 def machine() -> dict[str, Any]:
-    """Properties of the machine on which decision times depend."""
+    """Return properties of the machine on which decision times depend."""
     return {"processor": processor_model(), "cores": os.cpu_count()}

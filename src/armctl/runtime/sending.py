@@ -1,4 +1,4 @@
-"""What work needs on another machine: objects, the files that they name, and modules of the user's own.
+"""Bundles of work for another machine: objects, the files that they name, and modules of the user's own.
 
 There, files lie in a temporary folder as they lie here in the root folder. So relative paths name the same files, and
 own modules are imported from where they were.
@@ -22,30 +22,30 @@ LARGEST = 256 * 2**20
 
 
 @dataclass(frozen=True)
-class Parcel:
+class JobBundle:
     """Objects, and files by their paths here, relative to the root folder."""
 
     objects: bytes
     files: Mapping[str, bytes]
     folders: tuple[str, ...]
-    """From which modules are imported, relative to the root folder; the first is the working directory."""
+    """Folders from which modules are imported, relative to the root folder; the first is the working directory."""
 
     @classmethod
-    def of(cls, objects: Any, files: Iterable[Path]) -> "Parcel":
+    def of(cls, objects: Any, files: Iterable[Path]) -> "JobBundle":
         """Pack objects with these files and all own modules.
 
         Raises `ConfigurationError` if something cannot be sent, or a module's file has changed since it was imported.
         """
         modules = own_modules()
-        wanted = dict.fromkeys([*map(Path.absolute, files), *modules.values()])
-        if (size := sum(file.stat().st_size for file in wanted)) > LARGEST:
-            raise ConfigurationError(f"{len(wanted)} files with {size:,} bytes are too large to be sent to workers")
+        to_send = dict.fromkeys([*map(Path.absolute, files), *modules.values()])
+        if (size := sum(file.stat().st_size for file in to_send)) > LARGEST:
+            raise ConfigurationError(f"{len(to_send)} files with {size:,} bytes are too large to be sent to workers")
         homes = dict.fromkeys([Path.cwd(), *(_home(name, file) for name, file in modules.items())])
         try:
             packed = cloudpickle.dumps(objects)
         except Exception as error:  # pickling an object may raise anything
             raise ConfigurationError(f"this cannot be sent to worker processes: {error}") from error
-        return cls(packed, {_below_root(file): file.read_bytes() for file in wanted}, tuple(map(_below_root, homes)))
+        return cls(packed, {_below_root(file): file.read_bytes() for file in to_send}, tuple(map(_below_root, homes)))
 
     def write(self, root: Path) -> None:
         """Write all files below a folder."""
@@ -57,7 +57,7 @@ class Parcel:
             (root / folder).mkdir(parents=True, exist_ok=True)
 
     def open_in(self, root: Path) -> Any:
-        """The objects, in a process of their own, which works below the folder and imports own modules from there only.
+        """Return the objects in a new process, which works below the folder and imports own modules from there only.
 
         Raises whatever own modules raise.
         """
@@ -68,12 +68,12 @@ class Parcel:
 
 
 def relative(name: str) -> str:
-    """A path, or `path.py:NAME`, as it is called from the working directory; any other name as it is."""
+    """Return a path, or `path.py:NAME`, as it is called from the working directory; any other name as it is."""
     return os.path.relpath(name) if Path(name).is_absolute() else name
 
 
 def _home(module: str, file: Path) -> Path:
-    """The folder from which a module is imported; that of its file, if its name is an alias."""
+    """Return the folder from which a module is imported; that of its file, if its name is an alias."""
     levels = module.count(".") + (file.name == "__init__.py")
     return file.parents[levels] if levels < len(file.parents) else file.parent
 

@@ -47,15 +47,16 @@ class StateGuard:
             self._slots = [_Slot.of(*place) for place in _places(self._worlds)]
         state = getattr(self._worlds.task, "state", None)  # another object at each control step
         slots = [*self._slots, *(_Slot.of(*at) for at in _inside("task.state", getattr(state, "__dict__", {})))]
-        before = _values(slots)
+        values_before = _values(slots)
         failure: BaseException | None = None
         try:
             yield
         except FAILURES as error:
             failure = error
-        after = _values(slots)
-        if before != after:
-            changed = [(slot, was) for slot, was, now in zip(slots, before, after, strict=True) if was != now]
+        values_after = _values(slots)
+        if values_before != values_after:
+            values = zip(slots, values_before, values_after, strict=True)
+            changed = [(slot, previous) for slot, previous, current in values if previous != current]
             for slot, was in changed:
                 slot.put_back(was)
             names = ", ".join(slot.name for slot, _ in changed[:3])
@@ -80,8 +81,8 @@ class _Slot(NamedTuple):
     @classmethod
     def of(cls, name: str, holder: Any, key: Any) -> "_Slot":
         items = _items(holder)
-        there = items[key]
-        return cls(name, holder, key, items, *((there, there.copy()) if isinstance(there, np.ndarray) else ()))
+        value = items[key]
+        return cls(name, holder, key, items, *((value, value.copy()) if isinstance(value, np.ndarray) else ()))
 
     def put_back(self, value: Any) -> None:
         """Restore what was there: `value`, or the array with its content."""
@@ -97,7 +98,7 @@ class _Slot(NamedTuple):
 
 
 def _values(slots: Sequence[_Slot]) -> list[Any]:
-    """Plain values, and the checksums of arrays; None for what is gone."""
+    """Return plain values, and the checksums of arrays; None for what is gone."""
     values = []
     for slot in slots:
         try:
@@ -114,7 +115,7 @@ def _values(slots: Sequence[_Slot]) -> list[Any]:
 
 
 def _places(worlds: EpisodeVectorEnv) -> Iterator[tuple[str, Any, Any]]:
-    """Where the values are that an episode depends on: a name, and the key or index in a dict, list or class."""
+    """Yield the places of values that an episode depends on: a name, and the key or index in a dict, list or class."""
     task: Any = worlds.task
     yield from _inside("env", vars(worlds))
     for name in _SPACES:
@@ -136,7 +137,7 @@ def _places(worlds: EpisodeVectorEnv) -> Iterator[tuple[str, Any, Any]]:
 
 
 def constants(worlds: EpisodeVectorEnv) -> dict[str, Any]:
-    """The constants of the task by name: those of its classes, and of the modules that define them."""
+    """Return the constants of the task by name: those of its classes, and of the modules that define them."""
     return {name: _items(holder)[key] for name, holder, key in _constants(worlds)}
 
 

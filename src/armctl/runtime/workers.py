@@ -21,7 +21,7 @@ from joblib.externals.loky import ProcessPoolExecutor
 from armctl.core.errors import FAILURES, ArmctlError, described
 from armctl.runtime.identity import checksum_of_core, differences
 from armctl.runtime.provenance import versions
-from armctl.runtime.sending import Parcel
+from armctl.runtime.sending import JobBundle
 
 PARENT_CHECK = 1.0
 """s between two looks of a process whether its parent still lives."""
@@ -35,17 +35,17 @@ class WorkersFailed(ArmctlError):
 
 
 @functools.cache
-def here(work: Work) -> dict[str, Any]:
-    """What must be alike on all machines that do this work, or their results must not be mixed."""
+def environment_of(work: Work) -> dict[str, Any]:
+    """Return what must be alike on all machines that do this work, or their results must not be mixed."""
     _, *folders = work.__module__.split(".")
     return {"machine": platform.machine(), "versions": versions(), "source": checksum_of_core(*folders[:1])}
 
 
-def work_in_child(work: Work, parcel: Parcel, expected: Mapping[str, Any], unit: tuple[Any, ...]) -> Any:
+def run_isolated(work: Work, bundle: JobBundle, expected: Mapping[str, Any], unit: tuple[Any, ...]) -> Any:
     """Do a unit in a worker of a cluster: in a process of its own, in which nothing is left of other work."""
-    check_alike(expected, here(work))
+    check_alike(expected, environment_of(work))
     with _ONE_AT_A_TIME:
-        child = _Child.of(parcel)
+        child = _Child.of(bundle)
         try:
             return child.executor.submit(_work, work, unit).result()
         except BrokenProcessPool:
@@ -61,22 +61,22 @@ _ONE_AT_A_TIME = threading.Lock()
 
 
 class _Child:
-    """A process of a cluster's worker, made for one parcel, and the folder in which it works."""
+    """A process of a cluster's worker, made for one bundle, and the folder in which it works."""
 
     _present: "_Child | None" = None
 
-    def __init__(self, parcel: Parcel) -> None:
-        self.parcel, self.root = parcel, Path(tempfile.mkdtemp(prefix="armctl-"))
-        parcel.write(self.root)
-        self.executor = ProcessPoolExecutor(1, initializer=_open, initargs=(os.getpid(), parcel, self.root))
+    def __init__(self, bundle: JobBundle) -> None:
+        self.bundle, self.root = bundle, Path(tempfile.mkdtemp(prefix="armctl-"))
+        bundle.write(self.root)
+        self.executor = ProcessPoolExecutor(1, initializer=_open, initargs=(os.getpid(), bundle, self.root))
 
     @classmethod
-    def of(cls, parcel: Parcel) -> "_Child":
-        """The present one, or a new one if that has another parcel."""
-        if cls._present is None or cls._present.parcel != parcel:
+    def of(cls, bundle: JobBundle) -> "_Child":
+        """Return the present process, or a new one if that has another bundle."""
+        if cls._present is None or cls._present.bundle != bundle:
             if cls._present is not None:
                 cls._present.end()
-            cls._present = cls(parcel)
+            cls._present = cls(bundle)
         return cls._present
 
     def end(self) -> None:
@@ -87,12 +87,12 @@ class _Child:
 
 
 _opened: dict[str, Any] = {}
-"""In a child: how to open what was sent, and then that."""
+"""Objects of a child process, and the function that opens what was sent."""
 
 
-def _open(parent: int, parcel: Parcel, root: Path) -> None:
+def _open(parent: int, bundle: JobBundle, root: Path) -> None:
     end_with_parent(parent, root)
-    _opened["open"] = functools.partial(parcel.open_in, root)
+    _opened["open"] = functools.partial(bundle.open_in, root)
 
 
 def _work(work: Work, unit: tuple[Any, ...]) -> Any:
@@ -107,9 +107,9 @@ def _work(work: Work, unit: tuple[Any, ...]) -> Any:
         raise WorkersFailed(f"{unit[0]} cannot be done on {platform.node()}: {described(error)}") from None
 
 
-def check_alike(expected: Mapping[str, Any], here: Mapping[str, Any]) -> None:
+def check_alike(expected: Mapping[str, Any], local: Mapping[str, Any]) -> None:
     """Raise `WorkersFailed` in a worker for whatever is otherwise than where the work comes from."""
-    if others := differences(here, expected):
+    if others := differences(local, expected):
         raise WorkersFailed(
             f"the worker on {platform.node()} differs, and its results must not be mixed with others: "
             + "; ".join(others)

@@ -46,7 +46,7 @@ class Boxes:
         return rotations_about_vertical(self.yaws)
 
     def distances(self, points: ArrayLike) -> Array:
-        """Signed distances of points (..., 3) from the boxes' surfaces, (..., k) m: negative inside."""
+        """Return signed distances of points (..., 3) from the boxes' surfaces, (..., k) m: negative inside."""
         local = np.einsum("kji,...kj->...ki", self.rotations, np.asarray(points, float)[..., None, :] - self.centres)
         beyond = np.abs(local) - self.half_sizes
         outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1)
@@ -54,9 +54,9 @@ class Boxes:
 
 
 def rotations_about_vertical(angles: Array) -> Array:
-    """Rotation matrices (..., 3, 3) by angles (...), rad."""
-    sine, cosine, zero, one = np.sin(angles), np.cos(angles), 0 * angles, 1 + 0 * angles
-    rows = [[cosine, -sine, zero], [sine, cosine, zero], [zero, zero, one]]
+    """Return rotation matrices (..., 3, 3) by angles (...), rad."""
+    sine, cosine, zero, unit = np.sin(angles), np.cos(angles), 0 * angles, 1 + 0 * angles
+    rows = [[cosine, -sine, zero], [sine, cosine, zero], [zero, zero, unit]]
     return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 

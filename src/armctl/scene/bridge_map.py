@@ -44,21 +44,21 @@ class BridgeMap:
             )
 
     def clearance(self, points: ArrayLike) -> Array:
-        """Distance (m,) of points (m, 2) to the nearest block, side or end of the deck; 0 or below inside a block."""
+        """Return the distance (m,) of points (m, 2) to the nearest block, side or end; 0 or below in a block."""
         points = np.ascontiguousarray(points, dtype=float)
         clearances = np.empty(len(points))
         kernel.clearances(*self._deck, points, clearances)
         return clearances
 
     def nearest(self, points: ArrayLike) -> Array:
-        """The point of each block and of the two sides nearest to each of points (m, 2): (m, k + 2, 2)."""
+        """Return the point of each block and of the two sides nearest to each of points (m, 2): (m, k + 2, 2)."""
         points = np.ascontiguousarray(points, dtype=float)
-        found = np.empty((len(points), len(self.blocks) + 2, 2))
-        kernel.nearest(*self._deck, points, found)
-        return found
+        nearest_points = np.empty((len(points), len(self.blocks) + 2, 2))
+        kernel.nearest(*self._deck, points, nearest_points)
+        return nearest_points
 
     def segment_clearance(self, starts: ArrayLike, ends: ArrayLike) -> Array:
-        """Exact distance (m,) of segments between points (m, 2) to the nearest block, side or end of the deck.
+        """Return the exact distance (m,) of segments between points (m, 2) to the nearest block, side or end.
 
         0 or below for segments that meet it.
         """
@@ -68,11 +68,11 @@ class BridgeMap:
         return clearances
 
     def edge_test(self, clearance: float) -> EdgeTest:
-        """A test for single segments, from x, y to x, y: whether `segment_clearance` is at least `clearance`."""
+        """Return a test for single segments, from x, y to x, y: whether `segment_clearance` is at least `clearance`."""
         return functools.partial(kernel.edge_is_free, *self._deck, clearance)
 
     def shortened(self, path: Array, points: Array, ends: Array, clearance: float) -> Array:
-        """A path (m, 2), shortened: corners are left out, or moved to other `points` (n, 2), as the clearance allows.
+        """Shorten a path (m, 2): corners are left out, or moved to other `points` (n, 2), as the clearance allows.
 
         It may end at any of `ends` (k, 2).
         """
@@ -87,7 +87,7 @@ class BridgeMap:
         return np.column_stack((low, high, x, y, *self._directions, *sizes)), self.half_width, self.length
 
     def with_lanes_blocked(self) -> "BridgeMap":
-        """The map with a block in place of each lane along the bridge, and without pedestrians.
+        """Return the map with a block in place of each lane along the bridge, and without pedestrians.
 
         A path can lead beside such a lane, whereas a lane across the bridge has to be crossed.
         """
@@ -101,26 +101,26 @@ class BridgeMap:
         return dataclasses.replace(self, blocks=np.vstack((self.blocks, lanes)), pedestrians=NO_PEDESTRIANS)
 
     def crossable(self, radius: float) -> bool:
-        """Whether a disc can pass all blocks, beside the lanes along the bridge: exact.
+        """Return True if a disc can pass all blocks, beside the lanes along the bridge: exact.
 
         By duality, it cannot if and only if blocks with gaps too narrow for it form a wall from side to side.
         """
         bridge = self.with_lanes_blocked()
         y = bridge.corners[..., 1]
         right = y.min(axis=1, initial=np.inf) + self.half_width < 2 * radius
-        left = self.half_width - y.max(axis=1, initial=-np.inf) < 2 * radius
+        near_left_side = self.half_width - y.max(axis=1, initial=-np.inf) < 2 * radius
         narrow = bridge._gaps() < 2 * radius
         wall = right
         while (grown := narrow[wall].any(axis=0) | right).sum() > wall.sum():
             wall = grown
-        return bool(radius <= self.half_width and not (wall & left).any())
+        return bool(radius <= self.half_width and not (wall & near_left_side).any())
 
     @functools.cached_property
     def corners(self) -> Array:
         """Corners of the blocks, in order, (k, 4, 2) m."""
         x, y, _, half_length, half_width = self.blocks.T[..., None]
         ahead, left = half_length * (1, -1, -1, 1), half_width * (1, 1, -1, -1)
-        cos, sin = (one[:, None] for one in self._directions)
+        cos, sin = (values[:, None] for values in self._directions)
         return np.stack((x + ahead * cos - left * sin, y + ahead * sin + left * cos), axis=-1)
 
     @functools.cached_property
@@ -132,22 +132,22 @@ class BridgeMap:
         return self.blocks[:, 3], self.blocks[:, 4]
 
     def _gaps(self) -> Array:
-        """Distances between blocks, (k, k); 0 where they overlap."""
+        """Return distances between blocks, (k, k); 0 where they overlap."""
         k, (half_x, half_y) = len(self.blocks), self._sizes
-        x, y = (one.reshape(k, 4, k) for one in self._in_frames(self.corners.reshape(-1, 2)))
+        x, y = (values.reshape(k, 4, k) for values in self._in_frames(self.corners.reshape(-1, 2)))
         apart = (np.abs(x).min(axis=1) > half_x) & ((x > 0).all(axis=1) | (x < 0).all(axis=1))
         apart |= (np.abs(y).min(axis=1) > half_y) & ((y > 0).all(axis=1) | (y < 0).all(axis=1))
         gaps = np.where(apart | apart.T, _to_boxes(x, y, half_x, half_y).min(axis=1), 0.0)
         return np.minimum(gaps, gaps.T)
 
     def _in_frames(self, points: Array) -> tuple[Array, Array]:
-        """Points (m, 2) in the frames of the blocks: x and y, (m, k)."""
+        """Return points (m, 2) in the frames of the blocks: x and y, (m, k)."""
         x, y = points[:, 0, None] - self.blocks[:, 0], points[:, 1, None] - self.blocks[:, 1]
         cos, sin = self._directions
         return x * cos + y * sin, y * cos - x * sin
 
 
 def _to_boxes(x: Array, y: Array, half_x: Array, half_y: Array) -> Array:
-    """Distances of points to boxes, in the boxes' frames; negative inside."""
+    """Return distances of points to boxes, in the boxes' frames; negative inside."""
     x, y = np.abs(x) - half_x, np.abs(y) - half_y
     return np.asarray(np.hypot(np.maximum(x, 0.0), np.maximum(y, 0.0)) + np.minimum(np.maximum(x, y), 0.0))

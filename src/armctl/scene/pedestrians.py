@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 def turned_back(y: Any, turn: float) -> Any:
-    """Where people would be who walk across a bridge, and turn back `turn` m from its middle, each time they get there.
+    """Return where people are who walk across a bridge and turn back `turn` m from its middle each time.
 
     `y` (m), an array or a tensor, is where they would be if they walked on straight.
     """
@@ -51,29 +51,29 @@ class PedestrianTrajectories:
 
     @property
     def along(self) -> NDArray[np.bool_]:
-        """Whether each walks along the bridge or stands, rather than walks across it, (..., w)."""
+        """(..., w) True for pedestrians who walk along the bridge or stand, rather than walk across it."""
         extent = np.abs(self.end - self.start)
         return np.asarray(extent[..., 0] >= extent[..., 1])
 
     def across(self) -> "PedestrianTrajectories":
-        """Those who walk across the bridge; for one bridge only."""
+        """Return those who walk across the bridge; for one bridge only."""
         who = ~self.along
         return PedestrianTrajectories(self.start[who], self.end[who], self.speed[who], self.phase[who], self.radius)
 
     def positions(self, times: ArrayLike) -> Array:
-        """Positions (..., w, 2) m at times (...) s."""
+        """Return positions (..., w, 2) m at times (...) s."""
         walked, length = self._walked(times)
         share = np.abs(walked - length) / length  # 1 at the start, 0 at the end
         return np.asarray(self.end + (self.start - self.end) * share[..., None])
 
     def velocities(self, times: ArrayLike) -> Array:
-        """Velocities (..., w, 2) m/s at times (...) s."""
+        """Return velocities (..., w, 2) m/s at times (...) s."""
         walked, length = self._walked(times)
         speed = np.where(walked < length, self.speed, -self.speed) / length
         return np.asarray(speed[..., None] * (self.end - self.start))
 
     def _walked(self, times: ArrayLike) -> tuple[Array, Array]:
-        """Distance (..., w) m since each left the start, and the lengths (w,) m of the lines."""
+        """Return the distance (..., w) m since each left the start, and the lengths (w,) m of the lines."""
         length = np.linalg.norm(self.end - self.start, axis=-1)
         length = np.where(length > 0, length, 1.0)  # on a line of length 0 the pedestrian stands
         return (self.phase + np.asarray(times, dtype=float)[..., None] * self.speed) % (2 * length), length

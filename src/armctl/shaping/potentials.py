@@ -10,12 +10,12 @@ PotentialFactory = Callable[[TaskVectorEnv], Potential]
 
 
 def potential_names(worlds: TaskVectorEnv) -> list[str]:
-    """Names of the potentials of an environment."""
+    """Return names of the potentials of an environment."""
     return list(worlds.task.potentials)
 
 
 def make_potential(potential: str | PotentialFactory, worlds: TaskVectorEnv) -> Potential:
-    """A potential by name, or by a function from the environment to it.
+    """Return a potential by name, or by a function from the environment to it.
 
     Raises `ConfigurationError` for a name that the environment's task does not declare.
     """
@@ -24,5 +24,5 @@ def make_potential(potential: str | PotentialFactory, worlds: TaskVectorEnv) -> 
     if potential not in worlds.task.potentials:
         env = worlds.spec.id if worlds.spec else "this environment"
         raise unknown_name(f"shaping of {env}", potential, potential_names(worlds))
-    made: Potential = worlds.task.potentials[potential](worlds.task)
-    return made
+    result: Potential = worlds.task.potentials[potential](worlds.task)
+    return result

@@ -25,9 +25,9 @@ TERM = "shaping"
 """Name of the reward term."""
 
 
-def difference(gamma: float, before: Array, after: Array, terminated: NDArray[np.bool_]) -> Array:
-    """The shaping term (n,) of steps between states with potentials `before` and `after` (n,)."""
-    return np.asarray(gamma * np.where(terminated, 0.0, after) - before)
+def difference(gamma: float, previous: Array, current: Array, terminated: NDArray[np.bool_]) -> Array:
+    """Return the shaping term (n,) of steps between states with potentials `previous` and `current` (n,)."""
+    return np.asarray(gamma * np.where(terminated, 0.0, current) - previous)
 
 
 class Shaped(gymnasium.vector.VectorWrapper[Any, Any, Any, Any, Any]):
@@ -113,20 +113,21 @@ class _Difference:
         if not (isinstance(scale, (int, float)) and np.isfinite(scale)):
             raise ConfigurationError(f"scale is a finite number, not {scale!r}")
         self._potential, self._gamma, self._scale = make_potential(potential, worlds), gamma, scale
-        self._now, self._before, self._after = np.full((3, worlds.num_envs), np.nan)
+        self._latest, self._previous, self._current = np.full((3, worlds.num_envs), np.nan)
         self.reward_scale = worlds.reward_scale
         self._awake = np.zeros(worlds.num_envs, dtype=bool)
         worlds.observers.append(self)
 
     def began(self, ids: NDArray[np.int32]) -> None:
         self._potential.begin(ids)
-        self._now[ids] = self._scale * self._potential.potentials(ids)
+        self._latest[ids] = self._scale * self._potential.potentials(ids)
 
     def stepped(self, awake: NDArray[np.bool_]) -> None:
         everywhere = np.arange(len(awake), dtype=np.int32)
-        self._awake, self._before, self._after = awake, self._now, self._scale * self._potential.potentials(everywhere)
-        self._now = self._after.copy()
+        self._awake, self._previous = awake, self._latest
+        self._current = self._scale * self._potential.potentials(everywhere)
+        self._latest = self._current.copy()
 
     def of(self, terminated: NDArray[np.bool_]) -> Array:
-        """The reward term (n,) of the last control step; 0 in worlds that were not stepped."""
-        return np.where(self._awake, difference(self._gamma, self._before, self._after, terminated), 0.0)
+        """Return the reward term (n,) of the last control step; 0 in worlds that were not stepped."""
+        return np.where(self._awake, difference(self._gamma, self._previous, self._current, terminated), 0.0)

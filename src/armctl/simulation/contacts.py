@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.kernels.control_step import Touches
+from armctl.kernels.control_step import ContactOutput
 from armctl.simulation.history import sample_columns, time_columns
 from armctl.simulation.simulation import Simulation, WorldIds
 
@@ -40,29 +40,29 @@ class ContactSensors:
     def __init__(self, simulation: Simulation, parts: Iterable[str], classes: Iterable[str]) -> None:
         model = simulation.model
         sensors = [[model.sensor(_sensor_name(part, label)) for label in classes] for part in parts]
-        self._noted = np.zeros((simulation.n, len(sensors), len(sensors[0])), dtype=bool)
-        self._now, self._state = simulation.array("sensordata"), simulation.live_arrays["state"]
+        self._touched = np.zeros((simulation.n, len(sensors), len(sensors[0])), dtype=bool)
+        self._current, self._state = simulation.array("sensordata"), simulation.live_arrays["state"]
         self._columns = np.array([[sensor.adr[0] for sensor in row] for row in sensors])
         self._samples = np.array([[sample_columns(model, sensor.name) for sensor in row] for row in sensors])
         times = np.array([[time_columns(model, sensor.name) for sensor in row] for row in sensors])
         sensor_count, memory = times[..., 0].size, times.shape[-1]
-        self.part = Touches(
+        self.part = ContactOutput(
             self._samples.reshape(sensor_count, memory), times.reshape(sensor_count, memory),
-            self._noted.reshape(simulation.n, sensor_count),
+            self._touched.reshape(simulation.n, sensor_count),
         )  # fmt: skip
         """What `Simulation.control_step` notes: contacts in finer steps, which are too many to be recorded."""
 
-    def now(self) -> NDArray[np.bool_]:
-        """Current contacts, (n, parts, classes)."""
-        return self._now[:, self._columns] > 0
+    def current(self) -> NDArray[np.bool_]:
+        """Return current contacts, (n, parts, classes)."""
+        return self._current[:, self._columns] > 0
 
     def since_last_step(self) -> NDArray[np.bool_]:
-        """Contacts now, in one of the recorded physics steps, or noted, (n, parts, classes)."""
-        return self.now() | (self._state[:, self._samples] > 0).any(axis=-1) | self._noted
+        """Return contacts at present, in one of the recorded physics steps, or in finer ones, (n, parts, classes)."""
+        return self.current() | (self._state[:, self._samples] > 0).any(axis=-1) | self._touched
 
     def forget(self, ids: WorldIds | None) -> None:
         """Forget what was noted in worlds `ids`, or in all: a control step or an episode begins."""
-        self._noted[slice(None) if ids is None else ids] = False
+        self._touched[slice(None) if ids is None else ids] = False
 
 
 def _sensor_name(part: str, label: str) -> str:

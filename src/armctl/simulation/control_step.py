@@ -17,7 +17,16 @@ from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from armctl.kernels import control_step as kernel
-from armctl.kernels.control_step import Bench, Drives, HardImpact, Moves, Samples, Touches, Watch, Worlds
+from armctl.kernels.control_step import (
+    ContactOutput,
+    Drives,
+    HardImpact,
+    PoseInput,
+    Samples,
+    StepBuffers,
+    TargetQuery,
+    Worlds,
+)
 from armctl.kernels.drives import DRIVE
 from armctl.simulation.history import state_column
 
@@ -25,27 +34,27 @@ _BAD = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN
 """MuJoCo's warnings of bad positions, velocities and accelerations."""
 _NONE = np.zeros(0, dtype=np.intp)
 SHARES = 4
-"""Shares of the worlds for each thread: those that are done sooner take more."""
+"""Shares of the worlds for each thread: threads that finish sooner take more."""
 NO_DRIVES = Drives(np.zeros(0, dtype=DRIVE), np.zeros((0, 0)), False, 0.0)
 NO_SAMPLES = Samples(_NONE, np.zeros((0, 0, 0)), np.zeros((0, 0, 0)))
-NO_WATCH = Watch(0, np.zeros((0, 0, 3)), -1.0, np.zeros((0, 0)))
-NO_TOUCHES = Touches(_NONE.reshape(0, 0), _NONE.reshape(0, 0), np.zeros((0, 0), dtype=bool))
-NO_MOVES = Moves(_NONE, np.zeros((0, 0, 0, 2)), np.zeros((0, 0, 3)))
-"""For worlds without drives, samples, targets, touches, or bodies that move by themselves."""
+NO_TARGETS = TargetQuery(0, np.zeros((0, 0, 3)), -1.0, np.zeros((0, 0)))
+NO_CONTACTS = ContactOutput(_NONE.reshape(0, 0), _NONE.reshape(0, 0), np.zeros((0, 0), dtype=bool))
+NO_POSES = PoseInput(_NONE, np.zeros((0, 0, 0, 2)), np.zeros((0, 0, 3)))
+"""Defaults for worlds without drives, samples, targets, contacts, or bodies that move by themselves."""
 
 
 class Stepper:
-    """Steps the worlds of a batch on `threads` threads. `own_fields` are the model's fields that each world has."""
+    """Steps the worlds of a batch on `threads` threads. `world_fields` are the model's fields that each world has."""
 
     def __init__(
-        self, batch: Batch, threads: int, impact: HardImpact, worlds: Worlds, own_fields: dict[str, NDArray[Any]]
+        self, batch: Batch, threads: int, impact: HardImpact, worlds: Worlds, world_fields: dict[str, NDArray[Any]]
     ) -> None:
         self._batch, self._threads, self._impact, self._worlds = batch, threads, impact, worlds
-        self._own_fields = own_fields
+        self._world_fields = world_fields
         self._outputs: dict[str, NDArray[Any]] = {}
         self._process = -1
         self._pool: ThreadPoolExecutor
-        self._benches: list[Bench] = []
+        self._buffers: list[StepBuffers] = []
         self._kept: list[Any] = []
         self._made_for: tuple[int, int] | None = None
         self._time = state_column(batch.model, mujoco.mjtState.mjSTATE_TIME)
@@ -57,62 +66,62 @@ class Stepper:
         substeps: int,
         drives: Drives = NO_DRIVES,
         samples: Samples = NO_SAMPLES,
-        watch: Watch = NO_WATCH,
-        touches: Touches = NO_TOUCHES,
-        moves: Moves = NO_MOVES,
+        target_query: TargetQuery = NO_TARGETS,
+        contacts: ContactOutput = NO_CONTACTS,
+        poses: PoseInput = NO_POSES,
     ) -> None:
         """Advance worlds `ids` by `ticks` of `substeps` physics steps each, with outputs of the new state."""
         worlds, timestep = self._worlds, self._batch.model.opt.timestep
         worlds.refined[:] = 0
         run: Callable[..., None] = kernel.control_steps
-        parts = worlds, self._impact, drives, samples, watch, touches, moves, self._time, timestep
-        first, *others = self._current_benches()[: max(1, len(ids))]
+        parts = worlds, self._impact, drives, samples, target_query, contacts, poses, self._time, timestep
+        first, *others = self._current_buffers()[: max(1, len(ids))]
         if not others:
             run(ids, ticks, substeps, first, *parts)
             return
         shares = iter(np.array_split(ids, SHARES * (1 + len(others))))
 
-        def work(bench: Bench) -> None:
+        def work(buffers: StepBuffers) -> None:
             for share in shares:
-                run(share, ticks, substeps, bench, *parts)
+                run(share, ticks, substeps, buffers, *parts)
 
-        working = [self._threads_of_process().submit(work, bench) for bench in others]
+        working = [self._threads_of_process().submit(work, buffers) for buffers in others]
         try:
             work(first)
         finally:
             wait(working)
-        for one in working:
-            one.result()
+        for future in working:
+            future.result()
 
     def add_output(self, field: str, values: NDArray[Any]) -> None:
         """Fill `values` (n, ...) with a field of `MjData` from now on."""
         self._outputs[field] = values
 
     def _threads_of_process(self) -> ThreadPoolExecutor:
-        """The other threads: a fork has none of its parent's."""
+        """Return the other threads: a fork has none of its parent's."""
         if self._process != os.getpid():
             self._process, self._pool = os.getpid(), ThreadPoolExecutor(self._threads - 1)
         return self._pool
 
-    def _current_benches(self) -> list[Bench]:
-        made_for = len(self._own_fields), len(self._outputs)
+    def _current_buffers(self) -> list[StepBuffers]:
+        made_for = len(self._world_fields), len(self._outputs)
         if made_for != self._made_for:
             self._made_for, self._kept = made_for, []
-            self._benches = [self._make_bench() for _ in range(self._threads)]
-        return self._benches
+            self._buffers = [self._make_buffers() for _ in range(self._threads)]
+        return self._buffers
 
-    def _make_bench(self) -> Bench:
+    def _make_buffers(self) -> StepBuffers:
         model, finer = self._batch.get_model(0), self._batch.get_model(0)
         finer.opt.timestep /= self._impact.steps
         data = mujoco.MjData(model)
         data.warning.number[:] = 1  # of those that have come before, MuJoCo prints nothing
         self._kept += [model, finer, data]
-        own = [
-            (_address(values), values[0].nbytes, *(_address(_field(one, name)) for one in (model, finer)))
-            for name, values in self._own_fields.items()
+        rows = [
+            (_address(values), values[0].nbytes, *(_address(_field(either, name)) for either in (model, finer)))
+            for name, values in self._world_fields.items()
         ]
         outputs = [(_address(getattr(data, name)), out[0].nbytes, _address(out)) for name, out in self._outputs.items()]
-        return Bench(
+        return StepBuffers(
             model=model._address,
             finer=finer._address,
             data=data._address,
@@ -122,10 +131,10 @@ class Stepper:
             ctrl=data.ctrl,
             torques=data.qfrc_actuator,
             sensors=data.sensordata,
-            places=data.xpos,
+            positions=data.xpos,
             warnings=data.warning.number[_BAD],
-            body_places=(model.body_pos, finer.body_pos),
-            own_fields=np.array(own, dtype=np.intp).reshape(-1, 4),
+            body_positions=(model.body_pos, finer.body_pos),
+            world_fields=np.array(rows, dtype=np.intp).reshape(-1, 4),
             outputs=np.array(outputs, dtype=np.intp).reshape(-1, 3),
         )
 

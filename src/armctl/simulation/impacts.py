@@ -51,9 +51,9 @@ def add_impact_sensors(spec: Any, joints: Iterable[str], memory: int, body: str 
 
 
 def hard_impact(model: mujoco.MjModel, speed_limits: Mapping[str, float]) -> HardImpact:
-    """What is a hard impact on the joints in `speed_limits` (rad/s), for a model with `add_impact_sensors` for them.
+    """Return what is a hard impact on joints in `speed_limits` (rad/s), for a model with `add_impact_sensors` for them.
 
-    Looked at are the speeds of joints and the depth of contacts, after each of the last steps, and joint positions.
+    It depends on the speeds of joints and the depth of contacts after each of the last steps, and joint positions.
     """
     joints = np.array([model.joint(name).id for name in speed_limits])
     dofs, limits = model.jnt_dofadr[joints], FAST * np.array(list(speed_limits.values()))

@@ -38,23 +38,23 @@ class RayCamera:
         at = simulation.model.camera(camera).id
         self._positions, self._rotations = (simulation.array(name)[:, at] for name in ("cam_xpos", "cam_xmat"))
         self._geoms = simulation.array("geom_xpos"), simulation.array("geom_xmat")
-        self._shown = np.ones(mujoco.mjNGROUP, dtype=np.uint8)
-        self._shown[list(hidden_groups)] = 0
+        self._geom_groups = np.ones(mujoco.mjNGROUP, dtype=np.uint8)
+        self._geom_groups[list(hidden_groups)] = 0
         self._rays = pixel_rays(resolution, field_of_view)
         self._shapes = ray_shapes(simulation.model, self._visible_geoms())
         self._pool = ThreadPoolExecutor(simulation.threads)
 
     def depth(self, furthest: float, ids: WorldIds | None = None) -> NDArray[np.float32]:
-        """Distance along the optical axis, (n, height, width) m, at most `furthest`."""
+        """Return the distance along the optical axis, (n, height, width) m, at most `furthest`."""
         return np.minimum(self._cast(ids)[0], furthest).astype(np.float32)
 
     def classes(self, class_of_geom: NDArray[np.uint8], sky: int, ids: WorldIds | None = None) -> NDArray[np.uint8]:
-        """Class of each pixel's geom, (n, height, width); `sky` for rays that hit nothing."""
+        """Return the class of each pixel's geom, (n, height, width); `sky` for rays that hit nothing."""
         _, geoms = self._cast(ids)
         return np.where(geoms < 0, np.uint8(sky), class_of_geom[geoms])
 
     def _cast(self, ids: WorldIds | None) -> tuple[Array, NDArray[np.int32]]:
-        """Depths, and the ids of the geoms seen, (n, height, width): infinite and -1 for misses."""
+        """Return depths, and the ids of the geoms hit, (n, height, width): infinite and -1 for misses."""
         worlds = np.arange(self._simulation.n, dtype=np.int32) if ids is None else ids
         shape = (len(worlds), *self._rays.shape[:2])
         if self._shapes is None:
@@ -83,18 +83,18 @@ class RayCamera:
         rotations = self._rotations[worlds].reshape(-1, 3, 3)
         # Rays have length 1 along the optical axis, so distances in ray lengths are depths.
         rays = self._rays.reshape(-1, 3) @ rotations.transpose(0, 2, 1)
-        depths, geoms = self._simulation.cast_rays(self._positions[worlds][:, None], rays, self._shown, worlds)
+        depths, geoms = self._simulation.cast_rays(self._positions[worlds][:, None], rays, self._geom_groups, worlds)
         return np.where(depths < 0, np.inf, depths).reshape(shape), geoms.reshape(shape)
 
     def _visible_geoms(self) -> list[int]:
         model = self._simulation.model
         materials = np.append(model.mat_rgba[:, 3], 1.0)  # the last is that of geoms without a material
         opacity = np.where(model.geom_matid < 0, model.geom_rgba[:, 3], materials[model.geom_matid])
-        return np.flatnonzero(self._shown[model.geom_group].astype(bool) & (opacity > 0)).tolist()
+        return np.flatnonzero(self._geom_groups[model.geom_group].astype(bool) & (opacity > 0)).tolist()
 
 
 def pixel_rays(resolution: tuple[int, int], field_of_view: float) -> Array:
-    """Rays (height, width, 3) through pixel centres, in the camera's frame: x right, y up, z = -1."""
+    """Return rays (height, width, 3) through pixel centres, in the camera's frame: x right, y up, z = -1."""
     width, height = resolution
     pixel = 2 * np.tan(np.radians(field_of_view) / 2) / width
     right = (np.arange(width) + 0.5 - width / 2) * pixel
@@ -103,6 +103,6 @@ def pixel_rays(resolution: tuple[int, int], field_of_view: float) -> Array:
 
 
 def vertical_field_of_view(resolution: tuple[int, int], field_of_view: float) -> float:
-    """The vertical field of view for a horizontal one, degrees."""
+    """Return the vertical field of view for a horizontal one, degrees."""
     width, height = resolution
     return float(np.degrees(2 * np.arctan(np.tan(np.radians(field_of_view) / 2) * height / width)))

@@ -23,20 +23,20 @@ FLAT = 1e-6
 
 
 def ray_shapes(model: mujoco.MjModel, geoms: Iterable[int]) -> tuple[NDArray[np.int64], Array] | None:
-    """Rows (k, 4) of kind, geom, first face and last face plus one, and the faces (f, 4) of all meshes.
+    """Return rows (k, 4) of kind, geom, first face and last face plus one, and the faces (f, 4) of all meshes.
 
     None if there is a shape of another kind, or a mesh that is not convex.
     """
-    shapes, faces, known = [], [np.zeros((0, 4))], {}
+    shapes, faces, spans = [], [np.zeros((0, 4))], {}
     for geom in geoms:
         kind = KINDS.get(mujoco.mjtGeom(model.geom_type[geom]))
         mesh = int(model.geom_dataid[geom]) if kind == rays.POLYTOPE else -1
-        if mesh >= 0 and mesh not in known:
+        if mesh >= 0 and mesh not in spans:
             planes = _planes(model, mesh)
             first = sum(map(len, faces))
-            known[mesh] = None if planes is None else (first, first + len(planes))
+            spans[mesh] = None if planes is None else (first, first + len(planes))
             faces.append(np.zeros((0, 4)) if planes is None else planes)
-        span = known.get(mesh, (0, 0))
+        span = spans.get(mesh, (0, 0))
         if kind is None or span is None:
             return None
         shapes.append((kind, geom, *span))
@@ -44,7 +44,7 @@ def ray_shapes(model: mujoco.MjModel, geoms: Iterable[int]) -> tuple[NDArray[np.
 
 
 def _planes(model: mujoco.MjModel, mesh: int) -> Array | None:
-    """Outward normals and offsets (k, 4) of a convex mesh's faces."""
+    """Return outward normals and offsets (k, 4) of a convex mesh's faces."""
     vertices = model.mesh_vert[model.mesh_vertadr[mesh] :][: model.mesh_vertnum[mesh]].astype(float)
     triangles = vertices[model.mesh_face[model.mesh_faceadr[mesh] :][: model.mesh_facenum[mesh]]]
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])

@@ -31,7 +31,7 @@ class Camera:
         self._camera = camera
 
     def picture(self, data: mujoco.MjData) -> NDArray[np.uint8]:
-        """Image (height, width, 3) of the world in `data`."""
+        """Return an image (height, width, 3) of the world in `data`."""
         self._renderer.update_scene(data, self._camera)
         return np.asarray(self._renderer.render())
 

@@ -1,4 +1,4 @@
-"""What a viewer shows of one world: a copy of its model, its state, and decoration.
+"""Contents of a viewer of one world: a copy of its model, its state, and decoration.
 
 A viewer loads a model once. Boxes, barriers and people have positions in the model that differ between episodes. They
 are hidden in the viewer's copy, and drawn as decoration.
@@ -25,7 +25,7 @@ MOST_POINTS = 64
 
 
 class Scenery:
-    """What to show of one world of `simulation`, at first from the MJCF's `camera`."""
+    """Contents of one world of `simulation`, at first from the MJCF's `camera`."""
 
     def __init__(self, simulation: Simulation, camera: str, world: int = 0) -> None:
         self.simulation, self._world = simulation, world
@@ -41,8 +41,8 @@ class Scenery:
         self._options.flags[mujoco.mjtVisFlag.mjVIS_CONTACTPOINT] = 1
         self._look_from(camera)
 
-    def now(self) -> tuple[Array, list[mujoco.MjvGeom]]:
-        """The world's state, for `mj_setState` with `STATE`, and the geoms to draw besides `model`."""
+    def snapshot(self) -> tuple[Array, list[mujoco.MjvGeom]]:
+        """Return the world's state, for `mj_setState` with `STATE`, and the geoms to draw besides `model`."""
         model, data = self.simulation.model, self.simulation.data(self._world)
         state = np.empty(mujoco.mj_stateSize(model, STATE))
         mujoco.mj_getState(model, data, state, STATE)
@@ -53,7 +53,7 @@ class Scenery:
         return state, [part for geom in missing for part in _without_mesh(model, data, geom)]
 
     def _is_missing(self, geom: mujoco.MjvGeom) -> bool:
-        """Whether a viewer with `model` and the state would not show it."""
+        """Return True if a viewer with `model` and the state would not show it."""
         decoration = geom.category == mujoco.mjtCatBit.mjCAT_DECOR
         return decoration or (geom.objtype == mujoco.mjtObj.mjOBJ_GEOM and geom.objid in self._placed)
 
@@ -72,7 +72,7 @@ class Scenery:
 
 
 def _without_mesh(model: mujoco.MjModel, data: mujoco.MjData, geom: mujoco.MjvGeom) -> list[mujoco.MjvGeom]:
-    """The geom; a mesh as boxes between the levels of its corners, since browsers cannot draw meshes as decoration."""
+    """Return the geom; a mesh as boxes between the levels of its corners: browsers cannot draw decorative meshes."""
     if geom.type != mujoco.mjtGeom.mjGEOM_MESH:
         return [geom]
     mesh, body = model.geom_dataid[geom.objid], model.geom_bodyid[geom.objid]
@@ -93,7 +93,7 @@ def _without_mesh(model: mujoco.MjModel, data: mujoco.MjData, geom: mujoco.MjvGe
 
 
 def polyline(points: ArrayLike, radius: float, rgba: ArrayLike, beads: bool = False) -> list[mujoco.MjvGeom]:
-    """Decoration along points (m, 3) m: a line of capsules, with `beads` at the points on demand."""
+    """Return decoration along points (m, 3) m: a line of capsules, with `beads` at the points on demand."""
     corners = np.asarray(points, dtype=float)
     corners = corners[np.unique(np.linspace(0, len(corners) - 1, min(len(corners), MOST_POINTS)).round().astype(int))]
     lines = []

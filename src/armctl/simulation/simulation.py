@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 WorldIds = NDArray[np.int32]
 
 CURRENT = int(mujoco.mjtStage.mjSTAGE_VEL)
-"""With it, positions, velocities and what depends on them are those of the new state after a step."""
+"""Stage at which positions, velocities and what depends on them are those of the new state after a step."""
 _BAD = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADQACC) + 1)
 """MuJoCo's warnings of bad positions, velocities and accelerations."""
 
@@ -48,13 +48,13 @@ class Simulation:
         self._batch = Batch(model, n, nthread=self.threads, persistent=in_caches)
         self.refined = np.zeros(n, dtype=np.int32)
         """(n,) ticks of the last `control_step`, or 1 for `step`, that were made in finer steps, after an impact."""
-        self._own: dict[str, Array] = {}
+        self._fields: dict[str, Array] = {}
         self._state = self._batch.state
         self._good = self._state.copy()
         self._stepper: Stepper | None = None
         if speed_limits is not None:
             worlds = Worlds(self._state, self._good, self.unstable, self.refined)
-            self._stepper = Stepper(self._batch, self.threads, hard_impact(model, speed_limits), worlds, self._own)
+            self._stepper = Stepper(self._batch, self.threads, hard_impact(model, speed_limits), worlds, self._fields)
         self._warnings = self._batch.warning[:, _BAD, 1]
         self._motion = self.array("qpos"), self.array("qvel")
         self.any_unstable = False
@@ -62,7 +62,7 @@ class Simulation:
         self._everywhere = np.arange(n, dtype=np.int32)
 
     def array(self, field: str) -> Array:
-        """Live (n, ...) array of an `MjData` field: a state to read and write, or an output to read.
+        """Return a live (n, ...) array of an `MjData` field: a state to read and write, or an output to read.
 
         Ask for outputs in a constructor: one that is asked for later holds zeros until the next `refresh` or `step`.
         """
@@ -72,30 +72,30 @@ class Simulation:
         return values
 
     def per_world(self, field: str) -> Array:
-        """Live (n, ...) array of an `MjModel` field, which becomes separate for each world."""
-        self._own[field] = np.asarray(self._batch.expand(field))
-        return self._own[field]
+        """Return a live (n, ...) array of an `MjModel` field, which becomes separate for each world."""
+        self._fields[field] = np.asarray(self._batch.expand(field))
+        return self._fields[field]
 
     def field(self, name: str) -> Array:
-        """An `MjModel` field of all worlds: (n, ...) where worlds have their own, otherwise (1, ...)."""
-        own = self._own.get(name)
-        return np.asarray(getattr(self.model, name))[None] if own is None else own
+        """Return an `MjModel` field of all worlds: (n, ...) where worlds have their own, otherwise (1, ...)."""
+        values = self._fields.get(name)
+        return np.asarray(getattr(self.model, name))[None] if values is None else values
 
     @property
     def live_arrays(self) -> Mapping[str, NDArray[Any]]:
         """All that determines how the worlds go on: MuJoCo's state, and the model's fields that each world has."""
-        return {"state": self._state, "unstable": self.unstable, **self._own}
+        return {"state": self._state, "unstable": self.unstable, **self._fields}
 
     def derive(self, ids: WorldIds | None = None) -> None:
         """Recompute the model's constants from the masses, lengths and sizes of each world."""
         self._batch.set_const(ids)
         fields = (field for field in MODEL_FIELDS if not field.startswith("opt."))
-        self._own.update((field, values) for field in fields if (values := self._batch.expanded(field)) is not None)
+        self._fields.update((field, values) for field in fields if (values := self._batch.expanded(field)) is not None)
 
     @property
     def worlds_differ(self) -> bool:
-        """Whether worlds have model fields of their own."""
-        return bool(self._own)
+        """True if worlds have model fields of their own."""
+        return bool(self._fields)
 
     def reset(self, ids: WorldIds | None = None) -> None:
         """Reset worlds to the first keyframe, or the initial state. Call `refresh` after setting the state."""
@@ -121,7 +121,8 @@ class Simulation:
     def control_step(self, ticks: int, substeps: int, ids: WorldIds | None = None, **parts: Any) -> None:
         """Advance worlds with `speed_limits` by `ticks` of `substeps` time steps each, as `step` does for one tick.
 
-        Parts are the `drives`, `samples`, `watch`, `touches` and `moves` of `armctl.simulation.control_step.Stepper`.
+        Parts are the `drives`, `samples`, `target_query`, `contacts` and `poses` of
+        `armctl.simulation.control_step.Stepper`.
         """
         if self._stepper is None:
             raise ConfigurationError("control_step is for simulations with speed_limits of joints")
@@ -132,8 +133,8 @@ class Simulation:
     def _stable(self, ids: WorldIds | None) -> WorldIds | None:
         if not self.any_unstable:
             return ids
-        asked = self._everywhere if ids is None else ids
-        return asked[~self.unstable[asked]]
+        requested = self._everywhere if ids is None else ids
+        return requested[~self.unstable[requested]]
 
     def _stop_unstable(self) -> None:
         """Put worlds that have just become unstable back into their last good state."""
@@ -149,7 +150,7 @@ class Simulation:
     def cast_rays(
         self, starts: Array, directions: Array, groups: NDArray[np.uint8], ids: WorldIds | None = None
     ) -> tuple[Array, NDArray[np.int32]]:
-        """Distances in lengths of `directions`, and ids of the geoms of `groups` hit, (n, rays) each; -1 for a miss.
+        """Return distances in lengths of `directions`, and ids of the geoms of `groups` hit, (n, rays); -1 for a miss.
 
         Starts and directions broadcast to (n, rays, 3), where n is the number of worlds in `ids`, or of all.
         """
@@ -157,8 +158,8 @@ class Simulation:
         return np.asarray(distances), np.asarray(geoms)
 
     def data(self, world: int) -> mujoco.MjData:
-        """A copy of one world's data. As a side effect, `model` takes that world's own fields."""
-        for field, values in self._own.items():
+        """Return a copy of one world's data. As a side effect, `model` takes that world's own fields."""
+        for field, values in self._fields.items():
             getattr(self.model, field)[: len(values[world])] = values[
                 world
             ]  # bvh_aabb: only the bodies' part is separate

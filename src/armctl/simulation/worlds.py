@@ -5,5 +5,5 @@ from pathlib import Path
 
 
 def world_path(name: str) -> Path:
-    """Path of one of armctl's own MJCF models, such as `arm_reach`."""
+    """Return the path of one of armctl's own MJCF models, such as `arm_reach`."""
     return Path(str(resources.files("armctl.models") / f"{name}.xml"))

@@ -16,7 +16,7 @@ from armctl.episodes.failures import PolicyDisqualified
 from armctl.episodes.record import EpisodeResult, FailedEpisode
 from armctl.episodes.store import COMPARISON, CSV, POLICY_SEED, EpisodeLog, check_store, stored_policy_seed
 from armctl.episodes.table import EpisodeTable
-from armctl.policies import Policy, WorldsByInterface, expanded, is_group, learners, named_policies
+from armctl.policies import Policy, WorldsByInterface, expanded, is_seed_group, learners, named_policies
 from armctl.rollout.decision_times import Machines, load_notes, timing_notes, unjudged
 from armctl.rollout.parallel import (
     RolloutBatch,
@@ -143,13 +143,13 @@ def compare(
     comparison.policy_seed = secret = chosen_policy_seed(policy_seed, stored)
     comparison.baseline, comparison.margin, comparison.groups = baseline, margin, groups
     comparison.notes += [
-        ONE_TRAINING.format(group=name) for name in asked if is_group(asked[name]) and name not in groups
+        ONE_TRAINING.format(group=name) for name in asked if is_seed_group(asked[name]) and name not in groups
     ]
     worlds = min(worlds, episodes)
     with ExitStack() as stack:
-        interfaces = WorldsByInterface(env, worlds if engine.is_here else 1, env_options)
+        interfaces = WorldsByInterface(env, worlds if engine.is_local else 1, env_options)
         stack.callback(interfaces.close)
-        made_env, (made, construction) = interfaces.asked, _built(comparison, by_name, interfaces, secret)
+        made_env, (made, construction) = interfaces.requested, _built(comparison, by_name, interfaces, secret)
         playing = {name: policy for name, policy in by_name.items() if name in made}
         with wrap_environment_errors("a trial", 0):
             made_env.reset(seed=seed)  # raises for an invalid seed, before anything is written
@@ -158,7 +158,7 @@ def compare(
             check_real_time(bare_id(env), made_env)
             comparison.real_time = {"latency": paced.latency, "slow_down": paced.slow_down}
             comparison.notes.append(paced.in_words(made_env.task.control_period))
-        if not engine.is_here:
+        if not engine.is_local:
             check_sendable(playing)
         comparison.notes += seed_notes(env, env_options) if seeding is None else seeding
         if isinstance(made_env, ThirdPartyVectorEnv):
@@ -180,7 +180,7 @@ def compare(
         waiting = {name: np.setdiff1d(np.arange(episodes), finished.get(name, [])).tolist() for name in made}
         least = {} if least_lengths is None else least_lengths
         least.update(zip(*(results.column(name).tolist() for name in ("episode", "least_length")), strict=True))
-        if engine.is_here:
+        if engine.is_local:
             played_in = {name: interfaces.of(policy) for name, policy in playing.items()}
             stream = play_here(made, played_in, seed, waiting, least, paced, set(finished))
         else:
@@ -197,7 +197,7 @@ def compare(
                         crashes[failed.policy] = min(crashes.get(failed.policy, failed), failed, key=_number)
                     if (spent := played.construction_ms) is not None:
                         in_workers[played.policy] = max(spent, in_workers.get(played.policy, 0.0))
-                    meter.look()
+                    meter.update_load()
                     for result in (replace(one, run=meter.run.id) for one in played.results):
                         _check_return(result, made_env.stated_return_bounds)
                         results.append(result)
@@ -212,7 +212,7 @@ def compare(
         results = results[~np.isin(results.column("policy"), comparison.disqualified)].sorted(list(made))
         _note_crashes(comparison, results, crashes)
         judged = min(map(len, results.by_policy().values()), default=0)
-        runs = [*(log.runs if log is not None else []), meter.ended(judged, baseline, margin)]
+        runs = [*(log.runs if log is not None else []), meter.finished(judged, baseline, margin)]
         if results:
             latencies = paced is None or paced.recorded is None
             _judge(comparison, unjudged(results, runs) if latencies else results, made, made_env, episodes, runs)

@@ -28,12 +28,12 @@ Observations = NDArray[np.float32] | dict[str, NDArray[Any]]
 
 
 class Outcome(IntEnum):
-    """How an episode ends. Subclasses have the members: `TIMEOUT = 0`, and `REACHED = 1, True` for a success."""
+    """Outcome of an episode. Subclasses have the members: `TIMEOUT = 0`, and `REACHED = 1, True` for a success."""
 
     success: bool
 
     def __new__(cls, value: int, success: bool = False) -> Self:
-        """A member from its value, and whether it is a success."""
+        """Return a member from its value, and whether it is a success."""
         member = int.__new__(cls, value)
         member._value_ = value
         member.success = success
@@ -87,7 +87,7 @@ class LearnerView:
     model_features: FeatureSpec | None = None
     """Features that know the robot's geometry, if there are any: an agent with them sees the robot's model."""
     state_features: FeatureSpec | None = None
-    """Of the state, for a privileged critic, without `prepare`; None: its numbers as shares of their bounds."""
+    """Function of the state for a privileged critic, without `prepare`; None: its numbers as shares of their bounds."""
 
 
 class Potential(ABC):
@@ -101,19 +101,19 @@ class Potential(ABC):
 
     @abstractmethod
     def potentials(self, ids: Ids) -> Array:
-        """Potentials of the present states of worlds `ids`, (len(ids),). They are higher nearer to the goal."""
+        """Return potentials of the present states of worlds `ids`, (len(ids),). They are higher nearer to the goal."""
 
 
 class GoalDistance(Potential):
     """Minus the distance to the goal, m. This is the naive potential, for comparison."""
 
     def potentials(self, ids: Ids) -> Array:
-        """(len(ids),) m."""
+        """Return (len(ids),) m."""
         return -np.asarray(self.task.goal_distances()[ids])
 
 
 @dataclass(frozen=True)
-class Once:
+class OneTimeTerm:
     """A reward term that is paid once an episode: the first time that it is not 0."""
 
     term: Callable[[Any], NDArray[np.floating[Any]]]
@@ -122,7 +122,7 @@ class Once:
     """The least and the most that it can pay, if known."""
 
     def __call__(self, state: Any) -> NDArray[np.floating[Any]]:
-        """What it would pay in the present state, (n,)."""
+        """Return what it would pay in the present state, (n,)."""
         return self.term(state)
 
 
@@ -136,22 +136,22 @@ class EachStep:
     """The least and the most that it can pay in a step."""
 
     def __call__(self, state: Any) -> NDArray[np.floating[Any]]:
-        """What it pays in the present state, (n,)."""
+        """Return what it pays in the present state, (n,)."""
         return self.term(state)
 
 
 @options
 class NoOptions:
-    """For tasks without options."""
+    """Options of tasks without options."""
 
 
 class TaskFacts(ABC):
-    """What evaluation and viewers ask about n worlds; here, the answers where nothing is known."""
+    """Facts that evaluation and viewers ask about n worlds; here, the answers where nothing is known."""
 
     interface_options: ClassVar[frozenset[str]] = frozenset()
     """Options that say how a policy sees and commands the robot. A learned agent brings its own."""
     instruction: ClassVar[str] = ""
-    """What the robot should do, as a sentence for models that take language; empty: unknown."""
+    """Instruction for the robot, as a sentence for models that take language; empty: unknown."""
     n: int
 
     @property
@@ -161,39 +161,39 @@ class TaskFacts(ABC):
 
     @property
     def physical(self) -> bool:
-        """Whether masses, friction and pushes change anything."""
+        """True if masses, friction and pushes change anything."""
         return True
 
     def static_map(self, world: int) -> Any:
-        """A copy of what stands still around the robot in the current episode, for policies that see the map."""
+        """Return a copy of what stands still around the robot in the current episode, for policies that see the map."""
         return None
 
     @abstractmethod
     def observe(self) -> Observations:
-        """Present observations of all worlds."""
+        """Return present observations of all worlds."""
 
     def observation_parts(self) -> dict[str, NDArray[Any]]:
-        """The present observation's parts by name, (n, ...) each; for display."""
+        """Return the present observation's parts by name, (n, ...) each; for display."""
         observed = self.observe()
         return observed if isinstance(observed, dict) else {"observation": observed}
 
     def info(self) -> dict[str, Any]:
-        """Additional entries of the environment's `info`: arrays (n,), or dicts of such arrays."""
+        """Return additional entries of the environment's `info`: arrays (n,), or dicts of such arrays."""
         return {}
 
     def goal_distances(self) -> Array:
-        """(n,) distance from the robot to its goal, m; NaN if unknown."""
+        """Return the distances (n,) from the robot to its goal, m; NaN if unknown."""
         return np.full(self.n, np.nan)
 
     def least_clearance(self, world: int, configurations: Array) -> float:
-        """Least distance between the robot and anything it must not touch, m, over an episode; NaN if unknown.
+        """Return the least distance (m) of the robot from anything it must not touch in an episode; NaN if unknown.
 
         `configurations` (steps, k) are the `MotionSample.configuration` of the episode that has just ended in `world`.
         """
         return math.nan
 
     def return_bounds(self, steps: int | None) -> tuple[float, float] | None:
-        """Least and largest possible return of an episode of at most `steps` control steps; None if unknown."""
+        """Return least and largest possible return of an episode of at most `steps` control steps; None if unknown."""
         return None
 
     def least_time(self, world: int) -> float:
@@ -213,7 +213,7 @@ class Task(TaskFacts):
     options_type: ClassVar[type[Any]] = NoOptions
     """Dataclass of the options, with defaults. `armctl.core.options.options` makes it check its values."""
     outcomes: ClassVar[type[Outcome]]
-    """How episodes can end: `TIMEOUT = 0`, then 1, 2 and so on."""
+    """Possible outcomes of episodes: `TIMEOUT = 0`, then 1, 2 and so on."""
     default_policies: ClassVar[tuple[str, ...]] = ("random",)
     """The default line-up of `armctl compare`."""
     disturbances: ClassVar[Mapping[str, DisturbanceSpec]] = GENERIC
@@ -227,13 +227,13 @@ class Task(TaskFacts):
     """Control steps per second, for videos in real time."""
 
     observation_space: gymnasium.spaces.Space[Any]
-    """Of one world."""
+    """Observation space of one world."""
     action_space: gymnasium.spaces.Box
-    """Of one world."""
+    """Action space of one world."""
     state_space: gymnasium.spaces.Box | None = None
-    """Of `state_observation`, of one world; None: the task does not say its state."""
+    """Space of `state_observation`, of one world; None: the task does not say its state."""
     reward_functions: Mapping[str, Any] = {}
-    """The reward terms by name, as functions, `Once` or `EachStep`, if the task has them like this."""
+    """The reward terms by name, as functions, `OneTimeTerm` or `EachStep`, if the task has them like this."""
     joints: JointSamples | None = None
     """Speeds and torques, and their limits, for metrics; None if the task does not sample them."""
 
@@ -246,7 +246,7 @@ class Task(TaskFacts):
     def __init_subclass__(cls) -> None:
         """Check the subclass's outcomes."""
         super().__init_subclass__()
-        names = {one.value: one.name for one in getattr(cls, "outcomes", ())}
+        names = {member.value: member.name for member in getattr(cls, "outcomes", ())}
         if names and (sorted(names) != list(range(len(names))) or names[0] != "TIMEOUT"):
             raise ConfigurationError(
                 f"the outcomes of {cls.__name__} must be TIMEOUT = 0, then 1, 2 and so on, not {names}"
@@ -262,10 +262,10 @@ class Task(TaskFacts):
 
     @abstractmethod
     def observe(self, ids: Ids | None = None) -> Observations:
-        """Observations of worlds `ids`, or of all."""
+        """Return observations of worlds `ids`, or of all."""
 
     def state_observation(self, ids: Ids | None = None) -> NDArray[np.float32]:
-        """The state of worlds `ids`, or of all, (n, k), as the option `observation="state"` shows it.
+        """Return the state of worlds `ids`, or of all, (n, k), as the option `observation="state"` shows it.
 
         For the critics and teachers of learners, whatever agents observe. Raises `ConfigurationError` if there is none.
         """
@@ -273,11 +273,11 @@ class Task(TaskFacts):
 
     @abstractmethod
     def reward_terms(self) -> RewardTerms:
-        """Reward terms of the last control step. Called once after each `advance`."""
+        """Return reward terms of the last control step. Called once after each `advance`."""
 
     @abstractmethod
     def outcome(self) -> NDArray[np.integer[Any]]:
-        """(n,) values of `outcomes`; 0 while an episode goes on."""
+        """Return (n,) values of `outcomes`; 0 while an episode goes on."""
 
     def advance(self, ids: Ids | None) -> None:
         """Simulate until the next control step, in worlds `ids` or in all."""
@@ -286,16 +286,16 @@ class Task(TaskFacts):
     @functools.cached_property
     def paid_once(self) -> frozenset[str]:
         """Names of the reward terms that are paid once an episode."""
-        return frozenset(name for name, term in self.reward_functions.items() if isinstance(term, Once))
+        return frozenset(name for name, term in self.reward_functions.items() if isinstance(term, OneTimeTerm))
 
     def return_bounds(self, steps: int | None) -> tuple[float, float] | None:
-        """From the bounds of all reward terms; None unless each has some."""
+        """Return bounds from those of all reward terms; None unless each has some."""
         lowest = highest = 0.0
         for term in self.reward_functions.values():
             if steps is None or (bounds := getattr(term, "bounds", None)) is None:
                 return None
             low, high = bounds
-            times = 1 if isinstance(term, Once) else steps
+            times = 1 if isinstance(term, OneTimeTerm) else steps
             lowest, highest = lowest + min(low, low * times), highest + max(high, high * times)
         return (lowest, highest) if self.reward_functions else None
 
@@ -306,7 +306,7 @@ class Task(TaskFacts):
 
     @property
     def interface(self) -> dict[str, str]:
-        """What a learned policy depends on, such as robot and control: it must be the same as in its training."""
+        """Facts that a learned policy depends on, such as robot and control: the same as in its training."""
         return {"task": type(self).__name__}
 
     @property
@@ -330,7 +330,7 @@ class Task(TaskFacts):
         return self.action_space.low, self.action_space.high
 
     def motion(self) -> MotionSample:
-        """The present motion, in new arrays. Positions are NaN unless a subclass overrides this."""
+        """Return the present motion, in new arrays. Positions are NaN unless a subclass overrides this."""
         return MotionSample(
             np.full((self.n, 3), np.nan), self.simulation.array("qpos").copy(), np.zeros(self.n, dtype=bool)
         )
@@ -338,6 +338,6 @@ class Task(TaskFacts):
 
 def check_reward_terms(terms: RewardTerms, n: int) -> None:
     """Raise `ConfigurationError` for a reward term that is not one number for each of n worlds."""
-    for name, earned in terms.items():
-        if earned.shape != (n,):
-            raise ConfigurationError(f"the reward term {name!r} must have shape ({n},), not {earned.shape}")
+    for name, rewards in terms.items():
+        if rewards.shape != (n,):
+            raise ConfigurationError(f"the reward term {name!r} must have shape ({n},), not {rewards.shape}")

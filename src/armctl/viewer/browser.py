@@ -133,7 +133,7 @@ class Player(plugin.SimPlugin):
 
     def _begin(self) -> None:
         self.scenery.simulation = self.stage.task.simulation
-        self._after, geoms = self.scenery.now()
+        self._after, geoms = self.scenery.snapshot()
         self._before = self._after
         self._stepped = self._due = time.perf_counter()
         self._show(geoms)
@@ -141,7 +141,7 @@ class Player(plugin.SimPlugin):
     def _control_step(self, now: float) -> None:
         self.stage.step()
         self._before = self._after
-        self._after, geoms = self.scenery.now()
+        self._after, geoms = self.scenery.snapshot()
         late = now - self._due > self.stage.period
         self._stepped, self._due = now, (now if late else self._due) + self.stage.period
         if self.stage.status.outcome is not None:

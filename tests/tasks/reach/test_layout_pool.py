@@ -22,9 +22,9 @@ from armctl.scene import BOX_NUMBERS, Boxes
 from armctl.tasks import ReachObstaclesOptions, ReachObstaclesTask
 from armctl.tasks.reach import layout_pool, read_boxes
 from armctl.tasks.reach.layout_pool import (
-    OWN,
     PARTS,
     POOL_FILE,
+    SEEDS_WITH_LAYOUTS,
     part_of,
     pool_for,
     read_pool,
@@ -36,7 +36,7 @@ from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES, sample_certified_
 SHIPPED = read_pool(POOL_FILE)
 SEEDS = st.one_of(
     st.integers(0, VALIDATION_SEED), st.integers(VALIDATION_SEED, TRAINING_SEEDS), st.integers(TRAINING_SEEDS, 2**62)
-).filter(lambda seed: seed not in OWN)
+).filter(lambda seed: seed not in SEEDS_WITH_LAYOUTS)
 
 
 @functools.cache
@@ -69,7 +69,7 @@ def sample(size, rows=None):
 
 def test_the_parts_are_as_large_as_made_and_share_no_layout():
     sizes = {part: len(rows) for part, rows in SHIPPED.parts.items()}
-    own = dict.fromkeys(map(str, OWN), make_layout_pool.OWN_SIZE)
+    own = dict.fromkeys(map(str, SEEDS_WITH_LAYOUTS), make_layout_pool.LAYOUTS_PER_SEED)
     assert sizes == own | make_layout_pool.SIZES, "run python tools/make_layout_pool.py --keep"
     assert len(np.unique(SHIPPED.targets, axis=0)) == len(SHIPPED.targets)
     assert all(SHIPPED.feasible[SHIPPED.parts[part]].all() for part in own)
@@ -96,7 +96,7 @@ def test_certificates_hold(sized):
             np.testing.assert_allclose(workspace.model.position(path[-1]), target, atol=1e-5)
 
 
-@pytest.mark.parametrize("seed", sorted(set(OWN)))
+@pytest.mark.parametrize("seed", sorted(set(SEEDS_WITH_LAYOUTS)))
 def test_seeds_with_layouts_of_their_own_have_those_that_are_drawn_without_a_pool(seed, sized):
     """So that the episodes of a sealed test, which is a development seed later, stay the same."""
     episodes = [0, 999, *sample(sized(3, 100), np.arange(1000)).tolist()]
@@ -147,7 +147,7 @@ def test_a_seed_goes_through_its_part_before_a_layout_comes_again(seed, solvable
 def test_neighbouring_seeds_draw_as_by_chance(first, episode):
     """The worlds of a batch have consecutive seeds and start with the same episode."""
     seeds, part = range(first, first + 2000), SHIPPED.parts[part_of(first)]
-    rows = np.array([SHIPPED.row(seed, episode, True) for seed in seeds if seed not in OWN], dtype=float)
+    rows = np.array([SHIPPED.row(seed, episode, True) for seed in seeds if seed not in SEEDS_WITH_LAYOUTS], dtype=float)
     for lag in (1, 2, 16):
         assert abs(np.corrcoef(rows[lag:], rows[:-lag])[0, 1]) < 4 / np.sqrt(len(rows))
     by_chance = len(part) * (1 - (1 - 1 / len(part)) ** len(rows))
@@ -158,7 +158,7 @@ def test_neighbouring_seeds_draw_as_by_chance(first, episode):
 
 def test_a_test_that_was_just_drawn_has_fresh_layouts_of_its_own(monkeypatch):
     """Before the pool has them; and what was the test stays what it was."""
-    monkeypatch.setattr(layout_pool, "OWN", (*OWN, 999_983))
+    monkeypatch.setattr(layout_pool, "SEEDS_WITH_LAYOUTS", (*SEEDS_WITH_LAYOUTS, 999_983))
     assert [SHIPPED.row(999_983, episode, solvable=True) for episode in range(3)] == [-1] * 3
     world = TaskVectorEnv(1, task=ReachObstaclesTask)
     for found, wanted in zip(played(world, 999_983, 1), drawn(999_983, 1), strict=True):

@@ -45,7 +45,7 @@ def test_a_pool_is_read_as_it_was_written(tmp_path):
 
 def test_the_maker_makes_the_pool(tmp_path, monkeypatch):
     monkeypatch.setattr(make_layout_pool, "SIZES", dict.fromkeys(PARTS, 2))
-    monkeypatch.setattr(make_layout_pool, "OWN_SIZE", 2)
+    monkeypatch.setattr(make_layout_pool, "LAYOUTS_PER_SEED", 2)
     make_layout_pool.main(1, tmp_path / "small.npz")
     made = read_pool(tmp_path / "small.npz")
     for part, rows in SHIPPED.parts.items():

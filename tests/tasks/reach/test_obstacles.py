@@ -71,7 +71,7 @@ def test_an_arm_touches_what_the_capsule_model_says_it_touches():
         for world in range(24):
             set_arm(task, world, q[world])
         task.simulation.refresh()
-        touching = task._touches.now()[:, 0].any(axis=1)
+        touching = task._contacts.current()[:, 0].any(axis=1)
         for world in range(24):
             free = among[world].is_free(q[world])
             assert free != touching[world]
@@ -94,7 +94,7 @@ def test_each_touch_ends_the_episode_and_is_told_from_the_others(what):
             q = rng.uniform(-np.pi, np.pi, 6)
             set_arm(task, 0, q)
             task.simulation.refresh()
-            touched = task._touches.now()[0, 0]
+            touched = task._contacts.current()[0, 0]
             if touched.tolist() == [what == name for name in ("floor", "obstacle", "itself")]:
                 break
     set_arm(task, 0, q)
@@ -117,7 +117,7 @@ def test_every_layout_is_certified_free_at_home_and_mostly_solved_by_the_expert(
         plan = planner.plan(model.home, target, 0.05, boxes)
         assert len(certificate.path(model.home, target, boxes))
         straight += not plan.searched
-        solved += plan.found
+        solved += plan.solved
         assert model.among(boxes).is_free(model.home)
         assert boxes.distances(target).min(initial=np.inf) >= 0.05
     assert straight < 18

@@ -56,7 +56,7 @@ def test_episode_ends_with_the_first_touch_and_the_world_stands_still_there():
     for seed in range(20):
         *before, last = list(expert_steps(env, seed))
         assert all(np.linalg.norm(step[0][:3] - step[0][-3:]) > 0.08 for step in before)
-        distances = task._watch.distances[:, 0]
+        distances = task._target_query.distances[:, 0]
         touched = int((distances <= 0.08).argmax())
         assert (distances[:touched] > 0.08).all()
         assert (distances[touched:] == distances[touched]).all()

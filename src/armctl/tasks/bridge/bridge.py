@@ -52,7 +52,7 @@ LEARNER_VELOCITY = np.array([[-0.3, -2.0], [1.6, 2.0]], dtype=np.float32)
 
 
 class BridgeOutcome(Outcome):
-    """How an episode of a bridge task ends."""
+    """Outcome of an episode of a bridge task."""
 
     TIMEOUT = 0
     CROSSED = 1, True
@@ -117,16 +117,16 @@ class BridgeTask(Task):
                 "observation": f"state of {self.options.blocks} blocks, {self.options.walkers} walkers",
             }
         width, height = self.options.size
-        seen = f", to {self.options.camera_range:g} m" if self.options.camera == "depth" else ""
+        limit = f", to {self.options.camera_range:g} m" if self.options.camera == "depth" else ""
         return {
             "robot": "rover",
             "observation": {"camera": "camera and motion"}.get(self.options.view, self.options.view),
-            "camera": f"{self.options.camera} {width} x {height}, {self.options.field_of_view:g} degrees{seen}",
+            "camera": f"{self.options.camera} {width} x {height}, {self.options.field_of_view:g} degrees{limit}",
         }
 
     @property
     def physical(self) -> bool:
-        """Whether masses, friction and pushes change anything."""
+        """True if masses, friction and pushes change anything."""
         return self.options.dynamics == "physics"
 
     @property
@@ -167,11 +167,11 @@ class BridgeTask(Task):
         return LEARNER_VELOCITY[0], LEARNER_VELOCITY[1]
 
     def map(self, world: int) -> BridgeMap:
-        """The map of a world's bridge, which is privileged knowledge."""
+        """Return the map of a world's bridge, which is privileged knowledge."""
         return self._layouts[world].map
 
     def static_map(self, world: int) -> BridgeMap:
-        """A copy of the map, without pedestrians."""
+        """Return a copy of the map, without pedestrians."""
         whole = self.map(world)
         return BridgeMap(whole.length, whole.half_width, whole.blocks.copy())
 
@@ -206,41 +206,41 @@ class BridgeTask(Task):
 
     def advance(self, ids: Ids | None) -> None:
         """Simulate until the next control step, in worlds `ids` or in all."""
-        for places in self._furniture.moves.places:
+        for positions in self._furniture.poses.positions:
             self._time[slice(None) if ids is None else ids] += CONTROL_PERIOD / MOVES
             if self.options.walkers:
-                np.copyto(places, self._pedestrians.positions(self._time))
+                np.copyto(positions, self._pedestrians.positions(self._time))
         self.rover.drive(ids)
 
     def observation_parts(self) -> dict[str, NDArray[np.floating[Any]]]:
-        """Pose, velocity and own motion."""
+        """Return pose, velocity and own motion."""
         return {"pose": self.state.poses, "velocity": self.state.velocities, "motion": self._motion()}
 
     def observe(self, ids: Ids | None = None) -> Observations:
-        """Images `image` (n, height, width) and odometry `motion` (n, 3), or states (n, k)."""
+        """Return images `image` (n, height, width) and odometry `motion` (n, 3), or states (n, k)."""
         worlds = slice(None) if ids is None else ids
         if self._see is None:
             return self.state_observation(ids)
         if self.options.view == "image":
             return self._see(ids)
-        seen = "ranges" if self.options.view == "ranges" else "image"
-        return {seen: self._see(ids), "motion": self._motion().astype(np.float32)[worlds]}
+        part = "ranges" if self.options.view == "ranges" else "image"
+        return {part: self._see(ids), "motion": self._motion().astype(np.float32)[worlds]}
 
     def state_observation(self, ids: Ids | None = None) -> NDArray[np.float32]:
-        """Pose, velocities, blocks and pedestrians (n, k)."""
+        """Return pose, velocities, blocks and pedestrians (n, k)."""
         return full_state(self.state, self._blocks, self._pedestrians)[slice(None) if ids is None else ids]
 
     def perceived(self, numbers: NDArray[np.float32]) -> PerceivedBridges:
-        """What policies that see the state read in place of this task, if its state has these numbers for them."""
+        """Return what policies that see the state read instead of this task, if its state has these numbers."""
         return PerceivedBridges(numbers, self.state, [layout.map for layout in self._layouts], self.goal_x)
 
     def reward_terms(self) -> RewardTerms:
-        """The terms of `BridgeOptions.reward`."""
+        """Return the terms of `BridgeOptions.reward`."""
         self._update_state()
         return {name: np.array(term(self.state), dtype=float) for name, term in self.reward_functions.items()}
 
     def outcome(self) -> NDArray[np.int8]:
-        """`CROSSED`, `COLLIDED` or `FELL`; `TIMEOUT` while the episode goes on."""
+        """Return `CROSSED`, `COLLIDED` or `FELL`; `TIMEOUT` while the episode goes on."""
         state = self.state
         return np.select(
             (state.fell, state.collided, state.crossed),
@@ -249,7 +249,7 @@ class BridgeTask(Task):
         )
 
     def info(self) -> dict[str, Any]:
-        """`contacts`: whether each part of the rover has touched each class of objects since the last control step.
+        """Return `contacts`: whether each part of the rover has touched each class of objects since the last step.
 
         `feasible`: whether the bridge can be crossed. It always can: `sample_layout` rejects other layouts.
         """
@@ -263,16 +263,16 @@ class BridgeTask(Task):
         }
 
     def goal_distances(self) -> Array:
-        """(n,) m to the goal line; 0 beyond it."""
+        """Return the distances (n,) m to the goal line; 0 beyond it."""
         return np.maximum(self.state.distance, 0.0)
 
     def motion(self) -> MotionSample:
-        """The rovers' motion. Forbidden contacts: with barriers and obstacles, and of the base with the floor."""
+        """Return the rovers' motion. Forbidden contacts are with barriers and obstacles, and of base and floor."""
         samples = None if self.joints is None else self.joints.since_last_step()
         return MotionSample(self.rover.positions.copy(), self.state.poses, self.state.collided, samples)
 
     def least_clearance(self, world: int, configurations: Array) -> float:
-        """Least distance between the rover's turning disc and sides, blocks and people, m; negative in penetration."""
+        """Return the least distance (m) of the turning disc from sides, blocks and people; negative in penetration."""
         bridge, points = self.map(world), configurations[:, :2]
         people = bridge.pedestrians
         standing = np.linalg.norm(bridge.nearest(points) - points[:, None], axis=-1)
@@ -323,7 +323,7 @@ class BridgeTask(Task):
         )
 
     def _motion(self) -> Array:
-        """Odometry (m/s, rad/s) and the gyro's yaw rate (rad/s), (n, 3)."""
+        """Return odometry (m/s, rad/s) and the gyro's yaw rate (rad/s), (n, 3)."""
         return np.clip(np.column_stack((self.rover.odometry, self.rover.gyro[:, 2])), -FASTEST_MOTION, FASTEST_MOTION)
 
 

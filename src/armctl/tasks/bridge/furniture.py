@@ -1,11 +1,11 @@
-"""What stands elsewhere in each episode on a bridge: its jersey barriers, blocks and walkers, in n worlds at once."""
+"""Bodies whose place differs between episodes on a bridge: jersey barriers, blocks and walkers, in n worlds at once."""
 
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.kernels.control_step import Moves
+from armctl.kernels.control_step import PoseInput
 from armctl.simulation import Simulation
 from armctl.tasks.bridge.layout import Layout
 from armctl.tasks.bridge.world import HIDDEN, block_names, segment_names, walker_names
@@ -24,7 +24,9 @@ class Furniture:
             for names in (segment_names(length), block_names(blocks), walker_names(walkers))
         )
 
-        self.moves = Moves(self._walkers.astype(np.intp), np.zeros((moves, simulation.n, walkers, 2)), self._positions)
+        self.poses = PoseInput(
+            self._walkers.astype(np.intp), np.zeros((moves, simulation.n, walkers, 2)), self._positions
+        )
         """The walkers in the ticks of `Simulation.control_step`."""
 
     def place(self, ids: Ids, layouts: Sequence[Layout]) -> None:
@@ -38,6 +40,6 @@ class Furniture:
         self._rotations[worlds, self._blocks] = turned
         self._positions[worlds, self._walkers, 2] = 0.0
 
-    def move_walkers(self, ids: Ids, places: Array) -> None:
-        """Put the walkers of worlds `ids` at `places` (len(ids), walkers, 2), m."""
-        self.moves.places[:, ids] = self._positions[ids[:, None], self._walkers, :2] = places
+    def move_walkers(self, ids: Ids, positions: Array) -> None:
+        """Put the walkers of worlds `ids` at `positions` (len(ids), walkers, 2), m."""
+        self.poses.positions[:, ids] = self._positions[ids[:, None], self._walkers, :2] = positions

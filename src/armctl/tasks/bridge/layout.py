@@ -39,7 +39,7 @@ ATTEMPTS = 1000
 
 
 def turning_y(half_width: float) -> float:
-    """M from the middle of a deck, free to both sides for `half_width` m, where people who walk across turn back."""
+    """Return where walkers turn back, m from the middle of a deck that is free for `half_width` m on both sides."""
     return half_width - TURNING_MARGIN
 
 
@@ -57,11 +57,11 @@ def sample_layout(
 ) -> Layout:
     """Sample a layout that can be crossed. Raises `ConfigurationError` if none is found."""
     for _ in range(ATTEMPTS):
-        drawn = _sample_map(rng, length, free_half_width(width), blocks, walkers)
-        if _room_to_wait(drawn) and drawn.crossable(CLEARANCE):
+        bridge = _sample_map(rng, length, free_half_width(width), blocks, walkers)
+        if _room_to_wait(bridge) and bridge.crossable(CLEARANCE):
             # The first and last barriers are never missing: they mark the ends of the bridge.
             inner = np.arange(2, len(segment_names(length)) - 2)
-            return Layout(drawn, rng.permutation(inner)[:missing_barriers])
+            return Layout(bridge, rng.permutation(inner)[:missing_barriers])
     raise ConfigurationError(
         f"none of {ATTEMPTS} layouts of {blocks} blocks and {walkers} walkers on {length} m by {width} m "
         "can be crossed: take fewer, or a larger deck"
@@ -95,9 +95,9 @@ def _sample_map(rng: np.random.Generator, length: float, half_width: float, bloc
     return BridgeMap(length, half_width, placed, pedestrians)
 
 
-def _room_to_wait(drawn: BridgeMap) -> bool:
-    """Whether the rover fits between each lane across the bridge and the obstacles before and behind it."""
-    pedestrians, blocks = drawn.pedestrians, drawn.blocks
+def _room_to_wait(bridge: BridgeMap) -> bool:
+    """Return True if the rover fits between each lane across the bridge and the obstacles before and behind it."""
+    pedestrians, blocks = bridge.pedestrians, bridge.blocks
     across = pedestrians.start[:, 0] == pedestrians.end[:, 0]
     if not across.any():
         return True

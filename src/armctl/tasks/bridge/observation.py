@@ -30,24 +30,24 @@ OFF_DECK = 10.0
 FASTEST = np.array([20.0, 35.0])
 """Forward velocity (m/s) and yaw rate (rad/s) beyond which sensors do not measure: a gyro's range of 2000 degrees/s."""
 FASTEST_MOTION = FASTEST[[0, 1, 1]].astype(np.float32)
-OWN, BLOCK, WALKER = 6, 5, 4
+ROVER, BLOCK, WALKER = 6, 5, 4
 """Numbers of `full_state` for the rover itself, for each block and for each walker."""
 See = Callable[[Ids | None], NDArray[Any]]
 """Images (n, height, width, ...) of some worlds, or of all."""
 
 
 def make_camera(simulation: Simulation, options: BridgeOptions) -> See:
-    """The camera of `options`. Raises `ConfigurationError` for `rgb` without OpenGL."""
+    """Return the camera of `options`. Raises `ConfigurationError` for `rgb` without OpenGL."""
     see = _make_sensor(simulation, options)
     if options.camera == "rgb":
         return see
-    shown = _nearness if options.view == "features" else _same
+    convert = _nearness if options.view == "features" else _same
     highest = {"classes": len(PIXEL_CLASSES) - 1, "depth": options.camera_range}[options.camera]
     if options.view == "features":
         highest = 1.0
     if options.image_format == "float":
-        return lambda ids: shown(see(ids))
-    return lambda ids: np.rint(shown(see(ids)) * np.float32(255 / highest)).astype(np.uint8)[..., None]
+        return lambda ids: convert(see(ids))
+    return lambda ids: np.rint(convert(see(ids)) * np.float32(255 / highest)).astype(np.uint8)[..., None]
 
 
 def _make_sensor(simulation: Simulation, options: BridgeOptions) -> See:
@@ -71,21 +71,21 @@ def _same(images: NDArray[Any]) -> NDArray[Any]:
 
 
 def _nearness(depths: NDArray[np.float32]) -> NDArray[np.float32]:
-    """From 1 at the camera, a half at `NEAR`, to 0 at infinity."""
+    """Return nearness: 1 at the camera, a half at `NEAR`, 0 at infinity."""
     return NEAR / (NEAR + depths)
 
 
 def full_state(state: BridgeState, blocks: Array, pedestrians: PedestrianTrajectories) -> NDArray[np.float32]:
-    """Pose (x, y, cos yaw, sin yaw), velocities, blocks (5 each) and pedestrians (position and velocity), (n, k)."""
+    """Return pose (x, y, cos yaw, sin yaw), velocities, blocks (5 each) and pedestrians (4 each), (n, k)."""
     n, (x, y, yaw) = len(blocks), state.poses.T
     velocities = np.clip(state.velocities, -FASTEST, FASTEST)
-    own = np.column_stack((x, y, np.cos(yaw), np.sin(yaw), velocities))
+    rover = np.column_stack((x, y, np.cos(yaw), np.sin(yaw), velocities))
     people = np.concatenate((pedestrians.positions(state.time), pedestrians.velocities(state.time)), axis=-1)
-    return np.concatenate((own, blocks.reshape(n, -1), people.reshape(n, -1)), axis=1, dtype=np.float32)
+    return np.concatenate((rover, blocks.reshape(n, -1), people.reshape(n, -1)), axis=1, dtype=np.float32)
 
 
 def observation_space(options: BridgeOptions) -> gymnasium.spaces.Space[Any]:
-    """The observation space of one world."""
+    """Return the observation space of one world."""
     if options.view == "state":
         return state_space(options)
     motion = gymnasium.spaces.Box(-FASTEST_MOTION, FASTEST_MOTION, dtype=np.float32)
@@ -97,7 +97,7 @@ def observation_space(options: BridgeOptions) -> gymnasium.spaces.Space[Any]:
 
 
 def state_space(options: BridgeOptions) -> gymnasium.spaces.Box:
-    """The space of one world's `full_state`."""
+    """Return the space of one world's `full_state`."""
     return gymnasium.spaces.Box(*_state_bounds(options), dtype=np.float32)
 
 
@@ -114,24 +114,24 @@ def _image_space(options: BridgeOptions) -> gymnasium.spaces.Box:
 
 
 def _state_bounds(options: BridgeOptions) -> NDArray[np.float32]:
-    """Lowest and highest of each number of `full_state`, (2, k)."""
+    """Return the lowest and highest of each number of `full_state`, (2, k)."""
     length, width = options.deck_length, options.deck_width / 2
-    own = [length + OFF_DECK, width + OFF_DECK, 1.0, 1.0, *FASTEST]
+    rover = [length + OFF_DECK, width + OFF_DECK, 1.0, 1.0, *FASTEST]
     block = [length, width, MAX_BLOCK_YAW, *np.max(BLOCK_SIZES, axis=0)]
     walker = [length, width, max(WALKER_SPEEDS), max(WALKER_SPEEDS)]
-    highest = np.array([*own, *block * options.blocks, *walker * options.walkers], dtype=np.float32)
+    highest = np.array([*rover, *block * options.blocks, *walker * options.walkers], dtype=np.float32)
     return np.stack((-highest, highest))
 
 
 def camera_pitch(model: mujoco.MjModel) -> float:
-    """By how much the camera looks down while the rover stands, rad."""
+    """Return the angle by which the camera looks down while the rover stands, rad."""
     rotation = np.zeros(9)
     mujoco.mju_quat2Mat(rotation, model.camera(CAMERA).quat)
     return float(np.arcsin(rotation[8]))
 
 
 def column_directions(options: BridgeOptions, pitch: float) -> Array:
-    """(width, 2) unit vectors, ahead and to the left, in which the columns of the camera's image see the horizon.
+    """Return (width, 2) unit vectors, ahead and left, in which the columns of the camera's image see the horizon.
 
     The camera looks down by `pitch` rad.
     """
@@ -142,7 +142,7 @@ def column_directions(options: BridgeOptions, pitch: float) -> Array:
 
 
 def pixel_classes(model: mujoco.MjModel) -> NDArray[np.uint8]:
-    """Index into `PIXEL_CLASSES` of each geom, (ngeom,)."""
+    """Return the index into `PIXEL_CLASSES` of each geom, (ngeom,)."""
     classes = np.zeros(model.ngeom, dtype=np.uint8)
     for i, (kind, name) in enumerate(CONTACT_CLASSES.values(), start=1):
         if kind == mujoco.mjtObj.mjOBJ_GEOM:

@@ -62,7 +62,7 @@ class BridgeOptions:
 
     @property
     def view(self) -> str:
-        """What is observed: `camera`, `features`, `image`, `ranges` or `state`."""
+        """Kind of observation: `camera`, `features`, `image`, `ranges` or `state`."""
         return {"paper": "camera", "full": "state"}.get(self.observation, self.observation)
 
     @property

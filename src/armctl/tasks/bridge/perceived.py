@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.scene import BridgeMap
-from armctl.tasks.bridge.observation import BLOCK, OWN, WALKER
+from armctl.tasks.bridge.observation import BLOCK, ROVER, WALKER
 from armctl.tasks.bridge.state import BridgeState
 
 
@@ -23,23 +23,23 @@ class PerceivedBridges:
     goal_x: float
 
     def state_observation(self) -> NDArray[np.float32]:
-        """The numbers themselves."""
+        """Return the numbers themselves."""
         return self.numbers
 
     @property
     def state(self) -> BridgeState:
         """The true state with the poses, velocities and distances that the numbers say."""
-        x, y, cos, sin, *velocities = self.numbers[:, :OWN].T.astype(float)
+        x, y, cos, sin, *velocities = self.numbers[:, :ROVER].T.astype(float)
         poses = np.column_stack((x, y, np.arctan2(sin, cos)))
         return replace(self.truth, poses=poses, velocities=np.column_stack(velocities), distance=self.goal_x - x)
 
     def map(self, world: int) -> BridgeMap:
-        """The map with the blocks of the numbers, and with each pedestrian's line moved to where they say it is now."""
-        true, (_, *seen) = (
+        """Return the map with the blocks of the numbers, and each pedestrian's line moved to fit the numbers."""
+        true, (_, *numbers) = (
             self.maps[world],
-            np.split(self.numbers[world].astype(float), [OWN, self._people_from(world)]),
+            np.split(self.numbers[world].astype(float), [ROVER, self._people_from(world)]),
         )
-        blocks, people = seen[0].reshape(-1, BLOCK), seen[1].reshape(-1, WALKER)[:, :2]
+        blocks, people = numbers[0].reshape(-1, BLOCK), numbers[1].reshape(-1, WALKER)[:, :2]
         blocks = np.column_stack((blocks[:, :3], np.maximum(blocks[:, 3:], 0.0)))
         walkers = true.pedestrians
         off = people - walkers.positions(self.truth.time[world])
@@ -48,4 +48,4 @@ class PerceivedBridges:
         )
 
     def _people_from(self, world: int) -> int:
-        return OWN + BLOCK * len(self.maps[world].blocks)
+        return ROVER + BLOCK * len(self.maps[world].blocks)

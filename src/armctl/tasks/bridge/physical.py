@@ -18,7 +18,7 @@ class PhysicalRover(Rover):
     def __init__(self, simulation: Simulation, furniture: Furniture) -> None:
         super().__init__(simulation)
         self.joints = self.wheel_samples(MOVES, CONTROL_PERIOD)
-        self._moves = furniture.moves
+        self._poses = furniture.poses
         self._ticks = round(CONTROL_PERIOD / MOVES / simulation.model.opt.timestep)
         self._contacts = ContactSensors(simulation, PARTS, CONTACT_CLASSES)
 
@@ -26,7 +26,7 @@ class PhysicalRover(Rover):
         """Do nothing: the furniture is in the simulation."""
 
     def begin(self, ids: Ids) -> None:
-        """Rovers `ids` stand where the simulation has put them."""
+        """Begin episodes of rovers `ids`, which stand where the simulation has put them."""
         self._contacts.forget(ids)
         self._simulation.refresh(ids)
 
@@ -34,9 +34,9 @@ class PhysicalRover(Rover):
         """Drive for one control step, in worlds `ids` or in all."""
         self._contacts.forget(ids)
         self._simulation.control_step(
-            MOVES, self._ticks, ids, samples=self.joints.part, touches=self._contacts.part, moves=self._moves
+            MOVES, self._ticks, ids, samples=self.joints.part, contacts=self._contacts.part, poses=self._poses
         )
 
     def contacts(self) -> NDArray[np.bool_]:
-        """Contacts since the last control step, (n, `PARTS`, `CONTACT_CLASSES`)."""
+        """Return contacts since the last control step, (n, `PARTS`, `CONTACT_CLASSES`)."""
         return self._contacts.since_last_step()

@@ -38,7 +38,7 @@ class Geometry:
 
     deck: kernel.Deck
     blocks: int
-    """On each bridge."""
+    """Number of blocks on each bridge."""
     segments: int
     """Jersey barriers on each side."""
     turn: float
@@ -52,7 +52,7 @@ class Geometry:
 
     @classmethod
     def of(cls, options: BridgeOptions, model: mujoco.MjModel) -> "Geometry":
-        """Those of a bridge's model."""
+        """Return the geometry of a bridge's model."""
         half_width = free_half_width(options.deck_width)
         wheels = np.array([model.body(PREFIX + name).pos[:2] for name in WHEELS])
         base, wheel = model.geom(PREFIX + "base").size[:2], model.geom(PREFIX + WHEELS[0]).size[:2]
@@ -67,19 +67,19 @@ class Geometry:
         )
 
     def wheel_positions(self, poses: Array) -> Array:
-        """(n, 4, 2) m, of rovers at poses (n, 3)."""
+        """Return (n, 4, 2) m, of rovers at poses (n, 3)."""
         cos, sin = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
         ahead, left = self.wheels.T
         turned = np.stack((ahead * cos - left * sin, ahead * sin + left * cos), axis=-1)
         return np.asarray(poses[:, None, :2] + turned)
 
     def wheels_at_goal(self, poses: Array) -> NDArray[np.bool_]:
-        """Which wheels of rovers at poses (n, 3) have got to the goal line, (n, 4)."""
+        """Return which wheels of rovers at poses (n, 3) have got to the goal line, (n, 4)."""
         return np.asarray(self.wheel_positions(poses)[..., 0] >= self.goal_x)
 
 
 def block_rows(blocks: Array) -> Array:
-    """Blocks (n, k, 5), as a `BridgeMap` has them, as the kernel's rows (n, k, 6)."""
+    """Return blocks (n, k, 5), as a `BridgeMap` has them, as the kernel's rows (n, k, 6)."""
     places, yaws, sizes = np.split(blocks, (2, 3), axis=-1)
     return np.concatenate((places, np.cos(yaws), np.sin(yaws), sizes), axis=-1)
 
@@ -92,7 +92,7 @@ class PlanarRover(Rover):
     def __init__(self, simulation: Simulation, furniture: Furniture, options: BridgeOptions) -> None:
         super().__init__(simulation)
         n, self._furniture, self._options = simulation.n, furniture, options
-        self._walkers = walkers = furniture.moves.places
+        self._walkers = walkers = furniture.poses.positions
         self._poses, self._velocities, self._commands = np.zeros((n, 3)), np.zeros((n, 2)), np.zeros((n, 2))
         self._geometry = geometry = Geometry.of(options, simulation.model)
         self._scenes = kernel.Scenes(
@@ -112,7 +112,7 @@ class PlanarRover(Rover):
         self._scenes.barriers[ids[:, None], missing % 2, missing // 2] = False
 
     def begin(self, ids: Ids) -> None:
-        """Rovers `ids` stand where the simulation has put them."""
+        """Begin episodes of rovers `ids`, which stand where the simulation has put them."""
         self._poses[ids] = super().poses[ids]
         self._velocities[ids] = self._commands[ids] = 0.0
         self._touched[ids] = kernel.FREE
@@ -135,7 +135,7 @@ class PlanarRover(Rover):
         self._qpos[:, first + 3], self._qpos[:, first + 6] = np.cos(yaw / 2), np.sin(yaw / 2)
 
     def scan(self, ids: Ids | None) -> NDArray[np.float32]:
-        """Ranges (n, columns) from the camera, m, in the directions of its image's columns at the horizon."""
+        """Return ranges (n, columns) from the camera, m, in the directions of its image's columns at the horizon."""
         ids = self._worlds if ids is None else ids
         ranges = np.empty((len(ids), len(self._directions)), dtype=np.float32)
         deck, farthest = self._geometry.deck, self._options.camera_range
@@ -146,7 +146,7 @@ class PlanarRover(Rover):
         return ranges
 
     def contacts(self) -> NDArray[np.bool_]:
-        """Contacts since the last control step, (n, `PARTS`, `CONTACT_CLASSES`); collisions are all the base's."""
+        """Return contacts since the last control step, (n, `PARTS`, `CONTACT_CLASSES`): collisions are the base's."""
         classes = list(CONTACT_CLASSES)
         contacts = np.zeros((len(self._poses), len(PARTS), len(classes)), dtype=bool)
         contacts[:, 1:, classes.index("floor")] = True

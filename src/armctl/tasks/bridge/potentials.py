@@ -29,7 +29,7 @@ class CrossingCostToGo(Potential):
             self._lengths[i] = self._lattice.lengths(self.task.map(int(i)), self.task.goal_x, CLEARANCE)
 
     def potentials(self, ids: Ids) -> Array:
-        """(len(ids),) m."""
+        """Return (len(ids),) m."""
         return -self._lattice.interpolate(self._lengths[ids], self.task.state.poses[ids, :2])
 
 
@@ -46,16 +46,17 @@ class CrossingTimeToGo(Potential):
         super().__init__(task)
         bridge, worlds = task.map(0), len(task.state.poses)
         self._space_time = SpaceTime(Lattice(bridge.length, bridge.half_width))
-        self._alone = np.zeros((worlds, *self._space_time.lattice.shape))
+        self._unhindered = np.zeros((worlds, *self._space_time.lattice.shape))
         self._extra = np.zeros((worlds, *self._space_time.shape), dtype=np.float32)
 
     def begin(self, ids: Ids) -> None:
         """Compute the times from all points at all times of the bridges of worlds `ids`."""
         for i in ids:
-            found = self._space_time.times(self.task.map(int(i)), self.task.goal_x, CLEARANCE)
-            self._alone[i], self._extra[i] = found.alone, found.extra
+            times = self._space_time.times(self.task.map(int(i)), self.task.goal_x, CLEARANCE)
+            self._unhindered[i], self._extra[i] = times.unhindered, times.extra
 
     def potentials(self, ids: Ids) -> Array:
-        """(len(ids),) s."""
+        """Return (len(ids),) s."""
         state = self.task.state
-        return -self._space_time.interpolate(self._alone[ids], self._extra[ids], state.poses[ids, :2], state.time[ids])
+        points, times = state.poses[ids, :2], state.time[ids]
+        return -self._space_time.interpolate(self._unhindered[ids], self._extra[ids], points, times)

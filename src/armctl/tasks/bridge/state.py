@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.tasks.task import EachStep, Once
+from armctl.tasks.task import EachStep, OneTimeTerm
 
 Array = NDArray[np.float64]
 
@@ -17,17 +17,17 @@ class BridgeState:
     """Everything that reward terms may use. Every array has a leading axis n, the number of worlds."""
 
     time: Array
-    """Since the episode began, s, (n,)."""
+    """Time since the episode began, s, (n,)."""
     poses: Array
     """True x, y (m) and yaw (rad) of the rover, (n, 3)."""
     velocities: Array
     """True forward velocity (m/s) and yaw rate (rad/s), (n, 2)."""
     distance: Array
-    """To the goal line, m, (n,)."""
+    """Distance to the goal line, m, (n,)."""
     previous_distance: Array
     """The distance one control step ago, m, (n,); after a reset, `distance`."""
     contacts: NDArray[np.bool_]
-    """What each part has touched since the last control step, (n, `PARTS`, `CONTACT_CLASSES`)."""
+    """Contacts of each part since the last control step, (n, `PARTS`, `CONTACT_CLASSES`)."""
     crossed: NDArray[np.bool_]
     """A part has touched the goal line, and no part has touched anything forbidden, (n,)."""
     collided: NDArray[np.bool_]
@@ -42,8 +42,8 @@ Term = Callable[[BridgeState], NDArray[np.floating[Any]]]
 
 REWARD: dict[str, Term] = {
     "time": EachStep(lambda state: np.full(len(state.crossed), -0.1), (-0.1, -0.1)),
-    "goal": Once(lambda state: np.where(state.crossed, 100.0, 0.0), (0.0, 100.0)),
-    "collision": Once(lambda state: np.where(state.collided, -100.0, 0.0), (-100.0, 0.0)),
-    "fall": Once(lambda state: np.where(state.fell, -100.0, 0.0), (-100.0, 0.0)),
+    "goal": OneTimeTerm(lambda state: np.where(state.crossed, 100.0, 0.0), (0.0, 100.0)),
+    "collision": OneTimeTerm(lambda state: np.where(state.collided, -100.0, 0.0), (-100.0, 0.0)),
+    "fall": OneTimeTerm(lambda state: np.where(state.fell, -100.0, 0.0), (-100.0, 0.0)),
 }
 """Named reward terms, (n,) each; the reward is their sum."""

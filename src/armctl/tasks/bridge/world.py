@@ -35,26 +35,26 @@ CONTACT_CLASSES = {
     "goal": (mujoco.mjtObj.mjOBJ_GEOM, "goal_line"),
     "ground": (mujoco.mjtObj.mjOBJ_GEOM, "ground"),
 }
-"""What the rover can touch: `floor` is the top of the asphalt, `deck` the side of the concrete below it."""
+"""Classes of objects that the rover can touch: `floor` is the top of the asphalt, `deck` the concrete below it."""
 
 
 def free_half_width(deck_width: float) -> float:
-    """From the middle of a deck to its barriers' feet, m."""
+    """Return the distance from the middle of a deck to its barriers' feet, m."""
     return deck_width / 2 - 2 * JERSEY_PROFILE[0][0]
 
 
 def segment_names(length: float) -> list[str]:
-    """Bodies of the jersey barriers, from start to goal, alternating left and right."""
+    """Return the bodies of the jersey barriers, from start to goal, alternating left and right."""
     return [f"{side}_barrier_{i}" for i in range(int(np.ceil(length / SEGMENT_LENGTH))) for side in ("left", "right")]
 
 
 def block_names(count: int) -> list[str]:
-    """Bodies of the barrier blocks."""
+    """Return the bodies of the barrier blocks."""
     return [f"block_{i}" for i in range(count)]
 
 
 def walker_names(count: int) -> list[str]:
-    """Bodies of the moving obstacles."""
+    """Return the bodies of the moving obstacles."""
     return [f"walker_{i}" for i in range(count)]
 
 
@@ -68,7 +68,7 @@ def build_bridge_world(
     resolution: tuple[int, int],
     field_of_view: float,
 ) -> mujoco.MjModel:
-    """Model of a bridge of `length` by `width` (m), with the rover standing at its start in the keyframe `start`.
+    """Return a bridge of `length` by `width` (m), with the rover standing at its start in the keyframe `start`.
 
     Contact sensors remember `memory` physics steps.
     """
@@ -134,7 +134,7 @@ def _add_jersey_barriers(spec: Any, length: float, width: float) -> None:
 
 
 def _add_walker(body: Any) -> None:
-    """A person as a cylinder with a visual head."""
+    """Add a person as a cylinder with a visual head."""
     shoulders = WALKER_HEIGHT - 0.25
     kind = mujoco.mjtGeom.mjGEOM_CYLINDER
     body.add_geom(type=kind, size=[WALKER_RADIUS, shoulders / 2, 0], pos=[0, 0, shoulders / 2], material="coat")

@@ -1,7 +1,7 @@
 """The layouts among obstacles that come with armctl, each with its certificate: resets need not search for paths.
 
 The pool is for one arm and one tolerance. Seeds for different uses draw from different parts of it, which share no
-layout: nobody is judged on layouts that it was trained on. The sealed test, and the seed by which trainings judge
+layout: no agent is judged on layouts that it was trained on. The sealed test, and the seed by which trainings judge
 themselves, have layouts of their own in each episode, as drawn without a pool. All other development seeds draw from
 the same 2,000 layouts: their episodes are no independent ones. `tools/make_layout_pool.py` makes the file.
 """
@@ -25,15 +25,15 @@ from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES
 
 POOL_FILE = Path(__file__).with_name("layout_pool.npz")
 FORMAT = 2
-"""Of the file."""
+"""Format number of the file."""
 LARGEST_POOL = 16 * 2**20
 """Bytes of a pool's file, and of the arrays in it, that armctl reads."""
 PARTS = ("development", "validation", "training")
 """The parts that many seeds draw from, in the order in which they lie in the pool, after those of single seeds."""
-OWN = (DEVELOPMENT_SEED, TEST_SEED)
+SEEDS_WITH_LAYOUTS = (DEVELOPMENT_SEED, TEST_SEED)
 """Seeds with a layout of its own in each episode: of the first ones, in the pool."""
 DECIMALS = 6
-"""Of m and rad: arms that differ by less are the same."""
+"""Decimals of m and rad: arms that differ by less are the same."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,10 +99,10 @@ class LayoutPool:
         return {name: rows[self.feasible[rows]] for name, rows in self.parts.items()}
 
     def row(self, seed: int, episode: int, solvable: bool) -> int:
-        """The row of an episode's layout, among those of the seed's part, or the feasible ones if `solvable`.
+        """Return the row of an episode's layout, among those of the seed's part, or the feasible ones if `solvable`.
 
-        Each seed goes through them in an order of its own, and begins anew after the last. `OWN` seeds have a layout of
-        their own in each episode: -1 for those that are not in the pool.
+        Each seed goes through them in an order of its own, and starts again after the last. `SEEDS_WITH_LAYOUTS` have a
+        layout of their own in each episode: -1 for those that are not in the pool.
         """
         part = part_of(seed)
         if part == str(seed):
@@ -116,8 +116,8 @@ class LayoutPool:
 
 
 def part_of(seed: int) -> str:
-    """The name of the part that a seed's episodes draw from; the seed, if it has layouts of its own."""
-    if seed in OWN:
+    """Return the name of the part that a seed's episodes draw from; the seed, if it has layouts of its own."""
+    if seed in SEEDS_WITH_LAYOUTS:
         return str(seed)
     if seed < VALIDATION_SEED:
         return "development"
@@ -125,7 +125,7 @@ def part_of(seed: int) -> str:
 
 
 def pool_for(arm: ArmDescription, tolerance: float) -> LayoutPool | None:
-    """The pool that comes with armctl; None if it is for another arm or tolerance.
+    """Return the pool that comes with armctl; None if it is for another arm or tolerance.
 
     Raises `ConfigurationError` if its file is missing or damaged.
     """
@@ -134,10 +134,10 @@ def pool_for(arm: ArmDescription, tolerance: float) -> LayoutPool | None:
 
 
 def robot_digest(arm: ArmDescription) -> str:
-    """A checksum of all of an arm but its meshes, the same on machines whose arithmetic rounds otherwise."""
+    """Return a checksum of all of an arm except its meshes, the same on machines whose arithmetic rounds otherwise."""
     limits = {field.name: _rounded(getattr(arm.limits, field.name)) for field in fields(arm.limits)}
     capsules = [
-        (one.link, sorted((_rounded(one.start), _rounded(one.end))), _rounded(one.radius)) for one in arm.capsules
+        (part.link, sorted((_rounded(part.start), _rounded(part.end))), _rounded(part.radius)) for part in arm.capsules
     ]
     return digest((arm.urdf, arm.joints, arm.tip, _rounded(arm.home), limits, capsules, arm.collision_pairs))
 
@@ -161,8 +161,8 @@ def read_pool(path: Path) -> LayoutPool:
                 raise ValueError("its arrays are too large")
         with np.load(content, allow_pickle=False) as arrays:
             values = dict(arrays)
-        if (found := values.pop("format")) != FORMAT:
-            raise ValueError(f"it has format {found}, not {FORMAT}")
+        if (number := values.pop("format")) != FORMAT:
+            raise ValueError(f"it has format {number}, not {FORMAT}")
         return LayoutPool(**values | {"robot": str(values["robot"]), "tolerance": float(values["tolerance"])})
     except Exception as error:  # what zipfile and numpy raise for damaged files is not documented
         raise ConfigurationError(f"the layouts in {path} cannot be read ({error}): install armctl again") from error

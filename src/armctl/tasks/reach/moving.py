@@ -19,7 +19,7 @@ from armctl.tasks.reach.options import ReachOptions, Terms
 from armctl.tasks.reach.potentials import MinimumTimeToMovingTarget
 from armctl.tasks.reach.reach import CONTROL_PERIOD, TICKS, ReachOutcome, ReachTask
 from armctl.tasks.reach.state import GOAL_REWARD, STEP_REWARD, ReachState, Term
-from armctl.tasks.task import EachStep, Ids, Once, Potential
+from armctl.tasks.task import EachStep, Ids, OneTimeTerm, Potential
 
 Array = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ MOVING_OBSERVATIONS: Mapping[str, Mapping[str, Term]] = {
 
 MOVING_REWARD: Mapping[str, Term] = {
     "away": EachStep(lambda state: np.where(state.within, 0.0, STEP_REWARD), (STEP_REWARD, 0.0)),
-    "goal": Once(lambda state: GOAL_REWARD * state.held, (0.0, GOAL_REWARD)),
+    "goal": OneTimeTerm(lambda state: GOAL_REWARD * state.held, (0.0, GOAL_REWARD)),
 }
 """The terms of the reward, whose sum is the reward."""
 
@@ -99,24 +99,24 @@ class ReachMovingTask(ReachTask):
         self._within_for = np.zeros(n)
         self._errors, self._steps = np.zeros(n), np.zeros(n)
         super().__init__(n, options, threads)
-        self._watch = self._watch._replace(targets=np.zeros((TICKS, n, 3)))
+        self._target_query = self._target_query._replace(targets=np.zeros((TICKS, n, 3)))
 
     def advance(self, ids: Ids | None) -> None:
         """Simulate until the next control step, in worlds `ids` or in all."""
         super().advance(ids)
         worlds = slice(None) if ids is None else ids
-        for distances in self._watch.distances:
+        for distances in self._target_query.distances:
             within_for = np.where(distances <= self.options.tolerance, self._within_for + TICK, 0.0)
             self._within_for[worlds] = within_for[worlds]
         self._errors += np.where(self._steps > 0, self._distances(), 0.0)
         self._steps += (self._steps > 0) | (self._distances() <= self.options.tolerance)
 
     def outcome(self) -> NDArray[np.int8]:
-        """`HELD`; `TIMEOUT` while the episode goes on."""
+        """Return `HELD`; `TIMEOUT` while the episode goes on."""
         return self.state.held * np.int8(ReachOutcome.HELD)
 
     def info(self) -> dict[str, NDArray[Any]]:
-        """Also `tracking_error`: mean distance (m) over all control steps since the target was first reached.
+        """Return also `tracking_error`: mean distance (m) over all control steps since the target was first reached.
 
         `tracking` says whether there are such steps. Before them, the error is the present distance.
         """
@@ -125,7 +125,7 @@ class ReachMovingTask(ReachTask):
         return super().info() | {"tracking": tracked > 0, "tracking_error": error}
 
     def least_time(self, world: int) -> float:
-        """The hold time. The earliest time at which the moving target can be reached is unknown."""
+        """Return the hold time. The earliest time at which the moving target can be reached is unknown."""
         return self.options.hold_time
 
     def _sample_episode(self, world: int, rng: np.random.Generator) -> None:
@@ -156,7 +156,7 @@ class ReachMovingTask(ReachTask):
         )
 
     def _place_targets(self, ids: Ids | None) -> None:
-        for targets in self._watch.targets:
+        for targets in self._target_query.targets:
             self._time[slice(None) if ids is None else ids] += TICK
             self._move_targets()
             np.copyto(targets, self._targets)

@@ -1,4 +1,4 @@
-"""What reach tasks observe: the parts of each named observation, and the bounds of every number.
+"""Observations of reach tasks: the parts of each named observation, and the bounds of every number.
 
 - `paper`: end-effector, joint and target positions, as in the system that the task comes from; no velocity.
 - `features`: offset to the target, sines and cosines of the joints, scaled to the order of one. If the first joint's
@@ -33,7 +33,7 @@ LENGTH_MARGIN = 1.25
 
 
 def rotated(vectors: Array, angles: Array) -> Array:
-    """Vectors (n, ..., 3) rotated about the vertical by angles (n,), rad."""
+    """Return vectors (n, ..., 3) rotated about the vertical by angles (n,), rad."""
     angles = angles.reshape(-1, *[1] * (vectors.ndim - 2))
     cos, sin = np.cos(angles), np.sin(angles)
     x, y = vectors[..., 0], vectors[..., 1]
@@ -63,7 +63,7 @@ HIDDEN: Mapping[str, Term] = {
     "joint_velocities": lambda state: state.joint_velocities,
     "commands": lambda state: state.commands,
 }
-"""What `paper` hides of the state."""
+"""Parts of the state that `paper` hides."""
 OBSERVATIONS: Mapping[str, Mapping[str, Term]] = {
     "paper": OBSERVATION,
     "features": FEATURES,
@@ -71,37 +71,37 @@ OBSERVATIONS: Mapping[str, Mapping[str, Term]] = {
 }
 """The parts of each named observation, in order."""
 
-OWN = {name: part for name, part in OBSERVATION.items() if name != "target_position"}
+PAPER = {name: part for name, part in OBSERVATION.items() if name != "target_position"}
 WITHOUT_GOAL: Mapping[str, Mapping[str, Term]] = {
-    "paper": OWN,
+    "paper": PAPER,
     "features": {
         "end_effector": lambda state: LENGTH_SCALE * state.end_effector_position,
         "joint_sines": lambda state: np.sin(state.joint_positions),
         "joint_cosines": lambda state: np.cos(state.joint_positions),
         "joint_velocities": HIDDEN["joint_velocities"],
     },
-    "full": {**OWN, **HIDDEN},
+    "full": {**PAPER, **HIDDEN},
 }
 """The same without the target, for goal-conditioned learners, who are told of it in `desired_goal`.
 
-The features have velocities here: hindsight learns how to stay at a goal, which nobody can who does not feel speed.
+The features have velocities here: hindsight learns to stay at a goal, which needs the speed.
 """
 
 
 def observation_sizes(dof: int) -> dict[str, int]:
-    """How many numbers each part of `OBSERVATION` has, in order, for an arm of `dof` joints."""
+    """Return how many numbers each part of `OBSERVATION` has, in order, for an arm of `dof` joints."""
     return {"end_effector_position": 3, "joint_positions": dof, "target_position": 3}
 
 
 def observation_slices(dof: int) -> dict[str, slice]:
-    """Where each part of `OBSERVATION` is within an observation."""
+    """Return where each part of `OBSERVATION` is within an observation."""
     sizes = observation_sizes(dof)
     ends = itertools.accumulate(sizes.values())
     return {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
 
 
 def bounds_of_parts(arm: ArmDescription, places: Bounds, targets: Bounds) -> dict[Term, Bounds]:
-    """Bounds of the parts above, for an arm whose end-effector is always in the box `places`, its targets in another.
+    """Return bounds of the parts above, for an arm whose end-effector is in the box `places`, its targets in another.
 
     Boxes are lowest and highest corners (3,), m.
     """

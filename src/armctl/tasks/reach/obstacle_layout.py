@@ -49,7 +49,7 @@ class ReachLayout:
     target: Array
     """(3,) m"""
     boxes: Boxes
-    """At most `MOST_OBSTACLES`."""
+    """Boxes, at most `MOST_OBSTACLES`."""
 
 
 def sample_layout(rng: np.random.Generator, workspace: Workspace, tolerance: float) -> ReachLayout:
@@ -78,9 +78,9 @@ def sample_certified_layout(
     """
     home = _as_observed(workspace.model.home)
     for _ in range(CERTIFIED_ATTEMPTS):
-        drawn = sample_layout(rng, workspace, tolerance)
-        numbers = _as_observed(drawn.boxes.numbers)
-        layout = ReachLayout(_as_observed(drawn.target), Boxes(numbers[:, :3], numbers[:, 3:6], numbers[:, 6]))
+        sampled = sample_layout(rng, workspace, tolerance)
+        numbers = _as_observed(sampled.boxes.numbers)
+        layout = ReachLayout(_as_observed(sampled.target), Boxes(numbers[:, :3], numbers[:, 3:6], numbers[:, 6]))
         feasible = len(certificate.path(home, layout.target, layout.boxes)) > 0
         if feasible or not solvable:
             return layout, feasible
@@ -99,18 +99,18 @@ def _sample(rng: np.random.Generator, workspace: Workspace, tolerance: float) ->
     around = (goal[1] - start[1] + math.pi) % (2 * math.pi) - math.pi
     path = np.array((goal[0] - start[0], around, goal[2] - start[2]))
 
-    drawn = [_box(rng, workspace, start, path) for _ in range(rng.integers(3, MOST_BOXES + 1))]
-    drawn += [_post(rng, workspace, start, path) for _ in range(rng.integers(1, MOST_POSTS + 1))]
+    rows = [_box(rng, workspace, start, path) for _ in range(rng.integers(3, MOST_BOXES + 1))]
+    rows += [_post(rng, workspace, start, path) for _ in range(rng.integers(1, MOST_POSTS + 1))]
     if rng.random() < SHELVES:
-        drawn += _shelf(rng, workspace, target)
-    boxes = Boxes(*(np.array(part, dtype=float) for part in zip(*drawn, strict=True)))
+        rows += _shelf(rng, workspace, target)
+    boxes = Boxes(*(np.array(part, dtype=float) for part in zip(*rows, strict=True)))
     apart = boxes.distances(target) >= tolerance + TARGET_MARGIN * scale
     apart &= model.box_distances(model.home, boxes) >= HOME_MARGIN * scale
     return ReachLayout(target, Boxes(boxes.centres[apart], boxes.half_sizes[apart], boxes.yaws[apart]))
 
 
 def _box(rng: np.random.Generator, workspace: Workspace, start: Array, path: Array) -> Box:
-    """A box near the end-effector's path, on the floor or above it; `path` (3,) is a cylindrical displacement."""
+    """Return a box near the end-effector path, on the floor or above it; `path` (3,) is in cylindrical coordinates."""
     scale = workspace.radius
     half_size = scale * rng.uniform(0.03, 0.12, 3)
     centre = workspace.centre + _cartesian(start + rng.uniform(0.2, 0.9) * path)
@@ -120,7 +120,7 @@ def _box(rng: np.random.Generator, workspace: Workspace, start: Array, path: Arr
 
 
 def _post(rng: np.random.Generator, workspace: Workspace, start: Array, path: Array) -> Box:
-    """A post on the floor, in a direction that the arm turns through."""
+    """Return a post on the floor, in a direction that the arm turns through."""
     scale = workspace.radius
     radius, angle = scale * rng.uniform(0.35, 0.75), start[1] + rng.uniform(0.2, 0.9) * path[1]
     half_height = scale * rng.uniform(0.15, 0.45)
@@ -131,7 +131,7 @@ def _post(rng: np.random.Generator, workspace: Workspace, start: Array, path: Ar
 
 
 def _shelf(rng: np.random.Generator, workspace: Workspace, target: Array) -> list[Box]:
-    """Boards below, above and behind the target: the shelf opens roughly towards the arm."""
+    """Return boards below, above and behind the target: the shelf opens roughly towards the arm."""
     scale = workspace.radius
     yaw = math.atan2(*(target - workspace.centre)[1::-1]) + rng.normal(0, 0.3)
     depth, width, below, above = scale * rng.uniform((0.1, 0.15, 0.1, 0.1), (0.15, 0.25, 0.2, 0.25))
@@ -146,7 +146,7 @@ def _shelf(rng: np.random.Generator, workspace: Workspace, target: Array) -> lis
 
 
 def _cylindrical(point: Array) -> Array:
-    """Cylindrical coordinates of a point: distance from the vertical axis, angle around it, height."""
+    """Return cylindrical coordinates of a point: distance from the vertical axis, angle around it, height."""
     return np.array((math.hypot(point[0], point[1]), math.atan2(point[1], point[0]), point[2]))
 
 

@@ -36,12 +36,12 @@ from armctl.tasks.reach.options import ReachOptions, Terms
 from armctl.tasks.reach.potentials import PathCostToGo
 from armctl.tasks.reach.reach import CONTROL_PERIOD, ReachOutcome, ReachTask
 from armctl.tasks.reach.state import GOAL_REWARD, REWARD, STEP_REWARD, ReachState, Term
-from armctl.tasks.task import FeatureSpec, Ids, LearnerView, Once, Potential
+from armctl.tasks.task import FeatureSpec, Ids, LearnerView, OneTimeTerm, Potential
 
 Array = NDArray[np.float64]
 
 TOUCHED = ("floor", "obstacle", "itself")
-"""What the arm can touch."""
+"""Names of what the arm can touch."""
 FARTHEST_BOX = 2.0
 """times the workspace's radius within which all obstacles are."""
 AWAY = (0.0, 0.0, -9.0)
@@ -51,7 +51,7 @@ AWAY_HALF_SIZE = 0.1
 
 
 def _boxes_ahead(state: "ObstaclesReachState") -> Array:
-    """Each box as its centre, its offset from the target, half sizes, and sine and cosine of twice its yaw."""
+    """Return each box as its centre, its offset from the target, half sizes, and sine and cosine of twice its yaw."""
     numbers = state.boxes.reshape(len(state.boxes), -1, BOX_NUMBERS)
     centres, targets = numbers[..., :3], state.target_position[:, None]
     places = [rotated(points, -state.base_yaw) for points in (centres, centres - targets)]
@@ -71,11 +71,11 @@ OBSTACLES_OBSERVATIONS: Mapping[str, Mapping[str, Term]] = {
 """The parts of each named observation, in order."""
 
 COLLISION_REWARD = 200 * STEP_REWARD
-"""As much as the 200 control steps that an episode has: a collision never pays, whatever the discount."""
+"""Price of a collision: that of the 200 control steps of an episode. A collision never pays, at any discount."""
 OBSTACLES_REWARD: Mapping[str, Term] = {
     **REWARD,
-    "goal": Once(lambda state: GOAL_REWARD * (state.reached & ~state.collided), (0.0, GOAL_REWARD)),
-    "collision": Once(lambda state: np.where(state.collided, COLLISION_REWARD, 0.0), (COLLISION_REWARD, 0.0)),
+    "goal": OneTimeTerm(lambda state: GOAL_REWARD * (state.reached & ~state.collided), (0.0, GOAL_REWARD)),
+    "collision": OneTimeTerm(lambda state: np.where(state.collided, COLLISION_REWARD, 0.0), (COLLISION_REWARD, 0.0)),
 }
 """The terms of the reward, whose sum is the reward."""
 
@@ -135,30 +135,30 @@ class ReachObstaclesTask(ReachTask):
         return replace(view, model_features=FeatureSpec("links_among_boxes", {"geometry": model.geometry()}))
 
     def boxes(self, world: int) -> Boxes:
-        """The obstacles of a world."""
+        """Return the obstacles of a world."""
         return read_boxes(self._boxes[world])
 
     def static_map(self, world: int) -> Boxes:
-        """A copy of a world's obstacles."""
+        """Return a copy of a world's obstacles."""
         return read_boxes(self._boxes[world].copy())
 
     def least_clearance(self, world: int, configurations: Array) -> float:
-        """Least distance of the arm's links from boxes, floor and each other, m; see `Clearance`."""
-        return float(self._clearance.least(configurations, self._clearance.among(self.boxes(world))).min())
+        """Return the least distance of the arm's links from boxes, floor and each other, m; see `Clearance`."""
+        return float(self._clearance.min_distances(configurations, self._clearance.among(self.boxes(world))).min())
 
     def outcome(self) -> NDArray[np.int8]:
-        """`COLLIDED` or `REACHED`; `TIMEOUT` while the episode goes on."""
+        """Return `COLLIDED` or `REACHED`; `TIMEOUT` while the episode goes on."""
         reached = self.state.reached * np.int8(ReachOutcome.REACHED)
         return np.where(self.state.collided, np.int8(ReachOutcome.COLLIDED), reached)
 
     def info(self) -> dict[str, Any]:
-        """Also `contacts`: whether the arm has touched the floor, an obstacle or itself since the last control step."""
+        """Return also `contacts`: whether the arm has touched floor, obstacle or itself since the last control step."""
         touched = {name: self.state.contacts[:, i].copy() for i, name in enumerate(TOUCHED)}
         return super().info() | {"contacts": touched}
 
     def advance(self, ids: Ids | None) -> None:
         """Simulate until the next control step, in worlds `ids` or in all."""
-        self._touches.forget(ids)
+        self._contacts.forget(ids)
         super().advance(ids)
 
     @functools.cached_property
@@ -179,26 +179,26 @@ class ReachObstaclesTask(ReachTask):
         self._positions, self._quaternions, self._sizes, self._bounds, self._radii = (
             simulation.per_world(name) for name in ("body_pos", "body_quat", "geom_size", "geom_aabb", "geom_rbound")
         )
-        self._touches = ContactSensors(simulation, ("arm",), TOUCHED)
-        self._touches_part = self._touches.part
+        self._contacts = ContactSensors(simulation, ("arm",), TOUCHED)
+        self._contacts_part = self._contacts.part
 
     @functools.cached_property
     def _pool(self) -> LayoutPool | None:
         return pool_for(self.arm.description, self.options.tolerance)
 
     def _sample_episodes(self, ids: Ids, rngs: list[np.random.Generator]) -> None:
-        self._touches.forget(ids)
+        self._contacts.forget(ids)
         rows = np.array([self._row(rng) for rng in rngs], dtype=int)
         if self._pool is not None and (pooled := rows >= 0).any():
-            worlds, drawn = ids[pooled], rows[pooled]
-            self._targets[worlds], self._boxes[worlds] = self._pool.targets[drawn], self._pool.boxes[drawn]
-            self._feasible[worlds] = self._pool.feasible[drawn]
+            worlds, pool_rows = ids[pooled], rows[pooled]
+            self._targets[worlds], self._boxes[worlds] = self._pool.targets[pool_rows], self._pool.boxes[pool_rows]
+            self._feasible[worlds] = self._pool.feasible[pool_rows]
         for i in np.flatnonzero(rows < 0):
             self._sample_episode(int(ids[i]), rngs[i])
         self._place(ids)
 
     def _row(self, rng: np.random.Generator) -> int:
-        """The row of the pool with the layout of a generator's episode; -1 if there is none."""
+        """Return the row of the pool with the layout of a generator's episode; -1 if there is none."""
         if self._pool is None or (episode := episode_of(rng)) is None:
             return -1
         return self._pool.row(*episode, self.options.solvable)
@@ -238,7 +238,7 @@ class ReachObstaclesTask(ReachTask):
 
     def _update_state(self, action: Array) -> None:
         super()._update_state(action)
-        contacts = self._touches.since_last_step()[:, 0]
+        contacts = self._contacts.since_last_step()[:, 0]
         boxes = self._boxes.reshape(len(contacts), -1)
         self.state: ObstaclesReachState = ObstaclesReachState(
             **vars(self.state), boxes=boxes, contacts=contacts, collided=np.asarray(contacts.any(axis=1))

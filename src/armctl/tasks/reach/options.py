@@ -12,7 +12,7 @@ from armctl.core.options import options
 from armctl.robot_description import ArmDescription
 from armctl.tasks.reach.observation import OBSERVATIONS, WITHOUT_GOAL
 from armctl.tasks.reach.state import GOAL_REWARD, REWARD, Term
-from armctl.tasks.task import Once
+from armctl.tasks.task import OneTimeTerm
 
 
 def _ordered(box: "Box") -> "Box":
@@ -46,7 +46,7 @@ class ReachOptions:
     reward: Terms = field(default_factory=lambda: REWARD)
     """Named reward terms."""
     goal_reward: Annotated[float, Field(gt=0, le=1e6)] = GOAL_REWARD
-    """What the task's own term `goal` pays. With 1, success is worth 0 and every other step -1: then hindsight replay,
+    """Reward of the task's own term `goal`. With 1, success is worth 0 and every other step -1: then hindsight replay,
     which does not know that a success ends the episode, is right all the same."""
     observation: Literal["paper", "features", "full"] | Terms = "paper"
     """`paper`, `features`, `full` (see `armctl.tasks.reach.observation`), or named parts in order."""
@@ -56,7 +56,7 @@ class ReachOptions:
     observations: ClassVar[Mapping[str, Mapping[str, Term]]] = OBSERVATIONS
     """The parts of each named observation."""
     has_goals: ClassVar[bool] = True
-    """Whether the reward is a function of the goal, which `goal=True` needs."""
+    """True if the reward is a function of the goal, which `goal=True` needs."""
 
     def __post_init__(self) -> None:
         if self.goal and not self.has_goals:
@@ -75,9 +75,9 @@ class ReachOptions:
         if self.goal_reward == GOAL_REWARD:
             return self.reward
         goal, share = self.reward.get("goal"), self.goal_reward / GOAL_REWARD
-        if not isinstance(goal, Once) or goal.bounds != (0.0, GOAL_REWARD):
+        if not isinstance(goal, OneTimeTerm) or goal.bounds != (0.0, GOAL_REWARD):
             raise ConfigurationError("goal_reward is for the task's own reward, not for named terms")
-        return {**self.reward, "goal": Once(lambda state: share * goal(state), (0.0, self.goal_reward))}
+        return {**self.reward, "goal": OneTimeTerm(lambda state: share * goal(state), (0.0, self.goal_reward))}
 
     @property
     def parts(self) -> Mapping[str, Term]:

@@ -13,9 +13,9 @@ from armctl.tasks.task import Ids, Potential
 Array = NDArray[np.float64]
 
 QUICK = ReachTimesOptions(nearby=64, goals=8, iterations=1)
-"""For moving targets, which are looked up at every control step."""
+"""Options for moving targets, which are looked up at every control step."""
 WAYPOINTS = 64
-"""On the path around obstacles."""
+"""Number of points on the path around obstacles."""
 DETOUR = 4.0
 """Weight of the time to get to the path, relative to the time along it."""
 
@@ -39,12 +39,12 @@ class MinimumTime(Potential):
         self._spheres.put(ids, self._times.spheres(self.task.state.target_position[ids]))
 
     def potentials(self, ids: Ids) -> Array:
-        """(len(ids),) s."""
+        """Return (len(ids),) s."""
         state = self.task.state
         moved = ids[(self._spheres.centres[ids] != state.target_position[ids]).any(axis=1)]
         if len(moved):
             self.begin(moved)
-        return -self._times.least(state.joint_positions[ids], state.joint_velocities[ids], self._spheres.only(ids))
+        return -self._times.min_times(state.joint_positions[ids], state.joint_velocities[ids], self._spheres.only(ids))
 
 
 class MinimumTimeToMovingTarget(MinimumTime):
@@ -70,7 +70,7 @@ class MpcCost(Potential):
             self._chosen[i] = self._map.towards(target, at, self._mpc.model)
 
     def potentials(self, ids: Ids) -> Array:
-        """(len(ids),) m^2."""
+        """Return (len(ids),) m^2."""
         return np.array([-self._cost(i) for i in ids])
 
     def _cost(self, world: int) -> float:
@@ -98,7 +98,7 @@ class PathCostToGo(Potential):
         self._planner = ArmPlanner(self._model)
         n = len(task.state.distance)
         self._points, self._to_go = np.zeros((n, WAYPOINTS, self._model.dof)), np.zeros((n, WAYPOINTS))
-        self._known = np.zeros((n, 1))
+        self._has_path = np.zeros((n, 1))
 
     def begin(self, ids: Ids) -> None:
         """Plan from home, and distribute waypoints evenly over the paths."""
@@ -106,19 +106,19 @@ class PathCostToGo(Potential):
         home = self._model.home.astype(np.float32).astype(float)  # as observed: then it is the path of `reach_ompl`
         for i in ids:
             path = self._planner.plan(home, targets[i], tolerance, self.task.boxes(int(i))).path
-            self._known[i] = len(path) > 0
+            self._has_path[i] = len(path) > 0
             if len(path):
                 self._points[i], self._to_go[i] = self._waypoints(path)
 
     def potentials(self, ids: Ids) -> Array:
-        """(len(ids),) s."""
+        """Return (len(ids),) s."""
         q = self.task.state.joint_positions[ids]
         to_path = self._model.cruise_time(q[:, None], self._points[ids])
-        to_go = self._known[ids] * (DETOUR * to_path + self._to_go[ids])
+        to_go = self._has_path[ids] * (DETOUR * to_path + self._to_go[ids])
         return -np.asarray(to_go.min(axis=1))
 
     def _waypoints(self, path: Array) -> tuple[Array, Array]:
-        """Points (`WAYPOINTS`, dof) on a path (m, dof), and the remaining time from each, s."""
+        """Return points (`WAYPOINTS`, dof) on a path (m, dof), and the remaining time from each, s."""
         times = np.concatenate(([0.0], np.cumsum(self._model.cruise_time(path[:-1], path[1:]))))
         at = np.linspace(0.0, times[-1], WAYPOINTS)
         return np.column_stack([np.interp(at, times, joint) for joint in path.T]), times[-1] - at

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from armctl.core.errors import ConfigurationError
 from armctl.disturbances import ARM
-from armctl.kernels.control_step import Watch, distances_as_observed
+from armctl.kernels.control_step import TargetQuery, distances_as_observed
 from armctl.kinematics import THOROUGH, ArmModel, MinimumTimeReach, Workspace
 from armctl.robot_description import ArmDescription, load_arm
 from armctl.robot_description.joint_profiles import TICK
@@ -19,7 +19,7 @@ from armctl.robots import Arm, build_arm_world
 from armctl.robots.arm import LARGEST_RELATIVE_MOVE, PREFIX, speed_limits
 from armctl.robots.joints import JointSamples
 from armctl.simulation import Simulation
-from armctl.simulation.control_step import NO_TOUCHES
+from armctl.simulation.control_step import NO_CONTACTS
 from armctl.simulation.impacts import DEPTH
 from armctl.tasks.reach.observation import (
     HIDDEN,
@@ -55,7 +55,7 @@ GOAL_SPACES = "achieved_goal", "desired_goal"
 
 
 class ReachOutcome(Outcome):
-    """How an episode of a reach task ends."""
+    """Outcome of an episode of a reach task."""
 
     TIMEOUT = 0
     REACHED = 1, True
@@ -78,7 +78,7 @@ class ReachTask(Task):
     }
     interface_options = Task.interface_options | {"control", "observation", "goal"}
     stops_at_target: ClassVar[bool] = True
-    """Whether a world stands still from the tick on in which its end-effector enters the sphere."""
+    """True if a world stands still from the tick on in which its end-effector enters the sphere."""
     joints: JointSamples
 
     def __init__(self, n: int, options: ReachOptions, threads: int = 0) -> None:
@@ -98,8 +98,8 @@ class ReachTask(Task):
         self._distance, self._nearest = np.zeros(n), np.full(n, np.inf)
         tip = model.body(PREFIX + description.tip).id
         stop_within = options.tolerance if self.stops_at_target else -1.0
-        self._watch = Watch(tip, np.zeros((1, n, 3)), stop_within, np.full((TICKS, n), np.inf))
-        self._touches_part = NO_TOUCHES
+        self._target_query = TargetQuery(tip, np.zeros((1, n, 3)), stop_within, np.full((TICKS, n), np.inf))
+        self._contacts_part = NO_CONTACTS
         self._bind_arrays()
         self.simulation.reset()
         self.simulation.refresh()
@@ -137,7 +137,7 @@ class ReachTask(Task):
 
     @property
     def action_range(self) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Of joint positions, at most half a turn in each direction."""
+        """Range of joint positions, at most half a turn in each direction."""
         low, high = super().action_range
         positions = self.arm.control == "position"
         return (np.maximum(low, -np.pi), np.minimum(high, np.pi)) if positions else (low, high)
@@ -183,64 +183,64 @@ class ReachTask(Task):
         """Simulate until the next control step, in worlds `ids` or in all."""
         self._place_targets(ids)
         self.simulation.control_step(
-            TICKS, self.substeps // TICKS, ids, drives=self.arm.drives, samples=self.joints.part, watch=self._watch,
-            touches=self._touches_part,
+            TICKS, self.substeps // TICKS, ids, drives=self.arm.drives, samples=self.joints.part,
+            target_query=self._target_query, contacts=self._contacts_part,
         )  # fmt: skip
-        self._nearest = self._watch.distances.min(axis=0)
+        self._nearest = self._target_query.distances.min(axis=0)
 
     def observation_parts(self) -> dict[str, NDArray[np.floating[Any]]]:
-        """The parts of `ReachOptions.parts`, (n, k) each."""
+        """Return the parts of `ReachOptions.parts`, (n, k) each."""
         return {name: part(self.state) for name, part in self.options.parts.items()}
 
     def observe(self, ids: Ids | None = None) -> Observations:
-        """Observations (n, k): the parts side by side; with `goal`, a dict of these and both goals."""
+        """Return observations (n, k): the parts side by side; with `goal`, a dict of these and both goals."""
         worlds = slice(None) if ids is None else ids
-        seen = np.concatenate(list(self.observation_parts().values()), axis=1, dtype=np.float32)[worlds]
+        observation = np.concatenate(list(self.observation_parts().values()), axis=1, dtype=np.float32)[worlds]
         if not self.options.goal:
-            return seen
+            return observation
         places = (self.state.end_effector_position, self.state.target_position)
         goals = {name: place.astype(np.float32)[worlds] for name, place in zip(GOAL_SPACES, places, strict=True)}
-        return {"observation": seen, **goals}
+        return {"observation": observation, **goals}
 
     def reward_terms(self) -> RewardTerms:
-        """The terms of `ReachOptions.reward`."""
+        """Return the terms of `ReachOptions.reward`."""
         self._update_state(self._action)
         return {name: np.array(term(self.state), dtype=float) for name, term in self.reward_functions.items()}
 
     def compute_reward(self, achieved_goal: Array, desired_goal: Array, info: Any) -> Any:
-        """The reward, had the goal been another one; goals are (3,) or (n, 3) m. `info` is not used."""
+        """Return the reward for another goal; goals are (3,) or (n, 3) m. `info` is not used."""
         reached = self.compute_terminated(achieved_goal, desired_goal, info)
         return STEP_REWARD + self.options.goal_reward * reached
 
     def compute_terminated(self, achieved_goal: Array, desired_goal: Array, info: Any) -> Any:
-        """Whether the episode would have ended: the end-effector is within the tolerance of the goal."""
+        """Return whether the episode would have ended: the end-effector is within the tolerance of the goal."""
         return _distances(achieved_goal, desired_goal) <= self.options.tolerance
 
     def compute_truncated(self, achieved_goal: Array, desired_goal: Array, info: Any) -> Any:
-        """Always False: the time limit has nothing to do with the goal."""
+        """Return False: the time limit has nothing to do with the goal."""
         return np.zeros(np.shape(desired_goal)[:-1], dtype=bool)[()]
 
     def outcome(self) -> NDArray[np.int8]:
-        """`REACHED`; `TIMEOUT` while the episode goes on."""
+        """Return `REACHED`; `TIMEOUT` while the episode goes on."""
         return self.state.reached * np.int8(ReachOutcome.REACHED)
 
     def info(self) -> dict[str, NDArray[Any]]:
-        """`feasible`: whether the arm can reach the target (see `armctl.kinematics.Workspace.reachable`)."""
+        """Return `feasible`: whether the arm can reach the target (see `armctl.kinematics.Workspace.reachable`)."""
         return {"feasible": self._feasible.copy()}
 
     def least_time(self, world: int) -> float:
-        """Least time to the target within the joint limits, without regard to obstacles, s."""
+        """Return the least time to the target within the joint limits, without regard to obstacles, s."""
         q, velocity, target = (
             array[world] for array in (self.arm.joint_positions, self.arm.joint_velocities, self._targets)
         )
         return self._minimum_time.least_time(q, target, self.options.tolerance, velocity)
 
     def goal_distances(self) -> Array:
-        """(n,) distance from the end-effectors to their targets, m."""
+        """Return the distances (n,) from the end-effectors to their targets, m."""
         return self.state.distance
 
     def motion(self) -> MotionSample:
-        """The arms' motion. A contact is a present one of the arm with the floor or itself."""
+        """Return the arms' motion. A contact is a present one of the arm with the floor or itself."""
         arm = self.arm
         return MotionSample(
             arm.end_effector_positions.copy(),
@@ -259,21 +259,21 @@ class ReachTask(Task):
                 raise ConfigurationError(f"the observation's {name!r} has shape ({n}, k), not {np.shape(part)}")
 
     def _make_observation_space(self) -> gymnasium.spaces.Space[Any]:
-        known, parts = self._part_bounds(), self.options.parts
+        part_bounds, parts = self._part_bounds(), self.options.parts
         bounds = [
-            [np.broadcast_to(bound, shown.shape[1]) for bound in known.get(parts[name], (-np.inf, np.inf))]
-            for name, shown in self.observation_parts().items()
+            [np.broadcast_to(bound, values.shape[1]) for bound in part_bounds.get(parts[name], (-np.inf, np.inf))]
+            for name, values in self.observation_parts().items()
         ]
-        seen = gymnasium.spaces.Box(*np.concatenate(bounds, axis=1, dtype=np.float32), dtype=np.float32)
+        space = gymnasium.spaces.Box(*np.concatenate(bounds, axis=1, dtype=np.float32), dtype=np.float32)
         if not self.options.goal:
-            return seen
-        places = [known[OBSERVATION[name]] for name in ("end_effector_position", "target_position")]
+            return space
+        places = [part_bounds[OBSERVATION[name]] for name in ("end_effector_position", "target_position")]
         boxes = np.array(places, dtype=np.float32)
         place = gymnasium.spaces.Box(boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0), dtype=np.float32)
-        return gymnasium.spaces.Dict({"observation": seen, **dict.fromkeys(GOAL_SPACES, place)})
+        return gymnasium.spaces.Dict({"observation": space, **dict.fromkeys(GOAL_SPACES, place)})
 
     def _part_bounds(self) -> dict[Term, Bounds]:
-        """Bounds of the parts that an observation may have."""
+        """Return bounds of the parts that an observation may have."""
         room, centre = LENGTH_MARGIN * self._workspace.radius, self._workspace.centre
         around = centre - room, centre + room
         targets = self.options.target_box if self.options.target == "box" else around
@@ -288,7 +288,7 @@ class ReachTask(Task):
         self._sensors, self._depth = self.simulation.array("sensordata"), self.simulation.model.sensor(DEPTH).adr[0]
 
     def _contact(self) -> NDArray[np.bool_]:
-        """(n,) whether the arm has a forbidden contact."""
+        """Return (n,) whether the arm has a forbidden contact."""
         return np.asarray(self._sensors[:, self._depth] < 0)
 
     def _sample_episodes(self, ids: Ids, rngs: list[np.random.Generator]) -> None:
@@ -306,7 +306,7 @@ class ReachTask(Task):
 
     def _place_targets(self, ids: Ids | None) -> None:
         """Set where the targets are after each tick of the next control step of these worlds."""
-        np.copyto(self._watch.targets[0], self._targets)
+        np.copyto(self._target_query.targets[0], self._targets)
 
     def _update_state(self, action: Array) -> None:
         joints, turns = self.arm.joint_positions, self._workspace.model.base_yaw_is_vertical
@@ -332,6 +332,6 @@ class ReachTask(Task):
 
 
 def _distances(positions: Array, targets: Array) -> Any:
-    """Distances (m) of positions from targets (..., 3), rounded as they are observed."""
+    """Return distances (m) of positions from targets (..., 3), rounded as they are observed."""
     offset = np.float32(targets).astype(float) - np.float32(positions)
     return np.sqrt((offset * offset).sum(axis=-1))

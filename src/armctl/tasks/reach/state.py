@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.tasks.task import EachStep, Once
+from armctl.tasks.task import EachStep, OneTimeTerm
 
 Array = NDArray[np.float64]
 
@@ -46,10 +46,10 @@ Term = Callable[[Any], NDArray[np.floating[Any]]]
 """A function of the state of n worlds."""
 
 STEP_REWARD, GOAL_REWARD = -1.0, 100.0
-"""For each control step, and for success."""
+"""Rewards for each control step, and for success."""
 
 REWARD: Mapping[str, Term] = {
     "step": EachStep(lambda state: np.full(len(state.reached), STEP_REWARD), (STEP_REWARD, STEP_REWARD)),
-    "goal": Once(lambda state: GOAL_REWARD * state.reached, (0.0, GOAL_REWARD)),
+    "goal": OneTimeTerm(lambda state: GOAL_REWARD * state.reached, (0.0, GOAL_REWARD)),
 }
 """The terms of the reward, whose sum is the reward."""

@@ -1,0 +1,143 @@
+"""Names are nouns, and docstrings say at once what they describe.
+
+Pronouns, adverbs and participles are not names by themselves. The docstring of a value begins with a noun, that of a
+function with a verb.
+"""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+HOME = Path(__file__).parents[1]
+CORE = HOME / "src" / "armctl"
+PACKAGES = [
+    *(CORE / name for name in ("kernels", "kinematics", "planning", "control", "robots", "robot_description", "scene")),
+    *(CORE / name for name in ("simulation", "tasks", "disturbances", "shaping", "envs", "policies", "agents")),
+    *(CORE / "core", CORE / "runtime", HOME / "baselines"),
+]
+"""Packages whose renaming is done."""
+
+NOT_NAMES = re.compile(
+    "_*(?:after|alone|asked|before|begun|both|drawn|earned|ended|felt|found|given|here|its|known|least|left|look|made|"
+    "most|now|one|own|paid|played|said|seen|shown|there|told|wanted|what)_*",
+    re.IGNORECASE,
+)
+SIDES = (
+    *("kernels/bridge.py", "kernels/planar.py", "kernels/rays.py", "kernels/time_to_go.py"),
+    *("planning/cost_to_go.py", "planning/time_to_go.py", "robots/rover.py", "scene/bridge_map.py"),
+    *("tasks/bridge/observation.py", "tasks/bridge/planar.py"),
+)
+"""Files in which `left` is a side, or the direction across what is ahead."""
+ALLOWED = {(CORE / file, "left") for file in SIDES}
+
+QUESTION = "how|what|when|where|whether|which|who|why"
+PREPOSITION = (
+    "against|among|as|at|before|behind|below|beside|between|but|by|during|for|from|in|into|of|on|over|per|since|than|to|"
+    "under|until|with|within|without"
+)
+NO_OPENING = re.compile(rf"(?:{QUESTION}|{PREPOSITION})\b", re.IGNORECASE)
+NO_OPENING_OF_FUNCTIONS = re.compile(rf"(?:{QUESTION}|{PREPOSITION}|a|an|the)\b", re.IGNORECASE)
+
+Function = ast.FunctionDef | ast.AsyncFunctionDef
+
+
+def bound_names(tree):
+    """Yield (line, name) of all names that a module binds, attributes of `self` included."""
+    for node in ast.walk(tree):
+        match node:
+            case ast.Name(id=name, ctx=ast.Store()):
+                yield node.lineno, name
+            case ast.Attribute(value=ast.Name(id="self"), attr=name, ctx=ast.Store()):
+                yield node.lineno, name
+            case ast.arg(arg=name):
+                yield node.lineno, name
+            case ast.FunctionDef(name=name) | ast.AsyncFunctionDef(name=name) | ast.ClassDef(name=name):
+                yield node.lineno, name
+            case ast.alias(asname=str(name)) if name:
+                yield node.lineno, name
+            case ast.ExceptHandler(name=str(name)) | ast.MatchAs(name=str(name)) | ast.MatchStar(name=str(name)):
+                yield node.lineno, name
+
+
+def docstrings(tree):
+    """Yield (line, text, forbidden opening) of docstrings: of modules, classes, functions, and beneath values."""
+    for node in ast.walk(tree):
+        if isinstance(node, Function) and ast.get_docstring(node):
+            is_property = any("property" in ast.unparse(decorator) for decorator in node.decorator_list)
+            yield node.lineno, ast.get_docstring(node), NO_OPENING if is_property else NO_OPENING_OF_FUNCTIONS
+        elif isinstance(node, ast.Module | ast.ClassDef):
+            if text := ast.get_docstring(node):
+                yield getattr(node, "lineno", 1), text, NO_OPENING
+            for value, text in zip(node.body, node.body[1:], strict=False):
+                if isinstance(value, ast.Assign | ast.AnnAssign):
+                    match text:
+                        case ast.Expr(value=ast.Constant(value=str(words))):
+                            yield text.lineno, words, NO_OPENING
+
+
+def files(package):
+    return sorted(package.rglob("*.py")) if package.is_dir() else [package]
+
+
+@pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.name)
+def test_names_are_nouns(package):
+    refused = [
+        f"{path.relative_to(HOME)}:{line}: {name}"
+        for path in files(package)
+        for line, name in bound_names(ast.parse(path.read_text()))
+        if NOT_NAMES.fullmatch(name) and (path, name) not in ALLOWED
+    ]
+    assert not refused, "\n".join(["not names by themselves:", *refused])
+
+
+@pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.name)
+def test_docstrings_begin_with_a_noun_or_a_verb(package):
+    refused = [
+        f"{path.relative_to(HOME)}:{line}: {text.splitlines()[0]}"
+        for path in files(package)
+        for line, text, no_opening in docstrings(ast.parse(path.read_text()))
+        if no_opening.match(text)
+    ]
+    assert not refused, "\n".join(["fragments:", *refused])
+
+
+def test_exceptions_are_used():
+    unused = [
+        (path.name, name)
+        for path, name in ALLOWED
+        if name not in {bound for _, bound in bound_names(ast.parse(path.read_text()))}
+    ]
+    assert not unused
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "found = 1",
+        "_known, x = 1, 2",
+        "def f(told): pass",
+        "def look(): pass",
+        "class A:\n    what: int",
+        "class A:\n    def __init__(self): self._own = 1",
+        "[one for one in ()]",
+        "OWN = 1",
+    ],
+)
+def test_bound_words_are_recognised(code):
+    assert any(NOT_NAMES.fullmatch(name) for _, name in bound_names(ast.parse(code)))
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        '"""What is shown."""',
+        'x = 1\n"""Of each search, s."""',
+        'class A:\n    x: int\n    """Whether it is."""',
+        'def f():\n    """The length, m."""',
+        'class A:\n    @property\n    def f(self):\n        """From start to end, m."""',
+    ],
+)
+def test_fragments_are_recognised(code):
+    assert any(no_opening.match(text) for _, text, no_opening in docstrings(ast.parse(code)))
