@@ -9,6 +9,7 @@ from scipy import stats
 from armctl.episodes.table import table_of
 from armctl.stats.intervals import bounded_difference
 from armctl.stats.paired import (
+    difference_of_groups,
     holm,
     mover,
     paired_difference,
@@ -150,3 +151,20 @@ def test_intervals_and_equivalence_are_for_all_pairs_of_a_comparison(trainings):
         if pair.crossed:
             assert pair.crossed == difference_over_trainings(*values("success"), (0.0, 1.0), narrow, wide)
             assert pair.success_among(3) == pair.crossed.wide != pair.success_difference == pair.crossed.estimate
+
+
+def test_groups_are_compared_in_success_return_and_steps_over_their_trainings():
+    rng = np.random.default_rng(0)
+    won = (rng.random((3, 40)) < 0.9).astype(float), np.ones((1, 40))
+    steps = np.where(won[0] == 1, 20.0, 100.0), np.full((1, 40), 15.0)
+    pair = difference_of_groups("g[*]", "b", won, won, steps, (0.0, 1.0), 100)
+    expected = difference_over_trainings(*steps, (1.0, 100.0))
+    assert (pair.steps_difference, pair.steps_p) == (expected.estimate, expected.p)
+    assert (pair.return_difference, pair.return_p) == (pair.crossed.estimate, pair.crossed.p)
+    for unknown in ((None, 100), (steps, None)):
+        other = difference_of_groups("g[*]", "b", won, won, unknown[0], (0.0, 1.0), unknown[1])
+        assert (other.steps_difference, other.steps_p, other.simultaneous.steps) == (None, None, None)
+    failed = np.where(np.arange(40) == 7, -np.inf, won[0]), won[1]
+    lost = difference_of_groups("g[*]", "b", won, failed, steps, (0.0, 1.0), 100)
+    assert np.isnan(lost.return_difference.value)
+    assert lost.superiority.probability.value < 0.5

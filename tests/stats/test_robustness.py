@@ -56,6 +56,13 @@ def test_whoever_is_shown_to_be_better_than_all_others_leads():
     assert robustness_headline([delay]) == "Under delay, planner leads."
 
 
+def test_disturbances_with_the_same_claim_are_listed_together():
+    wins = {"agent": (50, 48, 10), "planner": (50, 50, 46)}
+    rankings = ranked(points(dict.fromkeys(("delay", "noise", "payload"), wins)))
+    assert robustness_headline(rankings) == "Under delay, noise and payload, planner leads."
+    assert robustness_headline(rankings[:2]) == "Under delay and noise, planner leads."
+
+
 def test_the_best_mean_does_not_lead_while_another_is_not_shown_to_be_worse():
     (delay,) = ranked(points({"delay": {"a": (50, 48, 46), "b": (50, 47, 44), "c": (50, 30, 10)}}))
     assert str(delay).startswith(
