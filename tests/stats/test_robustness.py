@@ -56,6 +56,12 @@ def test_whoever_is_shown_to_be_better_than_all_others_leads():
     assert robustness_headline([delay]) == "Under delay, planner leads."
 
 
+def test_who_is_better_than_the_first_at_one_level_only_is_told_with_that_level():
+    (noise,) = ranked(points({"noise": {"a": (50, 20, 50), "b": (50, 45, 15)}}))
+    assert (noise.first, noise.better, noise.worse) == ("a", {"b": Onset(1.0, False)}, {"b": Onset(2.0)})
+    assert robustness_headline([noise]) == "Under noise, highest mean success: a (better b at 1)."
+
+
 def test_disturbances_with_the_same_claim_are_listed_together():
     wins = {"agent": (50, 48, 10), "planner": (50, 50, 46)}
     rankings = ranked(points(dict.fromkeys(("delay", "noise", "payload"), wins)))
