@@ -9,10 +9,10 @@ from rich.progress import track
 
 import armctl
 from armctl.agents import load_agent, read_card
+from armctl.baselines.hybrids.lookahead import lookahead
+from armctl.baselines.hybrids.shooting import ShootingPolicy
 from armctl.policies import Policy, sees
 from armctl.rl.agents import AGENTS
-from armctl.rl.imagining import ImaginingPolicy
-from armctl.rl.looking_ahead import looking_ahead
 from armctl.rollout.seeds import TEST_SEED
 
 COLUMNS = (
@@ -24,18 +24,18 @@ COLUMNS = (
 def main(episodes: Annotated[int, typer.Option(min=1, help="Episodes of each agent.")] = 500) -> None:
     """Print a table of networks by themselves and with imagination. Steps: a failure counts as the time limit."""
     rows = [COLUMNS, ("---",) * len(COLUMNS)]
-    for network, imagined in (("obstacles_plan_bc", _imagining), ("bridge_moving_state_ppo", _looking_ahead)):
+    for network, imagined in (("obstacles_plan_bc", _shooting), ("bridge_moving_state_ppo", _lookahead)):
         cards = [AGENTS / f"{network}.json", *sorted((AGENTS / "seeds").glob(f"{network}-*.json"))]
         rows += [_row(network, card, imagined(card), episodes) for card in track(cards, network)]
     print("\n".join(f"| {' | '.join(row)} |" for row in rows))
 
 
-def _imagining(card: Path) -> Callable[[Any], Policy]:
-    return sees("model")(lambda env: ImaginingPolicy(load_agent(card, env), env))
+def _shooting(card: Path) -> Callable[[Any], Policy]:
+    return sees("model")(lambda env: ShootingPolicy(load_agent(card, env), env))
 
 
-def _looking_ahead(card: Path) -> Callable[[Any], Policy]:
-    return sees("state")(lambda env: looking_ahead(card, env))
+def _lookahead(card: Path) -> Callable[[Any], Policy]:
+    return sees("state")(lambda env: lookahead(card, env))
 
 
 def _row(network: str, path: Path, imagined: Callable[[Any], Policy], episodes: int) -> tuple[str, ...]:

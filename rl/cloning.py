@@ -17,10 +17,10 @@ from armctl.datasets.demonstrations import Demonstration, demonstrate
 from armctl.datasets.minari import read_demonstrations
 from armctl.envs import TaskVectorEnv, make_worlds
 from armctl.policies import Policy, make_policy
+from armctl.policies.state_observing import StateObservingAgent, state_observing_env
 from armctl.policies.trainings import card_of
 from armctl.rl.actor import Actor, tensors
 from armctl.rl.disk import save_torch
-from armctl.rl.of_state import OfState, world_of_states
 from armctl.rl.training import Count, Share, Training, TrainingOptions, bar_fits
 from armctl.rl.view import Features
 from armctl.tasks import ReachMovingTask, ReachTask
@@ -148,8 +148,8 @@ def teacher_in(worlds: TaskVectorEnv, recipe: Recipe, policy_seed: int) -> Polic
     card = card_of(recipe.teacher)
     if card is None or card.sees != "state" or worlds.task.state_space is None:
         return make_policy(recipe.teacher, worlds, policy_seed=policy_seed)
-    with world_of_states(worlds) as seen:
-        return OfState(make_policy(recipe.teacher, seen, policy_seed=policy_seed), worlds)
+    with state_observing_env(worlds) as single_env:
+        return StateObservingAgent(make_policy(recipe.teacher, single_env, policy_seed=policy_seed), worlds)
 
 
 def demonstrations(

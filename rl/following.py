@@ -15,6 +15,7 @@ from armctl.kinematics.imagined import MOVING
 from armctl.rl.solved_layouts import SolvedLayouts
 from armctl.tasks.reach import CONTROL_PERIOD
 from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES
+from armctl.tasks.reach.obstacles import obstacles_observation
 
 Array = NDArray[np.float64]
 
@@ -87,16 +88,10 @@ class Followed:
         """A random batch of observations and actions (size, ...)."""
         drawn = rng.integers(len(self._rows), size=size)
         rows, positions = self._rows[drawn], self._positions[drawn]
-        observations = observed(self._shapes, positions, self._layouts.targets[rows], self._layouts.boxes[rows])
+        observations = obstacles_observation(
+            self._shapes.model, positions, self._layouts.targets[rows], self._layouts.boxes[rows]
+        )
         return observations, self._labels[drawn]
-
-
-def observed(
-    shapes: ArmShapes, positions: NDArray[Any], targets: NDArray[Any], boxes: NDArray[Any]
-) -> NDArray[np.float32]:
-    """Observations `paper` (n, k) of arms at joint `positions` (n, dof), with `targets` (n, 3) and boxes (n, ...)."""
-    tips = shapes.model.positions(positions)
-    return np.concatenate((tips, positions, targets, boxes.reshape(len(boxes), -1)), axis=1, dtype=np.float32)
 
 
 def _padded(ways: list[Array]) -> tuple[Array, NDArray[np.int64]]:

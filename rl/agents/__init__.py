@@ -1,18 +1,12 @@
 """The trained agents that come with armctl: an ONNX graph and a JSON card each."""
 
-from dataclasses import replace
 from pathlib import Path
 
 from armctl.agents import OnnxPolicy, load_agent
-from armctl.agents.costs import TuningCost, total_tuning
-from armctl.envs import EpisodeVectorEnv, Interface, ModelInterface, TaskVectorEnv
+from armctl.envs import EpisodeVectorEnv, Interface, ModelInterface
 from armctl.policies import sees
-from armctl.rl.imagining import ImaginingPolicy
-from armctl.rl.looking_ahead import LookingAheadPolicy, looking_ahead
 
 AGENTS = Path(__file__).parent
-LOOKING_AHEAD = TuningCost(trials=3)
-"""What `rl/trials.csv` has on the options of looking ahead."""
 
 
 def reach_ppo(env: Interface) -> OnnxPolicy:
@@ -66,12 +60,6 @@ def obstacles_plan_bc(env: ModelInterface) -> OnnxPolicy:
     return load_agent(AGENTS / "obstacles_plan_bc.json", env)
 
 
-@sees("model")
-def obstacles_imagined(env: ModelInterface) -> ImaginingPolicy:
-    """`obstacles_plan_bc`, which plays its episodes in imagination first, by kinematics, and executes the best."""
-    return ImaginingPolicy(load_agent(AGENTS / "obstacles_plan_bc.json", env), env)
-
-
 @sees("state")
 def bridge_state_ppo(env: EpisodeVectorEnv) -> OnnxPolicy:
     """PPO on `armctl/BridgeCross-v0`, without physics; it sees the true state."""
@@ -88,15 +76,6 @@ def bridge_robust_ppo(env: EpisodeVectorEnv) -> OnnxPolicy:
 def bridge_moving_state_ppo(env: EpisodeVectorEnv) -> OnnxPolicy:
     """PPO on `armctl/BridgeCrossMoving-v0`, without physics; it sees the true state."""
     return load_agent(AGENTS / "bridge_moving_state_ppo.json", env)
-
-
-@sees("state")
-def bridge_moving_imagined(env: TaskVectorEnv) -> LookingAheadPolicy:
-    """`bridge_moving_state_ppo`, which looks ahead: where it would touch something, it tries other commands first."""
-    policy = looking_ahead(AGENTS / "bridge_moving_state_ppo.json", env)
-    cost = policy.training_cost
-    policy.training_cost = replace(cost, tuning=total_tuning([cost.tuning, LOOKING_AHEAD]))
-    return policy
 
 
 def bridge_distil(env: Interface) -> OnnxPolicy:

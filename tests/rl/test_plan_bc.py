@@ -8,10 +8,11 @@ from armctl.envs import make_worlds
 from armctl.kinematics import ArmModel, ArmShapes
 from armctl.policies import make_policy
 from armctl.rl import plan_bc, solved_layouts
-from armctl.rl.following import WAYPOINTS_APART, Followed, follow, observed, waypoints
+from armctl.rl.following import WAYPOINTS_APART, Followed, follow, waypoints
 from armctl.rl.solved_layouts import make, read
 from armctl.rl.training import Training
 from armctl.robot_description import load_arm
+from armctl.tasks.reach.obstacles import obstacles_observation
 from armctl.training.learners import load_recipe
 
 ENV = "armctl/ArmReachObstacles-v0"
@@ -70,7 +71,7 @@ def test_imagined_observations_are_those_of_the_environment(shapes):
     worlds = make_worlds(ENV, 5, {})
     observations, _ = worlds.reset(seed=1)
     task = worlds.task
-    seen = observed(shapes, task.arm.joint_positions, task.state.target_position, task.state.boxes)
+    seen = obstacles_observation(shapes.model, task.arm.joint_positions, task.state.target_position, task.state.boxes)
     np.testing.assert_allclose(seen, observations, atol=1e-5)
     worlds.close()
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from armctl.core.options import options
 from armctl.disturbances import episode_of
+from armctl.kinematics import ArmModel
 from armctl.kinematics.clearance import Clearance
 from armctl.planning import PathCertificate
 from armctl.robot_description import ArmDescription
@@ -69,6 +70,18 @@ OBSTACLES_OBSERVATIONS: Mapping[str, Mapping[str, Term]] = {
     "full": {**OBSTACLES_OBSERVATION, **HIDDEN},
 }
 """The parts of each named observation, in order."""
+
+
+def obstacles_observation(
+    model: ArmModel, positions: NDArray[Any], targets: NDArray[Any], boxes: NDArray[Any]
+) -> NDArray[np.float32]:
+    """Return the observations `paper` (n, k) of arms at joint `positions` (n, dof), rad, without a simulation.
+
+    `targets` are (n, 3) m, and `boxes` (n, ...).
+    """
+    tips = model.positions(positions)
+    return np.concatenate((tips, positions, targets, boxes.reshape(len(boxes), -1)), axis=1, dtype=np.float32)
+
 
 COLLISION_REWARD = 200 * STEP_REWARD
 """Price of a collision: that of the 200 control steps of an episode. A collision never pays, at any discount."""

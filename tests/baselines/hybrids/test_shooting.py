@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
+from armctl.baselines.hybrids.shooting import ShootingOptions, ShootingPolicy
 from armctl.core.errors import ConfigurationError
 from armctl.envs import make_worlds
 from armctl.policies import make_policy, sees
-from armctl.rl.imagining import ImaginingOptions, ImaginingPolicy
 
 ENV = "armctl/ArmReachObstacles-v0"
 
@@ -30,7 +30,7 @@ def make(agent, worlds, **options):
 
     @sees("model")
     def factory(env):
-        made.append(ImaginingPolicy(agent, env, ImaginingOptions(**options)))
+        made.append(ShootingPolicy(agent, env, ShootingOptions(**options)))
         return made[-1]
 
     make_policy(factory, worlds)
@@ -121,7 +121,7 @@ def test_plans_end_at_the_target(worlds):
 @pytest.mark.parametrize("options", [{"copies": 0}, {"margin": -0.1}, {"noise": np.nan}])
 def test_options_are_checked(options):
     with pytest.raises(ConfigurationError):
-        ImaginingOptions(**options)
+        ShootingOptions(**options)
 
 
 @pytest.mark.parametrize("env", ["armctl/ArmReach-v0", "armctl/BridgeCross-v0"])

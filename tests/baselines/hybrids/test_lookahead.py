@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
+from armctl.baselines.hybrids.lookahead import ImaginedRovers, LookaheadOptions, LookaheadPolicy
 from armctl.core.errors import ArmctlError, ConfigurationError
 from armctl.envs import make_worlds
 from armctl.policies import make_policy, sees
-from armctl.rl.bridge_scans import ROVER, WALKER
-from armctl.rl.looking_ahead import ImaginedRovers, LookAheadOptions, LookingAheadPolicy
+from armctl.tasks.bridge.observation import ROVER, WALKER
 from armctl.tasks.bridge.planar import Geometry
 
 ENV = "armctl/BridgeCrossMoving-v0"
@@ -38,7 +38,7 @@ def worlds():
 def look(worlds, agent=None, **options):
     @sees("state")
     def factory(env):
-        return LookingAheadPolicy(agent or Straight(), env, LookAheadOptions(**options))
+        return LookaheadPolicy(agent or Straight(), env, LookaheadOptions(**options))
 
     return make_policy(factory, worlds)
 
@@ -66,15 +66,15 @@ def test_imagined_rovers_drive_as_those_without_physics_until_their_episodes_end
     rovers = imagined(worlds, states)
     for _ in range(18):
         commands = rng.uniform([slowest, -1.5], [fastest, 1.5], (16, 2)).astype(np.float32)
-        going = rovers.going
+        going = rovers.active
         rovers.drive(commands.astype(float))
         states, _, terminated, *_ = worlds.step(commands)
-        still = rovers.going
+        still = rovers.active
         np.testing.assert_array_equal(np.isin(going, still), ~terminated[going])
         np.testing.assert_allclose(rovers.states(still)[:, :ROVER], states[still, :ROVER], atol=1e-5)
-    assert 0 < len(rovers.going) < 16
-    assert (rovers.lasted[rovers.going] == 18).all()
-    assert (rovers.lasted < 18).any()
+    assert 0 < len(rovers.active) < 16
+    assert (rovers.survival_steps[rovers.active] == 18).all()
+    assert (rovers.survival_steps < 18).any()
 
 
 @pytest.mark.parametrize("width", [3.2, 4.0])
@@ -104,8 +104,8 @@ def test_rovers_that_have_crossed_are_not_driven_on(worlds):
         rovers.drive(np.tile([1.6, 0.0], (16, 1)))
     assert (rovers.poses[:, 0] < worlds.task.goal_x).all()
     assert (rovers.poses[:, 0] >= before[:, 0]).all()
-    assert not len(rovers.going)
-    assert (rovers.lasted == 18).all()
+    assert not len(rovers.active)
+    assert (rovers.survival_steps == 18).all()
 
 
 def test_who_looks_ahead_lasts_longer(worlds):
@@ -180,4 +180,4 @@ def test_bridges_with_other_counts_are_refused():
 @pytest.mark.parametrize("options", [{"steps": 0}, {"held": 0}, {"linear": ()}, {"angular": ("fast",)}])
 def test_options_out_of_range_are_refused(options):
     with pytest.raises(ConfigurationError, match=next(iter(options))):
-        LookAheadOptions(**options)
+        LookaheadOptions(**options)
