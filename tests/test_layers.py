@@ -40,7 +40,7 @@ def test_imports_run_down_only_and_without_circles(package):
     [
         ("kinematics/model.py", "armctl.simulation"),
         ("episodes/metrics.py", "armctl.report"),
-        ("tasks/task.py", "armctl.rl.view"),
+        ("tasks/task.py", "armctl.rl.networks.view"),
         ("control/pursuit.py", "mujoco"),
         ("datasets/formats.py", "armctl.integrations.lerobot.dataset"),
         ("integrations/sb3.py", "armctl.integrations.rerun"),

@@ -37,14 +37,14 @@ from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES, ReachLayout, samp
 from armctl.tasks.reach.options import ReachOptions
 
 SIZES = {"development": 2000, "validation": 1000, "training": 7000}
-"""Layouts that are drawn for each part that many seeds draw from."""
+"""Numbers of layouts of the parts that many seeds draw from."""
 LAYOUTS_PER_SEED = 1000
-"""Layouts of a seed's own: those of its first episodes."""
+"""Number of layouts of a seed of its own: those of its first episodes."""
 
 
 def layout_of(part: str | int, number: int) -> tuple[ReachLayout, bool]:
-    """A layout of the pool, and whether it is certified. That of a seed is the episode's, as drawn without a pool."""
-    seeds = isinstance(part, int)
+    """Return a layout of the pool, and whether it is certified. That of a seed is the episode's without a pool."""
+    is_seed = isinstance(part, int)
     sequence = (
         np.random.SeedSequence(episode_entropy(part, number))
         if isinstance(part, int)
@@ -52,7 +52,7 @@ def layout_of(part: str | int, number: int) -> tuple[ReachLayout, bool]:
     )
     workspace, certificate = _tools()
     rng, tolerance = np.random.default_rng(sequence), ReachOptions().tolerance
-    return sample_certified_layout(rng, workspace, certificate, tolerance, solvable=seeds)
+    return sample_certified_layout(rng, workspace, certificate, tolerance, solvable=is_seed)
 
 
 @functools.cache
@@ -61,7 +61,7 @@ def _tools() -> tuple[Workspace, PathCertificate]:
     return Workspace(model), PathCertificate(model)
 
 
-def _drawn(name: tuple[str | int, int]) -> tuple[ReachLayout, bool]:
+def _layout_of(name: tuple[str | int, int]) -> tuple[ReachLayout, bool]:
     return layout_of(*name)
 
 
@@ -69,13 +69,13 @@ def draw(sizes: Mapping[str | int, int], processes: int) -> LayoutPool:
     """Draw and certify layouts in parallel: so many of each part, of seeds first. A pool has all of `PARTS`."""
     names = [(part, number) for part, size in sizes.items() for number in range(size)]
     with multiprocessing.get_context("spawn").Pool(processes) as workers:
-        drawn = workers.imap(_drawn, names, chunksize=20)
+        pairs = workers.imap(_layout_of, names, chunksize=20)
         with Progress(console=PlainConsole(stderr=True)) as progress:
-            bar, found = progress.add_task("layouts", total=len(names)), []
-            for layout in drawn:
-                found.append(layout)
+            bar, results = progress.add_task("layouts", total=len(names)), []
+            for pair in pairs:
+                results.append(pair)
                 progress.advance(bar)
-    layouts, feasible = zip(*found, strict=True)
+    layouts, feasible = zip(*results, strict=True)
     return LayoutPool(
         robot=robot_digest(load_arm(ReachOptions().robot)),
         tolerance=ReachOptions().tolerance,
@@ -89,20 +89,20 @@ def draw(sizes: Mapping[str | int, int], processes: int) -> LayoutPool:
 
 
 def with_seeds(pool: LayoutPool, seeds: Sequence[int], processes: int, size: int = LAYOUTS_PER_SEED) -> LayoutPool:
-    """A pool with the layouts of other seeds' episodes; those that are there already are kept, and so are the parts."""
+    """Return a pool with the layouts of other seeds' episodes; those that it has already are kept, and all parts."""
     new = [seed for seed in seeds if str(seed) not in pool.names]
-    found = draw(dict.fromkeys(new, size) | dict.fromkeys(PARTS, 1), processes) if new else pool
-    picked = [(found if seed in new else pool, str(seed)) for seed in seeds] + [(pool, part) for part in PARTS]
+    additions = draw(dict.fromkeys(new, size) | dict.fromkeys(PARTS, 1), processes) if new else pool
+    picked = [(additions if seed in new else pool, str(seed)) for seed in seeds] + [(pool, part) for part in PARTS]
     rows = [of.parts[name] for of, name in picked]
 
     def joined(name: str) -> NDArray[Any]:
-        return np.concatenate([getattr(of, name)[its] for (of, _), its in zip(picked, rows, strict=True)])
+        return np.concatenate([getattr(source, name)[part] for (source, _), part in zip(picked, rows, strict=True)])
 
     counts = joined("counts")
     return dataclasses.replace(
         pool,
         seeds=np.array(seeds, dtype=np.int64),
-        sizes=np.array([len(its) for its in rows]),
+        sizes=np.array([len(part) for part in rows]),
         targets=joined("targets"),
         counts=counts,
         packed=joined("boxes")[np.arange(MOST_OBSTACLES) < counts[:, None]],
@@ -117,8 +117,11 @@ def main(
 ) -> None:
     """Draw and certify layouts, and write the pool."""
     seeds = list(dict.fromkeys(SEEDS_WITH_LAYOUTS))
-    sizes = dict.fromkeys(seeds, LAYOUTS_PER_SEED) | SIZES
-    pool = with_seeds(read_pool(out), seeds, processes) if keep else draw(sizes, processes)
+    pool = (
+        with_seeds(read_pool(out), seeds, processes)
+        if keep
+        else draw(dict.fromkeys(seeds, LAYOUTS_PER_SEED) | SIZES, processes)
+    )
     write_atomically(out, functools.partial(write_pool, pool))
     certified = ", ".join(f"{part} {pool.feasible[rows].sum()} of {len(rows)}" for part, rows in pool.parts.items())
     print(f"{out}: {out.stat().st_size:,} bytes; certified: {certified}")

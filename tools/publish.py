@@ -42,9 +42,9 @@ def publish(folders: Sequence[Path], home: Path = zoo.HOME, *, replace: bool = F
     if name not in recipe_names():
         raise ConfigurationError(f"{folders[0]} was trained by {name}, which is no recipe of armctl")
     shipped, seeds = home / "agents" / f"{name}.json", home / "agents" / "seeds"
-    there = [path for path in (shipped, *seeds.glob(f"{name}-[0-9]*.json")) if path.with_suffix(".onnx").exists()]
+    present = [path for path in (shipped, *seeds.glob(f"{name}-[0-9]*.json")) if path.with_suffix(".onnx").exists()]
     new = by_seed(name, [folder / "agent.json" for folder in folders])
-    kept = {} if replace else {seed: path for seed, path in by_seed(name, there).items() if seed not in new}
+    kept = {} if replace else {seed: path for seed, path in by_seed(name, present).items() if seed not in new}
     agents = [_read(path) for path in by_seed(name, [*new.values(), *kept.values()]).values()]
     trials = _new_trials(folders, home / TRIALS)
     agents.sort(key=lambda agent: agent.card.judgement.success_rate if agent.card.judgement else 0.0)
@@ -52,7 +52,7 @@ def publish(folders: Sequence[Path], home: Path = zoo.HOME, *, replace: bool = F
     placed = {shipped: median} | {seeds / f"{name}-{agent.card.training_seed}.json": agent for agent in agents}
     for path, agent in placed.items():
         _write(agent, path)
-    for path in set(there) - placed.keys():
+    for path in set(present) - placed.keys():
         for suffix in (".onnx", ".csv", ".json"):
             path.with_suffix(suffix).unlink(missing_ok=True)
     write_trials(home / TRIALS, trials)
@@ -74,7 +74,7 @@ def _write(agent: TrainedAgent, path: Path) -> None:
 
 
 def _new_trials(folders: Sequence[Path], trials: Path) -> list[dict[str, Any]]:
-    """All rows of `trials`, and those of the folders' records that are not there yet."""
+    """Return all rows of `trials`, and those of the folders' records that are not there yet."""
     rows: list[dict[str, Any]] = list(read_trials(trials))
     for record in sorted({folder.resolve().parent / TRIALS for folder in folders}):
         if record.exists():

@@ -47,9 +47,9 @@ COLUMNS = (
 """`sha256` is a network's. `code` is a checksum of the environment's episodes in `GOLDEN`; `again` is why a policy has
 played a test a second time."""
 EPISODES = 500
-"""Of policies without a card."""
+"""Number of episodes of policies without a card."""
 SMALLEST_SEED = 10**6
-"""Of a drawn one: smaller ones are what people choose in development."""
+"""Smallest seed of a drawn test: smaller ones are what people choose in development."""
 
 app = typer.Typer(pretty_exceptions_enable=False)
 
@@ -61,11 +61,11 @@ class Published:
     name: str
     env: str
     card: Path | None = None
-    """Of a learned agent."""
+    """Card of a learned agent."""
 
     @property
     def identity(self) -> tuple[str, str]:
-        """What has played: a network, or else the policy; and the environment."""
+        """Identity of what has played: a network, or else the policy; and the environment."""
         return read_card(self.card).sha256 if self.card else self.name, self.env
 
     @property
@@ -89,7 +89,7 @@ class Published:
 
 
 def published() -> Iterator[Published]:
-    """All agents with a card, and all other policies that a suite lets play in the environments."""
+    """Return all agents with a card, and all other policies that a suite lets play in the environments."""
     for card in sorted((zoo.HOME / "agents").rglob("*.json")):
         yield Published(card.stem, read_card(card).env, card)
     for env in environment_names():
@@ -100,14 +100,14 @@ def published() -> Iterator[Published]:
 
 @functools.cache
 def checksum_of_episodes(env: str) -> str:
-    """A checksum of the recorded episodes of an environment with its default options."""
+    """Return a checksum of the recorded episodes of an environment with its default options."""
     runs = {name: run for name, run in json.loads(GOLDEN.read_text()).items() if name.startswith(f"{env} {{}} ")}
     ends = {name: [run.get("outcomes"), run.get("lengths")] for name, run in sorted(runs.items())}
     return hashlib.sha256(json.dumps(ends).encode()).hexdigest()[:12]
 
 
 def plays(seed: int) -> dict[tuple[str, str], dict[str, str]]:
-    """The last row of each policy that has played the test of a seed."""
+    """Return the last row of each policy that has played the test of a seed."""
     rows = list(csv.DictReader(PLAYS.open(newline=""))) if PLAYS.exists() else []
     return {(row["sha256"] or row["policy"], row["env"]): row for row in rows if row["seed"] == str(seed)}
 
@@ -135,8 +135,8 @@ def draw(
     processes: Annotated[int, typer.Option(min=1, help="For the layouts.")] = os.cpu_count() or 1,
 ) -> None:
     """Draw the seed of a new sealed test, and the layouts among obstacles of its episodes."""
-    played = plays(seeds.TEST_SEED)
-    missing = [f"{policy.name} in {policy.env}" for policy in published() if policy.identity not in played]
+    rows = plays(seeds.TEST_SEED)
+    missing = [f"{policy.name} in {policy.env}" for policy in published() if policy.identity not in rows]
     if missing and not force:
         raise SystemExit(
             f"{len(missing)} published policies have not played the test of seed {seeds.TEST_SEED}, whose tables would "
@@ -161,11 +161,11 @@ def play(
     if unknown := set(names or ()) - {policy.name for policy in chosen}:
         raise SystemExit(f"{', '.join(sorted(unknown))}: not published")
     if names:
-        chosen = [one for one in chosen if one.name in names or one.name.rpartition("-")[0] in names]
-    played = plays(seed)
-    waiting = [policy for policy in chosen if policy.identity not in played]
-    done = [policy for policy in chosen if policy.identity in played]
-    changed = [policy for policy in done if played[policy.identity]["code"] != policy.code]
+        chosen = [policy for policy in chosen if policy.name in names or policy.name.rpartition("-")[0] in names]
+    rows = plays(seed)
+    waiting = [policy for policy in chosen if policy.identity not in rows]
+    done = [policy for policy in chosen if policy.identity in rows]
+    changed = [policy for policy in done if rows[policy.identity]["code"] != policy.code]
     if changed and not again:
         raise SystemExit(
             f"The episodes of {changed[0].env} are others than when {changed[0].name} played this test: a second play "

@@ -14,7 +14,7 @@ from armctl.agents import AgentCard, Ancestor, read_card
 from armctl.agents.costs import UNTRAINED
 from armctl.core.files import write_atomically
 from armctl.policies.configured import tuning_of
-from armctl.rl.lineage import ancestors, recorded_tuning
+from armctl.rl.run.lineage import ancestors, recorded_tuning
 
 HOME = Path(__file__).parents[1] / "rl"
 HEAD = """<!-- Made by `python tools/zoo.py` from the agents' cards: change those, or tools/zoo.py. -->
@@ -40,17 +40,17 @@ COLUMNS = (
     "processor minutes", "with teachers", "minutes", "trials", "seed", "success", "95 % interval", "steps to goal",
 )  # fmt: skip
 TAUGHT = {"4e221cbe6df5679887ec54b11a9d743e072a114d6988851ae86242ef0a1edfeb": "seeds/bridge_state_ppo-0"}
-"""Who taught those agents that another than the shipped training of their teacher has taught, by checksum (git history:
-their teachers were trained, or chosen, later)."""
+"""Teachers of those agents that another than the shipped training of their teacher has taught, by checksum (by git
+history, the shipped ones were trained, or chosen, later)."""
 
 
 def table() -> str:
-    """All agents as a Markdown table: one row per training seed, the shipped one first."""
+    """Return all agents as a Markdown table: one row per training seed, the shipped one first."""
     shipped = {path.stem: read_card(path) for path in sorted((HOME / "agents").glob("*.json"))}
-    others = [
+    seeds = [
         (path.stem.rpartition("-")[0], read_card(path)) for path in sorted((HOME / "agents" / "seeds").glob("*.json"))
     ]
-    by_name = {name: [card for _, card in cards] for name, cards in groupby(others, key=lambda pair: pair[0])}
+    by_name = {name: [card for _, card in cards] for name, cards in groupby(seeds, key=lambda pair: pair[0])}
     rows = [COLUMNS, ("---",) * len(COLUMNS)]
     for name, card in sorted(shipped.items(), key=lambda item: (item[1].env, item[0])):
         rows += [_row(f"**`{name}`**", card), *(_row("", other) for other in by_name.get(name, []))]
@@ -107,7 +107,7 @@ def trace() -> None:
 
 
 def _trace(path: Path) -> AgentCard:
-    """A card with its lineage, whose teachers have theirs."""
+    """Return a card with its lineage, whose teachers have theirs."""
     card = read_card(path)
     if card.lineage is not None:
         return card

@@ -20,7 +20,7 @@ from pydantic import Field
 from armctl.agents import OnnxPolicy
 from armctl.agents.costs import TuningCost, total_tuning
 from armctl.core.errors import ConfigurationError
-from armctl.core.options import options
+from armctl.core.options import Count, options
 from armctl.envs import Sees, TaskVectorEnv
 from armctl.kernels import planar
 from armctl.policies import make_policy, sees
@@ -33,7 +33,6 @@ from armctl.tasks.bridge.options import MOVES
 from armctl.tasks.bridge.planar import ACCELERATION, Geometry, block_rows
 
 Array = NDArray[np.float64]
-Count = Annotated[int, Field(ge=1)]
 Velocities = Annotated[tuple[float, ...], Field(min_length=1)]
 
 TUNING = TuningCost(trials=3)

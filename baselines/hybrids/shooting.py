@@ -9,14 +9,13 @@ model that is known.
 """
 
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from armctl.agents import OnnxPolicy
-from armctl.core.options import options
+from armctl.core.options import Count, NonNegative, options
 from armctl.envs import ModelInterface, Sees
 from armctl.kinematics import ArmModel, ArmShapes, ImaginedArms
 from armctl.kinematics.imagined import ARRIVED, MOVING
@@ -27,8 +26,6 @@ from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES
 from armctl.tasks.reach.obstacles import obstacles_observation
 
 Array = NDArray[np.float64]
-Count = Annotated[int, Field(ge=1)]
-Length = Annotated[float, Field(ge=0)]
 
 
 @sees("model")
@@ -49,14 +46,14 @@ class ShootingOptions:
     """Rounds until an agent without success in imagination acts by itself."""
     steps: Count = 75
     """Control steps of an imagined episode, at most."""
-    noise: Length = 0.15
+    noise: NonNegative = 0.15
     """Standard deviation of what is added to each joint's command in each step, rad."""
-    margin: Length = 0.008
+    margin: NonNegative = 0.008
     """Distance kept from boxes, floor and the arm itself, m. Joints are some mrad off the commands, and so links some
     mm."""
-    inside: Length = 0.005
+    inside: NonNegative = 0.005
     """Difference of radius between the true target sphere and the smaller imagined one, m, for the same reason."""
-    deviation: Length = 0.06
+    deviation: NonNegative = 0.06
     """Distance between a joint and where it should be, rad, after which there is a new plan."""
     patience: Count = 5
     """Control steps by itself before an agent imagines again."""

@@ -1,93 +1,63 @@
 """The trained agents that come with armctl: an ONNX graph and a JSON card each."""
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from armctl.agents import OnnxPolicy, load_agent
-from armctl.envs import EpisodeVectorEnv, Interface, ModelInterface
+from armctl.envs import Sees
 from armctl.policies import sees
 
 AGENTS = Path(__file__).parent
 
 
-def reach_ppo(env: Interface) -> OnnxPolicy:
-    """PPO on `armctl/ArmReach-v0`, robot `ur5`, position control."""
-    return load_agent(AGENTS / "reach_ppo.json", env)
+def _agent(name: str, description: str, privilege: Sees = "observation") -> Callable[[Any], OnnxPolicy]:
+    """Return the function that loads an agent for an environment or an interface."""
+
+    def load(env: Any) -> OnnxPolicy:
+        return load_agent(AGENTS / f"{name}.json", env)
+
+    load.__name__ = load.__qualname__ = name
+    load.__doc__ = description
+    return sees(privilege)(load)
 
 
-def bridge_ppo(env: Interface) -> OnnxPolicy:
-    """`bridge_distil`, improved by PPO; it sees the depth camera and its own motion."""
-    return load_agent(AGENTS / "bridge_ppo.json", env)
-
-
-def reach_bc(env: Interface) -> OnnxPolicy:
-    """Behaviour cloning on `armctl/ArmReach-v0`, from 500 episodes of `reach_ik`."""
-    return load_agent(AGENTS / "reach_bc.json", env)
-
-
-def reach_dagger(env: Interface) -> OnnxPolicy:
-    """DAgger on `armctl/ArmReach-v0`, with 500 episodes labelled by `reach_ik`."""
-    return load_agent(AGENTS / "reach_dagger.json", env)
-
-
-def reach_sac(env: Interface) -> OnnxPolicy:
-    """SAC with hindsight on `armctl/ArmReach-v0`, without reward shaping."""
-    return load_agent(AGENTS / "reach_sac.json", env)
-
-
-def reach_cloned_ppo(env: Interface) -> OnnxPolicy:
-    """A clone of `reach_ik` on `armctl/ArmReach-v0`, improved by PPO."""
-    return load_agent(AGENTS / "reach_cloned_ppo.json", env)
-
-
-def reach_robust_ppo(env: Interface) -> OnnxPolicy:
-    """PPO on `armctl/ArmReach-v0`, each of whose training episodes was disturbed."""
-    return load_agent(AGENTS / "reach_robust_ppo.json", env)
-
-
-def moving_ppo(env: Interface) -> OnnxPolicy:
-    """A clone of `reach_ik` on `armctl/ArmReachMoving-v0`, from which PPO goes on."""
-    return load_agent(AGENTS / "moving_ppo.json", env)
-
-
-def moving_dagger(env: Interface) -> OnnxPolicy:
-    """DAgger on `armctl/ArmReachMoving-v0`, from `reach_ik`."""
-    return load_agent(AGENTS / "moving_dagger.json", env)
-
-
-@sees("model")
-def obstacles_plan_bc(env: ModelInterface) -> OnnxPolicy:
-    """Clone of plans on `armctl/ArmReachObstacles-v0`; it sees the boxes, and knows where the arm's links are."""
-    return load_agent(AGENTS / "obstacles_plan_bc.json", env)
-
-
-@sees("state")
-def bridge_state_ppo(env: EpisodeVectorEnv) -> OnnxPolicy:
-    """PPO on `armctl/BridgeCross-v0`, without physics; it sees the true state."""
-    return load_agent(AGENTS / "bridge_state_ppo.json", env)
-
-
-@sees("state")
-def bridge_robust_ppo(env: EpisodeVectorEnv) -> OnnxPolicy:
-    """PPO on `armctl/BridgeCross-v0`, in training episodes that were disturbed; it sees the true state."""
-    return load_agent(AGENTS / "bridge_robust_ppo.json", env)
-
-
-@sees("state")
-def bridge_moving_state_ppo(env: EpisodeVectorEnv) -> OnnxPolicy:
-    """PPO on `armctl/BridgeCrossMoving-v0`, without physics; it sees the true state."""
-    return load_agent(AGENTS / "bridge_moving_state_ppo.json", env)
-
-
-def bridge_distil(env: Interface) -> OnnxPolicy:
-    """`bridge_state_ppo`, distilled into a network with a memory; it sees the depth camera and its own motion."""
-    return load_agent(AGENTS / "bridge_distil.json", env)
-
-
-def bridge_moving_distil(env: Interface) -> OnnxPolicy:
-    """`bridge_moving_state_ppo`, distilled into a network with a memory; it sees the depth camera and its motion."""
-    return load_agent(AGENTS / "bridge_moving_distil.json", env)
-
-
-def bridge_moving_ppo(env: Interface) -> OnnxPolicy:
-    """PPO on `armctl/BridgeCrossMoving-v0`, from `bridge_moving_distil`; it sees the depth camera and its motion."""
-    return load_agent(AGENTS / "bridge_moving_ppo.json", env)
+reach_ppo = _agent("reach_ppo", "PPO on `armctl/ArmReach-v0`, robot `ur5`, position control.")
+reach_sac = _agent("reach_sac", "SAC with hindsight on `armctl/ArmReach-v0`, without reward shaping.")
+reach_bc = _agent("reach_bc", "Behaviour cloning on `armctl/ArmReach-v0`, from 500 episodes of `reach_ik`.")
+reach_dagger = _agent("reach_dagger", "DAgger on `armctl/ArmReach-v0`, with 500 episodes labelled by `reach_ik`.")
+reach_cloned_ppo = _agent("reach_cloned_ppo", "A clone of `reach_ik` on `armctl/ArmReach-v0`, improved by PPO.")
+reach_robust_ppo = _agent(
+    "reach_robust_ppo", "PPO on `armctl/ArmReach-v0`, each of whose training episodes was disturbed."
+)
+moving_ppo = _agent("moving_ppo", "A clone of `reach_ik` on `armctl/ArmReachMoving-v0`, from which PPO goes on.")
+moving_dagger = _agent("moving_dagger", "DAgger on `armctl/ArmReachMoving-v0`, from `reach_ik`.")
+obstacles_plan_bc = _agent(
+    "obstacles_plan_bc",
+    "Clone of plans on `armctl/ArmReachObstacles-v0`; it sees the boxes, and knows where the arm's links are.",
+    "model",
+)
+bridge_state_ppo = _agent(
+    "bridge_state_ppo", "PPO on `armctl/BridgeCross-v0`, without physics; it sees the true state.", "state"
+)
+bridge_robust_ppo = _agent(
+    "bridge_robust_ppo",
+    "PPO on `armctl/BridgeCross-v0`, in training episodes that were disturbed; it sees the true state.",
+    "state",
+)
+bridge_moving_state_ppo = _agent(
+    "bridge_moving_state_ppo", "PPO on `armctl/BridgeCrossMoving-v0`, without physics; it sees the true state.", "state"
+)
+bridge_distil = _agent(
+    "bridge_distil",
+    "`bridge_state_ppo`, distilled into a network with a memory; it sees the depth camera and its own motion.",
+)
+bridge_moving_distil = _agent(
+    "bridge_moving_distil",
+    "`bridge_moving_state_ppo`, distilled into a network with a memory; it sees the depth camera and its motion.",
+)
+bridge_ppo = _agent("bridge_ppo", "`bridge_distil`, improved by PPO; it sees the depth camera and its own motion.")
+bridge_moving_ppo = _agent(
+    "bridge_moving_ppo",
+    "PPO on `armctl/BridgeCrossMoving-v0`, from `bridge_moving_distil`; it sees the depth camera and its motion.",
+)

@@ -130,14 +130,14 @@ def test_no_file_is_ever_unpickled():
 
 @pytest.mark.parametrize("path", sorted(SHIPPED.glob("*.json")), ids=lambda path: path.stem)
 def test_a_shipped_card_is_of_the_present_recipe(path):
-    from armctl.rl.bc import BcOptions
-    from armctl.rl.cloned_ppo import ClonedPpoOptions
-    from armctl.rl.dagger import DaggerOptions
-    from armctl.rl.distil import DistilOptions
-    from armctl.rl.distilled_ppo import DistilledPpoOptions
-    from armctl.rl.plan_bc import PlanBcOptions
-    from armctl.rl.ppo import PpoOptions
-    from armctl.rl.sac import SacOptions
+    from armctl.rl.algorithms.bc import BcOptions
+    from armctl.rl.algorithms.cloned_ppo import ClonedPpoOptions
+    from armctl.rl.algorithms.dagger import DaggerOptions
+    from armctl.rl.algorithms.distil import DistilOptions
+    from armctl.rl.algorithms.distilled_ppo import DistilledPpoOptions
+    from armctl.rl.algorithms.plan_bc import PlanBcOptions
+    from armctl.rl.algorithms.ppo import PpoOptions
+    from armctl.rl.algorithms.sac import SacOptions
 
     card = read_card(path)
     assert card.recipe is not None

@@ -244,7 +244,7 @@ def test_the_features_do_not_change_when_the_scene_is_turned():
 
 def test_own_learners_features_are_the_environments():
     torch = pytest.importorskip("torch")
-    from armctl.rl.features import BaseYawInvariantFeatures
+    from armctl.rl.networks.features import BaseYawInvariantFeatures
 
     paper, features = vector(REACH[0], 16), vector(REACH[0], 16, observation="features")
     rng = np.random.default_rng(0)

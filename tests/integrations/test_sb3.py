@@ -153,7 +153,7 @@ def test_networks_see_a_picture(policy):
 def test_an_agent_brings_the_interface_that_it_was_trained_with(tmp_path, monkeypatch):
     import armctl
     from armctl.policies import WorldsByInterface
-    from armctl.rl.sb3_export import export
+    from armctl.rl.export.sb3 import export
 
     monkeypatch.chdir(tmp_path)
     model = PPO("MlpPolicy", VecEnv(worlds(**LEARNER)), device="cpu", seed=0)
@@ -203,7 +203,7 @@ def test_experts_act_in_physical_units_whatever_is_asked_for():
 )
 def test_tables_say_what_an_agent_sees_and_other_units_are_refused(env, options, sees, tmp_path):
     import armctl
-    from armctl.rl.sb3_export import export
+    from armctl.rl.export.sb3 import export
 
     PPO("MlpPolicy", VecEnv(worlds(env, **options)), device="cpu").save(tmp_path / "model.zip")
     export(tmp_path / "model.zip", env=env, out=tmp_path / "agent.onnx", env_options=options, trust=True)

@@ -11,7 +11,7 @@ from armctl.core.errors import ConfigurationError
 from armctl.datasets.collect import collect
 from armctl.disturbances import episode_entropy, episode_rng
 from armctl.envs import TaskVectorEnv, episode_seed
-from armctl.rl.training import Training
+from armctl.rl.run.training import Training
 from armctl.rollout import seeds
 from armctl.rollout.seeds import TEST_SEED, TRAINING_SEEDS, VALIDATION_SEED, evaluation_seed
 from armctl.study import compare, sweep
@@ -88,9 +88,9 @@ def test_no_training_plays_the_sealed_test(monkeypatch, tmp_path):
     training.recipe, training.out = load_recipe("reach_ppo"), tmp_path
     training.options = SimpleNamespace(evaluation_episodes=3)
     played = []
-    monkeypatch.setattr("armctl.rl.training.DEVELOPMENT_SEED", 4)
-    monkeypatch.setattr("armctl.rl.training.evaluate", lambda *args, **more: played.append(more["seed"]))
-    monkeypatch.setattr("armctl.rl.training.evaluation_of", lambda episodes, seed: seed)
+    monkeypatch.setattr("armctl.rl.run.training.DEVELOPMENT_SEED", 4)
+    monkeypatch.setattr("armctl.rl.run.training.evaluate", lambda *args, **more: played.append(more["seed"]))
+    monkeypatch.setattr("armctl.rl.run.training.evaluation_of", lambda episodes, seed: seed)
     assert (training._final_evaluation(), played) == (4, [4])
 
 

@@ -25,7 +25,7 @@ def recipe_file(tmp_path):
 
 @pytest.mark.parametrize("name", recipe_names())
 def test_a_shipped_recipe_can_be_followed(name):
-    from armctl.rl.training import TrainingOptions
+    from armctl.rl.run.options import TrainingOptions
 
     recipe = load_recipe(name)
     assert recipe.env in environment_names()
@@ -37,7 +37,7 @@ def test_a_shipped_recipe_can_be_followed(name):
 
 @pytest.mark.parametrize("name", sorted({load_recipe(name).learner: name for name in recipe_names()}.values()))
 def test_a_shipped_learner_hands_its_callback_to_the_training(name, tmp_path, monkeypatch):
-    from armctl.rl.training import Training
+    from armctl.rl.run.training import Training
 
     class Seen(Exception):
         """The callback has arrived."""
@@ -140,9 +140,9 @@ def test_an_unknown_learner():
 
 
 def test_an_exporter_is_found_by_the_model_s_suffix(monkeypatch):
-    assert load_exporter(Path("some/model.zip")).__module__ == "armctl.rl.sb3_export"
+    assert load_exporter(Path("some/model.zip")).__module__ == "armctl.rl.export.sb3"
     with pytest.raises(ConfigurationError, match=r"model\.pt cannot be exported: models are files \.zip"):
         load_exporter(Path("model.pt"))
-    monkeypatch.setitem(sys.modules, "armctl.rl.sb3_export", None)
+    monkeypatch.setitem(sys.modules, "armctl.rl.export.sb3", None)
     with pytest.raises(ConfigurationError, match=r"pip install 'armctl-suite\[rl\]'"):
         load_exporter(Path("model.zip"))

@@ -61,14 +61,14 @@ class MotionSample:
 
 @dataclass(frozen=True)
 class FeatureSpec:
-    """A feature extractor for networks: a name from `rl/features.py` or `module:Class`, and its options."""
+    """A feature extractor for networks: a name from `rl/networks/features.py` or `module:Class`, and its options."""
 
     name: str
     options: Mapping[str, Any] = field(default_factory=dict)
     prepare: str | None = None
-    """A name from `rl/features.py` or `module:Class`, of a network module that is made with the observation space and
-    `prepare_options`. It maps observations (n, ...) to smaller ones: an array, or several by name. The features are of
-    these, and so are buffers and the memory of agents."""
+    """A name from `rl/networks/features.py` or `module:Class`, of a network module that is made with the observation
+    space and `prepare_options`. It maps observations (n, ...) to smaller ones: an array, or several by name. The
+    features are of these, and so are buffers and the memory of agents."""
     prepare_options: Mapping[str, Any] = field(default_factory=dict)
 
 

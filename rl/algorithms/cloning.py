@@ -1,0 +1,114 @@
+"""Shared by learners from demonstrations: the examples, the network, and fitting the network to the examples."""
+
+from collections.abc import Callable, Iterator
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from tqdm import tqdm
+
+from armctl.agents import AgentCard
+from armctl.core.errors import ConfigurationError
+from armctl.rl.networks.actor import Actor, tensors
+from armctl.rl.networks.layers import hidden_layers
+from armctl.rl.run.disk import save_torch
+from armctl.rl.run.options import TrainingOptions
+from armctl.rl.run.training import Training, bar_fits
+from armctl.training.learners import Recipe
+
+LAST_RATE = 0.02
+"""Share of the learning rate that remains at the end of a fit."""
+
+
+def check_teaching(recipe: Recipe) -> None:
+    """Raise `ConfigurationError` for options that have no meaning without rewards."""
+    if recipe.shaping or recipe.reward_weights or any(stage.reward_weights for stage in recipe.curriculum):
+        raise ConfigurationError(
+            f"{recipe.learner} does not learn from rewards: it takes neither shaping nor reward_weights"
+        )
+
+
+def new_actor(training: Training, options: TrainingOptions) -> Actor:
+    """Make an untrained actor."""
+    torch.manual_seed(training.seed)
+    view, space = training.view, training.held_out.single_observation_space
+    features = view.extractor(space)
+    sizes = [features.features_dim] + [options.hidden_units] * options.layers
+    actions = training.held_out.single_action_space.shape[0]
+    network = torch.nn.Sequential(features, *hidden_layers(sizes), torch.nn.Linear(sizes[-1], actions))
+    return Actor(network, view.action_scale, space)
+
+
+class Samples(Protocol):
+    """Examples to draw from."""
+
+    def draw(self, rng: np.random.Generator, size: int) -> tuple[Any, torch.Tensor]:
+        """Return a random batch of observations and actions (size, ...)."""
+
+
+def fit_and_export(
+    training: Training,
+    actor: Actor,
+    examples: Samples,
+    batch_size: int,
+    progress: bool,
+    renew: Callable[[int], None] | None = None,
+) -> AgentCard:
+    """Fit an actor to the examples from the newest checkpoint on, evaluate it now and then, and export the best.
+
+    `renew` is called with the number of gradient steps that have been taken, at the start and after each.
+    """
+    options, step = training.options, 0
+    if (newest := training.newest_checkpoint()) is not None:
+        actor.load_state_dict(torch.load(newest, weights_only=True))
+        step = int(newest.stem)
+    fitting = fit(
+        actor, examples, options.steps, np.random.default_rng((training.seed, step)),
+        batch_size=batch_size, learning_rate=options.learning_rate, progress=progress, start=step,
+    )  # fmt: skip
+
+    def save() -> None:
+        training.checkpoint(step, lambda path: save_torch(actor.state_dict(), path))
+
+    try:
+        if renew:
+            renew(step)
+        for step in fitting:
+            training.meter.add(gradient_steps=1)
+            if renew:
+                renew(step)
+            if step % options.evaluation_every == 0:
+                save()
+                training.evaluate(actor, step)
+    finally:
+        if step:
+            save()
+    return training.finish(actor, step)
+
+
+def fit(
+    actor: Actor,
+    examples: Samples,
+    steps: int,
+    rng: np.random.Generator,
+    *,
+    batch_size: int,
+    learning_rate: float,
+    progress: bool,
+    start: int = 0,
+) -> Iterator[int]:
+    """Fit the actor's network by least squares, in the network's unit of actions.
+
+    Yields the number of each gradient step, from `start` + 1 to `steps`. The learning rate decays linearly.
+    """
+    optimizer = torch.optim.Adam(actor.network.parameters(), learning_rate)
+    for step in tqdm(range(start, steps), "fit", leave=False, disable=not bar_fits(progress)):
+        for group in optimizer.param_groups:
+            group["lr"] = learning_rate * max(1 - step / steps, LAST_RATE)
+        observations, actions = map(tensors, examples.draw(rng, batch_size))
+        labels = actor.scale.inverse(observations, actions)
+        loss = (actor.network(observations) - labels).square().mean()
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        yield step + 1

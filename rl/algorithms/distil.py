@@ -1,0 +1,198 @@
+"""Distillation of a teacher into a student with a memory: online imitation by a recurrent network.
+
+The student acts, and the teacher, who may see more, labels each state that it gets into, as in DAgger (Ross, Gordon and
+Bagnell, AISTATS 2011); what the student does not see it has to infer from what it remembers (Lee et al., Learning
+quadrupedal locomotion over challenging terrain, Science Robotics 2020). The student learns from the last control steps,
+through which gradients flow back (truncated backpropagation through time), and then forgets their labels.
+"""
+
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from pydantic import Field
+from tqdm import tqdm
+
+from armctl.agents import AgentCard
+from armctl.core.errors import ConfigurationError
+from armctl.core.options import Count, Positive, options
+from armctl.envs import make_worlds
+from armctl.policies import Policy
+from armctl.rl.algorithms.cloning import LAST_RATE, check_teaching
+from armctl.rl.data.demonstrations import teacher_in
+from armctl.rl.networks.actor import Actor, map_arrays, tensors
+from armctl.rl.networks.onnx_graph import initial_memory
+from armctl.rl.networks.recurrent import RecurrentNetwork
+from armctl.rl.networks.view import Features
+from armctl.rl.run.disk import save_torch
+from armctl.rl.run.meter import Metered
+from armctl.rl.run.options import TrainingOptions
+from armctl.rl.run.training import Training, bar_fits
+from armctl.training.learners import Callback, Recipe
+
+Steps = Annotated[int, Field(ge=0)]
+
+
+@options
+class DistilOptions(TrainingOptions):
+    """Options of distillation, whose steps are environment steps."""
+
+    steps: Count = 2_000_000
+    layers: Count = 1
+    """Layers between the memory and the actions."""
+    memory_units: Count = 128
+    """Count of numbers that the student remembers."""
+    length: Count = 32
+    """Control steps of each world that are learned from at once, and through which gradients flow back."""
+    epochs: Count = 4
+    """Number of times that these are learned from."""
+    minibatches: Count = 1
+    """Groups of worlds into which they are split, with a gradient step for each."""
+    mixed_steps: Steps = 200_000
+    """Environment steps until the student acts alone. Until then, each action is the teacher's with a probability that
+    decays linearly from 1."""
+    largest_gradient: Positive = 1.0
+    """Norm to which gradients are clipped."""
+    features: Features = "invariant"
+    evaluation_every: Count = 100_000
+
+    def __post_init__(self) -> None:
+        if self.minibatches > self.worlds:
+            raise ConfigurationError(f"{self.worlds} worlds cannot be split into {self.minibatches} minibatches")
+
+
+def train(
+    recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True, on_evaluation: Callback = None
+) -> AgentCard:
+    """Train an agent into the folder `out`. See `armctl.rl.run.training.Training`, also for the errors raised."""
+    options = recipe.read_options(DistilOptions)
+    check_teaching(recipe)
+    for stage in recipe.stages:
+        with closing(make_worlds(stage.env, 1, stage.options_in_training)) as envs:
+            teacher_in(envs, stage, seed)  # raises an error now rather than in hours
+    training = Training(recipe, options, out, seed, resume, on_evaluation)
+    with training:
+        student = Student(training, options)
+        try:
+            student.learn(progress)
+        finally:
+            student.save()
+        return training.finish(student.actor, student.steps)
+
+
+class Student:
+    """A recurrent network, and how it learns. It resumes from the training's newest checkpoint."""
+
+    def __init__(self, training: Training, options: DistilOptions) -> None:
+        self.training, self.options, self.steps = training, options, 0
+        torch.manual_seed(training.seed)
+        view, space = training.view, training.held_out.single_observation_space
+        self.network = RecurrentNetwork(
+            view.extractor(space), hidden_units=options.hidden_units, layers=options.layers,
+            memory_units=options.memory_units, actions=training.held_out.single_action_space.shape[0],
+        )  # fmt: skip
+        self.actor = Actor(self.network, view.action_scale, space, self.network.memory)
+        self._optimizer = torch.optim.Adam(self.network.parameters())
+        if (newest := training.newest_checkpoint()) is not None:
+            saved = torch.load(newest, weights_only=True)
+            self.actor.load_state_dict(saved["actor"])
+            self._optimizer.load_state_dict(saved["optimizer"])
+            self.steps = int(newest.stem)
+
+    def save(self) -> None:
+        """Write a checkpoint."""
+        saved = {"actor": self.actor.state_dict(), "optimizer": self._optimizer.state_dict()}
+        self.training.checkpoint(self.steps, lambda path: save_torch(saved, path))
+
+    def learn(self, progress: bool) -> None:
+        """Learn from the teacher in the training's worlds until the steps are done."""
+        training, total = self.training, self.options.steps
+        batch = self._new_batch()
+        with tqdm(total=total, initial=self.steps, desc="distil", leave=False, disable=not bar_fits(progress)) as bar:
+            while self.steps < total:
+                if training.due(self.steps):
+                    self.save()
+                    training.evaluate(self.actor, self.steps)
+                if training.enter_stage(self.steps):
+                    batch = self._new_batch()
+                batch.play()
+                for rows in batch.minibatches(self.options.epochs, self.options.minibatches):
+                    self._descend(batch.loss(rows))
+                steps = self.options.length * training.envs.num_envs
+                self.steps += steps
+                bar.update(steps)
+
+    def _new_batch(self) -> "DistillationBatch":
+        envs = self.training.envs
+        return DistillationBatch(self, envs, teacher_in(envs.unwrapped, self.training.stage, self.training.seed))
+
+    def _descend(self, loss: torch.Tensor) -> None:
+        for group in self._optimizer.param_groups:
+            group["lr"] = self.options.learning_rate * max(1 - self.steps / self.options.steps, LAST_RATE)
+        self._optimizer.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), self.options.largest_gradient)
+        self._optimizer.step()
+        self.training.meter.add(gradient_steps=1)
+        self.training.logger.record("train/loss", loss.item())
+
+
+class DistillationBatch:
+    """A student's episodes in worlds with autoreset, labelled by a teacher who is in the same worlds."""
+
+    def __init__(self, student: Student, envs: Metered, teacher: Policy) -> None:
+        self._student, self._envs, self._teacher = student, envs, teacher
+        training = student.training
+        self._rng = np.random.default_rng((training.seed, student.steps))
+        self._observations, _ = envs.reset(seed=training.first_seed(student.steps))
+        teacher.reset(np.arange(envs.num_envs, dtype=np.int32))
+        self._memory = initial_memory(student.network.memory, envs.num_envs)
+
+    def play(self) -> None:
+        """Make the next control steps."""
+        self._initial_memory = self._memory
+        with torch.no_grad():
+            self._steps = [self._step() for _ in range(self._student.options.length)]
+
+    def minibatches(self, epochs: int, count: int) -> Iterator[NDArray[np.intp]]:
+        """Yield all worlds in `count` random groups, other ones in each epoch."""
+        for _ in range(epochs):
+            yield from np.array_split(self._rng.permutation(self._envs.num_envs), count)
+
+    def loss(self, rows: NDArray[np.intp]) -> torch.Tensor:
+        """Return the mean squared difference to the labels in some worlds, in the network's unit."""
+        memory, losses = [remembered[rows] for remembered in self._initial_memory], []
+        for observations, targets, ongoing in self._steps:
+            selected = map_arrays(lambda values: values[rows], observations)
+            actions, *memory = self._student.network(selected, *memory)
+            memory = [remembered * ongoing[rows] for remembered in memory]
+            losses.append((actions - targets[rows]).square().mean())
+        return torch.stack(losses).mean()
+
+    def _step(self) -> tuple[Any, torch.Tensor, torch.Tensor]:
+        """Make a control step. Returns what was observed, the network's actions for the labels, and who goes on."""
+        student, observations = self._student, tensors(self._observations)
+        scale = student.actor.scale
+        actions, *self._memory = student.network(observations, *self._memory)
+        labels = self._teacher.act(self._observations)
+        student.training.meter.add(teacher_queries=len(labels))
+        targets = scale.inverse(observations, torch.as_tensor(labels, dtype=torch.float32))
+        done = self._act(scale(observations, actions).numpy(), labels)
+        ongoing = torch.as_tensor(~done)[:, None]
+        self._memory = [remembered * ongoing for remembered in self._memory]
+        return observations, targets, ongoing
+
+    def _act(self, actions: NDArray[Any], labels: NDArray[Any]) -> NDArray[np.bool_]:
+        """Take the student's actions (n, k), or the teacher's, and return whose episode is done, (n,)."""
+        mixed = self._student.options.mixed_steps
+        share = 1 - self._student.steps / mixed if mixed else 0.0
+        chosen = self._rng.random(len(labels)) < share
+        step = self._envs.step(np.where(chosen[:, None], labels, actions))
+        self._observations, done = step[0], step[2] | step[3]
+        if done.any():
+            self._teacher.reset(np.flatnonzero(done).astype(np.int32))
+        return done

@@ -1,0 +1,128 @@
+"""An agent that remembers, as `distil` trains it, and which PPO improves.
+
+Imitation ends where the student does not see what its teacher sees; rewards say what to do there. What the agent makes
+of what it sees, and what it remembers of it, stays as it is: PPO learns the layers from there to the actions. So
+nothing flows back through time, and the learner is plain PPO. As in `cloned_ppo`, the critic is fitted first, and a
+penalty holds the actor to its start.
+"""
+
+from pathlib import Path
+from typing import Any, Literal
+
+import gymnasium
+import numpy as np
+import torch
+from stable_baselines3.common.torch_layers import FlattenExtractor
+
+from armctl.agents import AgentCard, OnnxPolicy
+from armctl.core.errors import ConfigurationError
+from armctl.core.options import Count, options
+from armctl.policies import make_policy
+from armctl.rl.algorithms.anchored_ppo import AnchoredPpo, AnchoredPpoOptions, improve
+from armctl.rl.algorithms.asymmetric import AsymmetricVectorEnv
+from armctl.rl.networks.encoder import Encoder
+from armctl.rl.networks.recurrent import MEMORY, RecurrentNetwork
+from armctl.rl.networks.view import Features, View
+from armctl.rl.run.training import Training
+from armctl.rl.run.vector import EncodedVectorEnv, StableBaselinesVectorEnv
+from armctl.training.learners import Callback, Recipe
+
+
+@options
+class DistilledPpoOptions(AnchoredPpoOptions):
+    """Options of PPO, whose network has the sizes of the agent from which it starts."""
+
+    steps: Count = 1_000_000
+    hidden_units: Count = 192
+    layers: Count = 1
+    """Layers between the memory and the actions."""
+    features: Features = "invariant"
+    activation: Literal["elu", "relu"] = "relu"
+    evaluation_every: Count = 100_000
+
+
+def train(
+    recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True, on_evaluation: Callback = None
+) -> AgentCard:
+    """Train an agent into the folder `out`. See `armctl.rl.run.training.Training`, also for the errors raised."""
+    options = recipe.read_options(DistilledPpoOptions)
+    if options.frames > 1:
+        raise ConfigurationError("distilled_ppo starts from an agent that remembers: leave the option frames out")
+    training = Training(recipe, options, out, seed, resume, on_evaluation)
+    sizes, weights = network_of(recipe, training)
+
+    def make_vec_env() -> StableBaselinesVectorEnv:
+        envs, view = training.envs, training.view
+        encoder = FrozenRecurrentEncoder(sizes, weights, view, envs.single_observation_space)
+        kind = AsymmetricVectorEnv if options.privileged_critic else EncodedVectorEnv
+        return kind(encoder, envs, view.action_scale)
+
+    def start(model: AnchoredPpo) -> None:
+        head = model.env.encoder.network.head
+        model.policy.mlp_extractor.policy_net.load_state_dict(head[:-1].state_dict())
+        model.policy.action_net.load_state_dict(head[-1].state_dict())
+
+    return improve(training, options, make_vec_env, start, progress)
+
+
+def network_of(recipe: Recipe, training: Training) -> tuple[dict[str, int], dict[str, torch.Tensor]]:
+    """Return the sizes and weights of the teacher's network, by name.
+
+    Raises `ConfigurationError` if the recipe's teacher is no agent with a memory, or has a network of other sizes.
+    """
+    if recipe.teacher is None:
+        raise ConfigurationError("distilled_ppo starts from an agent: name it, --teacher AGENT")
+    teacher = make_policy(recipe.teacher, training.held_out)
+    if not isinstance(teacher, OnnxPolicy) or list(teacher.card.memory) != [MEMORY]:
+        raise ConfigurationError(
+            f"distilled_ppo starts from an agent that remembers, as distil trains it, and {recipe.teacher} is none"
+        )
+    for name in ("hidden_units", "layers", "features", "relative"):
+        of_teacher, requested = teacher.card.learner_options.get(name), getattr(training.options, name)
+        if of_teacher != requested:
+            raise ConfigurationError(
+                f"{recipe.teacher} was trained with {name} {of_teacher!r}: set that option, not {requested!r}"
+            )
+    card, options = teacher.card, training.options
+    (memory_units,), actions = card.memory[MEMORY], card.action_shape[0]
+    sizes = {"hidden_units": options.hidden_units, "layers": options.layers}
+    weights = {name: torch.tensor(numbers) for name, numbers in teacher.numbers.items()}
+    return {**sizes, "memory_units": memory_units, "actions": actions}, weights
+
+
+class FrozenRecurrentEncoder(Encoder):
+    """An agent's recurrent network, which stays as it is: from observations to what its head sees (n, k)."""
+
+    def __init__(
+        self,
+        sizes: dict[str, int],
+        weights: dict[str, torch.Tensor],
+        view: View,
+        observation_space: gymnasium.Space[Any],
+    ) -> None:
+        super().__init__()
+        self._sizes, self._weights = sizes, weights
+        self.network = RecurrentNetwork(view.extractor(observation_space), **sizes)
+        self.network.requires_grad_(False)
+        for name, parameter in self.network.named_parameters():
+            values = weights.get(f"network.{name}")
+            if values is None or values.shape != parameter.shape:
+                raise ConfigurationError(
+                    f"distilled_ppo starts from an agent as distil trains it, with weights network.{name} of shape "
+                    f"{tuple(parameter.shape)}: this one has none"
+                )
+            parameter.copy_(values)
+        self.memory = self.network.memory
+        self.space = gymnasium.spaces.Box(-np.inf, np.inf, (sizes["hidden_units"] + sizes["memory_units"],), np.float32)
+
+    def rebuilt_for(self, view: View, observation_space: gymnasium.Space[Any]) -> "FrozenRecurrentEncoder":
+        """Return the same for other observations, which are prepared alike."""
+        return FrozenRecurrentEncoder(self._sizes, self._weights, view, observation_space)
+
+    def features(self, view: View) -> dict[str, Any]:
+        """Return the arguments of a policy of Stable-Baselines3."""
+        return {"features_extractor_class": FlattenExtractor, "features_extractor_kwargs": {}}
+
+    def forward(self, observation: Any, hidden: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return what PPO sees, and the next memory."""
+        return self.network.recall(observation, hidden)

@@ -1,0 +1,91 @@
+"""Behaviour cloning of a follower of plans, made without simulation: layouts, ways and states are all kinematic.
+
+`armctl train obstacles_plan_bc` runs this. The student's own states are not labelled: states come from followers of the
+plans whose commands are disturbed (Laskey et al., DART: Noise injection for robust imitation learning, CoRL 2017).
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from armctl.agents import AgentCard
+from armctl.core.errors import ConfigurationError
+from armctl.core.options import Count, Positive, Share, options
+from armctl.kinematics import ArmModel, ArmShapes
+from armctl.rl.algorithms.cloning import check_teaching, fit_and_export, new_actor
+from armctl.rl.data import solved_layouts
+from armctl.rl.data.followed_plans import FollowedPlans
+from armctl.rl.networks.view import Features
+from armctl.rl.run.options import TrainingOptions
+from armctl.rl.run.training import Training, bar_fits, check_no_curriculum
+from armctl.tasks import ReachObstaclesTask
+from armctl.tasks.reach.obstacles import OBSTACLES_OBSERVATION
+from armctl.training.learners import Callback, Recipe
+
+LAYOUTS = "layouts"
+"""Folder of a training's layouts, in its own."""
+
+
+@options
+class PlanBcOptions(TrainingOptions):
+    """Options of behaviour cloning from plans."""
+
+    steps: Count = 6_000
+    """Number of gradient steps."""
+    worlds: Count = 1
+    """Number of worlds, in which nothing but the evaluations is simulated."""
+    hidden_units: Count = 384
+    layers: Count = 3
+    features: Features = "model"
+    evaluation_every: Count = 1_500
+    batch_size: Count = 1024
+    layouts: Count = 60_000
+    """Number of layouts in which a way is planned."""
+    parts: Count = 6
+    """Number of parts of the layouts, of which one at a time is followed again, with other noise."""
+    renewals: Count = 6
+    """Number of parts that are followed again, after all have been followed once."""
+    margin: Positive = 0.02
+    """Distance kept by the straight motions of labels, m."""
+    largest_move: Positive = 0.3
+    """Largest move of a joint in a label, rad: with larger ones, arms go too fast to turn at a corner."""
+    noise: Positive = 0.15
+    """Standard deviation of the disturbance of commands, rad."""
+    noise_share: Share = 0.5
+    """Share of control steps in which the command is disturbed."""
+
+
+def train(
+    recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True, on_evaluation: Callback = None
+) -> AgentCard:
+    """Train an agent into the folder `out`. See `armctl.rl.run.training.Training`, also for the errors raised."""
+    options = recipe.read_options(PlanBcOptions)
+    check_teaching(recipe)
+    check_no_curriculum(recipe)
+    if recipe.teacher is not None:
+        raise ConfigurationError(f"{recipe.learner} learns from plans of its own: it takes no teacher")
+    training = Training(recipe, options, out, seed, resume, on_evaluation)
+    task = training.held_out.task
+    if not isinstance(task, ReachObstaclesTask) or list(task.options.parts) != list(OBSTACLES_OBSERVATION):
+        raise ConfigurationError(f"{recipe.learner} is for armctl/ArmReachObstacles-v0 and its observation 'paper'")
+    if task.options.control != "position" or not options.relative:
+        raise ConfigurationError(f"{recipe.learner} needs control 'position' and relative actions")
+    with training:
+        tolerance, folder = task.options.tolerance, out / LAYOUTS
+        solved_layouts.make(folder, options.layouts, seed, task.robot, tolerance, bar_fits(progress))
+        examples = FollowedPlans(
+            ArmShapes(ArmModel(task.robot)), solved_layouts.read(folder), options.parts, tolerance=tolerance,
+            largest_move=options.largest_move, margin=options.margin, noise=options.noise,
+            noise_share=options.noise_share,
+        )  # fmt: skip
+        rounds, every = 0, max(1, options.steps // (options.renewals + 1))
+
+        def renew(step: int) -> None:
+            nonlocal rounds
+            is_repeated = step > 0 and rounds == 0  # labelled before an interrupt
+            while rounds < options.parts + min(step, options.steps - 1) // every:
+                labelled = examples.renew(rounds, np.random.default_rng((seed, 1, rounds)))
+                training.meter.add(teacher_queries=0 if is_repeated else labelled)
+                rounds += 1
+
+        return fit_and_export(training, new_actor(training, options), examples, options.batch_size, progress, renew)

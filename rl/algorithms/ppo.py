@@ -1,0 +1,128 @@
+"""Proximal policy optimisation (Schulman et al. 2017), by Stable-Baselines3, on hundreds of batched worlds.
+
+`armctl train reach_ppo` runs this. The trained agent is an ONNX graph and a JSON card.
+"""
+
+import functools
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+import torch
+from stable_baselines3 import PPO
+
+from armctl.agents import AgentCard
+from armctl.core.options import Count, NonNegative, Positive, Share, options
+from armctl.rl.algorithms.asymmetric import AsymmetricPolicy, AsymmetricVectorEnv
+from armctl.rl.algorithms.sb3_training import decaying, learn
+from armctl.rl.networks.actor import Actor
+from armctl.rl.networks.view import View
+from armctl.rl.run.options import FrameOptions
+from armctl.rl.run.training import Training
+from armctl.rl.run.vector import StableBaselinesVectorEnv, actor_in, features_of, policy_class, vec_env_of
+from armctl.training.learners import Callback, Recipe
+
+Model = TypeVar("Model", bound=PPO)
+ACTIVATIONS = {"elu": torch.nn.ELU, "relu": torch.nn.ReLU}
+
+
+@options
+class PpoOptions(FrameOptions):
+    """Options of PPO. The learning rate decays linearly to a twentieth."""
+
+    rollout_length: Count = 32
+    """Control steps of each world between two updates."""
+    batch_size: Count = 2048
+    epochs: Count = 5
+    gae_lambda: Share = 0.95
+    clip_range: Positive = 0.2
+    entropy: NonNegative = 0.0
+    """Weight of the action distribution's entropy in the loss."""
+    initial_log_std: float = -0.5
+    reward_scale: Positive = 0.02
+    activation: Literal["elu", "relu"] = "elu"
+    """Activation after each layer of the network."""
+    privileged_critic: bool = False
+    """Privilege of the critic: it sees the state, which the actor does not. The agent is the actor."""
+
+
+def train(
+    recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True, on_evaluation: Callback = None
+) -> AgentCard:
+    """Train an agent into the folder `out`. See `armctl.rl.run.training.Training`, also for the errors raised."""
+    options = recipe.read_options(PpoOptions)
+    training = Training(recipe, options, out, seed, resume, on_evaluation)
+    make_vec_env = functools.partial(vec_env_for, training, options)
+    model = load_or_make(training, options, PPO, make_vec_env)
+    with training:
+        return learn(training, model, actor_of(model, training), progress, make_vec_env)
+
+
+def load_or_make(
+    training: Training,
+    options: PpoOptions,
+    kind: type[PPO],
+    make_vec_env: Callable[[], StableBaselinesVectorEnv],
+) -> Any:
+    """Load the model of the newest checkpoint, or make an untrained one, of a `kind` of PPO."""
+    vec_env, newest = make_vec_env(), training.newest_checkpoint()
+    if newest is None:
+        model = new_model(vec_env, training.view, options, training.seed, kind)
+    else:
+        model = kind.load(newest, vec_env, "cpu")
+    training.meter.watch(model)
+    return model
+
+
+def vec_env_for(training: Training, options: PpoOptions) -> StableBaselinesVectorEnv:
+    """Return the training's present worlds, as a model with these options sees them."""
+    kind = AsymmetricVectorEnv if options.privileged_critic else None
+    return vec_env_of(training.envs, training.view, options, kind)
+
+
+def new_model(
+    vec_env: StableBaselinesVectorEnv, view: View, options: PpoOptions, seed: int, kind: type[PPO] = PPO
+) -> PPO:
+    """Make an untrained model of a `kind` of PPO."""
+    policy: Any = policy_class(vec_env)
+    features = features_of(vec_env, view)
+    if isinstance(vec_env, AsymmetricVectorEnv):
+        policy, features = AsymmetricPolicy, {"view": view, **features}
+    return kind(
+        policy,
+        vec_env,
+        n_steps=options.rollout_length,
+        batch_size=options.batch_size,
+        n_epochs=options.epochs,
+        learning_rate=decaying(options.learning_rate),
+        gamma=options.gamma,
+        gae_lambda=options.gae_lambda,
+        clip_range=options.clip_range,
+        ent_coef=options.entropy,
+        policy_kwargs={
+            **features,
+            "net_arch": [options.hidden_units] * options.layers,
+            "activation_fn": ACTIVATIONS[options.activation],
+            "log_std_init": options.initial_log_std,
+        },
+        seed=seed,
+        device="cpu",
+    )
+
+
+def actor_of(model: PPO, training: Training) -> Actor:
+    """Return an actor that shares the model's network."""
+    return actor_in(model.env, MeanAction(model.policy), training)
+
+
+class MeanAction(torch.nn.Module):
+    """The mean of a policy's action distribution."""
+
+    def __init__(self, policy: torch.nn.Module) -> None:
+        super().__init__()
+        self.policy = policy
+
+    def forward(self, observation: Any) -> torch.Tensor:
+        """Return actions (n, ...), mostly in [-1, 1]."""
+        features = self.policy.extract_features(observation, self.policy.pi_features_extractor)
+        return self.policy.action_net(self.policy.mlp_extractor.forward_actor(features))

@@ -1,0 +1,162 @@
+"""Soft actor-critic (Haarnoja et al. 2018), by Stable-Baselines3; with hindsight experience replay in the reach task.
+
+`armctl train reach_sac` runs this.
+"""
+
+import functools
+import warnings
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import torch
+from pydantic import Field
+from stable_baselines3 import SAC
+from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise, VectorizedActionNoise
+
+from armctl.agents import AgentCard
+from armctl.core.errors import ConfigurationError
+from armctl.core.options import Count, NonNegative, Positive, Share, options
+from armctl.rl.algorithms.hindsight import GoalFeatures, GoalVectorEnv, HindsightBuffer, split
+from armctl.rl.algorithms.sb3_training import REPLAY, decaying, learn
+from armctl.rl.run.options import FrameOptions
+from armctl.rl.run.training import Training, check_no_curriculum
+from armctl.rl.run.vector import StableBaselinesVectorEnv, actor_in, features_of, policy_class, vec_env_of
+from armctl.tasks import ReachTask
+from armctl.tasks.reach import OBSERVATION
+from armctl.training.learners import Callback, Recipe
+
+NOISE_TIME_CONSTANT = 10
+"""Control steps in which the exploration noise decays to about a third."""
+
+
+@options
+class SacOptions(FrameOptions):
+    """Options of SAC. The learning rate decays linearly to a twentieth."""
+
+    steps: Count = 200_000
+    worlds: Count = 64
+    gradient_steps: Count = 8
+    """Gradient steps per control step of all worlds."""
+    batch_size: Count = 256
+    learning_rate: Positive = 1e-3
+    tau: Share = 0.01
+    """Soft-update coefficient of the critic's target network, per gradient step."""
+    buffer_size: Count = 300_000
+    """Size of the replay buffer, transitions."""
+    random_steps: Count = 3_000
+    """Environment steps with uniformly random actions, at first."""
+    noise: NonNegative = 0.4
+    """Scale of the correlated exploration noise in the last world; it grows from 0 in the first world."""
+    relabelled: Annotated[int, Field(ge=0)] = 4
+    """Relabelled transitions for each real one, in `armctl/ArmReach-v0`."""
+    entropy: Positive = 0.1
+    """Initial weight of the action distribution's entropy. It is tuned during training."""
+    target_entropy: float = -1.0
+    """Entropy to which the weight is tuned, per number of an action: ln 2 is that of uniformly random actions."""
+    reward_scale: Positive = 0.1
+    evaluation_every: Count = 20_000
+
+
+def train(
+    recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True, on_evaluation: Callback = None
+) -> AgentCard:
+    """Train an agent into the folder `out`. See `armctl.rl.run.training.Training`, also for the errors raised."""
+    options = recipe.read_options(SacOptions)
+    check_no_curriculum(recipe)
+    if options.relabelled and (recipe.shaping or recipe.reward_weights or "reward" in recipe.options_in_training):
+        raise ConfigurationError(
+            "relabelled transitions earn the task's plain reward: with shaping, reward_weights or another reward, "
+            "set the option relabelled to 0"
+        )
+    training = Training(recipe, options, out, seed, resume, on_evaluation)
+    vec_env = _make_vec_env(training, options)
+    newest = training.newest_checkpoint()
+    model = _new_model(vec_env, training, options) if newest is None else _load(newest, vec_env)
+    training.meter.watch(model)
+    with training:
+        network = SquashedMean(model.policy, goals=isinstance(vec_env, GoalVectorEnv))
+        return learn(training, model, actor_in(vec_env, network, training), progress)
+
+
+class SquashedMean(torch.nn.Module):
+    """The mean of a policy's action distribution, squashed into [-1, 1].
+
+    A goal-conditioned policy has `goals` split from observations.
+    """
+
+    def __init__(self, policy: torch.nn.Module, *, goals: bool) -> None:
+        super().__init__()
+        self.actor, self.goals = policy.actor, goals
+
+    def forward(self, observation: Any) -> torch.Tensor:
+        """Return actions (n, ...) for observations of the task, or stacks of them."""
+        split_observation = split(observation) if self.goals else observation
+        return torch.tanh(self.actor.get_action_dist_params(split_observation)[0])
+
+
+def _make_vec_env(training: Training, options: SacOptions) -> StableBaselinesVectorEnv:
+    task = training.envs.unwrapped.task
+    with_goals = options.relabelled and type(task) is ReachTask
+    if with_goals and list(task.options.parts) != list(OBSERVATION):
+        raise ConfigurationError(
+            "hindsight knows the observation 'paper' only: choose that, or set the option relabelled to 0"
+        )
+    kind = functools.partial(GoalVectorEnv, task.options.tolerance) if with_goals else None
+    return vec_env_of(training.envs, training.view, options, kind)
+
+
+def _new_model(vec_env: StableBaselinesVectorEnv, training: Training, options: SacOptions) -> SAC:
+    goals, view = isinstance(vec_env, GoalVectorEnv), training.view
+    features = (
+        {"features_extractor_class": GoalFeatures, "features_extractor_kwargs": {"view": view}}
+        if goals
+        else features_of(vec_env, view)
+    )
+    # The hindsight buffer samples from finished episodes only.
+    longest = (training.held_out.max_episode_steps or 0) * options.worlds if goals else 0
+    return SAC(
+        policy_class(vec_env),
+        vec_env,
+        learning_rate=decaying(options.learning_rate),
+        buffer_size=options.buffer_size,
+        learning_starts=max(options.random_steps, longest),
+        batch_size=options.batch_size,
+        tau=options.tau,
+        gamma=options.gamma,
+        train_freq=1,
+        gradient_steps=options.gradient_steps,
+        action_noise=_noise(options, vec_env.action_space.shape),
+        ent_coef=f"auto_{options.entropy}",
+        target_entropy=options.target_entropy * vec_env.action_space.shape[0],
+        replay_buffer_class=HindsightBuffer if goals else None,
+        replay_buffer_kwargs={"n_sampled_goal": options.relabelled} if goals else None,
+        policy_kwargs={
+            **features,
+            "net_arch": [options.hidden_units] * options.layers,
+        },
+        seed=training.seed,
+        device="cpu",
+    )
+
+
+def _noise(options: SacOptions, shape: tuple[int, ...]) -> VectorizedActionNoise:
+    """Return noise of Ornstein and Uhlenbeck (1930). It moves an arm; noise without correlation averages out."""
+    mean = np.zeros(shape)
+    noises = [
+        OrnsteinUhlenbeckActionNoise(mean, np.full(shape, sigma), theta=1 / NOISE_TIME_CONSTANT, dt=1.0)
+        for sigma in np.linspace(0.0, options.noise, options.worlds)
+    ]
+    noise = VectorizedActionNoise(noises[0], options.worlds)
+    noise.noises = noises
+    return noise
+
+
+def _load(checkpoint: Path, vec_env: StableBaselinesVectorEnv) -> SAC:
+    model = SAC.load(checkpoint, vec_env, "cpu")
+    replay = checkpoint.with_name(REPLAY)
+    if not replay.exists():
+        raise ConfigurationError(f"the training cannot be resumed without {replay}")
+    with warnings.catch_warnings(action="ignore"):  # it warns that unfinished episodes are truncated
+        model.load_replay_buffer(replay)
+    return model

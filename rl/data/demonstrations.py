@@ -1,0 +1,160 @@
+"""Demonstrations of a teacher or a dataset, as examples to learn from."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import torch
+from tqdm import tqdm
+
+from armctl.core.console import printable
+from armctl.core.errors import ConfigurationError
+from armctl.core.options import Count, Share, options
+from armctl.datasets.demonstrations import Demonstration, demonstrate
+from armctl.datasets.minari import read_demonstrations
+from armctl.envs import TaskVectorEnv, make_worlds
+from armctl.policies import Policy, make_policy
+from armctl.policies.state_observing import StateObservingAgent, state_observing_env
+from armctl.policies.trainings import card_of
+from armctl.rl.networks.actor import map_arrays, tensors
+from armctl.rl.networks.view import Features
+from armctl.rl.run.options import TrainingOptions
+from armctl.rl.run.training import Training, bar_fits
+from armctl.tasks import ReachMovingTask, ReachTask
+from armctl.tasks.reach import observation_slices
+from armctl.training.learners import Recipe
+
+LOOK_BACK = 10
+"""Control steps before an example from which hindsight takes its targets, at most."""
+
+
+@options
+class CloningOptions(TrainingOptions):
+    """Options that all learners from demonstrations share."""
+
+    steps: Count = 12_000
+    """Number of gradient steps."""
+    worlds: Count = 50
+    hidden_units: Count = 256
+    layers: Count = 3
+    features: Features = "invariant"
+    evaluation_every: Count = 3_000
+    demonstrations: Count = 500
+    """Episodes of the teacher, in total."""
+    batch_size: Count = 256
+    hindsight: Share = 0.5
+    """Share of the examples whose target is moved to another point of their episode; for targets at rest only."""
+
+
+@dataclass
+class Examples:
+    """Observations and actions of many episodes, concatenated."""
+
+    task: Any
+    hindsight: float
+    episodes: list[Demonstration] = field(default_factory=list)
+
+    def add(self, episodes: list[Demonstration]) -> None:
+        """Add episodes."""
+        self.episodes += episodes
+        lengths = np.array([len(episode) for episode in self.episodes])
+        begins = np.concatenate(([0], np.cumsum(lengths + 1)[:-1]))
+        self._begins, self._ends = np.repeat(begins, lengths), np.repeat(begins + lengths, lengths)
+        self._rows = np.concatenate([begin + np.arange(length) for begin, length in zip(begins, lengths, strict=True)])
+        self._actions = np.concatenate([episode.actions for episode in self.episodes]).astype(np.float32)
+        parts: Any = [episode.observations for episode in self.episodes]
+        self._observations: Any = (
+            {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+            if isinstance(parts[0], dict)
+            else np.concatenate(parts)
+        )
+
+    def draw(self, rng: np.random.Generator, size: int) -> tuple[Any, torch.Tensor]:
+        """Return a random batch of observations and actions (size, ...).
+
+        Some are relabelled in hindsight (Ding et al., Goal-conditioned imitation learning, NeurIPS 2019): the target
+        becomes the end-effector's position at another time of the episode, the action the joint positions at that time.
+        """
+        samples = rng.integers(len(self._rows), size=size)
+        rows, actions = self._rows[samples], self._actions[samples]
+        observations = map_arrays(lambda values: values[rows], self._observations)
+        if self.hindsight and not isinstance(observations, dict):
+            other = rng.random(size) < self.hindsight
+            first = np.maximum(self._begins[samples], rows - LOOK_BACK)
+            achieved = self._observations[rng.integers(first, self._ends[samples] + 1)]
+            parts = observation_slices(actions.shape[1])
+            observations[other, parts["target_position"]] = achieved[other, parts["end_effector_position"]]
+            actions[other] = achieved[other, parts["joint_positions"]]
+        return tensors(observations), torch.as_tensor(actions)
+
+
+def examples_for(training: Training, options: CloningOptions) -> Examples:
+    """Return an empty set of examples; with hindsight if the task allows it."""
+    task = training.held_out.task
+    at_rest = isinstance(task, ReachTask) and not isinstance(task, ReachMovingTask)
+    positions = at_rest and task.interface["control"] == "position"
+    return Examples(task, options.hindsight if positions else 0.0)
+
+
+class Teacher:
+    """The policy to learn from, in worlds of its own; `policy_seed` determines its random numbers.
+
+    Raises `ConfigurationError` for a recipe without a teacher.
+    """
+
+    def __init__(self, recipe: Recipe, num_envs: int, policy_seed: int) -> None:
+        if recipe.teacher is None:
+            raise ConfigurationError(f"{recipe.learner} learns from a policy: name it, --teacher POLICY")
+        self.name = recipe.teacher
+        self.envs = make_worlds(recipe.env, num_envs, recipe.options_in_training)
+        try:
+            self.policy = make_policy(self.name, self.envs, policy_seed=policy_seed)
+        except Exception:
+            self.envs.close()
+            raise
+
+    def show(self, episodes: int, seed: int, progress: bool, **instead: Any) -> list[Demonstration]:
+        """Return the teacher's episodes 0 to `episodes` - 1 of a seed, in order; see `demonstrate` for `instead`."""
+        pairs = demonstrate(self.policy, self.envs, episodes, seed, self.name, **instead)
+        bar = tqdm(pairs, printable(self.name), episodes, leave=False, disable=not bar_fits(progress))
+        in_order = sorted(bar, key=lambda pair: pair[0].episode)
+        return [episode for _, episode in in_order]
+
+
+def teacher_in(envs: TaskVectorEnv, recipe: Recipe, policy_seed: int) -> Policy:
+    """Return the recipe's teacher in these worlds. An agent that was trained to see the state sees theirs.
+
+    `policy_seed` determines its random numbers.
+
+    Raises `ConfigurationError` for a recipe without a teacher, and what `armctl.make_policy` raises.
+    """
+    if recipe.teacher is None:
+        raise ConfigurationError(f"{recipe.learner} learns from a policy: name it, --teacher POLICY")
+    card = card_of(recipe.teacher)
+    if card is None or card.sees != "state" or envs.task.state_space is None:
+        return make_policy(recipe.teacher, envs, policy_seed=policy_seed)
+    with state_observing_env(envs) as single_env:
+        return StateObservingAgent(make_policy(recipe.teacher, single_env, policy_seed=policy_seed), envs)
+
+
+def demonstrations(
+    training: Training, options: CloningOptions, dataset: str | None, progress: bool
+) -> list[Demonstration]:
+    """Return the successful episodes of a dataset, or of the teacher. Raises `ConfigurationError` if there are none."""
+    if dataset is None:
+        teacher = Teacher(training.recipe, min(options.worlds, options.demonstrations), training.seed)
+        try:
+            episodes, source = teacher.show(options.demonstrations, training.first_seed(), progress), teacher.name
+        finally:
+            teacher.envs.close()
+    else:
+        episodes, source = read_demonstrations(dataset, training.held_out), dataset
+    if training.newest_checkpoint() is None:  # a resumed training is shown the same episodes again
+        steps = sum(map(len, episodes))
+        training.meter.add(decisions=steps, teacher_queries=steps)
+    successes = [episode for episode in episodes if episode.success]
+    if not successes:
+        raise ConfigurationError(
+            f"none of {len(episodes)} episodes of {source} was a success: there is nothing to learn from"
+        )
+    return successes

@@ -1,0 +1,207 @@
+"""Layouts among obstacles with a planned way each, made by kinematics alone: `python -m armctl.rl.data.solved_layouts`.
+
+Layouts are drawn as `armctl/ArmReachObstacles-v0` draws them for episodes of a training's seed; those without a plan
+are left out. They lie in a folder, in parts that are written whole, with a card that has the checksum of each part: the
+same command goes on after an interrupt. Nothing is simulated.
+"""
+
+import functools
+import io
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+from rich.progress import Progress
+
+from armctl.core.console import PlainConsole
+from armctl.core.errors import ConfigurationError, ResultsError
+from armctl.core.files import (
+    bounded_bytes,
+    bounded_text,
+    one_writer,
+    sealed,
+    short_checksum,
+    unsealed,
+    write_atomically,
+)
+from armctl.core.seeds import TRAINING_SEEDS
+from armctl.disturbances import episode_entropy
+from armctl.kinematics import ArmModel, Workspace
+from armctl.planning import ArmPlanner, ArmPlannerOptions
+from armctl.robot_description import ArmDescription, load_arm
+from armctl.scene import BOX_NUMBERS
+from armctl.tasks.reach import ReachOptions
+from armctl.tasks.reach.layout_pool import robot_digest
+from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES, ReachLayout, sample_layout
+
+FORMAT = "armctl-solved-layouts-1"
+PART = 500
+"""Number of layouts that are drawn for a part."""
+CLEARANCES = 0.02, 0.01
+"""Clearances of a way, m: the next one is for layouts that have no way with the one before it."""
+LARGEST_PART = 2**24
+"""Largest part that armctl reads, bytes."""
+CARD = "card.json"
+
+
+@dataclass(frozen=True, eq=False)
+class SolvedLayouts:
+    """k layouts and their ways. Raises `ConfigurationError` for arrays that do not fit together."""
+
+    targets: NDArray[np.float32]
+    """Target positions (k, 3), m."""
+    boxes: NDArray[np.float32]
+    """Boxes (k, `MOST_OBSTACLES`, `BOX_NUMBERS`); zeros for absent ones."""
+    corners: NDArray[np.int64]
+    """Number (k,) of corners of each way, from home to the target; at least 2."""
+    ways: NDArray[np.float32]
+    """Corners (sum of `corners`, dof) rad, one way after the other."""
+
+    def __post_init__(self) -> None:
+        k = len(self.targets)
+        shapes = {"targets": (k, 3), "boxes": (k, MOST_OBSTACLES, BOX_NUMBERS), "corners": (k,)}
+        for name, shape in shapes.items():
+            if getattr(self, name).shape != shape or not np.isfinite(getattr(self, name)).all():
+                raise ConfigurationError(f"{name} should be finite numbers {shape}, not {getattr(self, name).shape}")
+        if (self.corners < 2).any() or self.ways.ndim != 2 or len(self.ways) != self.corners.sum():
+            raise ConfigurationError("ways should have two corners or more each")
+        if not np.isfinite(self.ways).all():
+            raise ConfigurationError("ways should be finite numbers")
+
+    def __len__(self) -> int:
+        return len(self.targets)
+
+    def way(self, row: int) -> NDArray[np.float64]:
+        """Return the corners (m, dof) of a layout's way, rad."""
+        end = int(self._ends[row])
+        return self.ways[end - int(self.corners[row]) : end].astype(float)
+
+    @functools.cached_property
+    def _ends(self) -> NDArray[np.int64]:
+        return np.cumsum(self.corners)
+
+
+def make(folder: Path, count: int, seed: int, arm: ArmDescription, tolerance: float, progress: bool = True) -> None:
+    """Draw `count` layouts of a training seed, and plan in each, or go on with that.
+
+    Raises `ResultsError` if the folder holds others, is damaged or cannot be written.
+    """
+    identity: dict[str, Any] = {
+        "format": FORMAT, "robot": robot_digest(arm), "tolerance": tolerance, "seed": seed, "count": count,
+        "clearances": list(CLEARANCES), "part": PART,
+    }  # fmt: skip
+    with one_writer(folder):
+        card: dict[str, Any] = _read_card(folder) if (folder / CARD).exists() else {**identity, "parts": {}}
+        for name, value in identity.items():
+            if card.get(name) != value:
+                raise ResultsError(f"{folder} holds layouts with {name} {card.get(name)!r}, not {value!r}")
+        solver = _Solver(arm, tolerance, seed)
+        with Progress(console=PlainConsole(stderr=True), disable=not progress) as bars:
+            bar = bars.add_task("layouts", total=count)
+            for start in range(0, count, PART):
+                numbers = range(start, min(start + PART, count))
+                name = f"part_{start}.npz"
+                if name not in card["parts"]:
+                    content = _packed(map(solver.solve, numbers))
+                    try:
+                        write_atomically(folder / name, functools.partial(_write, content))
+                        card["parts"][name] = short_checksum(content)
+                        write_atomically(folder / CARD, sealed(card))
+                    except OSError as error:
+                        raise ResultsError(f"layouts cannot be written to {folder}: {error.strerror}") from error
+                bars.advance(bar, len(numbers))
+
+
+def read(folder: Path) -> SolvedLayouts:
+    """Return all layouts of a folder. Raises `ResultsError` if it is missing, unfinished or damaged."""
+    card = _read_card(folder)
+    missing = {f"part_{start}.npz" for start in range(0, card["count"], card["part"])} - set(card["parts"])
+    if missing:
+        raise ResultsError(f"{folder} lacks {min(missing)}: make the layouts to the end")
+    parts = [_read_part(folder / name, checksum) for name, checksum in card["parts"].items()]
+    try:
+        return SolvedLayouts(**{name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
+    except (ConfigurationError, KeyError, TypeError, ValueError) as error:
+        raise ResultsError(f"the layouts in {folder} do not fit together: {error}") from error
+
+
+class _Solver:
+    def __init__(self, arm: ArmDescription, tolerance: float, seed: int) -> None:
+        self._model = ArmModel(arm)
+        self._workspace = Workspace(self._model)
+        self._planners = [ArmPlanner(self._model, ArmPlannerOptions(clearance=clearance)) for clearance in CLEARANCES]
+        self._tolerance, self._seed = tolerance, (seed + 1) * TRAINING_SEEDS
+
+    def solve(self, number: int) -> tuple[ReachLayout, NDArray[np.float64]] | None:
+        """Return a layout and its way; None if none was found, or none is needed."""
+        rng = np.random.default_rng(np.random.SeedSequence(episode_entropy(self._seed, number)))
+        layout = sample_layout(rng, self._workspace, self._tolerance)
+        for planner in self._planners:
+            plan = planner.plan(self._model.home, layout.target, self._tolerance, layout.boxes)
+            if plan.solved:
+                return (layout, plan.path) if len(plan.path) > 1 else None
+        return None
+
+
+def _packed(solved: Iterator[tuple[ReachLayout, NDArray[np.float64]] | None]) -> bytes:
+    """Return the bytes of a part."""
+    pairs = [pair for pair in solved if pair is not None]
+    boxes = np.zeros((len(pairs), MOST_OBSTACLES, BOX_NUMBERS), np.float32)
+    for row, (layout, _) in zip(boxes, pairs, strict=True):
+        row[: len(layout.boxes)] = layout.boxes.numbers
+    content = io.BytesIO()
+    np.savez_compressed(
+        content,
+        allow_pickle=False,
+        targets=np.array([layout.target for layout, _ in pairs], np.float32).reshape(-1, 3),
+        boxes=boxes,
+        corners=np.array([len(way) for _, way in pairs], np.int64),
+        ways=np.concatenate([way for _, way in pairs], dtype=np.float32),
+    )
+    return content.getvalue()
+
+
+def _write(content: bytes, path: Path) -> None:
+    path.write_bytes(content)
+
+
+def _read_card(folder: Path) -> dict[str, Any]:
+    try:
+        card = unsealed(bounded_text(folder / CARD))
+        if card.get("format") != FORMAT:
+            raise ValueError(f"it has the format {card.get('format')!r}, not {FORMAT}")
+    except OSError as error:
+        raise ResultsError(f"there are no layouts in {folder}: {error.strerror}") from error
+    except ValueError as error:
+        raise ResultsError(f"{folder / CARD} is damaged: {error}") from error
+    return card
+
+
+def _read_part(path: Path, checksum: str) -> dict[str, NDArray[Any]]:
+    try:
+        content = bounded_bytes(path, LARGEST_PART)
+    except (OSError, ValueError) as error:
+        raise ResultsError(f"the layouts {path} cannot be read: {error}") from error
+    if short_checksum(content) != checksum:
+        raise ResultsError(f"{path} does not have the checksum on its card: it was changed, or damaged")
+    with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+        return dict(arrays)
+
+
+def main(
+    folder: Path,
+    count: Annotated[int, typer.Option(min=1)] = 20_000,
+    seed: Annotated[int, typer.Option(min=0)] = 0,
+    robot: str = "ur5",
+) -> None:
+    """Draw layouts of a training seed, plan a way in each by kinematics, and keep both in a folder."""
+    make(folder, count, seed, load_arm(robot), ReachOptions().tolerance)
+    print(f"{folder}: {len(read(folder)):,} of {count:,} layouts have a way")
+
+
+if __name__ == "__main__":
+    typer.run(main)

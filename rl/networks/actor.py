@@ -1,0 +1,89 @@
+"""The actor that every learner trains: a torch module from observations to the environment's actions."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from armctl.agents import inputs
+from armctl.envs import Sees
+from armctl.rl.networks.onnx_graph import initial_memory, observation_of, write_graph
+from armctl.tasks import Observations
+
+
+class Actor(torch.nn.Module):
+    """A network from observations to actions in [-1, 1], and their scaling to the environment's actions.
+
+    A network with `memory` (shapes of arrays of each world, by name) maps observations and these arrays to actions and
+    the arrays of the next control step. At an episode's beginning, they are zeros.
+
+    It is also an `armctl.policies.Policy`, so that it can be evaluated while it learns.
+    """
+
+    sees: Sees = "observation"
+    training_steps = 0
+
+    def __init__(
+        self,
+        network: torch.nn.Module,
+        scale: torch.nn.Module,
+        observation_space: gymnasium.Space[Any],
+        memory: Mapping[str, Sequence[int]] | None = None,
+    ) -> None:
+        super().__init__()
+        self.network, self.scale = network, scale
+        self.inputs, self.memory = inputs(observation_space), dict(memory or {})
+        self._remembered = initial_memory(self.memory, 0)
+
+    def forward(self, *arrays: torch.Tensor) -> Any:
+        """Return environment actions (n, ...), and the next memory if there is one.
+
+        `arrays` (n, ...) are those of the observation, in the order of `inputs`, and of the memory.
+        """
+        observation = observation_of(self.inputs, arrays[: len(self.inputs)])
+        if not self.memory:
+            return self.scale(observation, self.network(observation))
+        actions, *next_memory = self.network(observation, *arrays[len(self.inputs) :])
+        return self.scale(observation, actions), *next_memory
+
+    def reset(self, ids: NDArray[np.int32]) -> None:
+        """Forget what it remembers of worlds `ids`, if it has a memory."""
+        for remembered in self._remembered:
+            remembered[ids[ids < len(remembered)]] = 0.0
+
+    def act(self, observations: Observations) -> NDArray[np.float32]:
+        """Return actions (n, ...) for observations (n, ...). With another number of worlds, the memory is empty."""
+        arrays = [observations[name] for name in self.inputs] if isinstance(observations, dict) else [observations]
+        num_envs = len(arrays[0])
+        if any(len(remembered) != num_envs for remembered in self._remembered):
+            self._remembered = initial_memory(self.memory, num_envs)
+        with torch.no_grad():
+            actions = self(*map(torch.as_tensor, arrays), *self._remembered)
+        if self.memory:
+            actions, *self._remembered = actions
+        return np.asarray(actions)
+
+    def export(self, path: Path) -> None:
+        """Write the actor as an ONNX graph with one input for each array of the observation and of the memory."""
+        write_graph(self, self.inputs, self.memory, path)
+
+
+def map_arrays(function: Callable[[Any], Any], observations: Any) -> Any:
+    """Return a function's values for observations: for the one array, or for several by name."""
+    if isinstance(observations, dict):
+        return {name: function(values) for name, values in observations.items()}
+    return function(observations)
+
+
+def tensors(observations: Any) -> Any:
+    """Return observations as tensors: one, or several by name."""
+    return map_arrays(torch.as_tensor, observations)
+
+
+def numpy_arrays(observations: Any) -> Any:
+    """Return tensors as NumPy arrays: one, or several by name."""
+    return map_arrays(torch.Tensor.numpy, observations)

@@ -1,0 +1,116 @@
+"""Feature extractors by name, from which tasks choose (`Task.learner_view`).
+
+Features are computed from the observation inside the exported graph: an agent sees what any policy sees.
+"""
+
+import gymnasium
+import torch
+from gymnasium import spaces
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, CombinedExtractor, FlattenExtractor
+
+from armctl.core.errors import unknown_name
+from armctl.core.registration import import_attribute
+from armctl.rl.networks.bridge_ranges import ColumnRanges, NearnessFeatures
+from armctl.rl.networks.bridge_scans import Surroundings
+from armctl.rl.networks.layers import hidden_layers, rotated
+from armctl.rl.networks.link_box_features import LinkBoxFeatures
+from armctl.scene import BOX_NUMBERS
+from armctl.tasks.reach import observation_sizes
+from armctl.tasks.reach.observation import LENGTH_SCALE, NEARBY
+
+
+class ReachFeatures(BaseFeaturesExtractor):
+    """Positions, the offset to the target, each joint's sine and cosine, and the rest of the observation."""
+
+    def __init__(self, observation_space: spaces.Box, dof: int) -> None:
+        parts = list(observation_sizes(dof).values())
+        rest = observation_space.shape[0] - sum(parts)
+        self.sizes = [*parts, rest]
+        super().__init__(observation_space, 13 + 2 * dof + rest)
+
+    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+        """Return features (n, 13 + 2 dof + k) of observations (n, 6 + dof + k)."""
+        end_effector, joints, target, rest = observations.split(self.sizes, dim=1)
+        offset = target - end_effector
+        distance = offset.norm(dim=1, keepdim=True)
+        direction = offset / (distance + NEARBY)
+        lengths = LENGTH_SCALE * torch.cat((end_effector, target, offset, distance), dim=1)
+        return torch.cat((lengths, direction, joints.sin(), joints.cos(), rest), dim=1)
+
+
+class BaseYawInvariantFeatures(BaseFeaturesExtractor):
+    """`ReachFeatures` in the frame of an arm's first joint, whose axis is vertical: rotating the scene changes nothing.
+
+    `parts` are the names and sizes of the observation's parts after the target position. The target's velocity and the
+    boxes are rotated as well. One small network encodes each box, and max pooling makes the result independent of their
+    order (Qi et al., PointNet, 2017).
+    """
+
+    def __init__(self, observation_space: spaces.Box, dof: int, parts: dict[str, int], box_features: int = 64) -> None:
+        self.parts = dict(parts)
+        has_boxes = "boxes" in parts
+        rest = sum(size for name, size in parts.items() if name != "boxes") + (box_features if has_boxes else 0)
+        super().__init__(observation_space, 13 + 2 * (dof - 1) + rest)
+        self.sizes = [*observation_sizes(dof).values(), *parts.values()]
+        if has_boxes:
+            self.boxes = torch.nn.Sequential(*hidden_layers((BOX_NUMBERS + 4, box_features, box_features)))
+
+    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+        """Return features (n, k) of observations (n, 6 + dof + rest)."""
+        tip, joints, target, *rest = observations.split(self.sizes, dim=1)
+        yaw = joints[:, :1]
+        tip, target = rotated(tip, -yaw), rotated(target, -yaw)
+        offset = target - tip
+        distance = offset.norm(dim=1, keepdim=True)
+        lengths = LENGTH_SCALE * torch.cat((tip, target, offset, distance), dim=1)
+        features = [lengths, offset / (distance + NEARBY), joints[:, 1:].sin(), joints[:, 1:].cos()]
+        for name, part in zip(self.parts, rest, strict=True):
+            if name == "boxes":
+                features.append(self._encode_boxes(part, yaw, target))
+            else:
+                features.append(rotated(part, -yaw) if name == "target_velocity" else part)
+        return torch.cat(features, dim=1)
+
+    def _encode_boxes(self, numbers: torch.Tensor, base_yaw: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+        boxes = numbers.unflatten(1, (-1, BOX_NUMBERS))
+        base_yaw = base_yaw[:, None]
+        centre, half_sizes = rotated(boxes[..., :3], -base_yaw), boxes[..., 3:6]
+        yaw = 2 * (boxes[..., 6:] - base_yaw)  # a box rotated by pi is the same
+        parts = (centre, centre - target[:, None], half_sizes, yaw.sin(), yaw.cos())
+        present = (half_sizes > 0).all(dim=-1, keepdim=True)
+        return (self.boxes(LENGTH_SCALE * torch.cat(parts, dim=-1)) * present).amax(dim=1)
+
+
+FEATURES: dict[str, type[BaseFeaturesExtractor]] = {
+    "reach": ReachFeatures,
+    "base_yaw_invariant": BaseYawInvariantFeatures,
+    "links_among_boxes": LinkBoxFeatures,
+    "nearness": NearnessFeatures,
+    "surroundings": Surroundings,
+}
+
+
+PREPARATIONS: dict[str, type[torch.nn.Module]] = {"column_ranges": ColumnRanges}
+
+
+def preparation_by_name(name: str) -> type[torch.nn.Module]:
+    """Return what makes an observation smaller, by name or `module:Class`. Raises `ConfigurationError`."""
+    if ":" in name:
+        return import_attribute(name, "preparation")
+    if name not in PREPARATIONS:
+        raise unknown_name("preparation", name, [*PREPARATIONS, "module:Class"])
+    return PREPARATIONS[name]
+
+
+def features_by_name(name: str | None, observation_space: gymnasium.Space[object]) -> type[BaseFeaturesExtractor]:
+    """Return a feature extractor by name or `module:Class`; without a name, one that passes the bare observation on.
+
+    Raises `ConfigurationError`.
+    """
+    if name is None:
+        return CombinedExtractor if isinstance(observation_space, gymnasium.spaces.Dict) else FlattenExtractor
+    if ":" in name:
+        return import_attribute(name, "features")
+    if name not in FEATURES:
+        raise unknown_name("features", name, [*FEATURES, "module:Class"])
+    return FEATURES[name]

@@ -1,0 +1,115 @@
+"""Features of an arm among boxes that know its geometry: where its links are, as each box sees them.
+
+Forward kinematics is part of the network's graph. Points along the links are put into each box's frame, with their
+offsets beyond the box's faces and their distances from it. A small network encodes each box, and max pooling makes the
+result independent of their order (Qi et al., PointNet, 2017). Rotating the scene about the vertical changes nothing.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+from gymnasium import spaces
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+
+from armctl.core.errors import ConfigurationError
+from armctl.rl.networks.layers import hidden_layers, rotated
+from armctl.scene import BOX_NUMBERS
+from armctl.tasks.reach import observation_sizes
+from armctl.tasks.reach.observation import LENGTH_SCALE, NEARBY
+
+POINT_NUMBERS = 8
+"""Count for a point and a box: place and offset beyond the faces (3 each), distance, nearness."""
+NUMBERS_PER_BOX = 14
+"""Count for a box: half sizes, centre, target's place and offset (3 each), sine and cosine of its turn."""
+PLAIN_NUMBERS = 13
+"""Count besides: positions of the end-effector and the target, offset and direction (3 each), and distance."""
+
+
+class LinkBoxFeatures(BaseFeaturesExtractor):
+    """Features of the observation `paper` of `armctl/ArmReachObstacles-v0`, which `boxes` end.
+
+    `geometry` is what `ArmModel.geometry` says of the arm, whose first joint turns about the vertical.
+    """
+
+    def __init__(
+        self, observation_space: spaces.Box, geometry: Mapping[str, Sequence[Any]], box_features: int = 96
+    ) -> None:
+        turns = torch.tensor([geometry["base"], geometry["sine"], geometry["versine"]])
+        dof, sizes = turns.shape[1], observation_sizes(turns.shape[1])
+        boxes = observation_space.shape[0] - sum(sizes.values())
+        if boxes <= 0 or boxes % BOX_NUMBERS:
+            raise ConfigurationError("these features are for an observation that ends with the boxes")
+        super().__init__(observation_space, PLAIN_NUMBERS + 2 * (dof - 1) + box_features)
+        self.sizes = [*sizes.values(), boxes]
+        self.points_of = [[i for i, moved_by in enumerate(geometry["joint"]) if moved_by == k + 1] for k in range(dof)]
+        self.register_buffer("turns", turns)
+        self.register_buffer("offsets", torch.tensor(geometry["offset"]))
+        order = [i for points in self.points_of for i in points]
+        self.register_buffer("points", torch.tensor(geometry["points"])[order])
+        self.register_buffer("radii", torch.tensor(geometry["radii"])[order])
+        box_inputs = len(order) * POINT_NUMBERS + NUMBERS_PER_BOX
+        self.boxes = torch.nn.Sequential(*hidden_layers((box_inputs, box_features, box_features)))
+
+    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+        """Return features (n, k) of observations (n, 6 + dof + boxes)."""
+        tip, joints, target, numbers = observations.split(self.sizes, dim=1)
+        yaw = joints[:, :1]
+        tip, target = rotated(tip, -yaw), rotated(target, -yaw)
+        offset = target - tip
+        distance = length(offset)
+        lengths = LENGTH_SCALE * torch.cat((tip, target, offset, distance), dim=1)
+        features = [lengths, offset / (distance + NEARBY), joints[:, 1:].sin(), joints[:, 1:].cos()]
+        features.append(self._encode(numbers.unflatten(1, (-1, BOX_NUMBERS)), yaw, target, self.link_points(joints)))
+        return torch.cat(features, dim=1)
+
+    def link_points(self, joints: torch.Tensor) -> torch.Tensor:
+        """Return points (n, p, 3) m along the links, in the first joint's frame, at `joints` (n, dof)."""
+        placed, first = [], 0
+        for k, points in enumerate(self.points_of):
+            angle = (joints[:, k] * (k > 0))[:, None, None]
+            base, sine, versine = self.turns[:, k]
+            turn = base + angle.sin() * sine + (1 - angle.cos()) * versine
+            if k == 0:
+                rotation, origin = turn, self.offsets[:1].expand(joints.shape[0], 3)
+            else:
+                origin = origin + torch.matmul(rotation, self.offsets[k])
+                rotation = torch.matmul(rotation, turn)
+            if points:
+                local = self.points[first : first + len(points)]
+                placed.append(origin[:, None] + torch.matmul(local, rotation.transpose(1, 2)))
+                first += len(points)
+        return torch.cat(placed, dim=1)
+
+    def _encode(
+        self, boxes: torch.Tensor, base_yaw: torch.Tensor, target: torch.Tensor, points: torch.Tensor
+    ) -> torch.Tensor:
+        centre, half_sizes = rotated(boxes[..., :3], -base_yaw[:, None]), boxes[..., 3:6]
+        yaw = boxes[..., 6:] - base_yaw[:, None]
+        yaw = yaw - math.pi * (yaw / math.pi).round()  # a box rotated by pi is the same
+        points_seen = self.seen_from(points, centre, half_sizes, yaw, self.radii)
+        aim = self.seen_from(target[:, None], centre, half_sizes, yaw, torch.zeros_like(self.radii[:1]))
+        of_box = (LENGTH_SCALE * half_sizes, LENGTH_SCALE * centre, aim[..., 0, :6], yaw.sin(), yaw.cos())
+        present = (half_sizes > 0).all(dim=-1, keepdim=True)
+        return (self.boxes(torch.cat((points_seen.flatten(2), *of_box), dim=-1)) * present).amax(dim=1)
+
+    @staticmethod
+    def seen_from(
+        points: torch.Tensor, centre: torch.Tensor, half_sizes: torch.Tensor, yaw: torch.Tensor, radii: torch.Tensor
+    ) -> torch.Tensor:
+        """Return points (n, p, 3) as boxes see them, (n, boxes, p, `POINT_NUMBERS`).
+
+        `centre` and `half_sizes` are (n, boxes, 3) m, `yaw` (n, boxes, 1) rad. Balls of `radii` (p,) m are around them.
+        """
+        local = rotated(points[:, None] - centre[:, :, None], -yaw[:, :, None])
+        beyond = local.abs() - half_sizes[:, :, None]
+        distance = length(beyond.relu()) - radii[:, None]
+        nearness = NEARBY / (NEARBY + distance.relu())
+        return torch.cat((LENGTH_SCALE * torch.cat((local, beyond, distance), dim=-1), nearness), dim=-1)
+
+
+def length(vectors: torch.Tensor) -> torch.Tensor:
+    """Return lengths (..., 1) of vectors (..., 3)."""
+    x, y, z = vectors.split(1, dim=-1)
+    return (x * x + y * y + z * z).sqrt()

@@ -1,0 +1,95 @@
+"""armctl's vector environments as its own learners see them."""
+
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from armctl.envs import one_of
+from armctl.envs.observations import stacked
+from armctl.integrations.sb3 import VecEnv
+from armctl.rl.networks.actor import Actor, numpy_arrays, tensors
+from armctl.rl.networks.encoder import Encoded, Encoder
+from armctl.rl.networks.frames import History
+from armctl.rl.networks.onnx_graph import initial_memory
+from armctl.rl.networks.view import View
+from armctl.rl.run.options import FrameOptions
+from armctl.rl.run.training import Training
+
+
+class StableBaselinesVectorEnv(VecEnv):
+    """Actions in [-1, 1], which a view's `action_scale` turns into the environment's."""
+
+    def __init__(self, env: gymnasium.vector.VectorEnv[Any, Any, Any], action_scale: torch.nn.Module) -> None:
+        super().__init__(env)
+        self.action_space = gymnasium.spaces.Box(-1, 1, env.single_action_space.shape)
+        self._action_scale = action_scale
+
+    def _commands(self, actions: NDArray[Any]) -> Any:
+        return self._action_scale(tensors(self._observations), torch.as_tensor(actions)).numpy()
+
+
+class EncodedVectorEnv(StableBaselinesVectorEnv):
+    """Worlds that show what an encoder makes of their observations."""
+
+    def __init__(self, encoder: Encoder, *args: Any) -> None:
+        super().__init__(*args)
+        self.encoder, self.observation_space = encoder, encoder.space
+        self._memory = initial_memory(encoder.memory, self.num_envs)
+
+    def reset(self) -> Any:
+        """Start new episodes in all worlds."""
+        self._memory = initial_memory(self.encoder.memory, self.num_envs)
+        return self._encoded(super().reset())
+
+    def step_wait(self) -> Any:
+        """Step all worlds."""
+        observations, rewards, done, infos = super().step_wait()
+        if (done_ids := np.flatnonzero(done)).size:
+            last = stacked([infos[i]["terminal_observation"] for i in done_ids])
+            with torch.no_grad():
+                final = numpy_arrays(self.encoder(tensors(last), *(part[done_ids] for part in self._memory))[0])
+            for k, i in enumerate(done_ids):
+                infos[i]["terminal_observation"] = one_of(final, k)
+            # in place, it would change the stacks that the learner has been shown, which share their memory
+            self._memory = [part.index_fill(0, torch.as_tensor(done_ids), 0.0) for part in self._memory]
+        return self._encoded(observations), rewards, done, infos
+
+    def _encoded(self, observations: Any) -> Any:
+        with torch.no_grad():
+            encoded, *self._memory = self.encoder(tensors(observations), *self._memory)
+        return numpy_arrays(encoded)
+
+
+def vec_env_of(
+    envs: Any, view: View, options: FrameOptions, kind: Callable[..., EncodedVectorEnv] | None = None
+) -> StableBaselinesVectorEnv:
+    """Return worlds as a learner with these options sees them: of a `kind`, or without stacks if none are needed."""
+    if kind is None and options.frames == 1 and view.prepare is None:
+        return StableBaselinesVectorEnv(envs, view.action_scale)
+    encoder = History(view, envs.single_observation_space, options.frames, options.frame_gap)
+    return (kind or EncodedVectorEnv)(encoder, envs, view.action_scale)
+
+
+def policy_class(vec_env: StableBaselinesVectorEnv) -> str:
+    """Return the name of Stable-Baselines3's policy for what worlds show: one array, or several by name."""
+    return "MultiInputPolicy" if isinstance(vec_env.observation_space, gymnasium.spaces.Dict) else "MlpPolicy"
+
+
+def features_of(vec_env: StableBaselinesVectorEnv, view: View) -> dict[str, Any]:
+    """Return the arguments of a policy of Stable-Baselines3 for the features of what worlds show."""
+    if isinstance(vec_env, EncodedVectorEnv):
+        return vec_env.encoder.features(view)
+    return {"features_extractor_class": view.features, "features_extractor_kwargs": view.features_options}
+
+
+def actor_in(vec_env: StableBaselinesVectorEnv, network: torch.nn.Module, training: Training) -> Actor:
+    """Return an actor for a training's held-out worlds, with a network of what its own worlds show, prepared alike."""
+    view, space = training.view, training.held_out.single_observation_space
+    if isinstance(vec_env, EncodedVectorEnv):
+        encoder = vec_env.encoder.rebuilt_for(view, space)
+        return Actor(Encoded(encoder, network), view.action_scale, space, encoder.memory)
+    return Actor(network, view.action_scale, space)

@@ -1,0 +1,142 @@
+import numpy as np
+import pytest
+import torch
+
+from armctl.agents import read_card
+from armctl.core.errors import ConfigurationError
+from armctl.envs import make_worlds
+from armctl.kinematics import ArmModel, ArmShapes
+from armctl.policies import make_policy
+from armctl.rl.algorithms import plan_bc
+from armctl.rl.data import solved_layouts
+from armctl.rl.data.followed_plans import WAYPOINTS_APART, FollowedPlans, follow, waypoints
+from armctl.rl.data.solved_layouts import make, read
+from armctl.rl.run.training import Training
+from armctl.robot_description import load_arm
+from armctl.tasks.reach.obstacles import obstacles_observation
+from armctl.training.learners import load_recipe
+
+ENV = "armctl/ArmReachObstacles-v0"
+HOW = {"tolerance": 0.05, "largest_move": 0.3, "margin": 0.02, "noise": 0.15, "noise_share": 0.5}
+SMALL = {
+    "steps": 6, "evaluation_every": 3, "layouts": 12, "parts": 2, "renewals": 1, "batch_size": 32,
+    "hidden_units": 16, "validation_episodes": 4, "evaluation_episodes": 4,
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def shapes():
+    return ArmShapes(ArmModel("ur5"))
+
+
+@pytest.fixture(scope="module")
+def layouts(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("layouts")
+    make(folder, 60, 3, load_arm("ur5"), 0.05, progress=False)
+    return read(folder)
+
+
+def recipe(**options):
+    return load_recipe("obstacles_plan_bc").changed(options=SMALL | options, env_options={"max_episode_steps": 10})
+
+
+def test_most_followers_arrive_without_noise(shapes, layouts):
+    rows, n = np.arange(len(layouts)), len(layouts)
+    states, positions, labels = follow(shapes, layouts, rows, np.random.default_rng(0), **HOW | {"noise_share": 0.0})
+    assert set(states) == set(rows)
+    last = {int(row): label for row, label in zip(states, labels, strict=True)}
+    tips = shapes.model.positions(np.array([last[row] for row in range(n)]))
+    assert (np.linalg.norm(tips - layouts.targets, axis=1) < 0.06).mean() > 0.8
+    assert abs(labels - positions).max() <= HOW["largest_move"] + 1e-6
+
+
+def test_noise_leads_off_the_ways(shapes, layouts):
+    rows = np.arange(10)
+    calm, noisy = (
+        follow(shapes, layouts, rows, np.random.default_rng(0), **HOW | {"noise_share": share})[1] for share in (0, 1)
+    )
+    known = set(map(tuple, calm.tolist()))
+    assert np.mean([tuple(q) in known for q in noisy.tolist()]) < 0.3  # limits of acceleration make beginnings alike
+
+
+def test_waypoints_lie_on_the_way_and_near_to_each_other():
+    way = np.array([[0.0, 0, 0], [1.0, -0.5, 0], [1.0, -0.5, 0.2]])
+    points = waypoints(way)
+    assert abs(np.diff(points, axis=0)).max() <= WAYPOINTS_APART + 1e-12
+    assert all(any(np.allclose(corner, point) for point in points) for corner in way)
+    lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    np.testing.assert_allclose(lengths.sum(), np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
+
+
+def test_imagined_observations_are_those_of_the_environment(shapes):
+    worlds = make_worlds(ENV, 5, {})
+    observations, _ = worlds.reset(seed=1)
+    task = worlds.task
+    seen = obstacles_observation(shapes.model, task.arm.joint_positions, task.state.target_position, task.state.boxes)
+    np.testing.assert_allclose(seen, observations, atol=1e-5)
+    worlds.close()
+
+
+def test_parts_are_followed_anew_one_after_the_other(shapes, layouts):
+    examples = FollowedPlans(shapes, layouts, 3, **HOW)
+    first = examples.renew(0, np.random.default_rng(0))
+    assert first == len(examples._rows)
+    for number in (1, 2):
+        examples.renew(number, np.random.default_rng(number))
+    assert set(examples._rows) == set(range(len(layouts)))
+    before = examples._followed[1][1]
+    examples.renew(4, np.random.default_rng(4))
+    assert not np.array_equal(examples._followed[1][1][:50], before[:50])
+    observations, actions = examples.draw(np.random.default_rng(0), 7)
+    assert observations.shape == (7, 89)
+    assert actions.shape == (7, 6)
+
+
+def test_a_training_gives_an_agent_and_its_card(tmp_path, monkeypatch):
+    monkeypatch.setattr(solved_layouts, "PART", 6)
+    card = plan_bc.train(recipe(), out=tmp_path, seed=0, progress=False)
+    assert (card.learner, card.gradient_steps, card.decisions) == ("plan_bc", 6, 0)
+    assert card.teacher_queries > 100
+    assert read_card(tmp_path / "agent.json") == card
+    worlds = make_worlds(ENV, 2, {})
+    observations, _ = worlds.reset(seed=0)
+    agent = make_policy(tmp_path / "agent.json", worlds)
+    assert agent.sees == "model"
+    assert agent.act(observations).shape == (2, 6)
+    worlds.close()
+
+
+def test_an_interrupted_training_resumes(tmp_path, monkeypatch):
+    evaluate, calls = Training.evaluate, []
+
+    def interrupted(training, actor, step):
+        calls.append({name: value.clone() for name, value in actor.state_dict().items()})
+        if len(calls) == 1:
+            raise KeyboardInterrupt
+        evaluate(training, actor, step)
+
+    monkeypatch.setattr(Training, "evaluate", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        plan_bc.train(recipe(), out=tmp_path, seed=0, progress=False)
+    made = (tmp_path / "layouts" / "part_0.npz").stat().st_mtime_ns
+    card = plan_bc.train(recipe(), out=tmp_path, seed=0, resume=True, progress=False)
+    assert card.gradient_steps == 6
+    assert (tmp_path / "layouts" / "part_0.npz").stat().st_mtime_ns == made
+    moved = [not torch.equal(calls[0][name], value) for name, value in calls[-1].items() if "boxes.0" in name]
+    assert moved
+    assert all(moved)
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"env": "armctl/ArmReach-v0"}, "robot's geometry"),
+        ({"env_options": {"control": "delta"}}, "control 'position'"),
+        ({"teacher": "reach_ompl"}, "no teacher"),
+        ({"shaping": "ompl"}, "rewards"),
+    ],
+)
+def test_what_it_cannot_learn_from_is_refused(tmp_path, changes, says):
+    with pytest.raises(ConfigurationError, match=says):
+        plan_bc.train(recipe().changed(**changes), out=tmp_path / "new", seed=0, progress=False)
+    assert not (tmp_path / "new").exists()
