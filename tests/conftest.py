@@ -2,6 +2,9 @@
 
 import os
 import signal
+import tomllib
+from importlib.metadata import distribution
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -24,6 +27,17 @@ MARKERS = {"slow": "--all", "thorough": "--thorough"}
 def pytest_addoption(parser):
     parser.addoption("--all", action="store_true", help="run slow tests too, and take full samples")
     parser.addoption("--thorough", action="store_true", help="run tests of thousands of trials too")
+
+
+def pytest_sessionstart():
+    """Stop if the installed armctl lacks entry points of pyproject.toml: plug-ins would not be found."""
+    project = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
+    declared = {
+        (group, name): value for group, points in project["entry-points"].items() for name, value in points.items()
+    }
+    installed = {(point.group, point.name): point.value for point in distribution(project["name"]).entry_points}
+    if declared.items() - installed.items():
+        pytest.exit("pyproject.toml has new entry points: pip install --no-deps --no-build-isolation -e .", 4)
 
 
 def pytest_collection_modifyitems(config, items):
