@@ -354,6 +354,27 @@ def test_a_share_just_above_one_half_is_told_as_shown():
     assert told.startswith("bold has the higher return in 53 % [50, 56] of episodes (sign test, p = 0.0")
 
 
+def test_whoever_earns_more_is_told_also_if_the_other_wins_more_often():
+    returns = {"reach_ik": np.full(400, 0.4), "reach_ppo": np.full(400, 0.7)}
+    wins = {"reach_ik": range(400), "reach_ppo": range(398)}
+    for names in (wins, dict(reversed(wins.items()))):
+        text = verdict(*played({name: wins[name] for name in names}, returns={name: returns[name] for name in names}))
+        assert "reach_ik and reach_ppo are equivalent in success" in text
+        assert " reach_ppo earns 0.3 [0." in text
+        assert " more an episode than reach_ik, p = " in text
+
+
+@pytest.mark.parametrize(
+    ("worlds", "said"),
+    [((1, 1), "0.25 ms."), ((4, 4), "0.25 ms (shares of a batch of 4 worlds)."),
+     ((1, 4), "0.25 ms (latencies, shares of a batch of 4 worlds).")],
+)  # fmt: skip
+def test_the_cost_says_what_decision_times_are(worlds, said):
+    summaries, pairs = played({"reach_ik": range(400), "reach_ppo": range(300)})
+    summaries = [dataclasses.replace(one, worlds=n) for one, n in zip(summaries, worlds, strict=True)]
+    assert f"a decision takes reach_ik 0.25 ms and reach_ppo {said}" in verdict(summaries, pairs)
+
+
 @pytest.mark.slow
 def test_the_best_of_many_is_not_equivalent_for_being_the_best():
     # One planner of 98 %, five agents of 96 %: without correction, 17 % of verdicts claimed equivalence.
