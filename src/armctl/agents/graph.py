@@ -85,15 +85,15 @@ class AgentGraph:
 
     def run(self, arrays: dict[str, NDArray[Any]], **options: Any) -> list[NDArray[Any]]:
         """Return the outputs (n, ...) for the inputs (n, ...). A world's outputs do not depend on other worlds."""
-        worlds = len(next(iter(arrays.values())))
-        if self._mixes_rows and worlds > 1:
-            rows = [self.run({name: values[i : i + 1] for name, values in arrays.items()}) for i in range(worlds)]
+        num_envs = len(next(iter(arrays.values())))
+        if self._mixes_rows and num_envs > 1:
+            rows = [self.run({name: values[i : i + 1] for name, values in arrays.items()}) for i in range(num_envs)]
             return [np.concatenate(outputs) for outputs in zip(*rows, strict=True)]
-        if missing := -worlds % TOGETHER:
+        if missing := -num_envs % TOGETHER:
             arrays = {
                 name: np.concatenate((values, values[-1:].repeat(missing, axis=0))) for name, values in arrays.items()
             }
-        return [np.asarray(values)[:worlds] for values in self._session.run(self.outputs, arrays, **options)]
+        return [np.asarray(values)[:num_envs] for values in self._session.run(self.outputs, arrays, **options)]
 
     def _try(self) -> None:
         """Make one control step of two worlds, with an end."""

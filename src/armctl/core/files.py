@@ -119,7 +119,7 @@ def inside(folder: Path, name: str) -> Path:
 def one_writer(folder: Path) -> Iterator[None]:
     """Make a folder, and keep other processes from writing to it. A process that dies releases it.
 
-    What a process that was killed left unfinished there is removed.
+    Unfinished files of a killed process are removed.
 
     Raises `ResultsError` if another process writes there, or if the folder cannot be made or written to.
     """

@@ -25,7 +25,7 @@ Share = Annotated[float, Field(ge=0, le=1)]
 def options(cls: type[Options]) -> type[Options]:
     """Make a class a frozen dataclass that checks its fields' types and bounds, as pydantic does, strictly.
 
-    What does not fit raises `ConfigurationError`, which names the option, what is allowed, and the value.
+    A wrong value raises `ConfigurationError`, which names the option, what is allowed, and the value.
     """
     config = ConfigDict(strict=True, arbitrary_types_allowed=True, allow_inf_nan=False)
     dataclass: Any = pydantic.dataclasses.dataclass(cls, frozen=True, config=config)

@@ -26,7 +26,7 @@ from armctl.core.errors import FAILURES, ConfigurationError, described, unknown_
 GROUP = "armctl.tasks"
 ENV, VECTOR_ENV = "armctl.envs:TaskEnv", "armctl.envs:TaskVectorEnv"
 _named: set[str] = set()
-"""Names that the user has used in this process, such as `mine.py:pd`. Of code, a file can name only this."""
+"""Names that the user has used in this process, such as `mine.py:pd`. A file can name no other code."""
 
 
 def register(env_id: str, task: "str | type[Any]", *, max_episode_steps: int | None, **options: Any) -> None:

@@ -116,9 +116,8 @@ def find_spec(env: Any) -> EnvSpec:
     """Return Gymnasium's specification of an environment.
 
     `env` is an id (`armctl/ArmReach-v0`, `Pendulum-v1`), an id whose namespace is left out (`ArmReach-v0`), or
-    either after the module that registers it, or its file (`mine:mine/Hover-v0`, `mine.py:Hover-v0`). What follows the
-    module may also be a class or function that makes the environment (`mine.py:Maze`), which from Python can be given
-    itself.
+    either after the module that registers it, or its file (`mine:mine/Hover-v0`, `mine.py:Hover-v0`). After the module,
+    a class or function that makes the environment may be named too (`mine.py:Maze`); Python code can pass it itself.
 
     Raises `ConfigurationError`.
     """

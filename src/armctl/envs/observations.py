@@ -20,7 +20,7 @@ def one_of(observations: Observations, world: int) -> Any:
 
 
 def stacked(observations: Sequence[Any]) -> Observations:
-    """Return the observations of n worlds as a batch. What has no common shape becomes an array of objects, (n,)."""
+    """Return observations of n worlds as a batch. Values without a common shape become an array of objects, (n,)."""
     first = observations[0]
     if isinstance(first, dict):
         return {name: stacked([observation[name] for observation in observations]) for name in first}  # type: ignore[misc]

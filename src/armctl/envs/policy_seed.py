@@ -1,7 +1,7 @@
 """Random numbers for policies, from which neither the seed nor the number of an episode can be found.
 
-They are derived from a secret of the run, the policy seed, by a keyed hash (BLAKE2b, RFC 7693). Whoever does not know
-its 128 bits cannot search for seeds whose random numbers fit.
+They are derived from a secret of the run, the policy seed, by a keyed hash (BLAKE2b, RFC 7693). Without its
+128 bits, nothing can search for seeds whose random numbers fit.
 """
 
 import hashlib

@@ -52,7 +52,7 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
     """n worlds of one task.
 
     An episode whose physics fails (infinite numbers, or none) terminates with the outcome `unstable`, which is no
-    success and earns nothing in its last step. What is observed then is the last good state.
+    success and earns nothing in its last step. Its last observation is of the last good state.
 
     Args:
         num_envs: number of worlds.

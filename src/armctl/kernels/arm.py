@@ -4,7 +4,7 @@ An arm is an array (dof,) of `JOINT`: of each joint's frame in the one before it
 
     rotation = base + sin(q) sine + (1 - cos(q)) versine,   origin = offset
 
-by Rodrigues' formula. Of the last one, `tip` and `tip_rotation` are the end-effector's position and axes in its frame.
+by Rodrigues' formula. `tip` and `tip_rotation` of the last one are the end-effector's position and axes in its frame.
 Frames in the base are `rotations` (dof, 3, 3) and `origins` (dof, 3).
 """
 

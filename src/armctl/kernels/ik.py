@@ -82,9 +82,9 @@ def tip_pose(joints, q, rotations, origins, rotation, position):
 def choose(joints, pose, candidates, approximate, seed, exact, near, distinct, solutions, residuals):
     """Choose the `candidates` (k, dof) for a `pose` (4, 4) that are within the limits, the nearest to `seed` first.
 
-    They are written to `solutions` (k + 1, dof), with their `residuals` (k + 1,), and of all the one of least residual
-    to the last rows. Returns their number. It is -1 if that does not suffice: none is exact, a residual is above
-    `exact`, or that of `seed` (dof,) below `near`. Of solutions nearer to each other than `distinct`, one counts.
+    They are written to `solutions` (k + 1, dof), with their `residuals` (k + 1,), and the one of least residual to
+    the last rows. Returns their number. It is -1 if that does not suffice: none is exact, a residual is above `exact`,
+    or that of `seed` (dof,) below `near`. Solutions nearer to each other than `distinct` count once.
     """
     dof, last = len(joints), len(candidates)
     rotations, origins = np.empty((dof, 3, 3)), np.empty((dof, 3))

@@ -1,7 +1,7 @@
 """Arms that move among boxes as their drives are commanded, without physics: see `armctl.kinematics.imagined`.
 
-Of n arms, arm i has the first `counts[i]` boxes of `boxes` (n, most), and its pairs are the first of `pairs`, which are
-`own` of links and floor, and then `each` for every box.
+Arm i of n has the first `counts[i]` boxes of `boxes` (n, most). Its pairs are the first of `pairs`: `own` of links and
+floor, then `each` for every box.
 """
 
 import numpy as np
@@ -84,7 +84,7 @@ def farthest_waypoints(
 ):  # fmt: skip
     """Raise `farthest` (n,) to the farthest of `ways` (n, most, dof) with a free straight motion, of `MOVING` arms.
 
-    Of way i, `lengths[i]` corners count. Pairs keep `margin`, or a `share` of what is less at the start, at checked
+    Way i has `lengths[i]` corners. Pairs keep `margin`, or a `share` of what is less at the start, at checked
     configurations, and these by `slack_factor` in between. `finest` and `distances` are those of `check_edge`.
     """
     joints, links, pairs = robot

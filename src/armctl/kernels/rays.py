@@ -176,8 +176,8 @@ def seen_rectangle(kind, aabb, turn, origin, pixel, rows, columns, corners):
 def cast(shapes, sizes, aabbs, faces, positions, rotations, camera, camera_rotation, rays, pixel, depths, hits):
     """Compute depths (rows, columns) of the nearest hits of one world's `rays` (rows, columns, 3), and the shapes hit.
 
-    `shapes` (k, 4) are rows of kind, geom, first face and last face plus one. Of all geoms, `sizes` (g, 3), `aabbs`
-    (g, 6), `positions` (g, 3) and `rotations` (g, 9) as MuJoCo has them. Misses are infinite, and -1.
+    `shapes` (k, 4) are rows of kind, geom, first face and last face plus one. `sizes` (g, 3), `aabbs` (g, 6),
+    `positions` (g, 3) and `rotations` (g, 9) of all geoms are as MuJoCo has them. Misses are infinite, and -1.
     """
     rows, columns = depths.shape
     depths[:], hits[:] = np.inf, -1

@@ -175,7 +175,7 @@ def least_times_into_spheres(
 ):
     """Compute `times` (m,) of `armctl.kinematics.ReachTimes`, s, from q (m, dof) with `velocities`, each into a sphere.
 
-    Of sphere i, around `centres[i]`, `goals[i]` (g, dof) lead into it, `excess[i]` (g,) s later than they are reached.
+    Sphere i is around `centres[i]`. `goals[i]` (g, dof) lead into it, `excess[i]` (g,) s later than they are reached.
     The straight move aims at the fraction `inside` of the radius.
     """
     dof = len(joints)

@@ -75,7 +75,7 @@ class ArmShapes:
     def with_any_boxes(self, max_boxes: int) -> tuple[Records, Array, int]:
         """Return the same for any `max_boxes` boxes: all own pairs, their number, then the pairs of each box.
 
-        Of k boxes, the pairs are the first of these.
+        The pairs of k boxes come first among these.
         """
         moving = np.flatnonzero(self.model.links["joint"] > 0)
         pairs = [*self._pairs, *((edges.LINK_AND_BOX, link, box) for box in range(max_boxes) for link in moving)]

@@ -91,7 +91,7 @@ class MinimumTimeReach:
     def least_time(self, start: Array, centre: Array, radius: float, velocity: Array | None = None) -> float:
         """Return the seconds from `start` (dof,) with `velocity` (dof,) rad/s into the sphere without obstacles.
 
-        Infinite if no start led into the sphere. With the options `THOROUGH`, no policy is faster.
+        The time is infinite if no start led into the sphere. With the options `THOROUGH`, no policy is faster.
         """
         moving = np.zeros(self.model.dof) if velocity is None else velocity
         return float(self._candidates(start, centre, radius, moving)[1].min(initial=np.inf))
@@ -124,7 +124,7 @@ class MinimumTimeReach:
     ) -> tuple[Array, Array]:
         """Return configurations (k, dof) in the sphere, as early as possible, and their times (k,), s.
 
-        One from each of q (n, dof) that led into it. `start` is (dof,), or (n, dof): one for each.
+        There is one from each of q (n, dof) that led into it. `start` is (dof,), or (n, dof): one for each.
         """
         q, times = np.array(q, dtype=float), np.empty(len(q))
         count, dof = q.shape

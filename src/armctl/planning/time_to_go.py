@@ -2,8 +2,8 @@
 
 A dynamic programme in space and time (as in Silver, "Cooperative pathfinding", AIIDE 2005): from each point of a
 lattice and each moment, the rover waits, or goes to one of the neighbours at a constant speed. Near a person, time
-passes dearly. After the horizon, people are left out of account. What is kept is the time that people cost, at every
-second point and a quarter of the moments: it varies less than the times themselves.
+passes dearly. After the horizon, people are left out of account. The time that people cost is kept at every second
+point and a quarter of the moments: it varies less than the times themselves.
 """
 
 import dataclasses

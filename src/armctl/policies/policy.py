@@ -24,7 +24,7 @@ class Policy(Protocol):
     """
 
     sees: Sees
-    """Privilege (see `armctl.sees`). What makes the policy has to declare it beforehand."""
+    """Privilege (see `armctl.sees`). The policy's maker has to declare it beforehand."""
     training_steps: int
     """Environment steps of its training; 0 for a policy that was not trained."""
 
@@ -54,7 +54,7 @@ class Controller(Protocol):
 
 
 class ControllersFailed(ArmctlError):
-    """Controllers of some worlds have raised errors. Those of all other worlds have done what they were asked."""
+    """Controllers of some worlds have raised errors. The controllers of all other worlds have worked."""
 
     def __init__(self, errors: Mapping[int, BaseException], actions: Sequence[Any] = ()) -> None:
         self.first = next(iter(errors.values()))

@@ -91,7 +91,7 @@ class Local(Engine):
         self.workers, self.is_local = workers, workers == 1
 
     def run(self, work: Work, shared: Any, units: Iterable[tuple[Any, ...]]) -> Generator[Any, None, None]:
-        """Yield results; see `Engine`. What this process has imported, or has in memory, its workers can use."""
+        """Yield results; see `Engine`. Workers can use all that this process has imported or has in memory."""
         parallel = joblib.Parallel(
             self.workers,
             backend="loky",
@@ -247,7 +247,7 @@ class Dask(Cluster):
 def _fetched(fetch: Callable[[list[Any]], list[Any]], finished: list[Any]) -> Iterator[Any]:
     """Yield results of finished units by one call, since a call takes longer than a result; one each if one failed.
 
-    So those before it are kept. Raises what `fetch` raises for it.
+    Results before a failed one are kept. Raises what `fetch` raises for it.
     """
     try:
         results: Iterable[Any] = fetch(finished)

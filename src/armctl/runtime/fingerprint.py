@@ -2,7 +2,7 @@
 
 Objects count by type and attributes. Functions and classes of one's own count by their code and by what that refers to:
 defaults, closures, and the globals that it names, by their values. Those of installed packages count by their names.
-What leads to something that Python cannot take apart, such as a lock or a session of a library in C, has no checksum.
+An object that leads to something opaque to Python, such as a lock or a session of a library in C, has no checksum.
 """
 
 import copyreg
@@ -52,7 +52,7 @@ def fingerprint(value: Any) -> str:
 
 
 class _Hasher:
-    """Feeds an object, part by part, to a checksum. What was met before counts by the number of its first meeting."""
+    """Feeds an object, part by part, to a checksum. An object met before counts by the number of its first meeting."""
 
     def __init__(self) -> None:
         self._sha = hashlib.sha256()

@@ -45,11 +45,11 @@ def identity(
 ) -> dict[str, Any]:
     """Return everything that determines a comparison's episodes, as JSON values.
 
-    `requested` are the policies as they were asked for, `policies` as they were made for `worlds`, as far as they play;
+    `requested` are the policies as requested, `policies` those made for `worlds`, as far as they play;
     `real_time` is `RealTime.identity`. Agents, code of one's own, objects, files among the options, the compiled MuJoCo
     model with its meshes, and armctl's source count by checksum; so do the task's constants, as they are, and all
-    loaded modules of one's own, by their files. What other files a policy or an environment opens is not known, nor
-    what it imports by a computed name while it plays.
+    loaded modules of one's own, by their files. Other files that a policy or an environment opens are not known,
+    nor what it imports by a computed name while it plays.
     """
     definitions = {name: _definition(policy) for name, policy in requested.items()}
     return {

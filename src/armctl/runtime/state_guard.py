@@ -2,9 +2,9 @@
 
 These are MuJoCo's state, the model's fields of each world, the arrays and plain values among the attributes of the
 environment, its spaces, its task, the parts of the task and the robot's limits, and the constants of the task's classes
-and of the modules that define them. What a policy changes and puts back is allowed, as by a planner that tries actions.
-Of environments of others, it is MuJoCo's state, the arrays and plain values among their own attributes, and the same
-constants.
+and of the modules that define them. A policy may change things and put them back, as a planner does that tries actions.
+For environments of others, these are MuJoCo's state, the arrays and plain values among their own attributes, and the
+same constants.
 """
 
 import contextlib
@@ -40,8 +40,8 @@ class StateGuard:
     def assert_unchanged(self, new_episode: bool = False) -> Iterator[None]:
         """Check that what happens inside leaves the worlds as they are. Raises `Disqualified`.
 
-        What there is to compare is looked up when an episode begins. What was written is put back, so that the policies
-        which play after this one play the same task; the current episodes are lost.
+        The values to compare are looked up when an episode begins. Changed values are put back, so that the next
+        policies play the same task; the current episodes are lost.
         """
         if new_episode:
             self._slots = [_Slot.of(*place) for place in _places(self._worlds)]

@@ -1,7 +1,7 @@
 """n worlds of one MuJoCo model, stepped together on all cores.
 
 MuJoCo resets a world whose numbers become infinite, in the middle of an episode. Here, that is switched off: such a
-world stands still in its last good state, `unstable`, until it is reset. Nor does MuJoCo write its log file.
+world stands still in its last good state, `unstable`, until it is reset. MuJoCo does not write its log file either.
 """
 
 from collections.abc import Mapping

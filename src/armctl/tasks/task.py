@@ -267,7 +267,7 @@ class Task(TaskFacts):
     def state_observation(self, ids: Ids | None = None) -> NDArray[np.float32]:
         """Return the state of worlds `ids`, or of all, (n, k), as the option `observation="state"` shows it.
 
-        For the critics and teachers of learners, whatever agents observe. Raises `ConfigurationError` if there is none.
+        It is for the critics and teachers of learners, whatever agents observe. Raises `ConfigurationError` if unknown.
         """
         raise ConfigurationError(f"{type(self).__name__} has no observation of its state (state_observation)")
 

@@ -1,7 +1,7 @@
 """The bridge without physics: a rover that follows its commands within limits of acceleration, drawn from above.
 
-It is for training: far faster than MuJoCo (`benchmarks/planar.py`), and near enough that what is learnt here works
-there. Wheels do not skid, nothing topples, and the rover stops at the first contact.
+It is for training: far faster than MuJoCo (`benchmarks/planar.py`), and near enough that learned agents work in both.
+Wheels do not skid, nothing topples, and the rover stops at the first contact.
 """
 
 from dataclasses import dataclass

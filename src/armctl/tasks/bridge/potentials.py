@@ -44,10 +44,10 @@ class CrossingTimeToGo(Potential):
 
     def __init__(self, task: Any) -> None:
         super().__init__(task)
-        bridge, worlds = task.map(0), len(task.state.poses)
+        bridge, num_envs = task.map(0), len(task.state.poses)
         self._space_time = SpaceTime(Lattice(bridge.length, bridge.half_width))
-        self._unhindered = np.zeros((worlds, *self._space_time.lattice.shape))
-        self._extra = np.zeros((worlds, *self._space_time.shape), dtype=np.float32)
+        self._unhindered = np.zeros((num_envs, *self._space_time.lattice.shape))
+        self._extra = np.zeros((num_envs, *self._space_time.shape), dtype=np.float32)
 
     def begin(self, ids: Ids) -> None:
         """Compute the times from all points at all times of the bridges of worlds `ids`."""
