@@ -1,4 +1,4 @@
-"""How soon agents learn each task, against processor time: all training seeds, and the experts as lines.
+"""Learning curves of agents for each task, against processor time: all training seeds, and the experts as lines.
 
 Curves are those beside the agents' cards, of held-out episodes; experts play others. Where a curve is older than the
 count of processor time, wall time stands for it.
@@ -62,7 +62,7 @@ def main(
 
 
 def _plot(axis: plt.Axes, agents: list[tuple[AgentCard, pd.DataFrame]]) -> None:
-    """A line for each training; those of one recipe share a colour."""
+    """Draw a line for each training; those of one recipe share a colour."""
     colours = {recipe: f"C{i}" for i, recipe in enumerate(sorted({str(card.recipe) for card, _ in agents}))}
     for recipe, colour in colours.items():
         label: str | None = recipe
@@ -74,7 +74,7 @@ def _plot(axis: plt.Axes, agents: list[tuple[AgentCard, pd.DataFrame]]) -> None:
 
 
 def _untrained(env: str) -> list[str]:
-    """The experts of a task's default line-up."""
+    """Return the experts of a task's default line-up."""
     with closing(make_worlds(env, 1)) as worlds:
         names = [name for name in default_policies(env) if is_expert(name)]
         return [name for name in names if make_policy(name, worlds).training_steps == 0]

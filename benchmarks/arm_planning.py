@@ -1,4 +1,4 @@
-"""How often, how quickly and how well ways around boxes are found for an arm.
+"""Success rate, time and quality of planners that find ways around boxes for an arm.
 
     python benchmarks/arm_planning.py [--layouts 500] [--robot ur5]
 
@@ -28,7 +28,7 @@ from armctl.tasks.reach.obstacle_layout import ReachLayout, sample_layout
 
 Array = NDArray[np.float64]
 Planner = Callable[[ReachLayout], tuple[float, Array]]
-"""From a layout to the length of a path before shortening, and the path; it is empty for a failure."""
+"""Function of a layout: the length of a path before shortening, and the path; it is empty for a failure."""
 
 TOLERANCE = 0.05
 """m, radius of the sphere."""
@@ -63,23 +63,23 @@ def by_armctl(model: ArmModel) -> Planner:
     planner = ArmPlanner(model)
 
     def plan(layout: ReachLayout) -> tuple[float, Array]:
-        found = planner.plan(model.home, layout.target, TOLERANCE, layout.boxes)
-        return found.raw_time, found.path
+        result = planner.plan(model.home, layout.target, TOLERANCE, layout.boxes)
+        return result.raw_time, result.path
 
     return plan
 
 
 def by_ompl(model: ArmModel, planner: str, seconds: float) -> Planner:
-    """A planner of OMPL as it comes, and OMPL's shortening; it has so many seconds."""
+    """Return a planner of OMPL as it comes, and OMPL's shortening; it has so many seconds."""
     ik, shapes = Ik(model), ArmShapes(model)
     low, high = np.maximum(model.limits.lower, -np.pi), np.minimum(model.limits.upper, np.pi)
 
     def plan(layout: ReachLayout) -> tuple[float, Array]:
         def state(q: Array) -> Any:
-            one = space.allocState()
+            ompl_state = space.allocState()
             for joint, angle in enumerate(q.tolist()):
-                one[joint] = angle
-            return one
+                ompl_state[joint] = angle
+            return ompl_state
 
         motions = EdgeChecker(shapes, layout.boxes, ArmPlannerOptions().clearance, model.home)
         space, bounds = base.RealVectorStateSpace(model.dof), base.RealVectorBounds(model.dof)
@@ -108,15 +108,15 @@ def by_ompl(model: ArmModel, planner: str, seconds: float) -> Planner:
         if not problem.hasExactSolution():
             return np.inf, np.zeros((0, model.dof))
         path = problem.getSolutionPath()
-        raw = length(model, np.array([one[0 : model.dof] for one in path.getStates()]))
+        raw = length(model, np.array([ompl_state[0 : model.dof] for ompl_state in path.getStates()]))
         geometric.PathSimplifier(information).simplifyMax(path)
-        return raw, np.array([one[0 : model.dof] for one in path.getStates()])
+        return raw, np.array([ompl_state[0 : model.dof] for ompl_state in path.getStates()])
 
     return plan
 
 
 def is_valid(model: ArmModel, layout: ReachLayout, path: Array) -> bool:
-    """Whether a path starts at home, ends in the sphere, and touches nothing."""
+    """Return True if a path starts at home, ends in the sphere, and touches nothing."""
     among = model.among(layout.boxes)
     ends = np.array_equal(path[0], model.home) and np.linalg.norm(model.position(path[-1]) - layout.target) <= TOLERANCE
     steps = (np.linspace(a, b, 1 + int(np.abs(b - a).max() / STEP)) for a, b in itertools.pairwise(path))

@@ -1,4 +1,4 @@
-"""Among boxes on arms that are given by the path of a URDF file, without the choices that armctl makes for named arms.
+"""Reaching among boxes with arms given by the path of a URDF file, without armctl's choices for named arms.
 
     python benchmarks/arms_by_path.py [--episodes 24] [--seed 0] [--policy reach_mpc]
 

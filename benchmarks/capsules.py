@@ -1,4 +1,4 @@
-"""Whether an arm's capsules ever miss a contact of its meshes, and how often they see one that is none.
+"""Contacts of an arm's meshes that its capsules miss, and contacts of its capsules that are none.
 
     python benchmarks/capsules.py [--robot ur5] [--configurations 10000]
 
@@ -27,7 +27,7 @@ PER_LAYOUT = 50
 
 @dataclass
 class Counts:
-    """Of configurations, each a row of whether something touches: (capsules, meshes)."""
+    """Counts of configurations, each a row of whether something touches: (capsules, meshes)."""
 
     touching: NDArray[np.bool_]
 
@@ -44,7 +44,7 @@ class Counts:
 
 
 def mesh_world(arm: ArmModel, half_sizes: NDArray[np.float64]) -> mujoco.MjModel:
-    """The arm with its collision meshes, a floor, and boxes that can be moved."""
+    """Return the arm with its collision meshes, a floor, and boxes that can be moved."""
     description, frames = arm.description, arm.pinocchio.frames
     head, tail = description.urdf.split(">", 1)
     options = '<mujoco><compiler fusestatic="false" balanceinertia="false"/></mujoco>'
@@ -75,13 +75,13 @@ def mesh_world(arm: ArmModel, half_sizes: NDArray[np.float64]) -> mujoco.MjModel
 
 
 def measure(robot: str, configurations: int) -> tuple[Counts, Counts]:
-    """What touches by the arm itself and the floor, and by boxes besides."""
+    """Return what touches by the arm itself and the floor, and by boxes too."""
     rng = np.random.default_rng(0)
     arm = ArmModel(robot)
     half_sizes = rng.uniform(0.03, 0.15, (BOXES, 3))
     world = mesh_world(arm, half_sizes)
     data, box_geoms = mujoco.MjData(world), [world.geom(f"box {i}").id for i in range(BOXES)]
-    alone, among = [], []
+    by_arm, by_all = [], []
     low, high = np.maximum(arm.limits.lower, -np.pi), np.minimum(arm.limits.upper, np.pi)
     for i in range(configurations):
         if i % PER_LAYOUT == 0:
@@ -99,9 +99,9 @@ def measure(robot: str, configurations: int) -> tuple[Counts, Counts]:
         mujoco.mj_collision(world, data)
         touching = data.contact.geom[data.contact.dist < 0]
         with_box = np.isin(touching, box_geoms).any(axis=-1)
-        alone.append((not arm.is_free(q), bool((~with_box).any())))
-        among.append((not with_boxes.is_free(q), len(touching) > 0))
-    return Counts(np.array(alone)), Counts(np.array(among))
+        by_arm.append((not arm.is_free(q), bool((~with_box).any())))
+        by_all.append((not with_boxes.is_free(q), len(touching) > 0))
+    return Counts(np.array(by_arm)), Counts(np.array(by_all))
 
 
 def main(robot: str = "ur5", configurations: int = 10_000) -> None:
@@ -110,11 +110,11 @@ def main(robot: str = "ur5", configurations: int = 10_000) -> None:
         "", "meshes touch", "capsules touch", "missed by capsules", "free, but not by capsules",
         title=f"{configurations} configurations of {robot}", title_justify="left", box=MARKDOWN,
     )  # fmt: skip
-    for what, counts in zip(
+    for label, counts in zip(
         ("itself and the floor", f"{BOXES} boxes too"), measure(robot, configurations), strict=True
     ):
         capsules, meshes = counts.touching.mean(axis=0)
-        table.add_row(what, f"{meshes:.1%}", f"{capsules:.1%}", str(counts.missed), f"{counts.over_careful:.1%}")
+        table.add_row(label, f"{meshes:.1%}", f"{capsules:.1%}", str(counts.missed), f"{counts.over_careful:.1%}")
     Console(width=160).print(table)
 
 

@@ -1,4 +1,4 @@
-"""What each part of a cluster costs, for `benchmarks/clusters.py`."""
+"""Costs of each part of a cluster, for `benchmarks/clusters.py`."""
 
 import contextlib
 import operator
@@ -32,7 +32,7 @@ WRITTEN = 5000
 
 
 def compared(episodes: int) -> list[dict[str, Any]]:
-    """The same comparison in one process, in two, and on clusters: seconds until connected, until the first result, ...
+    """Time a comparison in one process, in two, and on clusters: seconds until connected, until the first result, ...
 
     Servers start before the clock, as a cluster is there already.
     """
@@ -55,13 +55,13 @@ def _run(where: str, engine: Engine, workers: int, episodes: int, connect_s: flo
     ends: list[float] = []
     with tempfile.TemporaryDirectory() as folder:
         start, spent = time.perf_counter(), _processor_s()
-        found = armctl.compare(
+        comparison = armctl.compare(
             POLICIES[SHORT], SHORT, episodes=episodes, out=folder, workers=engine,
             progress=lambda _: ends.append(time.perf_counter()),
         )  # fmt: skip
         all_s = time.perf_counter() - start
-    if found.failures or found.interrupted:
-        raise SystemExit(f"{where}: the comparison did not come to its end: {found.failures}")
+    if comparison.failures or comparison.interrupted:
+        raise SystemExit(f"{where}: the comparison did not come to its end: {comparison.failures}")
     return {
         "where": where, "workers": workers, "episodes": len(ends), "connect_s": connect_s,
         "first_s": ends[0] - start, "all_s": all_s, "processor_s": _processor_s() - spent,
@@ -69,45 +69,45 @@ def _run(where: str, engine: Engine, workers: int, episodes: int, connect_s: flo
 
 
 def durations(env: str, episodes: int) -> dict[str, list[float]]:
-    """Seconds of each episode but the first, which makes and compiles, in one process; by policy."""
+    """Return the seconds of each episode in one process, by policy, except the first, which makes and compiles."""
     ends: dict[str, list[float]] = {name: [] for name in POLICIES[env]}
     armctl.compare(
         POLICIES[env], env, episodes=episodes, progress=lambda result: ends[result.policy].append(time.perf_counter())
     )
-    return {name: np.round(np.diff(its), 6).tolist() for name, its in ends.items()}
+    return {name: np.round(np.diff(times), 6).tolist() for name, times in ends.items()}
 
 
 def writing() -> float:
-    """Seconds that the client takes to keep and write an episode."""
-    played = _a_batch(1).results[0]
+    """Return the seconds that the client takes to keep and write an episode."""
+    template = _a_batch(1).results[0]
     with tempfile.TemporaryDirectory() as folder, EpisodeLog(Path(folder), {}, WRITTEN) as log:
         start = time.perf_counter()
         for episode in range(WRITTEN):
-            log.kept.append(result := replace(played, episode=episode))
+            log.kept.append(result := replace(template, episode=episode))
             log.write(result)
         return (time.perf_counter() - start) / WRITTEN
 
 
 def sizes() -> dict[str, int]:
-    """Bytes of a block's unit and of its result, pickled."""
+    """Return the bytes of a block's unit and of its result, pickled."""
     unit = (POLICIES[SHORT][0], list(range(ROUNDS)), dict.fromkeys(range(ROUNDS), 10.0), None)
     return {"unit": len(cloudpickle.dumps(unit)), "result": len(cloudpickle.dumps(_a_batch(ROUNDS)))}
 
 
 def of_ray() -> dict[str, Any]:
-    """The costs of Ray."""
+    """Return the costs of Ray."""
     with ray_cluster(2) as address:
         return _costs(address)
 
 
 def of_dask() -> dict[str, Any]:
-    """The costs of Dask."""
+    """Return the costs of Dask."""
     with dask_cluster(2) as address:
         return _costs(address)
 
 
 def _costs(address: str) -> dict[str, Any]:
-    """Seconds by the names of `cluster_model.Costs`, from units that do nothing but return the result of a block.
+    """Return seconds by the names of `cluster_model.Costs`, from units that only return the result of a block.
 
     A worker's start is the time to its first unit of a real comparison, less what one process needs for that.
     """
@@ -125,22 +125,25 @@ def _costs(address: str) -> dict[str, Any]:
             return engine.run(operator.getitem, shared, counted())
 
         list(run(10, 2, []))  # starts the workers' processes
-        before, start = _processor_s_by_process(), time.perf_counter()
+        spent_before, start = _processor_s_by_process(), time.perf_counter()
         list(run(UNITS, 1, []))
         round_trip = AHEAD * (time.perf_counter() - start) / UNITS  # by Little's law: so many are under way
-        spent = {one: (its - before.get(one, 0.0)) / UNITS for one, its in _processor_s_by_process().items()}
+        spent = {
+            process: (seconds - spent_before.get(process, 0.0)) / UNITS
+            for process, seconds in _processor_s_by_process().items()
+        }
         sent: list[float] = []
         results = run(UNDER_WAY, UNDER_WAY // AHEAD, sent)
         next(results)
         time.sleep(1.5 * UNDER_WAY * round_trip / AHEAD)  # all are finished then
         with _fetches() as fetches:
             start = time.perf_counter()
-            left = len(list(results))
+            remaining = len(list(results))
             took = time.perf_counter() - start
     fetched = sum(fetches)
-    receive, wait = fetched / left, (took - fetched) / left
-    schedule = max(its for (kind, _), its in spent.items() if kind == "scheduler")
-    work = sum(its for (kind, _), its in spent.items() if kind == "worker")
+    receive, wait = fetched / remaining, (took - fetched) / remaining
+    schedule = max(seconds for (kind, _), seconds in spent.items() if kind == "scheduler")
+    work = sum(seconds for (kind, _), seconds in spent.items() if kind == "worker")
     send = (sent[-1] - sent[0]) / (UNDER_WAY - 1)
     spent_beside = send + schedule + work + receive + AHEAD * wait
     return {
@@ -151,7 +154,7 @@ def _costs(address: str) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def _fetches() -> Iterator[list[float]]:
-    """Seconds that each call takes which fetches what is finished, meanwhile."""
+    """Collect the seconds of each call within the block that fetches finished results."""
     took: list[float] = []
 
     def timed(fetch: Callable[[list[Any]], list[Any]], finished: list[Any]) -> list[Any]:
@@ -165,13 +168,13 @@ def _fetches() -> Iterator[list[float]]:
 
 
 def _a_batch(episodes: int) -> RolloutBatch:
-    played: list[EpisodeResult] = []
-    armctl.compare(POLICIES[SHORT][:1], SHORT, episodes=episodes, progress=played.append)
-    return RolloutBatch(POLICIES[SHORT][0], played)
+    episodes_played: list[EpisodeResult] = []
+    armctl.compare(POLICIES[SHORT][:1], SHORT, episodes=episodes, progress=episodes_played.append)
+    return RolloutBatch(POLICIES[SHORT][0], episodes_played)
 
 
 def _kind(command: str) -> str:
-    """What a process does. Of a scheduler, a cluster has one, or one for each client."""
+    """Return what a process does. A cluster of Ray has one scheduler, of Dask one for each client."""
     kinds = {
         "scheduler": ("dask scheduler", "gcs_server", "raylet", "ray.util.client.server"),
         "worker": ("dask worker", "ray::IDLE", "ray::run_isolated", "Loky"),
@@ -180,16 +183,16 @@ def _kind(command: str) -> str:
 
 
 def _processor_s_by_process() -> dict[tuple[str, int], float]:
-    """Processor seconds of each child, by what it does, and its id."""
-    found = {}
+    """Return processor seconds of each child, by what it does, and its id."""
+    seconds = {}
     for process in psutil.Process().children(recursive=True):
         with contextlib.suppress(psutil.Error):  # it has ended
-            found[_kind(" ".join(process.cmdline())), process.pid] = _spent(process)
-    return found
+            seconds[_kind(" ".join(process.cmdline())), process.pid] = _spent(process)
+    return seconds
 
 
 def _processor_s() -> float:
-    """Processor seconds of this process and its children."""
+    """Return processor seconds of this process and its children."""
     return _spent(psutil.Process()) + sum(_processor_s_by_process().values())
 
 
@@ -199,5 +202,5 @@ def _spent(process: psutil.Process) -> float:
 
 
 def versions() -> dict[str, str]:
-    """Of what is measured."""
+    """Return the versions of what is measured."""
     return {"armctl": armctl.__version__, "ray": version("ray"), "distributed": version("distributed")}

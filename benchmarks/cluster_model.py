@@ -26,7 +26,7 @@ class Costs:
     """Seconds that work takes besides the episodes. Where no unit is named, each unit costs as much."""
 
     start: float = 0.0
-    """Until a worker can begin with its first unit."""
+    """Seconds until a worker can begin with its first unit."""
     send: float = 0.0
     """The client's."""
     schedule: float = 0.0
@@ -43,21 +43,21 @@ class Costs:
     """The client's per episode."""
 
     def limit(self, episodes: int) -> float:
-        """Units of so many episodes per second, which client and scheduler can do; then each call gives all of them."""
+        """Return the units of so many episodes per second that client and scheduler can do; each call gives all."""
         client = self.send + self.wait + self.receive + self.write * episodes
         return 1 / max(client, self.schedule, 1e-12)
 
     def saturated_by(self, seconds: float, episodes: int) -> int:
-        """The fewest workers that do units of so many seconds and episodes as fast as that limit."""
+        """Return the fewest workers that do units of so many seconds and episodes as fast as that limit."""
         return max(1, math.ceil((seconds + self.work) * self.limit(episodes)))
 
 
 @dataclass
 class Outcome:
-    """What a simulation came to."""
+    """Result of a simulation."""
 
     seconds: float = 0.0
-    """Until the last result was written."""
+    """Seconds until the last result was written."""
     results: list[int] = field(default_factory=list)
     """Units, in the order in which their results were written."""
     again: int = 0
@@ -78,7 +78,7 @@ def simulated(
     losses: float = 0.0,
     rng: np.random.Generator | None = None,
 ) -> Outcome:
-    """A comparison of units that take so long (s) in a worker, of so many `episodes` each.
+    """Simulate a comparison of units that take so long (s) in a worker, of so many `episodes` each.
 
     Workers are lost at the rate `losses` (1/s each), and not replaced. If none is left, results are missing.
     """
@@ -134,7 +134,7 @@ class _Cluster:
         self._queue.put(unit)
 
     def _worker(self, death: float) -> Process:
-        """A worker that is lost at a time. Idle, it is found dead only by the unit that would be its next."""
+        """Simulate a worker that is lost at a time. Idle, it is found dead only by the unit that would be its next."""
         yield self._env.timeout(self._costs.start)
         while True:
             unit = yield self._queue.get()

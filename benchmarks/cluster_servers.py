@@ -23,7 +23,7 @@ os.environ |= QUIET
 
 @contextlib.contextmanager
 def ray_cluster(workers: int) -> Iterator[str]:
-    """The address of a cluster of Ray with so many nodes."""
+    """Yield the address of a cluster of Ray with so many nodes."""
     with tempfile.TemporaryDirectory(prefix="ray-", ignore_cleanup_errors=True) as folder, _Servers() as servers:
         port, client = _free_port(), _free_port()
         common = ["--num-cpus=1", "--block", "--disable-usage-stats"]
@@ -41,7 +41,7 @@ def ray_cluster(workers: int) -> Iterator[str]:
 
 @contextlib.contextmanager
 def dask_cluster(workers: int) -> Iterator[str]:
-    """The address of a scheduler of Dask with so many workers."""
+    """Yield the address of a scheduler of Dask with so many workers."""
     with _Servers() as servers:
         port = _free_port()
         servers.start("dask", "scheduler", "--host", "127.0.0.1", "--port", port, "--no-dashboard")
@@ -65,31 +65,31 @@ class _Servers:
         program, *arguments = map(str, command)
         log = Path(self._folder.name, f"log{len(self._started)}")  # a pipe would keep `ray start` from ending
         with log.open("w") as output:
-            one = subprocess.Popen(
+            process = subprocess.Popen(
                 [str(BIN / program), *arguments], stdin=subprocess.DEVNULL, stdout=output, stderr=output,
                 cwd=self._folder.name, start_new_session=True,
             )  # fmt: skip
-        self._started.append(one)
+        self._started.append(process)
 
     def __exit__(self, *_: object) -> None:
-        for one in reversed(self._started):
+        for process in reversed(self._started):
             with contextlib.suppress(ProcessLookupError):
-                os.killpg(one.pid, signal.SIGKILL)
-            one.wait()
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
         self._folder.cleanup()
 
 
-def _until(ready: Callable[[], bool], what: str) -> None:
+def _until(ready: Callable[[], bool], server: str) -> None:
     deadline = time.monotonic() + LONGEST_START
     while not ready():
         if time.monotonic() > deadline:
-            raise SystemExit(f"{what} did not start within {LONGEST_START:g} s")
+            raise SystemExit(f"{server} did not start within {LONGEST_START:g} s")
         time.sleep(0.2)
 
 
 def _answers(port: int) -> bool:
-    with socket.socket() as one:
-        return one.connect_ex(("127.0.0.1", port)) == 0
+    with socket.socket() as connection:
+        return connection.connect_ex(("127.0.0.1", port)) == 0
 
 
 def _workers(address: str) -> int:
@@ -99,6 +99,6 @@ def _workers(address: str) -> int:
 
 
 def _free_port() -> int:
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return int(one.getsockname()[1])
+    with socket.socket() as server:
+        server.bind(("127.0.0.1", 0))
+        return int(server.getsockname()[1])

@@ -1,4 +1,4 @@
-"""How quickly the rover's model-predictive controller decides on bridges, and how near to the best its plans are.
+"""Decision time of the rover's model-predictive controller on bridges, and distance of its plans from the best.
 
     python benchmarks/drive_mpc.py [--episodes 12] [--repeats 3]
 
@@ -36,13 +36,13 @@ EACH = 20
 
 @dataclass
 class Drive:
-    """What one controller was made of, and what it had to decide on: poses, velocities and people."""
+    """Options of one controller, and its decisions: poses, velocities and people."""
 
     made_of: tuple[Any, ...]
     situations: list[tuple[Any, ...]]
 
 
-def played(env_id: str, episodes: int) -> list[Drive]:
+def recorded_drives(env_id: str, episodes: int) -> list[Drive]:
     drives: list[Drive] = []
 
     class Recorder(DriveMpc):
@@ -52,7 +52,7 @@ def played(env_id: str, episodes: int) -> list[Drive]:
             drives.append(self.drive)
 
         def decide(self, *situation: Any) -> DriveMpcResult:
-            self.drive.situations.append(tuple(np.array(one) for one in situation))
+            self.drive.situations.append(tuple(np.array(part) for part in situation))
             return super().decide(*situation)
 
     bridge_mpc.DriveMpc = Recorder
@@ -73,7 +73,7 @@ def played(env_id: str, episodes: int) -> list[Drive]:
 
 
 def replayed(drives: list[Drive]) -> tuple[list[float], list[DriveMpcResult]]:
-    """Processor time of each decision, s, and its result."""
+    """Return the processor time of each decision, s, and its result."""
     seconds, results = [], []
     for drive in drives:
         mpc = DriveMpc(*drive.made_of)
@@ -85,7 +85,7 @@ def replayed(drives: list[Drive]) -> tuple[list[float], list[DriveMpcResult]]:
 
 
 def excess(drives: list[Drive]) -> tuple[float, list[float]]:
-    """Solutions a decision, and by how much each 20th costs more than the local optimum near it."""
+    """Return solutions per decision, and by how much each 20th costs more than the local optimum near it."""
     solved, solve = [], DriveSolver.solve
 
     def recorded(solver: DriveSolver) -> Any:
@@ -112,13 +112,13 @@ def main(episodes: int = 12, repeats: int = 3) -> None:
     table = Table("environment", "decisions", "ms", "99 %", "most", "iterations", "99 %", "plans a decision",
                   "failures", "cost over the best", "99 %", box=MARKDOWN)  # fmt: skip
     for env_id in ENVIRONMENTS:
-        drives = played(env_id, episodes)
+        drives = recorded_drives(env_id, episodes)
         runs = [replayed(drives) for _ in range(repeats)]
-        least, results = 1e3 * np.min([seconds for seconds, _ in runs], axis=0), runs[0][1]
+        milliseconds, results = 1e3 * np.min([seconds for seconds, _ in runs], axis=0), runs[0][1]
         iterations = [result.iterations for result in results]
         plans, over = excess(drives)
         table.add_row(
-            env_id, str(len(least)), *(f"{np.quantile(least, share):.2f}" for share in (0.5, 0.99, 1.0)),
+            env_id, str(len(milliseconds)), *(f"{np.quantile(milliseconds, share):.2f}" for share in (0.5, 0.99, 1.0)),
             *(f"{np.quantile(iterations, share):.0f}" for share in (0.5, 0.99)), f"{plans:.2f}",
             str(sum(not result.solved for result in results)),
             *(f"{np.quantile(over, share):.4f}" for share in (0.5, 0.99)),

@@ -1,4 +1,4 @@
-"""What the examples' learners reach: trainings with several seeds, each judged on the same held-out episodes.
+"""Success of the examples' learners: trainings with several seeds, each judged on the same held-out episodes.
 
     python benchmarks/examples.py --train [--only sb3_ppo]    # what is missing: hours; goes on where it was interrupted
     python benchmarks/examples.py                             # the table of what was trained
@@ -76,7 +76,7 @@ def main(
 
 
 def trained(command: str) -> pd.DataFrame:
-    """The last trainings by a command that had the same code."""
+    """Return the last trainings by a command that had the same code."""
     if not RESULTS.exists():
         return pd.DataFrame(columns=["seed", "code"])
     rows = pd.read_csv(RESULTS, dtype={"code": str})
@@ -85,7 +85,7 @@ def trained(command: str) -> pd.DataFrame:
 
 
 def expected(command: str) -> str:
-    """What the head of a script says of its trainings."""
+    """Return what the head of a script says of its trainings."""
     rows = trained(command)
     rates = ", ".join("failed" if pd.isna(k) else f"{k / EPISODES:.1%}" for k in rows.successes)
     minutes = max(1, round(rows.processor_s.max() / 60))
@@ -94,7 +94,7 @@ def expected(command: str) -> str:
 
 
 def table(commands: dict[str, int]) -> Table:
-    """What was trained, by command."""
+    """Return what was trained, by command."""
     table = Table("training", "steps", "success of each seed, 95 % interval", "processor minutes, mean", box=MARKDOWN)
     for command in commands:
         rows = trained(command)
@@ -124,7 +124,7 @@ def _path(command: str) -> Path:
 
 
 def _code(command: str) -> str:
-    """Fingerprint of what a command runs, without comments."""
+    """Return the fingerprint of what a command runs, without comments."""
     text = _path(command).read_text()
     if command.endswith(".yml"):
         code = "\n".join(line for line in text.splitlines() if not line.startswith("#"))
@@ -156,15 +156,15 @@ def _train(command: str, seed: int) -> dict[str, object]:
 
 
 def _script(command: str, seed: int, folder: Path) -> int | None:
-    """Successes of a script's training, out of `EPISODES`; None if it failed."""
+    """Return the successes of a script's training, out of `EPISODES`; None if it failed."""
     _, *words = shlex.split(command)
     output = _output([_path(command), *words, "--seed", str(seed), "--episodes", str(EPISODES)], folder)
-    found = re.search(r"^success on \d+ held-out episodes: ([\d.]+)%", output or "", re.MULTILINE)
-    return round(float(found[1]) / 100 * EPISODES) if found else None
+    match = re.search(r"^success on \d+ held-out episodes: ([\d.]+)%", output or "", re.MULTILINE)
+    return round(float(match[1]) / 100 * EPISODES) if match else None
 
 
 def _zoo(command: str, seed: int, folder: Path) -> int | None:
-    """Successes of an agent that rl-zoo3 has trained, out of `EPISODES`; None if it failed."""
+    """Return the successes of an agent that rl-zoo3 has trained, out of `EPISODES`; None if it failed."""
     env, algorithm = "armctl/ArmReach-v0", _path(command).stem
     learn = f"--algo {algorithm} --env {env} --gym-packages armctl --eval-freq -1 --seed {seed}"
     if _output(["-m", "rl_zoo3.train", *learn.split(), "--conf-file", _path(command)], folder) is None:
@@ -177,12 +177,12 @@ def _zoo(command: str, seed: int, folder: Path) -> int | None:
         is None
     ):
         return None
-    played = armctl.evaluate(folder / "agent.json", env, episodes=EPISODES, worlds=50, least_lengths=False)
-    return int(played.success.sum())
+    result = armctl.evaluate(folder / "agent.json", env, episodes=EPISODES, worlds=50, least_lengths=False)
+    return int(result.success.sum())
 
 
 def _output(words: list[str | Path], folder: Path) -> str | None:
-    """What Python prints with these arguments; None, and its errors shown, if it fails."""
+    """Return what Python prints with these arguments; None, and its errors shown, if it fails."""
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
     done = subprocess.run([sys.executable, *words], cwd=folder, env=environment, capture_output=True, text=True)
     if done.returncode:
@@ -198,9 +198,9 @@ def _steps(command: str) -> int:
         pattern, text = r"--steps (\d+)", command
     else:
         pattern, text = r"arguments\(__doc__, steps=([\d_]+)", _path(command).read_text()
-    found = re.search(pattern, text)
-    assert found
-    return int(float(found[1]))
+    match = re.search(pattern, text)
+    assert match
+    return int(float(match[1]))
 
 
 def _processor_seconds() -> float:

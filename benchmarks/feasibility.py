@@ -1,4 +1,4 @@
-"""How the certificate of feasibility and the expert's own planner judge layouts among obstacles.
+"""Judgements of layouts among obstacles by the certificate of feasibility and by the expert's own planner.
 
     python benchmarks/feasibility.py [--layouts 500] [--robot ur5]
 
@@ -24,14 +24,14 @@ def main(layouts: int = 500, robot: str = "ur5") -> None:
     model, rng = ArmModel(robot), np.random.default_rng(0)
     workspace, certificate, planner = Workspace(model), PathCertificate(model), ArmPlanner(model)
     judges = {
-        "certificate": lambda one: len(certificate.path(model.home, one.target, one.boxes)) > 0,
-        "planner": lambda one: planner.plan(model.home, one.target, TOLERANCE, one.boxes).solved,
+        "certificate": lambda layout: len(certificate.path(model.home, layout.target, layout.boxes)) > 0,
+        "planner": lambda layout: planner.plan(model.home, layout.target, TOLERANCE, layout.boxes).solved,
     }
-    drawn = [sample_layout(rng, workspace, TOLERANCE) for _ in range(layouts)]
+    samples = [sample_layout(rng, workspace, TOLERANCE) for _ in range(layouts)]
     solved, milliseconds = {}, {}
     for name, judge in judges.items():
         solved[name], milliseconds[name] = np.zeros(layouts, bool), np.zeros(layouts)
-        for i, layout in enumerate(drawn):
+        for i, layout in enumerate(samples):
             begin = time.perf_counter()
             solved[name][i] = judge(layout)
             milliseconds[name][i] = 1e3 * (time.perf_counter() - begin)

@@ -1,4 +1,4 @@
-"""Whether a change of the code has changed an episode: digests of all that happens, in every environment, bit for bit.
+"""Digests of all that happens in every environment, bit for bit: they show whether a change changed an episode.
 
     python benchmarks/golden.py record before.json      # with the code as it was
     python benchmarks/golden.py record after.json       # with the code as it is
@@ -33,7 +33,7 @@ SEED = 7
 
 
 def cases() -> Iterator[tuple[str, dict[str, Any], str, int, int]]:
-    """Environment, options, policy, worlds and steps of each recorded run."""
+    """Yield environment, options, policy, worlds and steps of each recorded run."""
     for env in (REACH, MOVING, OBSTACLES, BRIDGE, BRIDGE_MOVING):
         for policy in POLICIES:
             yield env, {}, policy, 3, 120
@@ -65,29 +65,29 @@ def cases() -> Iterator[tuple[str, dict[str, Any], str, int, int]]:
 
 
 def name_of(env: str, options: dict[str, Any], policy: str, *_: int) -> str:
-    """How a run is called."""
+    """Return the name of a run."""
     return f"{env} {json.dumps(options, sort_keys=True)} {policy}"
 
 
 def tried(*case: Any) -> dict[str, Any]:
-    """What happens in one run, or the error of a policy that does not fit the environment."""
+    """Return what happens in one run, or the error of a policy that does not fit the environment."""
     try:
-        return played(*case)
+        return run(*case)
     except ArmctlError as error:
         return {"error": type(error).__name__}
 
 
-def played(env: str, options: dict[str, Any], policy: str, worlds: int, steps: int) -> dict[str, Any]:
-    """What happens in one run: a digest of it all, and the outcomes, for people."""
+def run(env: str, options: dict[str, Any], policy: str, worlds: int, steps: int) -> dict[str, Any]:
+    """Return what happens in one run: a digest of it all, and the outcomes, for people."""
     options = dict(options)
     oracle = options.pop("shaping", None)
-    made = gymnasium.make_vec(env, num_envs=worlds, autoreset_mode="disabled", threads=1, **options)
-    actor = armctl.make_policy(policy, made, policy_seed=SEED)
-    playing: Any = made
+    vec_env = gymnasium.make_vec(env, num_envs=worlds, autoreset_mode="disabled", threads=1, **options)
+    actor = armctl.make_policy(policy, vec_env, policy_seed=SEED)
+    playing: Any = vec_env
     if oracle:
         from armctl.shaping import Shaped
 
-        playing = Shaped(made, oracle, gamma=0.97)
+        playing = Shaped(vec_env, oracle, gamma=0.97)
     digest = hashlib.sha256()
     observations, infos = playing.reset(seed=[SEED] * worlds, options={"episode": np.arange(worlds)})
     actor.reset(np.arange(worlds, dtype=np.int32))
@@ -101,16 +101,16 @@ def played(env: str, options: dict[str, Any], policy: str, worlds: int, steps: i
         returns += rewards * ~finished
         lengths += ~finished
         for i in np.flatnonzero((terminated | truncated) & ~finished):
-            outcomes[i] = made.outcomes[infos["outcome_id"][i]]
-        ended = terminated | truncated
-        finished |= ended
+            outcomes[i] = vec_env.outcomes[infos["outcome_id"][i]]
+        ends = terminated | truncated
+        finished |= ends
         if finished.all():
             break
-        if ended.any():
-            observations, infos = playing.reset(options={"reset_mask": ended, "episode": np.arange(worlds) + worlds})
-            actor.reset(np.flatnonzero(ended).astype(np.int32))
+        if ends.any():
+            observations, infos = playing.reset(options={"reset_mask": ends, "episode": np.arange(worlds) + worlds})
+            actor.reset(np.flatnonzero(ends).astype(np.int32))
             _take_in(digest, observations, infos)
-    made.close()
+    vec_env.close()
     return {
         "digest": digest.hexdigest(),
         "outcomes": outcomes,
@@ -132,19 +132,19 @@ def _take_in(digest: Any, *values: Any) -> None:
 
 def record(path: Path) -> None:
     """Play all cases, and write what happened."""
-    found: dict[str, Any] = {}
+    runs: dict[str, Any] = {}
     for case in track(list(cases()), "golden run"):
-        found[name_of(*case)] = tried(*case)
-    path.write_text(json.dumps(found, indent=1) + "\n")
+        runs[name_of(*case)] = tried(*case)
+    path.write_text(json.dumps(runs, indent=1) + "\n")
 
 
-def compare(before: Path, after: Path) -> int:
+def compare(old: Path, new: Path) -> int:
     """Print what differs; the number of runs that do."""
-    first, second = (json.loads(path.read_text()) for path in (before, after))
+    first, second = (json.loads(path.read_text()) for path in (old, new))
     differing = [name for name in first if first[name] != second.get(name)]
     for name in differing:
         print(f"{name}\n  before {first[name]}\n  after  {second.get(name)}")
-    ran = sum("digest" in one for one in first.values())
+    ran = sum("digest" in result for result in first.values())
     print(f"{len(first)} runs, {ran} of them with episodes: {len(differing)} differ")
     return len(differing)
 

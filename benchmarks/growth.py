@@ -1,4 +1,4 @@
-"""What grows with the number of worlds, and with the number of episodes.
+"""Growth of time and memory with the number of worlds, and with the number of episodes.
 
     python benchmarks/growth.py worlds [--steps 4]        # processor time and memory of a world
     python benchmarks/growth.py table [--rows 1000000] [--store csv] [--store parquet]    # of a comparison's results
@@ -47,38 +47,40 @@ def worlds(steps: int = 4, env: ENVS = [REACH, BRIDGE], count: list[int] = list(
     table = _table("", "worlds", "us a world and step", "times raw `mj_step`", "kB a world")
     for name in env:
         for n in count:
-            found = _in_a_fresh_process("step", name, n, steps)
-            table.add_row(f"`{name}`", f"{n:,}", f"{found['us']:,.0f}", f"{found['ratio']:.2f}", f"{found['kb']:,.0f}")
+            figures = _in_a_fresh_process("step", name, n, steps)
+            table.add_row(
+                f"`{name}`", f"{n:,}", f"{figures['us']:,.0f}", f"{figures['ratio']:.2f}", f"{figures['kb']:,.0f}"
+            )
     Console().print(table)
 
 
 @app.command()
 def table(rows: int = 1_000_000, env: ENVS = [REACH, BRIDGE], store: list[str] = list(STORES)) -> None:  # noqa: B006
     """Measure the results of a comparison with so many episodes in all, and print a table."""
-    shown = _table("", "episodes", "decisions", "", "processor s", "peak MB", "peak MB of 30 episodes", "MB on disk")
+    output = _table("", "episodes", "decisions", "", "processor s", "peak MB", "peak MB of 30 episodes", "MB on disk")
     for name, kind in itertools.product(env, store):
         with tempfile.TemporaryDirectory() as home:
             few, many = Path(home, "few"), Path(home, "many")
             _in_a_fresh_process("fill", few, name, 30, kind)
-            made = _in_a_fresh_process("fill", many, name, rows, kind)
-            counts = f"{made['episodes']:,}", f"{made['decisions'] / 1e6:.0f} M"
-            for what in ("summary", "read", "report"):
-                start, found = (_in_a_fresh_process(what, folder, name, kind) for folder in (few, many))
-                shown.add_row(
-                    f"`{name}`", *counts, f"{what}, {kind}", f"{found['seconds']:.1f}", f"{found['peak']:,.0f}",
-                    f"{start['peak']:,.0f}", f"{found['size']:,.1f}",
+            filled = _in_a_fresh_process("fill", many, name, rows, kind)
+            counts = f"{filled['episodes']:,}", f"{filled['decisions'] / 1e6:.0f} M"
+            for job in ("summary", "read", "report"):
+                start, figures = (_in_a_fresh_process(job, folder, name, kind) for folder in (few, many))
+                output.add_row(
+                    f"`{name}`", *counts, f"{job}, {kind}", f"{figures['seconds']:.1f}", f"{figures['peak']:,.0f}",
+                    f"{start['peak']:,.0f}", f"{figures['size']:,.1f}",
                 )  # fmt: skip
-    Console().print(shown)
+    Console().print(output)
 
 
 @app.command(hidden=True)
 def step(env: str, n: int, steps: int) -> None:
-    """Processor time and memory of a world, in this process."""
+    """Print processor time and memory of a world, in this process."""
     stepped(env, 1)[0](0)  # loads and compiles
-    before = _resident()
+    memory_before = _resident()
     ours, raw = stepped(env, n)
     ours(0)
-    memory, times = _resident() - before, []
+    memory, times = _resident() - memory_before, []
     for _ in range(ROUNDS):
         row = []
         for work in (ours, raw):
@@ -87,23 +89,23 @@ def step(env: str, n: int, steps: int) -> None:
                 work(i)
             row.append((time.process_time() - began) / steps / n)
         times.append(row)
-    ratio = np.median([one / reference for one, reference in times])
+    ratio = np.median([seconds / reference for seconds, reference in times])
     print(json.dumps({"us": 1e6 * np.median(times, axis=0)[0], "ratio": ratio, "kb": memory / n / 1e3}))
 
 
 @app.command(hidden=True)
 def fill(folder: Path, env: str, rows: int, store: str) -> None:
     """Play an episode with each policy, and write others that look like it."""
-    played: list[EpisodeResult] = []
-    armctl.compare(env=env, episodes=1, out=folder, store=store, progress=played.append)
-    each, decisions = rows // len(played), 0
+    episodes: list[EpisodeResult] = []
+    armctl.compare(env=env, episodes=1, out=folder, store=store, progress=episodes.append)
+    each, decisions = rows // len(episodes), 0
     with EpisodeLog(folder, unsealed((folder / COMPARISON).read_text()), each, store=store) as log:
-        for first in played:
+        for first in episodes:
             decisions += first.length
             for result in _others(first, each):
                 decisions += result.length
                 log.write(result)
-    print(json.dumps({"episodes": each * len(played), "decisions": decisions}))
+    print(json.dumps({"episodes": each * len(episodes), "decisions": decisions}))
 
 
 def _others(first: EpisodeResult, episodes: int) -> Iterator[EpisodeResult]:
@@ -127,12 +129,12 @@ def _others(first: EpisodeResult, episodes: int) -> Iterator[EpisodeResult]:
 @app.command(hidden=True)
 def summary(folder: Path, env: str, store: str) -> None:
     """Resume a comparison of which everything is played, and print what it took, and its folder's size."""
-    own = unsealed((folder / COMPARISON).read_text())
+    identity = unsealed((folder / COMPARISON).read_text())
     rows = int(_in_a_fresh_process("read", folder, env, store)["rows"])
     start = time.process_time()
-    found = armctl.compare(env=env, episodes=rows // len(own["policies"]), out=folder, store=store)
-    if found.resumed != rows or found.failures:
-        raise SystemExit(f"{found.resumed} of {rows} episodes were read: {found.failures}")
+    comparison = armctl.compare(env=env, episodes=rows // len(identity["policies"]), out=folder, store=store)
+    if comparison.resumed != rows or comparison.failures:
+        raise SystemExit(f"{comparison.resumed} of {rows} episodes were read: {comparison.failures}")
     _print_cost(start, _size(*folder.iterdir()))
 
 
@@ -158,7 +160,7 @@ def _print_cost(start: float, size: float, **more: float) -> None:
 
 
 def _size(*files: Path) -> float:
-    """MB."""
+    """Return a folder's size, MB."""
     return sum(file.stat().st_size for file in files) / 1e6
 
 
@@ -166,12 +168,12 @@ def _in_a_fresh_process(*command: object) -> dict[str, float]:
     done = subprocess.run([sys.executable, __file__, *map(str, command)], capture_output=True, text=True)
     if done.returncode:
         raise SystemExit(done.stderr)
-    found: dict[str, float] = json.loads(done.stdout.splitlines()[-1])
-    return found
+    figures: dict[str, float] = json.loads(done.stdout.splitlines()[-1])
+    return figures
 
 
 def _resident() -> int:
-    """Bytes of memory that this process has."""
+    """Return the bytes of memory that this process has."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
 
 

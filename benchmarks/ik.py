@@ -78,23 +78,23 @@ def mink_peer(model: ArmModel) -> Peer:
 
 
 def step_from(peer: Peer, start: Array, pose: Array) -> Callable[[], None]:
-    """One differential step of a peer, which is left at `start` until the step is called."""
+    """Return one differential step of a peer, which is left at `start` until the step is called."""
     peer.task.set_target(peer.as_target(pose))
     peer.configuration.update(start)
     return lambda: peer.configuration.integrate_inplace(peer.velocity(peer.configuration, [peer.task]), 1.0)
 
 
 def iterate(peer: Peer, starts: Array, pose: Array) -> list[Array]:
-    """The configuration of the first start that ends at the pose, if any does."""
+    """Return the configuration of the first start that ends at the pose, if any does."""
     return next(([peer.configuration.q.copy()] for q in starts if converges(peer, step_from(peer, q, pose))), [])
 
 
 def converges(peer: Peer, step: Callable[[], None]) -> bool:
-    least, stalled = np.inf, 0
+    best, stalled = np.inf, 0
     for _ in range(IkOptions().max_iterations):
         error = float(np.linalg.norm(peer.task.compute_error(peer.configuration)))
-        stalled = 0 if error < 0.9 * least else stalled + 1
-        least = min(least, error)
+        stalled = 0 if error < 0.9 * best else stalled + 1
+        best = min(best, error)
         if error < TOLERANCE or stalled > PATIENCE:
             break
         step()
@@ -102,7 +102,7 @@ def converges(peer: Peer, step: Callable[[], None]) -> bool:
 
 
 def residual(model: ArmModel, q: Array, pose: Array) -> float:
-    """The larger of position error (m) and rotation angle (rad); infinite outside the joint limits."""
+    """Return the larger of position error (m) and rotation angle (rad); infinite outside the joint limits."""
     reached = model.pose(q)
     half_chord = np.linalg.norm(reached[:3, :3] - pose[:3, :3]) / np.sqrt(8)
     angle = 2 * np.arcsin(min(1.0, half_chord))  # unlike the arc cosine of the trace, exact near zero
@@ -116,13 +116,13 @@ def timed(call: Callable[[], Any]) -> tuple[float, Any]:
 
 
 def figures(model: ArmModel, name: str, poses: list[Array], solve: Any, prepare_step: Any) -> list[str]:
-    """A row of the table, for functions from a pose to its solutions and to the first step towards it."""
+    """Return a row of the table, for functions from a pose to its solutions and to the first step towards it."""
     times, residuals = [], []
     for pose in track(poses, name, console=Console(stderr=True), transient=True):
         milliseconds, solutions = timed(partial(solve, pose))
         times.append(milliseconds)
         residuals.append([residual(model, q, pose) for q in solutions])
-    counts = np.array([sum(one < TOLERANCE for one in of_pose) for of_pose in residuals])
+    counts = np.array([sum(error < TOLERANCE for error in of_pose) for of_pose in residuals])
     too_far = [pinocchio.SE3(pose[:3, :3], np.array([2.0, 0, 0])).homogeneous for pose in poses[:50]]
     steps = [timed(prepare_step(pose))[0] for pose in poses[:500]] if prepare_step else []
     return [
@@ -131,14 +131,14 @@ def figures(model: ArmModel, name: str, poses: list[Array], solve: Any, prepare_
         f"{np.mean(counts > 0):.2%}",
         *(f"{figure:.3f}" for figure in (np.median(times), np.mean(times), np.percentile(times, 99), max(times))),
         f"{counts.mean():.2f}",
-        f"{max((one for of_pose in residuals for one in of_pose), default=np.nan):.1e}",
+        f"{max((error for of_pose in residuals for error in of_pose), default=np.nan):.1e}",
         f"{np.median([timed(partial(solve, pose))[0] for pose in too_far]):.2f}",
         f"{1e3 * np.median(steps):.0f}" if steps else "-",
     ]
 
 
 def figures_of(robot: str, poses: int, rng: np.random.Generator) -> list[str]:
-    """A row for an arm of seven joints, by its closed form."""
+    """Return a row for an arm of seven joints, by its closed form."""
     model = ArmModel(robot)
     ik = Ik(model)
     targets = [model.pose(q) for q in model.random_configurations(rng, poses)]

@@ -1,4 +1,4 @@
-"""What imagination adds to learned agents: on the same episodes of the test, for each training of their networks."""
+"""Gain of learned agents by imagination: on the same episodes of the test, for each training of their networks."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -40,16 +40,16 @@ def _lookahead(card: Path) -> Callable[[Any], Policy]:
 
 def _row(network: str, path: Path, imagined: Callable[[Any], Policy], episodes: int) -> tuple[str, ...]:
     card = read_card(path)
-    played = armctl.compare([imagined, path], card.env, episodes=episodes, seed=TEST_SEED, worlds=50)
-    with_it, alone = played.policies
-    difference = played.paired[0].success_difference
+    comparison = armctl.compare([imagined, path], card.env, episodes=episodes, seed=TEST_SEED, worlds=50)
+    with_it, network_only = comparison.policies
+    difference = comparison.paired[0].success_difference
     return (
         f"`{network}`",
         str(card.training_seed),
-        *(f"{100 * one.success.value:.1f} [{100 * one.success.low:.1f}, {100 * one.success.high:.1f}]"
-          for one in (alone, with_it)),
+        *(f"{100 * summary.success.value:.1f} [{100 * summary.success.low:.1f}, {100 * summary.success.high:.1f}]"
+          for summary in (network_only, with_it)),
         f"{100 * difference.value:+.1f} [{100 * difference.low:.1f}, {100 * difference.high:.1f}]",
-        *(f"{one.restricted_steps.value:.1f}" for one in (alone, with_it)),
+        *(f"{summary.restricted_steps.value:.1f}" for summary in (network_only, with_it)),
     )  # fmt: skip
 
 

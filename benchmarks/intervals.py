@@ -1,4 +1,4 @@
-"""How often intervals and verdicts are right, on data like armctl's: mostly wins, and rare disasters.
+"""Coverage of intervals and error rates of verdicts, on data like armctl's: mostly wins, and rare disasters.
 
     python benchmarks/intervals.py [--runs 2000] [--table means|bounds|success|pairs|trainings]
 
@@ -31,20 +31,20 @@ Array = NDArray[np.float64]
 EPISODES = (20, 50, 200, 1000)
 FAILURES = (0.0, 0.001, 0.005, 0.01, 0.05, 0.2, 0.5)
 BOUNDS = (-100.0, 99.0)
-"""Of the return of `armctl/ArmReach-v0`."""
+"""Bounds of the return of `armctl/ArmReach-v0`."""
 WIN, LOSS = 88.0, -100.0
 POPULATION = 1_000_000
 DRAWS = 1000
 
 
 def real_steps() -> Array:
-    """Steps of the wins of `reach_ppo` in 200 episodes."""
+    """Return the steps of the wins of `reach_ppo` in 200 episodes."""
     episodes = armctl.evaluate("reach_ppo", episodes=200, seed=0, worlds=50, least_lengths=False)
     return episodes.length[episodes.success].to_numpy(float)
 
 
 def returns(kind: str, failures: float, steps: Array) -> Callable[[np.random.Generator, int], Array]:
-    """A sampler of returns: bimodal ones, or those of real wins, with a share of failures."""
+    """Return a sampler of returns: bimodal ones, or those of real wins, with a share of failures."""
 
     def sample(rng: np.random.Generator, n: int) -> Array:
         won = WIN + rng.normal(0, 1, n) if kind == "bimodal" else 100 - rng.choice(steps, n)
@@ -53,15 +53,15 @@ def returns(kind: str, failures: float, steps: Array) -> Callable[[np.random.Gen
     return sample
 
 
-def sides(found: list[Estimate], truth: float) -> tuple[str, str, str]:
-    """Coverage, and how often the interval is too high and too low."""
-    above = float(np.mean([one.low is not None and one.low > truth for one in found]))
-    below = float(np.mean([one.high is not None and one.high < truth for one in found]))
+def sides(estimates: list[Estimate], truth: float) -> tuple[str, str, str]:
+    """Return coverage, and how often the interval is too high and too low."""
+    above = float(np.mean([estimate.low is not None and estimate.low > truth for estimate in estimates]))
+    below = float(np.mean([estimate.high is not None and estimate.high < truth for estimate in estimates]))
     return f"{100 * (1 - above - below):.1f} %", f"{100 * below:.1f} %", f"{100 * above:.1f} %"
 
 
 def means(runs: int) -> Iterator[tuple[str, ...]]:
-    """Intervals of mean returns and of their worst tenth."""
+    """Yield intervals of mean returns and of their worst tenth."""
     steps = real_steps()
     for kind in ("bimodal", "real"):
         for n in EPISODES:
@@ -69,15 +69,17 @@ def means(runs: int) -> Iterator[tuple[str, ...]]:
                 rng, sample = np.random.default_rng(0), returns(kind, failures, steps)
                 truth = failures * LOSS + (1 - failures) * (WIN if kind == "bimodal" else 100 - float(steps.mean()))
                 data = [sample(rng, n) for _ in range(runs if n < 1000 else runs // 2)]
-                bounded = sides([_known(bounded_mean(values, BOUNDS)) for values in data], truth)
-                students = sides([_known(mean(values)) for values in data], truth)
+                bounded = sides([_without_none(bounded_mean(values, BOUNDS)) for values in data], truth)
+                students = sides([_without_none(mean(values)) for values in data], truth)
                 worst = np.sort(sample(rng, POPULATION))[: POPULATION // 10].mean()
-                decile = sides([_known(worst_decile(values, BOUNDS)) for values in data[: runs // 2]], float(worst))
+                decile = sides(
+                    [_without_none(worst_decile(values, BOUNDS)) for values in data[: runs // 2]], float(worst)
+                )
                 yield kind, f"{n:,}", f"{100 * failures:g} %", *bounded, students[0], decile[0]
 
 
 def success(runs: int) -> Iterator[tuple[str, ...]]:
-    """Exact coverage of intervals of a success rate, from the binomial distribution."""
+    """Yield exact coverage of intervals of a success rate, from the binomial distribution."""
     for n in EPISODES:
         failures = np.unique(np.concatenate((np.linspace(1e-4, 0.02, 200), np.linspace(0.02, 0.5, 200))))
         counts = np.arange(n + 1)
@@ -96,14 +98,14 @@ def success(runs: int) -> Iterator[tuple[str, ...]]:
 
 def _limits(failures: int, n: int, method: Any) -> tuple[float, float]:
     if method == "exact":
-        found = _known(success_rate(np.arange(n) < failures))
-        return found.low or 0.0, 1.0 if found.high is None else found.high
+        estimate = _without_none(success_rate(np.arange(n) < failures))
+        return estimate.low or 0.0, 1.0 if estimate.high is None else estimate.high
     interval = stats.binomtest(failures, n).proportion_ci(method=method)
     return float(interval.low), float(interval.high)
 
 
 def pairs(runs: int) -> Iterator[tuple[str, ...]]:
-    """Differences in success and return of two policies on the same episodes, and wrong verdicts on them.
+    """Yield differences in success and return of two policies on the same episodes, and wrong verdicts on them.
 
     Policy b fails in a share of episodes in which a wins, and is a step faster in the others: it is worse by return.
     """
@@ -111,15 +113,15 @@ def pairs(runs: int) -> Iterator[tuple[str, ...]]:
         for only_a, only_b in ((0.0, 0.0), (0.005, 0.005), (0.01, 0.0), (0.02, 0.0), (0.05, 0.03), (0.2, 0.2)):
             rng = np.random.default_rng(0)
             counts = rng.multinomial(n, [only_a, only_b, 1 - only_a - only_b], size=runs)
-            found = [mover(int(a), int(b), n) for a, b, _ in counts]
+            estimates = [mover(int(a), int(b), n) for a, b, _ in counts]
             wrong = np.mean([b > a and mcnemar(int(a), int(b)) < 0.05 for a, b, _ in counts])
             truth = (only_a - only_b) * (WIN - LOSS) - (1 - only_a - only_b)
             gains = [_gain(a, b, n) for a, b, _ in counts[: runs // 2]]
             spans = (BOUNDS[0] - BOUNDS[1], BOUNDS[1] - BOUNDS[0])
-            bounded = [_known(bounded_mean(gain, spans)) for gain in gains]
-            students = [_known(mean(gain)) for gain in gains]
+            bounded = [_without_none(bounded_mean(gain, spans)) for gain in gains]
+            students = [_without_none(mean(gain)) for gain in gains]
             yield (
-                f"{n:,}", f"{100 * only_a:g} %", f"{100 * only_b:g} %", *sides(found, only_a - only_b),
+                f"{n:,}", f"{100 * only_a:g} %", f"{100 * only_b:g} %", *sides(estimates, only_a - only_b),
                 f"{100 * wrong:.1f} %", sides(bounded, truth)[0], _wrong_sign(bounded, truth),
                 _wrong_sign(students, truth),
             )  # fmt: skip
@@ -131,8 +133,12 @@ def _gain(only_a: int, only_b: int, n: int) -> Array:
     return gain
 
 
-def _wrong_sign(found: list[Estimate], truth: float) -> str:
-    wrong = [one.high < 0 if truth > 0 else one.low > 0 for one in found if None not in (one.low, one.high)]  # type: ignore[operator]
+def _wrong_sign(estimates: list[Estimate], truth: float) -> str:
+    wrong = [
+        estimate.high < 0 if truth > 0 else estimate.low > 0
+        for estimate in estimates
+        if None not in (estimate.low, estimate.high)
+    ]  # type: ignore[operator]
     return f"{100 * float(np.mean(wrong)):.1f} %"
 
 
@@ -149,28 +155,31 @@ EXPERT = 0.98
 
 
 def trained(rng: np.random.Generator, rates: Array, n: int) -> Array:
-    """Successes (k, n) of trainings of these rates (k, 1); one half of the episodes is hard or easy for all alike."""
+    """Return successes (k, n) of trainings of these rates (k, 1); one half of the episodes is hard or easy for all."""
     alike = np.repeat(rng.random((1, n // 2)), len(rates), axis=0)
     return (np.hstack((alike, rng.random((len(rates), n - n // 2)))) < rates).astype(float)
 
 
 def trainings(runs: int) -> Iterator[tuple[str, ...]]:
-    """Success over trainings that all played the same episodes, and their difference from an expert's."""
+    """Yield success over trainings that all played the same episodes, and their difference from an expert's."""
     for name, (sample, rate) in POPULATIONS.items():
         for k in (3, 5, 10):
             for n in (200, 1000, 5000):
-                rng, found, against = np.random.default_rng(0), [], []
+                rng, results, against = np.random.default_rng(0), [], []
                 for _ in range(runs // 20):
-                    played = trained(rng, np.append(sample(rng, k), EXPERT)[:, None], n)
-                    found.append(mean_over_trainings(played[:-1], (0.0, 1.0)))
-                    against.append(difference_over_trainings(played[:-1], played[-1:], (0.0, 1.0)))
-                weighted, students = [one.mean for one in found], [one.if_normal for one in found]
-                wrong = [one.estimate for one in against if one.p is not None and one.p < 0.05]
-                sign = sum(one.value * (rate - EXPERT) < 0 for one in wrong) / len(against)
+                    successes = trained(rng, np.append(sample(rng, k), EXPERT)[:, None], n)
+                    results.append(mean_over_trainings(successes[:-1], (0.0, 1.0)))
+                    against.append(difference_over_trainings(successes[:-1], successes[-1:], (0.0, 1.0)))
+                weighted, students = (
+                    [estimate.mean for estimate in results],
+                    [estimate.if_normal for estimate in results],
+                )
+                wrong = [estimate.estimate for estimate in against if estimate.p is not None and estimate.p < 0.05]
+                sign = sum(estimate.value * (rate - EXPERT) < 0 for estimate in wrong) / len(against)
                 yield (
                     name, f"{100 * rate:g} %", str(k), f"{n:,}", *sides(weighted, rate), _width(weighted),
                     *sides(students, rate), _width(students),
-                    sides([one.estimate for one in against], rate - EXPERT)[0], f"{100 * sign:.1f} %",
+                    sides([estimate.estimate for estimate in against], rate - EXPERT)[0], f"{100 * sign:.1f} %",
                 )  # fmt: skip
 
 
@@ -184,7 +193,7 @@ RETURNS: dict[str, tuple[Callable[[np.random.Generator, int], Array], Bounds]] =
 
 
 def unknown_bounds(runs: int) -> Iterator[tuple[str, ...]]:
-    """Why means and worst tenths have no interval without bounds: those of the sample hold far too seldom."""
+    """Yield the coverage of means and worst tenths without bounds: with the sample's bounds it is far too low."""
     for name, (sample, bounds) in RETURNS.items():
         rng = np.random.default_rng(0)
         everything = np.sort(sample(rng, POPULATION))
@@ -194,20 +203,22 @@ def unknown_bounds(runs: int) -> Iterator[tuple[str, ...]]:
             cells: list[str] = []
             statistics_of: tuple[Callable[[Array, Bounds], Estimate | None], ...] = (bounded_mean, worst_decile)
             for statistic, truth in zip(statistics_of, truths, strict=True):
-                for known in (bounds, None):
-                    limits = [known or (float(one.min()), float(one.max())) for one in data]
-                    found = [_known(statistic(one, two)) for one, two in zip(data, limits, strict=True)]
-                    cells += sides(found, truth)
+                for stated in (bounds, None):
+                    limits = [stated or (float(draws.min()), float(draws.max())) for draws in data]
+                    estimates = [_without_none(statistic(draws, two)) for draws, two in zip(data, limits, strict=True)]
+                    cells += sides(estimates, truth)
             yield name, f"{n:,}", *cells
 
 
-def _width(found: list[Estimate]) -> str:
-    """Median, in points, where there is an interval."""
-    widths = [one.high - one.low for one in found if one.low is not None and one.high is not None]
+def _width(estimates: list[Estimate]) -> str:
+    """Return the median, in points, where there is an interval."""
+    widths = [
+        estimate.high - estimate.low for estimate in estimates if estimate.low is not None and estimate.high is not None
+    ]
     return f"{100 * float(np.median(widths)):.0f}"
 
 
-def _known(estimate: Estimate | None) -> Estimate:
+def _without_none(estimate: Estimate | None) -> Estimate:
     assert estimate is not None
     return estimate
 
@@ -252,10 +263,10 @@ def main(runs: int = 2000, table: str = "") -> None:
         if table and name != table:
             continue
         statistics.DRAWS = DRAWS
-        start, shown = time.process_time(), Table(*columns, box=MARKDOWN)
+        start, printed = time.process_time(), Table(*columns, box=MARKDOWN)
         for row in simulate(runs):
-            shown.add_row(*row)
-        Console().print(shown)
+            printed.add_row(*row)
+        Console().print(printed)
         print(f"{name}: {runs} runs, armctl {armctl.__version__}, {time.process_time() - start:.0f} s of processor\n")
 
 

@@ -1,4 +1,4 @@
-"""Which learner's library works with which environment, alone or many at once, in which autoreset mode.
+"""Combinations of learner libraries and environments that work, alone or batched, in each autoreset mode.
 
     python benchmarks/learners.py [--only torchrl] [--env armctl/ArmReach-v0]
 
@@ -31,7 +31,7 @@ import armctl  # noqa: F401 - registers the environments
 from armctl.core.registration import environment_names
 
 WAYS = ("gymnasium.make", "next_step", "same_step", "disabled")
-"""One world, or several in an autoreset mode."""
+"""Ways to make an environment: one world, or several in an autoreset mode."""
 WORLDS, LIMIT, STEPS = 2, 4, 16
 """Worlds, control steps of an episode, and control steps of each world."""
 LONGEST = 110
@@ -48,72 +48,72 @@ class StepCounter:
         self.counts: Any = 0
 
     def began(self, ids: Any) -> None:
-        """Worlds `ids` have begun an episode."""
+        """Take note that worlds `ids` have begun an episode."""
 
     def stepped(self, awake: Any) -> None:
-        """The worlds in the mask have made a step."""
+        """Take note that the worlds in the mask have made a step."""
         self.counts = self.counts + awake
 
 
 def make(env: str, way: str, **options: Any) -> Env:
-    """An environment with short episodes, whose steps are counted."""
+    """Make an environment with short episodes, whose steps are counted."""
     options |= {"actions": "normalized", "max_episode_steps": LIMIT}
     if way == "gymnasium.make":
-        made = gymnasium.make(env, **options)
-        made.unwrapped.worlds.observers.append(StepCounter())
+        result = gymnasium.make(env, **options)
+        result.unwrapped.worlds.observers.append(StepCounter())
     else:
-        made = gymnasium.make_vec(env, num_envs=WORLDS, autoreset_mode=way, **options)
-        made.observers.append(StepCounter())
-    return made
+        result = gymnasium.make_vec(env, num_envs=WORLDS, autoreset_mode=way, **options)
+        result.observers.append(StepCounter())
+    return result
 
 
 def gymnasium_alone(env: str, way: str) -> Env:
-    """A loop such as CleanRL's; without autoreset, it resets worlds by `reset_mask`."""
-    made = make(env, way)
-    made.reset(seed=0)
+    """Run a loop such as CleanRL's; without autoreset, it resets worlds by `reset_mask`."""
+    worlds = make(env, way)
+    worlds.reset(seed=0)
     for _ in range(STEPS):
-        *_, terminated, truncated, _ = made.step(made.action_space.sample())
-        ended = np.asarray(terminated | truncated)
-        if way == "gymnasium.make" and ended:
-            made.reset()
-        elif way == "disabled" and ended.any():
-            made.reset(options={"reset_mask": ended})
-    return made
+        *_, terminated, truncated, _ = worlds.step(worlds.action_space.sample())
+        ends = np.asarray(terminated | truncated)
+        if way == "gymnasium.make" and ends:
+            worlds.reset()
+        elif way == "disabled" and ends.any():
+            worlds.reset(options={"reset_mask": ends})
+    return worlds
 
 
 def _for_stable_baselines(env: str, way: str, **options: Any) -> tuple[Env, Env]:
-    """An environment, and the same as Stable-Baselines3 takes it."""
+    """Make an environment, and the same as Stable-Baselines3 takes it."""
     from armctl.integrations.sb3 import VecEnv
 
-    made = make(env, way, **options)
-    return made, made if way == "gymnasium.make" else VecEnv(made)
+    plain = make(env, way, **options)
+    return plain, plain if way == "gymnasium.make" else VecEnv(plain)
 
 
 def _on_policy(library: str, algorithm: str, network: str = "") -> Learner:
     def learn(env: str, way: str) -> Env:
-        made, given = _for_stable_baselines(env, way)
-        several = isinstance(given.observation_space, gymnasium.spaces.Dict)
+        plain, adapted = _for_stable_baselines(env, way)
+        several = isinstance(adapted.observation_space, gymnasium.spaces.Dict)
         policy = f"{'MultiInput' if several else 'Mlp'}{network}Policy"
         make_model = getattr(importlib.import_module(library), algorithm)
-        model = make_model(policy, given, n_steps=STEPS, batch_size=STEPS, n_epochs=1, device="cpu")
+        model = make_model(policy, adapted, n_steps=STEPS, batch_size=STEPS, n_epochs=1, device="cpu")
         model.learn(STEPS * (1 if way == "gymnasium.make" else WORLDS))
-        return made
+        return plain
 
     return learn
 
 
 def hindsight(env: str, way: str) -> Env:
-    """SAC with hindsight experience replay, of Stable-Baselines3."""
+    """Run SAC with hindsight experience replay, of Stable-Baselines3."""
     from stable_baselines3 import SAC, HerReplayBuffer
 
-    made, given = _for_stable_baselines(env, way, goal=True)
+    plain, adapted = _for_stable_baselines(env, way, goal=True)
     steps = 2 * STEPS * WORLDS
-    SAC("MultiInputPolicy", given, replay_buffer_class=HerReplayBuffer, learning_starts=steps // 2).learn(steps)
-    return made
+    SAC("MultiInputPolicy", adapted, replay_buffer_class=HerReplayBuffer, learning_starts=steps // 2).learn(steps)
+    return plain
 
 
 def zoo(env: str, way: str) -> None:
-    """rl-zoo3's command, with hyper-parameters such as those in `rl/zoo/`."""
+    """Run rl-zoo3's command, with hyper-parameters such as those in `rl/zoo/`."""
     settings = f"""
 {env}:
   env_kwargs: {{actions: normalized, max_episode_steps: {LIMIT}}}
@@ -134,65 +134,65 @@ def zoo(env: str, way: str) -> None:
 
 
 def skrl(env: str, way: str) -> Env:
-    """Random actions through skrl's wrapper, which its trainers step."""
+    """Run random actions through skrl's wrapper, which its trainers step."""
     import torch
     from skrl.envs.wrappers.torch import wrap_env
 
-    made = make(env, way)
-    wrapped = wrap_env(made, verbose=False)
+    worlds = make(env, way)
+    wrapped = wrap_env(worlds, verbose=False)
     wrapped.reset()
     for _ in range(STEPS):
         actions = 2 * torch.rand(wrapped.num_envs, wrapped.action_space.shape[0]) - 1
         *_, terminated, truncated, _ = wrapped.step(actions)
         if wrapped.num_envs > 1 or (terminated | truncated).any():
             wrapped.reset()
-    return made
+    return worlds
 
 
 def torchrl(env: str, way: str) -> Env:
-    """Random actions by TorchRL's collector. Only with `same_step` does it need flat infos."""
+    """Run random actions by TorchRL's collector. Only with `same_step` does it need flat infos."""
     from torchrl.collectors import Collector
     from torchrl.envs import GymWrapper
 
-    made = make(env, way, flat_infos=way == "same_step")
+    worlds = make(env, way, flat_infos=way == "same_step")
     frames = STEPS * (1 if way == "gymnasium.make" else WORLDS)
-    wrapped = GymWrapper(made)
+    wrapped = GymWrapper(worlds)
     for _ in Collector(wrapped, None, frames_per_batch=frames, total_frames=frames):
         pass
-    return made
+    return worlds
 
 
 def imitation(env: str, way: str) -> Env:
-    """Episodes by imitation's rollouts, and cloning from them."""
+    """Run episodes by imitation's rollouts, and cloning from them."""
     from imitation.algorithms.bc import BC
     from imitation.data import rollout
     from stable_baselines3.common.vec_env import DummyVecEnv
 
-    made, given = _for_stable_baselines(env, way)
-    venv = DummyVecEnv([lambda: made]) if way == "gymnasium.make" else given
+    plain, adapted = _for_stable_baselines(env, way)
+    venv = DummyVecEnv([lambda: plain]) if way == "gymnasium.make" else adapted
     rng = np.random.default_rng(0)
     episodes = rollout.generate_trajectories(None, venv, rollout.make_sample_until(min_episodes=2 * WORLDS), rng)
     flat = rollout.flatten_trajectories(episodes)
     spaces = {"observation_space": venv.observation_space, "action_space": venv.action_space}
     BC(**spaces, demonstrations=flat, rng=rng, batch_size=4).train(n_batches=2, progress_bar=False)
-    return made
+    return plain
 
 
 def minari(env: str, way: str) -> Env:
-    """Random actions, recorded with their infos by Minari's collector."""
+    """Run random actions, recorded with their infos by Minari's collector."""
     import minari
 
-    made = make(env, way)
+    worlds = make(env, way)
     with tempfile.TemporaryDirectory() as folder:
         os.environ["MINARI_DATASETS_PATH"] = folder
-        recorder = minari.DataCollector(made, record_infos=True)
+        recorder = minari.DataCollector(worlds, record_infos=True)
         recorder.reset(seed=0)
         for _ in range(STEPS):
             *_, terminated, truncated, _ = recorder.step(recorder.action_space.sample())
             if terminated or truncated:
                 recorder.reset()
         recorder.create_dataset("armctl/trial-v0", algorithm_name="random", code_permalink="-", author="-")
-    return made
+    return worlds
 
 
 LEARNERS: dict[str, Learner] = {
@@ -210,7 +210,7 @@ LEARNERS: dict[str, Learner] = {
 ITS_OWN = "no: makes its worlds itself, from the id"
 ONE_WORLD = "no: takes one world"
 NUMPY = "no: cannot be installed beside NumPy 2, which armctl needs"
-TOLD: Mapping[str, Mapping[str, str]] = {
+LABELS: Mapping[str, Mapping[str, str]] = {
     "rl-zoo3 PPO": dict.fromkeys(WAYS[1:], ITS_OWN),
     "skrl": {"next_step": "steps, but would learn from the steps that only reset"},
     "Minari DataCollector": dict.fromkeys(WAYS[1:], ONE_WORLD),
@@ -220,33 +220,33 @@ TOLD: Mapping[str, Mapping[str, str]] = {
 
 
 def cell(learner: str, env: str, way: str) -> str:
-    """What comes of a combination."""
-    if way in TOLD.get(learner, {}):
-        return TOLD[learner][way]
+    """Return the result of a combination."""
+    if way in LABELS.get(learner, {}):
+        return LABELS[learner][way]
     try:
         with contextlib.redirect_stdout(io.StringIO()):
-            made = LEARNERS[learner](env, way)
+            result = LEARNERS[learner](env, way)
     except Exception as error:
         return f"no: {in_short(error)}"
-    if made is None:
+    if result is None:
         return "works"
-    [counter] = getattr(made.unwrapped, "worlds", made.unwrapped).observers
+    [counter] = getattr(result.unwrapped, "worlds", result.unwrapped).observers
     return "works" if (counter.counts > LIMIT).all() else "no: its worlds stay in an episode that has ended"
 
 
 def in_short(error: Exception) -> str:
-    """An error's first sentence."""
+    """Return an error's first sentence."""
     text = " ".join(str(error).split()) or type(error).__name__
     return textwrap.shorten(text.split(". ")[0], LONGEST, placeholder=" ...")
 
 
 def row(learner: str, env: str) -> list[str]:
-    """A learner's cells in an environment."""
+    """Return a learner's cells in an environment."""
     return [cell(learner, env, way).replace("|", "/") for way in WAYS]
 
 
 def _tried(learner: str, envs: list[str]) -> dict[str, list[str]]:
-    """A learner's cells in each environment, from a process of its own."""
+    """Return a learner's cells in each environment, from a process of its own."""
     command = [sys.executable, "-W", "ignore", __file__, "--only", learner, "--raw"]
     command += [word for env in envs for word in ("--env", env)]
     done = subprocess.run(command, capture_output=True, text=True, env=os.environ | {"RL_WARNINGS": "False"})
@@ -259,15 +259,15 @@ def _tried(learner: str, envs: list[str]) -> dict[str, list[str]]:
 def main(only: str = "", env: list[str] | None = None, raw: bool = False) -> None:
     """Try all combinations, and print a table; environments with the same cells share a row."""
     envs = env or [name for name in environment_names() if name.startswith("armctl/")]
-    learners = [name for name in dict.fromkeys((*LEARNERS, *TOLD)) if only.lower() in name.lower()]
+    learners = [name for name in dict.fromkeys((*LEARNERS, *LABELS)) if only.lower() in name.lower()]
     if raw:
-        print("\n" + json.dumps({one: row(learners[0], one) for one in envs}))
+        print("\n" + json.dumps({env_id: row(learners[0], env_id) for env_id in envs}))
         return
     table = Table("learner", "environments", *(f"`{way}`" for way in WAYS), box=MARKDOWN)
     for learner in learners:
         alike: dict[tuple[str, ...], list[str]] = {}
-        for one, cells in _tried(learner, envs).items():
-            alike.setdefault(tuple(cells), []).append(one.removeprefix("armctl/").removesuffix("-v0"))
+        for env_id, cells in _tried(learner, envs).items():
+            alike.setdefault(tuple(cells), []).append(env_id.removeprefix("armctl/").removesuffix("-v0"))
         for cells, names in alike.items():
             table.add_row(learner, "all" if len(names) == len(envs) else ", ".join(names), *cells)
     Console(width=1_000).print(table)

@@ -1,4 +1,4 @@
-"""How soon PPO learns with and without an oracle's reward on the way: several seeds each, judged on held-out episodes.
+"""Learning curves of PPO with and without an oracle's reward: several seeds each, judged on held-out episodes.
 
 All variants learn from the task's own reward, by the same recipe, for as many steps; only the potential differs. Runs
 are kept in a folder, and go on where they were interrupted; with --plot-only, what is there is shown.
@@ -96,14 +96,14 @@ def _table(curves: pd.DataFrame, env: str, seeds: int) -> Table:
     )  # fmt: skip
     for variant, runs in curves.groupby("variant", sort=False):
         first = [run[run.success >= ENOUGH].head(1) for _, run in runs.groupby("seed")]
-        there = pd.concat(first)
+        reached = pd.concat(first)
         ends = np.array([run.success.iloc[-1] for _, run in runs.groupby("seed")])
-        missing = "" if len(there) == len(first) else f" ({len(first) - len(there)} never)"
+        missing = "" if len(reached) == len(first) else f" ({len(first) - len(reached)} never)"
         steps, minutes = (
             "never"
-            if there.empty
-            else f"{there[column].median():,.{digits}f} [{there[column].min():,.{digits}f}, "
-            f"{there[column].max():,.{digits}f}]{missing}"
+            if reached.empty
+            else f"{reached[column].median():,.{digits}f} [{reached[column].min():,.{digits}f}, "
+            f"{reached[column].max():,.{digits}f}]{missing}"
             for column, digits in (("steps", 0), ("minutes", 1))
         )
         table.add_row(str(variant), steps, minutes, f"{ends.mean():.0%}", f"{ends.min():.0%} to {ends.max():.0%}")

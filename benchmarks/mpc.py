@@ -1,4 +1,4 @@
-"""How quickly the arm's model-predictive controller decides, how near to the best its plans are, and by which solver.
+"""Decision time of the arm's model-predictive controller by solver, and distance of its plans from the best.
 
     python benchmarks/mpc.py [--states 200] [--repeats 5]
 
@@ -31,7 +31,7 @@ from armctl.scene import Boxes
 Array = NDArray[np.float64]
 
 DECISIONS = 25
-"""In an episode: most are there after 15."""
+"""Decisions in an episode: most are there after 15."""
 AMPLITUDE, RATE = 0.1, 2.0
 """m and rad/s of targets that swing to and fro."""
 BOXES = Boxes(np.array([[0.5, -0.3, 0.25], [-0.45, 0.35, 0.3], [0.1, 0.6, 0.15]]), np.full((3, 3), 0.08), np.zeros(3))
@@ -52,7 +52,7 @@ class Program:
 
 @dataclass
 class Run:
-    """What was met in closed loop."""
+    """Record of a closed loop."""
 
     situations: list[tuple[Any, ...]] = field(default_factory=list)
     plans: list[MpcResult] = field(default_factory=list)
@@ -61,7 +61,7 @@ class Run:
 
 
 def episodes(model: ArmModel) -> Iterator[tuple[Array, Array, Array]]:
-    """Targets (3,) m, how they swing, (3,) m, and a posture (dof,) that reaches them."""
+    """Yield targets (3,) m, how they swing, (3,) m, and a posture (dof,) that reaches them."""
     rng, ik, count = np.random.default_rng(0), Ik(model), 0
     while True:
         q = rng.uniform(-np.pi, np.pi, model.dof)
@@ -77,7 +77,7 @@ def episodes(model: ArmModel) -> Iterator[tuple[Array, Array, Array]]:
 
 
 def drive(model: ArmModel, options: ReachMpcOptions, states: int, record: bool = False) -> Run:
-    """A closed loop of that many decisions, in which the joints do what was planned."""
+    """Run a closed loop of that many decisions, in which the joints do what was planned."""
     mpc, run = ReachMpc(model, options), Run()
     if record:
         mpc._unconstrained.solve = recorder(mpc._unconstrained.qp, mpc._unconstrained.solve, run.programs)  # type: ignore[method-assign]
@@ -154,12 +154,12 @@ def proxqp_solver(first: Program, options: ReachMpcOptions) -> Callable[[Program
     solver = proxqp.sparse.QP(first.matrix.shape[1], int(equal.sum()), int((~equal).sum()))
     solver.settings.eps_abs = options.tolerance
     solver.settings.initial_guess = proxqp.InitialGuess.WARM_START
-    begun = []
+    initialised = []
 
     def solve(program: Program) -> Array:
         hessian = sparse.csc_matrix(program.hessian + sparse.triu(program.hessian, 1).T)
-        write = solver.update if begun else solver.init
-        begun.append(True)
+        write = solver.update if initialised else solver.init
+        initialised.append(True)
         write(
             H=hessian,
             g=program.gradient,
@@ -185,9 +185,9 @@ def times_and_solutions(solve: Callable[[Program], Array], programs: list[Progra
 
 
 def milliseconds(runs: list[list[float]]) -> tuple[str, str]:
-    """Median and 99 % of the least of several runs of the same decisions."""
-    least = 1e3 * np.min(runs, axis=0)
-    return f"{np.median(least):.2f}", f"{np.quantile(least, 0.99):.2f}"
+    """Return median and 99 % of the least of several runs of the same decisions."""
+    fastest = 1e3 * np.min(runs, axis=0)
+    return f"{np.median(fastest):.2f}", f"{np.quantile(fastest, 0.99):.2f}"
 
 
 def main(states: int = 200, repeats: int = 5) -> None:

@@ -1,4 +1,4 @@
-"""How the time-optimal reference holds: the least time that joint limits allow, against what policies need.
+"""Check of the time-optimal reference: the least time that joint limits allow, against what policies need.
 
     python benchmarks/optimality.py [--episodes 10000] [--policies reach_ik,reach_ppo,reach_mpc]
 
@@ -27,20 +27,21 @@ def main(episodes: int = 10_000, seed: int = 0, policies: str = "reach_ik,reach_
         "earlier by 1 control step", "by more", box=MARKDOWN, title_justify="left",
     )  # fmt: skip
     table.title = f"armctl/ArmReach-v0, {episodes:,} episodes, decisions over the least possible"
-    for name, played in comparison.episodes.groupby("policy", sort=False):
-        table.add_row(f"`{name}`", *row(played, next(one for one in comparison.policies if one.policy == name)))
+    summaries = {summary.policy: summary for summary in comparison.policies}
+    for name, group in comparison.episodes.groupby("policy", sort=False):
+        table.add_row(f"`{name}`", *row(group, summaries[name]))
     Console().print(table)
 
 
-def row(played: pd.DataFrame, summary) -> list[str]:
-    """Cells of one policy."""
-    ahead = (played.least_length - played.length)[played.success]
+def row(episodes: pd.DataFrame, summary) -> list[str]:
+    """Return the cells of one policy."""
+    ahead = (episodes.least_length - episodes.length)[episodes.success]
     gap = summary.optimality_gap
     return [
-        f"{played.success.mean():.2%}",
+        f"{episodes.success.mean():.2%}",
         f"{gap.value:.1%}",
         f"{gap.low:.1%} to {gap.high:.1%}",
-        f"{np.nanquantile(played.optimality_gap, 0.9):.1%}",
+        f"{np.nanquantile(episodes.optimality_gap, 0.9):.1%}",
         f"{(ahead == 1).sum()}",
         f"{(ahead > 1).sum()}",
     ]

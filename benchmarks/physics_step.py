@@ -1,4 +1,4 @@
-"""What a larger physics step gains in speed, and costs in fidelity, when the rover drives on the bridge.
+"""Gain in speed and loss in fidelity of a larger physics step, when the rover drives on the bridge.
 
     python benchmarks/physics_step.py [--runs 64] [--seconds 5]
 
@@ -29,7 +29,7 @@ HOLD = 5
 
 
 def drive(timestep: float, commands: np.ndarray) -> tuple[np.ndarray, float]:
-    """Final poses (runs, 3) after commands (decisions, runs, 2), and physics seconds simulated in a second."""
+    """Return final poses (runs, 3) after commands (decisions, runs, 2), and physics seconds simulated in a second."""
     runs = commands.shape[1]
     env = gymnasium.make_vec(
         "armctl/BridgeCross-v0",

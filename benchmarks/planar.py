@@ -18,16 +18,16 @@ from armctl.envs import TaskVectorEnv, make_worlds
 
 ROUNDS = 5
 OBSERVATIONS = {"state": ("state", "state"), "camera": ("camera", "ranges")}
-"""What worlds with and without physics show."""
+"""Observations of worlds with and without physics."""
 
 
 def main(env: str = "armctl/BridgeCrossMoving-v0", worlds: int = 256, seconds: float = 3.0) -> None:
     """Print a row for each observation."""
     table = Table("observation", "with physics", "without", "ratio", box=MARKDOWN)
-    for name, (true, drawn) in OBSERVATIONS.items():
+    for name, (true, kinematic) in OBSERVATIONS.items():
         pair = [
             make_worlds(env, worlds, {"observation": true}),
-            make_worlds(env, worlds, {"observation": drawn, "dynamics": "kinematic"}),
+            make_worlds(env, worlds, {"observation": kinematic, "dynamics": "kinematic"}),
         ]
         for each in pair:
             steps_per_second(each, 0.1)  # compiles

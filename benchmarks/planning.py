@@ -1,4 +1,4 @@
-"""How quickly paths over the bridge are found, how near to the shortest they are, and how near to the blocks.
+"""Time of planners over the bridge, excess of their paths over the shortest, and clearance from the blocks.
 
     python benchmarks/planning.py [--layouts 200] [--reference 20] [--seconds 5]
 
@@ -34,10 +34,10 @@ NO_PATH = np.zeros((0, 2))
 
 
 def layouts(count: int) -> list[BridgeMap]:
-    """Maps of the static world, and of the moving one, in turn."""
+    """Return maps of the static world, and of the moving one, in turn."""
     rng = np.random.default_rng(0)
-    drawn = [sample_layout(rng, 20.0, 4.0, *((7, 0) if i % 2 == 0 else (3, 3)), 1).map for i in range(count)]
-    return [bridge.with_lanes_blocked() for bridge in drawn]
+    maps = [sample_layout(rng, 20.0, 4.0, *((7, 0) if i % 2 == 0 else (3, 3)), 1).map for i in range(count)]
+    return [bridge.with_lanes_blocked() for bridge in maps]
 
 
 class Edges(base.MotionValidator):
@@ -63,13 +63,13 @@ class Places(base.StateValidityChecker):
 
 
 def by_ompl(planner: str, seconds: float, simplify: bool = False) -> Callable[[BridgeMap], Array]:
-    """A planner of OMPL as it comes, with a wall-clock budget."""
+    """Return a planner of OMPL as it comes, with a wall-clock budget."""
 
     def plan(bridge: BridgeMap) -> Array:
         def state(x: float, y: float) -> base.State:
-            one = space.allocState()
-            one[0], one[1] = x, y
-            return one
+            ompl_state = space.allocState()
+            ompl_state[0], ompl_state[1] = x, y
+            return ompl_state
 
         space, bounds = base.RealVectorStateSpace(2), base.RealVectorBounds(2)
         side = bridge.half_width - CLEARANCE
@@ -100,7 +100,7 @@ def by_ompl(planner: str, seconds: float, simplify: bool = False) -> Callable[[B
         path = problem.getSolutionPath()
         if simplify:
             geometric.PathSimplifier(information).simplifyMax(path)
-        return np.array([one[0:2] for one in path.getStates()])
+        return np.array([ompl_state[0:2] for ompl_state in path.getStates()])
 
     return plan
 
@@ -114,7 +114,7 @@ def length(path: Array) -> float:
 
 
 def shortest_length(bridge: BridgeMap) -> float:
-    """By a visibility graph over points every 3 degrees around the corners: at most 0.04 % longer than the shortest."""
+    """Return the length by a visibility graph over points every 3 degrees around corners: at most 0.04 % too long."""
     turns = np.radians(np.arange(0, 360, 3))
     ring = (CLEARANCE + 1e-9) / np.cos(np.radians(1.5)) * np.column_stack((np.cos(turns), np.sin(turns)))
     points = np.vstack((START, (bridge.corners.reshape(-1, 1, 2) + ring).reshape(-1, 2)))
@@ -129,7 +129,7 @@ def shortest_length(bridge: BridgeMap) -> float:
 
 
 def clearance(bridge: BridgeMap, path: Array) -> float:
-    """Distance from a path to the nearest block or side, m, by shapely."""
+    """Return the distance from a path to the nearest block or side, m, by shapely."""
     sides = shapely.box(0, -bridge.half_width, bridge.length, bridge.half_width).exterior
     boxes = [
         affinity.translate(affinity.rotate(shapely.box(-a, -b, a, b), yaw, origin=(0, 0), use_radians=True), x, y)
@@ -161,8 +161,8 @@ def main(count: int = typer.Option(200, "--layouts"), reference: int = 20, secon
             paths[name].append(plan(bridge))
             times[name].append(1e3 * (time.perf_counter() - begin))
     best = np.array([shortest_length(bridge) for bridge in maps])
-    for found in paths.values():
-        best[: len(found)] = np.minimum(best[: len(found)], [length(path) for path in found])
+    for solutions in paths.values():
+        best[: len(solutions)] = np.minimum(best[: len(solutions)], [length(path) for path in solutions])
     table = Table(
         "", "found", "median ms", "99 %", "over the shortest: median", "most", "smallest clearance, m",
         title=f"{count} layouts, {reference} for {patient}; clearance {CLEARANCE} m",

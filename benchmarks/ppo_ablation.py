@@ -1,4 +1,4 @@
-"""What makes reaching learnable for PPO: the recipe, and the same without each of its parts.
+"""Ablation of the PPO recipe for reaching: the recipe, and the same without each of its parts.
 
     python benchmarks/ppo_ablation.py [--steps 1000000] [--seed 0]
 

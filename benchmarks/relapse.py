@@ -1,4 +1,4 @@
-"""Whether something has become slower: processor times as ratios to references, measured in turns in one run.
+"""Check for slower code: processor times as ratios to references, measured in turns in one run.
 
     python benchmarks/relapse.py            # measure, and print a table
     python benchmarks/relapse.py --keep     # keep these ratios in benchmarks/relapse.csv
@@ -39,27 +39,27 @@ REACH, BRIDGE = "armctl/ArmReach-v0", "armctl/BridgeCross-v0"
 WORLDS = 256
 
 Work = Callable[[int], object]
-"""What is timed; it is called with 0, 1, 2 ..."""
+"""Function that is timed; it is called with 0, 1, 2 ..."""
 
 
 def sorting() -> Work:
-    """A fixed piece of compiled code with many branches, of about a millisecond."""
+    """Run a fixed piece of compiled code with many branches, of about a millisecond."""
     numbers = np.random.default_rng(0).random(5_000).tolist()
     return lambda i: sorted(numbers)
 
 
 def inverse_kinematics() -> tuple[Work, Work]:
-    """All branches of a UR5, checked; EAIK alone."""
+    """Compute all branches of a UR5, checked; EAIK alone."""
     model = ArmModel("ur5")
     ik, rng = Ik(model), np.random.default_rng(0)
     poses = [model.pose(q) for q in rng.uniform(-np.pi, np.pi, (256, model.dof))]
     assert ik.closed_form
-    alone = ik.closed_form
-    return lambda i: ik.pose(poses[i % 256]), lambda i: alone(poses[i % 256])
+    closed_form = ik.closed_form
+    return lambda i: ik.pose(poses[i % 256]), lambda i: closed_form(poses[i % 256])
 
 
 def reach_control() -> tuple[Work, Work]:
-    """A decision of the arm's controller near its target; OSQP's solution of the same quadratic program."""
+    """Make a decision of the arm's controller near its target; OSQP's solution of the same quadratic program."""
     model = ArmModel("ur5")
     mpc = ReachMpc(model, ReachMpcOptions())
     target, q = model.position(model.home) + 0.1, model.home
@@ -74,7 +74,7 @@ def reach_control() -> tuple[Work, Work]:
 
 
 def first_decision() -> tuple[Work, Work]:
-    """The IK expert's plan for an episode."""
+    """Make the IK expert's plan for an episode."""
     model = ArmModel("ur5")
     search, workspace, rng = MinimumTimeReach(model), Workspace(model), np.random.default_rng(0)
     targets = [workspace.sample(rng, clearance=0.05) for _ in range(64)]
@@ -82,7 +82,7 @@ def first_decision() -> tuple[Work, Work]:
 
 
 def arm_plan() -> tuple[Work, Work]:
-    """A path of the arm around boxes."""
+    """Plan a path of the arm around boxes."""
     model, rng = ArmModel("ur5"), np.random.default_rng(0)
     planner, workspace = ArmPlanner(model), Workspace(model)
     layouts = [reach_layout(rng, workspace, 0.05) for _ in range(16)]
@@ -95,27 +95,27 @@ def arm_plan() -> tuple[Work, Work]:
 
 
 def bridge_plan() -> tuple[Work, Work]:
-    """A path over the bridge."""
+    """Plan a path over the bridge."""
     rng = np.random.default_rng(0)
     maps = [bridge_layout(rng, 20.0, 4.0, 7, 0, 1).map for _ in range(32)]
     return lambda i: plan_path(maps[i % 32], (1.0, 0.0), 19.0), sorting()
 
 
 def stepped(env: str, worlds: int | None, oracle: str | None = None) -> tuple[Work, Work]:
-    """A control step of an environment; raw `mj_step` on as many worlds of its model, at rest."""
-    made = gymnasium.make(env) if worlds is None else gymnasium.make_vec(env, num_envs=worlds, threads=1)
-    made = made if oracle is None else Shaped(made, oracle, gamma=0.97)
-    made.reset(seed=0)
-    made.action_space.seed(0)
-    actions = [made.action_space.sample() for _ in range(50)]
-    task = made.unwrapped.task
+    """Make a control step of an environment; raw `mj_step` on as many worlds of its model, at rest."""
+    playing = gymnasium.make(env) if worlds is None else gymnasium.make_vec(env, num_envs=worlds, threads=1)
+    playing = playing if oracle is None else Shaped(playing, oracle, gamma=0.97)
+    playing.reset(seed=0)
+    playing.action_space.seed(0)
+    actions = [playing.action_space.sample() for _ in range(50)]
+    task = playing.unwrapped.task
     data = mujoco.MjData(task.simulation.model)
     mujoco.mj_resetDataKeyframe(task.simulation.model, data, 0)
 
     def step(i: int) -> None:
-        _, _, terminated, truncated, _ = made.step(actions[i % 50])
+        _, _, terminated, truncated, _ = playing.step(actions[i % 50])
         if worlds is None and (terminated or truncated):
-            made.reset()
+            playing.reset()
 
     def raw(i: int) -> None:
         for _ in range(worlds or 1):
@@ -138,19 +138,19 @@ CASES: dict[str, Callable[[], tuple[Work, Work]]] = {
 
 
 def measured(case: Callable[[], tuple[Work, Work]]) -> float:
-    """The median ratio of the time of one call to that of its reference."""
+    """Return the median ratio of the time of one call to that of its reference."""
     contenders = case()
     for work in contenders:
         work(0)  # compiles
     return float(np.median([np.divide(*(_seconds(work) for work in contenders)) for _ in range(ROUNDS)]))
 
 
-def least(case: Callable[[], tuple[Work, Work]], bound: float) -> float:
-    """The least ratio of up to three measurements, the first at most `bound` ends: other work on a machine shows."""
-    found = measured(case)
-    for _ in range(2 if found > bound else 0):
-        found = min(found, measured(case))
-    return found
+def min_ratio(case: Callable[[], tuple[Work, Work]], bound: float) -> float:
+    """Return the least ratio of up to three measurements, since other work disturbs; one below `bound` suffices."""
+    ratio = measured(case)
+    for _ in range(2 if ratio > bound else 0):
+        ratio = min(ratio, measured(case))
+    return ratio
 
 
 def _seconds(work: Work) -> float:
@@ -169,18 +169,18 @@ def main(
     """Measure, and print a table."""
     kept = pd.read_csv(KEPT, index_col="case").ratio.to_dict() if KEPT.exists() else {}
     chosen = {name: case for name, case in CASES.items() if only in name}
-    found = {
-        name: least(case, WORSE * kept.get(name, np.inf))
+    ratios = {
+        name: min_ratio(case, WORSE * kept.get(name, np.inf))
         for name, case in track(chosen.items(), "timing", console=Console(stderr=True), transient=True)
     }
     table = Table("", "now", "kept", "change", title=f"armctl {armctl.__version__}", title_justify="left", box=MARKDOWN)
-    for name, ratio in found.items():
-        before = kept.get(name, np.nan)
-        table.add_row(name, f"{ratio:.2f}", f"{before:.2f}", f"{ratio / before - 1:+.0%}")
+    for name, ratio in ratios.items():
+        kept_ratio = kept.get(name, np.nan)
+        table.add_row(name, f"{ratio:.2f}", f"{kept_ratio:.2f}", f"{ratio / kept_ratio - 1:+.0%}")
     Console().print(table)
     if keep:
-        pd.Series(kept | found, name="ratio").round(3).rename_axis("case").to_csv(KEPT)
-    slower = [name for name, ratio in found.items() if ratio > WORSE * kept.get(name, np.inf)]
+        pd.Series(kept | ratios, name="ratio").round(3).rename_axis("case").to_csv(KEPT)
+    slower = [name for name, ratio in ratios.items() if ratio > WORSE * kept.get(name, np.inf)]
     if check and slower:
         raise SystemExit(f"slower than {WORSE} times what was kept: {', '.join(slower)}")
 

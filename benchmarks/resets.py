@@ -34,7 +34,7 @@ Contender = Callable[[int], int]
 
 
 def raw(env: str, worlds: int) -> Contender:
-    """MuJoCo's own reset of as many worlds, one after the other."""
+    """Run MuJoCo's own reset of as many worlds, one after the other."""
     model = gymnasium.make(env).unwrapped.task.simulation.model
     data = mujoco.MjData(model)
 
@@ -49,30 +49,30 @@ def raw(env: str, worlds: int) -> Contender:
 
 def batched(env: str, worlds: int, **options: Any) -> Contender:
     """`reset` of worlds that are made already, each time with seeds of its own."""
-    made = gymnasium.make_vec(env, num_envs=worlds, **options)
-    made.reset(seed=0)  # reads the pool
+    vec_env = gymnasium.make_vec(env, num_envs=worlds, **options)
+    vec_env.reset(seed=0)  # reads the pool
 
     def reset(number: int) -> int:
-        made.reset(seed=FIRST_SEED + worlds * number)
+        vec_env.reset(seed=FIRST_SEED + worlds * number)
         return worlds
 
     return reset
 
 
 def made_and_reset(env: str, worlds: int) -> Contender:
-    """`gym.make_vec`, and one `reset`."""
+    """Run `gym.make_vec`, and one `reset`."""
 
     def reset(number: int) -> int:
-        made = gymnasium.make_vec(env, num_envs=worlds)
-        made.reset(seed=FIRST_SEED + worlds * number)
-        made.close()
+        vec_env = gymnasium.make_vec(env, num_envs=worlds)
+        vec_env.reset(seed=FIRST_SEED + worlds * number)
+        vec_env.close()
         return worlds
 
     return reset
 
 
 def measured(contenders: dict[str, Contender], rounds: int, title: str) -> Table:
-    """Processor time in all and a world, and how many times the first contender's a world."""
+    """Return processor time in all and a world, and how many times the first contender's a world."""
     taken = np.zeros((len(contenders), rounds))
     worlds = np.zeros(len(contenders))
     for number in track(range(rounds), console=Console(stderr=True), transient=True, auto_refresh=False):

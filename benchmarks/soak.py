@@ -1,4 +1,4 @@
-"""What hostile actions do to the physics: worlds that explode, silent resets, and how far limits are exceeded.
+"""Effect of hostile actions on the physics: worlds that explode, silent resets, and excess over limits.
 
     python benchmarks/soak.py [--steps 1000000] [--env ArmReach-v0] [--control torque] [--disturbed] [--seed 0]
 
@@ -93,7 +93,7 @@ class Meter:
         self._task, self._simulation, self._batch = task, task.simulation, task.simulation._batch
         stepper = BatchSteps.take_over(task.simulation)
         self.limit_excess, self.penetration, self.speed_ratio, self.silent_resets = np.zeros((4, task.n))
-        self._now = np.zeros((3, task.n))
+        self._current = np.zeros((3, task.n))
         self._qpos, self._time, self._sensors = (
             self._simulation.array(name) for name in ("qpos", "time", "sensordata")
         )
@@ -119,7 +119,7 @@ class Meter:
         """Do nothing."""
 
     def _measured(self, substeps: int, worlds: NDArray[np.int32]) -> None:
-        self._now[:], end = 0.0, self._time[worlds] + substeps * self._simulation.model.opt.timestep
+        self._current[:], end = 0.0, self._time[worlds] + substeps * self._simulation.model.opt.timestep
         self._tick(substeps, worlds)
         going_on = ~self._simulation.unstable[worlds]
         self.silent_resets[worlds] += going_on & (np.abs(self._time[worlds] - end) > 1e-6)
@@ -127,13 +127,13 @@ class Meter:
         self._measure_depth()
         if self._depth is None:
             self._read_contacts()
-        for worst, now in zip((self.limit_excess, self.speed_ratio, self.penetration), self._now, strict=True):
-            worst[worlds[going_on]] = np.maximum(worst, now)[worlds[going_on]]
+        for worst, current in zip((self.limit_excess, self.speed_ratio, self.penetration), self._current, strict=True):
+            worst[worlds[going_on]] = np.maximum(worst, current)[worlds[going_on]]
 
     def _one_by_one(self, ids: NDArray[np.int32] | None = None, nstep: int = 1, stage: int = 0) -> None:
-        """`Batch.step`, measured before each physics step. Steps that are taken back do not count."""
+        """Run `Batch.step`, measured before each physics step. Steps that are taken back do not count."""
         for k in range(nstep):
-            self._now[:, self._time < self._reached] = 0.0
+            self._current[:, self._time < self._reached] = 0.0
             self._measure()
             self._batch_step(ids, nstep=1, stage=stage if k == nstep - 1 else 0)
             self._reached = self._time.copy()
@@ -141,22 +141,22 @@ class Meter:
 
     def _measure(self) -> None:
         speed = (np.abs(np.nan_to_num(self._speeds, nan=np.inf)) / self._limits.speed).max(axis=1)
-        self._now[1] = np.maximum(self._now[1], speed)
+        self._current[1] = np.maximum(self._current[1], speed)
         if self._limits.position is not None:
             lowest, highest = self._limits.position
             excess = np.maximum(self._qpos - highest, lowest - self._qpos).max(axis=1)
-            self._now[0] = np.fmax(self._now[0], excess)
+            self._current[0] = np.fmax(self._current[0], excess)
 
     def _measure_depth(self) -> None:
         if self._depth is not None:
-            self._now[2] = np.maximum(self._now[2], -self._sensors[:, self._depth])
+            self._current[2] = np.maximum(self._current[2], -self._sensors[:, self._depth])
 
     def _read_contacts(self) -> None:
         for i in np.flatnonzero(self._sensors[:, self._any_depth] < 0):
             contacts = self._simulation.data(int(i)).contact
             pairs = map(frozenset, contacts.geom.tolist())
             hard = [not self._soft & pair and pair not in self._overlapping[i] for pair in pairs]
-            self._now[2, i] = -contacts.dist[hard].min(initial=0.0)
+            self._current[2, i] = -contacts.dist[hard].min(initial=0.0)
 
 
 class Hostile:
@@ -170,7 +170,7 @@ class Hostile:
         self._held, self._walk = self._extremes(), np.zeros((n, len(self._low)))
 
     def __call__(self) -> Array:
-        """Actions (n, k) within the bounds."""
+        """Return actions (n, k) within the bounds."""
         n, k = self._walk.shape
         change = self._rng.random(n) < 1 / HOLD
         self._held[change] = self._extremes()[change]
@@ -187,7 +187,7 @@ class Hostile:
         return self._rng.choice((-1.0, 1.0), (self._env.num_envs, len(self._low)))
 
     def _push(self) -> Array:
-        """Arms: hand down, as hard as it goes. Rovers: full speed, in a curve, into what stands at the side."""
+        """Push: arms move the hand down, as hard as it goes; rovers drive fast in a curve into the side."""
         task: Any = self._env.task
         if not isinstance(task, ReachTask):
             return np.column_stack((np.ones(self._env.num_envs), 0.15 * self._held[:, 1]))
@@ -198,7 +198,7 @@ class Hostile:
 
 @dataclass
 class Row:
-    """One row of the table."""
+    """Row of the table."""
 
     env: str
     control: str
@@ -222,41 +222,42 @@ def soak(
     task, most_steps, options, _ = ENVIRONMENTS[env]
     chosen = options | ({"control": control} if env.startswith("Arm") else {})
     worlds = max(len(ACTIONS), min(worlds, steps // most_steps // len(ACTIONS) * len(ACTIONS)))
-    made = TaskVectorEnv(
+    vec_env = TaskVectorEnv(
         worlds, task=task, max_episode_steps=most_steps, autoreset_mode="same_step", disturbances=disturbances, **chosen
     )
-    meter, act = Meter(made.task, "mismatch" in disturbances), Hostile(made, np.random.default_rng(seed))
-    made.observers.append(meter)
-    made.reset(seed=seed)
+    meter, act = Meter(vec_env.task, "mismatch" in disturbances), Hostile(vec_env, np.random.default_rng(seed))
+    vec_env.observers.append(meter)
+    vec_env.reset(seed=seed)
     not_finite, unstable = np.zeros((2, worlds))
     episodes = np.zeros(worlds, dtype=int)
     turns = -(-steps // worlds)
     memory = 0.0
     for turn in range(turns):
-        observations, rewards, terminated, truncated, infos = made.step(act())
+        observations, rewards, terminated, truncated, infos = vec_env.step(act())
         parts = observations.values() if isinstance(observations, dict) else (observations,)
         finite = np.isfinite(rewards)
         for part in parts:
             finite &= np.isfinite(part).reshape(worlds, -1).all(axis=1)
         not_finite += ~finite
         final = infos.get("final_info", infos)
-        unstable += (final["outcome_id"] == made.outcomes.index("unstable")) & (terminated | truncated)
+        unstable += (final["outcome_id"] == vec_env.outcomes.index("unstable")) & (terminated | truncated)
         episodes += terminated | truncated
         if turn == turns // 4:
             memory = _memory()
     memory = _memory() - memory
-    made.close()
+    vec_env.close()
     for kind, name in enumerate(ACTIONS):
-        its = act.kinds == kind
+        of_kind = act.kinds == kind
         yield Row(
-            env, control, label, name, turns * int(its.sum()), int(episodes[its].sum()), int(not_finite[its].sum()),
-            int(meter.silent_resets[its].sum()), int(unstable[its].sum()), float(meter.limit_excess[its].max()),
-            float(meter.penetration[its].max()), float(meter.speed_ratio[its].max()), memory,
+            env, control, label, name, turns * int(of_kind.sum()), int(episodes[of_kind].sum()),
+            int(not_finite[of_kind].sum()), int(meter.silent_resets[of_kind].sum()), int(unstable[of_kind].sum()),
+            float(meter.limit_excess[of_kind].max()), float(meter.penetration[of_kind].max()),
+            float(meter.speed_ratio[of_kind].max()), memory,
         )  # fmt: skip
 
 
 def highest_levels(env: str) -> dict[str, float]:
-    """The level of each disturbance that is farthest from the one that changes nothing."""
+    """Return the level of each disturbance that is farthest from the one that changes nothing."""
     task, _, options, _ = ENVIRONMENTS[env]
     specs = available(task.disturbances, TaskVectorEnv(1, task=task, **options).task)
     return {name: spec.strongest for name, spec in specs.items()}
@@ -283,7 +284,7 @@ def _table(rows: list[Row], title: str) -> Table:
 
 
 def _merged(rows: list[Row]) -> Row:
-    """All kinds of actions in one row."""
+    """Merge all kinds of actions into one row."""
     counts = {name: sum(getattr(row, name) for row in rows) for name in (
         "steps", "episodes", "not_finite", "silent_resets", "unstable",
     )}  # fmt: skip
@@ -305,17 +306,17 @@ def main(
     """Measure, and print a table; with `--each`, a row for each kind of actions."""
     start, rows = time.perf_counter(), []
     for name in [name for name in ENVIRONMENTS if env in name]:
-        controls = [one for one in ENVIRONMENTS[name][3] if control in one]
+        controls = [item for item in ENVIRONMENTS[name][3] if control in item]
         highest = highest_levels(name) if disturbed else {}
-        trials = [(f"{one} {level:g}", {one: level}) for one, level in highest.items()]
+        trials = [(f"{item} {level:g}", {item: level}) for item, level in highest.items()]
         trials += (
             [("all", highest), ("all, motors whole", highest | {"strength": 1.0})] if disturbed else [("none", {})]
         )
         for mode in controls:
             for label, levels in trials:
                 share = steps // len(controls) // len(trials)
-                found = list(soak(name, mode, share, worlds, seed, levels, label))
-                rows += found if each else [_merged(found)]
+                results = list(soak(name, mode, share, worlds, seed, levels, label))
+                rows += results if each else [_merged(results)]
                 Console(stderr=True).print(rows[-1])
     Console(width=250).print(_table(rows, f"{steps:,} control steps per environment, seed {seed}"))
     print(f"armctl {armctl.__version__}, {(time.perf_counter() - start) / 60:.0f} minutes")

@@ -58,19 +58,19 @@ COMMAND = r"(?P<form>in short: |as printed: )?(?P<command>(?:python benchmarks/|
 BLOCK = re.compile(
     rf"^<!-- (?P<heading>{COMMAND}|record of [^>]*?) -->$(?P<body>.*?)^<!-- end -->$", re.MULTILINE | re.DOTALL
 )
-SHOWN = re.compile(r"^<!-- shows (.*) -->$", re.MULTILINE)
+MARKS = re.compile(r"^<!-- shows (.*) -->$", re.MULTILINE)
 WIDTH = "400"
 """Characters of the terminal that a benchmark gets, so that no cell is wrapped."""
 TERMINAL = "80"
 """Characters of a terminal as it is printed."""
 OUT = "results/test"
 BRIEF_COLUMNS = 6
-"""Of a comparison's table in short: those up to what a policy sees."""
+"""Columns of a comparison's table in short: those up to what a policy sees."""
 TEST = "test seed"
 
 
 def renewed(page: str, chosen: Callable[[re.Match[str]], bool] = lambda block: True) -> str:
-    """A page with new tables from the commands of the chosen blocks, or of all."""
+    """Return a page with new tables from the commands of the chosen blocks, or of all."""
     return BLOCK.sub(lambda block: _run(block) if block["command"] and chosen(block) else block[0], page)
 
 
@@ -81,8 +81,8 @@ def _run(block: re.Match[str]) -> str:
         parts = _of_armctl(command, form, Path(folder)) if command.startswith("armctl ") else _of_benchmark(command)
     body = "\n\n".join([*parts, f"`{command}`, {datetime.date.today()}, armctl {armctl.__version__}"])
     marks = ", ".join(f"{name} {checksum}" for name, checksum in checksums(command, body).items())
-    shown = f"\n\n<!-- shows {marks} -->" if marks else ""
-    return f"<!-- {block['heading']} -->\n\n{body}{shown}\n\n<!-- end -->"
+    marker = f"\n\n<!-- shows {marks} -->" if marks else ""
+    return f"<!-- {block['heading']} -->\n\n{body}{marker}\n\n<!-- end -->"
 
 
 def _of_armctl(command: str, form: str, folder: Path) -> list[str]:
@@ -92,8 +92,8 @@ def _of_armctl(command: str, form: str, folder: Path) -> list[str]:
         return ["\n".join(("```text", *lines, "```"))]
     parts = results(_printed([*words, "--format", "markdown"], folder))
     if command.startswith("armctl sweep "):
-        told = [f"> {part.strip('*')}" for part in parts if part.startswith("**Under ")]
-        return [*pivoted(pd.read_csv(folder / OUT / "sweep.csv")), *told]
+        notes = [f"> {part.strip('*')}" for part in parts if part.startswith("**Under ")]
+        return [*pivoted(pd.read_csv(folder / OUT / "sweep.csv")), *notes]
     return brief(parts) if form else parts
 
 
@@ -109,42 +109,42 @@ def _printed(words: Sequence[str], folder: Path, width: str = WIDTH) -> str:
 
 
 def results(printed: str) -> list[str]:
-    """A comparison in Markdown, without titles and the table of pairs; how episodes ended is a list."""
+    """Return a comparison in Markdown, without titles and the table of pairs; how episodes ended is a list."""
     paragraphs = [part.strip() for part in printed.split("\n\n")]
     dropped = re.compile(r"\*\*[^\n]*episodes of seed|\*\*Paired|\| a - b|p: McNemar")
     return [re.sub(r"^(\S+: \d)", r"- \1", part) for part in paragraphs if not dropped.match(part)]
 
 
 def pivoted(points: pd.DataFrame) -> list[str]:
-    """A sweep's success in %, and its 95 % intervals: a row for each policy, a column for each level."""
+    """Return a sweep's success in %, and its 95 % intervals: a row for each policy, a column for each level."""
     neutral = ~points.duplicated(["disturbance", "policy"])
     cells: dict[str, dict[str, tuple[str, str]]] = {}
     for row, is_neutral in zip(points.to_dict("records"), neutral, strict=True):
         column = "undisturbed" if is_neutral else f"{row['disturbance']} {row['level']:g}"
         value, low, high = (f"{100 * row[name]:.0f}" for name in ("success", "low", "high"))
-        shown = ("spared", "") if row["spared"] else (value, f"{low} to {high}")
-        cells.setdefault(row["policy"], {}).setdefault(column, shown)
+        texts = ("spared", "") if row["spared"] else (value, f"{low} to {high}")
+        cells.setdefault(row["policy"], {}).setdefault(column, texts)
     columns = dict.fromkeys(column for by_column in cells.values() for column in by_column)
     heading = f"| | {' | '.join(columns)} |\n|{'---|' * (len(columns) + 1)}"
-    made = []
+    parts = []
     for part in (0, 1):
         lines = (
             f"| `{policy}` | {' | '.join(by_column.get(column, ('-', ''))[part] for column in columns)} |"
             for policy, by_column in cells.items()
         )
-        made.append("\n".join((heading, *lines)))
-    return [made[0], "95 % intervals:", made[1]]
+        parts.append("\n".join((heading, *lines)))
+    return [parts[0], "95 % intervals:", parts[1]]
 
 
 def brief(parts: Sequence[str]) -> list[str]:
-    """The first columns of a comparison's table, and its verdict."""
+    """Return the first columns of a comparison's table, and its verdict."""
     rows = (line.split(" | ") for line in parts[0].splitlines())
     table = "\n".join(" | ".join(row[:BRIEF_COLUMNS]) + " |" for row in rows)
     return [table, *(f"> {part.strip('*')}" for part in parts if part.startswith("**"))]
 
 
 def tables(printed: str) -> list[str]:
-    """The Markdown tables in what a benchmark prints, without the padding, and with a space before %."""
+    """Return the Markdown tables in what a benchmark prints, without the padding, and with a space before %."""
     lines = map(_narrow, printed.splitlines())
     groups = itertools.groupby(lines, lambda line: line.startswith("|"))
     return ["\n".join(group) for is_table, group in groups if is_table]
@@ -157,20 +157,20 @@ def _narrow(line: str) -> str:
 
 
 def stale(block: re.Match[str]) -> list[str]:
-    """The policies in a block, or the test's seed, that are others now than when it was made."""
+    """Return the policies in a block, or the test's seed, that are others now than when it was made."""
     if not block["command"]:
         return []
-    stored = SHOWN.search(block["body"])
-    before = dict(one.rsplit(" ", 1) for one in stored[1].split(", ")) if stored else {}
-    now = checksums(block["command"], block["body"])
-    return [name for name in {**before, **now} if before.get(name) != now.get(name)]
+    stored = MARKS.search(block["body"])
+    stored_checksums = dict(mark.rsplit(" ", 1) for mark in stored[1].split(", ")) if stored else {}
+    present = checksums(block["command"], block["body"])
+    return [name for name in {**stored_checksums, **present} if stored_checksums.get(name) != present.get(name)]
 
 
 def checksums(command: str, body: str) -> dict[str, str]:
-    """A checksum of each policy that a block's command or body names, and the test's seed if that is played."""
-    words = set(re.findall(r"\w+", SHOWN.sub("", f"{command} {body}").replace("\\", "")))
-    shown = {name: _checksum_of(name) for name in policy_names() if name in words}
-    return shown | ({TEST: str(TEST_SEED)} if "--seed test" in command else {})
+    """Return a checksum of each policy that a block's command or body names, and the test's seed if it is played."""
+    words = set(re.findall(r"\w+", MARKS.sub("", f"{command} {body}").replace("\\", "")))
+    policies = {name: _checksum_of(name) for name in policy_names() if name in words}
+    return policies | ({TEST: str(TEST_SEED)} if "--seed test" in command else {})
 
 
 @functools.cache
@@ -200,9 +200,9 @@ def main() -> None:
     parser.add_argument("--check", action="store_true", help="make none; name the stale ones, and fail if there are")
     arguments = parser.parse_args()
     if arguments.check:
-        found = list(stale_blocks())
-        print("\n".join(found) or "No table is older than a policy that it shows.")
-        sys.exit(bool(found))
+        blocks = list(stale_blocks())
+        print("\n".join(blocks) or "No table is older than a policy that it shows.")
+        sys.exit(bool(blocks))
 
     def chosen(block: re.Match[str]) -> bool:
         named = not arguments.words or any(word in block["command"] for word in arguments.words)

@@ -44,34 +44,34 @@ class Recording:
     """Episodes of random actions, decision by decision, in some worlds: (decisions, worlds, ...) each."""
 
     states: np.ndarray
-    """At the decisions."""
+    """States at the decisions."""
     fields: dict[str, np.ndarray]
-    """Of models, where worlds have their own."""
+    """Fields of models, where worlds have their own."""
     commands: np.ndarray
-    """What the motors are told."""
+    """Commands of the motors."""
     refined: np.ndarray
     """Ticks of the drives that are repeated in finer steps."""
 
     @classmethod
     def of(cls, env: str, worlds: int = 32) -> "Recording":
         """Play the first episodes of `worlds` worlds."""
-        made = gymnasium.make_vec(env, num_envs=worlds)
-        made.reset(seed=0)
-        made.action_space.seed(0)
-        simulation, rows = made.unwrapped.task.simulation, []
+        vec_env = gymnasium.make_vec(env, num_envs=worlds)
+        vec_env.reset(seed=0)
+        vec_env.action_space.seed(0)
+        simulation, rows = vec_env.unwrapped.task.simulation, []
         ctrl = simulation.array("ctrl")
         for _ in range(EPISODE):
             live = {name: values.copy() for name, values in simulation.live_arrays.items()}
-            made.step(made.action_space.sample())
+            vec_env.step(vec_env.action_space.sample())
             rows.append(live | {"ctrl": ctrl.copy(), "refined": simulation.refined.copy()})
         stacked = {name: np.stack([row[name] for row in rows]) for name in rows[0] if name != "unstable"}
         return cls(stacked.pop("state"), commands=stacked.pop("ctrl"), refined=stacked.pop("refined"), fields=stacked)
 
 
 def raw(env: str, threads: int, finer: bool) -> Contender:
-    """`mj_step` on `threads` threads, from the states and along the commands of a recording, a decision at a time."""
-    task, played = gymnasium.make(env).unwrapped.task, Recording.of(env)
-    fine_steps = finer * FINER * played.refined * (task.substeps // len(task.joints.part.speeds))
+    """Run `mj_step` on `threads` threads, from states and along commands of a recording, a decision at a time."""
+    task, recording = gymnasium.make(env).unwrapped.task, Recording.of(env)
+    fine_steps = finer * FINER * recording.refined * (task.substeps // len(task.joints.part.speeds))
 
     def loop(seconds: float) -> float:
         model, fine_model = copy.copy(task.simulation.model), copy.copy(task.simulation.model)
@@ -79,13 +79,13 @@ def raw(env: str, threads: int, finer: bool) -> Contender:
         data, decisions, end = mujoco.MjData(model), 0, time.perf_counter() + seconds
         while time.perf_counter() < end:
             world, step = divmod(decisions, EPISODE)
-            now = step, world % played.states.shape[1]
-            for name, values in played.fields.items():
-                getattr(model, name)[: len(values[now])] = values[now]
-            mujoco.mj_setState(model, data, played.states[now], mujoco.mjtState.mjSTATE_INTEGRATION)
-            data.ctrl[:] = played.commands[now]
+            moment = step, world % recording.states.shape[1]
+            for name, values in recording.fields.items():
+                getattr(model, name)[: len(values[moment])] = values[moment]
+            mujoco.mj_setState(model, data, recording.states[moment], mujoco.mjtState.mjSTATE_INTEGRATION)
+            data.ctrl[:] = recording.commands[moment]
             mujoco.mj_step(model, data, nstep=task.substeps)
-            if count := fine_steps[now]:
+            if count := fine_steps[moment]:
                 mujoco.mj_step(fine_model, data, nstep=count)
             decisions += 1
         return decisions * task.substeps / seconds
@@ -98,7 +98,7 @@ def raw(env: str, threads: int, finer: bool) -> Contender:
 
 
 def timed(step: Callable[[int], object], physics_steps: int) -> Contender:
-    """Calls `step` with 0, 1, 2 ..., each worth `physics_steps`."""
+    """Time `step` with 0, 1, 2 ..., each worth `physics_steps`."""
 
     def run(seconds: float) -> float:
         calls, start = 0, time.perf_counter()
@@ -111,37 +111,37 @@ def timed(step: Callable[[int], object], physics_steps: int) -> Contender:
 
 
 def batched(env: str, worlds: int, oracle: str | None = None) -> Contender:
-    """`gym.make_vec`: physics, observations, rewards and resets of `worlds` worlds, shaped if an oracle is named."""
+    """Run `gym.make_vec`: physics, observations, rewards and resets of `worlds` worlds, shaped by a named oracle."""
     plain = gymnasium.make_vec(env, num_envs=worlds)
-    made = Shaped(plain, oracle, gamma=0.97) if oracle else plain
-    made.reset(seed=0)
-    made.action_space.seed(0)
-    actions = [made.action_space.sample() for _ in range(50)]
-    return timed(lambda i: made.step(actions[i % 50]), worlds * made.unwrapped.task.substeps)
+    shaped = Shaped(plain, oracle, gamma=0.97) if oracle else plain
+    shaped.reset(seed=0)
+    shaped.action_space.seed(0)
+    actions = [shaped.action_space.sample() for _ in range(50)]
+    return timed(lambda i: shaped.step(actions[i % 50]), worlds * shaped.unwrapped.task.substeps)
 
 
 def single(env: str) -> Contender:
-    """`gym.make`, with all of Gymnasium's wrappers."""
-    made = gymnasium.make(env)
-    made.reset(seed=0)
-    made.action_space.seed(0)
-    actions = [made.action_space.sample() for _ in range(1000)]
+    """Run `gym.make`, with all of Gymnasium's wrappers."""
+    single_env = gymnasium.make(env)
+    single_env.reset(seed=0)
+    single_env.action_space.seed(0)
+    actions = [single_env.action_space.sample() for _ in range(1000)]
 
     def step(i: int) -> None:
-        _, _, terminated, truncated, _ = made.step(actions[i % 1000])
+        _, _, terminated, truncated, _ = single_env.step(actions[i % 1000])
         if terminated or truncated:
-            made.reset()
+            single_env.reset()
 
-    return timed(step, made.unwrapped.task.substeps)
+    return timed(step, single_env.unwrapped.task.substeps)
 
 
 def subprocesses(env: str, worlds: int) -> Contender:
-    """Stable-Baselines3's SubprocVecEnv over single environments, one process a core."""
+    """Run Stable-Baselines3's SubprocVecEnv over single environments, one process a core."""
     substeps = gymnasium.make(env).unwrapped.task.substeps
-    made = make_vec_env(env, n_envs=worlds, vec_env_cls=SubprocVecEnv, vec_env_kwargs={"start_method": "fork"})
-    made.reset()
-    actions = [np.array([made.action_space.sample() for _ in range(worlds)]) for _ in range(50)]
-    return timed(lambda i: made.step(actions[i % 50]), worlds * substeps)
+    vec_env = make_vec_env(env, n_envs=worlds, vec_env_cls=SubprocVecEnv, vec_env_kwargs={"start_method": "fork"})
+    vec_env.reset()
+    actions = [np.array([vec_env.action_space.sample() for _ in range(worlds)]) for _ in range(50)]
+    return timed(lambda i: vec_env.step(actions[i % 50]), worlds * substeps)
 
 
 def main(env: str = armctl.DEFAULT_ENV, worlds: int = 256, seconds: float = 3.0) -> None:

@@ -1,4 +1,4 @@
-"""How much sooner a comparison is done with more processes, and that it finds the same.
+"""Speed-up of a comparison by more processes, and a check that they find the same.
 
     python benchmarks/workers.py [--env armctl/ArmReach-v0] [--episodes 400] [--workers 2]
 
@@ -22,7 +22,7 @@ from armctl.episodes.record import TIME_COLUMNS
 
 
 def timed(env: str, episodes: int, workers: int) -> tuple[float, pd.DataFrame]:
-    """Seconds that a comparison takes, and its episodes without what depends on the machine."""
+    """Return the seconds that a comparison takes, and its episodes without what depends on the machine."""
     start = time.perf_counter()
     comparison = armctl.compare(env=env, episodes=episodes, workers=workers)
     if comparison.failures or comparison.interrupted:
@@ -36,11 +36,11 @@ def main(env: str = armctl.DEFAULT_ENV, episodes: int = 400, workers: int = 2, r
     timed(env, 4 * workers, workers)
     seconds: dict[int, list[float]] = {count: [] for count in counts}
     for _ in track(range(rounds), console=Console(stderr=True), transient=True):
-        found = {}
+        episodes_of = {}
         for count in counts:
-            took, found[count] = timed(env, episodes, count)
+            took, episodes_of[count] = timed(env, episodes, count)
             seconds[count].append(took)
-        if not found[1].equals(found[workers]):
+        if not episodes_of[1].equals(episodes_of[workers]):
             raise SystemExit(f"{workers} workers found other episodes than one")
     title = f"{env}, {episodes} episodes, {len(os.sched_getaffinity(0))} cores, armctl {armctl.__version__}"
     table = Table("workers", "seconds", "gain", "of linear", title=title, title_justify="left", box=MARKDOWN)

@@ -15,7 +15,8 @@ CORE = HOME / "src" / "armctl"
 PACKAGES = [
     *(CORE / name for name in ("kernels", "kinematics", "planning", "control", "robots", "robot_description", "scene")),
     *(CORE / name for name in ("simulation", "tasks", "disturbances", "shaping", "envs", "policies", "agents")),
-    *(CORE / "core", CORE / "runtime", HOME / "baselines", HOME / "rl", HOME / "tools"),
+    *(CORE / "core", CORE / "runtime", CORE / "environments.py", CORE / "__init__.py"),
+    *(HOME / "baselines", HOME / "benchmarks", HOME / "rl", HOME / "tools"),
 ]
 """Packages whose renaming is done."""
 
