@@ -280,3 +280,18 @@ def test_superiority_of_two_single_trainings_is_limited_by_their_episodes(sign):
     found = superiority_over_trainings(*(ahead, behind)[::sign])[0].probability
     assert found.value == (sign + 1) / 2
     assert found.high - found.low == pytest.approx(1 - 0.025 ** (1 / 10), abs=0.02)
+
+
+def test_students_interval_is_paired_by_episodes_and_within_what_is_possible():
+    rng = np.random.default_rng(0)
+    episode = rng.normal(0, 5, (1, 200))
+    a, b = (episode + rng.normal(0, 0.1, (3, 200)) for _ in range(2))
+    paired = difference_over_trainings(a, b, None).if_normal
+    assert paired.high - paired.low < 0.2 < 4 * 5 / 200**0.5
+    nearly = np.ones((3, 100))
+    nearly[0, 0] = 0
+    within, beyond = (mean_over_trainings(nearly, bounds).if_normal for bounds in (SHARES, None))
+    assert within.low == beyond.low
+    assert within.high == 1 < beyond.high
+    difference = difference_over_trainings(nearly, np.zeros((3, 100)), SHARES).if_normal
+    assert difference.high == 1
