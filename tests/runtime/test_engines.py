@@ -23,7 +23,7 @@ from armctl.runtime.engines import Dask, Local, Ray, connect
 from armctl.simulation.threads import THREADS_ENV_VAR
 from armctl.study import compare, sweep
 from armctl.training.learners import load_learner
-from armctl.training.run import Job, train_seeds
+from armctl.training.run import TrainingJob, train_seeds
 from armctl.tuning import candidate_of, tune
 from armctl.tuning.candidates import RecipeCandidate
 from armctl.tuning.trials import measure
@@ -205,7 +205,9 @@ def test_a_cluster_trains_and_tunes_as_this_machine_does(dask_cluster, tmp_path,
     expert = candidate_of("reach_mpc", episodes=2)
     learner = RecipeCandidate("small", {"options.hidden_units": Range(choices=(8, 16))}, "return", recipe, (0,))
     with connect(dask_cluster[0]) as engine:
-        trained = list(train_seeds(Job(recipe), {seed: tmp_path / "runs" / f"small-{seed}" for seed in (0, 1)}, engine))
+        trained = list(
+            train_seeds(TrainingJob(recipe), {seed: tmp_path / "runs" / f"small-{seed}" for seed in (0, 1)}, engine)
+        )
         tuned = [tune(one, tmp_path / one.name, trials=3, workers=engine) for one in (expert, learner)]
     assert [one.failure for one in trained] == [None, None]
     assert {one.seed: one.card.sha256 for one in trained}[0] == alone.sha256

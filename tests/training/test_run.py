@@ -11,7 +11,7 @@ from armctl.core.errors import ConfigurationError
 from armctl.runtime.engines import Cluster, Local
 from armctl.simulation.threads import THREADS_ENV_VAR
 from armctl.training.learners import Recipe, load_learner
-from armctl.training.run import Job, recorded, train_seeds
+from armctl.training.run import TrainingJob, log_trial, train_seeds
 from armctl.training.trials import read_trials
 from tests.command_line import armctl
 
@@ -45,7 +45,7 @@ class InAChild(Cluster):
 def trained(tmp_path_factory):
     home = tmp_path_factory.mktemp("home") / "runs"
     folders = {seed: home / f"small-{seed}" for seed in (0, 1)}
-    return folders, list(train_seeds(Job(RECIPE), folders, Local(2)))
+    return folders, list(train_seeds(TrainingJob(RECIPE), folders, Local(2)))
 
 
 def test_each_seed_has_its_agent_and_a_row(trained):
@@ -69,44 +69,47 @@ def test_it_is_the_training_of_that_seed_alone(trained, tmp_path, monkeypatch):
 def test_a_clusters_worker_sends_the_same_agent_back(trained, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     folder = tmp_path / "runs" / "small-1"
-    (ended,) = train_seeds(Job(RECIPE), {1: folder}, InAChild())
+    (ended,) = train_seeds(TrainingJob(RECIPE), {1: folder}, InAChild())
     assert ended.failure is None, ended.failure
     assert ended.card.sha256 == next(one.card.sha256 for one in trained[1] if one.seed == 1)
     assert read_card(folder / "agent.json") == ended.card
     assert (folder / "curve.csv").exists()
     assert [row["ended"] for row in read_trials(tmp_path / "runs" / "trials.csv")] == ["finished"]
     with pytest.raises(ConfigurationError, match="holds a training already"):
-        list(train_seeds(Job(RECIPE), {1: folder}, InAChild()))
+        list(train_seeds(TrainingJob(RECIPE), {1: folder}, InAChild()))
 
 
 def test_a_resumed_job_leaves_out_what_has_finished(trained):
     folders, first = trained
     before = (folders[0].parent / "trials.csv").read_text()
-    again = list(train_seeds(Job(RECIPE, resume=True), folders, Local(2)))
+    again = list(train_seeds(TrainingJob(RECIPE, resume=True), folders, Local(2)))
     assert {one.card.sha256 for one in again} == {one.card.sha256 for one in first}
     assert (folders[0].parent / "trials.csv").read_text() == before
     other = RECIPE.changed(options=SMALL | {"hidden_units": 8})
-    (kept,) = train_seeds(Job(other, resume=True), {0: folders[0]}, Local(1))
+    (kept,) = train_seeds(TrainingJob(other, resume=True), {0: folders[0]}, Local(1))
     assert kept.card.sha256 == first[[one.seed for one in first].index(0)].card.sha256
 
 
 def test_one_that_fails_does_not_end_the_others(tmp_path):
     (tmp_path / "small-1").write_text("not a folder")
-    ended = {one.seed: one for one in train_seeds(Job(RECIPE), {s: tmp_path / f"small-{s}" for s in (0, 1)}, Local(1))}
+    ended = {
+        one.seed: one
+        for one in train_seeds(TrainingJob(RECIPE), {s: tmp_path / f"small-{s}" for s in (0, 1)}, Local(1))
+    }
     assert ended[0].failure is None
     assert "small-1 is not a folder" in ended[1].failure
 
 
 def end_in_all_ways(job, folder):
     for error in (KeyboardInterrupt(), RuntimeError("it diverged"), ConfigurationError("refused")):
-        with pytest.raises(type(error), match=f"^{error}$"), recorded(job, 0, folder):
+        with pytest.raises(type(error), match=f"^{error}$"), log_trial(job, 0, folder):
             raise error
 
 
 def test_how_a_training_ends_is_recorded(tmp_path):
     folder = tmp_path / "small-0"
     folder.mkdir()
-    job = Job(RECIPE, {"options": {"steps": 40}})
+    job = TrainingJob(RECIPE, {"options": {"steps": 40}})
     end_in_all_ways(job, folder)
     assert not (tmp_path / "trials.csv").exists()  # nothing had begun
     (folder / "settings.json").write_text("{}")
@@ -126,7 +129,7 @@ def test_ctrl_c_keeps_what_has_begun(tmp_path):
 
     threading.Thread(target=interrupt, daemon=True).start()
     with pytest.raises(KeyboardInterrupt):
-        list(train_seeds(Job(slow), folders, Local(2)))
+        list(train_seeds(TrainingJob(slow), folders, Local(2)))
     rows = read_trials(tmp_path / "trials.csv")
     assert sorted((row["seed"], row["ended"]) for row in rows) == [("0", "interrupted"), ("1", "interrupted")]
 

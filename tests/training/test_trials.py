@@ -7,13 +7,13 @@ import pytest
 from armctl.agents import read_card
 from armctl.core.errors import ResultsError
 from armctl.training.run import trials
-from armctl.training.trials import COLUMNS, TRIALS, add_trial, progress_of, read_trials, results_of, trial
+from armctl.training.trials import COLUMNS, TRIALS, add_trial, progress_of, read_trials, results_of, trial_row
 
 RL = Path(__file__).parents[2] / "rl"
 
 
 def row(**more):
-    return trial(
+    return trial_row(
         "reach_ppo", "ppo", "armctl/ArmReach-v0", 3, {"options": {"steps": 7}, "shaping": None}, "failed", **more
     )
 
@@ -30,7 +30,7 @@ def test_a_row_says_what_was_changed_and_how_it_ended(tmp_path):
 
 def test_a_row_without_changes_says_none_and_leaves_unknown_results_empty(tmp_path):
     add_trial(
-        tmp_path / TRIALS, trial("reach_ppo", "ppo", "armctl/ArmReach-v0", None, {"a": None, "b": {}}, "finished")
+        tmp_path / TRIALS, trial_row("reach_ppo", "ppo", "armctl/ArmReach-v0", None, {"a": None, "b": {}}, "finished")
     )
     (read,) = read_trials(tmp_path / TRIALS)
     told = {name: value for name, value in read.items() if value}

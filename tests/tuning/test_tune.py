@@ -60,7 +60,7 @@ def expert(episodes=3, **options):
 def test_the_first_trial_is_the_present_values(tmp_path):
     found = tune(expert(), tmp_path, trials=2)
     assert found.trials[0].params == found.candidate.present
-    assert found.before is found.trials[0]
+    assert found.present_trial is found.trials[0]
     assert len(found.trials) == 2
     assert found.processor_seconds > 0
 
@@ -109,7 +109,9 @@ def test_the_best_values_are_a_recipe(recipe, tmp_path):
     found = tune(candidate_of(recipe, training_seeds=1), tmp_path / "out", trials=5)
     best = found.best
     assert best.value == max(one.value for one in found.finished)
-    assert best is not found.before, "no trial was better than the present values: choose another seed for this test"
+    assert best is not found.present_trial, (
+        "no trial was better than the present values: choose another seed for this test"
+    )
     tuned = load_recipe(found.best_file)
     assert tuned.name == "small_tuned"
     assert {path: value_at(tuned.model_dump(), path) for path in best.params} == best.params
@@ -119,7 +121,7 @@ def test_the_best_values_are_a_recipe(recipe, tmp_path):
 
 def test_the_best_options_of_an_expert_can_be_compared(tmp_path):
     found = tune(expert(), tmp_path, trials=8)
-    assert found.best is not found.before, "no trial was better: choose another seed for this test"
+    assert found.best is not found.present_trial, "no trial was better: choose another seed for this test"
     values = tomllib.loads(found.best_file.read_text())
     assert {path: value_at(values, path) for path in found.best.params} == found.best.params
     result = compare([str(found.best_file)], "armctl/ArmReach-v0", episodes=2)

@@ -28,8 +28,8 @@ class Settings:
 settings = Settings()
 
 
-def _show_version(asked: bool) -> None:
-    if asked:
+def _show_version(requested: bool) -> None:
+    if requested:
         from importlib.metadata import version
         from platform import python_version
 

@@ -93,11 +93,13 @@ def _environment(env: str) -> "Table":
             wins = [outcome.label + (" (success)" if outcome.success else "") for outcome in kind.outcomes]
             table.add_row(_bold("outcomes"), ", ".join(wins))
         disturbances = _disturbances(available(kind.disturbances, task))
-    options = ((f"{one.name} = {one.default}", f"{one.type}. {one.text}") for one in describe_options(env))
+    options = (
+        (f"{option.name} = {option.default}", f"{option.type}. {option.text}") for option in describe_options(env)
+    )
     _add_rows(table, "options (--set)", options)
     _add_rows(table, "disturbances", disturbances)
     potentials: Mapping[str, Any] = getattr(kind, "potentials", {})
-    _add_rows(table, "potentials", ((name, _first_line(one)) for name, one in potentials.items()))
+    _add_rows(table, "potentials", ((name, _first_line(potential)) for name, potential in potentials.items()))
     table.add_row(_bold("line-up"), ", ".join(kind.default_policies))
     return table
 

@@ -274,5 +274,5 @@ def reproduce(
         with PlainConsole(stderr=True).status(Text(f"{agent}: playing its episodes again")):
             again.append(run_again(agent, seed=seed, worlds=worlds, env=env))
     print_document(reproduction_document(again), table_format)
-    if not all(one.agrees for one in again):
+    if not all(reproduction.agrees for reproduction in again):
         raise typer.Exit(1)

@@ -19,7 +19,7 @@ from armctl.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from armctl.agents import AgentCard
-    from armctl.training.run import Job
+    from armctl.training.run import TrainingJob
 
 
 @app.command()
@@ -118,13 +118,13 @@ def train(
     from armctl.integrations.tracking import tracked
     from armctl.simulation.threads import THREADS_ENV_VAR
     from armctl.training.learners import load_learner, load_recipe
-    from armctl.training.run import SETTINGS, Job, recorded
+    from armctl.training.run import SETTINGS, TrainingJob, log_trial
 
     if threads:
         os.environ[THREADS_ENV_VAR] = str(threads)
     chosen = load_recipe(recipe, env, teacher)
-    given = {"shaping": shaping, "shaping_scale": shaping_scale}
-    changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+    shaping_options = {"shaping": shaping, "shaping_scale": shaping_scale}
+    changes: dict[str, Any] = {name: value for name, value in shaping_options.items() if value is not None}
     if shaping == "none":
         changes["shaping"] = None
     learner_options = options_of(options, "--option") | ({} if steps is None else {"steps": steps})
@@ -134,13 +134,13 @@ def train(
         env_options=chosen.env_options | options_of(env_options),
     )
     seeds = _seeds(seed, chosen.seeds)
-    changed = given | {"options": learner_options, "env_options": options_of(env_options), "teacher": teacher}
-    job = Job(chosen, changed, resume)
+    changed = shaping_options | {"options": learner_options, "env_options": options_of(env_options), "teacher": teacher}
+    job = TrainingJob(chosen, changed, resume)
     start = out or Path("runs") / chosen.name
     if len(seeds) > 1 or on != "local":
         if track:
             raise ConfigurationError("a tracker follows one training, in this process: without --track, or one seed")
-        folders = {one: start.with_name(f"{start.name}-{one}") for one in seeds}
+        folders = {training_seed: start.with_name(f"{start.name}-{training_seed}") for training_seed in seeds}
         _train_several(job, folders, on, workers)
         return
     seed_here = seeds[0]
@@ -150,15 +150,15 @@ def train(
     try:
         tell = functools.partial(say, error=True)
         with (
-            recorded(job, seed_here, folder),
+            log_trial(job, seed_here, folder),
             _evaluations_logged(),
             tracked(track or (), chosen, folder, seed_here, resume, tell) as on_evaluation,
         ):
             learner = load_learner(chosen.learner)
             card = learner(chosen, out=folder, seed=seed_here, resume=resume, on_evaluation=on_evaluation)
     except KeyboardInterrupt:
-        begun = (folder / SETTINGS).exists()
-        how = f"with --resume {words('--out', folder)} resumes the training" if begun else "starts it again"
+        has_begun = (folder / SETTINGS).exists()
+        how = f"with --resume {words('--out', folder)} resumes the training" if has_begun else "starts it again"
         say(f"Interrupted. The same command {how}.")
         raise typer.Exit(130) from None
     say(_result(card))
@@ -167,7 +167,7 @@ def train(
     say(f"The agent is {agent}: {words('armctl', 'compare', rival, agent, *environment)}")
 
 
-def _train_several(job: "Job", folders: dict[int, Path], on: str, workers: int) -> None:
+def _train_several(job: "TrainingJob", folders: dict[int, Path], on: str, workers: int) -> None:
     """Train with several seeds, and say how each training has ended."""
     from armctl.core.options import option_arguments
     from armctl.envs import task_of
@@ -177,11 +177,11 @@ def _train_several(job: "Job", folders: dict[int, Path], on: str, workers: int) 
     failed = 0
     try:
         with connect(on, workers) as engine, progress_bar() as bar:
-            shown = bar.add_task("trainings", total=len(folders))
-            for ended in train_seeds(job, folders, engine):
-                bar.advance(shown)
-                failed += ended.failure is not None
-                say(f"Seed {ended.seed}: {_result(ended.card) if ended.card else f'failed: {ended.failure}'}")
+            task = bar.add_task("trainings", total=len(folders))
+            for outcome in train_seeds(job, folders, engine):
+                bar.advance(task)
+                failed += outcome.failure is not None
+                say(f"Seed {outcome.seed}: {_result(outcome.card) if outcome.card else f'failed: {outcome.failure}'}")
     except KeyboardInterrupt:
         say("Interrupted. The same command with --resume resumes the trainings.")
         raise typer.Exit(130) from None
@@ -225,13 +225,13 @@ def _evaluations_logged() -> Iterator[None]:
         yield
         return
     log, lines = logging.getLogger("armctl"), logging.StreamHandler(sys.stdout)
-    before = log.level
+    previous_level = log.level
     log.addHandler(lines)
     log.setLevel(logging.INFO)
     try:
         yield
     finally:
-        log.setLevel(before)
+        log.setLevel(previous_level)
         log.removeHandler(lines)
 
 

@@ -177,8 +177,8 @@ def new_folder() -> Path:
     """A folder for results that is not there yet, named after the current time."""
     from datetime import datetime
 
-    now = datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
-    names = itertools.chain([now], (f"{now}_{i}" for i in itertools.count(2)))  # of commands in the same second
+    date = datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+    names = itertools.chain([date], (f"{date}_{i}" for i in itertools.count(2)))  # of commands in the same second
     return next(folder for folder in (Path("results", name) for name in names) if not folder.exists())
 
 
@@ -213,13 +213,13 @@ def progress_bar() -> Any:
     return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
 
 
-def levels_of(given: list[str]) -> dict[str, Any]:
+def levels_of(arguments: list[str]) -> dict[str, Any]:
     """Levels by disturbance, from NAME=LEVEL,LEVEL...; None from NAME without levels."""
     from armctl.core.options import option_value
 
     levels: dict[str, Any] = {}
-    for one in given:
-        name, equals, numbers = one.partition("=")
+    for argument in arguments:
+        name, equals, numbers = argument.partition("=")
         levels[name] = option_value(f"[{numbers}]") if equals else None
     return levels
 

@@ -98,21 +98,21 @@ def sweep(
     from armctl.study.sweep import sweep_levels
 
     names, options = policies or default_policies(env), options_of(env_options, success_return=success_return)
-    given = (disturbances or []) + ([f"{SLOWER}={slow_down}"] if slow_down else [])
-    asked = levels_of(given) if given else None
+    arguments = (disturbances or []) + ([f"{SLOWER}={slow_down}"] if slow_down else [])
+    requested = levels_of(arguments) if arguments else None
     players, _ = expanded(named_policies(names))
-    settings = 1 + sum(len(levels) - 1 for levels in sweep_levels(env, asked, options).values())
+    settings = 1 + sum(len(levels) - 1 for levels in sweep_levels(env, requested, options).values())
     folder = out or new_folder()
     with connect(on, workers) as engine, progress_bar() as bar:
-        shown = bar.add_task("", total=settings * len(players) * episodes)
+        task = bar.add_task("", total=settings * len(players) * episodes)
 
         def progress(setting: str, result: EpisodeResult) -> None:
-            bar.update(shown, description=setting, advance=1)
+            bar.update(task, description=setting, advance=1)
 
-        found = run_sweep(
+        sweep_result = run_sweep(
             names,
             env,
-            disturbances=asked,
+            disturbances=requested,
             episodes=episodes,
             seed=seed,
             out=folder,
@@ -126,13 +126,13 @@ def sweep(
             return_bounds=return_bounds,
             progress=progress,
         )
-    console = print_document(found.document(), table_format)
-    if "results" not in found.failures:
+    console = print_document(sweep_result.document(), table_format)
+    if "results" not in sweep_result.failures:
         console.print(f"{folder / 'sweep.csv'} has the curves; each comparison has a folder beside it.", soft_wrap=True)
-    exit_if_interrupted(found.interrupted, folder, console)
-    for one in found.comparisons.values():
-        print_tracebacks(one.tracebacks)
-    if found.failures:
+    exit_if_interrupted(sweep_result.interrupted, folder, console)
+    for comparison in sweep_result.comparisons.values():
+        print_tracebacks(comparison.tracebacks)
+    if sweep_result.failures:
         raise typer.Exit(1)
 
 
@@ -185,12 +185,12 @@ def suite(
 
     folder = out or new_folder()
     with connect(on, workers) as engine, progress_bar() as bar:
-        shown = bar.add_task("", total=None)
+        task = bar.add_task("", total=None)
 
         def progress(setting: str, total: int) -> None:
-            bar.update(shown, description=setting, total=total, advance=1)
+            bar.update(task, description=setting, total=total, advance=1)
 
-        found = run_suite(
+        result = run_suite(
             envs or (ALL,),
             quick=quick,
             episodes=episodes,
@@ -203,15 +203,15 @@ def suite(
             policy_seed=policy_seed,
             progress=progress,
         )
-    console = print_document(found.document(), table_format)
+    console = print_document(result.document(), table_format)
     if table_format is TableFormat.CSV:  # has no place for them
-        for problem in found.problems:
+        for problem in result.problems:
             console.print(problem, soft_wrap=True)
-    exit_if_interrupted(found.interrupted, folder, console)
-    if found.tasks and "results" not in found.failures:
+    exit_if_interrupted(result.interrupted, folder, console)
+    if result.tasks and "results" not in result.failures:
         make_report(folder, None, console, video=video)
-    for swept in found.tasks.values():
-        for one in swept.comparisons.values():
-            print_tracebacks(one.tracebacks)
-    if found.problems:
+    for sweep_result in result.tasks.values():
+        for comparison in sweep_result.comparisons.values():
+            print_tracebacks(comparison.tracebacks)
+    if result.problems:
         raise typer.Exit(1)

@@ -11,7 +11,7 @@ from armctl.cli.evaluate import exit_if_interrupted
 from armctl.cli.options import Format, On, TableFormat, Workers, print_document, progress_bar
 
 if TYPE_CHECKING:
-    from armctl.tuning import Tuned
+    from armctl.tuning import TuningOutcome
 
 
 @app.command()
@@ -76,15 +76,17 @@ def tune(
     folder = out or Path("tuned") / Path(name).stem
     budget = 50 if trials is None and hours is None else trials
     with connect(on, workers) as engine, progress_bar() as bar:
-        shown = bar.add_task("trials", total=budget)
+        task = bar.add_task("trials", total=budget)
 
-        def progress(found: "Tuned") -> None:
-            best = found.best
-            said = f"best {best.value:.4g}" if best else "trials"
-            bar.update(shown, description=said, completed=len(found.trials))
+        def progress(outcome: "TuningOutcome") -> None:
+            best = outcome.best
+            description = f"best {best.value:.4g}" if best else "trials"
+            bar.update(task, description=description, completed=len(outcome.trials))
 
-        found = run_tuning(candidate, folder, trials=budget, hours=hours, seed=seed, workers=engine, progress=progress)
-    page = write_tuning_page(found)
-    console = print_document(document(found), table_format)
+        outcome = run_tuning(
+            candidate, folder, trials=budget, hours=hours, seed=seed, workers=engine, progress=progress
+        )
+    page = write_tuning_page(outcome)
+    console = print_document(document(outcome), table_format)
     console.print(f"{page} shows all trials; what they found is beside it.", soft_wrap=True)
-    exit_if_interrupted(found.interrupted, folder, console)
+    exit_if_interrupted(outcome.interrupted, folder, console)

@@ -93,22 +93,22 @@ def collect(
     worlds = min(worlds, episodes)
     secret = chosen_policy_seed(policy_seed, None if overwrite else _stored_policy_seed(folder))
     with contextlib.closing(WorldsAsAsked(env, worlds if engine.is_local else 1, options)) as interfaces:
-        made_env = interfaces.requested
-        check_recordable(made_env)
-        made = build_policy(policy, made_env, name, secret)
-        made_env.reset(seed=seed)  # raises for an invalid seed, before anything is written
+        vec_env = interfaces.requested
+        check_recordable(vec_env)
+        actor = build_policy(policy, vec_env, name, secret)
+        vec_env.reset(seed=seed)  # raises for an invalid seed, before anything is written
         if not engine.is_local:
             check_sendable({name: policy})
-        own = identity(full_id(env), options, seed, {name: policy}, {name: made}, made_env)
-        own |= {"format": format, POLICY_SEED: str(secret)}
-        about = kind.describe(folder, env, options, made_env) | {
-            "algorithm_name": name, "sees": made.sees, "seed": seed, "identity": own,
+        local_identity = identity(full_id(env), options, seed, {name: policy}, {name: actor}, vec_env)
+        local_identity |= {"format": format, POLICY_SEED: str(secret)}
+        about = kind.describe(folder, env, options, vec_env) | {
+            "algorithm_name": name, "sees": actor.sees, "seed": seed, "identity": local_identity,
             "versions": versions() | libraries,
         }  # fmt: skip
         with _claimed(folder, kind, overwrite):
-            if (finished := _finished(folder, kind, own, episodes)) is not None:
+            if (finished := _finished(folder, kind, local_identity, episodes)) is not None:
                 return finished
-            unfinished = Unfinished(folder / UNFINISHED, own)
+            unfinished = Unfinished(folder / UNFINISHED, local_identity)
             if beyond := [number for number in unfinished.outcomes if number >= episodes]:
                 raise ResultsError(
                     f"{folder} already holds episode {max(beyond)}, beyond the {episodes} asked for: ask for more, "
@@ -118,10 +118,10 @@ def collect(
             failure: PolicyFailed | EnvironmentFailed | WorkersFailed | None = None
             waiting = [number for number in range(episodes) if number not in unfinished.outcomes]
             if engine.is_local:
-                stream = demonstrate(made, made_env, waiting, seed, name)
+                stream = demonstrate(actor, vec_env, waiting, seed, name)
             else:
                 config = WorkerConfig(env, worlds, options, seed, secret, engine.workers, interfaces=WorldsAsAsked)
-                stream = demonstrate_in_workers(policy, made, interfaces, config, name, waiting, engine)
+                stream = demonstrate_in_workers(policy, actor, interfaces, config, name, waiting, engine)
             try:
                 if progress is not None:
                     progress(len(unfinished.outcomes))
@@ -155,8 +155,9 @@ def collect(
 def _claimed(folder: Path, kind: Format, overwrite: bool) -> Iterator[None]:
     """Keep other processes from writing to the folder; with `overwrite`, delete its dataset, of whatever format."""
     with one_writer(folder):
-        there = [one for one in load_formats().values() if one is kind or (folder / one.MANIFEST).exists()]
-        parts = [folder / part for part in dict.fromkeys(part for one in there for part in (*one.PARTS, UNFINISHED))]
+        formats = [other for other in load_formats().values() if other is kind or (folder / other.MANIFEST).exists()]
+        names = dict.fromkeys(name for other in formats for name in (*other.PARTS, UNFINISHED))
+        parts = [folder / name for name in names]
         if link := next((part for part in parts if part.is_symlink()), None):
             raise ResultsError(f"{link} is a symbolic link, through which armctl does not write: choose another folder")
         for part in parts if overwrite else ():
@@ -177,7 +178,7 @@ def _stored_policy_seed(folder: Path) -> int | None:
     return next((seed for path in manifests if (seed := stored_policy_seed(path)) is not None), None)
 
 
-def _finished(folder: Path, kind: Format, own: Mapping[str, Any], episodes: int) -> Collection | None:
+def _finished(folder: Path, kind: Format, local_identity: Mapping[str, Any], episodes: int) -> Collection | None:
     """The dataset that this call would make, if it is there already; None if some of it is missing.
 
     Raises `ResultsError` if another dataset is there.
@@ -189,9 +190,9 @@ def _finished(folder: Path, kind: Format, own: Mapping[str, Any], episodes: int)
             raise ResultsError(f"{folder} already holds a dataset in the format {name}: {OTHERWISE}")
     if not any((folder / part).exists() for part in kind.PARTS):
         return None
-    values = check_same(folder / kind.MANIFEST, own, folder)
-    if (there := values["total_episodes"]) != episodes:
-        raise ResultsError(f"{folder} already holds a dataset, of {there} episodes, not {episodes}: {OTHERWISE}")
+    values = check_same(folder / kind.MANIFEST, local_identity, folder)
+    if (stored_count := values["total_episodes"]) != episodes:
+        raise ResultsError(f"{folder} already holds a dataset, of {stored_count} episodes, not {episodes}: {OTHERWISE}")
     return Collection(folder, episodes, values["total_steps"], values["successes"], resumed=episodes)
 
 
@@ -211,16 +212,16 @@ def _assemble(folder: Path, kind: Format, unfinished: Unfinished, about: Mapping
         "outcomes": dict(sorted(Counter(unfinished.outcomes.values()).items())),
         "successes": unfinished.successes,
     }
-    made = [unfinished.folder / part for part in kind.PARTS]
+    built_parts = [unfinished.folder / part for part in kind.PARTS]
     try:
-        for old in (*made, *(folder / part for part in kind.PARTS)):
+        for old in (*built_parts, *(folder / part for part in kind.PARTS)):
             if old.exists():
                 shutil.rmtree(old)
         kind.write_dataset(unfinished.folder, episodes(), json.loads(json.dumps({**about, **counts})))
-        for part in made:
+        for part in built_parts:
             if part.exists():
                 part.rename(folder / part.name)
     except OSError as error:
-        for part in made:
+        for part in built_parts:
             shutil.rmtree(part, ignore_errors=True)
         raise unfinished.not_written(error) from error

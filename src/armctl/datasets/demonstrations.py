@@ -83,9 +83,9 @@ class Recorder(gymnasium.vector.VectorWrapper[Any, Any, Any, Any, Any]):
             self._seen[i].append(_copy(one_of(observations, int(i))))
             self._done[i].append((labels[i], rewards[i]))
         for i in np.flatnonzero((terminated | truncated) & self._open):
-            recorded, earned = zip(*self._done[i], strict=True)
+            actions, rewards = zip(*self._done[i], strict=True)
             self.finished[int(self._worlds.episodes[i])] = Demonstration(
-                _stacked(self._seen[i]), np.array(recorded), np.array(earned), bool(terminated[i]),
+                _stacked(self._seen[i]), np.array(actions), np.array(rewards), bool(terminated[i]),
                 bool(infos["is_success"][i]),
             )  # fmt: skip
             self._open[i] = False
@@ -138,5 +138,5 @@ def _copy(observation: Any) -> Any:
 
 def _stacked(observations: list[Any]) -> Observations:
     if isinstance(observations[0], dict):
-        return {name: np.array([seen[name] for seen in observations]) for name in observations[0]}
+        return {name: np.array([observation[name] for observation in observations]) for name in observations[0]}
     return np.array(observations)

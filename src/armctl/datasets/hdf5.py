@@ -42,12 +42,12 @@ def write_episodes(path: Path, episodes: Iterable[tuple[Demonstration, Mapping[s
 def _write_episode(group: Any, i: int, episode: Demonstration, attributes: Mapping[str, Any]) -> None:
     group.attrs.update({"id": i, "total_steps": len(episode), **attributes})
     group.create_group("infos")
-    ended = np.arange(len(episode)) == len(episode) - 1
+    is_last = np.arange(len(episode)) == len(episode) - 1
     arrays = {
         "actions": episode.actions,
         "rewards": episode.rewards,
-        "terminations": ended & episode.terminated,
-        "truncations": ended & (not episode.terminated),
+        "terminations": is_last & episode.terminated,
+        "truncations": is_last & (not episode.terminated),
     }
     for name, values in (parts_of(episode.observations) | arrays).items():
         group.create_dataset(name, data=values, chunks=True, maxshape=(None, *values.shape[1:]))
@@ -63,11 +63,11 @@ class _Unfailing:
         self.read = file.read  # by which h5py knows a file
 
     def write(self, content: Any) -> int:
-        left = memoryview(content).cast("B")
-        size = len(left)
-        while self._error is None and left:
+        remaining = memoryview(content).cast("B")
+        size = len(remaining)
+        while self._error is None and remaining:
             try:
-                left = left[self._file.write(left) :]
+                remaining = remaining[self._file.write(remaining) :]
             except OSError as error:
                 self._error = error
         return size
@@ -119,69 +119,73 @@ class _Reader:
     def episode(
         self, group: Any, name: str, observations: gymnasium.Space[Any], actions: gymnasium.Space[Any]
     ) -> Demonstration:
-        taken = self.array(group, "actions", actions, None, name)
-        steps = len(taken)
+        action_array = self.array(group, "actions", actions, None, name)
+        steps = len(action_array)
         if isinstance(observations, gymnasium.spaces.Dict):
             parts = _child(group, "observations", h5py.Group, name)
-            seen: Any = {
+            observation_arrays: Any = {
                 part: self.array(parts, part, space, steps + 1, name) for part, space in observations.spaces.items()
             }
         else:
-            seen = self.array(group, "observations", observations, steps + 1, name)
+            observation_arrays = self.array(group, "observations", observations, steps + 1, name)
         rewards = self.array(group, "rewards", _REWARD, steps, name)
         terminations = self.array(group, "terminations", _FLAG, steps, name)
-        return Demonstration(seen, taken, rewards.astype(float), bool(terminations.any()), _success(group, name))
+        return Demonstration(
+            observation_arrays, action_array, rewards.astype(float), bool(terminations.any()), _success(group, name)
+        )
 
-    def array(self, group: Any, name: str, space: gymnasium.Space[Any], length: int | None, what: str) -> NDArray[Any]:
+    def array(self, group: Any, name: str, space: gymnasium.Space[Any], length: int | None, label: str) -> NDArray[Any]:
         """That many values of a space, or any number of them if `length` is None."""
         *folders, last = name.split("/")
         for folder in folders:
-            group = _child(group, folder, h5py.Group, what)
-        dataset = _child(group, last, h5py.Dataset, what)
-        what = f"{name} of {what}"
+            group = _child(group, folder, h5py.Group, label)
+        dataset = _child(group, last, h5py.Dataset, label)
+        label = f"{name} of {label}"
         if dataset.is_virtual or dataset.external:
-            raise ConfigurationError(f"{what} lies in another file: armctl reads values only from the dataset's own")
+            raise ConfigurationError(f"{label} lies in another file: armctl reads values only from the dataset's own")
         if dataset.id.get_create_plist().get_nfilters():
-            raise ConfigurationError(f"{what} is compressed or filtered, which armctl does not read, nor Minari write")
+            raise ConfigurationError(f"{label} is compressed or filtered, which armctl does not read, nor Minari write")
         if dataset.dtype.kind not in "biuf" or not np.can_cast(dataset.dtype, np.dtype(space.dtype), "same_kind"):
-            raise ConfigurationError(f"{what} has values of type {dataset.dtype}, not {space.dtype}")
-        found: tuple[int, ...] = dataset.shape or ()
-        if length is None and found:
-            length = found[0]
+            raise ConfigurationError(f"{label} has values of type {dataset.dtype}, not {space.dtype}")
+        shape: tuple[int, ...] = dataset.shape or ()
+        if length is None and shape:
+            length = shape[0]
         expected = (length, *(space.shape or ()))
-        if found != expected or not length:
+        if shape != expected or not length:
             raise ConfigurationError(
-                f"{what} is incomplete: its shape is {found}, and should be {expected}, with one observation more than "
-                "actions"
+                f"{label} is incomplete: its shape is {shape}, and should be {expected}, with one observation "
+                "more than actions"
             )
-        size = int(np.prod(found, dtype=object)) * dataset.dtype.itemsize
+        size = int(np.prod(shape, dtype=object)) * dataset.dtype.itemsize
         self._bytes_left -= size
         if self._bytes_left < 0 or dataset.id.get_storage_size() < size:
-            raise ConfigurationError(f"{what} claims {size:,} bytes, more than the file or this machine's memory holds")
+            raise ConfigurationError(
+                f"{label} claims {size:,} bytes, more than the file or this machine's memory holds"
+            )
         values = np.asarray(dataset[()])
         if dataset.dtype.kind == "f" and not (np.abs(values) <= LARGEST).all():
-            raise ConfigurationError(f"{what} has numbers that are not finite, or beyond {LARGEST:g}")
+            raise ConfigurationError(f"{label} has numbers that are not finite, or beyond {LARGEST:g}")
         return values
 
 
-def _child(group: Any, name: str, kind: type, what: str) -> Any:
+def _child(group: Any, name: str, kind: type, label: str) -> Any:
     """What lies in a group under a name, if it lies there itself and is of a kind."""
     link = group.get(name, getlink=True)
     if link is None:
-        raise ConfigurationError(f"{what} has no {name}")
+        raise ConfigurationError(f"{label} has no {name}")
     if not isinstance(link, h5py.HardLink):
-        raise ConfigurationError(f"{name} of {what} is a link, which armctl does not follow")
-    found = group[name]
-    if not isinstance(found, kind):
-        raise ConfigurationError(f"{name} of {what} is not a {kind.__name__.lower()}")
-    return found
+        raise ConfigurationError(f"{name} of {label} is a link, which armctl does not follow")
+    child = group[name]
+    if not isinstance(child, kind):
+        raise ConfigurationError(f"{name} of {label} is not a {kind.__name__.lower()}")
+    return child
 
 
-def _success(group: Any, what: str) -> bool:
+def _success(group: Any, label: str) -> bool:
     """Whether an episode was a success: so it was if nothing says otherwise."""
     if "success" not in group.attrs:
         return True
     attribute = group.attrs.get_id("success")
     if attribute.shape != () or attribute.dtype.kind not in "biuf":
-        raise ConfigurationError(f"success of {what} is neither true nor false")
+        raise ConfigurationError(f"success of {label} is neither true nor false")
     return bool(group.attrs["success"])

@@ -73,8 +73,8 @@ def check_recordable(worlds: EpisodeVectorEnv) -> None:
     arrays = (
         gymnasium.spaces.Box, gymnasium.spaces.Discrete, gymnasium.spaces.MultiBinary, gymnasium.spaces.MultiDiscrete
     )  # fmt: skip
-    seen = worlds.single_observation_space
-    parts = list(seen.spaces.values()) if isinstance(seen, gymnasium.spaces.Dict) else [seen]
+    whole = worlds.single_observation_space
+    parts = list(whole.spaces.values()) if isinstance(whole, gymnasium.spaces.Dict) else [whole]
     for space in (worlds.single_action_space, *parts):
         if not isinstance(space, arrays):
             raise ConfigurationError(
@@ -157,17 +157,17 @@ def _read_metadata(folder: Path) -> dict[str, Any]:
 def _check_fits(metadata: Mapping[str, Any], worlds: EpisodeVectorEnv) -> None:
     if (data_format := metadata.get("data_format", "hdf5")) != "hdf5":
         raise ConfigurationError(f"its format is {_short(data_format)}, and armctl reads hdf5 only")
-    recorded = tuple(_declared_shapes(json.loads(metadata[f"{what}_space"])) for what in ("observation", "action"))
-    here = (shapes(worlds.single_observation_space), shapes(worlds.single_action_space))
-    if recorded != here:
+    recorded = tuple(_declared_shapes(json.loads(metadata[f"{part}_space"])) for part in ("observation", "action"))
+    expected = (shapes(worlds.single_observation_space), shapes(worlds.single_action_space))
+    if recorded != expected:
         raise ConfigurationError(
             f"it has observations {_short(recorded[0])} and actions {_short(recorded[1])}; "
-            f"here they are {here[0]} and {here[1]}"
+            f"here they are {expected[0]} and {expected[1]}"
         )
     interface = metadata.get("interface", {})
     for key, value in worlds.task.interface.items():
-        if (there := interface.get(key, value)) != value:
-            raise ConfigurationError(f"it has {key} {_short(there)}, but here {key} is {value!r}")
+        if (stored_value := interface.get(key, value)) != value:
+            raise ConfigurationError(f"it has {key} {_short(stored_value)}, but here {key} is {value!r}")
 
 
 def _declared_shapes(space: Mapping[str, Any]) -> Any:
@@ -208,9 +208,9 @@ def require_minari() -> ModuleType:
 def _spec(env: str, options: Mapping[str, Any]) -> Any:
     """The specification to make the environment again; None if an option cannot be written as JSON."""
     spec = copy.deepcopy(find_spec(env))
-    given = dict(options)
-    spec.max_episode_steps = given.pop("max_episode_steps", spec.max_episode_steps)
-    spec.kwargs.update(given)
+    remaining_options = dict(options)
+    spec.max_episode_steps = remaining_options.pop("max_episode_steps", spec.max_episode_steps)
+    spec.kwargs.update(remaining_options)
     try:
         spec.to_json()
     except (TypeError, ValueError):

@@ -33,25 +33,25 @@ class WorldsAsAsked:
 
 def demonstrate_in_workers(
     policy: str | Path | PolicyFactory,
-    made: Policy,
+    actor: Policy,
     interfaces: WorldsAsAsked,
     config: WorkerConfig,
     name: str,
     episodes: Sequence[int],
     engine: Engine,
 ) -> Generator[Played, None, None]:
-    """Yield what `demonstrate` yields, of a policy that is `made` here in the worlds of `interfaces`.
+    """Yield what `demonstrate` yields, of a policy that is built here, as `actor`, in the worlds of `interfaces`.
 
     Raises `PolicyFailed` when all that was begun has ended, and `WorkersFailed`.
     """
     failure: PolicyFailed | None = None
     setting = Setting(config, {name: policy})
-    with closing(do_in_workers(_play, setting, {name: made}, interfaces, {name: episodes}, engine)) as everything:
-        for played in everything:
-            yield from played.results
-            if played.failure:
-                failure = PolicyFailed(played.failure)
-                failure.add_note(played.traceback)
+    with closing(do_in_workers(_play, setting, {name: actor}, interfaces, {name: episodes}, engine)) as everything:
+        for block in everything:
+            yield from block.results
+            if block.failure:
+                failure = PolicyFailed(block.failure)
+                failure.add_note(block.traceback)
     if failure is not None:
         raise failure
 

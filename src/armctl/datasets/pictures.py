@@ -8,7 +8,7 @@ import imageio
 import numpy as np
 from numpy.typing import NDArray
 
-LEAST_SIDE = 4
+MIN_SIDE = 4
 """Pixels; what is smaller is a matrix."""
 
 
@@ -16,7 +16,7 @@ def is_image(space: gymnasium.Space[Any]) -> bool:
     """Whether a space is of images: bounded, and of shape (height, width), (height, width, 1) or (height, width, 3)."""
     if not isinstance(space, gymnasium.spaces.Box) or not space.is_bounded() or len(space.shape) not in (2, 3):
         return False
-    return min(space.shape[:2]) >= LEAST_SIDE and space.shape[2:] in ((), (1,), (3,))
+    return min(space.shape[:2]) >= MIN_SIDE and space.shape[2:] in ((), (1,), (3,))
 
 
 def bounds_of(space: gymnasium.spaces.Box) -> tuple[float, float]:

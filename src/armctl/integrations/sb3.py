@@ -68,7 +68,7 @@ class VecEnv(vec_env.VecEnv):  # type: ignore[misc]
         commands = self._commands(self._actions)
         self._observations, rewards, terminated, truncated, infos = self.env.step(commands)
         terms, done = infos["reward_terms"], terminated | truncated
-        self._returns += sum(earned for name, earned in terms.items() if name != SHAPING)
+        self._returns += sum(rewards for name, rewards in terms.items() if name != SHAPING)
         self._lengths += 1
         world_infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         seconds = round(time.monotonic() - self._began, 6)

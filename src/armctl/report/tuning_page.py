@@ -14,7 +14,7 @@ from armctl.report.colours import COLOURS
 from armctl.report.plots import Plot
 from armctl.report.render import write_page
 from armctl.report.style import dress
-from armctl.tuning import Tuned
+from armctl.tuning import TuningOutcome
 from armctl.verdict.tables import UNKNOWN, Cell, Column, Document, Remark, Table
 
 PAGE = "tuning.html"
@@ -29,9 +29,9 @@ BEST_OF_MANY = (
 )
 
 
-def document(found: Tuned) -> Document:
+def document(found: TuningOutcome) -> Document:
     """The present and the best values beside each other, and what they cost."""
-    before, best = found.before, found.best
+    before, best = found.present_trial, found.best
     shown = {"present": before} | ({"best": best} if best is not before else {})
     columns = [Column(found.candidate.name), *(Column(name) for name in shown)]
     rows = [[Cell("trial"), *(_number(one and one.number) for one in shown.values())]]
@@ -55,7 +55,7 @@ def document(found: Tuned) -> Document:
     return Document(parts, {"tuned": found.candidate.name, "processor_seconds": found.processor_seconds})
 
 
-def write_tuning_page(found: Tuned) -> Path:
+def write_tuning_page(found: TuningOutcome) -> Path:
     """Write the page into the tuning's folder, and return its path. Raises `ResultsError`."""
     out = found.folder / PAGE
     shown = document(found)
@@ -69,7 +69,7 @@ def write_tuning_page(found: Tuned) -> Path:
     return out
 
 
-def _spent(found: Tuned) -> str:
+def _spent(found: TuningOutcome) -> str:
     states = [one.state for one in found.trials]
     counts = {
         "finished": states.count(TrialState.COMPLETE),
@@ -80,7 +80,7 @@ def _spent(found: Tuned) -> str:
     return f"{len(states)} trials ({told or 'none ended'}) in {found.processor_seconds / 60:.1f} processor minutes."
 
 
-def _plots(found: Tuned) -> list[Plot]:
+def _plots(found: TuningOutcome) -> list[Plot]:
     """Optuna's plots, as far as there are trials enough for them."""
     study, score = found.study, found.candidate.score
     made = [_plot(plots.plot_timeline(study), "Times", "When each trial ran.")]

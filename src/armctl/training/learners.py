@@ -77,8 +77,8 @@ class Recipe(BaseModel):
 
     def after(self, share: float) -> "Recipe":
         """The recipe with the options and weights that hold after a share of the training's steps."""
-        begun = [stage for stage in self.curriculum if stage.after <= share]
-        return self.model_copy(update=begun[-1].model_dump(exclude={"after"})) if begun else self
+        begun_stages = [stage for stage in self.curriculum if stage.after <= share]
+        return self.model_copy(update=begun_stages[-1].model_dump(exclude={"after"})) if begun_stages else self
 
     @property
     def stages(self) -> list["Recipe"]:
@@ -200,8 +200,8 @@ def load_recipe(name: str | Path, env: str | None = None, teacher: str | None = 
         recipe = _recipe_of(str(name), env or DEFAULT_ENV)
     else:
         raise unknown_name("recipe", name, [*installed, *learner_names(), "path/to/recipe.toml"])
-    given = {"env": env, "teacher": teacher}
-    return recipe.changed(**{key: value for key, value in given.items() if value is not None})
+    overrides = {"env": env, "teacher": teacher}
+    return recipe.changed(**{key: value for key, value in overrides.items() if value is not None})
 
 
 def _installed() -> dict[str, Traversable]:
@@ -214,7 +214,7 @@ def _installed() -> dict[str, Traversable]:
 
 
 def _recipe_of(learner: str, env: str) -> Recipe:
-    suited = [one for one in map(load_recipe, recipe_names()) if (one.learner, one.env) == (learner, env)]
+    suited = [recipe for recipe in map(load_recipe, recipe_names()) if (recipe.learner, recipe.env) == (learner, env)]
     plain = Recipe(name=learner, learner=learner, env=env)
     return min(suited, key=lambda recipe: len(recipe.name), default=plain)
 

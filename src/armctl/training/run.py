@@ -21,7 +21,7 @@ from armctl.runtime.sending import relative
 from armctl.runtime.workers import check_alike
 from armctl.simulation.threads import one_thread
 from armctl.training.learners import Callback, Recipe, load_learner
-from armctl.training.trials import TRIALS, add_trial, progress_of, read_trials, results_of, trial
+from armctl.training.trials import TRIALS, add_trial, progress_of, read_trials, results_of, trial_row
 
 SETTINGS, CARD = "settings.json", "agent.json"
 AWAY = Path("runs")
@@ -29,7 +29,7 @@ AWAY = Path("runs")
 
 
 @dataclass(frozen=True)
-class Job:
+class TrainingJob:
     """What trainings with several seeds share."""
 
     recipe: Recipe
@@ -39,16 +39,16 @@ class Job:
     code: Mapping[str, str] = field(default_factory=dict)
     """Checksums of the learner's code, to be found alike on other machines."""
 
-    def record(self, seed: int, folder: Path, ended: str, why: str, results: dict[str, Any]) -> None:
+    def record(self, seed: int, folder: Path, ending: str, why: str, results: dict[str, Any]) -> None:
         """Give a training in a folder, if one has begun there, a row in the ledger beside it. Raises `ResultsError`."""
         if (folder / SETTINGS).exists():
             recipe = self.recipe
-            row = trial(recipe.name, recipe.learner, recipe.env, seed, self.changed, ended, why)
+            row = trial_row(recipe.name, recipe.learner, recipe.env, seed, self.changed, ending, why)
             add_trial(folder.parent / TRIALS, row | results)
 
 
 @dataclass(frozen=True)
-class Trained:
+class TrainingOutcome:
     """How a training has ended."""
 
     seed: int
@@ -62,7 +62,7 @@ class Trained:
 
 
 @contextlib.contextmanager
-def recorded(job: Job, seed: int, folder: Path) -> Iterator[None]:
+def log_trial(job: TrainingJob, seed: int, folder: Path) -> Iterator[None]:
     """Give the training that is made in a folder a row in the ledger beside it, however it ends, unless it is refused.
 
     Raises `ResultsError` if that cannot be written.
@@ -77,70 +77,74 @@ def recorded(job: Job, seed: int, folder: Path) -> Iterator[None]:
     except Exception as error:
         try:
             job.record(seed, folder, "failed", str(error), progress_of(folder))
-        except ResultsError as untold:
-            error.add_note(str(untold))
+        except ResultsError as ledger_error:
+            error.add_note(str(ledger_error))
         raise
     job.record(seed, folder, "finished", "", results_of(read_card(folder / CARD)))
 
 
-def train_seeds(job: Job, folders: Mapping[int, Path], engine: Engine) -> Iterator[Trained]:
+def train_seeds(job: TrainingJob, folders: Mapping[int, Path], engine: Engine) -> Iterator[TrainingOutcome]:
     """Train with each seed in its folder, and yield each training as it ends; on one core each.
 
     A job that resumes leaves out what has finished, and begins what has not begun. Raises `WorkersFailed`, and
     `ResultsError` if an agent that comes from another machine cannot be written.
     """
-    left = dict(folders)
+    remaining = dict(folders)
     for seed, folder in folders.items() if job.resume else ():
         if (card := finished(folder)) is not None:
-            yield Trained(seed, left.pop(seed), card)
+            yield TrainingOutcome(seed, remaining.pop(seed), card)
     if not isinstance(engine, Cluster):
-        units = [(seed, folder.absolute(), False) for seed, folder in left.items()]
-        ended = engine.run(_train, job, units)
+        units = [(seed, folder.absolute(), False) for seed, folder in remaining.items()]
+        outcomes = engine.run(_train, job, units)
     else:
-        if begun := [folder for folder in left.values() if (folder / SETTINGS).exists()]:
-            raise ConfigurationError(f"{begun[0]} holds a training already: a cluster's workers begin anew")
+        if begun_folders := [folder for folder in remaining.values() if (folder / SETTINGS).exists()]:
+            raise ConfigurationError(f"{begun_folders[0]} holds a training already: a cluster's workers begin anew")
         recipe, files = for_sending(job.recipe)
         sent = replace(job, recipe=recipe, code=code_of(recipe))
-        ended = engine.run(_train, sent, [(seed, AWAY / folder.name, True) for seed, folder in left.items()], files)
+        outcomes = engine.run(
+            _train, sent, [(seed, AWAY / folder.name, True) for seed, folder in remaining.items()], files
+        )
     try:
-        with contextlib.closing(ended):
-            for one in ended:
-                folder = left.pop(one.seed)
-                _bring(one, folder)
-                yield Trained(one.seed, folder, one.card, one.failure)
+        with contextlib.closing(outcomes):
+            for outcome in outcomes:
+                folder = remaining.pop(outcome.seed)
+                _bring(outcome, folder)
+                yield TrainingOutcome(outcome.seed, folder, outcome.card, outcome.failure)
     except KeyboardInterrupt:
-        for seed, folder in left.items():
+        for seed, folder in remaining.items():
             with contextlib.suppress(ArmctlError):
                 job.record(seed, folder, "interrupted", "", progress_of(folder))
         raise
 
 
-def _train(job: Job, seed: int, folder: Path, brings: bool) -> Trained:
+def _train(job: TrainingJob, seed: int, folder: Path, brings: bool) -> TrainingOutcome:
     """Train in a worker."""
     if brings:
         check_alike(job.code, code_of(job.recipe))
     card, failure = None, None
     try:
-        with recorded(job, seed, folder):
+        with log_trial(job, seed, folder):
             card = train_here(job.recipe, seed, folder, job.resume)
     except FAILURES as error:
         failure = str(error) if isinstance(error, ArmctlError) else described(error)
     if not brings:
-        return Trained(seed, folder, card, failure)
+        return TrainingOutcome(seed, folder, card, failure)
     files = {file.name: file.read_bytes() for file in folder.glob("*") if file.is_file() and file.name[0] != "."}
     ledger = folder.parent / TRIALS
-    return Trained(seed, folder, card, failure, files, read_trials(ledger)[-1:] if ledger.exists() else ())
+    return TrainingOutcome(seed, folder, card, failure, files, read_trials(ledger)[-1:] if ledger.exists() else ())
 
 
-def _bring(one: Trained, folder: Path) -> None:
+def _bring(outcome: TrainingOutcome, folder: Path) -> None:
     """Write here what was written on another machine."""
     try:
-        for name, content in one.files.items():
+        for name, content in outcome.files.items():
             folder.mkdir(parents=True, exist_ok=True)
             write_atomically(folder / Path(name).name, lambda path, content=content: path.write_bytes(content))  # type: ignore[misc]
     except OSError as error:
-        raise ResultsError(f"the agent of seed {one.seed} cannot be written to {folder}: {error.strerror}") from error
-    for row in one.rows:
+        raise ResultsError(
+            f"the agent of seed {outcome.seed} cannot be written to {folder}: {error.strerror}"
+        ) from error
+    for row in outcome.rows:
         add_trial(folder.parent / TRIALS, row)
 
 
@@ -153,9 +157,9 @@ def finished(folder: Path) -> AgentCard | None:
 def train_here(recipe: Recipe, seed: int, folder: Path, resume: bool, on_evaluation: Callback = None) -> AgentCard:
     """Train in a worker, on one core; with `resume`, go on from what is in the folder, if there is anything."""
     with one_thread():
-        begun = resume and (folder / SETTINGS).exists()
+        has_begun = resume and (folder / SETTINGS).exists()
         train = load_learner(recipe.learner)
-        return train(recipe, out=folder, seed=seed, resume=begun, progress=False, on_evaluation=on_evaluation)
+        return train(recipe, out=folder, seed=seed, resume=has_begun, progress=False, on_evaluation=on_evaluation)
 
 
 def code_of(recipe: Recipe) -> dict[str, str]:

@@ -31,35 +31,35 @@ PATIENCE = 60.0
 """s to wait for another process that writes a row."""
 
 
-def trial(
-    recipe: str, learner: str, env: str, seed: int | None, changed: Mapping[str, Any], ended: str, note: str = ""
+def trial_row(
+    recipe: str, learner: str, env: str, seed: int | None, changed: Mapping[str, Any], ending: str, note: str = ""
 ) -> dict[str, Any]:
     """A row without results; `changed` may have empty values, which are left out."""
-    given = {name: value for name, value in changed.items() if value not in (None, {}, "")}
+    changes = {name: value for name, value in changed.items() if value not in (None, {}, "")}
     return {
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "recipe": recipe,
-        "changed": json.dumps(given, default=str, sort_keys=True) if given else "",
+        "changed": json.dumps(changes, default=str, sort_keys=True) if changes else "",
         "env": env,
         "learner": learner,
         "seed": seed,
-        "ended": ended,
+        "ended": ending,
         "note": note,
     }
 
 
 def results_of(card: AgentCard) -> dict[str, Any]:
     """What a finished training's card adds to its row."""
-    found: dict[str, Any] = {
+    results: dict[str, Any] = {
         "steps": card.training_steps,
         "minutes": card.training_minutes,
         "sha256": card.sha256,
     }
     if (evaluation := card.judgement) is not None:
         low, high = evaluation.success_interval
-        found |= {"success": evaluation.success_rate, "low": round(low, 4), "high": round(high, 4)}
-        found |= {"episodes": evaluation.episodes, "episode_seed": evaluation.seed}
-    return found
+        results |= {"success": evaluation.success_rate, "low": round(low, 4), "high": round(high, 4)}
+        results |= {"episodes": evaluation.episodes, "episode_seed": evaluation.seed}
+    return results
 
 
 def progress_of(folder: Path) -> dict[str, Any]:
@@ -82,8 +82,8 @@ def add_trial(file: Path, row: Mapping[str, Any]) -> None:
             write_trials(file, [*rows, row])
     except (OSError, ValueError, csv.Error) as error:  # a lock's Timeout is an OSError
         why = getattr(error, "strerror", None) or error
-        said = json.dumps({name: value for name, value in row.items() if value not in (None, "")}, default=str)
-        raise ResultsError(f"the training cannot be recorded in {file} ({why}); its row is {said}") from error
+        text = json.dumps({name: value for name, value in row.items() if value not in (None, "")}, default=str)
+        raise ResultsError(f"the training cannot be recorded in {file} ({why}); its row is {text}") from error
 
 
 def write_trials(file: Path, rows: Sequence[Mapping[str, Any]]) -> None:

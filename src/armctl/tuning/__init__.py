@@ -4,6 +4,6 @@ Importing it needs the extra `tune`.
 """
 
 from armctl.tuning.candidates import Candidate, candidate_of, tunable
-from armctl.tuning.study import Tuned, tune
+from armctl.tuning.study import TuningOutcome, tune
 
-__all__ = ["Candidate", "Tuned", "candidate_of", "tunable", "tune"]
+__all__ = ["Candidate", "TuningOutcome", "candidate_of", "tunable", "tune"]

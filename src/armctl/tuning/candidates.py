@@ -175,17 +175,17 @@ class PolicyCandidate(Candidate):
     def measure(self, values: Mapping[str, Any], folder: Path, report: Report) -> list[float]:
         """The mean over episodes of the validation seed, reported after each block."""
         configuration = PolicyConfiguration.model_validate(with_values(self.content, values))
-        env, known, scores = full_id(configuration.env), dict[int, float](), list[float]()
+        env, lower_bounds, scores = full_id(configuration.env), dict[int, float](), list[float]()
         with contextlib.closing(
             WorldsByInterface(env, min(WORLDS, self.episodes), configuration.env_options, threads=1)
-        ) as made:
-            worlds = made.of(configuration.policy)
+        ) as interfaces:
+            worlds = interfaces.of(configuration.policy)
             policy = build_policy(configuration.make(), worlds, self.name, self.policy_seed)
             for step, first in enumerate(range(0, self.episodes, BLOCK)):
                 block = range(first, min(first + BLOCK, self.episodes))
-                known |= dict.fromkeys(block, float("nan"))  # least lengths are not needed, and take long
-                played = rollouts(policy, worlds, block, VALIDATION_SEED, self.name, known)
-                for result in unless_failed(played):
+                lower_bounds |= dict.fromkeys(block, float("nan"))  # least lengths are not needed, and take long
+                results = rollouts(policy, worlds, block, VALIDATION_SEED, self.name, lower_bounds)
+                for result in unless_failed(results):
                     scores.append(result.total_reward if self.score == "return" else float(bool(result.success)))
                 report(step, float(np.mean(scores)))
         return [float(np.mean(scores))]
@@ -217,9 +217,9 @@ def candidate_of(
     """
     if score not in SCORES:
         raise unknown_name("score", score, SCORES)
-    for what, count in {"training seeds": training_seeds, "episodes": episodes}.items():
+    for label, count in {"training seeds": training_seeds, "episodes": episodes}.items():
         if count < 1:
-            raise ConfigurationError(f"a trial needs at least one of its {what}, not {count}")
+            raise ConfigurationError(f"a trial needs at least one of its {label}, not {count}")
     if (file := _file_of_policy(name)) is not None:
         configuration = read_configuration(file)
         if env is not None:

@@ -45,8 +45,8 @@ def joined(candidate: Candidate, folder: Path, seed: int) -> Iterator[tuple[optu
             others.mkdir(parents=True, exist_ok=True)
             with filelock.FileLock(folder / LOCK, timeout=PATIENCE):
                 _check_same(folder / TUNING, _identity(candidate))
-                alone = not _living(others)
-                if alone:
+                is_alone = not _living(others)
+                if is_alone:
                     _mend(folder / JOURNAL)
                 name = uuid.uuid4().hex
                 leaving.callback((others / name).unlink, missing_ok=True)
@@ -54,7 +54,7 @@ def joined(candidate: Candidate, folder: Path, seed: int) -> Iterator[tuple[optu
                 study = _study(folder / JOURNAL, seed)
                 if not study.get_trials(deepcopy=False):
                     study.enqueue_trial(candidate.present)
-                _retry_lost(study, _living(others), alone)
+                _retry_lost(study, _living(others), is_alone)
         except filelock.Timeout:
             raise ResultsError(f"another process has kept {folder} locked for {PATIENCE:.0f} s") from None
         except OSError as error:
@@ -68,9 +68,9 @@ def _study(journal: Path, seed: int) -> optuna.Study:
     open(journal, "ab", opener=open_without_links).close()
     storage = JournalStorage(JournalFileBackend(str(journal)))
     study = optuna.create_study(study_name=TUNING, storage=storage, direction="maximize", load_if_exists=True)
-    drawn = np.random.SeedSequence([seed, len(study.get_trials(deepcopy=False))]).generate_state(1)
+    states = np.random.SeedSequence([seed, len(study.get_trials(deepcopy=False))]).generate_state(1)
     with warnings.catch_warnings(action="ignore", category=optuna.exceptions.ExperimentalWarning):
-        study.sampler = TPESampler(seed=int(drawn[0]), multivariate=True, constant_liar=True)
+        study.sampler = TPESampler(seed=int(states[0]), multivariate=True, constant_liar=True)
     return study
 
 
@@ -79,7 +79,7 @@ def _identity(candidate: Candidate) -> dict[str, Any]:
     return {
         "name": candidate.name,
         "content": candidate.content,
-        "space": {path: one.model_dump(mode="json") for path, one in candidate.space.items()},
+        "space": {path: value_range.model_dump(mode="json") for path, value_range in candidate.space.items()},
         "judged": candidate.judged_by,
         "code": candidate.code,
         "versions": versions() | {"optuna": optuna.__version__},
@@ -120,12 +120,12 @@ def _mend(journal: Path) -> None:
             file.truncate(content.rfind(b"\n") + 1)
 
 
-def _retry_lost(study: optuna.Study, living: set[str], alone: bool) -> None:
+def _retry_lost(study: optuna.Study, living: set[str], is_alone: bool) -> None:
     """End trials whose processes have died, and let their values be tried next."""
-    for one in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
-        process = one.user_attrs.get(PROCESS)
-        if process in living or (process is None and not alone):
+    for lost_trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
+        process = lost_trial.user_attrs.get(PROCESS)
+        if process in living or (process is None and not is_alone):
             continue
-        study.tell(one.number, state=TrialState.FAIL)
-        kept = {name: value for name, value in one.user_attrs.items() if name == FOLDER}
-        study.enqueue_trial(one.params, user_attrs=kept)
+        study.tell(lost_trial.number, state=TrialState.FAIL)
+        kept = {name: value for name, value in lost_trial.user_attrs.items() if name == FOLDER}
+        study.enqueue_trial(lost_trial.params, user_attrs=kept)

@@ -15,10 +15,10 @@ from armctl.core.errors import ConfigurationError, ResultsError
 from armctl.core.files import inside, write_atomically
 from armctl.core.search_space import with_values
 from armctl.runtime.engines import Cluster, Engine, engine_of
-from armctl.training.trials import TRIALS, add_trial, trial
+from armctl.training.trials import TRIALS, add_trial, trial_row
 from armctl.tuning.candidates import Candidate
 from armctl.tuning.journal import FOLDER, PROCESS, joined
-from armctl.tuning.trials import Measured, distributions, measure, measure_away
+from armctl.tuning.trials import TrialOutcome, distributions, measure, measure_away
 
 FOLDERS = "trials"
 SECONDS, SCORES, FAILURE = "processor_seconds", "scores", "failure"
@@ -28,7 +28,7 @@ IN_A_ROW = 3
 
 
 @dataclass(frozen=True)
-class Tuned:
+class TuningOutcome:
     """What a tuning has found so far."""
 
     candidate: Candidate
@@ -39,27 +39,27 @@ class Tuned:
     @property
     def trials(self) -> list[FrozenTrial]:
         """All that have ended, but for those that were lost with their processes."""
-        return [one for one in self.study.get_trials(deepcopy=False) if SECONDS in one.user_attrs]
+        return [trial for trial in self.study.get_trials(deepcopy=False) if SECONDS in trial.user_attrs]
 
     @property
     def finished(self) -> list[FrozenTrial]:
         """Those that have a value."""
-        return [one for one in self.trials if one.state is TrialState.COMPLETE]
+        return [trial for trial in self.trials if trial.state is TrialState.COMPLETE]
 
     @property
     def processor_seconds(self) -> float:
         """Spent by all trials."""
-        return float(sum(one.user_attrs[SECONDS] for one in self.trials))
+        return float(sum(trial.user_attrs[SECONDS] for trial in self.trials))
 
     @property
     def best(self) -> FrozenTrial | None:
         """The trial with the highest value, of equal ones the first; None if none was finished."""
-        return max(self.finished, key=lambda one: (one.value, -one.number), default=None)
+        return max(self.finished, key=lambda trial: (trial.value, -trial.number), default=None)
 
     @property
-    def before(self) -> FrozenTrial | None:
+    def present_trial(self) -> FrozenTrial | None:
         """The trial with the present values, if it was finished."""
-        return next((one for one in self.finished if one.params == self.candidate.present), None)
+        return next((trial for trial in self.finished if trial.params == self.candidate.present), None)
 
     @property
     def best_file(self) -> Path:
@@ -75,8 +75,8 @@ def tune(
     hours: float | None = None,
     seed: int = 0,
     workers: int | Engine = 1,
-    progress: Callable[[Tuned], None] = lambda so_far: None,
-) -> Tuned:
+    progress: Callable[[TuningOutcome], None] = lambda so_far: None,
+) -> TuningOutcome:
     """Try values until `trials` have ended, or they have spent so many processor `hours`, whichever comes first.
 
     The first trial is the present values. Then Optuna proposes values by the tree-structured Parzen estimator in its
@@ -98,17 +98,17 @@ def tune(
             raise ConfigurationError(f"{name} must be more than 0, not {budget}")
     engine, folder = engine_of(workers), Path(out)
     with joined(candidate, folder, seed) as (study, process):
-        found, running = Tuned(candidate, study, folder), dict[int, optuna.Trial]()
+        outcome, running = TuningOutcome(candidate, study, folder), dict[int, optuna.Trial]()
 
         def proposals() -> Iterator[tuple[Any, ...]]:
-            while _is_left(found, trials, hours):
-                asked = study.ask(distributions(candidate.space))
-                running[asked.number] = asked
-                asked.set_user_attr(PROCESS, process)
-                name = asked.user_attrs.get(FOLDER, f"{asked.number:04d}")  # of a lost trial, which is tried again
-                asked.set_user_attr(FOLDER, name)
-                others = [one for one in found.trials if one.state is not TrialState.FAIL]
-                yield asked.number, asked.params, home / name, others
+            while _is_left(outcome, trials, hours):
+                trial = study.ask(distributions(candidate.space))
+                running[trial.number] = trial
+                trial.set_user_attr(PROCESS, process)
+                name = trial.user_attrs.get(FOLDER, f"{trial.number:04d}")  # of a lost trial, which is tried again
+                trial.set_user_attr(FOLDER, name)
+                others = [other for other in outcome.trials if other.state is not TrialState.FAIL]
+                yield trial.number, trial.params, home / name, others
 
         if isinstance(engine, Cluster):
             home = Path(FOLDERS)
@@ -120,63 +120,63 @@ def tune(
         try:
             with contextlib.closing(measuring) as results:
                 for measured in results:
-                    _note(found, running.pop(measured.number), measured)
-                    progress(found)
+                    _note(outcome, running.pop(measured.number), measured)
+                    progress(outcome)
         except KeyboardInterrupt:
-            found = dataclasses.replace(found, interrupted=True)
+            outcome = dataclasses.replace(outcome, interrupted=True)
         except OSError as error:
             raise ResultsError(f"{folder} could not be written any further: {error.strerror}") from error
-    return found
+    return outcome
 
 
-def _is_left(found: Tuned, trials: int | None, hours: float | None) -> bool:
+def _is_left(outcome: TuningOutcome, trials: int | None, hours: float | None) -> bool:
     """Whether there is budget for another trial. One that failed, or was lost, does not count."""
-    asked = [one for one in found.study.get_trials(deepcopy=False) if one.state is not TrialState.FAIL]
-    begun = [one for one in asked if one.state is not TrialState.WAITING]
-    few = trials is None or len(begun) < trials
-    return few and (hours is None or found.processor_seconds < 3600 * hours)
+    trials_so_far = [trial for trial in outcome.study.get_trials(deepcopy=False) if trial.state is not TrialState.FAIL]
+    begun_trials = [trial for trial in trials_so_far if trial.state is not TrialState.WAITING]
+    few = trials is None or len(begun_trials) < trials
+    return few and (hours is None or outcome.processor_seconds < 3600 * hours)
 
 
-def _note(found: Tuned, asked: optuna.Trial, measured: Measured) -> None:
+def _note(outcome: TuningOutcome, trial: optuna.Trial, measured: TrialOutcome) -> None:
     """Write down what became of a trial. Raises `ConfigurationError` if trials fail whatever their values are."""
-    candidate = found.candidate
+    candidate = outcome.candidate
     for step, score in measured.reports.items():
-        asked.report(score, step)
+        trial.report(score, step)
     about = {SECONDS: measured.processor_seconds, SCORES: list(measured.scores), FAILURE: measured.failure}
     for name, value in about.items():
-        asked.set_user_attr(name, value)
+        trial.set_user_attr(name, value)
     state = TrialState.FAIL if measured.failure else TrialState.PRUNED if measured.pruned else TrialState.COMPLETE
-    found.study.tell(asked, measured.value if state is TrialState.COMPLETE else None, state)
-    _add_to_ledger(found, asked, measured)
-    best = found.best
+    outcome.study.tell(trial, measured.value if state is TrialState.COMPLETE else None, state)
+    _add_to_ledger(outcome, trial, measured)
+    best = outcome.best
     if best is not None and best.params != candidate.present:  # after each trial: the file has how many there were
-        write_atomically(found.best_file, _document(found, best))
+        write_atomically(outcome.best_file, _document(outcome, best))
     if measured.failure:
-        last = found.trials[-IN_A_ROW:]
-        if asked.params == candidate.present:
+        last = outcome.trials[-IN_A_ROW:]
+        if trial.params == candidate.present:
             raise ConfigurationError(f"{candidate.name} fails with its present values: {measured.failure}")
-        if len(last) == IN_A_ROW and all(one.state is TrialState.FAIL for one in last):
+        if len(last) == IN_A_ROW and all(trial.state is TrialState.FAIL for trial in last):
             raise ConfigurationError(f"{IN_A_ROW} trials in a row failed, the last one so: {measured.failure}")
 
 
-def _add_to_ledger(found: Tuned, asked: optuna.Trial, measured: Measured) -> None:
-    candidate = found.candidate
-    changed = {path: value for path, value in asked.params.items() if value != candidate.present[path]}
-    ended = "failed" if measured.failure else "pruned" if measured.pruned else "finished"
+def _add_to_ledger(outcome: TuningOutcome, trial: optuna.Trial, measured: TrialOutcome) -> None:
+    candidate = outcome.candidate
+    changed = {path: value for path, value in trial.params.items() if value != candidate.present[path]}
+    ending = "failed" if measured.failure else "pruned" if measured.pruned else "finished"
     scores = ", ".join(f"{score:.4g}" for score in measured.scores)
     note = f"tuning, trial {measured.number}: {measured.failure or f'{candidate.score} {scores}'.strip()}"
-    row = trial(candidate.name, candidate.learner, candidate.env, None, changed, ended, note)
-    add_trial(found.folder / TRIALS, row | {"minutes": round(measured.processor_seconds / 60, 3)})
+    row = trial_row(candidate.name, candidate.learner, candidate.env, None, changed, ending, note)
+    add_trial(outcome.folder / TRIALS, row | {"minutes": round(measured.processor_seconds / 60, 3)})
 
 
-def _document(found: Tuned, best: FrozenTrial) -> str:
+def _document(outcome: TuningOutcome, best: FrozenTrial) -> str:
     """The candidate's file with the best values, and in its first lines where they come from."""
-    candidate, before = found.candidate, found.before
-    known = f"; {before.value:.5g} with the values of {candidate.name}" if before else ""
+    candidate, present = outcome.candidate, outcome.present_trial
+    comparison = f"; {present.value:.5g} with the values of {candidate.name}" if present else ""
     head = (
         f"# {candidate.name}, tuned by `armctl tune`: trial {best.number}.\n"
-        f"# Judged by {candidate.judged_by}: {best.value:.5g}{known}.\n\n"
+        f"# Judged by {candidate.judged_by}: {best.value:.5g}{comparison}.\n\n"
     )
     content = with_values(candidate.content, best.params)
-    content["tuned"] = {"trials": len(found.trials), "minutes": round(found.processor_seconds / 60, 1)}
+    content["tuned"] = {"trials": len(outcome.trials), "minutes": round(outcome.processor_seconds / 60, 1)}
     return head + tomli_w.dumps({name: value for name, value in content.items() if value not in ({}, [])})

@@ -30,7 +30,7 @@ Value = bool | int | float | str
 
 
 @dataclass(frozen=True)
-class Measured:
+class TrialOutcome:
     """What became of a trial."""
 
     number: int
@@ -54,12 +54,12 @@ def pruner() -> MedianPruner:
 
 def distributions(space: SearchSpace) -> dict[str, BaseDistribution]:
     """Optuna's own description of a search space."""
-    return {path: _distribution(one) for path, one in space.items()}
+    return {path: _distribution(value_range) for path, value_range in space.items()}
 
 
 def measure(
     candidate: Candidate, number: int, values: Mapping[str, Value], folder: Path, others: Sequence[FrozenTrial]
-) -> Measured:
+) -> TrialOutcome:
     """Measure a trial in a worker; what else was tried before it was begun decides whether it is pruned."""
     reports: dict[int, float] = {}
     with warnings.catch_warnings(action="ignore", category=optuna.exceptions.ExperimentalWarning):
@@ -73,7 +73,7 @@ def measure(
         if judged.should_prune():
             raise Pruned
 
-    before = _processor_seconds()
+    start = _processor_seconds()
     scores: list[float] = []
     pruned, failure = False, None
     try:
@@ -82,24 +82,24 @@ def measure(
         pruned = True
     except FAILURES as error:
         failure = described(error)
-    return Measured(number, tuple(scores), reports, pruned, failure, _processor_seconds() - before)
+    return TrialOutcome(number, tuple(scores), reports, pruned, failure, _processor_seconds() - start)
 
 
-def measure_away(sent: tuple[Candidate, Mapping[str, str]], *trial: Any) -> Measured:
+def measure_away(sent: tuple[Candidate, Mapping[str, str]], *trial: Any) -> TrialOutcome:
     """Measure a trial in a cluster's worker, with the same code as where it was proposed. Raises `WorkersFailed`."""
     candidate, code = sent
     check_alike(code, candidate.code)
     return measure(candidate, *trial)
 
 
-def _distribution(one: Range) -> BaseDistribution:
-    if one.choices:
-        return CategoricalDistribution(one.choices)
-    assert one.low is not None
-    assert one.high is not None
-    if one.is_whole:
-        return IntDistribution(int(one.low), int(one.high), log=one.log)
-    return FloatDistribution(one.low, one.high, log=one.log)
+def _distribution(value_range: Range) -> BaseDistribution:
+    if value_range.choices:
+        return CategoricalDistribution(value_range.choices)
+    assert value_range.low is not None
+    assert value_range.high is not None
+    if value_range.is_whole:
+        return IntDistribution(int(value_range.low), int(value_range.high), log=value_range.log)
+    return FloatDistribution(value_range.low, value_range.high, log=value_range.log)
 
 
 def _processor_seconds() -> float:

@@ -119,14 +119,14 @@ class Player(plugin.SimPlugin):
     @messages.handler
     def on_step(self, event: messages.StepEvent) -> bool:
         """Make a control step if one is due, and show the interpolated state."""
-        now = time.perf_counter()
+        time_s = time.perf_counter()
         status = self.stage.status
-        if not self._paused and now >= self._due:
+        if not self._paused and time_s >= self._due:
             if status.outcome is None:
-                self._control_step(now)
+                self._control_step(time_s)
             else:
                 self.on_play(Play(status.policy, status.seed, status.episode + 1))
-        share = np.clip((now - self._stepped) / self.stage.period, 0.0, 1.0)
+        share = np.clip((time_s - self._stepped) / self.stage.period, 0.0, 1.0)
         mujoco.mj_setState(event.model, event.data, self._before + share * (self._after - self._before), STATE)
         time.sleep(TICK)
         return True
@@ -138,12 +138,12 @@ class Player(plugin.SimPlugin):
         self._stepped = self._due = time.perf_counter()
         self._show(geoms)
 
-    def _control_step(self, now: float) -> None:
+    def _control_step(self, time_s: float) -> None:
         self.stage.step()
         self._before = self._after
         self._after, geoms = self.scenery.snapshot()
-        late = now - self._due > self.stage.period
-        self._stepped, self._due = now, (now if late else self._due) + self.stage.period
+        is_late = time_s - self._due > self.stage.period
+        self._stepped, self._due = time_s, (time_s if is_late else self._due) + self.stage.period
         if self.stage.status.outcome is not None:
             self._due += PAUSE
         self._show(geoms)
@@ -255,12 +255,12 @@ class Panel(plugin.ViewerPlugin):
 
 def rows_of(status: Status, stage: Stage) -> dict[str, str]:
     """The status of an episode as text, by name."""
-    earned = ", ".join(f"{name} {value:g}" for name, value in status.rewards.items())
+    rewards = ", ".join(f"{name} {value:g}" for name, value in status.rewards.items())
     of = "" if stage.longest is None else f" of {stage.longest}"
-    ended = "" if status.outcome is None else f": {status.outcome}"
+    ending = "" if status.outcome is None else f": {status.outcome}"
     return {
-        "step": f"{status.steps}{of}, {status.steps * stage.period:.2f} s{ended}",
-        "return": f"{status.total_reward:.4g}" + (f"  ({earned})" if earned else ""),
+        "step": f"{status.steps}{of}, {status.steps * stage.period:.2f} s{ending}",
+        "return": f"{status.total_reward:.4g}" + (f"  ({rewards})" if rewards else ""),
         "distance": f"{status.distance:.3f} m",
         "contacts": _contact_text(status.contacts),
         "decision time": f"{status.decision_ms:.2f} ms",

@@ -23,7 +23,7 @@ from armctl.core.errors import ConfigurationError
 
 NAMES = ("localhost", "127.0.0.1")
 """Of this machine, as browsers write them. Another name that leads here is somebody's DNS rebinding."""
-MOST_CONNECTIONS = 48
+MAX_CONNECTIONS = 48
 """Open at once. A page that loads has eight, and Studio lets nine pages in."""
 LARGEST_MESSAGE = 2**16
 """Bytes. A page sends keys, the mouse, its size and what is pasted."""
@@ -58,22 +58,22 @@ class Guard:
     async def serve(self, handler: Any, *, process_request: Any, process_response: Any, **options: Any) -> Server:
         """What `websockets.asyncio.server.serve` does, for those who are let in."""
 
-        def request(connection: ServerConnection, asked: Request) -> Any:
-            problem = self._problem(asked)
+        def request(connection: ServerConnection, request: Request) -> Any:
+            problem = self._problem(request)
             if problem:
                 return connection.respond(HTTPStatus.FORBIDDEN, f"{problem}\n")
-            return process_request(connection, asked)
+            return process_request(connection, request)
 
-        def response(connection: ServerConnection, asked: Request, given: Response) -> Response:
-            given = process_response(connection, asked, given) or given
+        def response(connection: ServerConnection, request: Request, response: Response) -> Response:
+            response = process_response(connection, request, response) or response
             for name, value in HEADERS.items():
-                if name in given.headers:
-                    del given.headers[name]
+                if name in response.headers:
+                    del response.headers[name]
                 if value is not None:
-                    given.headers[name] = value
-            if given.status_code == HTTPStatus.OK and self._is_token(_query(asked)):
-                given.headers["Set-Cookie"] = f"{self._cookie}={self.token}; Path=/; HttpOnly; SameSite=Strict"
-            return given
+                    response.headers[name] = value
+            if response.status_code == HTTPStatus.OK and self._is_token(_query(request)):
+                response.headers["Set-Cookie"] = f"{self._cookie}={self.token}; Path=/; HttpOnly; SameSite=Strict"
+            return response
 
         server = await serve(
             handler,
@@ -85,25 +85,25 @@ class Guard:
         self.started.set()
         return server
 
-    def _problem(self, asked: Request) -> str:
+    def _problem(self, request: Request) -> str:
         """Why somebody is not let in; empty if they are."""
-        hosts, origins = asked.headers.get_all("Host"), asked.headers.get_all("Origin")
+        hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
         if len(hosts) != 1 or hosts[0].lower() not in self._hosts:
             return f"This page is {' or '.join(sorted(self._hosts))}, on the machine that serves it."
         if any(origin.lower() != f"http://{hosts[0].lower()}" for origin in origins):
             return "This is not for pages of others."
-        if not (self._is_token(_query(asked)) or any(map(self._is_token, self._cookies(asked)))):
+        if not (self._is_token(_query(request)) or any(map(self._is_token, self._cookies(request)))):
             return "Open the address that armctl view has printed: it ends in ?token=..."
-        if asked.path.partition("?")[0] == "/drop":
+        if request.path.partition("?")[0] == "/drop":
             return "Nothing can be uploaded here."
         return ""
 
-    def _is_token(self, given: str) -> bool:
-        return secrets.compare_digest(given.encode(errors="replace"), self.token.encode())
+    def _is_token(self, token: str) -> bool:
+        return secrets.compare_digest(token.encode(errors="replace"), self.token.encode())
 
-    def _cookies(self, asked: Request) -> Iterator[str]:
+    def _cookies(self, request: Request) -> Iterator[str]:
         """Values of the page's cookie. Those of other programs may be of any form, which `http.cookies` stops at."""
-        for header in asked.headers.get_all("Cookie"):
+        for header in request.headers.get_all("Cookie"):
             for cookie in header.split(";"):
                 name, _, value = cookie.strip().partition("=")
                 if name == self._cookie:
@@ -116,7 +116,7 @@ class Guard:
             def connection_made(self, transport: asyncio.BaseTransport) -> None:
                 super().connection_made(transport)
                 connections.add(self)
-                if len(connections) > MOST_CONNECTIONS:
+                if len(connections) > MAX_CONNECTIONS:
                     self.transport.abort()
 
             def connection_lost(self, exc: Exception | None) -> None:
@@ -169,13 +169,13 @@ def _own_addresses() -> set[Any]:
     addresses = set()
     for name in os.listdir("/dev/fd"):
         try:
-            with socket.socket(fileno=os.dup(int(name))) as own:
-                addresses.add(own.getsockname())
+            with socket.socket(fileno=os.dup(int(name))) as listener:
+                addresses.add(listener.getsockname())
         except OSError:
             continue  # not a socket, or closed meanwhile
     return addresses
 
 
-def _query(asked: Request) -> str:
+def _query(request: Request) -> str:
     """The token in an address; empty without one."""
-    return parse_qs(asked.path.partition("?")[2]).get("token", [""])[0]
+    return parse_qs(request.path.partition("?")[2]).get("token", [""])[0]

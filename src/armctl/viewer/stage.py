@@ -100,13 +100,13 @@ class Stage:
             decision_ms = 1e3 * (time.perf_counter() - began)
         with wrap_environment_errors(status.policy, status.episode):
             self._observations, _, terminated, truncated, infos = self.worlds.step(actions)
-        earned = {name: status.rewards.get(name, 0.0) + float(term[0]) for name, term in infos["reward_terms"].items()}
+        rewards = {name: status.rewards.get(name, 0.0) + float(term[0]) for name, term in infos["reward_terms"].items()}
         self.status = replace(
             status,
             steps=status.steps + 1,
             decision_ms=decision_ms,
             distance=self._distance(),
-            rewards=earned,
+            rewards=rewards,
             contacts=_touched(infos),
             outcome=self.worlds.outcomes[infos["outcome_id"][0]] if terminated[0] or truncated[0] else None,
         )

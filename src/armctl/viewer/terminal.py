@@ -35,7 +35,7 @@ class StepLog(Protocol):
 LogOpener = Callable[[EpisodeVectorEnv, Callable[[Path, int], object]], AbstractContextManager[StepLog]]
 """Opener of a log of the first world's steps, such as Rerun's; it calls its second argument with file and steps."""
 
-MOST_NUMBERS = 200
+MAX_NUMBERS = 200
 """Of an array that is printed."""
 
 
@@ -90,9 +90,9 @@ def _play(
     film: Film | None,
     log: StepLog | None,
     watch: bool,
-    asked: int | None,
+    max_steps: int | None,
 ) -> None:
-    """Play and print one episode, of at most the number of steps that the user `asked` for."""
+    """Play and print one episode, of at most `max_steps`."""
 
     def show() -> None:
         if film:
@@ -115,7 +115,7 @@ def _play(
             log.decision(observations, actions, plans)
         with wrap_environment_errors(name, episode):
             observations, rewards, terminated, truncated, infos = worlds.step(actions)
-        terms = {term: float(earned[0]) for term, earned in infos["reward_terms"].items()}
+        terms = {term: float(rewards_of_term[0]) for term, rewards_of_term in infos["reward_terms"].items()}
         if log:
             log.rewards(terms, float(rewards[0]))
         _print_step(console, step, state | {"action": actions[0]}, terms, float(rewards[0]))
@@ -123,7 +123,7 @@ def _play(
     if film:
         for _ in range(worlds.metadata["render_fps"] // 2):
             show()
-    stopped = truncated[0] and not terminated[0] and step == asked  # the environment itself would have gone on
+    stopped = truncated[0] and not terminated[0] and step == max_steps  # the environment itself would have gone on
     ending = worlds.outcomes[infos["outcome_id"][0]]
     ending = f"stopped after {_steps(step)}, as asked" if stopped else f"{ending} after {_steps(step)}"
     if log:
@@ -146,13 +146,13 @@ def _print_step(
     console.print(Text(f"step {step}", "bold"))
     for name, value in values.items():
         console.print(f"  {name:<22}" + _numbers(value), highlight=False)
-    earned = ", ".join(f"{name} {value:g}" for name, value in terms.items())
-    console.print(f"  {'reward':<22}{reward:8g}" + (f"   ({earned})" if earned else ""), highlight=False)
+    rewards = ", ".join(f"{name} {value:g}" for name, value in terms.items())
+    console.print(f"  {'reward':<22}{reward:8g}" + (f"   ({rewards})" if rewards else ""), highlight=False)
 
 
 def _numbers(value: Any) -> str:
     array = np.asarray(value)
-    if array.size > MOST_NUMBERS:
+    if array.size > MAX_NUMBERS:
         return f"{array.dtype} array of shape {array.shape}"
     return " ".join(f"{number:8.4f}" if array.dtype.kind == "f" else f"{number!s:>8}" for number in array.ravel())
 

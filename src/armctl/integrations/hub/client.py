@@ -43,8 +43,8 @@ def check_repository(name: str) -> None:
 
 
 @contextlib.contextmanager
-def hub_errors(api: "HfApi", asked: str) -> Iterator[None]:
-    """What goes wrong with the hub becomes a `HubError` of one line. `asked` is the repository, with its revision."""
+def hub_errors(api: "HfApi", repository: str) -> Iterator[None]:
+    """What goes wrong with the hub becomes a `HubError` of one line. `repository` is its name, with the revision."""
     import httpx2  # of huggingface_hub
     from huggingface_hub.errors import (
         HfHubHTTPError,
@@ -59,20 +59,20 @@ def hub_errors(api: "HfApi", asked: str) -> Iterator[None]:
     except ArmctlError:
         raise
     except RevisionNotFoundError as error:
-        raise HubError(f"{hub} has no such revision as {asked}") from error
+        raise HubError(f"{hub} has no such revision as {repository}") from error
     except RepositoryNotFoundError as error:
-        raise HubError(f"{hub} has no {asked}, or it is not for you: {who}") from error
+        raise HubError(f"{hub} has no {repository}, or it is not for you: {who}") from error
     except HfHubHTTPError as error:
-        status, said = error.response.status_code, _brief(error.server_message or error.response.reason_phrase)
+        status, message = error.response.status_code, _brief(error.server_message or error.response.reason_phrase)
         hint = f". {who}" if status in (401, 403) else ""
-        raise HubError(f"{hub} answers for {asked} with status {status}: {said}{hint}") from error
+        raise HubError(f"{hub} answers for {repository} with status {status}: {message}{hint}") from error
     except OfflineModeIsEnabled as error:
         raise HubError(f"{hub} is not asked, since HF_HUB_OFFLINE is set") from error
     except (httpx2.HTTPError, httpx2.InvalidURL) as error:
         raise HubError(f"{hub} cannot be reached, or broke off: {error or type(error).__name__}") from error
     except (ValueError, KeyError, TypeError, AttributeError, RuntimeError) as error:  # its answers make no sense
         raise HubError(
-            f"{hub} did not take or give {asked}: {_brief(f'{error} {error.__cause__ or str()}')}"
+            f"{hub} did not take or give {repository}: {_brief(f'{error} {error.__cause__ or str()}')}"
         ) from error
 
 

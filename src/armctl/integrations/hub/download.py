@@ -42,8 +42,8 @@ def pull(name: str, out: Path | None = None, *, overwrite: bool = False) -> Path
         raise ConfigurationError(f"{name!r} names no revision after the @, such as {repository}@main")
     folder = folder_of(repository) if out is None else out
     try:
-        with tempfile.TemporaryDirectory(prefix="armctl-") as made:
-            staging = Path(made)
+        with tempfile.TemporaryDirectory(prefix="armctl-") as temporary:
+            staging = Path(temporary)
             _download(api, name, repository, revision or None, staging)
             with _refused(staging, name):
                 OnnxPolicy(staging / GRAPH, read_agent(staging / CARD))
@@ -107,9 +107,11 @@ def _refused(staging: Path, name: str) -> Iterator[None]:
 def _place(staging: Path, folder: Path, overwrite: bool) -> None:
     """Put the files into a folder, the card last: it names the graph."""
     with one_writer(folder):
-        for there in (folder / file for file in LARGEST):
-            if (there.exists() or there.is_symlink()) and not overwrite and not _same(there, staging / there.name):
-                raise ConfigurationError(f"{there} is there already, and differs: --overwrite replaces the agent there")
+        for target in (folder / file for file in LARGEST):
+            if (target.exists() or target.is_symlink()) and not overwrite and not _same(target, staging / target.name):
+                raise ConfigurationError(
+                    f"{target} is there already, and differs: --overwrite replaces the agent there"
+                )
         for file in (GRAPH, CURVE, CARD):
             if (staging / file).exists():
                 write_atomically(folder / file, functools.partial(shutil.copyfile, staging / file))
@@ -117,5 +119,5 @@ def _place(staging: Path, folder: Path, overwrite: bool) -> None:
                 (folder / file).unlink(missing_ok=True)
 
 
-def _same(one: Path, other: Path) -> bool:
-    return one.is_file() and other.is_file() and file_checksum(one) == file_checksum(other)
+def _same(first: Path, second: Path) -> bool:
+    return first.is_file() and second.is_file() and file_checksum(first) == file_checksum(second)

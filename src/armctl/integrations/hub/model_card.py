@@ -144,14 +144,15 @@ def _task(card: AgentCard) -> Iterable[tuple[str, str]]:
 
 
 def _evaluation(card: AgentCard) -> str:
-    found = card.evaluation
-    if found is None:
+    evaluation = card.evaluation
+    if evaluation is None:
         return "It has not been evaluated."
-    low, high = (f"{100 * bound:.1f}" for bound in found.success_interval)
-    steps = "" if found.mean_steps_to_goal is None else f", steps to the goal {found.mean_steps_to_goal:g}"
+    low, high = (f"{100 * bound:.1f}" for bound in evaluation.success_interval)
+    steps = "" if evaluation.mean_steps_to_goal is None else f", steps to the goal {evaluation.mean_steps_to_goal:g}"
     return (
-        f"Success: **{100 * found.success_rate:.1f} % [{low}, {high}]** of {found.episodes:,} held-out episodes, seed "
-        f"{found.seed} (exact 95 % interval of Clopper and Pearson). Means: return {found.mean_return:g}{steps}.\n\n"
+        f"Success: **{100 * evaluation.success_rate:.1f} % [{low}, {high}]** of {evaluation.episodes:,} held-out "
+        f"episodes, seed {evaluation.seed} (exact 95 % interval of Clopper and Pearson). "
+        f"Means: return {evaluation.mean_return:g}{steps}.\n\n"
         "`armctl reproduce` plays these episodes again, and says whether the agent does what is claimed here."
     )
 
@@ -184,11 +185,11 @@ def _training(card: AgentCard) -> Iterable[tuple[str, str]]:
 
 
 def _list(items: Iterable[tuple[str, str]]) -> str:
-    return "\n".join(f"- {what}: {text}" for what, text in items)
+    return "\n".join(f"- {label}: {text}" for label, text in items)
 
 
-def _values(values: Mapping[str, Any], between: str = "=") -> str:
-    return ", ".join(_code(f"{name}{between}{value}") for name, value in values.items())
+def _values(values: Mapping[str, Any], separator: str = "=") -> str:
+    return ", ".join(_code(f"{name}{separator}{value}") for name, value in values.items())
 
 
 def _sizes(shape: Sequence[int] | Mapping[str, Sequence[int]]) -> str:

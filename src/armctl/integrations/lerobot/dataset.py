@@ -89,7 +89,9 @@ def write_dataset(
 
     info, task, fps = dict(metadata["info"]), metadata["task"], Fraction(metadata["fps"])
     features: dict[str, Any] = info["features"]
-    schema = pa.schema([(key, _arrow_type(one)) for key, one in features.items() if one["dtype"] != "video"])
+    schema = pa.schema(
+        [(key, _arrow_type(feature)) for key, feature in features.items() if feature["dtype"] != "video"]
+    )
     rows: list[dict[str, Any]] = []
     about: list[Mapping[str, Any]] = []
     stats: dict[str, list[Stats]] = {key: [] for key in features}
@@ -97,10 +99,10 @@ def write_dataset(
     (folder / "meta").mkdir()
     with contextlib.ExitStack() as files:
         films = {
-            key: files.enter_context(imageio.get_writer(_made(folder / f"videos/{key}/{FIRST}.mp4"), fps=fps, **AV1))
+            key: files.enter_context(imageio.get_writer(_new(folder / f"videos/{key}/{FIRST}.mp4"), fps=fps, **AV1))
             for key in metadata["bounds"]
         }
-        data = files.enter_context(pq.ParquetWriter(_made(folder / f"data/{FIRST}.parquet"), schema))
+        data = files.enter_context(pq.ParquetWriter(_new(folder / f"data/{FIRST}.parquet"), schema))
         for number, (episode, attributes) in enumerate(episodes):
             end = start + len(episode)
             frames = _frames(episode, metadata) | {
@@ -112,20 +114,20 @@ def write_dataset(
             }
             columns = {key: frames[key].astype(features[key]["dtype"]) for key in schema.names}
             data.write_table(pa.table([_arrow_array(columns[key]) for key in schema.names], schema))
-            shown = {key: frames[key] for key in films}
+            videos = {key: frames[key] for key in films}
             for key, film in films.items():
-                for picture in shown[key]:
+                for picture in videos[key]:
                     film.append_data(picture)
-            own = {key: stats_of(values.reshape(len(episode), -1)) for key, values in columns.items()}
-            own |= {key: picture_stats(values) for key, values in shown.items()}
-            for key, one in own.items():
-                stats[key].append(one)
-            rows.append(_row(number, task, start, end, fps, films) | _flat_stats(own))
+            episode_stats = {key: stats_of(values.reshape(len(episode), -1)) for key, values in columns.items()}
+            episode_stats |= {key: picture_stats(values) for key, values in videos.items()}
+            for key, part_stats in episode_stats.items():
+                stats[key].append(part_stats)
+            rows.append(_row(number, task, start, end, fps, films) | _flat_stats(episode_stats))
             about.append({"frames": len(episode), "terminated": episode.terminated, **attributes})
             start = end
     for key in films:
         _check_video(folder / f"videos/{key}/{FIRST}.mp4", start)
-    pq.write_table(pa.Table.from_pylist(rows), _made(folder / f"meta/episodes/{FIRST}.parquet"))
+    pq.write_table(pa.Table.from_pylist(rows), _new(folder / f"meta/episodes/{FIRST}.parquet"))
     pd.DataFrame({"task_index": [0]}, index=[task]).to_parquet(folder / "meta/tasks.parquet")
     info |= {
         "total_episodes": len(rows),
@@ -133,7 +135,7 @@ def write_dataset(
         "total_tasks": 1,
         "splits": {"train": f"0:{len(rows)}"},
     }
-    together = {key: _lists(aggregated(found)) for key, found in stats.items()}
+    together = {key: _lists(aggregated(parts)) for key, parts in stats.items()}
     for part in PARTS:
         _to_disk(folder / part)
     write_atomically(folder / "meta/info.json", json.dumps(info, indent=4))
@@ -145,8 +147,8 @@ def _frames(episode: Demonstration, metadata: Mapping[str, Any]) -> dict[str, ND
     """What an episode has of the features that are not counted, (T, ...) each."""
     frames: dict[str, NDArray[Any]] = {}
     for key, name in metadata["observations"].items():
-        seen = episode.observations if name is None else episode.observations[name]
-        values = np.asarray(seen)[:-1]
+        observations = episode.observations if name is None else episode.observations[name]
+        values = np.asarray(observations)[:-1]
         frames[key] = _even(pictures(values, *metadata["bounds"][key])) if key in metadata["bounds"] else values
     last = np.arange(len(episode)) == len(episode) - 1
     return frames | {
@@ -176,7 +178,7 @@ def _row(number: int, task: str, start: int, end: int, fps: Fraction, videos: It
 
 
 def _flat_stats(stats: Mapping[str, Stats]) -> dict[str, Any]:
-    return {f"stats/{key}/{name}": value for key, one in stats.items() for name, value in _lists(one).items()}
+    return {f"stats/{key}/{name}": value for key, part in stats.items() for name, value in _lists(part).items()}
 
 
 def _lists(stats: Stats) -> dict[str, list[Any]]:
@@ -198,7 +200,7 @@ def _arrow_array(values: NDArray[Any]) -> Any:
     return flat if size == 1 else pa.FixedSizeListArray.from_arrays(flat, size)
 
 
-def _made(path: Path) -> Path:
+def _new(path: Path) -> Path:
     path.parent.mkdir(parents=True)
     return path
 

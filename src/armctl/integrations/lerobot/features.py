@@ -22,14 +22,14 @@ def observed_parts(space: gymnasium.Space[Any]) -> dict[str, tuple[str | None, A
     parts: dict[str | None, Any] = {None: space}
     if isinstance(space, gymnasium.spaces.Dict):
         parts = dict(space.spaces.items())
-    vectors = [name for name, one in parts.items() if not is_image(one)]
+    vectors = [name for name, part in parts.items() if not is_image(part)]
     keys = {}
-    for name, one in parts.items():
+    for name, part in parts.items():
         label = (name or "camera").replace("/", ".")
-        if is_image(one):
-            keys[f"observation.images.{label}"] = name, one
+        if is_image(part):
+            keys[f"observation.images.{label}"] = name, part
         else:
-            keys["observation.state" if vectors == [name] else f"observation.{label}"] = name, one
+            keys["observation.state" if vectors == [name] else f"observation.{label}"] = name, part
     return keys
 
 

@@ -12,7 +12,7 @@ Stats = Mapping[str, NDArray[np.float64]]
 """`min`, `max`, `mean`, `std` and quantiles (k,), and `count` (1,), the number of frames."""
 
 QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
-MOST_PICTURES = 100
+MAX_PICTURES = 100
 """Of an episode, which are looked at."""
 LARGEST_SIDE = 150
 """Pixels of a picture's side that are looked at, or up to twice as many."""
@@ -34,10 +34,10 @@ def stats_of(values: NDArray[np.generic]) -> Stats:
 
 def picture_stats(pictures: NDArray[np.uint8]) -> Stats:
     """Statistics (3, 1, 1) of the colours of an episode's pictures (T, height, width, 3), from 0 to 1."""
-    every, stride = -(-len(pictures) // MOST_PICTURES), max(1, max(pictures.shape[1:3]) // LARGEST_SIDE)
-    seen = pictures[::every, ::stride, ::stride]
-    stats = stats_of(seen.reshape(-1, 3) / 255)
-    return {name: value[:, None, None] for name, value in stats.items()} | {"count": np.array([len(seen)])}
+    every, stride = -(-len(pictures) // MAX_PICTURES), max(1, max(pictures.shape[1:3]) // LARGEST_SIDE)
+    sample = pictures[::every, ::stride, ::stride]
+    stats = stats_of(sample.reshape(-1, 3) / 255)
+    return {name: value[:, None, None] for name, value in stats.items()} | {"count": np.array([len(sample)])}
 
 
 def aggregated(episodes: Sequence[Stats]) -> Stats:

@@ -107,8 +107,8 @@ class RerunLog:
     def rewards(self, terms: Mapping[str, float], reward: float) -> None:
         """Log what the control step earned, by term if these are known, and advance the time to its end."""
         self._return += reward
-        earned = terms or {"reward": reward}
-        self._scalars("reward", np.array(list(earned.values())), tuple(earned))
+        rewards = terms or {"reward": reward}
+        self._scalars("reward", np.array(list(rewards.values())), tuple(rewards))
         self._stream.log("return", self._rr.Scalars(self._return))
         self.steps += 1
         self._moment += 1
@@ -133,17 +133,17 @@ class RerunLog:
         space = self._worlds.single_observation_space
         parts = space.spaces if isinstance(space, gymnasium.spaces.Dict) else {"observation": space}
         for name, part in parts.items():
-            seen = np.asarray(observations[name] if isinstance(observations, dict) else observations)[0]
+            values = np.asarray(observations[name] if isinstance(observations, dict) else observations)[0]
             if is_image(part):
-                self._stream.log(f"camera/{name}", self._image(seen, part))
+                self._stream.log(f"camera/{name}", self._image(values, part))
         for name, values in task.observation_parts().items():
             if np.ndim(values) == 2:
                 self._scalars(f"observation/{name}", values[0])
 
-    def _image(self, seen: NDArray[Any], space: Any) -> Any:
-        if seen.ndim == 3 and seen.shape[2] == 3:
-            return self._rr.Image(seen)
-        return self._rr.DepthImage(seen.reshape(seen.shape[:2]), meter=1.0, depth_range=bounds_of(space))
+    def _image(self, picture: NDArray[Any], space: Any) -> Any:
+        if picture.ndim == 3 and picture.shape[2] == 3:
+            return self._rr.Image(picture)
+        return self._rr.DepthImage(picture.reshape(picture.shape[:2]), meter=1.0, depth_range=bounds_of(space))
 
     def _scalars(self, path: str, values: NDArray[Any], names: tuple[str, ...] = ()) -> None:
         numbers = np.asarray(values, dtype=float).ravel()
@@ -158,8 +158,8 @@ class RerunLog:
         plotted = (*([self._configuration] if self._scene is not None else []), "action", "reward", "return")
         plots: list[rrb.View] = [rrb.TimeSeriesView(origin=path, name=path) for path in plotted]
         space = self._worlds.single_observation_space
-        seen = list(space.spaces.values()) if isinstance(space, gymnasium.spaces.Dict) else [space]
-        if any(map(is_image, seen)):
+        parts = list(space.spaces.values()) if isinstance(space, gymnasium.spaces.Dict) else [space]
+        if any(map(is_image, parts)):
             plots.insert(0, rrb.Spatial2DView(origin="camera", name="camera"))
         if self._scene is None:
             return rrb.Blueprint(rrb.Vertical(*plots))

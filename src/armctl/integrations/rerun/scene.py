@@ -12,7 +12,7 @@ from armctl.simulation import Simulation
 
 Array = NDArray[np.float64]
 
-SHOWN_GROUPS = 3
+NUM_VISIBLE_GROUPS = 3
 """MuJoCo's viewers show the groups below it."""
 INFINITE = 10.0
 """m: half the side of a plane without an end."""
@@ -35,7 +35,7 @@ class RerunScene:
         self._shapes = [
             (kind, int(i))
             for kind, groups in (("geom", model.geom_group), ("site", model.site_group))
-            for i in np.flatnonzero(groups < SHOWN_GROUPS)
+            for i in np.flatnonzero(groups < NUM_VISIBLE_GROUPS)
         ]
         self._bodies = sorted({int(getattr(model, f"{kind}_bodyid")[i]) for kind, i in self._shapes})
         stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
@@ -99,21 +99,21 @@ def _shape(model: mujoco.MjModel, kind: str, i: int) -> Any:
     if rgba[3] == 0:
         return None
     size = getattr(model, f"{kind}_size")[i]
-    look: dict[str, Any] = {"colors": [rgba], "fill_mode": "solid"}
+    style: dict[str, Any] = {"colors": [rgba], "fill_mode": "solid"}
     match mujoco.mjtGeom(int(getattr(model, f"{kind}_type")[i])).name:
         case "mjGEOM_PLANE":
             sides = np.where(size[:2] > 0, size[:2], INFINITE)
-            return rr.Boxes3D(half_sizes=[[*sides, THICKNESS]], centers=[[0, 0, -THICKNESS]], **look)
+            return rr.Boxes3D(half_sizes=[[*sides, THICKNESS]], centers=[[0, 0, -THICKNESS]], **style)
         case "mjGEOM_BOX":
-            return rr.Boxes3D(half_sizes=[size], **look)
+            return rr.Boxes3D(half_sizes=[size], **style)
         case "mjGEOM_SPHERE":
-            return rr.Ellipsoids3D(half_sizes=[size[[0, 0, 0]]], **look)
+            return rr.Ellipsoids3D(half_sizes=[size[[0, 0, 0]]], **style)
         case "mjGEOM_ELLIPSOID":
-            return rr.Ellipsoids3D(half_sizes=[size], **look)
+            return rr.Ellipsoids3D(half_sizes=[size], **style)
         case "mjGEOM_CYLINDER":
-            return rr.Cylinders3D(lengths=[2 * size[1]], radii=[size[0]], **look)
+            return rr.Cylinders3D(lengths=[2 * size[1]], radii=[size[0]], **style)
         case "mjGEOM_CAPSULE":
-            return rr.Capsules3D(lengths=[2 * size[1]], radii=[size[0]], translations=[[0, 0, -size[1]]], **look)
+            return rr.Capsules3D(lengths=[2 * size[1]], radii=[size[0]], translations=[[0, 0, -size[1]]], **style)
         case "mjGEOM_MESH":
             return _mesh(model, int(model.geom_dataid[i]), rgba)
     return None

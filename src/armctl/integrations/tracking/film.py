@@ -22,10 +22,10 @@ def film_agent(agent: Path, env: str, env_options: Mapping[str, Any], video: Pat
     with contextlib.closing(Stage(str(agent), env, VALIDATION_SEED, 0, env_options, "rgb_array")) as stage:
         fps = stage.worlds.metadata["render_fps"]
         with recording(video, fps, lambda frames: None) as film:
-            left = round(LONGEST * fps)
+            remaining = round(LONGEST * fps)
             for episode in range(EPISODES):
                 stage.play(str(agent), VALIDATION_SEED, episode)
-                while left > 0 and stage.status.outcome is None:
+                while remaining > 0 and stage.status.outcome is None:
                     film(stage.worlds.render()[0])
                     stage.step()
-                    left -= 1
+                    remaining -= 1

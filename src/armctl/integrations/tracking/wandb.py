@@ -44,9 +44,9 @@ class WandbTracker(Tracker):
                 settings=wandb.Settings(console="off", silent=True, finish_timeout=PATIENCE),
             )
 
-        known = "WANDB_MODE" in os.environ or wandb.login(prompt=False, verify=False)
+        has_account = "WANDB_MODE" in os.environ or wandb.login(prompt=False, verify=False)
         try:
-            self._run = begin(None if known else "offline")
+            self._run = begin(None if has_account else "offline")
         except wandb.errors.CommError:
             self._run = begin("offline")
         self._run.define_metric("*", step_metric="steps")
