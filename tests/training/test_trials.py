@@ -6,7 +6,7 @@ import pytest
 
 from armctl.agents import read_card
 from armctl.core.errors import ResultsError
-from armctl.training.run import trials
+from armctl.training import trials
 from armctl.training.trials import COLUMNS, TRIALS, add_trial, progress_of, read_trials, results_of, trial_row
 
 RL = Path(__file__).parents[2] / "rl"

@@ -15,7 +15,7 @@ from websockets.sync.client import connect
 
 from armctl.core.errors import ConfigurationError
 from armctl.viewer import guard as module
-from armctl.viewer.guard import LARGEST_MESSAGE, MOST_CONNECTIONS, Guard, OwnProcessListener, guarded
+from armctl.viewer.guard import LARGEST_MESSAGE, MAX_CONNECTIONS, Guard, OwnProcessListener, guarded
 
 MODEL = b"a model's bytes"
 PATHS = ("/", "/index.html", "/model", "/web_client.js", "/nothing", "/state", "/ui", "/drop")
@@ -132,9 +132,9 @@ def test_nothing_is_uploaded_and_messages_are_bounded(served):
 
 
 def test_connections_are_bounded_and_come_free_again(served):
-    held = [socket.create_connection(("127.0.0.1", served.port), timeout=20) for _ in range(MOST_CONNECTIONS)]
+    held = [socket.create_connection(("127.0.0.1", served.port), timeout=20) for _ in range(MAX_CONNECTIONS)]
     until = time.monotonic() + 20
-    while len(served._open) < MOST_CONNECTIONS and time.monotonic() < until:
+    while len(served._open) < MAX_CONNECTIONS and time.monotonic() < until:
         time.sleep(0.05)
     with pytest.raises((http.client.HTTPException, OSError)):
         asked(served, "/model", **cookie(served))
