@@ -93,10 +93,10 @@ def test_numbers_are_short_and_plain(value, text):
 
 def test_policies_are_told_apart():
     names = ["random", "runs/ppo-0/agent.json", "runs/ppo-1/agent.onnx", "shipped/reach_bc.json", *map(str, range(9))]
-    look = style.looks(names)
-    assert [look[name].label for name in names[:4]] == ["random", "ppo-0", "ppo-1", "reach_bc"]
-    assert len({(one.colour, one.dash) for one in look.values()}) == len(names)
-    assert style.looks(["a/x/agent.json", "b/x/agent.json"])["a/x/agent.json"].label == "a/x/agent.json"
+    styles = style.styles_of(names)
+    assert [styles[name].label for name in names[:4]] == ["random", "ppo-0", "ppo-1", "reach_bc"]
+    assert len({(one.colour, one.dash) for one in styles.values()}) == len(names)
+    assert style.styles_of(["a/x/agent.json", "b/x/agent.json"])["a/x/agent.json"].label == "a/x/agent.json"
 
 
 def test_colours_are_told_apart_and_readable_on_white_and_on_dark():

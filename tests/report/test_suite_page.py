@@ -9,7 +9,7 @@ import pytest
 from armctl.core.errors import ResultsError
 from armctl.core.files import sealed, unsealed
 from armctl.report import suite_figures, write_report
-from armctl.report.style import Look
+from armctl.report.style import Style
 from armctl.report.suite_page import headline
 from armctl.stats.intervals import Estimate
 from armctl.study.suite import Size, suite
@@ -21,7 +21,7 @@ from .pages import text_of
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 REACH = "armctl/ArmReach-v0"
 HOSTILE = "<img src=x onerror=alert(1)>_ppo"
-LOOK = Look("PPO", "#0072b2")
+LOOK = Style("PPO", "#0072b2")
 
 
 @pytest.fixture(scope="module")

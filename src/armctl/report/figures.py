@@ -15,9 +15,9 @@ from armctl.episodes.table import table_of
 from armctl.report.colours import ALARM, INK, PALE, PAPER
 from armctl.report.style import (
     CELLS,
-    MOST_DOTS,
+    MAX_DOTS,
     SHARE_AXIS,
-    Looks,
+    Styles,
     add_band,
     add_interval,
     add_label,
@@ -34,14 +34,14 @@ from armctl.stats.paired import PairedDifference
 from armctl.verdict.summary import PolicySummary
 
 
-def success_bars(policies: Sequence[PolicySummary], look: Looks) -> go.Figure:
+def success_bars(policies: Sequence[PolicySummary], styles: Styles) -> go.Figure:
     """Success of each policy, with its 95 % interval."""
     figure = go.Figure()
     for policy in policies:
         if (success := policy.success) is None or success.low is None or success.high is None:
             continue
         value, low, high = 100 * success.value, 100 * success.low, 100 * success.high
-        style = look[policy.policy]
+        style = styles[policy.policy]
         figure.add_bar(
             x=[value],
             y=[escaped(style.label)],
@@ -60,35 +60,35 @@ def success_bars(policies: Sequence[PolicySummary], look: Looks) -> go.Figure:
     return with_rows(figure, len(policies), {"range": [0, 101], "ticksuffix": " %", "dtick": 50}, right=100)
 
 
-def return_points(policies: Sequence[PolicySummary], look: Looks) -> go.Figure:
+def return_points(policies: Sequence[PolicySummary], styles: Styles) -> go.Figure:
     """Mean return of each policy, with its 95 % interval if it is known, where success is unknown."""
     figure = go.Figure()
     for policy in policies:
-        if (earned := policy.episode_return) is None:
+        if (mean_return := policy.episode_return) is None:
             continue
-        style = look[policy.policy]
-        low, high = (earned.value if bound is None else bound for bound in (earned.low, earned.high))
-        known = earned.low is not None
-        said = f"{earned.value:.4g}" + (f" [{low:.4g}, {high:.4g}]" if known else ", interval unknown")
-        add_interval(figure, style.label, low, earned.value, high, style.colour, said)
-        bounds = f"{number(low)} to {number(high)}" if known else ""
-        add_label(figure, style.label, f"<b>{number(earned.value)}</b>", bounds)
+        style = styles[policy.policy]
+        low, high = (mean_return.value if bound is None else bound for bound in (mean_return.low, mean_return.high))
+        is_bounded = mean_return.low is not None
+        text = f"{mean_return.value:.4g}" + (f" [{low:.4g}, {high:.4g}]" if is_bounded else ", interval unknown")
+        add_interval(figure, style.label, low, mean_return.value, high, style.colour, text)
+        bounds = f"{number(low)} to {number(high)}" if is_bounded else ""
+        add_label(figure, style.label, f"<b>{number(mean_return.value)}</b>", bounds)
     ends = [float(end) for trace in figure.data for end in trace.x]
     margin = 0.05 * (max(ends) - min(ends) or 1.0)
     x = {"title": {"text": "mean return of an episode"}, "range": [min(ends) - margin, max(ends) + margin]}
     return with_rows(figure, len(policies), x, right=130)
 
 
-def paired(pair: PairedDifference, episodes: Mapping[str, Sequence[EpisodeResult]], look: Looks) -> go.Figure:
+def paired(pair: PairedDifference, episodes: Mapping[str, Sequence[EpisodeResult]], styles: Styles) -> go.Figure:
     """Scatter plot of two policies' returns, episode by episode. A dot's size shows how many episodes coincide."""
-    a, b = look[pair.a], look[pair.b]
+    a, b = styles[pair.a], styles[pair.b]
     returns = [
-        pd.DataFrame({"episode": its.column("episode"), name: its.column("total_reward")})
-        for name, its in (("a", table_of(episodes[pair.a])), ("b", table_of(episodes[pair.b])))
+        pd.DataFrame({"episode": table.column("episode"), name: table.column("total_reward")})
+        for name, table in (("a", table_of(episodes[pair.a])), ("b", table_of(episodes[pair.b])))
     ]
     points = returns[0].merge(returns[1], on="episode")
     lowest, highest = float(points[["a", "b"]].min().min()), float(points[["a", "b"]].max().max())
-    if len(points) > MOST_DOTS and highest > lowest:
+    if len(points) > MAX_DOTS and highest > lowest:
         cell = (highest - lowest) / CELLS
         points[["a", "b"]] = (points[["a", "b"]] / cell).round() * cell
     dots = points.groupby(["a", "b"]).episode.agg(["size", "first"]).reset_index()
@@ -115,39 +115,39 @@ def paired(pair: PairedDifference, episodes: Mapping[str, Sequence[EpisodeResult
     return framed(figure, f"return of {escaped(b.label)}", f"return of {escaped(a.label)}", x=axis, y=axis, height=300)
 
 
-def robustness(sweep: pd.DataFrame, look: Looks) -> go.Figure:
+def robustness(sweep: pd.DataFrame, styles: Styles) -> go.Figure:
     """Success, or return if success is unknown, against the levels of one disturbance, with known 95 % intervals."""
     figure = go.Figure()
     by_success = bool(sweep.success.notna().any())
     for name, rows in sweep.groupby("policy", sort=False):
         levels = [f"{level:g}" for level in rows.level]
         if "spared" in rows and rows.spared.any():
-            add_spared_line(figure, levels, rows["success" if by_success else "return"], look[str(name)])
+            add_spared_line(figure, levels, rows["success" if by_success else "return"], styles[str(name)])
         elif by_success:
-            add_band(figure, levels, rows.low, rows.high, look[str(name)])
-            add_line(figure, levels, rows.success, look[str(name)], "linear", "%{y:.1%} at %{x}", markers=True)
+            add_band(figure, levels, rows.low, rows.high, styles[str(name)])
+            add_line(figure, levels, rows.success, styles[str(name)], "linear", "%{y:.1%} at %{x}", markers=True)
         else:
-            add_band(figure, levels, rows["return_low"], rows["return_high"], look[str(name)])
-            add_line(figure, levels, rows["return"], look[str(name)], "linear", "%{y:.4~r} at %{x}", markers=True)
+            add_band(figure, levels, rows["return_low"], rows["return_high"], styles[str(name)])
+            add_line(figure, levels, rows["return"], styles[str(name)], "linear", "%{y:.4~r} at %{x}", markers=True)
     unit = f"level, {sweep.unit.iloc[0]}" if "unit" in sweep and isinstance(sweep.unit.iloc[0], str) else "level"
-    what, y = ("success", SHARE_AXIS) if by_success else ("return", None)
-    return framed(figure, unit, what, x={"type": "category"}, y=y, height=300)
+    y_title, y = ("success", SHARE_AXIS) if by_success else ("return", None)
+    return framed(figure, unit, y_title, x={"type": "category"}, y=y, height=300)
 
 
-def reward_terms(terms: Mapping[str, Mapping[str, float]], look: Looks, term_look: Looks) -> go.Figure:
+def reward_terms(terms: Mapping[str, Mapping[str, float]], styles: Styles, term_styles: Styles) -> go.Figure:
     """Mean of each reward term per episode, for each policy. The diamond is their sum, the mean return."""
-    labels = [escaped(look[name].label) for name in terms]
+    labels = [escaped(styles[name].label) for name in terms]
     figure = go.Figure()
-    for term, style in term_look.items():
+    for term, style in term_styles.items():
         figure.add_bar(
-            x=[earned.get(term, 0.0) for earned in terms.values()],
+            x=[term_rewards.get(term, 0.0) for term_rewards in terms.values()],
             y=labels,
             orientation="h",
             width=0.56,
             marker={"color": style.colour},
             hovertemplate=f"{escaped(style.label)}: %{{x:.4~r}}<extra></extra>",
         )
-    totals = {name: sum(earned.values()) for name, earned in terms.items()}
+    totals = {name: sum(term_rewards.values()) for name, term_rewards in terms.items()}
     figure.add_scatter(
         x=list(totals.values()),
         y=labels,
@@ -156,30 +156,30 @@ def reward_terms(terms: Mapping[str, Mapping[str, float]], look: Looks, term_loo
         hovertemplate="return %{x:.4~r}<extra></extra>",
     )
     for name, total in totals.items():
-        add_label(figure, look[name].label, f"<b>{signed(f'{total:,.1f}')}</b>")
+        add_label(figure, styles[name].label, f"<b>{signed(f'{total:,.1f}')}</b>")
     figure.update_layout(barmode="relative")
     x = {"title": {"text": "mean reward per episode"}, "zeroline": True, "zerolinecolor": INK, "zerolinewidth": 1}
     return with_rows(figure, len(terms), x, right=64)
 
 
 def decision_times(
-    episodes: Mapping[str, Sequence[EpisodeResult]], look: Looks, deadline_ms: float | None, machines: Machines
+    episodes: Mapping[str, Sequence[EpisodeResult]], styles: Styles, deadline_ms: float | None, machines: Machines
 ) -> go.Figure:
     """Decision times: median, middle half, 1st to 99th percentile and maximum, on a logarithmic axis."""
     figure = go.Figure()
-    for name, played in episodes.items():
-        times = comparable_times(played, machines).warm_ms()
+    for name, results in episodes.items():
+        times = comparable_times(results, machines).warm_ms()
         np.maximum(times, 1e-4, out=times)
         shares = (0.01, 0.25, 0.5, 0.75, 0.99, 1.0)
-        q1, p25, p50, p75, p99, most = np.quantile(times, shares, overwrite_input=True).tolist()
-        style, label = look[name], escaped(look[name].label)
-        for ends, width, opacity in (((q1, most), 2, 0.5), ((q1, p99), 6, 0.55), ((p25, p75), 14, 1.0)):
+        q1, p25, p50, p75, p99, longest = np.quantile(times, shares, overwrite_input=True).tolist()
+        style, label = styles[name], escaped(styles[name].label)
+        for ends, width, opacity in (((q1, longest), 2, 0.5), ((q1, p99), 6, 0.55), ((p25, p75), 14, 1.0)):
             figure.add_scatter(
                 x=list(ends), y=[label] * 2, mode="lines", line={"color": style.colour, "width": width},
                 opacity=opacity, hoverinfo="skip",
             )  # fmt: skip
         figure.add_scatter(
-            x=[p50, p99, most],
+            x=[p50, p99, longest],
             y=[label] * 3,
             mode="markers",
             marker={
@@ -189,10 +189,10 @@ def decision_times(
             customdata=["median", "99th percentile", "maximum"],
             hovertemplate=f"{label}, %{{customdata}}: %{{x:.3~r}} ms<extra></extra>",
         )  # fmt: skip
-        add_label(figure, look[name].label, f"<b>{number(p50, 2)}</b>", f"{number(p99, 2)}, {number(most, 2)}")
-    shown = [edge for trace in figure.data for edge in trace.x]
+        add_label(figure, styles[name].label, f"<b>{number(p50, 2)}</b>", f"{number(p99, 2)}, {number(longest, 2)}")
+    edges = [edge for trace in figure.data for edge in trace.x]
     if deadline_ms is not None:
-        shown.append(deadline_ms)
+        edges.append(deadline_ms)
         figure.add_vline(x=deadline_ms, line={"color": ALARM, "width": 1.5, "dash": "dash"})
         figure.add_annotation(
             x=math.log10(deadline_ms), y=1, yref="paper", yanchor="bottom", xanchor="right", showarrow=False,
@@ -200,7 +200,7 @@ def decision_times(
         )  # fmt: skip
     x = {
         "type": "log", "title": {"text": "decision time, ms"}, "dtick": 1, "tickformat": "~g",
-        "range": [math.log10(min(shown)) - 0.1, math.log10(max(shown)) + 0.1],
+        "range": [math.log10(min(edges)) - 0.1, math.log10(max(edges)) + 0.1],
     }  # fmt: skip
     return with_rows(figure, len(episodes), x, right=90, top=26)
 
@@ -208,6 +208,6 @@ def decision_times(
 def term_means(episodes: Mapping[str, Sequence[EpisodeResult]]) -> dict[str, dict[str, float]]:
     """Mean of each reward term over each policy's episodes."""
     return {
-        name: {term: math.fsum(earned) / len(played) for term, earned in table_of(played).earned().items()}
-        for name, played in episodes.items()
+        name: {term: math.fsum(rewards) / len(results) for term, rewards in table_of(results).earned().items()}
+        for name, results in episodes.items()
     }

@@ -70,12 +70,12 @@ def as_json(document: Document) -> str:
     records: dict[str, list[Any]] = {}
     for table in document.tables:
         records.setdefault(table.key, []).extend(_jsonable(record) for record in table.records)
-    said: dict[str, list[str]] = {"verdict": [], "remarks": []}
+    texts: dict[str, list[str]] = {"verdict": [], "remarks": []}
     for part in document.parts:
         if not isinstance(part, Table):
-            said["verdict" if part.kind == "verdict" else "remarks"].append(part.text)
-    verdict = {"verdict": " ".join(said["verdict"]) or None}
-    return json.dumps({**document.head, **records, **verdict, "remarks": said["remarks"]}, indent=2) + "\n"
+            texts["verdict" if part.kind == "verdict" else "remarks"].append(part.text)
+    verdict = {"verdict": " ".join(texts["verdict"]) or None}
+    return json.dumps({**document.head, **records, **verdict, "remarks": texts["remarks"]}, indent=2) + "\n"
 
 
 def as_csv(document: Document) -> str:
@@ -115,7 +115,7 @@ def _latex_value(text: str) -> str:
     """Text escaped; a number with a minus sign, and with its exponent as a power of ten."""
     if NUMBERS.fullmatch(text) is None:
         return _latex(text)
-    text = EXPONENT.sub(lambda found: rf"$\times10^{{{int(found[1])}}}$", _latex(text))
+    text = EXPONENT.sub(lambda match: rf"$\times10^{{{int(match[1])}}}$", _latex(text))
     return re.sub(r"(?<![\w{])-(?=[\d.])", "$-$", text)
 
 

@@ -69,26 +69,26 @@ def write_report(
     names = list(results.names) if results else []
     if sweep is not None:
         names += [name for name in sweep.policy.unique() if name not in names]
-    look = style.looks(names)
+    styles = style.styles_of(names)
     groups = results.comparison.groups if results else {}
-    look |= {member: replace(look[name], label=member) for name in groups for member in groups[name]}
+    styles |= {member: replace(styles[name], label=member) for name in groups for member in groups[name]}
     several = sweep is not None and sweep.policy.nunique() > 1
     looks = [] if sweep is None else sweep.attrs[LOOKS]
     rankings = robustness_rankings(sweep, read_pairs(folder)) if sweep is not None and several else []
     page: dict[str, Any] = {
-        "look": look,
+        "styles": styles,
         "folder": folder.resolve().name,
-        "robustness": [] if sweep is None else sweep_plots(sweep, rankings, look),
-        "ranking": renamed(with_looks(robustness_headline(rankings), looks), look),
+        "robustness": [] if sweep is None else sweep_plots(sweep, rankings, styles),
+        "ranking": renamed(with_looks(robustness_headline(rankings), looks), styles),
         "swept_by_success": sweep is not None and bool(sweep.success.notna().any()),
-        "swept": [] if sweep is None else [look[name] for name in sweep.policy.unique()],
+        "swept": [] if sweep is None else [styles[name] for name in sweep.policy.unique()],
         "results": results,
         "together": [],
         "lowest": [],
     }
     if results is not None:
         progress("drawing figures")
-        page |= _comparison(results, look)
+        page |= _comparison(results, styles)
         if sweep is not None:
             page["command"] = f"{_command('sweep', results, page['extent'], results.names)}{_disturbances(sweep)}"
         if video is False:
@@ -104,36 +104,36 @@ def write_report(
 
 def _suite(folder: Path, out: Path, video: bool, progress: Callable[[str], None]) -> Path:
     """Write the page of a suite, and beside it, the reports of its tasks."""
-    found, reports = read_suite(folder), dict[str, str]()
-    for env, name in task_folders(found).items():
+    suite, reports = read_suite(folder), dict[str, str]()
+    for env, name in task_folders(suite).items():
         home = inside(folder, name)
-        if not found.tasks[env].levels:  # it knows no disturbance
+        if not suite.tasks[env].levels:  # it knows no disturbance
             home = inside(home, UNDISTURBED)
-        if UNDISTURBED in found.tasks[env].comparisons:
+        if UNDISTURBED in suite.tasks[env].comparisons:
             progress(name)
             write_report(home, video=video)
             reports[env] = quote(Path(os.path.relpath(home / REPORT, out.parent)).as_posix())
-    write_suite_page(found, folder, out, reports)
+    write_suite_page(suite, folder, out, reports)
     return out
 
 
-def _comparison(results: Results, look: style.Looks) -> dict[str, Any]:
+def _comparison(results: Results, styles: style.Styles) -> dict[str, Any]:
     """Everything on the page about a comparison, except for videos."""
     comparison, episodes = results.comparison, results.episodes
     policies = comparison.policies
     planned = policies[0].planned if policies else 0
-    extent = f"--episodes {planned}{_parallel(policies)}{_late(results)}" if planned else ""
+    extent = f"--episodes {planned}{_parallel(policies)}{_real_time_options(results)}" if planned else ""
     result, cost = comparison.headline
     page: dict[str, Any] = {
-        "headline": renamed(result or _single(results), look),
-        "cost": renamed(cost, look),
-        "verdict": renamed(comparison.verdict, look),
+        "headline": renamed(result or _single(results), styles),
+        "cost": renamed(cost, styles),
+        "verdict": renamed(comparison.verdict, styles),
         "planned": planned,
         "extent": extent,
         "command": _command("compare", results, extent, results.names),
         "missing": [name for name in results.names if name not in episodes and name not in comparison.disqualified],
     }
-    return page | (comparison_plots(results, look) if policies else {})
+    return page | (comparison_plots(results, styles) if policies else {})
 
 
 def _single(results: Results) -> str:
@@ -187,17 +187,17 @@ def _parallel(policies: Sequence[PolicySummary]) -> str:
     return "".join(f" --{name} {count}" for name, count in used.items() if count > 1)
 
 
-def _late(results: Results) -> str:
+def _real_time_options(results: Results) -> str:
     """The options of a world that does not wait."""
-    late = results.comparison.real_time
-    if late is None:
+    real_time = results.comparison.real_time
+    if real_time is None:
         return ""
-    return f" --real-time {shlex.quote(str(late['latency']))} --slow-down {late['slow_down']:g}"
+    return f" --real-time {shlex.quote(str(real_time['latency']))} --slow-down {real_time['slow_down']:g}"
 
 
 def _disturbances(sweep: pd.DataFrame) -> str:
     levels = sweep.groupby("disturbance", sort=False)["level"].unique()
-    asked = [f"{name}={','.join(f'{level:g}' for level in at)}" for name, at in levels.items()]
+    settings = [f"{name}={','.join(f'{level:g}' for level in at)}" for name, at in levels.items()]
     recorded = sweep.attrs.get(RECORDED)
-    late = f" --real-time {shlex.quote(str(recorded))}" if recorded else ""
-    return "".join(f" --disturbance {shlex.quote(one)}" for one in asked) + late
+    real_time_option = f" --real-time {shlex.quote(str(recorded))}" if recorded else ""
+    return "".join(f" --disturbance {shlex.quote(setting)}" for setting in settings) + real_time_option

@@ -27,7 +27,7 @@ from armctl.verdict.tables import p_value
 from armctl.verdict.trade_off import break_evens, cost_curve, pareto_front, points
 
 NOTHING = "\u2013"
-MOST_PAIRS = 6
+MAX_PAIRS = 6
 """If there are more pairs of policies than this, only those with the best policy are shown."""
 
 
@@ -49,12 +49,12 @@ class Plot:
         return Markup(text.replace("<", r"\u003c").replace(">", r"\u003e").replace("&", r"\u0026"))
 
 
-def comparison_plots(results: Results, look: style.Looks) -> dict[str, Any]:
+def comparison_plots(results: Results, styles: style.Styles) -> dict[str, Any]:
     """All figures of a comparison with at least one episode, by their names on the page."""
     policies, episodes = results.comparison.policies, results.episodes
     terms = figures.term_means(episodes)
-    term_look = {
-        term: style.Look(term, TERM_COLOURS[i % len(TERM_COLOURS)])
+    term_styles = {
+        term: style.Style(term, TERM_COLOURS[i % len(TERM_COLOURS)])
         for i, term in enumerate(dict.fromkeys(itertools.chain(*terms.values())))
     }
     curves, problems = training_curves(
@@ -65,30 +65,30 @@ def comparison_plots(results: Results, look: style.Looks) -> dict[str, Any]:
     machines = Machines.of(results.runs, results.comparison.results)
     return {
         "by_success": by_success,
-        "shown": [look[name] for name in episodes],
+        "shown": [styles[name] for name in episodes],
         "success": Plot(
-            figures.success_bars(policies, look),
+            figures.success_bars(policies, styles),
             "; ".join(f"{policy.policy}: success {percent(policy.success)}" for policy in policies),
         )
         if by_success
         else Plot(
-            figures.return_points(policies, look),
+            figures.return_points(policies, styles),
             "; ".join(f"{policy.policy}: return {mean(policy.episode_return)}" for policy in policies),
         ),
-        "profile": _profile(results, look),
-        "paired": _paired(results, look),
+        "profile": _profile(results, styles),
+        "paired": _paired(results, styles),
         "reward_terms": Plot(
-            figures.reward_terms(terms, look, term_look),
+            figures.reward_terms(terms, styles, term_styles),
             "; ".join(
-                f"{name}: " + ", ".join(f"{term} {value:.4g}" for term, value in earned.items())
-                for name, earned in terms.items()
+                f"{name}: " + ", ".join(f"{term} {value:.4g}" for term, value in rewards.items())
+                for name, rewards in terms.items()
             ),
         )
-        if term_look
+        if term_styles
         else None,
-        "term_look": term_look,
+        "term_styles": term_styles,
         "decision_times": Plot(
-            figures.decision_times(episodes, look, None if period is None else 1e3 * period, machines),
+            figures.decision_times(episodes, styles, None if period is None else 1e3 * period, machines),
             "; ".join(
                 f"{policy.policy}: median {policy.decision_ms_p50:.3g} ms, "
                 f"99th percentile {policy.decision_ms_p99:.3g} ms"
@@ -96,91 +96,96 @@ def comparison_plots(results: Results, look: style.Looks) -> dict[str, Any]:
             ),
             note=_besides_decisions(policies),
         ),
-        "trade_off": trade_off_plot(policies, look),
-        "training_cost": _training_cost(policies, curves, look),
+        "trade_off": trade_off_plot(policies, styles),
+        "training_cost": _training_cost(policies, curves, styles),
         "curve_problems": problems,
     }
 
 
-def trade_off_plot(policies: Sequence[PolicySummary], look: style.Looks) -> Plot | None:
+def trade_off_plot(policies: Sequence[PolicySummary], styles: style.Styles) -> Plot | None:
     """Success or return against decision time; None if the times cannot be compared, or there is one policy."""
-    found = points(policies)
-    if len(found) < 2:
+    policy_points = points(policies)
+    if len(policy_points) < 2:
         return None
-    front = ", ".join(look[one.label].label for one in pareto_front(found))
+    front = ", ".join(styles[point.label].label for point in pareto_front(policy_points))
     by_success = any(policy.success for policy in policies)
     times = f" Times are {policies[0].timing}." if policies[0].timing else ""
     return Plot(
-        cost_figures.trade_off(found, look, by_success),
+        cost_figures.trade_off(policy_points, styles, by_success),
         f"{'Success' if by_success else 'Return'} against decision time",
         note=f"Dots: mean time of a decision; lines: up to the 99th percentile. Pareto front: {front}.{times}",
     )
 
 
 def _training_cost(
-    policies: Sequence[PolicySummary], curves: Mapping[str, pd.DataFrame], look: style.Looks
+    policies: Sequence[PolicySummary], curves: Mapping[str, pd.DataFrame], styles: style.Styles
 ) -> Plot | None:
     """Success against decisions of training, and the break-even points in words; None if no decisions are known."""
-    costs = {one.policy: cost_curve(one, curves.get(one.policy)) for one in policies if one.learned}
-    known = {name: curve for name, curve in costs.items() if not curve.empty}
-    if not known:
+    costs = {policy.policy: cost_curve(policy, curves.get(policy.policy)) for policy in policies if policy.learned}
+    known_costs = {name: curve for name, curve in costs.items() if not curve.empty}
+    if not known_costs:
         return None
-    found = break_evens(policies, curves)
-    said = [str(one) for one in found]
-    if unknown := [name for name in costs if name not in known]:
-        said.append(f"How many decisions it took to train {', '.join(unknown)} is unknown.")
-    figure = cost_figures.training_cost(known, policies, found, look)
-    return Plot(figure, "Success against decisions of training", note=renamed(" ".join(said), look))
+    break_even_points = break_evens(policies, curves)
+    sentences = [str(break_even) for break_even in break_even_points]
+    if unknown := [name for name in costs if name not in known_costs]:
+        sentences.append(f"How many decisions it took to train {', '.join(unknown)} is unknown.")
+    figure = cost_figures.training_cost(known_costs, policies, break_even_points, styles)
+    return Plot(figure, "Success against decisions of training", note=renamed(" ".join(sentences), styles))
 
 
-def renamed(text: str, look: style.Looks) -> str:
+def renamed(text: str, styles: style.Styles) -> str:
     """A text with the labels of policies in place of their names."""
-    for name in sorted(look, key=len, reverse=True):
-        text = text.replace(name, look[name].label)
+    for name in sorted(styles, key=len, reverse=True):
+        text = text.replace(name, styles[name].label)
     return text
 
 
-def sweep_plots(sweep: pd.DataFrame, rankings: Sequence[RobustnessRanking], look: style.Looks) -> list[Plot]:
+def sweep_plots(sweep: pd.DataFrame, rankings: Sequence[RobustnessRanking], styles: style.Styles) -> list[Plot]:
     """A figure for each disturbance of a sweep, and its robustness ranking."""
-    what = "Success" if sweep.success.notna().any() else "Return"
-    said = {ranking.disturbance: renamed(str(ranking), look) for ranking in rankings}
+    label = "Success" if sweep.success.notna().any() else "Return"
+    notes = {ranking.disturbance: renamed(str(ranking), styles) for ranking in rankings}
     return [
-        Plot(figures.robustness(rows, look), f"{what} against the level of {name}", str(name), said.get(str(name), ""))
+        Plot(
+            figures.robustness(rows, styles),
+            f"{label} against the level of {name}",
+            str(name),
+            notes.get(str(name), ""),
+        )
         for name, rows in sweep.groupby("disturbance", sort=False)
         if rows.level.nunique() > 1
     ]
 
 
-def _profile(results: Results, look: style.Looks) -> Plot:
-    figure, alt_text = profile(results.episodes, look), "Share of episodes above each return, by policy"
+def _profile(results: Results, styles: style.Styles) -> Plot:
+    figure, alt_text = profile(results.episodes, styles), "Share of episodes above each return, by policy"
     start = profile_start(results.episodes)
     if start is None:
         return Plot(figure, alt_text)
-    returns = {name: played.column("total_reward") for name, played in results.episodes.items()}
-    lowest = float(min(earned.min() for earned in returns.values()))
-    highest = float(max(earned.max() for earned in returns.values()))
-    shown, whole = ([low - 0.02 * (highest - low), highest + 0.02 * (highest - low)] for low in (start, lowest))
-    figure.update_xaxes(range=shown)
-    beneath = [name for name, earned in returns.items() if earned.max() < start]
-    left_out = sum(int((earned < start).sum()) for earned in returns.values())
+    returns = {name: table.column("total_reward") for name, table in results.episodes.items()}
+    lowest = float(min(sample.min() for sample in returns.values()))
+    highest = float(max(sample.max() for sample in returns.values()))
+    visible_range, whole = ([low - 0.02 * (highest - low), highest + 0.02 * (highest - low)] for low in (start, lowest))
+    figure.update_xaxes(range=visible_range)
+    beneath = [name for name, sample in returns.items() if sample.max() < start]
+    left_out = sum(int((sample < start).sum()) for sample in returns.values())
     note = f"The axis begins at {style.number(start)}, as lower returns would squeeze it: {left_out} episodes are below"
     if beneath:
-        note += f", among them all of {', '.join(look[name].label for name in beneath)}"
+        note += f", among them all of {', '.join(styles[name].label for name in beneath)}"
     return Plot(figure, alt_text, note=f"{note}.", whole_axis=whole)
 
 
-def _paired(results: Results, look: style.Looks) -> list[Plot]:
+def _paired(results: Results, styles: style.Styles) -> list[Plot]:
     comparison = results.comparison
     pairs = list(zip(comparison.paired, corrected(comparison.paired, comparison.baseline), strict=True))
-    if len(pairs) > MOST_PAIRS:
+    if len(pairs) > MAX_PAIRS:
         reached = [policy for policy in comparison.policies if not policy.spared]
         best = max(reached, key=lambda policy: _score(policy.success or policy.episode_return))
         pairs = [(pair, p) for pair, p in pairs if best.policy in (pair.a, pair.b)]
     return [
         Plot(
-            figures.paired(pair, results.episodes, look),
+            figures.paired(pair, results.episodes, styles),
             f"Returns of {pair.a} against those of {pair.b}",
-            f"{look[pair.a].label} against {look[pair.b].label}",
+            f"{styles[pair.a].label} against {styles[pair.b].label}",
             _difference(pair, p),
         )
         for pair, p in pairs
@@ -190,15 +195,17 @@ def _paired(results: Results, look: style.Looks) -> list[Plot]:
 def _besides_decisions(policies: Sequence[PolicySummary]) -> str:
     """What policies compute besides their decisions."""
     times = {
-        "Reset before an episode's first decision (median)": {one.policy: one.reset_ms for one in policies},
-        "Construction": {one.policy: one.construction_ms for one in policies},
+        "Reset before an episode's first decision (median)": {policy.policy: policy.reset_ms for policy in policies},
+        "Construction": {policy.policy: policy.construction_ms for policy in policies},
     }
-    said = (
-        f"{what}: " + ", ".join(f"{name} {spent:.3g} ms" for name, spent in known.items() if spent is not None) + "."
-        for what, known in times.items()
-        if any(spent is not None for spent in known.values())
+    sentences = (
+        f"{label}: "
+        + ", ".join(f"{name} {spent:.3g} ms" for name, spent in times_by_policy.items() if spent is not None)
+        + "."
+        for label, times_by_policy in times.items()
+        if any(spent is not None for spent in times_by_policy.values())
     )
-    return " ".join(said)
+    return " ".join(sentences)
 
 
 def _difference(pair: PairedDifference, p: Corrected) -> str:

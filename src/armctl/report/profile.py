@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from armctl.episodes.record import EpisodeResult
 from armctl.episodes.table import EpisodeTable
-from armctl.report.style import SHARE_AXIS, Looks, add_band, add_line, framed
+from armctl.report.style import SHARE_AXIS, Styles, add_band, add_line, framed
 from armctl.stats.intervals import performance_profile
 
 THRESHOLDS = 120
@@ -17,20 +17,20 @@ TAIL = 0.05
 """Share of a policy's episodes that the figure may leave out at first."""
 
 
-def profile(episodes: Mapping[str, Sequence[EpisodeResult]], look: Looks) -> go.Figure:
+def profile(episodes: Mapping[str, Sequence[EpisodeResult]], styles: Styles) -> go.Figure:
     """Share of episodes with a return above each threshold, with 95 % intervals (Agarwal et al. 2021)."""
-    returns = {name: _returns(played) for name, played in episodes.items()}
+    returns = {name: _returns(results) for name, results in episodes.items()}
     values = np.unique(np.concatenate(list(returns.values())))
     if len(values) > THRESHOLDS:
         values = np.unique(np.quantile(values, np.linspace(0, 1, THRESHOLDS)))
     thresholds = np.concatenate(([values[0] - 0.02 * (np.ptp(values) or 1.0)], values))
     figure = go.Figure()
-    for name, earned in returns.items():
-        shares = performance_profile(earned, thresholds)
+    for name, sample in returns.items():
+        shares = performance_profile(sample, thresholds)
         add_band(
-            figure, thresholds, [share.low for share in shares], [share.high for share in shares], look[name], "hv"
+            figure, thresholds, [share.low for share in shares], [share.high for share in shares], styles[name], "hv"
         )
-        add_line(figure, thresholds, [share.value for share in shares], look[name], "hv", "%{y:.0%} above %{x:.4~r}")
+        add_line(figure, thresholds, [share.value for share in shares], styles[name], "hv", "%{y:.0%} above %{x:.4~r}")
     return framed(figure, "return", "share of episodes above it", y=SHARE_AXIS)
 
 
@@ -40,16 +40,16 @@ def profile_start(episodes: Mapping[str, Sequence[EpisodeResult]]) -> float | No
     First the policy with the lowest median is left out, if that halves the axis at least, by itself or with the `TAIL`
     of the others; then all returns below a gap of two thirds of the rest, unless the best policy's median is there.
     """
-    returns = [np.sort(_returns(played)) for played in episodes.values()]
-    returns.sort(key=lambda earned: float(np.median(earned)))
-    lowest, highest = min(earned[0] for earned in returns), max(earned[-1] for earned in returns)
+    returns = [np.sort(_returns(results)) for results in episodes.values()]
+    returns.sort(key=lambda sample: float(np.median(sample)))
+    lowest, highest = min(sample[0] for sample in returns), max(sample[-1] for sample in returns)
     start = lowest
     if len(returns) > 1:
         without = (
-            min(float(np.quantile(earned, tail, method="lower")) for earned in returns[1:]) for tail in (0, TAIL)
+            min(float(np.quantile(sample, tail, method="lower")) for sample in returns[1:]) for tail in (0, TAIL)
         )
         start = next((begin for begin in without if highest - begin < (highest - lowest) / 2), start)
-    rest = np.unique(np.concatenate([earned[earned >= start] for earned in returns]))
+    rest = np.unique(np.concatenate([sample[sample >= start] for sample in returns]))
     if len(rest) > 1:
         widest = int(np.argmax(np.diff(rest)))
         if np.diff(rest)[widest] > 2 * np.ptp(rest) / 3 and rest[widest] < np.median(returns[-1]):
@@ -57,7 +57,7 @@ def profile_start(episodes: Mapping[str, Sequence[EpisodeResult]]) -> float | No
     return float(start) if start > lowest and highest > start else None
 
 
-def _returns(played: Sequence[EpisodeResult]) -> NDArray[np.float64]:
-    if isinstance(played, EpisodeTable):
-        return played.column("total_reward")
-    return np.array([result.total_reward for result in played])
+def _returns(results: Sequence[EpisodeResult]) -> NDArray[np.float64]:
+    if isinstance(results, EpisodeTable):
+        return results.column("total_reward")
+    return np.array([result.total_reward for result in results])

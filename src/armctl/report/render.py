@@ -49,20 +49,20 @@ def write_page(out: Path, template: str, page: Mapping[str, Any]) -> None:
 
 def _training_more(cost: TrainingCost) -> str:
     """The small print about a training: what it took, each on a line."""
-    tuning, teachers, own = cost.tuning, cost.teachers, cost.decisions
+    tuning, teachers, local_decisions = cost.tuning, cost.teachers, cost.decisions
     cost = TrainingCost() if cost.is_untrained else cost.total
     counts = {"gradient steps": cost.gradient_steps, "teacher queries": cost.teacher_queries or None}
-    told = ["decisions"] if cost.decisions else []
-    if teachers is not None and own is not None and teachers.decisions is not None:
-        told += [f"{rounded(own)} its own", f"{rounded(teachers.decisions)} its teachers'"]
-    told += [f"{rounded(count)} {what}" for what, count in counts.items() if count is not None]
+    parts = ["decisions"] if cost.decisions else []
+    if teachers is not None and local_decisions is not None and teachers.decisions is not None:
+        parts += [f"{rounded(local_decisions)} its own", f"{rounded(teachers.decisions)} its teachers'"]
+    parts += [f"{rounded(count)} {unit}" for unit, count in counts.items() if count is not None]
     if cost.processor_seconds is not None:
-        told.append(f"{cost.processor_seconds / 60:.1f} processor minutes")
+        parts.append(f"{cost.processor_seconds / 60:.1f} processor minutes")
     if cost.minutes:
-        told.append(f"{cost.minutes:.1f} minutes")
+        parts.append(f"{cost.minutes:.1f} minutes")
     if tuning is not None:
-        told.append(f"tuning: {tuning}")
-    return "\n".join(told)
+        parts.append(f"tuning: {tuning}")
+    return "\n".join(parts)
 
 
 def _base64(data: bytes) -> str:

@@ -14,11 +14,11 @@ COLUMNS = (
 
 def reproduction_document(again: Sequence[Reproduction]) -> Document:
     """A row for each agent that was evaluated again."""
-    caption = " ".join(dict.fromkeys(_rule(one) for one in again)) + " Steps: to the goal."
-    rows = [_row(one) for one in again]
+    caption = " ".join(dict.fromkeys(_rule(reproduction) for reproduction in again)) + " Steps: to the goal."
+    rows = [_row(reproduction) for reproduction in again]
     title = "Success of agents, on their cards and now"
-    table = Table("agents", title, COLUMNS, rows, [_record(one) for one in again], caption)
-    return Document([table, *(_disagreement(one) for one in again if not one.agrees)])
+    table = Table("agents", title, COLUMNS, rows, [_record(reproduction) for reproduction in again], caption)
+    return Document([table, *(_disagreement(reproduction) for reproduction in again if not reproduction.agrees)])
 
 
 def _rule(again: Reproduction) -> str:
@@ -34,7 +34,8 @@ def _disagreement(again: Reproduction) -> Remark:
     differences = "; ".join(map(str, again.differences))
     hint = (
         " Other versions or processors may compute actions that differ in the last digits."
-        if again.same_episodes and not {"success_rate", "digest"} & {one.figure for one in again.differences}
+        if again.same_episodes
+        and not {"success_rate", "digest"} & {difference.figure for difference in again.differences}
         else ""
     )
     return Remark(f"{again.card.name} does not agree with its card: {differences}.{hint}", "problem")
@@ -63,7 +64,7 @@ def _record(again: Reproduction) -> dict[str, object]:
         "agent": again.card.name,
         "env": again.card.env,
         "agrees": again.agrees,
-        "differences": [str(one) for one in again.differences],
+        "differences": [str(difference) for difference in again.differences],
         "card": again.claimed.model_dump(),
         "now": again.found.model_dump(),
     }

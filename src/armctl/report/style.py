@@ -1,4 +1,4 @@
-"""The style of figures: looks of policies, axes, labels, bands."""
+"""The style of figures: styles of policies, axes, labels, bands."""
 
 import html
 from collections.abc import Mapping, Sequence
@@ -16,14 +16,14 @@ DASHES = ("solid", "dash", "dot", "dashdot")
 SYMBOLS = dict(zip(DASHES, ("circle", "square", "diamond", "cross"), strict=True))
 FONT = "'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
 LONGEST_LABEL = 20
-MOST_DOTS, CELLS = 1000, 80
-"""Of a scatter plot. With more than `MOST_DOTS` episodes, all in one cell of a `CELLS` x `CELLS` grid are one dot."""
+MAX_DOTS, CELLS = 1000, 80
+"""Of a scatter plot. With more than `MAX_DOTS` episodes, all in one cell of a `CELLS` x `CELLS` grid are one dot."""
 ROW = 44
 """Height of a policy's row, pixels."""
 
 
 @dataclass(frozen=True)
-class Look:
+class Style:
     """Label, colour and dash of a policy or a reward term."""
 
     label: str
@@ -31,15 +31,15 @@ class Look:
     dash: str = "solid"
 
 
-Looks = Mapping[str, Look]
+Styles = Mapping[str, Style]
 
 
-def looks(names: Sequence[str]) -> dict[str, Look]:
-    """A look for each policy. The label of an agent's file is shortened if the labels stay distinct."""
+def styles_of(names: Sequence[str]) -> dict[str, Style]:
+    """Return a style for each policy. The label of an agent's file is shortened if the labels stay distinct."""
     short = {name: shortened(name) for name in names}
     labels = short if len(set(short.values())) == len(names) else {name: name for name in names}
     return {
-        name: Look(labels[name], COLOURS[i % len(COLOURS)], DASHES[i // len(COLOURS) % len(DASHES)])
+        name: Style(labels[name], COLOURS[i % len(COLOURS)], DASHES[i // len(COLOURS) % len(DASHES)])
         for i, name in enumerate(names)
     }
 
@@ -115,8 +115,10 @@ def add_label(figure: go.Figure, label: str, text: str, small: str = "") -> None
     )
 
 
-def add_interval(figure: go.Figure, label: str, low: float, value: float, high: float, colour: str, said: str) -> None:
-    """Add a dot on a thick line to the row of a label. `said` is the text at the dot."""
+def add_interval(
+    figure: go.Figure, label: str, low: float, value: float, high: float, colour: str, hover_text: str
+) -> None:
+    """Add a dot on a thick line to the row of a label. `hover_text` is the text at the dot."""
     row = escaped(label)
     figure.add_scatter(
         x=[low, high], y=[row] * 2, mode="lines", line={"color": colour, "width": 6}, opacity=0.4, hoverinfo="skip"
@@ -126,7 +128,7 @@ def add_interval(figure: go.Figure, label: str, low: float, value: float, high: 
         y=[row],
         mode="markers",
         marker={"color": colour, "size": 12},
-        hovertemplate=f"{row}: {said}<extra></extra>",
+        hovertemplate=f"{row}: {hover_text}<extra></extra>",
     )
 
 
@@ -134,7 +136,7 @@ def add_line(
     figure: go.Figure,
     x: Any,
     y: Any,
-    style: Look,
+    style: Style,
     shape: str,
     hover: str,
     customdata: Sequence[float] | None = None,
@@ -153,7 +155,7 @@ def add_line(
     )
 
 
-def add_spared_line(figure: go.Figure, x: Any, y: Any, style: Look) -> None:
+def add_spared_line(figure: go.Figure, x: Any, y: Any, style: Style) -> None:
     """Add the line of a policy that the disturbance does not reach: dotted and thin, with hollow points."""
     figure.add_scatter(
         x=listed(x),
@@ -166,7 +168,7 @@ def add_spared_line(figure: go.Figure, x: Any, y: Any, style: Look) -> None:
     )
 
 
-def add_point(figure: go.Figure, x: Any, y: Any, low: Any, high: Any, style: Look, hover: str) -> None:
+def add_point(figure: go.Figure, x: Any, y: Any, low: Any, high: Any, style: Style, hover: str) -> None:
     """Add a policy's points with vertical intervals. `hover` is the text at one, in Plotly's template language."""
     y, low, high = (np.asarray(values, dtype=float) for values in (y, low, high))
     figure.add_scatter(
@@ -183,7 +185,7 @@ def add_point(figure: go.Figure, x: Any, y: Any, low: Any, high: Any, style: Loo
     )  # fmt: skip
 
 
-def add_band(figure: go.Figure, x: Any, low: Any, high: Any, style: Look, shape: str = "linear") -> None:
+def add_band(figure: go.Figure, x: Any, low: Any, high: Any, style: Style, shape: str = "linear") -> None:
     """Add a band between `low` and `high`; it has gaps where either is unknown."""
     x, low, high = listed(x), listed(low), listed(high)
     edge = {"width": 0, "shape": shape}

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from armctl.report.colours import COLOURS, INK, PALE, PAPER
 from armctl.report.style import (
     SHARE_AXIS,
-    Look,
-    Looks,
+    Style,
+    Styles,
     add_band,
     add_interval,
     add_label,
@@ -23,14 +23,14 @@ from armctl.report.style import (
 )
 from armctl.stats.intervals import Estimate
 
-CLASSICAL, LEARNED = Look("best classical", COLOURS[0]), Look("best learned", COLOURS[1])
+CLASSICAL, LEARNED = Style("best classical", COLOURS[0]), Style("best learned", COLOURS[1])
 SYMBOLS = {
     "circle": "●", "square": "■", "diamond": "◆", "triangle-up": "▲", "triangle-down": "▼", "star": "★", "hexagon": "⬢",
 }  # fmt: skip
-"""Of tasks, and how they look in a text."""
+"""Symbols of tasks in figures, and in a text."""
 HALVES = (0.1, 0.2, 0.3, 0.4, 0.5)
 """How far an axis may reach to both sides of one half."""
-LEAST_MS, LEAST_DECISIONS = 1e-3, 1e3
+MIN_MS, MIN_DECISIONS = 1e-3, 1e3
 """Where a logarithmic axis begins; below it, a cost is shown there."""
 
 
@@ -40,7 +40,7 @@ class CostPoint:
 
     policy: str
     task: str
-    look: Look
+    style: Style
     symbol: str
     success: float
     cost: float
@@ -50,11 +50,11 @@ class CostPoint:
 def intervals(rows: Mapping[str, Estimate], colours: Mapping[str, str]) -> go.Figure:
     """A row for each share between 0 and 1, with its 95 % interval; dotted: one half, in the middle."""
     figure = go.Figure()
-    for name, one in rows.items():
-        low, high = (one.value if bound is None else bound for bound in (one.low, one.high))
-        said = f"{one.value:.1%} [{low:.1%}, {high:.1%}]"
-        add_interval(figure, name, low, one.value, high, colours[name], said)
-        add_label(figure, name, f"<b>{100 * one.value:.1f} %</b>", f"{100 * low:.1f} to {100 * high:.1f}")
+    for name, estimate in rows.items():
+        low, high = (estimate.value if bound is None else bound for bound in (estimate.low, estimate.high))
+        hover_text = f"{estimate.value:.1%} [{low:.1%}, {high:.1%}]"
+        add_interval(figure, name, low, estimate.value, high, colours[name], hover_text)
+        add_label(figure, name, f"<b>{100 * estimate.value:.1f} %</b>", f"{100 * low:.1f} to {100 * high:.1f}")
     figure.add_vline(x=0.5, line={"color": PALE, "width": 1, "dash": "dot"})
     farthest = max((abs(end - 0.5) for trace in figure.data for end in trace.x), default=0.5)
     half = next(half for half in HALVES if half >= min(farthest, 0.5))
@@ -63,19 +63,19 @@ def intervals(rows: Mapping[str, Estimate], colours: Mapping[str, str]) -> go.Fi
     return with_rows(figure, len(rows), x, right=100)
 
 
-def profiles(lines: Sequence[tuple[Look, Sequence[Estimate]]], thresholds: NDArray[np.float64]) -> go.Figure:
+def profiles(lines: Sequence[tuple[Style, Sequence[Estimate]]], thresholds: NDArray[np.float64]) -> go.Figure:
     """Share of cells with a success of at least each threshold."""
     figure = go.Figure()
-    for look, shares in lines:
-        add_band(figure, thresholds, [one.low for one in shares], [one.high for one in shares], look, "vh")
-        add_line(figure, thresholds, [one.value for one in shares], look, "vh", "%{y:.0%} with %{x:.0%} or more")
+    for style, shares in lines:
+        add_band(figure, thresholds, [share.low for share in shares], [share.high for share in shares], style, "vh")
+        add_line(figure, thresholds, [share.value for share in shares], style, "vh", "%{y:.0%} with %{x:.0%} or more")
     return framed(figure, "success of at least", "share of tasks and settings", x=SHARE_AXIS, y=SHARE_AXIS, height=320)
 
 
-def cost_plane(points: Sequence[CostPoint], x_title: str, unit: str, least: float) -> go.Figure:
-    """Success against a cost, on a logarithmic axis from `least` on. Colours are of families, symbols of tasks."""
+def cost_plane(points: Sequence[CostPoint], x_title: str, unit: str, min_cost: float) -> go.Figure:
+    """Success against a cost, on a logarithmic axis from `min_cost` on. Colours are of families, symbols of tasks."""
     figure = go.Figure()
-    costs = [max(point.cost, least) for point in points]
+    costs = [max(point.cost, min_cost) for point in points]
     for point, cost in zip(points, costs, strict=True):
         name = f"{escaped(point.policy)} in {escaped(point.task)}"
         figure.add_scatter(
@@ -84,16 +84,16 @@ def cost_plane(points: Sequence[CostPoint], x_title: str, unit: str, least: floa
             mode="markers",
             cliponaxis=False,
             marker={
-                "symbol": point.symbol, "size": 12, "color": point.look.colour, "opacity": 0.85,
+                "symbol": point.symbol, "size": 12, "color": point.style.colour, "opacity": 0.85,
                 "line": {"width": 1, "color": PAPER},
             },
             hovertemplate=f"{name}: %{{y:.1%}}, {point.cost:.3g} {escaped(unit)}<extra></extra>",
         )  # fmt: skip
-    low, high = math.log10(min(costs, default=least)), math.log10(max(costs, default=least))
-    x = {"type": "log", "dtick": 1, "tickformat": "~s" if least >= 1 else "~g", "range": [low - 0.3, high + 0.3]}
+    low, high = math.log10(min(costs, default=min_cost)), math.log10(max(costs, default=min_cost))
+    x = {"type": "log", "dtick": 1, "tickformat": "~s" if min_cost >= 1 else "~g", "range": [low - 0.3, high + 0.3]}
     return framed(figure, x_title, "mean success", x=x, y=SHARE_AXIS, height=330)
 
 
-def family_looks(families: Sequence[str]) -> Looks:
-    """A look for each family; further ones are dark."""
-    return {name: Look(name, COLOURS[i] if i < len(COLOURS) else INK) for i, name in enumerate(families)}
+def family_styles(families: Sequence[str]) -> Styles:
+    """Return a style for each family; further ones are dark."""
+    return {name: Style(name, COLOURS[i] if i < len(COLOURS) else INK) for i, name in enumerate(families)}

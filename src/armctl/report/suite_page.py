@@ -34,31 +34,33 @@ ALL_TASKS = "all tasks"
 THRESHOLDS = np.linspace(0.0, 1.0, 101)
 
 
-def write_suite_page(found: Suite, folder: Path, out: Path, reports: Mapping[str, str]) -> None:
+def write_suite_page(suite: Suite, folder: Path, out: Path, reports: Mapping[str, str]) -> None:
     """Write the page of a suite in `folder`. `reports` are the links to the tasks' own reports, by environment.
 
     Raises `ResultsError` if the page cannot be written.
     """
-    answers = found.answers
-    names = list(dict.fromkeys(family(policy.policy) for one in answers for policy in one.policies))
-    look, heads = suite_figures.family_looks(names), _heads(found)
+    answers = suite.answers
+    names = list(dict.fromkeys(family(policy.policy) for answer in answers for policy in answer.policies))
+    styles, heads = suite_figures.family_styles(names), _heads(suite)
     page: dict[str, Any] = {
         "headline": headline(answers),
-        "suite": found,
+        "suite": suite,
         "chosen": CHOSEN,
         "folder": folder.resolve().name,
-        "command": _command(found),
-        "tasks": [{"answer": one, "short": folder_of(one.env), "link": reports.get(one.env)} for one in answers],
+        "command": _command(suite),
+        "tasks": [{"answer": task, "short": folder_of(task.env), "link": reports.get(task.env)} for task in answers],
         "heads": heads,
-        "heat": [_heat(found, one, heads, reports.get(one.env)) for one in answers if one.cells],
+        "heat": [_heat(suite, answer, heads, reports.get(answer.env)) for answer in answers if answer.cells],
         "families": _families(answers, names),
         "improvement": _improvement(answers),
-        "ranks": [_ranks(league, look) for league in found.leagues],
+        "ranks": [_ranks(league, styles) for league in suite.leagues],
         "profile": _profile(answers),
-        "profile_looks": [CLASSICAL, LEARNED],
-        "costs": _costs(answers, look),
-        "looks": list(look.values()),
-        "symbols": dict(zip((folder_of(one.env) for one in answers), _symbols(answers, SYMBOLS.values()), strict=True)),
+        "profile_styles": [CLASSICAL, LEARNED],
+        "costs": _costs(answers, styles),
+        "styles": list(styles.values()),
+        "symbols": dict(
+            zip((folder_of(task.env) for task in answers), _symbols(answers, SYMBOLS.values()), strict=True)
+        ),
     }
     write_page(out, "suite.html.j2", page)
 
@@ -68,57 +70,57 @@ def headline(answers: Sequence[Answer]) -> str:
 
     `answers` are corrected for all tasks, as `Suite.answers` is.
     """
-    heads = [head for one in answers if (head := one.undisturbed)]
+    heads = [head for answer in answers if (head := answer.undisturbed)]
     if not heads:
         return "No task has both classical and learned results"
     classical, learned = (sum(head.better == sign for head in heads) for sign in (1, -1))
     open_ = len(heads) - classical - learned
     parts = [f"classical is better in {classical}", f"learned in {learned}", f"neither is shown to be in {open_}"]
     faster = [sum(head.faster == sign for head in heads) for sign in (1, -1)]
-    said = [f"Of {len(heads)} task{'s' * (len(heads) > 1)}, by success, {', '.join(parts)}"]
-    said += [f"there, classical takes fewer steps in {faster[0]}, learned in {faster[1]}"] if any(faster) else []
-    looks = sorted({look for one in answers for look in one.looks})
-    return "; ".join([*said, looks_in_words(looks)] if looks else said)
+    sentences = [f"Of {len(heads)} task{'s' * (len(heads) > 1)}, by success, {', '.join(parts)}"]
+    sentences += [f"there, classical takes fewer steps in {faster[0]}, learned in {faster[1]}"] if any(faster) else []
+    looks = sorted({episodes for answer in answers for episodes in answer.looks})
+    return "; ".join([*sentences, looks_in_words(looks)] if looks else sentences)
 
 
-def _command(found: Suite) -> str:
-    envs = " ".join(f"--env {shlex.quote(env)}" for env in found.envs)
-    return f"armctl suite {envs} {'--quick ' if found.quick else ''}--episodes {found.episodes} --seed {found.seed}"
+def _command(suite: Suite) -> str:
+    envs = " ".join(f"--env {shlex.quote(env)}" for env in suite.envs)
+    return f"armctl suite {envs} {'--quick ' if suite.quick else ''}--episodes {suite.episodes} --seed {suite.seed}"
 
 
-def _heads(found: Suite) -> list[tuple[str, int]]:
+def _heads(suite: Suite) -> list[tuple[str, int]]:
     """The columns of the heat map after the undisturbed one: a disturbance, and which of its levels."""
     columns: dict[str, int] = {}
-    for swept in found.tasks.values():
+    for swept in suite.tasks.values():
         for name, levels in swept.levels.items():
             columns[name] = max(columns.get(name, 0), len(levels) - 1)
     return [(name, i) for name, count in columns.items() for i in range(1, count + 1)]
 
 
-def _heat(found: Suite, one: Answer, heads: Sequence[tuple[str, int]], link: str | None) -> dict[str, Any]:
+def _heat(suite: Suite, answer: Answer, heads: Sequence[tuple[str, int]], link: str | None) -> dict[str, Any]:
     """A task's rows of the heat map: for each policy, its success in percent in each column, None where unknown.
 
     It is `spared` where the disturbance does not reach the policy.
     """
-    levels = found.tasks[one.env].levels
+    levels = suite.tasks[answer.env].levels
     settings: list[tuple[str, str] | None] = [(UNDISTURBED, "")]
     for name, i in heads:
-        known = i < len(levels.get(name, ()))
-        settings.append((folder_name(name, levels[name][i]), f"{levels[name][i]:g}") if known else None)
+        has_level = i < len(levels.get(name, ()))
+        settings.append((folder_name(name, levels[name][i]), f"{levels[name][i]:g}") if has_level else None)
     rows = [
-        (policy.policy, [None if at is None else _shown(one, policy.policy, at[0]) for at in settings])
-        for policy in sorted(one.policies, key=lambda policy: policy.learned)
+        (policy.policy, [None if at is None else _cell_value(answer, policy.policy, at[0]) for at in settings])
+        for policy in sorted(answer.policies, key=lambda policy: policy.learned)
     ]
-    shown = [None if at is None else at[1] for at in settings]
-    return {"task": folder_of(one.env), "link": link, "levels": shown[1:], "rows": rows}
+    levels_shown = [None if at is None else at[1] for at in settings]
+    return {"task": folder_of(answer.env), "link": link, "levels": levels_shown[1:], "rows": rows}
 
 
-def _shown(one: Answer, policy: str, setting: str) -> float | str | None:
-    return SPARED if policy in one.spared.get(setting, ()) else _percent(one, policy, setting)
+def _cell_value(answer: Answer, policy: str, setting: str) -> float | str | None:
+    return SPARED if policy in answer.spared.get(setting, ()) else _percent(answer, policy, setting)
 
 
-def _percent(one: Answer, policy: str, setting: str) -> float | None:
-    table = one.cells.get(setting)
+def _percent(answer: Answer, policy: str, setting: str) -> float | None:
+    table = answer.cells.get(setting)
     if table is None or policy not in table or table[policy].isna().all():
         return None
     return 100 * float(table[policy].mean())
@@ -126,85 +128,90 @@ def _percent(one: Answer, policy: str, setting: str) -> float | None:
 
 def _families(answers: Sequence[Answer], names: Sequence[str]) -> list[tuple[str, list[float | None]]]:
     """For each family, its mean success in percent in each task, over all settings and members."""
-    return [(name, [_mean_success(one, _members(one, name)) for one in answers]) for name in names]
+    return [(name, [_mean_success(answer, _members(answer, name)) for answer in answers]) for name in names]
 
 
-def _members(one: Answer, name: str) -> list[str]:
-    return [policy.policy for policy in one.policies if family(policy.policy) == name]
+def _members(answer: Answer, name: str) -> list[str]:
+    return [policy.policy for policy in answer.policies if family(policy.policy) == name]
 
 
-def _mean_success(one: Answer, policies: Sequence[str]) -> float | None:
-    cells = [_percent(one, policy, setting) for setting in one.cells for policy in policies]
-    known = [cell for cell in cells if cell is not None]
-    return sum(known) / len(known) if known else None
+def _mean_success(answer: Answer, policies: Sequence[str]) -> float | None:
+    cells = [_percent(answer, policy, setting) for setting in answer.cells for policy in policies]
+    values = [cell for cell in cells if cell is not None]
+    return sum(values) / len(values) if values else None
 
 
-def _both(answers: Sequence[Answer]) -> list[tuple[Answer, Choice, Choice]]:
-    return [(one, one.classical, one.learned) for one in answers if one.heads and one.classical and one.learned]
+def _pairs(answers: Sequence[Answer]) -> list[tuple[Answer, Choice, Choice]]:
+    return [
+        (answer, answer.classical, answer.learned)
+        for answer in answers
+        if answer.heads and answer.classical and answer.learned
+    ]
 
 
 def _improvement(answers: Sequence[Answer]) -> Plot | None:
-    found = {
-        folder_of(one.env): improvement(one.shared_cells, classical, learned)
-        for one, classical, learned in _both(answers)
+    improvements = {
+        folder_of(answer.env): improvement(answer.shared_cells, classical, learned)
+        for answer, classical, learned in _pairs(answers)
     }
-    means = {task: mean_over_tasks([values]) for task, values in found.items()}
-    means[ALL_TASKS] = mean_over_tasks(list(found.values()))
+    means = {task: mean_over_tasks([values]) for task, values in improvements.items()}
+    means[ALL_TASKS] = mean_over_tasks(list(improvements.values()))
     rows = {name: mean for name, mean in means.items() if mean is not None}
     if not rows:
         return None
     colours = dict.fromkeys(rows, CLASSICAL.colour) | {ALL_TASKS: INK}
-    return Plot(suite_figures.intervals(rows, colours), _said(rows, "probability that classical does better"))
+    return Plot(suite_figures.intervals(rows, colours), _alt_text(rows, "probability that classical does better"))
 
 
-def _ranks(league: League, look: style.Looks) -> Plot:
-    colours = {name: look[name].colour for name in league.ranks}
-    said = _said(league.ranks, "rivals beaten")
-    return Plot(suite_figures.intervals(league.ranks, colours), said, ", ".join(league.tasks))
+def _ranks(league: League, styles: style.Styles) -> Plot:
+    colours = {name: styles[name].colour for name in league.ranks}
+    alt_text = _alt_text(league.ranks, "rivals beaten")
+    return Plot(suite_figures.intervals(league.ranks, colours), alt_text, ", ".join(league.tasks))
 
 
-def _said(rows: Mapping[str, Estimate], what: str) -> str:
-    return f"{what}: " + "; ".join(f"{name} {one.value:.1%}" for name, one in rows.items())
+def _alt_text(rows: Mapping[str, Estimate], label: str) -> str:
+    return f"{label}: " + "; ".join(f"{name} {estimate.value:.1%}" for name, estimate in rows.items())
 
 
 def _profile(answers: Sequence[Answer]) -> Plot | None:
-    both = _both(answers)
-    if not both:
+    pairs = _pairs(answers)
+    if not pairs:
         return None
     lines = [
-        (CLASSICAL, [rate for one, classical, _ in both for rate in cell_rates(one.shared_cells, classical)]),
-        (LEARNED, [rate for one, _, learned in both for rate in cell_rates(one.shared_cells, learned)]),
+        (CLASSICAL, [rate for answer, classical, _ in pairs for rate in cell_rates(answer.shared_cells, classical)]),
+        (LEARNED, [rate for answer, _, learned in pairs for rate in cell_rates(answer.shared_cells, learned)]),
     ]
-    drawn = [(look, success_profile(rates, THRESHOLDS)) for look, rates in lines]
-    return Plot(suite_figures.profiles(drawn, THRESHOLDS), "Share of tasks and settings with at least some success")
+    profiles = [(style, success_profile(rates, THRESHOLDS)) for style, rates in lines]
+    figure = suite_figures.profiles(profiles, THRESHOLDS)
+    return Plot(figure, "Share of tasks and settings with at least some success")
 
 
-def _costs(answers: Sequence[Answer], look: style.Looks) -> list[Plot]:
+def _costs(answers: Sequence[Answer], styles: style.Styles) -> list[Plot]:
     """Success against decision time, and against the decisions of training, where these are known."""
-    symbols = dict(zip((one.env for one in answers), _symbols(answers, SYMBOLS), strict=True))
+    symbols = dict(zip((answer.env for answer in answers), _symbols(answers, SYMBOLS), strict=True))
 
     def points(cost: Any) -> list[CostPoint]:
         return [
             CostPoint(
-                policy.policy, folder_of(one.env), look[family(policy.policy)], symbols[one.env], success / 100,
-                float(known),
+                policy.policy, folder_of(answer.env), styles[family(policy.policy)], symbols[answer.env], success / 100,
+                float(known_cost),
             )
-            for one in answers
-            for policy in one.policies
-            if (success := _mean_success(one, [policy.policy])) is not None
-            and (known := cost(policy)) is not None
+            for answer in answers
+            for policy in answer.policies
+            if (success := _mean_success(answer, [policy.policy])) is not None
+            and (known_cost := cost(policy)) is not None
         ]  # fmt: skip
 
     timed, trained = points(attrgetter("decision_ms")), points(_decisions)
     if not timed:
         return []
-    ms, least = suite_figures.LEAST_MS, suite_figures.LEAST_DECISIONS
-    unknown = {policy.policy for one in answers for policy in one.policies if _decisions(policy) is None}
+    ms, min_decisions = suite_figures.MIN_MS, suite_figures.MIN_DECISIONS
+    unknown = {policy.policy for answer in answers for policy in answer.policies if _decisions(policy) is None}
     left_out = f" Unknown: {', '.join(sorted(unknown))}." if unknown else ""
     return [
         Plot(suite_figures.cost_plane(timed, "mean decision, ms", "ms", ms), "Success against decision time",
              "Decision time"),
-        Plot(suite_figures.cost_plane(trained, "decisions in simulation, for training", "decisions", least),
+        Plot(suite_figures.cost_plane(trained, "decisions in simulation, for training", "decisions", min_decisions),
              "Success against training", "Training", f"Without training: on the left.{left_out}"),
     ]  # fmt: skip
 
@@ -219,6 +226,6 @@ def _symbols(answers: Sequence[Answer], symbols: Any) -> list[str]:
     return [listed[i % len(listed)] for i in range(len(answers))]
 
 
-def task_folders(found: Suite) -> dict[str, str]:
+def task_folders(suite: Suite) -> dict[str, str]:
     """The folder of each task that has results, by environment."""
-    return {env: folder_of(env) for env in found.tasks}
+    return {env: folder_of(env) for env in suite.tasks}

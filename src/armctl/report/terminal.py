@@ -33,9 +33,9 @@ def output_console() -> PlainConsole:
     return PlainConsole(width=None if limited else UNLIMITED)
 
 
-def tables(found: Displayed) -> "DocumentView":
+def tables(displayed: Displayed) -> "DocumentView":
     """The tables and remarks of a comparison or a sweep."""
-    return DocumentView(found.document())
+    return DocumentView(displayed.document())
 
 
 @dataclass(frozen=True)
@@ -50,13 +50,13 @@ class DocumentView:
             if above and (isinstance(part, Table) or part.kind == "verdict"):
                 yield Text()
             if isinstance(part, Table):
-                yield from _shown(part, options.max_width)
+                yield from _render_table(part, options.max_width)
             else:
                 yield Text(part.text, style=STYLES[part.kind])
             above = part
 
 
-def _shown(table: Table, width: int) -> Iterator[Text | RichTable]:
+def _render_table(table: Table, width: int) -> Iterator[Text | RichTable]:
     yield Text(table.title, style="italic")
     fitted, left_out = fitted_table(table, width)
     yield _stacked(table, width) if fitted is None else _side_by_side(fitted)
@@ -107,11 +107,11 @@ def _tail(name: str, width: int) -> str:
     """The end of a name, which tells more than its beginning; AGAINST stays before it."""
     if cell_len(name) <= width:
         return name
-    before = AGAINST if name.startswith(AGAINST) else ""
-    tail = name.removeprefix(before)
-    while cell_len(before + "…" + tail) > width:
+    prefix = AGAINST if name.startswith(AGAINST) else ""
+    tail = name.removeprefix(prefix)
+    while cell_len(prefix + "…" + tail) > width:
         tail = tail[1:]
-    return before + "…" + tail
+    return prefix + "…" + tail
 
 
 def _width(cells: Sequence[Cell]) -> int:
@@ -119,12 +119,12 @@ def _width(cells: Sequence[Cell]) -> int:
 
 
 def _side_by_side(table: Table) -> RichTable:
-    shown = RichTable(box=SIMPLE_HEAD, padding=(0, GAP - 1, 0, 0), show_edge=False, pad_edge=False)
+    rich_table = RichTable(box=SIMPLE_HEAD, padding=(0, GAP - 1, 0, 0), show_edge=False, pad_edge=False)
     for i, column in enumerate(table.columns):
-        shown.add_column(Text(column.heading), justify="right" if i else "left", no_wrap=True)
+        rich_table.add_column(Text(column.heading), justify="right" if i else "left", no_wrap=True)
     for row in table.rows:
-        shown.add_row(*(Text(f"{cell.text}\n{cell.small}" if cell.small else cell.text) for cell in row))
-    return shown
+        rich_table.add_row(*(Text(f"{cell.text}\n{cell.small}" if cell.small else cell.text) for cell in row))
+    return rich_table
 
 
 def _stacked(table: Table, width: int) -> Text:

@@ -20,7 +20,7 @@ from armctl.verdict.tables import UNKNOWN, Cell, Column, Document, Remark, Table
 PAGE = "tuning.html"
 HEIGHT, MARGIN = 380, {"l": 56, "r": 16, "t": 24, "b": 48}
 """px."""
-LEAST = 4
+MIN_TRIALS = 4
 """Finished trials from which on it is worth telling which options matter."""
 
 BEST_OF_MANY = (
@@ -29,77 +29,78 @@ BEST_OF_MANY = (
 )
 
 
-def document(found: TuningOutcome) -> Document:
+def document(outcome: TuningOutcome) -> Document:
     """The present and the best values beside each other, and what they cost."""
-    before, best = found.present_trial, found.best
-    shown = {"present": before} | ({"best": best} if best is not before else {})
-    columns = [Column(found.candidate.name), *(Column(name) for name in shown)]
-    rows = [[Cell("trial"), *(_number(one and one.number) for one in shown.values())]]
+    present, best = outcome.present_trial, outcome.best
+    trials = {"present": present} | ({"best": best} if best is not present else {})
+    columns = [Column(outcome.candidate.name), *(Column(name) for name in trials)]
+    rows = [[Cell("trial"), *(_number(trial and trial.number) for trial in trials.values())]]
     rows += [
-        [Cell(path), *(_number(one and one.params[path]) for one in shown.values())] for path in found.candidate.space
+        [Cell(path), *(_number(trial and trial.params[path]) for trial in trials.values())]
+        for path in outcome.candidate.space
     ]
-    rows.append([Cell(found.candidate.score), *(_number(one and one.value) for one in shown.values())])
+    rows.append([Cell(outcome.candidate.score), *(_number(trial and trial.value) for trial in trials.values())])
     records = [
-        {"values": name, "trial": one.number, found.candidate.score: one.value} | one.params
-        for name, one in shown.items()
-        if one
+        {"values": name, "trial": trial.number, outcome.candidate.score: trial.value} | trial.params
+        for name, trial in trials.items()
+        if trial
     ]
-    parts: list[Table | Remark] = [Table("values", "", columns, rows, records, f"By {found.candidate.judged_by}.")]
-    parts.append(Remark(_spent(found)))
+    parts: list[Table | Remark] = [Table("values", "", columns, rows, records, f"By {outcome.candidate.judged_by}.")]
+    parts.append(Remark(_spent(outcome)))
     if best is None:
         parts.append(Remark("No trial has finished.", "note"))
-    elif best is before:
+    elif best is present:
         parts.append(Remark("No values are better than the present ones.", "verdict"))
     else:
-        parts.append(Remark(f"{found.best_file.name} has the best values. {BEST_OF_MANY}", "verdict"))
-    return Document(parts, {"tuned": found.candidate.name, "processor_seconds": found.processor_seconds})
+        parts.append(Remark(f"{outcome.best_file.name} has the best values. {BEST_OF_MANY}", "verdict"))
+    return Document(parts, {"tuned": outcome.candidate.name, "processor_seconds": outcome.processor_seconds})
 
 
-def write_tuning_page(found: TuningOutcome) -> Path:
+def write_tuning_page(outcome: TuningOutcome) -> Path:
     """Write the page into the tuning's folder, and return its path. Raises `ResultsError`."""
-    out = found.folder / PAGE
-    shown = document(found)
+    out = outcome.folder / PAGE
+    document_parts = document(outcome)
     write_page(out, "tuning.html.j2", {
-        "name": found.candidate.name,
-        "table": shown.tables[0],
-        "remarks": [part.text for part in shown.parts if isinstance(part, Remark)],
-        "plots": _plots(found),
-        "interrupted": found.interrupted,
+        "name": outcome.candidate.name,
+        "table": document_parts.tables[0],
+        "remarks": [part.text for part in document_parts.parts if isinstance(part, Remark)],
+        "plots": _plots(outcome),
+        "interrupted": outcome.interrupted,
     })  # fmt: skip
     return out
 
 
-def _spent(found: TuningOutcome) -> str:
-    states = [one.state for one in found.trials]
+def _spent(outcome: TuningOutcome) -> str:
+    states = [trial.state for trial in outcome.trials]
     counts = {
         "finished": states.count(TrialState.COMPLETE),
         "pruned": states.count(TrialState.PRUNED),
         "failed": states.count(TrialState.FAIL),
     }
-    told = ", ".join(f"{count} {what}" for what, count in counts.items() if count)
-    return f"{len(states)} trials ({told or 'none ended'}) in {found.processor_seconds / 60:.1f} processor minutes."
+    spent = ", ".join(f"{count} {label}" for label, count in counts.items() if count)
+    return f"{len(states)} trials ({spent or 'none ended'}) in {outcome.processor_seconds / 60:.1f} processor minutes."
 
 
-def _plots(found: TuningOutcome) -> list[Plot]:
+def _plots(outcome: TuningOutcome) -> list[Plot]:
     """Optuna's plots, as far as there are trials enough for them."""
-    study, score = found.study, found.candidate.score
-    made = [_plot(plots.plot_timeline(study), "Times", "When each trial ran.")]
-    if any(one.intermediate_values for one in found.trials):
+    study, score = outcome.study, outcome.candidate.score
+    figures = [_plot(plots.plot_timeline(study), "Times", "When each trial ran.")]
+    if any(trial.intermediate_values for trial in outcome.trials):
         note = "Reports of each trial; those that end early were pruned."
-        made.append(_plot(plots.plot_intermediate_values(study), "Curves", note))
-    if len(found.finished) >= LEAST and len(found.candidate.space) > 1:
+        figures.append(_plot(plots.plot_intermediate_values(study), "Curves", note))
+    if len(outcome.finished) >= MIN_TRIALS and len(outcome.candidate.space) > 1:
         with warnings.catch_warnings(action="ignore", category=optuna.exceptions.ExperimentalWarning):
             evaluator = PedAnovaImportanceEvaluator()
             importances = plots.plot_param_importances(study, evaluator=evaluator, target_name=score)
-        made.append(_plot(importances, "What matters", "Importance by PED-ANOVA (Watanabe et al., IJCAI 2023)."))
-    if found.finished:
+        figures.append(_plot(importances, "What matters", "Importance by PED-ANOVA (Watanabe et al., IJCAI 2023)."))
+    if outcome.finished:
         history = plots.plot_optimization_history(study, target_name=score)
-        made += [
+        figures += [
             _plot(plots.plot_parallel_coordinate(study, target_name=score), "Together", "Each line is a trial."),
             _plot(plots.plot_slice(study, target_name=score), "Options", "Each trial by the value of each option."),
             _plot(history, "History", "Each trial, and the best so far."),
         ]
-    return made[::-1]
+    return figures[::-1]
 
 
 def _plot(figure: go.Figure, title: str, note: str) -> Plot:

@@ -29,7 +29,7 @@ SIZE = 400, 304
 """Pixels: multiples of 16, which H.264 needs."""
 BRIEF = 50
 """Control steps. If most episodes are shorter, they are shown at half speed."""
-MOST_FRAMES = 100
+MAX_FRAMES = 100
 """Of a video, or twice as many at half speed. Of longer episodes, only every second or third control step is shown."""
 OFFSAMPLES, SHADOW = 0, 1024
 """MuJoCo's rendering quality. With it, software rendering takes half the time of the models' own quality."""
@@ -61,34 +61,34 @@ def most_different(episodes: Mapping[str, Sequence[EpisodeResult]]) -> list[Epis
     fails does not dominate it.
     """
     fewest = min(map(len, episodes.values()), default=0)
-    tables = [table_of(played)[:fewest] for played in episodes.values()]
-    numbers, returns = (np.array([one.column(name) for one in tables]) for name in ("episode", "total_reward"))
+    tables = [table_of(results)[:fewest] for results in episodes.values()]
+    numbers, returns = (np.array([table.column(name) for table in tables]) for name in ("episode", "total_reward"))
     if len(tables) < 2 or not (shared := np.flatnonzero((numbers == numbers[0]).all(axis=0))).size:
         return []
     gaps = np.diff(np.sort(returns[:, shared].T, axis=1), axis=1)
     widest = int(shared[np.argmax(np.log1p(gaps).sum(axis=1))])
-    return [one[widest] for one in tables]
+    return [table[widest] for table in tables]
 
 
 def worst(episodes: Mapping[str, Sequence[EpisodeResult]]) -> list[EpisodeResult]:
     """The episode with the lowest return of each policy; of several, the first."""
-    return [one[int(one.column("total_reward").argmin())] for one in map(table_of, episodes.values())]
+    return [table[int(table.column("total_reward").argmin())] for table in map(table_of, episodes.values())]
 
 
-def film(results: Results, wanted: Sequence[EpisodeResult]) -> list[Clip]:
+def film(results: Results, selection: Sequence[EpisodeResult]) -> list[Clip]:
     """Videos of equal length and speed, which can be played side by side."""
-    lengths = [result.length for result in wanted]
+    lengths = [result.length for result in selection]
     slowness = 2 if np.median(lengths) < BRIEF else 1
-    stride = -(-max(lengths) // (slowness * MOST_FRAMES))
+    stride = -(-max(lengths) // (slowness * MAX_FRAMES))
     recordings: list[_Recording | str] = []
-    for result in wanted:
+    for result in selection:
         try:
             recordings.append(_play(results, result, stride))
         except ArmctlError as error:
             recordings.append(str(error))
-    longest = max((len(one.frames) for one in recordings if isinstance(one, _Recording)), default=0)
+    longest = max((len(recording.frames) for recording in recordings if isinstance(recording, _Recording)), default=0)
     clips = []
-    for result, recording in zip(wanted, recordings, strict=True):
+    for result, recording in zip(selection, recordings, strict=True):
         if isinstance(recording, str):
             clips.append(Clip(result, problem=recording))
             continue
@@ -139,8 +139,10 @@ def _play(results: Results, result: EpisodeResult, stride: int) -> _Recording:
             stage.step()
             if stage.status.steps % stride == 0 or stage.status.outcome is not None:
                 frames.append(picture())
-        now = stage.status.outcome, stage.status.steps
-        problem = "" if now == (result.outcome, result.length) else f"Played again: {now[0]} after {now[1]} steps."
+        ending = stage.status.outcome, stage.status.steps
+        problem = (
+            "" if ending == (result.outcome, result.length) else f"Played again: {ending[0]} after {ending[1]} steps."
+        )
         return _Recording(frames, stage.period, problem)
 
 
