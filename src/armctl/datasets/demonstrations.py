@@ -60,8 +60,8 @@ class Recorder(gymnasium.vector.VectorWrapper[Any, Any, Any, Any, Any]):
         self.labels: NDArray[np.floating[Any]] | None = None
         """(n, ...) recorded as the next actions, instead of those that are executed."""
         self._worlds, self.task, self.outcomes = env, env.task, env.outcomes
-        self._seen: list[list[Any]] = [[] for _ in range(env.num_envs)]
-        self._done: list[list[Any]] = [[] for _ in range(env.num_envs)]
+        self._observations: list[list[Any]] = [[] for _ in range(env.num_envs)]
+        self._steps: list[list[Any]] = [[] for _ in range(env.num_envs)]
         self._open = np.zeros(env.num_envs, dtype=bool)
 
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Observations, dict[str, Any]]:
@@ -69,7 +69,7 @@ class Recorder(gymnasium.vector.VectorWrapper[Any, Any, Any, Any, Any]):
         observations, infos = self.env.reset(seed=seed, options=options)
         began = (options or {}).get("reset_mask", np.ones(self.num_envs, dtype=bool))
         for i in np.flatnonzero(began):
-            self._seen[i], self._done[i] = [_copy(one_of(observations, int(i)))], []
+            self._observations[i], self._steps[i] = [_copy(one_of(observations, int(i)))], []
         self._open |= began
         return observations, infos
 
@@ -80,13 +80,13 @@ class Recorder(gymnasium.vector.VectorWrapper[Any, Any, Any, Any, Any]):
         labels = actions if self.labels is None else np.asarray(self.labels, dtype=dtype)
         observations, rewards, terminated, truncated, infos = self.env.step(actions)
         for i in np.flatnonzero(self._open):
-            self._seen[i].append(_copy(one_of(observations, int(i))))
-            self._done[i].append((labels[i], rewards[i]))
+            self._observations[i].append(_copy(one_of(observations, int(i))))
+            self._steps[i].append((labels[i], rewards[i]))
         for i in np.flatnonzero((terminated | truncated) & self._open):
-            actions, rewards = zip(*self._done[i], strict=True)
+            episode_actions, episode_rewards = zip(*self._steps[i], strict=True)
             self.finished[int(self._worlds.episodes[i])] = Demonstration(
-                _stacked(self._seen[i]), np.array(actions), np.array(rewards), bool(terminated[i]),
-                bool(infos["is_success"][i]),
+                _stacked(self._observations[i]), np.array(episode_actions), np.array(episode_rewards),
+                bool(terminated[i]), bool(infos["is_success"][i]),
             )  # fmt: skip
             self._open[i] = False
         return observations, rewards, terminated, truncated, infos

@@ -13,7 +13,7 @@ from armctl.policies import Policy, PolicyFactory
 from armctl.rollout.parallel import RolloutBatch, Setting, WorkerConfig, batch, do_in_workers
 from armctl.runtime.engines import Engine
 
-Played = tuple[EpisodeResult, Demonstration]
+RecordedEpisode = tuple[EpisodeResult, Demonstration]
 
 
 class WorldsAsAsked:
@@ -39,7 +39,7 @@ def demonstrate_in_workers(
     name: str,
     episodes: Sequence[int],
     engine: Engine,
-) -> Generator[Played, None, None]:
+) -> Generator[RecordedEpisode, None, None]:
     """Yield what `demonstrate` yields, of a policy that is built here, as `actor`, in the worlds of `interfaces`.
 
     Raises `PolicyFailed` when all that was begun has ended, and `WorkersFailed`.

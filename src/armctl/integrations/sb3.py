@@ -57,7 +57,7 @@ class VecEnv(vec_env.VecEnv):  # type: ignore[misc]
         self._reset_options()
         self._returns[:] = 0.0
         self._lengths[:] = 0
-        return self._shown(self._observations)
+        return self._observations
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Store the actions (n, ...) for `step_wait`."""
@@ -68,20 +68,20 @@ class VecEnv(vec_env.VecEnv):  # type: ignore[misc]
         commands = self._commands(self._actions)
         self._observations, rewards, terminated, truncated, infos = self.env.step(commands)
         terms, done = infos["reward_terms"], terminated | truncated
-        self._returns += sum(rewards for name, rewards in terms.items() if name != SHAPING)
+        self._returns += sum(term_rewards for name, term_rewards in terms.items() if name != SHAPING)
         self._lengths += 1
         world_infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         seconds = round(time.monotonic() - self._began, 6)
         for i in np.flatnonzero(done):
             world_infos[i] = {
-                "terminal_observation": self._shown(one_of(infos["final_obs"], int(i))),
+                "terminal_observation": one_of(infos["final_obs"], int(i)),
                 "TimeLimit.truncated": bool(truncated[i]),
                 "is_success": bool(infos["final_info"]["is_success"][i]),
                 "episode": {"r": float(self._returns[i]), "l": int(self._lengths[i]), "t": seconds},
             }
         self._returns[done] = 0.0
         self._lengths[done] = 0
-        return self._shown(self._observations), np.asarray(rewards, dtype=np.float32), done, world_infos
+        return self._observations, np.asarray(rewards, dtype=np.float32), done, world_infos
 
     def close(self) -> None:
         """Close the environment."""
@@ -113,10 +113,6 @@ class VecEnv(vec_env.VecEnv):  # type: ignore[misc]
     def _commands(self, actions: NDArray[Any]) -> Any:
         """The environment's actions."""
         return actions
-
-    def _shown(self, observations: Any) -> Any:
-        """Observations as the learner gets them, of all worlds or of one."""
-        return observations
 
 
 class GoalFeatures(BaseFeaturesExtractor):  # type: ignore[misc]

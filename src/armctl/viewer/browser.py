@@ -127,21 +127,23 @@ class Player(plugin.SimPlugin):
             else:
                 self.on_play(Play(status.policy, status.seed, status.episode + 1))
         share = np.clip((time_s - self._stepped) / self.stage.period, 0.0, 1.0)
-        mujoco.mj_setState(event.model, event.data, self._before + share * (self._after - self._before), STATE)
+        mujoco.mj_setState(
+            event.model, event.data, self._previous_state + share * (self._state - self._previous_state), STATE
+        )
         time.sleep(TICK)
         return True
 
     def _begin(self) -> None:
         self.scenery.simulation = self.stage.task.simulation
-        self._after, geoms = self.scenery.snapshot()
-        self._before = self._after
+        self._state, geoms = self.scenery.snapshot()
+        self._previous_state = self._state
         self._stepped = self._due = time.perf_counter()
         self._show(geoms)
 
     def _control_step(self, time_s: float) -> None:
         self.stage.step()
-        self._before = self._after
-        self._after, geoms = self.scenery.snapshot()
+        self._previous_state = self._state
+        self._state, geoms = self.scenery.snapshot()
         is_late = time_s - self._due > self.stage.period
         self._stepped, self._due = time_s, (time_s if is_late else self._due) + self.stage.period
         if self.stage.status.outcome is not None:
@@ -153,11 +155,11 @@ class Player(plugin.SimPlugin):
         for name, points in plans.items():
             colour = COLOURS.get(name, OTHER_COLOUR)
             geoms += polyline(points, self._width, colour, beads=name == "horizon")
-        self._shown = geoms, tuple(plans)
+        self._drawing = geoms, tuple(plans)
         self._send()
 
     def _send(self) -> None:
-        self.frame = Frame(self.stage.status, self._paused, *self._shown, self._notice)
+        self.frame = Frame(self.stage.status, self._paused, *self._drawing, self._notice)
         if self._handle is not None:
             self.handle.send_to_viewer(self.frame)
 

@@ -87,14 +87,14 @@ class RerunLog:
         self._joints: tuple[str, ...] = getattr(worlds.task.robot, "joints", ())
         self._configuration = "joints" if self._joints else "configuration"
         self._scene = None if isinstance(worlds, ThirdPartyVectorEnv) else _scene(stream, worlds)
-        self._begun = False
+        self._has_shapes = False
         self._plans: set[str] = set()
         self._named: set[str] = set()
         stream.send_blueprint(self._blueprint())
 
     def decision(self, observations: Observations, actions: NDArray[Any], plans: Mapping[str, NDArray[Any]]) -> None:
         """Log what a policy sees, does and plans, before that has any effect."""
-        self._look(observations)
+        self._log_state(observations)
         self._scalars("action", actions[0], self._joints)
         for name, points in plans.items():
             colour = COLOURS.get(name, OTHER_COLOUR)
@@ -115,21 +115,21 @@ class RerunLog:
 
     def end(self, observations: Observations, ending: str) -> None:
         """Log the last state of an episode, and how it ended."""
-        self._look(observations)
+        self._log_state(observations)
         self._stream.log("episodes", self._rr.TextLog(ending))
         for name in self._plans:
             self._stream.log(f"world/plans/{name}", self._rr.Clear(recursive=False))
-        self._plans, self._return, self._begun = set(), 0.0, False
+        self._plans, self._return, self._has_shapes = set(), 0.0, False
         self._moment += 1
 
-    def _look(self, observations: Observations) -> None:
+    def _log_state(self, observations: Observations) -> None:
         task = self._worlds.task
         self._stream.set_time("step", sequence=self._moment)
         self._stream.set_time("time", duration=self._moment * self._period)
         if self._scene is not None:
-            self._scene.log(shapes=not self._begun)
+            self._scene.log(shapes=not self._has_shapes)
             self._scalars(self._configuration, task.motion().configuration[0], self._joints)
-        self._begun = True
+        self._has_shapes = True
         space = self._worlds.single_observation_space
         parts = space.spaces if isinstance(space, gymnasium.spaces.Dict) else {"observation": space}
         for name, part in parts.items():
