@@ -16,6 +16,7 @@ PACKAGES = [
     *(CORE / name for name in ("kernels", "kinematics", "planning", "control", "robots", "robot_description", "scene")),
     *(CORE / name for name in ("simulation", "tasks", "disturbances", "shaping", "envs", "policies", "agents")),
     *(CORE / "core", CORE / "runtime", CORE / "environments.py", CORE / "__init__.py"),
+    *(CORE / name for name in ("cli", "datasets", "integrations", "report", "training", "tuning", "viewer")),
     *(HOME / "baselines", HOME / "benchmarks", HOME / "rl", HOME / "tools"),
 ]
 """Packages whose renaming is done."""
@@ -31,7 +32,8 @@ SIDES = (
     *("tasks/bridge/observation.py", "tasks/bridge/planar.py"),
 )
 """Files in which `left` is a side, or the direction across what is ahead."""
-ALLOWED = {(CORE / file, "left") for file in SIDES}
+ALLOWED = {(CORE / file, "left") for file in SIDES} | {(CORE / "training/learners.py", "after")}
+"""Words that are names in a file: sides, and a key of recipes."""
 
 QUESTION = "how|what|when|where|whether|which|who|why"
 PREPOSITION = (

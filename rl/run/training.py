@@ -207,7 +207,7 @@ class Training:
         return card
 
     def _stage_at(self, steps: int) -> Recipe:
-        return self.recipe.after(steps / self.options.steps)
+        return self.recipe.at_share(steps / self.options.steps)
 
     def _make_envs(self, recipe: Recipe, count: int) -> gymnasium.vector.VectorEnv[Any, Any, Any]:
         options = self.options

@@ -20,7 +20,7 @@ app = typer.Typer(
 
 @dataclass
 class Settings:
-    """What holds for all verbs."""
+    """Settings that hold for all verbs."""
 
     traceback: bool = False
 

@@ -140,7 +140,7 @@ def _first_line(described: Any) -> str:
 
 
 def _observation(space: "gymnasium.Space[Any]", task: Any) -> list[tuple[str, str]]:
-    """The arrays of an observation, or the parts of the one array."""
+    """Return the arrays of an observation, or the parts of the one array."""
     if arrays := getattr(space, "spaces", None):
         return [(name, f"{_size(part.shape)}, {part.dtype}") for name, part in arrays.items()]
     parts = {name: value.shape[1:] for name, value in task.observation_parts().items()}

@@ -1,4 +1,4 @@
-"""What Tab completes, after `armctl --install-completion`: names that are found without loading a simulator."""
+"""Completions by Tab, after `armctl --install-completion`: names that are found without loading a simulator."""
 
 from collections.abc import Iterable
 from importlib.util import find_spec

@@ -243,5 +243,5 @@ def say(text: str, error: bool = False) -> None:
 
 
 def words(*words: object) -> str:
-    """A command's words as a shell takes them."""
+    """Return a command's words as a shell takes them."""
     return shlex.join(str(word) for word in words)

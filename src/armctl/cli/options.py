@@ -33,7 +33,7 @@ PolicyName = Annotated[
 
 
 def seed_of(text: str) -> int:
-    """The seed that a command line names: a whole number, or `test`."""
+    """Return the seed that a command line names: a whole number, or `test`."""
     from armctl.rollout.seeds import TEST, TEST_SEED
 
     text = str(text)  # of a default, which is a number
@@ -107,7 +107,7 @@ RealTime = Annotated[
 
 
 class TableFormat(StrEnum):
-    """How results are printed."""
+    """Format in which results are printed."""
 
     TABLE = "table"
     MARKDOWN = "markdown"
@@ -144,7 +144,7 @@ ReturnBounds = Annotated[
 
 
 class EpisodeStore(StrEnum):
-    """What a results folder holds its episodes as."""
+    """Format of the episodes in a results folder."""
 
     CSV = "csv"
     PARQUET = "parquet"
@@ -174,7 +174,7 @@ Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the result
 
 
 def new_folder() -> Path:
-    """A folder for results that is not there yet, named after the current time."""
+    """Return a folder for results that is not there yet, named after the current time."""
     from datetime import datetime
 
     date = datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
@@ -198,7 +198,7 @@ def print_document(document: "Document", table_format: TableFormat) -> "Console"
 
 
 def progress_bar() -> Any:
-    """A progress display on standard error; nothing where that is not a terminal."""
+    """Return a progress display on standard error; nothing where that is not a terminal."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     from armctl.core.console import PlainConsole

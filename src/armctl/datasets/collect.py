@@ -173,13 +173,13 @@ def _claimed(folder: Path, kind: Format, overwrite: bool) -> Iterator[None]:
 
 
 def _stored_policy_seed(folder: Path) -> int | None:
-    """The policy seed of the dataset in a folder, finished or not; None if there is none that can be read."""
+    """Return the policy seed of the dataset in a folder, finished or not; None if there is none that can be read."""
     manifests = (folder / UNFINISHED / IDENTITY, *(folder / kind.MANIFEST for kind in load_formats().values()))
     return next((seed for path in manifests if (seed := stored_policy_seed(path)) is not None), None)
 
 
 def _finished(folder: Path, kind: Format, local_identity: Mapping[str, Any], episodes: int) -> Collection | None:
-    """The dataset that this call would make, if it is there already; None if some of it is missing.
+    """Return the dataset that this call would make, if it is there already; None if some of it is missing.
 
     Raises `ResultsError` if another dataset is there.
     """

@@ -27,7 +27,7 @@ class Demonstration:
     rewards: NDArray[np.float64]
     """(T,)"""
     terminated: bool
-    """Whether it terminated; if not, it was truncated."""
+    """True if the episode terminated, False if it was truncated."""
     success: bool
 
     def __len__(self) -> int:
@@ -38,14 +38,14 @@ OBSERVATIONS = "observations"
 
 
 def parts_of(observations: Observations) -> dict[str, NDArray[Any]]:
-    """The arrays of some observations by their names in a file: `observations`, or `observations/PART` for each."""
+    """Return the arrays of observations by their names in a file: `observations`, or `observations/PART` for each."""
     if isinstance(observations, dict):
         return {f"{OBSERVATIONS}/{name}": values for name, values in observations.items()}
     return {OBSERVATIONS: observations}
 
 
 def observations_of(parts: dict[str, NDArray[Any]]) -> Observations:
-    """The observations of which these are the `parts_of`."""
+    """Return the observations of which these are the `parts_of`."""
     if OBSERVATIONS in parts:
         return parts[OBSERVATIONS]
     return {name.removeprefix(f"{OBSERVATIONS}/"): values for name, values in parts.items()}

@@ -12,7 +12,7 @@ FORMATS = "armctl.dataset_formats"
 
 
 class Format(Protocol):
-    """What a format's module has."""
+    """Interface of a format's module."""
 
     PARTS: tuple[str, ...]
     """The folders within the dataset's folder of which it may consist; that of the manifest is the last."""
@@ -25,7 +25,7 @@ class Format(Protocol):
     def describe(
         self, folder: Path, env: str, env_options: Mapping[str, Any], worlds: EpisodeVectorEnv
     ) -> dict[str, Any]:
-        """The metadata, as JSON values, of a dataset in this folder."""
+        """Return the metadata, as JSON values, of a dataset in this folder."""
 
     def write_dataset(
         self, folder: Path, episodes: Iterable[tuple[Demonstration, Mapping[str, Any]]], metadata: Mapping[str, Any]

@@ -169,7 +169,7 @@ class _Reader:
 
 
 def _child(group: Any, name: str, kind: type, label: str) -> Any:
-    """What lies in a group under a name, if it lies there itself and is of a kind."""
+    """Return a group's member of that name and kind; links are refused."""
     link = group.get(name, getlink=True)
     if link is None:
         raise ConfigurationError(f"{label} has no {name}")
@@ -182,7 +182,7 @@ def _child(group: Any, name: str, kind: type, label: str) -> Any:
 
 
 def _success(group: Any, label: str) -> bool:
-    """Whether an episode was a success: so it was if nothing says otherwise."""
+    """Return whether an episode was a success; without an entry, it was."""
     if "success" not in group.attrs:
         return True
     attribute = group.attrs.get_id("success")

@@ -31,7 +31,7 @@ UNFINISHED = "unfinished"
 """The folder within the dataset's folder that keeps the finished episodes of an interrupted collection."""
 METADATA = "metadata.json"
 MANIFEST = f"{DATA}/{METADATA}"
-"""Where, within the dataset's folder, its identity is."""
+"""File within the dataset's folder that has its identity."""
 SHA256 = "sha256"
 """The metadata's entry with the HDF5 file's checksum."""
 
@@ -50,7 +50,7 @@ def write_dataset(
 
 
 def describe(folder: Path, env: str, env_options: Mapping[str, Any], worlds: EpisodeVectorEnv) -> dict[str, Any]:
-    """The metadata that Minari and `read_demonstrations` need, as JSON values, for a dataset in this folder."""
+    """Return the metadata that Minari and `read_demonstrations` need, as JSON values, for a dataset in this folder."""
     from minari.serialization import serialize_space
 
     described = {
@@ -132,7 +132,7 @@ def _find(dataset: str | Path) -> Path:
 
 
 def policy_of(dataset: str | Path) -> str:
-    """The name of the policy that a Minari dataset shows, or else of the dataset. Raises `ConfigurationError`."""
+    """Return the name of a Minari dataset's policy, or else of the dataset. Raises `ConfigurationError`."""
     try:
         return str(_read_metadata(_find(dataset)).get("algorithm_name") or dataset)
     except (OSError, ValueError) as error:
@@ -186,7 +186,7 @@ def _declared_shapes(space: Mapping[str, Any]) -> Any:
 
 
 def _short(value: Any) -> str:
-    """A value from a file as messages show it."""
+    """Return a value from a file as messages show it."""
     return reprlib.repr(value)
 
 
@@ -206,7 +206,7 @@ def require_minari() -> ModuleType:
 
 
 def _spec(env: str, options: Mapping[str, Any]) -> Any:
-    """The specification to make the environment again; None if an option cannot be written as JSON."""
+    """Return the specification to make the environment again; None if an option cannot be written as JSON."""
     spec = copy.deepcopy(find_spec(env))
     remaining_options = dict(options)
     spec.max_episode_steps = remaining_options.pop("max_episode_steps", spec.max_episode_steps)
@@ -219,6 +219,6 @@ def _spec(env: str, options: Mapping[str, Any]) -> Any:
 
 
 def _dataset_id(folder: Path) -> str:
-    """The folder's name in Minari's format: letters, digits, - and _, and a version."""
+    """Return the folder's name in Minari's format: letters, digits, - and _, and a version."""
     name = re.sub(r"[^-\w]", "_", os.path.basename(os.path.realpath(folder)))
     return name if re.search(r".-v\d+$", name) else f"{name}-v0"

@@ -13,14 +13,14 @@ MIN_SIDE = 4
 
 
 def is_image(space: gymnasium.Space[Any]) -> bool:
-    """Whether a space is of images: bounded, and of shape (height, width), (height, width, 1) or (height, width, 3)."""
+    """Return whether a space has images: bounded, of shape (height, width) or (height, width, 1 or 3)."""
     if not isinstance(space, gymnasium.spaces.Box) or not space.is_bounded() or len(space.shape) not in (2, 3):
         return False
     return min(space.shape[:2]) >= MIN_SIDE and space.shape[2:] in ((), (1,), (3,))
 
 
 def bounds_of(space: gymnasium.spaces.Box) -> tuple[float, float]:
-    """The least and the largest value of an image."""
+    """Return the least and the largest value of an image."""
     return float(space.low.min()), float(space.high.max())
 
 
@@ -36,7 +36,7 @@ def pictures(images: NDArray[Any], low: float, high: float) -> NDArray[np.uint8]
 
 
 def count_frames(video: Path) -> int:
-    """How many frames a video has; 0 if it breaks off."""
+    """Count a video's frames; 0 if it breaks off."""
     try:
         with imageio.get_reader(video) as reader:
             return int(reader.count_frames())

@@ -58,11 +58,11 @@ class Unfinished:
             self._find(path)
 
     def read(self, number: int) -> Demonstration:
-        """A finished episode."""
+        """Return a finished episode."""
         return _read(self._path(number))[1]
 
     def not_written(self, error: OSError) -> ResultsError:
-        """The error for a disk that is full, or the like: it says what is kept."""
+        """Return the error for a disk that is full, or the like: it says what is kept."""
         kept = f". Its {len(self.outcomes)} finished episodes are kept: the same command resumes"
         return ResultsError(
             f"the dataset could not be written to {self.folder.parent}: {error.strerror or error}"
@@ -91,15 +91,15 @@ class Unfinished:
 
 
 def check_same(path: Path, identity: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """The values of a JSON file with an identity. Raises `ResultsError` unless the identity is this one."""
+    """Return the values of a JSON file with an identity. Raises `ResultsError` unless the identity is this one."""
     try:
         values = unsealed(bounded_text(path))
         stored = values.get("identity", values)
-        what = "; ".join(reasons_not_to_resume(stored, json.loads(json.dumps(identity))))
+        differences = "; ".join(reasons_not_to_resume(stored, json.loads(json.dumps(identity))))
     except (OSError, ValueError, AttributeError) as error:
         raise ResultsError(f"{folder} already holds a dataset that is damaged ({error}): {OTHERWISE}") from error
-    if what:
-        raise ResultsError(f"{folder} already holds a dataset of another kind ({what}): {OTHERWISE}")
+    if differences:
+        raise ResultsError(f"{folder} already holds a dataset of another kind ({differences}): {OTHERWISE}")
     return values
 
 

@@ -92,7 +92,7 @@ class VecEnv(vec_env.VecEnv):  # type: ignore[misc]
         return self.env.render() or ()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """The environment's attribute, the same for all worlds."""
+        """Return the environment's attribute, the same for all worlds."""
         return [self._attribute(attr_name)] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
@@ -104,14 +104,14 @@ class VecEnv(vec_env.VecEnv):  # type: ignore[misc]
         return [self._attribute(method_name)(*args, **kwargs)] * len(list(self._get_indices(indices)))
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        """Whether the worlds do what a wrapper does: that of `Monitor`, and no other's."""
+        """Return whether the worlds do what a wrapper does: that of `Monitor`, and no other's."""
         return [wrapper_class is Monitor] * len(list(self._get_indices(indices)))
 
     def _attribute(self, name: str) -> Any:
         return getattr(self.env if hasattr(self.env, name) else self.env.unwrapped, name)
 
     def _commands(self, actions: NDArray[Any]) -> Any:
-        """The environment's actions."""
+        """Return the environment's actions."""
         return actions
 
 

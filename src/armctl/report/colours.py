@@ -6,13 +6,13 @@ Figures are written in the light colours. The page's script replaces them by `DA
 INK, PALE, GRID, LINE, PAPER, ALARM = "#1f2933", "#6b7680", "#e4e8ec", "#aab3bb", "#ffffff", "#b42318"
 """Text, small text, grid lines, axes, background, limits."""
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#5a5a5a")
-"""Of policies, by Okabe and Ito (2008): safe for colour-blind readers."""
+"""Colours of policies, by Okabe and Ito (2008): safe for colour-blind readers."""
 TERM_COLOURS = ("#b9b4a7", "#44aa99", "#882255", "#ddcc77", "#332288", "#88ccee", "#999933", "#aa4499")
-"""Of reward terms, by Tol (2021); different from those of policies."""
+"""Colours of reward terms, by Tol (2021); different from those of policies."""
 
 
 def faint(colour: str) -> str:
-    """A transparent version of a colour #rrggbb."""
+    """Return a transparent version of a colour #rrggbb."""
     red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
     return f"rgba({red},{green},{blue},0.16)"
 
@@ -28,5 +28,5 @@ DARK = _LIGHTER | {faint(colour): faint(_LIGHTER[colour]) for colour in COLOURS}
 
 
 def on_both(colour: str) -> str:
-    """A colour for CSS: light on a dark page, dark on a white one."""
+    """Return a colour for CSS: light on a dark page, dark on a white one."""
     return f"light-dark({colour}, {DARK.get(colour, colour)})"

@@ -14,12 +14,12 @@ LATEX = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
     "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": r"\textless{}", ">": r"\textgreater{}",
 }  # fmt: skip
-"""What LaTeX would interpret, and how it is written."""
+"""Characters that LaTeX would interpret, and how they are written."""
 NUMBERS = re.compile(r"[-+<%/. \de]+|[-+.\de]+ to [-+.\de]+")
 """A number, or an interval, and nothing that is a name."""
 EXPONENT = re.compile(r"e([-+]?\d+)")
 MARKDOWN = re.compile(r"([\\`*_{}\[\]<>|#])")
-"""What Markdown would interpret."""
+"""Characters that Markdown would interpret."""
 
 
 def markdown(document: Document) -> str:
@@ -66,7 +66,7 @@ def latex(document: Document) -> str:
 
 
 def as_json(document: Document) -> str:
-    """What was done, the records of all tables by key, the verdict and all other remarks. Unknown numbers are null."""
+    """Return JSON: what was done, the records of all tables by key, verdict and remarks. Unknown numbers are null."""
     records: dict[str, list[Any]] = {}
     for table in document.tables:
         records.setdefault(table.key, []).extend(_jsonable(record) for record in table.records)
@@ -79,7 +79,7 @@ def as_json(document: Document) -> str:
 
 
 def as_csv(document: Document) -> str:
-    """The records of all tables as one table, in whose first column is the key of each."""
+    """Return the records of all tables as one table, in whose first column is the key of each."""
     rows = [{"table": table.key, **_flat(record)} for table in document.tables for record in table.records]
     out = io.StringIO()
     writer = csv.DictWriter(out, list(dict.fromkeys(name for row in rows for name in row)), lineterminator="\n")
@@ -95,7 +95,7 @@ FORMATS: Mapping[str, Callable[[Document], str]] = {
 
 
 def _in_one_line(cell: Cell) -> str:
-    """A cell's text with its small print: an interval in brackets, the rest behind a comma."""
+    """Return a cell's text with its small print: an interval in brackets, the rest behind a comma."""
     if not cell.small:
         return cell.text
     if " to " in cell.small:
@@ -124,7 +124,7 @@ def _latex_row(cells: Iterable[str]) -> str:
 
 
 def _flat(record: Mapping[str, Any]) -> dict[str, Any]:
-    """A record in one level: the value of an estimate under its own name, its bounds under `name_low`, `name_high`."""
+    """Flatten a record: an estimate's value keeps its name, and its bounds are `name_low` and `name_high`."""
     flat: dict[str, Any] = {}
     for name, value in record.items():
         if isinstance(value, Mapping):

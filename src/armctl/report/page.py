@@ -137,7 +137,7 @@ def _comparison(results: Results, styles: style.Styles) -> dict[str, Any]:
 
 
 def _single(results: Results) -> str:
-    """What there is to say without a pair of policies."""
+    """Return the headline without a pair of policies."""
     policies = results.comparison.policies
     if not policies:
         return "No episode was finished."
@@ -148,7 +148,7 @@ def _single(results: Results) -> str:
 
 
 def _videos(results: Results, progress: Callable[[str], None]) -> dict[str, Any]:
-    """The clips, or why there are none."""
+    """Return the clips, or why there are none."""
     if not results.episodes:
         return {"no_videos": "There is no episode to show."}
     progress("filming the same episode under each policy")
@@ -168,7 +168,7 @@ def _videos(results: Results, progress: Callable[[str], None]) -> dict[str, Any]
 
 
 def _view(results: Results, result: EpisodeResult) -> str:
-    """The command that shows an episode."""
+    """Return the command that shows an episode."""
     if result.metrics.contacts is None:  # not made of a task: its window is its own
         return _command("run", results, f"--episode {result.episode} --watch", names=[result.policy])
     return _command("view", results, f"--episode {result.episode}", names=[result.policy])
@@ -182,13 +182,13 @@ def _command(verb: str, results: Results, more: str, names: Sequence[str]) -> st
 
 
 def _parallel(policies: Sequence[PolicySummary]) -> str:
-    """The options with which the decision times were taken like this."""
+    """Return the options with which the decision times were taken like this."""
     used = {name: max(getattr(policy, name) for policy in policies) for name in ("worlds", "workers")}
     return "".join(f" --{name} {count}" for name, count in used.items() if count > 1)
 
 
 def _real_time_options(results: Results) -> str:
-    """The options of a world that does not wait."""
+    """Return the options of a world that does not wait."""
     real_time = results.comparison.real_time
     if real_time is None:
         return ""

@@ -134,14 +134,14 @@ def _training_cost(
 
 
 def renamed(text: str, styles: style.Styles) -> str:
-    """A text with the labels of policies in place of their names."""
+    """Return a text with the labels of policies in place of their names."""
     for name in sorted(styles, key=len, reverse=True):
         text = text.replace(name, styles[name].label)
     return text
 
 
 def sweep_plots(sweep: pd.DataFrame, rankings: Sequence[RobustnessRanking], styles: style.Styles) -> list[Plot]:
-    """A figure for each disturbance of a sweep, and its robustness ranking."""
+    """Return a figure for each disturbance of a sweep, and its robustness ranking."""
     label = "Success" if sweep.success.notna().any() else "Return"
     notes = {ranking.disturbance: renamed(str(ranking), styles) for ranking in rankings}
     return [
@@ -193,7 +193,7 @@ def _paired(results: Results, styles: style.Styles) -> list[Plot]:
 
 
 def _besides_decisions(policies: Sequence[PolicySummary]) -> str:
-    """What policies compute besides their decisions."""
+    """Describe what policies compute besides their decisions."""
     times = {
         "Reset before an episode's first decision (median)": {policy.policy: policy.reset_ms for policy in policies},
         "Construction": {policy.policy: policy.construction_ms for policy in policies},
@@ -209,7 +209,7 @@ def _besides_decisions(policies: Sequence[PolicySummary]) -> str:
 
 
 def _difference(pair: PairedDifference, p: Corrected) -> str:
-    """What a pair's figure means, in numbers."""
+    """Describe a pair's figure in numbers."""
     gain = pair.return_difference
     earns = "Return unknown." if math.isnan(gain.value) else f"Return {gain.value:+.1f} ({spread(gain, sign='+')})."
     if pair.mcnemar_p is None:
@@ -232,7 +232,7 @@ def _score(estimate: Estimate | None) -> float:
 
 
 def _period(results: Results) -> float | None:
-    """The control period, s; None if the environment does not say, or cannot be made here."""
+    """Return the control period, s; None if the environment does not say, or cannot be made here."""
     try:
         check_from_file(results.comparison.env, results.comparison.env_options, "the comparison")
         with closing(make_worlds(results.comparison.env, 1, results.comparison.env_options)) as worlds:
@@ -243,17 +243,17 @@ def _period(results: Results) -> float | None:
 
 
 def percent(estimate: Estimate | None) -> str:
-    """A share in percent."""
+    """Return a share in percent."""
     return NOTHING if estimate is None else f"{100 * estimate.value:.1f} %"
 
 
 def mean(estimate: Estimate | None) -> str:
-    """A value."""
+    """Return a value."""
     return NOTHING if estimate is None else style.signed(f"{estimate.value:,.1f}")
 
 
 def spread(estimate: Estimate | None, scale: float = 1.0, sign: str = "") -> str:
-    """An interval."""
+    """Return an interval."""
     if estimate is None or estimate.low is None or estimate.high is None:
         return "interval unknown" if estimate else ""
     low, high = scale * estimate.low, scale * estimate.high

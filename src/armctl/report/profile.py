@@ -35,7 +35,7 @@ def profile(episodes: Mapping[str, Sequence[EpisodeResult]], styles: Styles) -> 
 
 
 def profile_start(episodes: Mapping[str, Sequence[EpisodeResult]]) -> float | None:
-    """Where the axis of a performance profile may begin, so that far lower returns do not squeeze it; None: nowhere.
+    """Return a start for a performance profile's axis, so that far lower returns do not squeeze it; None: nowhere.
 
     First the policy with the lowest median is left out, if that halves the axis at least, by itself or with the `TAIL`
     of the others; then all returns below a gap of two thirds of the rest, unless the best policy's median is there.

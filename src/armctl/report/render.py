@@ -48,7 +48,7 @@ def write_page(out: Path, template: str, page: Mapping[str, Any]) -> None:
 
 
 def _training_more(cost: TrainingCost) -> str:
-    """The small print about a training: what it took, each on a line."""
+    """Return the small print about a training: what it took, each on a line."""
     tuning, teachers, local_decisions = cost.tuning, cost.teachers, cost.decisions
     cost = TrainingCost() if cost.is_untrained else cost.total
     counts = {"gradient steps": cost.gradient_steps, "teacher queries": cost.teacher_queries or None}

@@ -13,7 +13,7 @@ COLUMNS = (
 
 
 def reproduction_document(again: Sequence[Reproduction]) -> Document:
-    """A row for each agent that was evaluated again."""
+    """Return a row for each agent that was evaluated again."""
     caption = " ".join(dict.fromkeys(_rule(reproduction) for reproduction in again)) + " Steps: to the goal."
     rows = [_row(reproduction) for reproduction in again]
     title = "Success of agents, on their cards and now"

@@ -17,7 +17,7 @@ SYMBOLS = dict(zip(DASHES, ("circle", "square", "diamond", "cross"), strict=True
 FONT = "'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
 LONGEST_LABEL = 20
 MAX_DOTS, CELLS = 1000, 80
-"""Of a scatter plot. With more than `MAX_DOTS` episodes, all in one cell of a `CELLS` x `CELLS` grid are one dot."""
+"""Limit of a scatter plot's dots: with more episodes, all in one cell of a `CELLS` x `CELLS` grid are one dot."""
 ROW = 44
 """Height of a policy's row, pixels."""
 
@@ -45,12 +45,12 @@ def styles_of(names: Sequence[str]) -> dict[str, Style]:
 
 
 def number(value: float, digits: int = 3) -> str:
-    """A number with so many significant digits, but all digits before the decimal point."""
+    """Return a number with so many significant digits, but all digits before the decimal point."""
     return signed(f"{value:,.0f}" if abs(value) >= 10**digits - 0.5 else f"{value:.{digits}g}")
 
 
 def signed(number: str) -> str:
-    """A number's text with a minus sign in place of a hyphen."""
+    """Return a number's text with a minus sign in place of a hyphen."""
     return number.replace("-", "\u2212")
 
 
@@ -202,7 +202,7 @@ def listed(values: Any) -> list[Any]:
 
 
 def shortened(name: str) -> str:
-    """A short label: an agent's file is called by its name, or by its folder's if it is called `agent`."""
+    """Return a short label: an agent's file is called by its name, or by its folder's if it is called `agent`."""
     path = Path(name)
     if path.suffix in (".json", ".onnx"):
         name = path.parent.name if path.stem == "agent" and path.parent.name else path.stem

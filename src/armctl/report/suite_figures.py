@@ -29,9 +29,9 @@ SYMBOLS = {
 }  # fmt: skip
 """Symbols of tasks in figures, and in a text."""
 HALVES = (0.1, 0.2, 0.3, 0.4, 0.5)
-"""How far an axis may reach to both sides of one half."""
+"""Possible reaches of an axis to both sides of one half."""
 MIN_MS, MIN_DECISIONS = 1e-3, 1e3
-"""Where a logarithmic axis begins; below it, a cost is shown there."""
+"""Starts of logarithmic axes, at which lower costs are shown."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class CostPoint:
 
 
 def intervals(rows: Mapping[str, Estimate], colours: Mapping[str, str]) -> go.Figure:
-    """A row for each share between 0 and 1, with its 95 % interval; dotted: one half, in the middle."""
+    """Return a row for each share between 0 and 1, with its 95 % interval; dotted: one half, in the middle."""
     figure = go.Figure()
     for name, estimate in rows.items():
         low, high = (estimate.value if bound is None else bound for bound in (estimate.low, estimate.high))

@@ -66,7 +66,7 @@ def write_suite_page(suite: Suite, folder: Path, out: Path, reports: Mapping[str
 
 
 def headline(answers: Sequence[Answer]) -> str:
-    """In how many tasks which kind is better in success, and in how many others it takes fewer steps.
+    """Return a sentence: in how many tasks each kind is better in success, and in how many others in steps.
 
     `answers` are corrected for all tasks, as `Suite.answers` is.
     """
@@ -89,7 +89,7 @@ def _command(suite: Suite) -> str:
 
 
 def _heads(suite: Suite) -> list[tuple[str, int]]:
-    """The columns of the heat map after the undisturbed one: a disturbance, and which of its levels."""
+    """Return the columns of the heat map after the undisturbed one: a disturbance, and which of its levels."""
     columns: dict[str, int] = {}
     for swept in suite.tasks.values():
         for name, levels in swept.levels.items():
@@ -98,7 +98,7 @@ def _heads(suite: Suite) -> list[tuple[str, int]]:
 
 
 def _heat(suite: Suite, answer: Answer, heads: Sequence[tuple[str, int]], link: str | None) -> dict[str, Any]:
-    """A task's rows of the heat map: for each policy, its success in percent in each column, None where unknown.
+    """Return a task's rows of the heat map: for each policy, its success in percent in each column, None where unknown.
 
     It is `spared` where the disturbance does not reach the policy.
     """
@@ -127,7 +127,7 @@ def _percent(answer: Answer, policy: str, setting: str) -> float | None:
 
 
 def _families(answers: Sequence[Answer], names: Sequence[str]) -> list[tuple[str, list[float | None]]]:
-    """For each family, its mean success in percent in each task, over all settings and members."""
+    """Return each family's mean success in percent in each task, over all settings and members."""
     return [(name, [_mean_success(answer, _members(answer, name)) for answer in answers]) for name in names]
 
 
@@ -221,11 +221,11 @@ def _decisions(policy: PolicySummary) -> int | None:
 
 
 def _symbols(answers: Sequence[Answer], symbols: Any) -> list[str]:
-    """A symbol for each task; further ones begin anew."""
+    """Return a symbol for each task; further ones begin anew."""
     listed = list(symbols)
     return [listed[i % len(listed)] for i in range(len(answers))]
 
 
 def task_folders(suite: Suite) -> dict[str, str]:
-    """The folder of each task that has results, by environment."""
+    """Return the folder of each task that has results, by environment."""
     return {env: folder_of(env) for env in suite.tasks}

@@ -34,7 +34,7 @@ def output_console() -> PlainConsole:
 
 
 def tables(displayed: Displayed) -> "DocumentView":
-    """The tables and remarks of a comparison or a sweep."""
+    """Return the tables and remarks of a comparison or a sweep."""
     return DocumentView(displayed.document())
 
 
@@ -68,7 +68,7 @@ def _render_table(table: Table, width: int) -> Iterator[Text | RichTable]:
 
 
 def fitted_table(table: Table, width: int) -> tuple[Table | None, list[str]]:
-    """The table in a form that is at most `width` wide, and the headings that were left out for it.
+    """Return the table in a form that is at most `width` wide, and the headings that were left out for it.
 
     Names are shortened, as far as they stay distinct; then optional columns are left out, beginning with the last. The
     table is None if that is not enough.
@@ -90,7 +90,7 @@ def fitted_table(table: Table, width: int) -> tuple[Table | None, list[str]]:
 
 
 def _shortened(table: Table, width: int) -> list[Cell] | None:
-    """The names of rows, at most `width` wide and as distinct as before; None if that is impossible."""
+    """Return the names of rows, at most `width` wide and as distinct as before; None if that is impossible."""
     names = [row[0] for row in table.rows]
     fixed = [cell.small for cell in names if not cell.small.startswith(AGAINST)]
     if width < max(map(cell_len, (table.columns[0].heading, *fixed))):
@@ -104,7 +104,7 @@ def _shortened(table: Table, width: int) -> list[Cell] | None:
 
 
 def _tail(name: str, width: int) -> str:
-    """The end of a name, which tells more than its beginning; AGAINST stays before it."""
+    """Return the end of a name, which tells more than its beginning; AGAINST stays before it."""
     if cell_len(name) <= width:
         return name
     prefix = AGAINST if name.startswith(AGAINST) else ""

@@ -1,4 +1,4 @@
-"""What a tuning found: a table for the terminal, and a page with Optuna's own plots."""
+"""The result of a tuning: a table for the terminal, and a page with Optuna's own plots."""
 
 import warnings
 from pathlib import Path
@@ -30,7 +30,7 @@ BEST_OF_MANY = (
 
 
 def document(outcome: TuningOutcome) -> Document:
-    """The present and the best values beside each other, and what they cost."""
+    """Return the present and the best values beside each other, and what they cost."""
     present, best = outcome.present_trial, outcome.best
     trials = {"present": present} | ({"best": best} if best is not present else {})
     columns = [Column(outcome.candidate.name), *(Column(name) for name in trials)]

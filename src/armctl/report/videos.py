@@ -30,7 +30,7 @@ SIZE = 400, 304
 BRIEF = 50
 """Control steps. If most episodes are shorter, they are shown at half speed."""
 MAX_FRAMES = 100
-"""Of a video, or twice as many at half speed. Of longer episodes, only every second or third control step is shown."""
+"""Frames of a video, or twice as many at half speed. Longer episodes show every second or third control step only."""
 OFFSAMPLES, SHADOW = 0, 1024
 """MuJoCo's rendering quality. With it, software rendering takes half the time of the models' own quality."""
 QUALITY = 27
@@ -51,11 +51,11 @@ class Clip:
     speed: float = 1.0
     """Relative to real time."""
     problem: str = ""
-    """Why there is no video, or how it differs from the results."""
+    """Reason for which there is no video, or its difference from the results."""
 
 
 def most_different(episodes: Mapping[str, Sequence[EpisodeResult]]) -> list[EpisodeResult]:
-    """The results of all policies in the episode in which their returns differ most; none for a single policy.
+    """Return the results of all policies in the episode in which their returns differ most; none for a single policy.
 
     The criterion is the sum of the logarithms of the gaps between neighbouring returns, so that one policy that always
     fails does not dominate it.
@@ -71,7 +71,7 @@ def most_different(episodes: Mapping[str, Sequence[EpisodeResult]]) -> list[Epis
 
 
 def worst(episodes: Mapping[str, Sequence[EpisodeResult]]) -> list[EpisodeResult]:
-    """The episode with the lowest return of each policy; of several, the first."""
+    """Return the episode with the lowest return of each policy; of several, the first."""
     return [table[int(table.column("total_reward").argmin())] for table in map(table_of, episodes.values())]
 
 
@@ -148,7 +148,7 @@ def _play(results: Results, result: EpisodeResult, stride: int) -> _Recording:
 
 @contextmanager
 def _pictures(stage: Stage) -> Iterator[Callable[[], Frame]]:
-    """A function that takes a picture of the stage, of the size `SIZE`."""
+    """Yield a function that takes a picture of the stage, of the size `SIZE`."""
     if isinstance(stage.worlds, ThirdPartyVectorEnv):
         model = getattr(stage.worlds.worlds[0].unwrapped, "model", None)
         if isinstance(model, mujoco.MjModel):
@@ -165,13 +165,13 @@ def _simplify(model: mujoco.MjModel) -> None:
 
 
 def _fitted(frame: Frame) -> Frame:
-    """A frame of any size in one of the size `SIZE`, on the colour of its corner."""
+    """Return a frame of any size in one of the size `SIZE`, on the colour of its corner."""
     image = ImageOps.pad(Image.fromarray(frame).convert("RGB"), SIZE, color=tuple(map(int, frame[0, 0])))
     return np.asarray(image)
 
 
 def _mp4(frames: Sequence[Frame], fps: float) -> bytes:
-    """The frames as MP4. Raises `ResultsError` if the disk for temporary files is full."""
+    """Return the frames as MP4. Raises `ResultsError` if the disk for temporary files is full."""
     try:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "video.mp4"

@@ -28,7 +28,7 @@ Options = TypeVar("Options")
 
 
 class Stage(BaseModel):
-    """What takes the place of a recipe's own options and weights from some share of a training's steps on."""
+    """Options and weights that replace a recipe's from some share of a training's steps on."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
@@ -75,15 +75,15 @@ class Recipe(BaseModel):
         """All options of the environment in training."""
         return self.env_options | self.training_options
 
-    def after(self, share: float) -> "Recipe":
-        """The recipe with the options and weights that hold after a share of the training's steps."""
+    def at_share(self, share: float) -> "Recipe":
+        """Return the recipe with the options and weights that hold after a share of the training's steps."""
         begun_stages = [stage for stage in self.curriculum if stage.after <= share]
         return self.model_copy(update=begun_stages[-1].model_dump(exclude={"after"})) if begun_stages else self
 
     @property
     def stages(self) -> list["Recipe"]:
         """The recipe as it is at first, and in each stage of its curriculum."""
-        return [self.after(share) for share in (0.0, *(stage.after for stage in self.curriculum))]
+        return [self.at_share(share) for share in (0.0, *(stage.after for stage in self.curriculum))]
 
     @field_validator("curriculum")
     @classmethod
@@ -93,11 +93,11 @@ class Recipe(BaseModel):
         return stages
 
     def changed(self, **changes: Any) -> "Recipe":
-        """The recipe with other values. Raises `ConfigurationError`."""
+        """Return the recipe with other values. Raises `ConfigurationError`."""
         return _recipe({**self.model_dump(), **changes}, f"recipe {self.name}, as changed")
 
     def read_options(self, options_type: type[Options]) -> Options:
-        """The learner's options, checked by a class made with `armctl.core.options.options`.
+        """Return the learner's options, checked by a class made with `armctl.core.options.options`.
 
         Raises `ConfigurationError` for an unknown name or an invalid value.
         """
@@ -153,7 +153,7 @@ def learner_names() -> list[str]:
 
 
 def load_learner(name: str) -> Learner:
-    """The installed learner of that name. Raises `ConfigurationError`, also if the extra `rl` is not installed."""
+    """Return the installed learner of that name. Raises `ConfigurationError`, also without the extra `rl`."""
     entries = installed(LEARNERS)
     if name not in entries.names:
         raise unknown_name("learner", name, entries.names)
@@ -164,7 +164,7 @@ def load_learner(name: str) -> Learner:
 
 
 def load_exporter(model: Path) -> Exporter:
-    """The installed exporter of files like this model's, by its suffix. Raises `ConfigurationError`."""
+    """Return the installed exporter of files like this model's, by its suffix. Raises `ConfigurationError`."""
     entries, suffix = installed(EXPORTERS), model.suffix.removeprefix(".")
     if suffix not in entries.names:
         allowed = ", ".join(f".{name}" for name in sorted(entries.names))
@@ -181,7 +181,7 @@ def recipe_names() -> list[str]:
 
 
 def load_recipe(name: str | Path, env: str | None = None, teacher: str | None = None) -> Recipe:
-    """A recipe by its name, by its file's path, or by its learner and environment.
+    """Return a recipe by its name, by its file's path, or by its learner and environment.
 
     `env` and `teacher` replace the recipe's own, and have to if these are code (`module:name`): a file runs none. A
     learner's name without `env` means `DEFAULT_ENV`. Of several recipes for an environment, the one with the shortest

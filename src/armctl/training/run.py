@@ -25,16 +25,16 @@ from armctl.training.trials import TRIALS, add_trial, progress_of, read_trials, 
 
 SETTINGS, CARD = "settings.json", "agent.json"
 AWAY = Path("runs")
-"""Where a cluster's worker trains, in its own folder."""
+"""Folder in which a cluster's worker trains, within its own."""
 
 
 @dataclass(frozen=True)
 class TrainingJob:
-    """What trainings with several seeds share."""
+    """Settings that trainings with several seeds share."""
 
     recipe: Recipe
     changed: Mapping[str, Any] = field(default_factory=dict)
-    """What differs from the recipe as it was read, for the ledger."""
+    """Differences from the recipe as it was read, for the ledger."""
     resume: bool = False
     code: Mapping[str, str] = field(default_factory=dict)
     """Checksums of the learner's code, to be found alike on other machines."""
@@ -49,16 +49,16 @@ class TrainingJob:
 
 @dataclass(frozen=True)
 class TrainingOutcome:
-    """How a training has ended."""
+    """Result of a training."""
 
     seed: int
     folder: Path
     card: AgentCard | None = None
     failure: str | None = None
     files: Mapping[str, bytes] = field(default_factory=dict)
-    """Of the folder, if that was on another machine."""
+    """Files of the folder, if that was on another machine."""
     rows: Sequence[Mapping[str, str]] = ()
-    """For the ledger here, of that machine's."""
+    """Rows of that machine's ledger, for the one here."""
 
 
 @contextlib.contextmanager
@@ -149,7 +149,7 @@ def _bring(outcome: TrainingOutcome, folder: Path) -> None:
 
 
 def finished(folder: Path) -> AgentCard | None:
-    """The card of the training in a folder; None if it has not finished. Raises `AgentFileError`."""
+    """Return the card of the training in a folder; None if it has not finished. Raises `AgentFileError`."""
     card = read_card(folder / CARD) if (folder / CARD).exists() else None
     return card if card and card.evaluation else None
 
@@ -168,7 +168,7 @@ def code_of(recipe: Recipe) -> dict[str, str]:
 
 
 def for_sending(recipe: Recipe) -> tuple[Recipe, list[Path]]:
-    """A recipe as another machine can use it, and the files that it names: a teacher's."""
+    """Return a recipe as another machine can use it, and the files that it names: a teacher's."""
     teacher = recipe.teacher
     if teacher is None or Path(teacher).suffix not in FILES:
         return recipe, []

@@ -34,7 +34,7 @@ PATIENCE = 60.0
 def trial_row(
     recipe: str, learner: str, env: str, seed: int | None, changed: Mapping[str, Any], ending: str, note: str = ""
 ) -> dict[str, Any]:
-    """A row without results; `changed` may have empty values, which are left out."""
+    """Return a row without results; `changed` may have empty values, which are left out."""
     changes = {name: value for name, value in changed.items() if value not in (None, {}, "")}
     return {
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -49,7 +49,7 @@ def trial_row(
 
 
 def results_of(card: AgentCard) -> dict[str, Any]:
-    """What a finished training's card adds to its row."""
+    """Return what a finished training's card adds to its row."""
     results: dict[str, Any] = {
         "steps": card.training_steps,
         "minutes": card.training_minutes,
@@ -63,7 +63,7 @@ def results_of(card: AgentCard) -> dict[str, Any]:
 
 
 def progress_of(folder: Path) -> dict[str, Any]:
-    """What the learning curve of an unfinished training adds to its row."""
+    """Return what the learning curve of an unfinished training adds to its row."""
     with contextlib.suppress(OSError, ValueError, ArmctlError, IndexError, OverflowError):
         last = read_curve(folder / CURVE).iloc[-1]
         return {"steps": int(last["steps"]), "minutes": float(last["minutes"])}

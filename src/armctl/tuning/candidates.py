@@ -1,4 +1,4 @@
-"""What can be tuned: a recipe, by trainings, and an installed policy with options, by playing."""
+"""Candidates for tuning: a recipe, by trainings, and an installed policy with options, by playing."""
 
 import contextlib
 import itertools
@@ -31,7 +31,7 @@ from armctl.training.run import code_of, finished, for_sending, train_here
 
 RECIPE_KEYS = ("options", "shaping_scale", "reward_weights", "training_options")
 POLICY_KEYS = ("options",)
-"""What can be tuned."""
+"""Keys of files that can be tuned."""
 Score = Literal["return", "success"]
 SCORES: tuple[Score, ...] = ("return", "success")
 FIRST_TRAINING_SEED = 1000
@@ -41,7 +41,7 @@ BLOCK = 25
 WORLDS = 5
 """An expert plays in, so that batches save time and no block waits long for its last episode."""
 MAX_EVALUATIONS = 1000
-"""Of a training: by so much, the steps of its trial's next one are higher."""
+"""Limit of a training's evaluations: the steps of its trial's next training begin so much higher."""
 
 Report = Callable[[int, float], None]
 """Told the score so far after each of a trial's steps; it raises `Pruned` when the trial is not worth more time."""
@@ -79,7 +79,7 @@ class Candidate(ABC):
     @property
     @abstractmethod
     def judged_by(self) -> str:
-        """In words, by what a trial is judged."""
+        """Criterion by which a trial is judged, in words."""
 
     @property
     @abstractmethod
@@ -97,7 +97,7 @@ class Candidate(ABC):
         """Checksums of the code that is measured, by file name."""
 
     def for_sending(self) -> "tuple[Candidate, list[Path]]":
-        """The candidate as another machine can use it, and the files that it names."""
+        """Return the candidate as another machine can use it, and the files that it names."""
         return self, []
 
 
@@ -142,7 +142,7 @@ class RecipeCandidate(Candidate):
         return code_of(self.recipe)
 
     def for_sending(self) -> tuple[Candidate, list[Path]]:
-        """The candidate as another machine can use it, and its teacher's files."""
+        """Return the candidate as another machine can use it, and its teacher's files."""
         recipe, files = for_sending(self.recipe)
         return replace(self, recipe=recipe), files
 
@@ -153,7 +153,7 @@ class RecipeCandidate(Candidate):
 
     @property
     def judged_by(self) -> str:
-        """In words, by what a trial is judged."""
+        """Criterion by which a trial is judged, in words."""
         seeds = " and ".join(map(str, self.seeds))
         return f"the {self.score} of the best agent on held-out episodes; training seeds {seeds}, of several the median"
 
@@ -173,7 +173,7 @@ class PolicyCandidate(Candidate):
         return self.configuration.model_dump(mode="json", exclude={"tuned"})
 
     def measure(self, values: Mapping[str, Any], folder: Path, report: Report) -> list[float]:
-        """The mean over episodes of the validation seed, reported after each block."""
+        """Return the mean over episodes of the validation seed, reported after each block."""
         configuration = PolicyConfiguration.model_validate(with_values(self.content, values))
         env, lower_bounds, scores = full_id(configuration.env), dict[int, float](), list[float]()
         with contextlib.closing(
@@ -202,14 +202,14 @@ class PolicyCandidate(Candidate):
 
     @property
     def judged_by(self) -> str:
-        """In words, by what a trial is judged."""
+        """Criterion by which a trial is judged, in words."""
         return f"the mean {self.score} of {self.episodes} development episodes"
 
 
 def candidate_of(
     name: str, *, score: Score = "return", training_seeds: int = 2, episodes: int = 200, env: str | None = None
 ) -> Candidate:
-    """What a name means: a recipe or an installed policy, or the path of a file of one.
+    """Return the candidate of a name: a recipe or an installed policy, or the path of a file of one.
 
     A recipe is trained with so many `training_seeds` for a trial, a policy plays so many `episodes`.
 
@@ -240,7 +240,7 @@ def tunable() -> list[str]:
 
 
 def _file_of_policy(name: str) -> Path | None:
-    """The file with the options of a policy; None for a recipe, which has a learner."""
+    """Return the file with the options of a policy; None for a recipe, which has a learner."""
     path = Path(name)
     if path.suffix != SUFFIX:
         return configurations().get(name)

@@ -27,14 +27,14 @@ from armctl.tuning.candidates import Candidate
 
 JOURNAL, TUNING, PROCESSES = "journal.log", "tuning.json", "processes"
 PROCESS, FOLDER = "process", "folder"
-"""What is noted of a trial: who tries it, and where."""
+"""Notes on a trial: the process that tries it, and its folder."""
 PATIENCE = 60.0
 """s to wait for another process that joins or leaves."""
 
 
 @contextlib.contextmanager
 def joined(candidate: Candidate, folder: Path, seed: int) -> Iterator[tuple[optuna.Study, str]]:
-    """The study in a folder, which is made if there is none, and the name of this process while it works on it.
+    """Yield the study in a folder, which is made if there is none, and the name of this process while it works on it.
 
     Raises `ResultsError` if the folder cannot be written, is damaged, or holds another tuning.
     """
@@ -75,7 +75,7 @@ def _study(journal: Path, seed: int) -> optuna.Study:
 
 
 def _identity(candidate: Candidate) -> dict[str, Any]:
-    """What trials in one folder have in common."""
+    """Return the identity that trials in one folder share."""
     return {
         "name": candidate.name,
         "content": candidate.content,
@@ -87,16 +87,16 @@ def _identity(candidate: Candidate) -> dict[str, Any]:
     }
 
 
-def _check_same(file: Path, own: dict[str, Any]) -> None:
+def _check_same(file: Path, identity: dict[str, Any]) -> None:
     if not file.exists():
-        write_atomically(file, sealed(own))
+        write_atomically(file, sealed(identity))
         return
     try:
         stored = unsealed(bounded_text(file))
     except (OSError, ValueError, RecursionError) as error:
         raise ResultsError(f"{file} cannot be read ({error}): choose another folder") from error
-    if what := "; ".join(differences(stored, own)):
-        raise ResultsError(f"{file.parent} holds another tuning ({what}): choose another folder")
+    if changes := "; ".join(differences(stored, identity)):
+        raise ResultsError(f"{file.parent} holds another tuning ({changes}): choose another folder")
 
 
 def _living(folder: Path) -> set[str]:

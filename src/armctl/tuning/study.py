@@ -22,14 +22,14 @@ from armctl.tuning.trials import TrialOutcome, distributions, measure, measure_a
 
 FOLDERS = "trials"
 SECONDS, SCORES, FAILURE = "processor_seconds", "scores", "failure"
-"""What is noted of a trial."""
+"""Notes on a trial."""
 IN_A_ROW = 3
 """So many failed trials one after the other end the tuning: something is wrong with more than their values."""
 
 
 @dataclass(frozen=True)
 class TuningOutcome:
-    """What a tuning has found so far."""
+    """Result of a tuning so far."""
 
     candidate: Candidate
     study: optuna.Study
@@ -63,7 +63,7 @@ class TuningOutcome:
 
     @property
     def best_file(self) -> Path:
-        """Where the best values are written, as soon as they are better than the present ones."""
+        """File with the best values, as soon as they are better than the present ones."""
         return self.folder / f"{Path(self.candidate.name).stem}_tuned.toml"
 
 
@@ -130,7 +130,7 @@ def tune(
 
 
 def _is_left(outcome: TuningOutcome, trials: int | None, hours: float | None) -> bool:
-    """Whether there is budget for another trial. One that failed, or was lost, does not count."""
+    """Return whether there is budget for another trial. Failed and lost ones do not count."""
     trials_so_far = [trial for trial in outcome.study.get_trials(deepcopy=False) if trial.state is not TrialState.FAIL]
     begun_trials = [trial for trial in trials_so_far if trial.state is not TrialState.WAITING]
     few = trials is None or len(begun_trials) < trials
@@ -170,7 +170,7 @@ def _add_to_ledger(outcome: TuningOutcome, trial: optuna.Trial, measured: TrialO
 
 
 def _document(outcome: TuningOutcome, best: FrozenTrial) -> str:
-    """The candidate's file with the best values, and in its first lines where they come from."""
+    """Return the candidate's file with the best values, and in its first lines where they come from."""
     candidate, present = outcome.candidate, outcome.present_trial
     comparison = f"; {present.value:.5g} with the values of {candidate.name}" if present else ""
     head = (

@@ -31,11 +31,11 @@ Value = bool | int | float | str
 
 @dataclass(frozen=True)
 class TrialOutcome:
-    """What became of a trial."""
+    """Result of a trial."""
 
     number: int
     scores: tuple[float, ...] = ()
-    """Of each training seed; one of an expert."""
+    """Score of each training seed; one for an expert."""
     reports: Mapping[int, float] = field(default_factory=dict)
     pruned: bool = False
     failure: str | None = None
@@ -43,7 +43,7 @@ class TrialOutcome:
 
     @property
     def value(self) -> float:
-        """By which it is judged."""
+        """Median score, by which the trial is judged."""
         return statistics.median(self.scores)
 
 

@@ -49,7 +49,7 @@ PANEL = (12.0, 12.0, 360.0, 0.0)
 
 @dataclass(frozen=True)
 class Play(messages.Event):
-    """From the panel to the player: begin this episode."""
+    """Message from the panel to the player: begin this episode."""
 
     policy: str
     seed: int
@@ -58,14 +58,14 @@ class Play(messages.Event):
 
 @dataclass(frozen=True)
 class Frame(messages.Snapshot):
-    """From the player to the panel: what to show."""
+    """Message from the player to the panel: content to show."""
 
     status: Status
     paused: bool
     geoms: list[mujoco.MjvGeom]
     plans: tuple[str, ...]
     notice: str
-    """Why a request failed."""
+    """Reason for which a request failed."""
 
 
 class Player(plugin.SimPlugin):
@@ -256,7 +256,7 @@ class Panel(plugin.ViewerPlugin):
 
 
 def rows_of(status: Status, stage: Stage) -> dict[str, str]:
-    """The status of an episode as text, by name."""
+    """Return the status of an episode as text, by name."""
     rewards = ", ".join(f"{name} {value:g}" for name, value in status.rewards.items())
     of = "" if stage.longest is None else f" of {stage.longest}"
     ending = "" if status.outcome is None else f": {status.outcome}"

@@ -1,4 +1,4 @@
-"""Who may use the viewer's page: whoever has its address with the token, by that address, and no page of others.
+"""Access to the viewer's page: by its address with the token only, and never from pages of others.
 
 MuJoCo Studio's server answers everybody who reaches its port, and so every page that is open in a browser here. `Guard`
 stands before it, in the handshake that page, files and WebSockets have in common.
@@ -22,7 +22,7 @@ from websockets.http11 import Request, Response
 from armctl.core.errors import ConfigurationError
 
 NAMES = ("localhost", "127.0.0.1")
-"""Of this machine, as browsers write them. Another name that leads here is somebody's DNS rebinding."""
+"""Names of this machine, as browsers write them. Another name that leads here is DNS rebinding."""
 MAX_CONNECTIONS = 48
 """Open at once. A page that loads has eight, and Studio lets nine pages in."""
 LARGEST_MESSAGE = 2**16
@@ -37,7 +37,7 @@ HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Referrer-Policy": "no-referrer",
 }
-"""Of each response, instead of Studio's: pages of others neither read it, nor frame it, nor learn the token."""
+"""Headers of each response, instead of Studio's: other pages can neither read nor frame it, nor learn the token."""
 
 
 class Guard:
@@ -56,7 +56,7 @@ class Guard:
         self._open: set[ServerConnection] = set()
 
     async def serve(self, handler: Any, *, process_request: Any, process_response: Any, **options: Any) -> Server:
-        """What `websockets.asyncio.server.serve` does, for those who are let in."""
+        """Do what `websockets.asyncio.server.serve` does, for requests that are let in."""
 
         def request(connection: ServerConnection, request: Request) -> Any:
             problem = self._problem(request)
@@ -86,7 +86,7 @@ class Guard:
         return server
 
     def _problem(self, request: Request) -> str:
-        """Why somebody is not let in; empty if they are."""
+        """Return the reason for which a request is not let in; empty if it is."""
         hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
         if len(hosts) != 1 or hosts[0].lower() not in self._hosts:
             return f"This page is {' or '.join(sorted(self._hosts))}, on the machine that serves it."
@@ -177,5 +177,5 @@ def _own_addresses() -> set[Any]:
 
 
 def _query(request: Request) -> str:
-    """The token in an address; empty without one."""
+    """Return the token in an address; empty without one."""
     return parse_qs(request.path.partition("?")[2]).get("token", [""])[0]

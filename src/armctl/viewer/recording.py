@@ -20,7 +20,7 @@ VIDEO_FORMATS = (".mp4", ".mkv", ".mov", ".avi")
 
 @contextmanager
 def recording(video: Path, fps: int, written: Callable[[int], object]) -> Iterator[Film]:
-    """A function that appends frames to a video, which is there at the end, even if that is an interrupt or an error.
+    """Yield a function that appends frames to a video, which is whole at the end, even after an interrupt or an error.
 
     Calls `written` with their number then. Raises `ResultsError` if it cannot be written, and leaves an older video as
     it was.

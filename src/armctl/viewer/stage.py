@@ -112,7 +112,7 @@ class Stage:
         )
 
     def plans(self) -> Mapping[str, Array]:
-        """The policy's plans: polylines by name, (m, 3) m each; none for policies that do not show any."""
+        """Return the policy's plans: polylines by name, (m, 3) m each; none for policies that do not show any."""
         return self._actor.plans(0) if isinstance(self._actor, Plans) else {}
 
     def close(self) -> None:

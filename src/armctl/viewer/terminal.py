@@ -36,7 +36,7 @@ LogOpener = Callable[[EpisodeVectorEnv, Callable[[Path, int], object]], Abstract
 """Opener of a log of the first world's steps, such as Rerun's; it calls its second argument with file and steps."""
 
 MAX_NUMBERS = 200
-"""Of an array that is printed."""
+"""Largest size of an array whose numbers are printed."""
 
 
 def run_episodes(
@@ -158,7 +158,7 @@ def _numbers(value: Any) -> str:
 
 
 def _film(video: Path | None, fps: int, console: PlainConsole) -> AbstractContextManager[Film | None]:
-    """A function that appends frames to a video file; None without a file."""
+    """Return a function that appends frames to a video file; None without a file."""
     if video is None:
         return nullcontext()
     return recording(video, fps, lambda frames: console.print(f"{video}: {frames} frames", soft_wrap=True))

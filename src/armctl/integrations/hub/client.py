@@ -16,7 +16,7 @@ LONGEST_MESSAGE = 300
 
 
 def hub_api() -> "HfApi":
-    """The API of the hub that the environment variable `HF_ENDPOINT` names, by default Hugging Face's.
+    """Return the API of the hub that the environment variable `HF_ENDPOINT` names, by default Hugging Face's.
 
     Raises `ConfigurationError` if the extra `hub` is not installed.
     """
@@ -44,7 +44,7 @@ def check_repository(name: str) -> None:
 
 @contextlib.contextmanager
 def hub_errors(api: "HfApi", repository: str) -> Iterator[None]:
-    """What goes wrong with the hub becomes a `HubError` of one line. `repository` is its name, with the revision."""
+    """Turn errors of the hub into a `HubError` of one line. `repository` is its name, with the revision."""
     import httpx2  # of huggingface_hub
     from huggingface_hub.errors import (
         HfHubHTTPError,

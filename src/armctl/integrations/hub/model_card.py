@@ -64,7 +64,7 @@ SHA-256 of the graph: `{sha256}`
 
 
 def model_card(card: AgentCard, repository: str, licence: str | None = None) -> str:
-    """The text of a repository's `README.md`, in Markdown with metadata in YAML. `licence` is None if none is given."""
+    """Return the text of a repository's `README.md`: Markdown with metadata in YAML. No licence is None."""
     local = folder_of(repository) / CARD
     try:
         command = comparison_command(card, local)
@@ -88,7 +88,7 @@ def model_card(card: AgentCard, repository: str, licence: str | None = None) -> 
 
 
 def comparison_command(card: AgentCard, path: Path) -> str:
-    """The command that compares the agent at `path` with its task's first expert.
+    """Return the command that compares the agent at `path` with its task's first expert.
 
     Raises `ConfigurationError` if the environment on its card is unknown here, or is code that the user has not named.
     """
@@ -98,7 +98,7 @@ def comparison_command(card: AgentCard, path: Path) -> str:
 
 
 def folder_of(repository: str) -> Path:
-    """Where `armctl pull` puts an agent by default."""
+    """Return the folder into which `armctl pull` puts an agent by default."""
     return Path("agents", repository)
 
 
@@ -199,7 +199,7 @@ def _sizes(shape: Sequence[int] | Mapping[str, Sequence[int]]) -> str:
 
 
 def _plain(text: str) -> str:
-    """A text in one line, without control characters."""
+    """Return a text in one line, without control characters."""
     return printable(" ".join(text.split()))
 
 

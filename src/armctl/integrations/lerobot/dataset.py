@@ -29,7 +29,7 @@ from armctl.integrations.lerobot.stats import Stats, aggregated, picture_stats, 
 PARTS: tuple[str, ...] = ("data", "videos", "meta")
 """The folders within the dataset's folder of which it consists; `videos` only with image observations."""
 MANIFEST = "meta/armctl.json"
-"""Where armctl keeps what LeRobot has no place for: the identity, and the episodes' seed, numbers and outcomes."""
+"""File for what LeRobot has no place for: the identity, and the episodes' seed, numbers and outcomes."""
 
 FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
 FIRST = FILE.format(chunk_index=0, file_index=0)
@@ -144,7 +144,7 @@ def write_dataset(
 
 
 def _frames(episode: Demonstration, metadata: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
-    """What an episode has of the features that are not counted, (T, ...) each."""
+    """Return an episode's features except for the counters, (T, ...) each."""
     frames: dict[str, NDArray[Any]] = {}
     for key, name in metadata["observations"].items():
         observations = episode.observations if name is None else episode.observations[name]
@@ -167,7 +167,7 @@ def _even(images: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def _row(number: int, task: str, start: int, end: int, fps: Fraction, videos: Iterable[str]) -> dict[str, Any]:
-    """An episode's row in `meta/episodes`."""
+    """Return an episode's row in `meta/episodes`."""
     row: dict[str, Any] = {"episode_index": number, "tasks": [task], "length": end - start}
     row |= {"dataset_from_index": start, "dataset_to_index": end}
     for place in ("data", "meta/episodes", *(f"videos/{key}" for key in videos)):

@@ -1,4 +1,4 @@
-"""What a LeRobot dataset says of its numbers and images: their keys, types, shapes and names."""
+"""The features of a LeRobot dataset: keys, types, shapes and names of its numbers and images."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from armctl.datasets.pictures import is_image
 from armctl.envs import EpisodeVectorEnv
 
 COUNTED = {"timestamp": "float32"} | dict.fromkeys(("frame_index", "episode_index", "index", "task_index"), "int64")
-"""What every LeRobot dataset has, with its types."""
+"""Features of every LeRobot dataset, with their types."""
 ENDINGS = {"next.done": "bool", "next.truncated": "bool", "next.success": "bool"}
 """True at most in an episode's last frame. `next.done`: it is the last."""
 
@@ -69,7 +69,7 @@ def _video(height: int, width: int, fps: float) -> dict[str, Any]:
 
 
 def _names_of_observation(worlds: EpisodeVectorEnv, part: str | None, size: int) -> list[str]:
-    """A name for each number of a part of the observation: those of the task's parts, if they make it up."""
+    """Return a name for each number of a part of the observation: those of the task's parts, if they make it up."""
     parts = {name: values[0].size for name, values in worlds.task.observation_parts().items()}
     joints = getattr(worlds.task.robot, "joints", ())
     if sum(parts.values()) != size:

@@ -13,7 +13,7 @@ Stats = Mapping[str, NDArray[np.float64]]
 
 QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 MAX_PICTURES = 100
-"""Of an episode, which are looked at."""
+"""Largest number of an episode's pictures that statistics are taken of."""
 LARGEST_SIDE = 150
 """Pixels of a picture's side that are looked at, or up to twice as many."""
 

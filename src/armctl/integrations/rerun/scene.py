@@ -54,7 +54,7 @@ class RerunScene:
         self._log_contacts(model, data)
 
     def eye(self, camera: str) -> Any:
-        """An eye at the MJCF's camera, which looks at the robot."""
+        """Return an eye at the MJCF's camera, which looks at the robot."""
         data = self._simulation.data(0)
         robot = self._simulation.model.body_weldid > 0
         ahead, position = -data.camera(camera).xmat.reshape(3, 3)[:, 2], data.camera(camera).xpos
@@ -83,17 +83,17 @@ class RerunScene:
 
 
 def _path(model: mujoco.MjModel, body: int) -> str:
-    """Where a body is logged."""
+    """Return the path under which a body is logged."""
     return f"world/{_level(model.body(body).name or f'body_{body}')}"
 
 
 def _level(name: str) -> str:
-    """A name as one level of a path: the pose of `rover` is not to move `rover/wheel`, whose own is in the world."""
+    """Return a name as one level of a path: the pose of `rover` must not move `rover/wheel`, which has its own."""
     return name.replace("/", ".")
 
 
 def _shape(model: mujoco.MjModel, kind: str, i: int) -> Any:
-    """A geom or site as Rerun's archetype, in its own frame; None if it is invisible, or of another kind."""
+    """Return a geom or site as Rerun's archetype, in its own frame; None if it is invisible, or of another kind."""
     material = getattr(model, f"{kind}_matid")[i]
     rgba = _colour(model, material) if material >= 0 else getattr(model, f"{kind}_rgba")[i]
     if rgba[3] == 0:

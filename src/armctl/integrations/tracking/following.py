@@ -23,12 +23,12 @@ from armctl.study.curves import CURVE, read_curve
 from armctl.training.learners import Recipe
 
 FOLDER = "tracking"
-"""In a training's folder: what trackers were given, their own files, and the video."""
+"""Folder within a training's folder: what trackers were given, their own files, and the video."""
 SETTINGS, CARD, GRAPH, VIDEO = "settings.json", "agent.json", "agent.onnx", "agent.mp4"
 PATIENCE = 60.0
 """s to wait for uploads after the training."""
 Event = Ending | Literal["evaluated", "refused"]
-"""What happens to a training: its curve has another row, or it ends; one that is refused has not begun."""
+"""Event of a training: its curve has another row, or it ends; one that is refused has not begun."""
 
 
 @contextlib.contextmanager
@@ -168,5 +168,5 @@ def _end(followers: Sequence[Follower], ending: Event, say: Callable[[str], obje
 
 
 def _line(error: BaseException) -> str:
-    """An error in a line; those of MLflow's database have several."""
+    """Return an error in a line; those of MLflow's database have several."""
     return " ".join(described(error).split())

@@ -61,7 +61,7 @@ class TensorboardTracker(Tracker):
 
 
 def _gif(video: Path) -> tuple[bytes, int, int]:
-    """A video as an animated GIF, with its width and height."""
+    """Return a video as an animated GIF, with its width and height."""
     with imageio.get_reader(video) as reader:
         every = max(1, round(reader.get_meta_data()["fps"] / FRAME_RATE))
         frames = [Image.fromarray(frame) for i, frame in enumerate(reader) if i % every == 0]

@@ -1,4 +1,4 @@
-"""What an experiment tracker has to do, and how one is found by its name."""
+"""The interface of experiment trackers, and how one is found by its name."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -23,7 +23,7 @@ class Tracker(ABC):
     run: str
     """The tracker's id of the run. It is kept in the training's folder, and given when the training is resumed."""
     where: str
-    """Where the run is, or the command that shows or uploads it."""
+    """Address of the run, or the command that shows or uploads it."""
 
     @abstractmethod
     def __init__(self, name: str, folder: Path, config: Mapping[str, Any], run: str | None) -> None:

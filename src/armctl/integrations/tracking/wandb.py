@@ -20,11 +20,11 @@ except ModuleNotFoundError as error:
     raise missing_extra("tracking by wandb", error, "wandb") from error
 
 EXIT_CODES: dict[Ending, int] = {"finished": 0, "interrupted": 255, "failed": 1}
-"""By which wandb tells finished, killed and failed runs."""
+"""Exit codes of finished, killed and failed runs."""
 PATIENCE = 45
 """s to wait for the upload of a finished run."""
 NOT_IN_NAMES = re.compile(r"[^\w.-]")
-"""What an artifact's name must not have."""
+"""Characters that an artifact's name must not have."""
 
 
 class WandbTracker(Tracker):
