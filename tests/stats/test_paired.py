@@ -111,7 +111,7 @@ def test_equivalence_takes_episodes():
 def test_holm_against_holm():
     # Holm (1979): each p-value is multiplied by the number of claims that are left, and is no less than the last one.
     assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
-    assert holm([0.5, 0.9]) == [1, 1]
+    assert holm([0.5, 0.9]) == holm([0.8, 0.9]) == [1, 1]
     assert holm([]) == []
 
 

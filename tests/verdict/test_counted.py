@@ -1,10 +1,13 @@
 """Which episodes count: feasible ones, up to the first that was not finished."""
 
+import math
 from dataclasses import replace
 
 import pytest
 
+from armctl.envs import ERROR
 from armctl.episodes.table import table_of
+from armctl.stats.degradation import change_between
 from armctl.verdict.scores import by_learner, counted_rows
 from armctl.verdict.summary import counted_results, summarise
 
@@ -62,3 +65,13 @@ def test_a_group_counts_what_all_its_trainings_have_finished():
     by_table, _ = counted_results(table_of(results()))
     group = by_learner(by_table, ["a", "b"], {"g[*]": ["a", "b"]})["g[*]"]
     assert [its.column("episode").tolist() for its in group.values()] == [[*range(LOST)]] * 2
+
+
+def test_an_episode_with_an_error_has_the_least_return():
+    whole = [replace(one, feasible=True) for one in played(12)]
+    failed = [replace(one, outcome=ERROR, total_reward=99.0) if one.episode in (2, 5) else one for one in whole]
+    rows = counted_rows(table_of(failed).frame())
+    assert rows.episode[rows["return"] == -math.inf].tolist() == [2, 5]
+    p, change = change_between(counted_rows(table_of(whole).frame()), rows, "return")
+    assert change == pytest.approx(-2 / 12)
+    assert p > 0.05
