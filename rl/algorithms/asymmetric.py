@@ -40,6 +40,15 @@ class AsymmetricVectorEnv(EncodedVectorEnv):
         envs.observers.append(self)
         self.observation_space = gymnasium.spaces.Dict({**inputs(self.encoder.space), STATE: self._task.state_space})
 
+    @property
+    def policy_class(self) -> Any:
+        """Policy of an actor of the observation, and a critic of the state."""
+        return AsymmetricPolicy
+
+    def policy_kwargs(self, view: View) -> dict[str, Any]:
+        """Return the arguments of that policy."""
+        return {"view": view, **super().policy_kwargs(view)}
+
     def began(self, ids: NDArray[np.int32]) -> None:
         """Do nothing: the states of worlds that have begun an episode are read when they are shown."""
 

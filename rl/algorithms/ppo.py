@@ -13,13 +13,13 @@ from stable_baselines3 import PPO
 
 from armctl.agents import AgentCard
 from armctl.core.options import Count, NonNegative, Positive, Share, options
-from armctl.rl.algorithms.asymmetric import AsymmetricPolicy, AsymmetricVectorEnv
+from armctl.rl.algorithms.asymmetric import AsymmetricVectorEnv
 from armctl.rl.algorithms.sb3_training import decaying, learn
 from armctl.rl.networks.actor import Actor
 from armctl.rl.networks.view import View
 from armctl.rl.run.options import FrameOptions
 from armctl.rl.run.training import Training
-from armctl.rl.run.vector import StableBaselinesVectorEnv, actor_in, features_of, policy_class, vec_env_of
+from armctl.rl.run.vector import StableBaselinesVectorEnv, vec_env_of
 from armctl.training.learners import Callback, Recipe
 
 Model = TypeVar("Model", bound=PPO)
@@ -84,12 +84,8 @@ def new_model(
     vec_env: StableBaselinesVectorEnv, view: View, options: PpoOptions, seed: int, kind: type[PPO] = PPO
 ) -> PPO:
     """Make an untrained model of a `kind` of PPO."""
-    policy: Any = policy_class(vec_env)
-    features = features_of(vec_env, view)
-    if isinstance(vec_env, AsymmetricVectorEnv):
-        policy, features = AsymmetricPolicy, {"view": view, **features}
     return kind(
-        policy,
+        vec_env.policy_class,
         vec_env,
         n_steps=options.rollout_length,
         batch_size=options.batch_size,
@@ -100,7 +96,7 @@ def new_model(
         clip_range=options.clip_range,
         ent_coef=options.entropy,
         policy_kwargs={
-            **features,
+            **vec_env.policy_kwargs(view),
             "net_arch": [options.hidden_units] * options.layers,
             "activation_fn": ACTIVATIONS[options.activation],
             "log_std_init": options.initial_log_std,
@@ -112,7 +108,7 @@ def new_model(
 
 def actor_of(model: PPO, training: Training) -> Actor:
     """Return an actor that shares the model's network."""
-    return actor_in(model.env, MeanAction(model.policy), training)
+    return model.env.actor(MeanAction(model.policy), training)
 
 
 class MeanAction(torch.nn.Module):

@@ -17,11 +17,11 @@ from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise, Vectori
 from armctl.agents import AgentCard
 from armctl.core.errors import ConfigurationError
 from armctl.core.options import Count, NonNegative, Positive, Share, options
-from armctl.rl.algorithms.hindsight import GoalFeatures, GoalVectorEnv, HindsightBuffer, split
+from armctl.rl.algorithms.hindsight import GoalVectorEnv, HindsightBuffer, split
 from armctl.rl.algorithms.sb3_training import REPLAY, decaying, learn
 from armctl.rl.run.options import FrameOptions
 from armctl.rl.run.training import Training, check_no_curriculum
-from armctl.rl.run.vector import StableBaselinesVectorEnv, actor_in, features_of, policy_class, vec_env_of
+from armctl.rl.run.vector import StableBaselinesVectorEnv, vec_env_of
 from armctl.tasks import ReachTask
 from armctl.tasks.reach import OBSERVATION
 from armctl.training.learners import Callback, Recipe
@@ -76,7 +76,7 @@ def train(
     training.meter.watch(model)
     with training:
         network = SquashedMean(model.policy, goals=isinstance(vec_env, GoalVectorEnv))
-        return learn(training, model, actor_in(vec_env, network, training), progress)
+        return learn(training, model, vec_env.actor(network, training), progress)
 
 
 class SquashedMean(torch.nn.Module):
@@ -107,16 +107,11 @@ def _make_vec_env(training: Training, options: SacOptions) -> StableBaselinesVec
 
 
 def _new_model(vec_env: StableBaselinesVectorEnv, training: Training, options: SacOptions) -> SAC:
-    goals, view = isinstance(vec_env, GoalVectorEnv), training.view
-    features = (
-        {"features_extractor_class": GoalFeatures, "features_extractor_kwargs": {"view": view}}
-        if goals
-        else features_of(vec_env, view)
-    )
+    goals = isinstance(vec_env, GoalVectorEnv)
     # The hindsight buffer samples from finished episodes only.
     longest = (training.held_out.max_episode_steps or 0) * options.worlds if goals else 0
     return SAC(
-        policy_class(vec_env),
+        vec_env.policy_class,
         vec_env,
         learning_rate=decaying(options.learning_rate),
         buffer_size=options.buffer_size,
@@ -132,7 +127,7 @@ def _new_model(vec_env: StableBaselinesVectorEnv, training: Training, options: S
         replay_buffer_class=HindsightBuffer if goals else None,
         replay_buffer_kwargs={"n_sampled_goal": options.relabelled} if goals else None,
         policy_kwargs={
-            **features,
+            **vec_env.policy_kwargs(training.view),
             "net_arch": [options.hidden_units] * options.layers,
         },
         seed=training.seed,

@@ -12,7 +12,7 @@ from armctl.core.errors import unknown_name
 from armctl.core.registration import import_attribute
 from armctl.rl.networks.bridge_ranges import ColumnRanges, NearnessFeatures
 from armctl.rl.networks.bridge_scans import Surroundings
-from armctl.rl.networks.layers import hidden_layers, rotated
+from armctl.rl.networks.layers import hidden_layers, in_first_joint_frame, rotated
 from armctl.rl.networks.link_box_features import LinkBoxFeatures
 from armctl.scene import BOX_NUMBERS
 from armctl.tasks.reach import observation_sizes
@@ -59,11 +59,7 @@ class BaseYawInvariantFeatures(BaseFeaturesExtractor):
         """Return features (n, k) of observations (n, 6 + dof + rest)."""
         tip, joints, target, *rest = observations.split(self.sizes, dim=1)
         yaw = joints[:, :1]
-        tip, target = rotated(tip, -yaw), rotated(target, -yaw)
-        offset = target - tip
-        distance = offset.norm(dim=1, keepdim=True)
-        lengths = LENGTH_SCALE * torch.cat((tip, target, offset, distance), dim=1)
-        features = [lengths, offset / (distance + NEARBY), joints[:, 1:].sin(), joints[:, 1:].cos()]
+        features, target = in_first_joint_frame(tip, joints, yaw, target, _norm)
         for name, part in zip(self.parts, rest, strict=True):
             if name == "boxes":
                 features.append(self._encode_boxes(part, yaw, target))
@@ -79,6 +75,10 @@ class BaseYawInvariantFeatures(BaseFeaturesExtractor):
         parts = (centre, centre - target[:, None], half_sizes, yaw.sin(), yaw.cos())
         present = (half_sizes > 0).all(dim=-1, keepdim=True)
         return (self.boxes(LENGTH_SCALE * torch.cat(parts, dim=-1)) * present).amax(dim=1)
+
+
+def _norm(vectors: torch.Tensor) -> torch.Tensor:
+    return vectors.norm(dim=1, keepdim=True)
 
 
 FEATURES: dict[str, type[BaseFeaturesExtractor]] = {

@@ -14,7 +14,7 @@ from gymnasium import spaces
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 from armctl.core.errors import ConfigurationError
-from armctl.rl.networks.layers import hidden_layers, rotated
+from armctl.rl.networks.layers import hidden_layers, in_first_joint_frame, rotated
 from armctl.scene import BOX_NUMBERS
 from armctl.tasks.reach import observation_sizes
 from armctl.tasks.reach.observation import LENGTH_SCALE, NEARBY
@@ -56,13 +56,9 @@ class LinkBoxFeatures(BaseFeaturesExtractor):
         """Return features (n, k) of observations (n, 6 + dof + boxes)."""
         tip, joints, target, numbers = observations.split(self.sizes, dim=1)
         yaw = joints[:, :1]
-        tip, target = rotated(tip, -yaw), rotated(target, -yaw)
-        offset = target - tip
-        distance = length(offset)
-        lengths = LENGTH_SCALE * torch.cat((tip, target, offset, distance), dim=1)
-        features = [lengths, offset / (distance + NEARBY), joints[:, 1:].sin(), joints[:, 1:].cos()]
-        features.append(self._encode(numbers.unflatten(1, (-1, BOX_NUMBERS)), yaw, target, self.link_points(joints)))
-        return torch.cat(features, dim=1)
+        features, target = in_first_joint_frame(tip, joints, yaw, target, length)
+        boxes = numbers.unflatten(1, (-1, BOX_NUMBERS))
+        return torch.cat((*features, self._encode(boxes, yaw, target, self.link_points(joints))), dim=1)
 
     def link_points(self, joints: torch.Tensor) -> torch.Tensor:
         """Return points (n, p, 3) m along the links, in the first joint's frame, at `joints` (n, dof)."""

@@ -28,6 +28,19 @@ class StableBaselinesVectorEnv(VecEnv):
         self.action_space = gymnasium.spaces.Box(-1, 1, env.single_action_space.shape)
         self._action_scale = action_scale
 
+    @property
+    def policy_class(self) -> Any:
+        """Stable-Baselines3's policy, or its name, for what the worlds show: one array, or several by name."""
+        return "MultiInputPolicy" if isinstance(self.observation_space, gymnasium.spaces.Dict) else "MlpPolicy"
+
+    def policy_kwargs(self, view: View) -> dict[str, Any]:
+        """Return the arguments of that policy for the features of what the worlds show."""
+        return {"features_extractor_class": view.features, "features_extractor_kwargs": view.features_options}
+
+    def actor(self, network: torch.nn.Module, training: Training) -> Actor:
+        """Return an actor for a training's held-out worlds, with a network of what these worlds show."""
+        return Actor(network, training.view.action_scale, training.held_out.single_observation_space)
+
     def _commands(self, actions: NDArray[Any]) -> Any:
         return self._action_scale(tensors(self._observations), torch.as_tensor(actions)).numpy()
 
@@ -58,6 +71,16 @@ class EncodedVectorEnv(StableBaselinesVectorEnv):
             self._memory = [part.index_fill(0, torch.as_tensor(done_ids), 0.0) for part in self._memory]
         return self._encoded(observations), rewards, done, infos
 
+    def policy_kwargs(self, view: View) -> dict[str, Any]:
+        """Return the arguments of a policy for the features of encoded observations."""
+        return self.encoder.features(view)
+
+    def actor(self, network: torch.nn.Module, training: Training) -> Actor:
+        """Return an actor for a training's held-out worlds, with a network of encoded observations."""
+        view, space = training.view, training.held_out.single_observation_space
+        encoder = self.encoder.rebuilt_for(view, space)
+        return Actor(Encoded(encoder, network), view.action_scale, space, encoder.memory)
+
     def _encoded(self, observations: Any) -> Any:
         with torch.no_grad():
             encoded, *self._memory = self.encoder(tensors(observations), *self._memory)
@@ -72,24 +95,3 @@ def vec_env_of(
         return StableBaselinesVectorEnv(envs, view.action_scale)
     encoder = History(view, envs.single_observation_space, options.frames, options.frame_gap)
     return (kind or EncodedVectorEnv)(encoder, envs, view.action_scale)
-
-
-def policy_class(vec_env: StableBaselinesVectorEnv) -> str:
-    """Return the name of Stable-Baselines3's policy for what worlds show: one array, or several by name."""
-    return "MultiInputPolicy" if isinstance(vec_env.observation_space, gymnasium.spaces.Dict) else "MlpPolicy"
-
-
-def features_of(vec_env: StableBaselinesVectorEnv, view: View) -> dict[str, Any]:
-    """Return the arguments of a policy of Stable-Baselines3 for the features of what worlds show."""
-    if isinstance(vec_env, EncodedVectorEnv):
-        return vec_env.encoder.features(view)
-    return {"features_extractor_class": view.features, "features_extractor_kwargs": view.features_options}
-
-
-def actor_in(vec_env: StableBaselinesVectorEnv, network: torch.nn.Module, training: Training) -> Actor:
-    """Return an actor for a training's held-out worlds, with a network of what its own worlds show, prepared alike."""
-    view, space = training.view, training.held_out.single_observation_space
-    if isinstance(vec_env, EncodedVectorEnv):
-        encoder = vec_env.encoder.rebuilt_for(view, space)
-        return Actor(Encoded(encoder, network), view.action_scale, space, encoder.memory)
-    return Actor(network, view.action_scale, space)
