@@ -44,7 +44,7 @@ def stages(monkeypatch):
 
 
 def test_a_later_stage_replaces_what_held_before():
-    found = [(chosen.training_options, chosen.reward_weights) for chosen in map(recipe().after, (0, 0.49, 0.5, 0.9))]
+    found = [(chosen.training_options, chosen.reward_weights) for chosen in map(recipe().at_share, (0, 0.49, 0.5, 0.9))]
     first, second = ({"tolerance": 0.2}, {"goal": 0.2}), ({"tolerance": 0.1}, {"goal": 0.5})
     assert found == [first, first, second, ({}, {})]
 
