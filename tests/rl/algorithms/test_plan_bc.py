@@ -84,9 +84,9 @@ def test_parts_are_followed_anew_one_after_the_other(shapes, layouts):
     for number in (1, 2):
         examples.renew(number, np.random.default_rng(number))
     assert set(examples._rows) == set(range(len(layouts)))
-    before = examples._followed[1][1]
+    before = examples._examples[1][1]
     examples.renew(4, np.random.default_rng(4))
-    assert not np.array_equal(examples._followed[1][1][:50], before[:50])
+    assert not np.array_equal(examples._examples[1][1][:50], before[:50])
     observations, actions = examples.draw(np.random.default_rng(0), 7)
     assert observations.shape == (7, 89)
     assert actions.shape == (7, 6)
