@@ -1,0 +1,54 @@
+"""The figures of a summary are those of the rows that it summarises."""
+
+import numpy as np
+import pytest
+
+import armctl
+from armctl.stats.intervals import bounded_mean, success_rate, worst_decile
+from armctl.stats.trainings import mean_over_trainings
+from armctl.verdict.scores import WITHIN_RANGE, WITHIN_SPEED
+
+LIMIT = 100
+
+
+@pytest.fixture(scope="module")
+def comparison():
+    return armctl.compare(["reach_ppo", "random", "reach_bc[*]"], episodes=12, worlds=1)
+
+
+def rows_of(comparison, policy):
+    return comparison.episodes[comparison.episodes.policy == policy].sort_values("episode")
+
+
+def clean(rows):
+    return rows.success & (rows.contacts == 0) & (rows.range_use <= WITHIN_RANGE) & (rows.speed_use <= WITHIN_SPEED)
+
+
+@pytest.mark.parametrize("policy", ["reach_ppo", "random"])
+def test_each_figure_is_that_of_its_column(comparison, policy):
+    rows, found = rows_of(comparison, policy), next(one for one in comparison.policies if one.policy == policy)
+    won = rows.success.to_numpy(bool)
+    steps = np.where(won, rows.length, LIMIT).astype(float)
+    assert found.success == success_rate(won)
+    assert found.restricted_steps == bounded_mean(steps, (1.0, LIMIT))
+    assert found.length == bounded_mean(rows.length.to_numpy(float), (1.0, LIMIT))
+    efficiency = won * rows.least_length / np.maximum(rows.length, rows.least_length)
+    assert found.efficiency == bounded_mean(efficiency.to_numpy(float), (0.0, 1.0))
+    returns = rows["return"].to_numpy(float)
+    bounds = (-LIMIT * 1.0, 99.0)
+    assert (found.episode_return, found.worst_decile) == (bounded_mean(returns, bounds), worst_decile(returns, bounds))
+    assert found.clean_success.value == pytest.approx(clean(rows).mean())
+    assert found.reset_ms == pytest.approx(rows.reset_ms.median())
+    assert found.decision_ms_cold == pytest.approx(np.nanmax(rows.decision_ms_cold))
+    contacts = (rows[rows.success] if won.any() else rows[:0]).contacts.to_numpy(float)
+    assert found.metrics["contacts"] == bounded_mean(contacts, (0.0, LIMIT))
+
+
+def test_figures_of_a_group_are_over_its_trainings(comparison):
+    found = next(one for one in comparison.policies if one.trainings)
+    by_training = [rows_of(comparison, name) for name in found.trainings]
+    for name, bounds, values in (
+        ("clean_success", (0.0, 1.0), [clean(rows) for rows in by_training]),
+        ("restricted_steps", (1.0, LIMIT), [rows.length.where(rows.success, LIMIT) for rows in by_training]),
+    ):
+        assert getattr(found, name) == mean_over_trainings(np.array(values, dtype=float), bounds).mean
