@@ -57,6 +57,8 @@ def armctl(*arguments, cwd, check=True, disk=None):
         patch.setenv("PYTHONSAFEPATH", "")  # `main` sets it, and processes that tests start would inherit that
         for name, value in ENVIRONMENT.items():
             patch.setenv(name, value)
+        for module in Path(cwd).glob("*.py"):
+            patch.delitem(sys.modules, module.stem, raising=False)  # one of that name that another test has imported
         status, registered = 0, set(gymnasium.registry)
         limited = contextlib.nullcontext() if disk is None else full_disk(disk)
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), limited:

@@ -10,7 +10,7 @@ import pytest
 
 from armctl.agents.costs import TrainingCost
 from armctl.report.cost_figures import trade_off, training_cost
-from armctl.report.style import looks
+from armctl.report.style import styles_of
 from armctl.stats.intervals import Estimate
 from armctl.study.curves import COSTS, CURVE_COLUMNS, read_curve
 from armctl.verdict.summary import PolicySummary
@@ -100,7 +100,7 @@ def test_odd_numbers_of_decisions_are_not_drawn(spoilt):
     agent, table = policy("ppo", 0.9, TrainingCost(5)), curve(0.1, 0.5, 0.9, decisions=[10.0, spoilt, 30.0])
     known = cost_curve(agent, table)
     assert known.decisions.tolist() == [10, 30]
-    figure = training_cost({"ppo": known}, [agent], [], looks(["ppo"]))
+    figure = training_cost({"ppo": known}, [agent], [], styles_of(["ppo"]))
     assert all(math.isfinite(end) for end in figure.layout.xaxis.range)
 
 
@@ -113,7 +113,7 @@ def test_a_number_that_is_too_large_is_infinite(tmp_path, cell):
 
 def test_the_picture_holds_the_points_and_their_front():
     found = points([policy("a", 0.5, ms=0.1), policy("b", 0.9, ms=5.0), policy("c", 0.4, ms=1.0)])
-    figure = trade_off(found, looks(["a", "b", "c"]))
+    figure = trade_off(found, styles_of(["a", "b", "c"]))
     dots = {trace.name: (trace.x[0], trace.y[0]) for trace in figure.data if trace.name}
     assert dots == {"a": (0.1, 0.5), "b": (5.0, 0.9), "c": (1.0, 0.4)}
     assert list(figure.data[0].y) == [0.5, 0.9, 0.9]
