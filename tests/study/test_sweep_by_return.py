@@ -106,7 +106,7 @@ def test_nobody_is_behind_who_has_the_higher_return_more_often():
         pair = paired_difference("a", "b", None, (np.zeros(EPISODES), gains), None, (-2000.0, 1.0))
         test = _test_of(pair)
         (noise,) = robustness_rankings(table, {("none", 0.0, both): test, ("noise", 1.0, both): test})
-        assert (noise.first, noise.leads) == ("b", True)
+        assert (noise.first, noise.leads, noise.score) == ("b", True, "share of higher returns")
         assert noise.worse == {"a": Onset(0.0)}
 
 
