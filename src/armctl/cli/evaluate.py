@@ -13,7 +13,6 @@ from armctl.cli.app import app, settings
 from armctl.cli.options import (
     Env,
     EnvOptions,
-    EpisodeStore,
     Format,
     On,
     Overwrite,
@@ -22,7 +21,6 @@ from armctl.cli.options import (
     RealTime,
     ReturnBounds,
     Seed,
-    Store,
     SuccessReturn,
     TableFormat,
     Workers,
@@ -70,7 +68,6 @@ def compare(
     slow_down: Annotated[
         float, typer.Option(metavar="FACTOR", help="In real time, decisions take so many times as long.")
     ] = 1.0,
-    store: Store = EpisodeStore.CSV,
     policy_seed: PolicySeed = None,
     report: Annotated[bool, typer.Option("--report", help="Also write report.html, with figures and videos.")] = False,
     table_format: Format = TableFormat.TABLE,
@@ -114,7 +111,6 @@ def compare(
             progress=progress,
             real_time=real_time,
             slow_down=slow_down,
-            store=store,
             return_bounds=return_bounds,
             policy_seed=policy_seed,
         )
@@ -122,7 +118,7 @@ def compare(
     written = "results" not in comparison.failures
     if written:
         console.print(
-            f"{folder / f'episodes.{store}'} has every episode, {folder / 'summary.json'} the tables.", soft_wrap=True
+            f"{folder / 'episodes.csv'} has every episode, {folder / 'summary.json'} the tables.", soft_wrap=True
         )
     exit_if_interrupted(comparison.interrupted, folder, console)
     if report and written:

@@ -143,21 +143,6 @@ ReturnBounds = Annotated[
 ]
 
 
-class EpisodeStore(StrEnum):
-    """Format of the episodes in a results folder."""
-
-    CSV = "csv"
-    PARQUET = "parquet"
-
-
-Store = Annotated[
-    EpisodeStore,
-    typer.Option(
-        "--store",
-        help="What the folder holds its episodes as: `parquet` is smaller, and quick to read; needs the extra "
-        "`parquet`. The same command with the other one converts them.",
-    ),
-]
 PolicySeed = Annotated[
     int | None,
     typer.Option(

@@ -12,7 +12,6 @@ from armctl.cli.evaluate import exit_if_interrupted, make_report, print_tracebac
 from armctl.cli.options import (
     Env,
     EnvOptions,
-    EpisodeStore,
     Format,
     On,
     Overwrite,
@@ -20,7 +19,6 @@ from armctl.cli.options import (
     PolicySeed,
     ReturnBounds,
     Seed,
-    Store,
     SuccessReturn,
     TableFormat,
     Workers,
@@ -75,7 +73,6 @@ def sweep(
             show_default="those of the undisturbed comparison, with one world and one worker",
         ),
     ] = None,
-    store: Store = EpisodeStore.CSV,
     policy_seed: PolicySeed = None,
     table_format: Format = TableFormat.TABLE,
 ) -> None:
@@ -119,7 +116,6 @@ def sweep(
             overwrite=overwrite,
             worlds=worlds,
             workers=engine,
-            store=store,
             policy_seed=policy_seed,
             env_options=options,
             real_time=real_time,
@@ -165,7 +161,6 @@ def suite(
     workers: Workers = 1,
     on: On = "local",
     video: Annotated[bool, typer.Option("--video", help="Film episodes for the tasks' own reports: minutes.")] = False,
-    store: Store = EpisodeStore.CSV,
     policy_seed: PolicySeed = None,
     table_format: Format = TableFormat.TABLE,
 ) -> None:
@@ -199,7 +194,6 @@ def suite(
             overwrite=overwrite,
             worlds=worlds,
             workers=engine,
-            store=store,
             policy_seed=policy_seed,
             progress=progress,
         )

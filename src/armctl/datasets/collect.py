@@ -15,7 +15,7 @@ from typing import Any
 
 from armctl import DEFAULT_ENV
 from armctl.core.errors import EnvironmentFailed, ResultsError
-from armctl.core.files import LOCK, one_writer
+from armctl.core.files import LOCK, bounded_text, one_writer, unsealed
 from armctl.datasets.demonstrations import Demonstration, demonstrate
 from armctl.datasets.formats import Format, load_format, load_formats
 from armctl.datasets.minari import UNFINISHED, check_recordable
@@ -23,7 +23,7 @@ from armctl.datasets.parallel import WorldsAsAsked, demonstrate_in_workers
 from armctl.datasets.unfinished import IDENTITY, OTHERWISE, Unfinished, check_same
 from armctl.envs import chosen_policy_seed, full_id
 from armctl.episodes.failures import PolicyFailed
-from armctl.episodes.store import POLICY_SEED, stored_policy_seed
+from armctl.episodes.store import POLICY_SEED
 from armctl.policies import PolicyFactory, policy_name
 from armctl.rollout.parallel import WorkerConfig, check_sendable
 from armctl.rollout.rollouts import build_policy, check_counts
@@ -175,7 +175,15 @@ def _claimed(folder: Path, kind: Format, overwrite: bool) -> Iterator[None]:
 def _stored_policy_seed(folder: Path) -> int | None:
     """Return the policy seed of the dataset in a folder, finished or not; None if there is none that can be read."""
     manifests = (folder / UNFINISHED / IDENTITY, *(folder / kind.MANIFEST for kind in load_formats().values()))
-    return next((seed for path in manifests if (seed := stored_policy_seed(path)) is not None), None)
+    return next((seed for path in manifests if (seed := _policy_seed_in(path)) is not None), None)
+
+
+def _policy_seed_in(manifest: Path) -> int | None:
+    try:
+        values = unsealed(bounded_text(manifest))
+        return int(values.get("identity", values)[POLICY_SEED])
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
+        return None
 
 
 def _finished(folder: Path, kind: Format, local_identity: Mapping[str, Any], episodes: int) -> Collection | None:

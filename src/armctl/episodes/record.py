@@ -2,17 +2,12 @@
 
 import json
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from types import NoneType
-from typing import Annotated, Any, get_args, get_type_hints
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, Json, TypeAdapter, ValidationError
-from typing_extensions import TypedDict
 
-from armctl.envs import ERROR
 from armctl.episodes.metrics import Metrics, warm_times
 
 COLUMNS = (
@@ -20,8 +15,6 @@ COLUMNS = (
     "least_length", "optimality_gap", "tracking_error", *(field.name for field in fields(Metrics)),
     "reset_ms", "worlds", "workers", "run",
 )  # fmt: skip
-ADDED = ("run", "reset_ms")
-"""Columns that older versions did not write, in the order in which they were added."""
 TIME_COLUMNS = (
     "missed_deadlines", "decision_ms_p50", "decision_ms_p99", "decision_ms_max", "decision_ms_cold", "reset_ms",
     "worlds", "workers", "run",
@@ -89,23 +82,6 @@ class EpisodeResult:
         )  # fmt: skip
         return dict(zip(COLUMNS, values, strict=True))
 
-    @classmethod
-    def from_row(cls, row: Mapping[str, str], decision_ms: NDArray[np.float64]) -> "EpisodeResult":
-        """Read a row of `episodes.csv`, as text. Raises `KeyError` or `ValueError` for an invalid row."""
-        named = {**row, "total_reward": row["return"]}
-        plain = _read(_PLAIN_COLUMNS, named)
-        earned = {"return": plain["total_reward"]} | {
-            f"reward_terms: {n!r}": r for n, r in plain["reward_terms"].items()
-        }
-        for name, value in earned.items():
-            if not abs(value) <= LARGEST_RETURN:
-                raise ValueError(f"{name} is {value}, and should be between -{LARGEST_RETURN:g} and {LARGEST_RETURN:g}")
-        if not _are_times(decision_ms, plain["outcome"]):
-            raise ValueError("its decision times are no times: numbers from 0 on, and nan where no decision began")
-        if not (math.isnan(reset := plain["reset_ms"]) or 0 <= reset < math.inf):
-            raise ValueError(f"reset_ms is {reset}, and should be a number from 0 on")
-        return cls(**plain, metrics=Metrics(**_read(_METRICS_COLUMNS, named)), decision_ms=decision_ms)
-
 
 @dataclass(frozen=True)
 class FailedEpisode(EpisodeResult):
@@ -114,33 +90,3 @@ class FailedEpisode(EpisodeResult):
     message: str = ""
     """What the policy did wrong, and where."""
     traceback: str = ""
-
-
-def _are_times(decision_ms: NDArray[np.float64], outcome: str) -> bool:
-    """Whether they may be the decision times of an episode, which has none only if its first decision failed."""
-    if not len(decision_ms):
-        return outcome == ERROR
-    began = decision_ms[~np.isnan(decision_ms)]
-    return bool(not np.isnan(decision_ms[0]) and np.isfinite(began).all() and (began >= 0).all())
-
-
-_EMPTY_IS_NONE = BeforeValidator(lambda text: text or None)
-
-
-def _columns(kind: type[Any], left_out: tuple[str, ...] = (), **types: Any) -> TypeAdapter[dict[str, Any]]:
-    """A parser of a dataclass's fields from text."""
-    hints = {name: types.get(name, hint) for name, hint in get_type_hints(kind).items() if name not in left_out}
-    hints |= {name: Annotated[hint, _EMPTY_IS_NONE] for name, hint in hints.items() if NoneType in get_args(hint)}
-    return TypeAdapter(TypedDict("_Row", hints))  # type: ignore[operator]
-
-
-_PLAIN_COLUMNS = _columns(EpisodeResult, ("metrics", "decision_ms"), reward_terms=Json[dict[str, float]])
-_METRICS_COLUMNS = _columns(Metrics)
-
-
-def _read(columns: TypeAdapter[dict[str, Any]], row: Mapping[str, str]) -> dict[str, Any]:
-    try:
-        return columns.validate_strings(row)
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise ValueError(f"{first['loc'][0]}: {first['msg']}") from error

@@ -1,44 +1,79 @@
-"""A comparison's folder. Every episode is written as it ends, so that an interrupted comparison can be resumed."""
+"""The one file of a results folder that is read back: an SQLite database, to which each episode is added as it ends.
+
+It can hold several cells; so far, a comparison's folder holds one. Why it is as it is: `docs/decisions/store.md`.
+"""
 
 import contextlib
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
+import itertools
+import os
+import sqlite3
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, NamedTuple
+from zlib import crc32
 
+import pandas as pd
 from pydantic import TypeAdapter
 
-from armctl.core.errors import ResultsError, unknown_name
-from armctl.core.files import bounded_text, digest, one_writer, sealed, unsealed, write_atomically
-from armctl.episodes.csv_files import Journal, read_csv, write_csv
-from armctl.episodes.parquet_files import ROWS, check_parquet, read_parquet, write_parquet
+from armctl.core.errors import ResultsError
+from armctl.core.files import digest, one_writer, sealed, unsealed
+from armctl.core.registration import bare_id
+from armctl.episodes.database import (
+    APPLICATION,
+    FORMAT,
+    OTHERWISE,
+    SCHEMA,
+    check_file,
+    connected,
+    damage,
+    files,
+    reason,
+)
 from armctl.episodes.record import EpisodeResult
-from armctl.episodes.table import EpisodeTable, table_of
+from armctl.episodes.rows import COLUMNS, check_episodes, row_of, table_of_rows
+from armctl.episodes.table import EpisodeTable
 from armctl.runtime.identity import reasons_not_to_resume
 from armctl.runtime.provenance import Run
 
-COMPARISON, EPISODES, DECISIONS, SUMMARY = "comparison.json", "episodes.csv", "decisions.csv", "summary.json"
-EPISODES_PARQUET, PART = "episodes.parquet", "episodes-{}.parquet"
-"""Instead of the CSV tables, and the parts of it while the comparison runs."""
-RUNS = "runs.json"
-"""The runs that have played episodes (see `Run`) or told another verdict, the present one included."""
-STORES = CSV, PARQUET = "csv", "parquet"
-"""What a folder holds its episodes as, once all are played."""
+STORE = "results.sqlite"
 POLICY_SEED = "policy_seed"
 """In a comparison's identity: the secret of its policies' random numbers, in decimal digits."""
+_CELL = 0
+_INSERT = f"INSERT INTO episode VALUES ({', '.join('?' * (1 + len(COLUMNS)))})"
+_SELECT = f"SELECT {', '.join(COLUMNS)} FROM episode WHERE cell = ?"
 _RUNS = TypeAdapter(list[Run])
 
 
-class EpisodeLog:
-    """Writes `comparison.json`, which identifies the comparison, and episodes to `decisions.csv` and `episodes.csv`.
+@dataclass(frozen=True)
+class _Keys:
+    """The part of a cell's identity that its episodes are checked by."""
 
-    With the `store` `parquet`, these are a journal of at most `ROWS` episodes, of which `episodes-1.parquet` and so on
-    are made; in the end, all are in `episodes.parquet`, and there are no other tables. Whichever there is is resumed.
+    env: str
+    seed: int
+    policies: list[str]
 
-    `kept` are the episodes that an earlier run of the same comparison has finished, except for an incomplete last line
-    and for episodes without decision times. Until it is closed, no other process can write to the folder. Changed
-    rows, and rows of another comparison, are noticed by their checksums.
+
+_KEYS = TypeAdapter(_Keys)
+
+
+class Stored(NamedTuple):
+    """What a store holds of a cell."""
+
+    identity: dict[str, Any]
+    facts: dict[str, Any] | None
+    """What is known besides the episodes; None while it is unfinished."""
+    runs: list[Run]
+    """Those that have played episodes, or told another verdict."""
+    episodes: EpisodeTable
+
+
+class EpisodeStore:
+    """Writes the episodes of a cell to the store of a folder, each in a transaction of its own.
+
+    `kept` are the episodes that an earlier run of the same comparison has finished. Until it is closed, no other
+    process can write to the folder. Without a folder, everything is in memory.
 
     Raises `ResultsError` if the folder cannot be written, is damaged, is being written to by another process, or holds
     another comparison's results (unless `overwrite`).
@@ -46,45 +81,42 @@ class EpisodeLog:
 
     def __init__(
         self,
-        folder: Path,
-        comparison: Mapping[str, Any],
+        folder: Path | None,
+        identity: Mapping[str, Any],
         episodes: int,
         overwrite: bool = False,
         run: Run | None = None,
-        store: str = CSV,
     ) -> None:
-        self._own, self._store = digest(comparison), store
-        self._tables = folder / EPISODES, folder / DECISIONS
-        self._parts, self._unparted = 0, EpisodeTable()
-        self.runs: list[Run] = []
-        """The runs of `kept`, as far as they are known."""
-        self._folder = folder
+        self._folder, self.identity = folder, dict(identity)
+        self._texts: dict[str, int] = {}
+        self._unwritten: list[tuple[Any, ...]] = []
+        """Rows that could not be written."""
+        self._failure: sqlite3.Error | None = None
         self._opened = contextlib.ExitStack()
-        self._failure: OSError | None = None
+        self.kept = EpisodeTable()
+        self.runs: list[Run] = []
+        """The runs of `kept`."""
+        self._grown = False
         try:
-            self._opened.enter_context(one_writer(folder))
-            resuming = bool(_parquet_files(folder) or (folder / EPISODES).exists()) and not overwrite
+            if folder is not None:
+                self._opened.enter_context(one_writer(folder))
+            path = None if folder is None else folder / STORE
+            resuming = path is not None and not overwrite and os.path.lexists(path)
+            if path is not None and not resuming:
+                for one in files(path):
+                    one.unlink(missing_ok=True)
+            self._file = self._opened.enter_context(connected(path, "rw" if resuming else "rwc"))
             if resuming:
-                comparison = self._same(comparison)
-                self._own = digest(comparison)
-            self.kept = self._read(comparison, episodes) if resuming else EpisodeTable()
-            self.runs = _of(self.kept, read_runs(folder)) if resuming else []
-            (folder / SUMMARY).unlink(missing_ok=True)
-            if not resuming:
-                for path in (*self._tables, *_parquet_files(folder)):  # first: no row is ever beside another identity
-                    path.unlink(missing_ok=True)
-                write_atomically(folder / COMPARISON, sealed(comparison))
-            self._write_runs([*self.runs, *([run] if run else [])])  # first, so that every row's run is known
-            self._replace(self.kept)
-            self._journal = self._opened.enter_context(contextlib.closing(Journal(*self._tables, self._own)))
-        except OSError as error:
+                self._resume(episodes)
+            self._begin(resuming, run)
+        except (OSError, sqlite3.Error) as error:
             self.close()
-            raise ResultsError(f"results cannot be written to {folder}: {error.strerror}") from error
+            raise ResultsError(f"results cannot be written to {folder}: {reason(error)}") from error
         except BaseException:
             self.close()
             raise
 
-    def __enter__(self) -> "EpisodeLog":
+    def __enter__(self) -> "EpisodeStore":
         return self
 
     def __exit__(
@@ -93,140 +125,182 @@ class EpisodeLog:
         self.close()
 
     def write(self, result: EpisodeResult) -> None:
-        """Append an episode, and flush it to the operating system. `finish` tells whether that failed."""
-        if self._failure is not None:
-            return
-        try:
-            self._journal.write(result)
-            if self._store == PARQUET:
-                self._unparted.append(result)
-                if len(self._unparted) == ROWS:
-                    self._end_part()
-        except OSError as error:
-            self._failure = error
+        """Add an episode. `finish` tells whether that failed; until then it is kept in memory."""
+        known, self._grown = len(self._texts), True
+        row = row_of(result, self._texts, self._own)
+        if self._failure is None:
+            new = [(i, text) for text, i in self._texts.items() if i >= known] if len(self._texts) > known else []
+            try:
+                with self._transaction():
+                    self._file.executemany("INSERT INTO text VALUES (?, ?)", new)
+                    self._file.execute(_INSERT, (_CELL, *row))
+                return
+            except sqlite3.Error as error:
+                self._failure = error
+        self._unwritten.append(row)
 
-    def finish(self, results: Sequence[EpisodeResult], summary: Mapping[str, Any], runs: Sequence[Run] = ()) -> None:
-        """Replace all rows by these, in this order, and write `summary.json`, and the `runs` that played them.
+    def episodes(self) -> EpisodeTable:
+        """All episodes: those that were kept, and those that were added."""
+        if not self._grown:
+            return self.kept
+        rows = itertools.chain(self._file.execute(_SELECT, (_CELL,)), self._unwritten)
+        return _table(rows, [*self._texts], self.identity)
 
-        Raises `ResultsError`, also if an episode could not be written; the folder then holds those before.
+    def finish(self, facts: Mapping[str, Any], runs: Iterable[Run], without: Iterable[str] = ()) -> list[Run]:
+        """Write what is known besides the episodes, with the `runs`, and remove the episodes of policies `without`.
+
+        Returns the runs that count. Raises `ResultsError`, also if an episode could not be written; all others are
+        there to be resumed.
         """
         try:
             if self._failure is not None:
                 raise self._failure
-            played = _of(results, runs)
-            self._write_runs(played)
-            self._replace(table_of(results))
-            if self._store == PARQUET:
-                for path in self._tables:
-                    path.unlink()
-            about = {**summary, "runs": [asdict(one) for one in played], "comparison": self._own}
-            write_atomically(self._folder / SUMMARY, sealed(about))
-        except OSError as error:
+            with self._transaction():
+                removed = [(self._texts.get(name),) for name in without]
+                self._file.executemany("DELETE FROM episode WHERE policy = ?", removed)
+                counted = self._write_runs(runs)
+                self._file.execute("UPDATE cell SET facts = ?", (sealed(facts),))
+            self._file.execute("PRAGMA journal_mode = DELETE")
+            return counted
+        except sqlite3.Error as error:
             raise ResultsError(
-                f"{self._folder} could not be written any further ({error.strerror}): the same command resumes from "
+                f"{self._folder} could not be written any further ({reason(error)}): the same command resumes from "
                 "the episodes that it holds"
             ) from error
 
     def close(self) -> None:
-        """Close the files, and let others write to the folder."""
+        """Close the file, and let others write to the folder."""
         self._opened.close()
 
-    def _replace(self, results: EpisodeTable) -> None:
-        """Replace all rows by these. What was there goes last: an episode that is in two files counts once."""
-        outdated = _parquet_files(self._folder)
-        if self._store == PARQUET:
-            write_parquet(self._folder / EPISODES_PARQUET, self._own, results)
-            outdated = [path for path in outdated if path.name != EPISODES_PARQUET]
-        write_csv(*self._tables, self._own, results if self._store == CSV else ())
-        for path in outdated:
-            path.unlink()
+    @property
+    def _own(self) -> int:
+        return _checksum(self.identity)
 
-    def _end_part(self) -> None:
-        """Make a Parquet file of the episodes in the journal, which begins anew."""
-        self._parts += 1
-        write_parquet(self._folder / PART.format(self._parts), self._own, self._unparted)
-        self._unparted = EpisodeTable()
-        self._journal.restart()
-
-    def _write_runs(self, runs: Iterable[Run]) -> None:
-        write_atomically(self._folder / RUNS, sealed({RUNS: [asdict(one) for one in runs]}))
-
-    def _read(self, comparison: Mapping[str, Any], episodes: int) -> EpisodeTable:
-        kept = read_episodes(self._folder, comparison)
-        if (last := kept.column("episode").max(initial=0)) >= episodes:
+    def _resume(self, episodes: int) -> None:
+        assert self._folder is not None
+        with damage(self._folder / STORE):
+            check_file(self._file)
+            identity, _ = _cell(self._file)
+            if reasons := "; ".join(reasons_not_to_resume(identity, self.identity)):
+                raise ResultsError(f"{self._folder} holds results of another comparison ({reasons}): {OTHERWISE}")
+            self.identity = identity
+            self.kept, self.runs = _episodes(self._file, identity), _runs(self._file)
+            self._texts = {text: i for i, text in enumerate(_texts(self._file))}
+        if (last := self.kept.column("episode").max(initial=0)) >= episodes:
             raise ResultsError(
                 f"{self._folder} already holds episode {last}, beyond the {episodes} asked for: ask for more, choose "
                 "another folder, or overwrite them (--overwrite)"
             )
-        return kept
 
-    def _same(self, comparison: Mapping[str, Any]) -> dict[str, Any]:
-        """The stored identity of this comparison. Raises `ResultsError` if it is another's."""
-        otherwise = "choose another folder, or overwrite them (--overwrite)"
+    def _begin(self, resuming: bool, run: Run | None) -> None:
+        """Make the tables unless they are there, and add a run, so that every episode's run is known."""
+        self._file.execute("PRAGMA journal_mode = WAL")
+        with self._transaction():
+            if not resuming:
+                self._file.execute(f"PRAGMA application_id = {APPLICATION}")
+                self._file.execute(f"PRAGMA user_version = {FORMAT}")
+                for table in SCHEMA.values():
+                    self._file.execute(table)
+                self._file.execute("INSERT INTO cell VALUES (?, ?, NULL)", (_CELL, sealed(self.identity)))
+            self._file.execute("UPDATE cell SET facts = NULL")
+            self.runs = self._write_runs(self.runs)
+            if run is not None:
+                self._add_runs([run])
+
+    def _write_runs(self, runs: Iterable[Run]) -> list[Run]:
+        """Replace the runs by those that have played episodes, or told a verdict by other arguments than all before."""
+        played = {text for (text,) in self._file.execute("SELECT text FROM text WHERE id IN (SELECT run FROM episode)")}
+        counted: list[Run] = []
+        for one in runs:
+            verdicts = {(other.baseline, other.margin) for other in counted if other.judged}
+            if one.id in played or (one.judged and (one.baseline, one.margin) not in verdicts):
+                counted.append(one)
+        self._file.execute("DELETE FROM run")
+        self._add_runs(counted)
+        return counted
+
+    def _add_runs(self, runs: Iterable[Run]) -> None:
+        self._file.executemany("INSERT INTO run VALUES (?, ?)", [(_CELL, sealed(asdict(one))) for one in runs])
+
+    @contextlib.contextmanager
+    def _transaction(self) -> Iterator[None]:
+        self._file.execute("BEGIN IMMEDIATE")
         try:
-            stored = unsealed(bounded_text(self._folder / COMPARISON))
-        except (OSError, ValueError, RecursionError) as error:
-            raise ResultsError(
-                f"{self._folder} holds results without a readable {COMPARISON} that identifies them ({error}): "
-                f"{otherwise}"
-            ) from error
-        if what := "; ".join(reasons_not_to_resume(stored, comparison)):
-            raise ResultsError(f"{self._folder} holds results of another comparison ({what}): {otherwise}")
-        return stored
+            yield
+            self._file.execute("COMMIT")
+        except BaseException:
+            if self._file.in_transaction:
+                self._file.execute("ROLLBACK")
+            raise
 
 
-def stored_policy_seed(path: Path) -> int | None:
-    """The policy seed of an identity in a file; None if there is none that can be read."""
+def read_store(folder: Path) -> Stored:
+    """Read the store of a folder. Raises `ResultsError` if it is missing or damaged."""
+    with _read(folder) as file:
+        identity, facts = _cell(file)
+        return Stored(identity, facts, _runs(file), _episodes(file, identity))
+
+
+def read_identity(folder: Path) -> dict[str, Any]:
+    """Read what identifies the comparison in a folder's store. Raises `ResultsError` if it is missing or damaged."""
+    with _read(folder, whole=False) as file:
+        return _cell(file)[0]
+
+
+def stored_policy_seed(folder: Path) -> int | None:
+    """The policy seed in a folder's store; None if there is none that can be read."""
     try:
-        values = unsealed(bounded_text(path))
-        return int(values.get("identity", values)[POLICY_SEED])
-    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
+        return int(read_identity(folder)[POLICY_SEED])
+    except (ResultsError, LookupError, TypeError, ValueError):
         return None
 
 
-def read_runs(folder: Path) -> list[Run]:
-    """The runs in a comparison's folder; none in one of an older version. Raises `ResultsError` for a damaged file."""
-    path = folder / RUNS
-    if not path.exists():
-        return []
-    try:
-        return _RUNS.validate_python(unsealed(bounded_text(path)).get(RUNS))
-    except (OSError, ValueError) as error:
-        raise ResultsError(f"{path} cannot be read ({error}): remove it, or overwrite all (--overwrite)") from error
+@contextlib.contextmanager
+def _read(folder: Path, whole: bool = True) -> Iterator[sqlite3.Connection]:
+    """A folder's store, opened to be read: by itself, unless a run that was killed has left a log to recover from."""
+    path = folder / STORE
+    recovered = any(one.exists() and one.stat().st_size for one in files(path)[1:])
+    with damage(path), connected(path, "rw" if recovered else "ro&immutable=1") as file:
+        check_file(file, whole)
+        yield file
 
 
-def _of(results: Iterable[EpisodeResult], runs: Iterable[Run]) -> list[Run]:
-    """The runs that have played any of the results, or told a verdict by other arguments than all before."""
-    played = set(table_of(results).column("run").tolist())
-    kept: list[Run] = []
-    for one in runs:
-        told = {(other.baseline, other.margin) for other in kept if other.judged}
-        if one.id in played or (one.judged and (one.baseline, one.margin) not in told):
-            kept.append(one)
-    return kept
+def _cell(file: sqlite3.Connection) -> tuple[dict[str, Any], dict[str, Any] | None]:
+    """The identity of the one cell, and the facts of it."""
+    ((number, identity, facts),) = file.execute("SELECT id, identity, facts FROM cell LIMIT 2")
+    if number != _CELL:
+        raise ValueError("it has another cell than that of a comparison")
+    return unsealed(identity), None if facts is None else unsealed(facts)
 
 
-def read_episodes(folder: Path, comparison: Mapping[str, Any]) -> EpisodeTable:
-    """The finished episodes in a comparison's folder, in file order. Raises `ResultsError` for damaged files."""
-    kept, parquet = EpisodeTable(), _parquet_files(folder)
-    for path in parquet:
-        known = len(kept)
-        read_parquet(path, comparison, kept)
-        if kept[known:].repeats.any():
-            raise ResultsError(f"{path} has an episode for the second time: overwrite all (--overwrite)")
-    if not parquet or (folder / EPISODES).exists():
-        read_csv(folder / EPISODES, folder / DECISIONS, comparison, kept)
-    repeats = kept.repeats  # of a run that was killed as it replaced one file by another
-    return EpisodeTable(kept[~repeats]) if repeats.any() else kept
+def _runs(file: sqlite3.Connection) -> list[Run]:
+    return _RUNS.validate_python([unsealed(record) for (record,) in file.execute("SELECT record FROM run")])
 
 
-def check_store(store: str) -> None:
-    """Raise `ConfigurationError` for an unknown store, and for one whose packages are not installed."""
-    if store not in STORES:
-        raise unknown_name("store of episodes", store, STORES)
-    if store == PARQUET:
-        check_parquet()
+def _texts(file: sqlite3.Connection) -> list[str]:
+    numbers, texts = [], []
+    for number, text in file.execute("SELECT id, text FROM text ORDER BY id"):
+        numbers.append(number)
+        texts.append(text)
+    if numbers != list(range(len(texts))) or len(set(texts)) != len(texts):
+        raise ValueError("its texts are not numbered")
+    return texts
 
 
-def _parquet_files(folder: Path) -> list[Path]:
-    return [path for path in (folder / EPISODES_PARQUET, *sorted(folder.glob(PART.format("*")))) if path.exists()]
+def _episodes(file: sqlite3.Connection, identity: Mapping[str, Any]) -> EpisodeTable:
+    table = _table(file.execute(_SELECT, (_CELL,)), _texts(file), identity)
+    if (foreign := file.execute("SELECT count(*) FROM episode").fetchone()[0] - len(table)) != 0:
+        raise ValueError(f"it has {foreign} episodes that are not of this comparison")
+    check_episodes(table, _KEYS.validate_python(identity).policies)
+    if pd.DataFrame({name: table.column(name) for name in ("policy", "episode")}).duplicated().any():
+        raise ValueError("it has an episode for the second time")
+    return table
+
+
+def _table(rows: Iterable[Sequence[Any]], texts: Sequence[str], identity: Mapping[str, Any]) -> EpisodeTable:
+    keys = _KEYS.validate_python(identity)
+    return table_of_rows(rows, texts, _checksum(identity), bare_id(keys.env), keys.seed)
+
+
+def _checksum(identity: Mapping[str, Any]) -> int:
+    return crc32(digest(identity).encode())

@@ -1,31 +1,62 @@
 """Many episodes in little memory: a million should fit, and an `EpisodeResult` each takes some 1,500 bytes.
 
-A table takes 220 bytes an episode, and 4 for each decision. Numbers are kept by column; of names, and of small numbers
-that come again and again, one each is kept.
+A table takes some 350 bytes an episode, and 8 for each decision: a NumPy array for each column, and one ragged array
+each for the decision times and for the sums of the reward terms.
 """
 
 import itertools
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import fields
-from typing import Any, get_type_hints, overload
+from dataclasses import dataclass, fields
+from types import NoneType
+from typing import Any, get_args, get_type_hints, overload
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from armctl.episodes.columns import Array, Lists, Numbers, Repeated, Rows, Times
 from armctl.episodes.metrics import Metrics, warm_times
 from armctl.episodes.record import COLUMNS, EpisodeResult
 
+Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
 _APART = ("reward_terms", "metrics", "decision_ms")
 _PLAIN = [one.name for one in fields(EpisodeResult) if one.name not in _APART]
 _METRICS = [one.name for one in fields(Metrics)]
-TYPES: dict[str, Any] = get_type_hints(EpisodeResult) | get_type_hints(Metrics)
-"""Of the fields of results and their metrics."""
-_AT_ONCE = 10_000
-"""Episodes whose decision times are looked at together: more take memory, and fewer time."""
+_HINTS = get_type_hints(EpisodeResult) | get_type_hints(Metrics)
+TYPES: dict[str, set[type]] = {name: set(get_args(_HINTS[name])) or {_HINTS[name]} for name in (*_PLAIN, *_METRICS)}
+"""Types of a field of the results or of their metrics, `NoneType` among them where it may be unknown."""
+AT_ONCE = 10_000
+"""Episodes that are handled together: more take memory, and fewer time."""
+
+
+@dataclass(frozen=True)
+class Ragged:
+    """Lists of numbers, one after the other."""
+
+    values: Array
+    ends: NDArray[np.int64]
+    """(lists + 1,) where each ends, after a 0."""
+
+    @classmethod
+    def of(cls, values: Array, lengths: ArrayLike) -> "Ragged":
+        """Split values into lists of these lengths."""
+        return cls(values, np.concatenate(([0], np.cumsum(lengths, dtype=np.int64))))
+
+    @property
+    def lengths(self) -> NDArray[np.int64]:
+        """(lists,) numbers in each list."""
+        return np.diff(self.ends)
+
+    def __getitem__(self, row: int) -> Array:
+        return np.array(self.values[self.ends[row] : self.ends[row + 1]])
+
+    def take(self, rows: Rows) -> "Ragged":
+        """Return the lists in some rows."""
+        starts, lengths = self.ends[rows], self.ends[rows + 1] - self.ends[rows]
+        shifts = starts - (np.cumsum(lengths) - lengths)
+        return Ragged.of(self.values[np.repeat(shifts, lengths) + np.arange(lengths.sum())], lengths)
 
 
 class EpisodeTable(Sequence[EpisodeResult]):
@@ -35,46 +66,51 @@ class EpisodeTable(Sequence[EpisodeResult]):
     """
 
     def __init__(self, results: Iterable[EpisodeResult] = ()) -> None:
-        self._columns: dict[str, Numbers | Repeated] = {name: _column(name) for name in (*_PLAIN, *_METRICS)}
-        self._terms, self._earned, self._decision_ms = Repeated(), Lists("d"), Times()
-        self._rows: Rows | None = None
-        """The rows of the columns; None for all."""
-        for result in results:
-            self.append(result)
+        listed = list(results)
+        values = [vars(one) | vars(one.metrics) for one in listed]
+        places: dict[tuple[str, ...], int] = {}
+        codes = [places.setdefault(tuple(one.reward_terms), len(places)) for one in listed]
+        rewards = [list(one.reward_terms.values()) for one in listed]
+        times = [one.decision_ms for one in listed]
+        self._fill(
+            {name: column(name, [one[name] for one in values]) for name in TYPES},
+            list(places),
+            np.array(codes, np.intp),
+            Ragged.of(np.array([*itertools.chain.from_iterable(rewards)], float), [*map(len, rewards)]),
+            Ragged.of(np.concatenate([np.empty(0), *times]), [*map(len, times)]),
+        )
 
-    def append(self, result: EpisodeResult) -> None:
-        """Add an episode to a table that is not part of another one."""
-        assert self._rows is None
-        values = vars(result) | vars(result.metrics)
-        for name, column in self._columns.items():
-            column.append(values[name])
-        self._terms.append(tuple(result.reward_terms))
-        self._earned.append(result.reward_terms.values())
-        self._decision_ms.append(result.decision_ms)
+    @classmethod
+    def of_columns(
+        cls,
+        columns: Mapping[str, NDArray[Any]],
+        term_names: Sequence[tuple[str, ...]],
+        term_codes: Rows,
+        rewards: Ragged,
+        decision_ms: Ragged,
+    ) -> "EpisodeTable":
+        """Return a table of these columns, by the names in `TYPES`.
 
-    def extend(
-        self,
-        numbers: Mapping[str, NDArray[Any]],
-        repeated: Mapping[str, tuple[Sequence[Any], NDArray[np.integer[Any]]]],
-        reward_terms: tuple[Sequence[tuple[str, ...]], Array],
-        decision_ms: tuple[Array, NDArray[np.integer[Any]]],
-    ) -> None:
-        """Add many episodes to a table that is not part of another one, by column.
-
-        Columns of numbers are arrays; others are values and, for each episode, the index of its own. Reward terms and
-        decision times are as `reward_terms` and `decision_ms` return them.
+        The names of an episode's reward terms are `term_names[code]`, their sums are a list in `rewards`.
         """
-        assert self._rows is None
-        for name, column in self._columns.items():
-            column.extend(numbers[name]) if isinstance(column, Numbers) else column.extend(*repeated[name])
-        names, earned = reward_terms
-        for terms in names:
-            self._terms.append(terms)
-        self._earned.extend(earned, np.array(list(map(len, names))))
-        self._decision_ms.extend(*decision_ms)
+        table = object.__new__(cls)
+        table._fill(columns, term_names, term_codes, rewards, decision_ms)
+        return table
+
+    def _fill(
+        self,
+        columns: Mapping[str, NDArray[Any]],
+        term_names: Sequence[tuple[str, ...]],
+        term_codes: Rows,
+        rewards: Ragged,
+        decision_ms: Ragged,
+    ) -> None:
+        self._columns, self._term_names, self._term_codes = columns, term_names, term_codes
+        self._rewards, self._decision_ms = rewards, decision_ms
+        self._rows: Rows = np.arange(len(term_codes))
 
     def __len__(self) -> int:
-        return len(self._decision_ms) if self._rows is None else len(self._rows)
+        return len(self._rows)
 
     @overload
     def __getitem__(self, at: int) -> EpisodeResult: ...
@@ -82,31 +118,27 @@ class EpisodeTable(Sequence[EpisodeResult]):
     def __getitem__(self, at: slice | NDArray[Any]) -> "EpisodeTable": ...
     def __getitem__(self, at: int | slice | NDArray[Any]) -> "EpisodeResult | EpisodeTable":
         if isinstance(at, int | np.integer):
-            return self._result(int(self._all_rows[at]))
-        return self._sharing(self._all_rows[at])
+            return self._result(int(self._rows[at]))
+        return self._sharing(self._rows[at])
 
     def __iter__(self) -> Iterator[EpisodeResult]:
-        return map(self._result, self._all_rows.tolist())
+        return map(self._result, self._rows.tolist())
 
     def column(self, name: str) -> NDArray[Any]:
         """A field of the results or of their metrics, (len(self),); of objects if it is a text, or None in some."""
-        return self._columns[name].take(self._all_rows)
+        return np.asarray(self._columns[name][self._rows])
 
     def with_column(self, name: str, values: Iterable[Any]) -> "EpisodeTable":
         """The same episodes with other values of a field."""
-        changed = self._sharing(self._all_rows)
-        all_rows = np.arange(len(self._decision_ms))
-        column, new = _column(name), self._columns[name].take(all_rows).astype(object)
-        new[self._all_rows] = list(values)
-        for value in new.tolist():
-            column.append(value)
-        changed._columns = {**self._columns, name: column}
+        changed, new = self._sharing(self._rows), self._columns[name].astype(object)
+        new[self._rows] = list(values)
+        changed._columns = {**self._columns, name: column(name, new.tolist())}
         return changed
 
     def together(self, other: "EpisodeTable") -> "EpisodeTable":
         """The episodes of this part of a table, and then those of another part of the same one."""
         assert self._decision_ms is other._decision_ms
-        return self._sharing(np.concatenate((self._all_rows, other._all_rows)))
+        return self._sharing(np.concatenate((self._rows, other._rows)))
 
     def by_policy(self) -> dict[str, "EpisodeTable"]:
         """The episodes of each policy."""
@@ -118,11 +150,6 @@ class EpisodeTable(Sequence[EpisodeResult]):
         places = {name: place for place, name in enumerate(policies)}
         order = np.array([places[name] for name in self.column("policy").tolist()])
         return self[np.lexsort((self.column("episode"), order))]
-
-    @property
-    def repeats(self) -> NDArray[np.bool_]:
-        """Whether each is in an earlier row, too: the same episode of the same policy."""
-        return pd.DataFrame({name: self.column(name) for name in ("policy", "episode")}).duplicated().to_numpy()
 
     @property
     def won(self) -> NDArray[np.bool_]:
@@ -138,44 +165,42 @@ class EpisodeTable(Sequence[EpisodeResult]):
 
     def earned(self) -> dict[str, Array]:
         """The sums of each reward term, by its name, in the episodes that have it."""
-        rows, found = self._all_rows, dict[str, list[Array]]()
-        (values, lengths), codes = self._earned.take(rows), self._terms.codes(rows)
-        starts = np.cumsum(lengths) - lengths
-        order = np.argsort(codes, kind="stable")
-        alike = np.split(order, np.flatnonzero(np.diff(codes[order])) + 1) if len(order) else []
-        for those in sorted(alike, key=lambda those: int(those[0])):
-            for i, name in enumerate(self._terms[rows[those[0]]]):
-                found.setdefault(name, []).append(values[starts[those] + i])
+        found = dict[str, list[Array]]()
+        rewards, codes = self._rewards.take(self._rows), self._term_codes[self._rows]
+        for code in dict.fromkeys(codes.tolist()):
+            starts = rewards.ends[:-1][codes == code]
+            for i, name in enumerate(self._term_names[code]):
+                found.setdefault(name, []).append(rewards.values[starts + i])
         return {name: np.concatenate(parts) for name, parts in found.items()}
 
     def reward_terms(self) -> tuple[list[tuple[str, ...]], Array]:
         """The names of each episode's reward terms, and the sums of these, of one episode after the other."""
-        rows = self._all_rows
-        return [self._terms[row] for row in rows.tolist()], self._earned.take(rows)[0]
+        names = [self._term_names[code] for code in self._term_codes[self._rows].tolist()]
+        return names, self._rewards.take(self._rows).values
 
-    def decision_ms(self) -> tuple[Array, NDArray[np.int64]]:
-        """The decision times, of one episode after the other, and (len(self),) how many each has."""
-        return self._decision_ms.take(self._all_rows)
+    def decision_ms(self) -> Ragged:
+        """The decision times of each episode."""
+        return self._decision_ms.take(self._rows)
 
     def decision_seconds(self) -> Array:
         """(len(self),) the time of the reset and of all decisions of each episode."""
-        parts = [self[first : first + _AT_ONCE].decision_ms() for first in range(0, len(self), _AT_ONCE)]
-        found = [
-            np.bincount(np.repeat(np.arange(len(lengths)), lengths), np.nan_to_num(times, nan=0.0), len(lengths))
-            for times, lengths in parts
-        ]
-        spent: Array = np.concatenate([np.empty(0), *found])
-        spent += np.nan_to_num(self.column("reset_ms"), nan=0.0)
-        return spent / 1e3
+        spent = np.nan_to_num(self.column("reset_ms"), nan=0.0)
+        for first in range(0, len(self), AT_ONCE):
+            times = self[first : first + AT_ONCE].decision_ms()
+            which = np.repeat(np.arange(len(times.lengths)), times.lengths)
+            spent[first : first + AT_ONCE] += np.bincount(
+                which, np.nan_to_num(times.values, nan=0.0), len(times.lengths)
+            )
+        return np.asarray(spent / 1e3)
 
     def warm_ms(self) -> Array:
         """The times of all warm decisions, of one episode after the other, in an array of its own."""
         cold = ~np.isnan(self.column("decision_ms_cold"))
         (alone,) = np.nonzero(cold)
-        bounds = np.unique(np.concatenate((alone, alone + 1, np.arange(0, len(self), _AT_ONCE), [len(self)])))
+        bounds = np.unique(np.concatenate((alone, alone + 1, np.arange(0, len(self), AT_ONCE), [len(self)])))
         found, end = np.empty(int(self.column("length").sum())), 0
         for first, last in itertools.pairwise(bounds.tolist()):
-            times = warm_times(self[first:last].decision_ms()[0], bool(cold[first]))
+            times = warm_times(self[first:last].decision_ms().values, bool(cold[first]))
             found[end : (end := end + len(times))] = times
         return found[:end]
 
@@ -186,17 +211,13 @@ class EpisodeTable(Sequence[EpisodeResult]):
         values: dict[str, Any] = {}
         for name in COLUMNS:
             if name == "reward_terms":
-                values[name] = pd.Series([json.dumps(self._reward_terms(row)) for row in self._all_rows.tolist()])
+                values[name] = pd.Series([json.dumps(self._reward_terms(row)) for row in self._rows.tolist()])
             elif name == "optimality_gap":
                 values[name] = self.optimality_gap
             else:
-                column = self.column("total_reward" if name == "return" else name)
-                values[name] = pd.Series(column.tolist() if column.dtype == object else column)
+                data = self.column(field_of(name))
+                values[name] = pd.Series(data.tolist() if data.dtype == object else data)
         return pd.DataFrame(values)
-
-    @property
-    def _all_rows(self) -> Rows:
-        return np.arange(len(self)) if self._rows is None else self._rows
 
     def _sharing(self, rows: Rows) -> "EpisodeTable":
         part = object.__new__(EpisodeTable)
@@ -204,13 +225,15 @@ class EpisodeTable(Sequence[EpisodeResult]):
         return part
 
     def _reward_terms(self, row: int) -> dict[str, float]:
-        return dict(zip(self._terms[row], self._earned[row].tolist(), strict=True))
+        return dict(zip(self._term_names[self._term_codes[row]], self._rewards[row].tolist(), strict=True))
 
     def _result(self, row: int) -> EpisodeResult:
-        plain: dict[str, Any] = {name: self._columns[name][row] for name in _PLAIN}
-        measured = Metrics(*(self._columns[name][row] for name in _METRICS))
+        values = {name: self._columns[name][row : row + 1].tolist()[0] for name in TYPES}
         return EpisodeResult(
-            **plain, reward_terms=self._reward_terms(row), metrics=measured, decision_ms=self._decision_ms[row]
+            **{name: values[name] for name in _PLAIN},
+            reward_terms=self._reward_terms(row),
+            metrics=Metrics(*(values[name] for name in _METRICS)),
+            decision_ms=self._decision_ms[row],
         )
 
 
@@ -219,7 +242,15 @@ def table_of(results: Iterable[EpisodeResult]) -> EpisodeTable:
     return results if isinstance(results, EpisodeTable) else EpisodeTable(results)
 
 
-def _column(name: str) -> Numbers | Repeated:
-    if name == "episode":
-        return Numbers("q")
-    return Numbers("d") if TYPES[name] is float else Repeated()
+def column(name: str, values: list[Any]) -> NDArray[Any]:
+    """Return a field's values as an array: of objects if they are texts, or None in some."""
+    kinds = TYPES[name]
+    if NoneType in kinds and (None in values or not values):
+        return np.array(values, object)
+    (kind,) = kinds - {NoneType}
+    return np.array(values, {str: object, int: None if values else int}.get(kind, kind))
+
+
+def field_of(name: str) -> str:
+    """Return the field of the results that a column of `episodes.csv` holds."""
+    return "total_reward" if name == "return" else name

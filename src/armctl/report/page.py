@@ -15,7 +15,7 @@ from armctl.core.files import inside
 from armctl.core.registration import import_attribute, remember_named
 from armctl.envs import full_id
 from armctl.episodes.record import EpisodeResult
-from armctl.episodes.store import COMPARISON
+from armctl.episodes.store import STORE
 from armctl.report import style
 from armctl.report.plots import comparison_plots, mean, percent, renamed, spread, sweep_plots
 from armctl.report.render import write_page
@@ -62,10 +62,10 @@ def write_report(
     if (folder / SUITE).exists():
         return _suite(folder, out, bool(video), progress)
     sweep = read_sweep(folder) if (folder / POINTS).exists() else None
-    home = folder if sweep is None or (folder / COMPARISON).exists() else folder / UNDISTURBED
-    if sweep is None and not (home / COMPARISON).exists():
+    home = folder if sweep is None or (folder / STORE).exists() else folder / UNDISTURBED
+    if sweep is None and not (home / STORE).exists():
         raise ResultsError(f"{folder} holds no results: armctl compare --out {folder} writes some")
-    results = read_results(home) if (home / COMPARISON).exists() else None
+    results = read_results(home) if (home / STORE).exists() else None
     names = list(results.names) if results else []
     if sweep is not None:
         names += [name for name in sweep.policy.unique() if name not in names]

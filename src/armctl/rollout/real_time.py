@@ -17,11 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.core.errors import ConfigurationError
-from armctl.core.files import bounded_text, digest, unsealed
+from armctl.core.files import digest
 from armctl.disturbances import Disturbance, DisturbanceSpec
 from armctl.envs import EpisodeVectorEnv
+from armctl.episodes.output import DECISIONS
 from armctl.episodes.record import EpisodeResult
-from armctl.episodes.store import COMPARISON, DECISIONS, read_episodes
+from armctl.episodes.store import STORE, read_store
 from armctl.policies import Actions, Policy
 from armctl.rollout.decision_times import Errors, TimedPolicy
 from armctl.tasks import Observations
@@ -168,25 +169,24 @@ def real_time_of(real_time: "str | Path | RealTime | None", slow_down: float, en
 
 
 def read_recording(path: Path, slow_down: float, env: str, seed: int) -> RealTime:
-    """The decision times in the results of a comparison: its folder, or the `decisions.csv` in it.
+    """The decision times in the results of a comparison: its folder, or a file in it.
 
     Raises `ConfigurationError` for results of another environment or seed, and for times that are no latencies, and
     `ResultsError` for damaged results.
     """
-    folder = path.parent if path.name == DECISIONS else path
-    try:
-        own = unsealed(bounded_text(folder / COMPARISON))
-    except (OSError, ValueError, RecursionError) as error:
+    folder = path.parent if path.name in (STORE, DECISIONS) else path
+    if not (folder / STORE).exists():
         raise ConfigurationError(
             f"real time takes '{MEASURED}', or a folder with a comparison's results, whose decision times it repeats, "
-            f"not {path} ({error})"
-        ) from error
+            f"not {path}"
+        )
+    stored = read_store(folder)
     for name, here in {"env": env, "seed": seed}.items():
-        if own.get(name) != here:
+        if (there := stored.identity.get(name)) != here:
             raise ConfigurationError(
-                f"the decision times in {folder} are of another comparison: {name} {own.get(name)} there, {here} here"
+                f"the decision times in {folder} are of another comparison: {name} {there} there, {here} here"
             )
-    return RealTime(slow_down, str(folder), recorded_times(read_episodes(folder, own)))
+    return RealTime(slow_down, str(folder), recorded_times(stored.episodes))
 
 
 def recorded_times(results: Iterable[EpisodeResult]) -> dict[str, dict[int, RecordedTimes]]:

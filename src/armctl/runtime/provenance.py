@@ -107,12 +107,11 @@ def with_looks(sentence: str, looks: Sequence[int]) -> str:
     return f"{sentence.removesuffix('.')}; {looks_in_words(looks)}." if sentence and looks else sentence
 
 
-def argument_notes(runs: Sequence[Run]) -> list[str]:
-    """Return a remark if a verdict was told before the last run's by other arguments."""
-    judged_runs, last = [run for run in runs[:-1] if run.judged], runs[-1]
-    others = {(run.baseline, run.margin) for run in judged_runs if run.margin is not None}
-    others -= {(last.baseline, last.margin)}
-    arguments = sorted(f"{f'baseline {name}' if name else 'no baseline'}, margin {margin:g}" for name, margin in others)
+def argument_notes(runs: Sequence[Run], baseline: str | None, margin: float) -> list[str]:
+    """Return a remark if a verdict was told before by other arguments than these."""
+    others = {(run.baseline, run.margin) for run in runs if run.judged and run.margin is not None}
+    others -= {(baseline, margin)}
+    arguments = sorted(f"{f'baseline {name}' if name else 'no baseline'}, margin {other:g}" for name, other in others)
     return [f"A verdict was told before by other arguments: {'; '.join(arguments)}."] if arguments else []
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +14,9 @@ from armctl.core.registration import bare_id, remember_named
 from armctl.envs import ERROR, RETURN_BOUNDS, ThirdPartyVectorEnv, chosen_policy_seed, full_id, task_of
 from armctl.episodes.failures import PolicyDisqualified
 from armctl.episodes.record import EpisodeResult, FailedEpisode
-from armctl.episodes.store import COMPARISON, CSV, POLICY_SEED, EpisodeLog, check_store, stored_policy_seed
+from armctl.episodes.store import POLICY_SEED, EpisodeStore, stored_policy_seed
 from armctl.episodes.table import EpisodeTable
 from armctl.policies import Policy, WorldsByInterface, expanded, is_seed_group, learners, named_policies
-from armctl.rollout.decision_times import Machines, load_notes, timing_notes, unjudged
 from armctl.rollout.parallel import (
     RolloutBatch,
     Setting,
@@ -39,20 +38,21 @@ from armctl.rollout.seeding import seed_notes
 from armctl.rollout.seeds import Seed, evaluation_seed
 from armctl.runtime.engines import Engine, engine_of
 from armctl.runtime.identity import identity
-from armctl.runtime.provenance import Run, RunMeter, argument_notes, earlier_looks
+from armctl.runtime.provenance import RunMeter, machine, versions
 from armctl.runtime.workers import WorkersFailed
 from armctl.stats.intervals import Bounds
 from armctl.stats.paired import MARGIN
-from armctl.study.comparison import Comparison, summary
-from armctl.verdict.summary import certificate_notes, counted_results, motion_notes, summarise
+from armctl.study.comparison import Comparison
+from armctl.study.facts import Facts, PolicyFacts, judge, remove_output, write_output
+from armctl.verdict.summary import training_cost_of
 
 UNTOLD = "{env} is not made of a task of armctl's: least times, feasibility, contacts and clearances are unknown."
-UNSCORED = "{env} does not say what a success is: the verdict goes by return. --success-return says which is one."
+FACTS = (
+    "policy_seed", "notes", "failures", "baseline", "margin", "real_time", "groups", "disqualified", "interrupted",
+    "resumed",
+)  # fmt: skip
+"""What is known of a comparison before it is judged."""
 ONE_TRAINING = "{group} is a single training, which says nothing of others by the same recipe."
-UNBOUNDED = (
-    "The possible returns are unknown, so that their means and worst tenths have neither intervals nor tests: a "
-    "disaster that none of these episodes had may cost anything. --return-bounds LOW HIGH states the bounds."
-)
 
 
 def compare(
@@ -72,22 +72,20 @@ def compare(
     seeding: Sequence[str] | None = None,
     real_time: str | Path | RealTime | None = None,
     slow_down: float = 1.0,
-    store: str = CSV,
     return_bounds: Bounds | None = None,
     policy_seed: int | None = None,
     progress: Callable[[EpisodeResult], None] | None = None,
 ) -> Comparison:
     """Let policies play the same episodes 0 to `episodes` - 1 of `seed`; `"test"` is the sealed one.
 
-    With `out`, every episode is written to `out/episodes.csv` as soon as it ends, and the summary to
-    `out/summary.json`. After an interrupt (Ctrl-C) or a full disk, finished episodes are kept, and the same call
-    resumes the comparison. An episode in which a policy raises an error, or returns an invalid action, is lost: its
-    outcome is `error`, and the next one begins (see `armctl.episodes.failures`). Except for decision times,
-    `episodes.csv` does not depend on the number of worlds and workers. With the `store` `parquet`, all are in
-    `out/episodes.parquet` in the end, and in no CSV table; the same call with `csv` writes the tables again. With
-    one world and one worker (the default), decision times are latencies, by which deadlines are judged; with more
-    worlds, each is a batch's time divided by the number of worlds. The policy's construction, its resets and its
-    first decision in a process have times of their own.
+    With `out`, every episode is written to `out/results.sqlite` as soon as it ends, and in the end all are in
+    `out/episodes.csv`, and the summary in `out/summary.json`. After an interrupt (Ctrl-C) or a full disk, finished
+    episodes are kept, and the same call resumes the comparison. An episode in which a policy raises an error, or
+    returns an invalid action, is lost: its outcome is `error`, and the next one begins (see
+    `armctl.episodes.failures`). Except for decision times, `episodes.csv` does not depend on the number of worlds and
+    workers. With one world and one worker (the default), decision times are latencies, by which deadlines are judged;
+    with more worlds, each is a batch's time divided by the number of worlds. The policy's construction, its resets and
+    its first decision in a process have times of their own.
 
     With `workers`, that many processes play, each with `worlds` worlds on one core; an engine's workers play, if one
     is given (`armctl.runtime.engines.connect`). Decision times are then measured while the other processes compute.
@@ -118,7 +116,6 @@ def compare(
     `ResultsError` if `out` cannot be written, is damaged, or holds the results of another comparison (unless
     `overwrite`).
     """
-    check_store(store)
     env, env_options = full_id(env), with_return_bounds(env_options, return_bounds)
     remember_named(env)
     if policies is None:
@@ -138,7 +135,7 @@ def compare(
             check_measurable(worlds, engine.workers)
         check_recorded(paced, by_name, episodes)
         worlds = 1
-    stored = None if out is None or overwrite else stored_policy_seed(Path(out) / COMPARISON)
+    stored = None if out is None or overwrite else stored_policy_seed(Path(out))
     comparison = Comparison(env, seed, env_options, EpisodeTable())
     comparison.policy_seed = secret = chosen_policy_seed(policy_seed, stored)
     comparison.baseline, comparison.margin, comparison.groups = baseline, margin, groups
@@ -163,15 +160,16 @@ def compare(
         comparison.notes += seed_notes(env, env_options) if seeding is None else seeding
         if isinstance(made_env, ThirdPartyVectorEnv):
             comparison.notes.append(UNTOLD.format(env=bare_id(env)))
-        own: Mapping[str, Any] = {}
+        own: Mapping[str, Any] = {"env": env, "seed": seed, "policies": list(by_name)}
         if out is not None:
             late = None if paced is None else paced.identity(by_name)
             own = identity(env, comparison.env_options, seed, by_name, made, made_env, late)
             own = {**own, POLICY_SEED: str(secret)}
-        meter, log = RunMeter(own, worlds, engine.workers), None
-        if out is not None:
-            log = stack.enter_context(EpisodeLog(Path(out), own, episodes, overwrite, meter.run, store))
-        results = EpisodeTable() if log is None else log.kept  # what is played now is added to it
+        meter, folder = RunMeter(own, worlds, engine.workers), None if out is None else Path(out)
+        log = stack.enter_context(EpisodeStore(folder, own, episodes, overwrite, meter.run))
+        if folder is not None:
+            remove_output(folder)
+        results = log.kept
         if progress is not None:
             for result in results:
                 progress(result)
@@ -200,29 +198,41 @@ def compare(
                     meter.update_load()
                     for result in (replace(one, run=meter.run.id) for one in played.results):
                         _check_return(result, made_env.stated_return_bounds)
-                        results.append(result)
+                        log.write(result)
                         if progress is not None:
                             progress(result)
-                        if log is not None:
-                            log.write(result)
         except WorkersFailed as failure:
             comparison.failures["workers"] = str(failure)
         except KeyboardInterrupt:
             comparison.interrupted = True
+        results = log.episodes()
         results = results[~np.isin(results.column("policy"), comparison.disqualified)].sorted(list(made))
         _note_crashes(comparison, results, crashes)
         judged = min(map(len, results.by_policy().values()), default=0)
-        runs = [*(log.runs if log is not None else []), meter.finished(judged, baseline, margin)]
-        if results:
-            latencies = paced is None or paced.recorded is None
-            _judge(comparison, unjudged(results, runs) if latencies else results, made, made_env, episodes, runs)
-            _tell_construction(comparison, construction | in_workers)
-            comparison.notes += load_notes(results, runs) if latencies else []
-            comparison.notes += argument_notes(runs) if comparison.paired else []
-            comparison.looks = earlier_looks(runs)
-        if log is not None:
+        runs = [*log.runs, meter.finished(judged, baseline, margin)]
+        comparison.results = results
+        spent_ms = construction | in_workers
+        facts = Facts(
+            env_options={name: str(value) for name, value in env_options.items()},
+            planned=episodes,
+            policies={
+                name: PolicyFacts(
+                    policy.sees, training_cost_of(policy), spent_ms[name], tuple(comparison.spared.get(name, ()))
+                )
+                for name, policy in made.items()
+            },
+            return_bounds=made_env.return_bounds,
+            time_limit=made_env.max_episode_steps,
+            control_period=made_env.task.control_period,
+            versions=versions(),
+            machine=machine(),
+            **{name: getattr(comparison, name) for name in FACTS},
+        )
+        judge(comparison, facts, runs)
+        if folder is not None:
             try:
-                log.finish(results, summary(comparison), runs)
+                runs = log.finish(asdict(facts), runs, comparison.disqualified)
+                write_output(folder, comparison, results, log.identity, runs)
             except ResultsError as error:
                 comparison.failures["results"] = str(error)
     return comparison
@@ -270,38 +280,6 @@ def _note_crashes(comparison: Comparison, results: EpisodeTable, crashes: Mappin
         comparison.failures[name] = "; ".join(filter(None, (comparison.failures.get(name), said)))
         if crash is not None:
             comparison.tracebacks.setdefault(name, crash.traceback)
-
-
-def _judge(
-    comparison: Comparison,
-    results: EpisodeTable,
-    made: Mapping[str, Policy],
-    env: Any,
-    episodes: int,
-    runs: Sequence[Run],
-) -> None:
-    """Summarise the results, and note what is to be known of them."""
-    comparison.results, comparison.time_limit = results, env.max_episode_steps
-    steps = env.max_episode_steps
-    if (bounds := env.return_bounds) is None:
-        comparison.notes.append(UNBOUNDED)
-    comparison.policies, comparison.paired = summarise(
-        results, made, episodes, bounds, steps, comparison.groups, comparison.spared, runs
-    )
-    comparison.notes += certificate_notes(results) + motion_notes(results, env.task.control_period)
-    counted, _ = counted_results(results)
-    played = ((name, played) for name, played in counted.items() if played)
-    comparison.notes += timing_notes(played, Machines.of(runs, results))
-    if comparison.policies and comparison.policies[0].success is None:
-        comparison.notes.append(UNSCORED.format(env=bare_id(comparison.env)))
-
-
-def _tell_construction(comparison: Comparison, construction: Mapping[str, float]) -> None:
-    """Say how long it took to make each policy; of a group's trainings, the longest."""
-    comparison.policies = [
-        replace(one, construction_ms=max(construction[name] for name in one.trainings or [one.policy]))
-        for one in comparison.policies
-    ]
 
 
 def with_return_bounds(env_options: Mapping[str, Any] | None, bounds: Bounds | None) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from armctl.agents import read_card
 from armctl.core.errors import ArmctlError, ResultsError
 from armctl.core.files import bounded_text, digest, unsealed
 from armctl.envs import full_id
-from armctl.episodes.store import COMPARISON
+from armctl.episodes.store import STORE, read_identity
 from armctl.stats.robustness import Pair, PairTest
 from armctl.study.reproduce import card_path
 
@@ -77,7 +77,7 @@ def read_sweep(folder: Path) -> pd.DataFrame:
         if told.get(POINTS) != digest(bounded_text(path)):
             raise ValueError(f"it does not have the checksum in {SWEEP}: it was changed, or damaged")
         for name, own in dict(told.get(COMPARISONS, {})).items():
-            if (folder / name / COMPARISON).exists() and comparison_in(folder / name) != own:
+            if (folder / name / STORE).exists() and comparison_in(folder / name) != own:
                 raise ValueError(f"{folder / name} holds another comparison by now: run the sweep again")
     except (OSError, ValueError, TypeError) as error:
         raise ResultsError(f"{path} cannot be read: {error}") from error
@@ -98,8 +98,8 @@ def read_pairs(folder: Path) -> dict[Pair, PairTest]:
 
 
 def comparison_in(folder: Path) -> str:
-    """The digest of the identity of a folder's comparison. Raises `OSError` or `ValueError`."""
-    return digest(unsealed(bounded_text(folder / COMPARISON)))
+    """The digest of the identity of a folder's comparison. Raises `ResultsError`."""
+    return digest(read_identity(folder))
 
 
 def _table(path: Path, columns: Sequence[str], numbers: Sequence[str]) -> pd.DataFrame:

@@ -1,79 +1,31 @@
 """Reads a comparison's folder back, without playing anything."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import reduce
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Any, TypeVar
 
-from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError
-from typing_extensions import TypedDict
+from pydantic import TypeAdapter, ValidationError
 
 from armctl.core.errors import ResultsError
-from armctl.core.files import bounded_text, digest, unsealed
+from armctl.core.files import bounded_text, unsealed
 from armctl.core.options import option_value
-from armctl.episodes.store import COMPARISON, SUMMARY, read_episodes
+from armctl.envs import ERROR
+from armctl.episodes.store import STORE, Stored, read_store
 from armctl.episodes.table import EpisodeTable
 from armctl.policies import learners
-from armctl.runtime.provenance import Run, earlier_looks
-from armctl.stats.paired import MARGIN, PairedDifference
+from armctl.runtime.provenance import Run
 from armctl.study.comparison import Comparison
+from armctl.study.facts import Facts, judge
 from armctl.verdict.scores import by_learner
-from armctl.verdict.summary import PolicySummary, counted_results
+from armctl.verdict.summary import counted_results
 
 Kind = TypeVar("Kind")
+_FACTS = TypeAdapter(Facts)
 LONGEST_OPTION = 1_000
 """Characters of an option's text; to read long ones as Python takes much time and memory."""
-
-
-@dataclass(frozen=True)
-class _Identity:
-    """The part of `comparison.json` that the report uses."""
-
-    env: str
-    seed: int
-    policies: list[str]
-
-
-class _RealTime(TypedDict):
-    """What `Comparison.real_time` holds."""
-
-    latency: str
-    slow_down: float
-
-
-def _with_training(policy: Any) -> Any:
-    """A policy's summary, which older versions wrote with two numbers in place of its `TrainingCost`."""
-    if not isinstance(policy, dict) or "training" in policy:
-        return policy
-    return policy | {"training": {"steps": policy.get("training_steps"), "minutes": policy.get("training_minutes")}}
-
-
-@dataclass(frozen=True)
-class _Summary:
-    """`summary.json`, as `EpisodeLog.finish` writes it."""
-
-    comparison: str
-    """Digest of the identity in `comparison.json`."""
-    env: str
-    env_options: dict[str, str]
-    seed: int
-    interrupted: bool
-    resumed: int
-    failures: dict[str, str]
-    policies: list[Annotated[PolicySummary, BeforeValidator(_with_training)]]
-    paired: list[PairedDifference]
-    versions: dict[str, str]
-    machine: dict[str, Any]
-    notes: list[str] = field(default_factory=list)
-    baseline: str | None = None
-    margin: float = MARGIN
-    time_limit: int | None = None
-    real_time: _RealTime | None = None
-    policy_seed: Annotated[int, Field(ge=0, lt=2**128)] | None = None
-    groups: dict[str, list[str]] = field(default_factory=dict)
-    disqualified: list[str] = field(default_factory=list)
-    runs: list[Run] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -88,81 +40,79 @@ class Results:
     versions: Mapping[str, str]
     machine: Mapping[str, Any]
     runs: list[Run] = field(default_factory=list)
-    """Those that played the episodes; none in results of older versions."""
+    """Those that played the episodes."""
 
 
 def read_results(folder: Path) -> Results:
     """Read the folder of a finished or interrupted comparison.
 
-    Raises `ResultsError` if a file is missing or damaged.
+    Raises `ResultsError` if its store is missing or damaged.
     """
-    own, identity = read_sealed(folder / COMPARISON, _Identity)
-    if not (folder / SUMMARY).exists():
-        raise ResultsError(
-            f"{folder} has no {SUMMARY}: its comparison is unfinished; the same command with --out {folder} resumes it"
-        )
-    _, summary = read_sealed(folder / SUMMARY, _Summary)
-    results = read_episodes(folder, own).sorted(identity.policies)
-    counted, _ = counted_results(results)
-    members = [member for group in summary.groups.values() for member in group]
-    groups_fit = all(summary.groups.values()) and len(set(members) & set(identity.policies)) == len(members)
-    trained = by_learner(counted, identity.policies, summary.groups)
-    played = set(trained)
-    paired = {name for pair in summary.paired for name in (pair.a, pair.b)}
-    fits = (
-        groups_fit
-        and all(map(_is_possible, summary.paired))
-        and played == {one.policy for one in summary.policies}
-        and paired <= played
-    )
-    if not fits or summary.comparison != digest(own):
-        raise ResultsError(f"{folder / SUMMARY} does not belong to the episodes beside it: run the comparison again")
-    comparison = Comparison(
-        summary.env,
-        summary.seed,
-        _options(folder, summary),
-        results,
-        summary.policies,
-        summary.paired,
-        summary.failures,
-        baseline=summary.baseline,
-        margin=summary.margin,
-        time_limit=summary.time_limit,
-        looks=earlier_looks(summary.runs),
-        notes=summary.notes,
-        real_time=dict(summary.real_time) if summary.real_time else None,
-        groups=summary.groups,
-        disqualified=summary.disqualified,
-        policy_seed=summary.policy_seed,
-        interrupted=summary.interrupted,
-        resumed=summary.resumed,
-    )
+    stored, path = read_store(folder), folder / STORE
+    if stored.facts is None:
+        raise ResultsError(f"{folder} is unfinished: the same command with --out {folder} resumes it")
+    try:
+        facts = _FACTS.validate_python(stored.facts)
+        comparison = _comparison(stored, facts)
+        judge(comparison, facts, stored.runs)
+    except ValueError as error:
+        why = error.errors()[0]["msg"] if isinstance(error, ValidationError) else error
+        raise ResultsError(f"{path} cannot be read as results of a comparison: {why}") from error
+    policies = stored.identity["policies"]
+    counted, _ = counted_results(comparison.results)
+    trained = by_learner(counted, policies, facts.groups)
     return Results(
         comparison,
-        learners(identity.policies, summary.groups),
-        {policy.policy: reduce(EpisodeTable.together, trained[policy.policy].values()) for policy in summary.policies},
-        summary.versions,
-        summary.machine,
-        summary.runs,
+        learners(policies, facts.groups),
+        {one.policy: reduce(EpisodeTable.together, trained[one.policy].values()) for one in comparison.policies},
+        facts.versions,
+        facts.machine,
+        stored.runs,
     )
 
 
-def _is_possible(pair: PairedDifference) -> bool:
-    counts = (pair.both, pair.only_a, pair.only_b, pair.neither)
-    crossed = pair.crossed
-    estimates = [crossed.estimate, crossed.narrow, crossed.wide] if crossed else []
-    ends = [end for one in estimates if one for end in (one.low, one.high)]
-    return pair.episodes > 0 and min(counts) >= 0 and sum(counts) <= pair.episodes and None not in ends
+def _comparison(stored: Stored, facts: Facts) -> Comparison:
+    """The comparison before it is judged. Raises `ValueError` for facts that its episodes cannot have."""
+    policies, results = stored.identity["policies"], stored.episodes
+    members = [member for group in facts.groups.values() for member in group]
+    low, high = facts.return_bounds or (-math.inf, math.inf)
+    returns = results.column("total_reward")[results.column("outcome") != ERROR]
+    rounding = 1e-9 * max(abs(low), abs(high)) if facts.return_bounds else 0.0
+    fits = (
+        all(facts.groups.values())
+        and len(set(members) & set(policies)) == len(members)
+        and set(results.column("policy").tolist()) <= set(facts.policies)
+        and low <= high
+        and ((returns >= low - rounding) & (returns <= high + rounding)).all()
+        and results.column("length").max(initial=0) <= (facts.time_limit or math.inf)
+    )
+    if not fits:
+        raise ValueError("what is known of it does not belong to its episodes: run the comparison again")
+    return Comparison(
+        stored.identity["env"],
+        stored.identity["seed"],
+        _options(facts.env_options),
+        results.sorted(policies),
+        failures=facts.failures,
+        baseline=facts.baseline,
+        margin=facts.margin,
+        real_time=dict(facts.real_time) if facts.real_time else None,
+        groups=facts.groups,
+        spared={name: one.spared for name, one in facts.policies.items()},
+        disqualified=facts.disqualified,
+        policy_seed=facts.policy_seed,
+        interrupted=facts.interrupted,
+        resumed=facts.resumed,
+    )
 
 
-def _options(folder: Path, summary: _Summary) -> dict[str, Any]:
-    for name, text in summary.env_options.items():
+def _options(texts: Mapping[str, str]) -> dict[str, Any]:
+    for name, text in texts.items():
         if len(text) > LONGEST_OPTION:
-            raise ResultsError(
-                f"{folder / SUMMARY} cannot be read as results of a comparison: its option {name[:LONGEST_OPTION]} has "
-                f"{len(text):,} characters, more than {LONGEST_OPTION:,}"
+            raise ValueError(
+                f"its option {name[:LONGEST_OPTION]} has {len(text):,} characters, more than {LONGEST_OPTION:,}"
             )
-    return {name: option_value(text) for name, text in summary.env_options.items()}
+    return {name: option_value(text) for name, text in texts.items()}
 
 
 def read_sealed(path: Path, kind: type[Kind], what: str = "a comparison") -> tuple[dict[str, Any], Kind]:

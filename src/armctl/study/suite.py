@@ -15,7 +15,6 @@ from armctl.core.files import bounded_text, checked_name, inside, one_writer, se
 from armctl.core.registration import bare_id, environment_names
 from armctl.envs import full_id
 from armctl.episodes.record import EpisodeResult
-from armctl.episodes.store import CSV, check_store
 from armctl.policies import WorldsByInterface, agent_cards, make_policy, policy_names
 from armctl.rollout.rollouts import check_counts
 from armctl.rollout.seeds import Seed, evaluation_seed
@@ -141,7 +140,6 @@ def suite(
     overwrite: bool = False,
     worlds: int = 1,
     workers: int | Engine = 1,
-    store: str = CSV,
     policy_seed: int | None = None,
     progress: Callable[[str, int], None] | None = None,
 ) -> Suite:
@@ -164,7 +162,6 @@ def suite(
     episodes = size.episodes if episodes is None else episodes
     check_counts(episodes=episodes, worlds=worlds, **({"workers": workers} if isinstance(workers, int) else {}))
     seed = evaluation_seed(seed)
-    check_store(store)
     names = [name for env in envs for name in (environment_names() if env == ALL else [env])]
     wanted = {folder_of(name): name for name in dict.fromkeys(map(full_id, names))}
     if not wanted or len(wanted) < len(set(map(full_id, names))):
@@ -193,7 +190,7 @@ def suite(
                     swept = sweep(
                         plan.policies, plan.env, disturbances=plan.disturbances, episodes=episodes, seed=seed,
                         out=folder and inside(folder, name), overwrite=overwrite, worlds=worlds, workers=workers,
-                        store=store, policy_seed=policy_seed, progress=functools.partial(_told, progress, name, total),
+                        policy_seed=policy_seed, progress=functools.partial(_told, progress, name, total),
                     )  # fmt: skip
                 except ArmctlError as error:
                     found.failures[plan.env] = "; ".join(filter(None, (found.failures.get(plan.env), str(error))))

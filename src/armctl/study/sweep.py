@@ -18,7 +18,7 @@ from armctl.core.registration import bare_id
 from armctl.disturbances import DisturbanceSpec, available
 from armctl.envs import chosen_policy_seed, full_id, make_worlds
 from armctl.episodes.record import EpisodeResult
-from armctl.episodes.store import COMPARISON, CSV, check_store, stored_policy_seed
+from armctl.episodes.store import stored_policy_seed
 from armctl.policies import expanded, learners, named_policies
 from armctl.rollout.real_time import (
     SLOW_DOWN,
@@ -127,7 +127,6 @@ def sweep(
     workers: int | Engine = 1,
     env_options: Mapping[str, Any] | None = None,
     real_time: str | Path | None = None,
-    store: str = CSV,
     return_bounds: Bounds | None = None,
     policy_seed: int | None = None,
     progress: Callable[[str, EpisodeResult], None] | None = None,
@@ -149,7 +148,6 @@ def sweep(
     env, env_options = full_id(env), with_return_bounds(env_options, return_bounds)
     options = dict(env_options)
     seed = evaluation_seed(seed)
-    check_store(store)
     specs = _specs(env, options)
     levels = _levels(specs, disturbances)
     by_name = named_policies(default_policies(env) if policies is None else policies)
@@ -168,7 +166,7 @@ def sweep(
     elif recorded is not None:
         raise ConfigurationError(f"real_time is for the levels of {SLOWER}, of which none is asked for (--slow-down)")
     folder = None if out is None else Path(out)
-    stored = None if folder is None or overwrite else stored_policy_seed(folder / UNDISTURBED / COMPARISON)
+    stored = None if folder is None or overwrite else stored_policy_seed(folder / UNDISTURBED)
     secret = chosen_policy_seed(policy_seed, stored)
     constant = dict(options.pop("disturbances", {}))
     least: dict[int, float] = {}
@@ -203,7 +201,7 @@ def sweep(
                 comparison = compare(
                     playing, env, episodes=episodes, seed=seed, out=folder and inside(folder, name),
                     overwrite=overwrite, worlds=worlds, workers=workers, env_options=options | disturbing,
-                    least_lengths=least, seeding=seeding, real_time=late, store=store,
+                    least_lengths=least, seeding=seeding, real_time=late,
                     policy_seed=secret, progress=functools.partial(told, name),
                 )  # fmt: skip
             except ResultsError as error:
@@ -244,6 +242,8 @@ def _write(folder: Path, found: Sweep, asked: Mapping[str, Any]) -> None:
         write_atomically(folder / SWEEP, sealed(told))
     except OSError as error:
         found.failures["results"] = f"{folder / POINTS} could not be written: {error.strerror}"
+    except ResultsError as error:
+        found.failures["results"] = str(error)
 
 
 def sweep_levels(

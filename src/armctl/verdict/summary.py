@@ -176,7 +176,7 @@ def summarise(
         summary = _summary(name, policy, planned, infeasible, together, scored, limits, machines)
         if len(trainings) > 1:
             summary = _of_group(summary, trainings, scored, limits)
-            summary = replace(summary, training=mean_cost([_training_cost(policies[one]) for one in trainings]))
+            summary = replace(summary, training=mean_cost([training_cost_of(policies[one]) for one in trainings]))
         found.append(replace(summary, spared=(spared or {}).get(next(iter(trainings)), ())))
     reached = {one.policy: list(trained[one.policy].values()) for one in found if not one.spared}
     return found, pairs_of(reached, scored, limits)
@@ -255,7 +255,7 @@ def _summary(
     return PolicySummary(
         name,
         policy.sees,
-        _training_cost(policy),
+        training_cost_of(policy),
         planned,
         len(results),
         infeasible,
@@ -317,7 +317,7 @@ def _of_group(
     return replace(pooled, metrics=metrics, **changes)
 
 
-def _training_cost(policy: Policy) -> TrainingCost:
+def training_cost_of(policy: Policy) -> TrainingCost:
     """What a policy's training took: the steps that it tells are decisions, unless its card knows better."""
     steps, minutes = policy.training_steps, getattr(policy, "training_minutes", None)
     known = getattr(policy, "training_cost", None)

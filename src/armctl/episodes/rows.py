@@ -1,0 +1,195 @@
+"""An episode as a row of the store's table, and a table of episodes from such rows.
+
+Texts are kept once, and referred to by number. Decision times are whole numbers of 0.1 us, of 2 bytes each or 4 as they
+need, or of 8 bytes if they are none. Each row has a checksum of its values, its texts and the identity of its cell.
+"""
+
+import itertools
+import json
+import math
+import struct
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from types import NoneType
+from typing import Any
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.envs import ERROR
+from armctl.episodes.record import LARGEST_RETURN, EpisodeResult
+from armctl.episodes.table import AT_ONCE, TYPES, Array, EpisodeTable, Ragged, column
+
+TEXTS = ("policy", "outcome", "run", "terms")
+"""Columns of numbers of texts; `terms` is the names of the reward terms, a JSON list."""
+INTEGERS = tuple(name for name, kinds in TYPES.items() if kinds & {int, bool} and name != "seed")
+NUMBERS = tuple(name for name, kinds in TYPES.items() if float in kinds)
+COLUMNS = (*TEXTS, *INTEGERS, *NUMBERS, "reward_terms", "decision_ms", "checksum")
+"""Of the table `episode`. Environment and seed of an episode are in its cell's identity."""
+_UNKNOWN = -(2**63)
+"""In a checksum, in place of None."""
+_TICKS = 1e4
+"""In a ms."""
+_WIDTHS = {2: ("<u2", 2**16 - 1), 4: ("<i4", -1)}
+"""Of decision times in ticks, by bytes: the type, and the number in place of NaN."""
+_PACKED = struct.Struct(f"<{len(TEXTS) + len(INTEGERS)}q{len(NUMBERS)}d")
+
+
+def definition() -> str:
+    """Return the columns of the table `episode` in SQL."""
+
+    def kind(name: str) -> str:
+        return f"{name} INTEGER{'' if NoneType in TYPES.get(name, ()) else ' NOT NULL'}"
+
+    integers = ", ".join(map(kind, (*TEXTS, *INTEGERS)))
+    numbers = ", ".join(f"{name} REAL" for name in NUMBERS)
+    return f"{integers}, {numbers}, reward_terms BLOB NOT NULL, decision_ms BLOB NOT NULL, checksum INTEGER NOT NULL"
+
+
+def row_of(result: EpisodeResult, texts: dict[str, int], own: int) -> tuple[Any, ...]:
+    """Return an episode's row; new texts get the next numbers. `own` is the checksum of its cell's identity."""
+    values = vars(result) | vars(result.metrics)
+    values["terms"] = json.dumps(list(result.reward_terms))
+    numbers = [texts.setdefault(values[name], len(texts)) for name in TEXTS]
+    integers = [None if (value := values[name]) is None else int(value) for name in INTEGERS]
+    floats = [float(values[name]) + 0.0 for name in NUMBERS]  # SQLite has no -0.0, and no NaN but NULL
+    rewards = np.array([*result.reward_terms.values()], "<f8").tobytes()
+    times = _packed_times(result.decision_ms)
+    packed = _PACKED.pack(
+        *(_text_checksum(values[name]) for name in TEXTS),
+        *(_UNKNOWN if value is None else value for value in integers),
+        *(math.nan if value != value else value for value in floats),
+    )
+    return (*numbers, *integers, *floats, rewards, times, crc32(times, crc32(rewards, crc32(packed, own))))
+
+
+def table_of_rows(rows: Iterable[Sequence[Any]], texts: Sequence[str], own: int, env: str, seed: int) -> EpisodeTable:
+    """Return the episodes in some rows. Raises `ValueError` for a row that was changed, or belongs to another cell."""
+    known, checksums = np.array([*texts, ""], object)[:-1], np.array([*map(_text_checksum, texts)], np.int64)
+    chunks = defaultdict[str, list[NDArray[Any]]](lambda: [])
+    for batch in _batches(rows):
+        for name, values in _checked(batch, checksums, own).items():
+            chunks[name].append(known[values] if name in TEXTS[:-1] else values)
+    if not chunks:
+        return EpisodeTable()
+    columns = {name: np.concatenate(chunks.pop(name)) for name in tuple(chunks)}
+    term_codes, lengths = columns.pop("terms"), columns["length"].astype(np.int64)
+    used = set(np.unique(term_codes).tolist())
+    names = [_names(text) if i in used else () for i, text in enumerate(texts)]
+    counts = np.array([*map(len, names)])[term_codes]
+    rewards, times = columns.pop("reward_terms"), columns.pop("decision_ms")
+    if len(rewards) != counts.sum():
+        raise ValueError("it has an episode with too few or too many reward terms")
+    columns |= {name: column(name, columns[name].tolist()) for name in INTEGERS if NoneType in TYPES[name]}
+    columns |= {"env": np.full(len(lengths), env, object), "seed": np.full(len(lengths), seed)}
+    return EpisodeTable.of_columns(columns, names, term_codes, Ragged.of(rewards, counts), Ragged.of(times, lengths))
+
+
+def check_episodes(table: EpisodeTable, policies: Sequence[str]) -> None:
+    """Raise `ValueError` unless all may be different episodes of these policies, whoever has written them."""
+    if not set(table.column("policy").tolist()) <= set(policies):
+        raise ValueError("it has an episode that is not of this comparison")
+    episodes = table.column("episode")
+    if (first := episodes.min(initial=0)) < 0:
+        raise ValueError(f"{first} is not the number of an episode")
+    returns = {"return": table.column("total_reward"), "reward_terms": table.reward_terms()[1]}
+    for name, values in returns.items():
+        if len(odd := values[~(np.abs(values) <= LARGEST_RETURN)]):
+            raise ValueError(f"{name} has {odd[0]}, and should be between -{LARGEST_RETURN:g} and {LARGEST_RETURN:g}")
+    times, resets = table.decision_ms(), table.column("reset_ms")
+    decided = times.lengths > 0
+    if (table.column("outcome")[~decided] != ERROR).any():
+        raise ValueError(f"it has an episode without decision times whose outcome is not {ERROR!r}")
+    if np.isnan(times.values[times.ends[:-1][decided]]).any() or _no_times(times.values).any():
+        raise ValueError("it has decision times that are no times: numbers from 0 on, and nan where none began")
+    if _no_times(resets).any():
+        raise ValueError("it has a reset_ms that is no time")
+
+
+def _no_times(values: Array) -> NDArray[np.bool_]:
+    return np.asarray((values < 0) | np.isinf(values))
+
+
+def _batches(rows: Iterable[Sequence[Any]]) -> Iterator[list[Sequence[Any]]]:
+    remaining = iter(rows)
+    while batch := list(itertools.islice(remaining, AT_ONCE)):
+        yield batch
+
+
+def _checked(batch: list[Sequence[Any]], text_checksums: NDArray[np.int64], own: int) -> dict[str, NDArray[Any]]:
+    """The columns of some rows, the ragged ones one list after the other."""
+    columns: dict[str, Any] = dict(zip(COLUMNS, zip(*batch, strict=True), strict=True))
+    allowed: dict[str, set[Any]] = {name: {int} for name in (*TEXTS, "checksum")}
+    allowed |= {name: {int} | (TYPES[name] & {NoneType}) for name in INTEGERS}
+    allowed |= {name: {float, NoneType} for name in NUMBERS} | {"reward_terms": {bytes}, "decision_ms": {bytes}}
+    for name, values in columns.items():
+        if not set(map(type, values)) <= allowed[name]:
+            raise ValueError(f"it has values in {name} that are of another type")
+    found: dict[str, NDArray[Any]] = {name: np.array(columns[name], np.int64) for name in TEXTS}
+    if min(int(numbers.min()) for numbers in found.values()) < 0:
+        raise ValueError("it refers to a text that is not there")
+    packed = [text_checksums[numbers] for numbers in found.values()]
+    for name in INTEGERS:
+        values = columns[name]
+        unknown = None in values
+        packed.append(np.array([_UNKNOWN if one is None else one for one in values] if unknown else values, np.int64))
+        found[name] = _integers(name, packed[-1], unknown)
+    for name in NUMBERS:
+        found[name] = np.array(columns[name], float)
+        packed.append(found[name].view(np.int64))
+    data, width = np.column_stack(packed).astype("<i8").tobytes(), 8 * len(packed)
+    blobs = zip(columns["reward_terms"], columns["decision_ms"], columns["checksum"], strict=True)
+    for at, (rewards, times, checksum) in zip(range(0, len(data), width), blobs, strict=True):
+        if crc32(times, crc32(rewards, crc32(data[at : at + width], own))) != checksum:
+            raise ValueError("an episode was changed, or belongs to another comparison")
+    found["reward_terms"] = np.frombuffer(b"".join(columns["reward_terms"]), "<f8")
+    found["decision_ms"] = _unpacked_times(columns["decision_ms"], found["length"])
+    return found
+
+
+def _integers(name: str, values: NDArray[np.int64], unknown: bool) -> NDArray[Any]:
+    kinds = TYPES[name]
+    typed: NDArray[Any] = values.astype(bool) if bool in kinds else values
+    if NoneType not in kinds:
+        return typed
+    typed = typed.astype(object)  # in every batch alike
+    if unknown:
+        typed[values == _UNKNOWN] = None
+    return typed
+
+
+def _packed_times(decision_ms: Array) -> bytes:
+    """Times in as few bytes as hold all of them exactly."""
+    unknown = np.isnan(decision_ms)
+    ticks = np.where(unknown, 0.0, np.rint(decision_ms * _TICKS))
+    if ((ticks / _TICKS == decision_ms) | unknown).all() and (ticks >= 0).all():
+        for kind, placeholder in _WIDTHS.values():
+            if ticks.max(initial=0) < placeholder % 2**31:
+                return np.where(unknown, placeholder, ticks).astype(kind).tobytes()
+    return decision_ms.astype("<f8").tobytes()
+
+
+def _unpacked_times(packed: Sequence[bytes], lengths: NDArray[np.int64]) -> Array:
+    sizes = np.array([*map(len, packed)])
+    widths = sizes // np.maximum(lengths, 1)
+    if (sizes != widths * lengths).any() or not set(widths[lengths > 0].tolist()) <= {*_WIDTHS, 8}:
+        raise ValueError("it has decision times that do not fit the length of an episode")
+    times, places = np.empty(int(lengths.sum())), np.repeat(widths, lengths)
+    for width in set(widths.tolist()):
+        data = b"".join(itertools.compress(packed, (widths == width).tolist()))
+        kind, placeholder = _WIDTHS.get(width, ("<f8", None))
+        values = np.frombuffer(data, kind)
+        times[places == width] = np.where(values == placeholder, math.nan, values / _TICKS) if placeholder else values
+    return times
+
+
+def _text_checksum(text: str) -> int:
+    return crc32(text.encode())
+
+
+def _names(text: str) -> tuple[str, ...]:
+    names = json.loads(text)
+    if not (isinstance(names, list) and all(isinstance(name, str) for name in names) and len(set(names)) == len(names)):
+        raise ValueError("it has names of reward terms that are none")
+    return tuple(names)
