@@ -18,7 +18,7 @@ from cluster_servers import dask_cluster, ray_cluster
 
 import armctl
 from armctl.episodes.record import EpisodeResult
-from armctl.episodes.store import EpisodeLog
+from armctl.episodes.store import EpisodeStore
 from armctl.rollout.parallel import ROUNDS, RolloutBatch
 from armctl.runtime import engines
 from armctl.runtime.engines import AHEAD, Cluster, Engine, Local, connect
@@ -80,11 +80,10 @@ def durations(env: str, episodes: int) -> dict[str, list[float]]:
 def writing() -> float:
     """Return the seconds that the client takes to keep and write an episode."""
     template = _a_batch(1).results[0]
-    with tempfile.TemporaryDirectory() as folder, EpisodeLog(Path(folder), {}, WRITTEN) as log:
+    with tempfile.TemporaryDirectory() as folder, EpisodeStore(Path(folder), {}, WRITTEN) as log:
         start = time.perf_counter()
         for episode in range(WRITTEN):
-            log.kept.append(result := replace(template, episode=episode))
-            log.write(result)
+            log.write(replace(template, episode=episode))
         return (time.perf_counter() - start) / WRITTEN
 
 

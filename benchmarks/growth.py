@@ -1,7 +1,7 @@
 """Growth of time and memory with the number of worlds, and with the number of episodes.
 
     python benchmarks/growth.py worlds [--steps 4]        # processor time and memory of a world
-    python benchmarks/growth.py table [--rows 1000000] [--store csv] [--store parquet]    # of a comparison's results
+    python benchmarks/growth.py table [--rows 1000000]    # of a comparison's results
 
 `worlds` steps environments with random actions and without resets (`benchmarks/resets.py` has these), beside raw
 `mj_step` on as many worlds. `table` fills the folder of a comparison of the default policies with episodes that were
@@ -9,7 +9,6 @@ never played, of lengths as theirs and with a return of its own each; then `armc
 left to play, its episodes are read, and `armctl report` reads it. Each figure is of a fresh process.
 """
 
-import itertools
 import json
 import resource
 import subprocess
@@ -29,9 +28,8 @@ from rich.console import Console
 from rich.table import Table
 
 import armctl
-from armctl.core.files import unsealed
 from armctl.episodes.record import EpisodeResult
-from armctl.episodes.store import COMPARISON, STORES, EpisodeLog, read_episodes
+from armctl.episodes.store import STORE, EpisodeStore, read_identity, read_store
 from armctl.report import write_report
 
 WORLDS = (64, 256, 1024, 4096)
@@ -55,19 +53,19 @@ def worlds(steps: int = 4, env: ENVS = [REACH, BRIDGE], count: list[int] = list(
 
 
 @app.command()
-def table(rows: int = 1_000_000, env: ENVS = [REACH, BRIDGE], store: list[str] = list(STORES)) -> None:  # noqa: B006
+def table(rows: int = 1_000_000, env: ENVS = [REACH, BRIDGE]) -> None:  # noqa: B006
     """Measure the results of a comparison with so many episodes in all, and print a table."""
     output = _table("", "episodes", "decisions", "", "processor s", "peak MB", "peak MB of 30 episodes", "MB on disk")
-    for name, kind in itertools.product(env, store):
+    for name in env:
         with tempfile.TemporaryDirectory() as home:
             few, many = Path(home, "few"), Path(home, "many")
-            _in_a_fresh_process("fill", few, name, 30, kind)
-            filled = _in_a_fresh_process("fill", many, name, rows, kind)
+            _in_a_fresh_process("fill", few, name, 30)
+            filled = _in_a_fresh_process("fill", many, name, rows)
             counts = f"{filled['episodes']:,}", f"{filled['decisions'] / 1e6:.0f} M"
             for job in ("summary", "read", "report"):
-                start, figures = (_in_a_fresh_process(job, folder, name, kind) for folder in (few, many))
+                start, figures = (_in_a_fresh_process(job, folder, name) for folder in (few, many))
                 output.add_row(
-                    f"`{name}`", *counts, f"{job}, {kind}", f"{figures['seconds']:.1f}", f"{figures['peak']:,.0f}",
+                    f"`{name}`", *counts, job, f"{figures['seconds']:.1f}", f"{figures['peak']:,.0f}",
                     f"{start['peak']:,.0f}", f"{figures['size']:,.1f}",
                 )  # fmt: skip
     Console().print(output)
@@ -94,12 +92,12 @@ def step(env: str, n: int, steps: int) -> None:
 
 
 @app.command(hidden=True)
-def fill(folder: Path, env: str, rows: int, store: str) -> None:
+def fill(folder: Path, env: str, rows: int) -> None:
     """Play an episode with each policy, and write others that look like it."""
     episodes: list[EpisodeResult] = []
-    armctl.compare(env=env, episodes=1, out=folder, store=store, progress=episodes.append)
+    armctl.compare(env=env, episodes=1, out=folder, progress=episodes.append)
     each, decisions = rows // len(episodes), 0
-    with EpisodeLog(folder, unsealed((folder / COMPARISON).read_text()), each, store=store) as log:
+    with EpisodeStore(folder, read_identity(folder), each) as log:
         for first in episodes:
             decisions += first.length
             for result in _others(first, each):
@@ -127,27 +125,27 @@ def _others(first: EpisodeResult, episodes: int) -> Iterator[EpisodeResult]:
 
 
 @app.command(hidden=True)
-def summary(folder: Path, env: str, store: str) -> None:
+def summary(folder: Path, env: str) -> None:
     """Resume a comparison of which everything is played, and print what it took, and its folder's size."""
-    identity = unsealed((folder / COMPARISON).read_text())
-    rows = int(_in_a_fresh_process("read", folder, env, store)["rows"])
+    identity = read_identity(folder)
+    rows = int(_in_a_fresh_process("read", folder, env)["rows"])
     start = time.process_time()
-    comparison = armctl.compare(env=env, episodes=rows // len(identity["policies"]), out=folder, store=store)
+    comparison = armctl.compare(env=env, episodes=rows // len(identity["policies"]), out=folder)
     if comparison.resumed != rows or comparison.failures:
         raise SystemExit(f"{comparison.resumed} of {rows} episodes were read: {comparison.failures}")
     _print_cost(start, _size(*folder.iterdir()))
 
 
 @app.command(hidden=True)
-def read(folder: Path, env: str, store: str) -> None:
+def read(folder: Path, env: str) -> None:
     """Read a comparison's episodes, and print what it took, and the size of their files."""
     start = time.process_time()
-    rows = len(read_episodes(folder, unsealed((folder / COMPARISON).read_text())))
-    _print_cost(start, _size(*folder.glob(f"*.{store}")), rows=rows)
+    rows = len(read_store(folder).episodes)
+    _print_cost(start, _size(folder / STORE), rows=rows)
 
 
 @app.command(hidden=True)
-def report(folder: Path, env: str, store: str) -> None:
+def report(folder: Path, env: str) -> None:
     """Write a report without videos, and print what it took, and the page's size."""
     start = time.process_time()
     page = write_report(folder, video=False, env=env)

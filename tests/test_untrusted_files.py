@@ -8,15 +8,14 @@ from dataclasses import replace
 import pytest
 
 from armctl.core.errors import ConfigurationError
-from armctl.core.files import unsealed
 from armctl.core.registration import check_named
-from armctl.episodes.store import EpisodeLog, read_episodes
+from armctl.episodes.store import read_store
 from armctl.study import compare
 from armctl.study.reproduce import card_path, reproduce
 from armctl.training.learners import load_recipe
 
 from .command_line import armctl, program
-from .forgery import forge
+from .forgery import forge, rewrite
 
 EVIL = "from pathlib import Path\nPath(__file__ + '.ran').touch()\n"
 OPTIONS = {"max_episode_steps": 5}
@@ -83,14 +82,10 @@ class Maze(PendulumEnv):
 
 def test_to_name_one_thing_of_a_module_is_not_to_name_another(home, results):
     (home / "mine.py").write_text(RUNS)
-    own, summary = (unsealed((results / name).read_text()) for name in ("comparison.json", "summary.json"))
-    own["env"] = summary["env"] = "mine.py:run"
-    own["env_options"] = summary["env_options"] = {"args": "touch evil.ran", "shell": "True"}
-    episodes = [
-        replace(one, env="run") for one in read_episodes(results, unsealed((results / "comparison.json").read_text()))
-    ]
-    with EpisodeLog(results, own, 9, overwrite=True) as log:
-        log.finish(episodes, summary)
+    identity, facts, runs, episodes = read_store(results)
+    identity["env"] = "mine.py:run"
+    identity["env_options"] = facts["env_options"] = {"args": "touch evil.ran", "shell": "True"}
+    rewrite(results, identity, facts, [replace(one, env="run") for one in episodes], runs)
     program("report", "results", "--env", "mine.py:Maze", cwd=home)
     assert marks(home) == []
     assert "--env mine.py:run" in (results / "report.html").read_text()

@@ -1,27 +1,46 @@
+"""The store of a results folder: what is finished is never lost, doubled or mixed, and what is damaged is told."""
+
 import contextlib
-import dataclasses
 import json
 import math
 import os
+import random
+import signal
+import sqlite3
 import subprocess
 import sys
+import time
+from dataclasses import fields, replace
 
 import numpy as np
 import pandas as pd
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from armctl.core.errors import ResultsError
-from armctl.core.files import one_writer, sealed, unsealed
-from armctl.episodes.record import TIME_COLUMNS
-from armctl.episodes.store import EpisodeLog, read_episodes
+from armctl.core.files import sealed
+from armctl.episodes import rows as rows_module
+from armctl.episodes.database import FORMAT
+from armctl.episodes.metrics import Metrics
+from armctl.episodes.record import TIME_COLUMNS, EpisodeResult
+from armctl.episodes.store import STORE, EpisodeStore, read_identity, read_store
 from armctl.robot_description import load_arm
 from armctl.study import compare
 from armctl.study.results import read_results
 
-from ..command_line import program
+from ..command_line import full_disk, program
+from ..made_up_episodes import OWN, played, same
 
 POLICIES = ["random", "reach_ik"]
 OPTIONS = {"max_episode_steps": 5}
+NUMBERS, RETURNS = (st.floats(*limits).map(lambda x: x + 0.0) for limits in ((), (-1e100, 1e100)))  # no -0.0
+MAYBE_INT, MAYBE_BOOL = st.none() | st.integers(0, 2**40), st.none() | st.booleans()
+NAMES = st.text(st.characters(codec="utf-8"), max_size=8)
+METRICS = st.builds(
+    Metrics,
+    **{one.name: {int: st.integers(0, 2**40), float: NUMBERS}.get(one.type, MAYBE_INT) for one in fields(Metrics)},
+)
 
 
 def run(out, episodes=3, policies=POLICIES, **arguments):
@@ -30,6 +49,24 @@ def run(out, episodes=3, policies=POLICIES, **arguments):
 
 def timeless(folder):
     return pd.read_csv(folder / "episodes.csv").drop(columns=list(TIME_COLUMNS))
+
+
+def write(folder, results, identity=OWN):
+    with EpisodeStore(folder, identity, 2**62, overwrite=True) as store:
+        for result in results:
+            store.write(result)
+        store.finish({}, [])
+
+
+def edit(folder, *commands):
+    """Change a store as another program would."""
+    with contextlib.closing(sqlite3.connect(folder / STORE)) as file, file:
+        for command in commands:
+            file.execute(command)
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
 
 
 @pytest.fixture(scope="module")
@@ -41,13 +78,35 @@ def finished(tmp_path_factory):
 
 @pytest.fixture
 def folder(finished, tmp_path):
-    for name in ("comparison.json", "episodes.csv", "decisions.csv", "summary.json", ".lock"):
-        (tmp_path / name).write_text((finished / name).read_text())
+    for path in finished.iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
     return tmp_path
 
 
-def lines_of(path):
-    return path.read_text().splitlines(keepends=True)
+@pytest.fixture
+def made_up(tmp_path):
+    write(tmp_path, played(12, "ba"))
+    return tmp_path
+
+
+@st.composite
+def results(draw):
+    times = draw(st.lists(st.floats(0, 1e9) | st.just(math.nan) | st.integers(0, 10**6).map(lambda k: k / 1e4)))
+    terms = draw(st.dictionaries(NAMES, RETURNS, max_size=3))
+    return EpisodeResult(
+        draw(st.sampled_from(["a", "b"])), OWN["env"], draw(st.integers(0, 2**62)), OWN["seed"], draw(NAMES),
+        draw(MAYBE_BOOL), draw(st.booleans()), draw(RETURNS), terms, 1 + len(times),
+        draw(st.floats(1.0)), draw(NUMBERS), draw(METRICS), draw(st.integers(0, 2**40)),
+        draw(st.integers(0, 2**40)), np.array([0.1, *times]), draw(NAMES),
+    )  # fmt: skip
+
+
+@settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(found=st.lists(results(), max_size=7, unique_by=lambda one: (one.policy, one.episode)))
+def test_it_holds_what_was_written(found, tmp_path, monkeypatch):
+    monkeypatch.setattr(rows_module, "AT_ONCE", 3)
+    write(tmp_path, found)
+    same(read_store(tmp_path).episodes, found)
 
 
 def test_the_same_command_plays_nothing_twice(folder):
@@ -60,14 +119,11 @@ def test_the_same_command_plays_nothing_twice(folder):
 
 
 def test_what_is_missing_is_played_and_put_in_its_place(folder, finished):
-    rows, times = (lines_of(folder / name) for name in ("episodes.csv", "decisions.csv"))
-    (folder / "episodes.csv").write_text("".join([rows[0], rows[6], rows[1]]))  # the header, and two of six
-    (folder / "decisions.csv").write_text("".join([times[0], times[1], *times[4:]]))
-    again = run(folder, worlds=2)
-    assert again.resumed == 2
+    before = (folder / "episodes.csv").read_text().splitlines()
+    edit(folder, "DELETE FROM episode WHERE episode != 2 OR policy != 0")
+    assert run(folder, worlds=2).resumed == 1
     assert timeless(folder).equals(timeless(finished))
-    after = lines_of(folder / "episodes.csv")
-    assert (after[1], after[6]) == (rows[1], rows[6])
+    assert (folder / "episodes.csv").read_text().splitlines()[3] == before[3]
 
 
 def test_more_episodes_go_on_from_fewer(folder):
@@ -77,70 +133,120 @@ def test_more_episodes_go_on_from_fewer(folder):
         run(folder, episodes=3)
 
 
-@pytest.mark.parametrize("name", ["episodes.csv", "decisions.csv"])
-def test_a_last_line_cut_off_is_played_again(folder, finished, name):
-    text = (folder / name).read_text()
-    (folder / name).write_text(text[:-9])
-    assert run(folder).resumed == 5
-    assert timeless(folder).equals(timeless(finished))
+def test_without_a_folder_the_results_are_the_same(finished):
+    found = compare(
+        POLICIES, episodes=3, env_options=OPTIONS, policy_seed=read_results(finished).comparison.policy_seed
+    )
+    pd.testing.assert_frame_equal(
+        found.episodes.drop(columns=list(TIME_COLUMNS)),
+        read_results(finished).comparison.episodes.drop(columns=list(TIME_COLUMNS)),
+    )
 
 
 @pytest.mark.parametrize(
-    ("name", "spoil", "says"),
+    ("command", "says"),
     [
-        ("episodes.csv", lambda rows: [rows[0], rows[1].replace("timeout,", "timeout,perhaps,"), *rows[2:]], "line 2"),
-        ("episodes.csv", lambda rows: [rows[0], rows[1], rows[2].replace("False", "Flase"), *rows[3:]], "line 3"),
-        ("episodes.csv", lambda rows: [*rows, rows[2]], "second time"),
-        ("episodes.csv", lambda rows: [*rows[:2], rows[2].replace(",0,timeout", ",7,timeout"), *rows[3:]], "line 3"),
-        ("episodes.csv", lambda rows: ["policy,episode\n", *rows[1:]], "columns"),
-        ("decisions.csv", lambda rows: [*rows[:3], rows[3].replace(" ", " soon "), *rows[4:]], "line 4"),
-        ("decisions.csv", lambda rows: [*rows[:3], rows[3].replace("\n", " 0.1\n"), *rows[4:]], "line 4"),
-        ("episodes.csv", lambda rows: [*rows[:1], rows[1].replace(",5,", ",4,"), *rows[2:]], "was changed"),
-        ("episodes.csv", lambda rows: [*rows[:1], rows[1].replace("-5.0", "-4.0"), *rows[2:]], "was changed"),
-        ("decisions.csv", lambda rows: [*rows[:1], rows[1].replace("\n", "1\n"), *rows[2:]], "was changed"),
-        ("comparison.json", lambda rows: [row.replace('"seed": 0', '"seed": 1') for row in rows], "checksum"),
-        ("comparison.json", lambda rows: ["[" * 100_000], "nested too deeply"),
-        ("comparison.json", lambda rows: rows[:3], "without a readable comparison.json"),
+        ("UPDATE episode SET energy = energy + 1e-9 WHERE rowid = 3", "an episode was changed"),
+        ("UPDATE episode SET contacts = NULL WHERE rowid = 1", "an episode was changed"),
+        ("UPDATE episode SET feasible = 1 - feasible WHERE rowid = 2", "an episode was changed"),
+        ("UPDATE episode SET policy = outcome, episode = 77 WHERE rowid = 1", "an episode was changed"),
+        ("UPDATE episode SET episode = 99 WHERE rowid = 1", "an episode was changed"),
+        ("UPDATE episode SET decision_ms = zeroblob(length(decision_ms)) WHERE rowid = 4", "an episode was changed"),
+        ("UPDATE episode SET decision_ms = x'00' WHERE rowid = 4", "an episode was changed"),
+        ("UPDATE episode SET reward_terms = x'' WHERE rowid = 4", "an episode was changed"),
+        ("UPDATE episode SET run = 10000", "is out of bounds"),
+        ("UPDATE episode SET run = -1", "a text that is not there"),
+        ("UPDATE episode SET cell = 1 WHERE rowid = 4", "1 episodes that are not of this comparison"),
+        ("UPDATE text SET text = text || 'x' WHERE id = 0", "an episode was changed"),
+        ("UPDATE text SET id = 99 WHERE id = 0", "not numbered"),
+        ("UPDATE cell SET identity = replace(identity, ': 3', ': 4')", "checksum"),
+        ("UPDATE cell SET identity = '[]'", "checksum"),
+        ("DELETE FROM cell", "not enough values"),
+        ("INSERT INTO run VALUES (0, '{}')", "checksum"),
+        (f"INSERT INTO run VALUES (0, '{sealed({'id': 1})}')", "validation errors"),
+        ("CREATE TABLE more (x)", "does not have the tables"),
+        ("CREATE TRIGGER late AFTER DELETE ON run BEGIN DELETE FROM episode; END", "does not have the tables"),
+        ("CREATE VIEW extra AS SELECT * FROM episode", "does not have the tables"),
+        ("ALTER TABLE episode DROP COLUMN energy", "does not have the tables"),
+        (f"PRAGMA user_version = {FORMAT + 1}", f"format {FORMAT + 1}"),
     ],
 )
-def test_damage_is_told_and_nothing_is_touched(folder, name, spoil, says):
-    (folder / name).write_text("".join(spoil(lines_of(folder / name))))
-    before = {path.name: path.read_bytes() for path in folder.iterdir()}
-    with pytest.raises(ResultsError, match=says):
-        run(folder)
-    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
-    assert run(folder, overwrite=True).resumed == 0
+def test_what_another_program_changed_is_told_and_nothing_is_touched(made_up, command, says):
+    edit(made_up, command)
+    before = contents(made_up)
+    for use in (read_store, lambda folder: EpisodeStore(folder, OWN, 12)):
+        with pytest.raises(ResultsError, match=rf"results\.sqlite is damaged .*{says}"):
+            use(made_up)
+    assert contents(made_up) == before
+    write(made_up, [])
 
 
-@pytest.mark.parametrize("earned", [math.inf, -math.inf, math.nan, 1e101, -1e308])
-@pytest.mark.parametrize("change", [lambda r: {"total_reward": r}, lambda r: {"reward_terms": {"step": -5.0, "x": r}}])
-def test_a_return_beyond_statistics_is_told(folder, change, earned):
-    own = unsealed((folder / "comparison.json").read_text())
-    results = list(read_episodes(folder, own))
-    results[0] = dataclasses.replace(results[0], **change(earned))
-    with EpisodeLog(folder, own, len(results), overwrite=True) as log:
-        log.finish(results, {})
-    with pytest.raises(ResultsError, match=r"episodes.csv is damaged in line 2 \((return|reward_terms).* 1e\+100"):
-        read_episodes(folder, own)
+def test_values_of_other_types_are_told(made_up):
+    """As only somebody can write them who changes the tables and changes them back."""
+    edit(made_up, *as_strict("replace(sql, ' STRICT', '')"))
+    edit(made_up, "UPDATE episode SET energy = 'much' WHERE rowid = 1")
+    edit(made_up, *as_strict("sql || ' STRICT'"))
+    with pytest.raises(ResultsError, match=r"non-REAL value in episode\.energy"):
+        read_store(made_up)
+
+
+def as_strict(sql):
+    change = f"UPDATE sqlite_schema SET sql = {sql} WHERE name = 'episode'"
+    return "PRAGMA writable_schema = ON", change, "PRAGMA writable_schema = RESET"
+
+
+def test_any_bytes_are_refused_or_change_nothing(made_up):
+    whole, rng, refused = (made_up / STORE).read_bytes(), np.random.default_rng(0), 0
+    contents = [b"", b"SQLite format 3\0", *(whole[:end] for end in range(1, len(whole), 2_003))]
+    places = rng.integers(0, len(whole), 200).tolist()
+    contents += [whole[:at] + bytes([whole[at] ^ int(rng.integers(1, 256))]) + whole[at + 1 :] for at in places]
+    for content in contents:
+        (made_up / STORE).write_bytes(content)
+        try:
+            same(read_store(made_up).episodes, list(played(12, "ba")))
+        except ResultsError as error:
+            refused += "is damaged" in str(error)
+    assert refused > 40
 
 
 @pytest.mark.parametrize(
-    "times", ["nan nan nan nan nan", "nan 1.0 1.0 1.0 1.0", "inf 1.0 1.0 1.0 1.0", "-1.0 1.0 1.0 1.0 1.0"]
+    ("change", "says"),
+    [
+        ({"policy": "c"}, "not of this comparison"),
+        ({"episode": -1}, "-1 is not the number"),
+        *(({"total_reward": value}, "return has") for value in (math.inf, math.nan, 1e101, -1e308)),
+        *(({"reward_terms": {"step": 0.0, "x": value}}, "reward_terms has") for value in (math.inf, math.nan, -1e101)),
+        ({"decision_ms": np.array([math.nan, 1.0]), "length": 2}, "no times"),
+        ({"decision_ms": np.array([1.0, -1.0]), "length": 2}, "no times"),
+        ({"decision_ms": np.array([1.0, math.inf]), "length": 2}, "no times"),
+        ({"decision_ms": np.array([]), "length": 0}, "without decision times"),
+        ({"length": 99}, "do not fit the length"),
+        ({"length": -1}, "do not fit the length"),
+        ({"reset_ms": -1.0}, "reset_ms that is no time"),
+    ],
 )
-def test_decision_times_that_are_none_are_told(folder, times):
-    own = unsealed((folder / "comparison.json").read_text())
-    results = list(read_episodes(folder, own))
-    results[0] = dataclasses.replace(results[0], decision_ms=np.array(times.split(), dtype=float))
-    with EpisodeLog(folder, own, len(results), overwrite=True) as log:
-        log.finish(results, {})
-    with pytest.raises(ResultsError, match=r"damaged in line 2 \(its decision times are no times"):
-        read_episodes(folder, own)
+def test_what_no_episode_can_be_is_told(tmp_path, change, says):
+    """Though all checksums are right, as whoever means harm would write it."""
+    found = list(played(12, "ba"))
+    found[5] = replace(found[5], **change)
+    write(tmp_path, found)
+    with pytest.raises(ResultsError, match=says):
+        read_store(tmp_path)
 
 
-def test_bytes_that_are_no_text_are_told(folder):
-    (folder / "episodes.csv").write_bytes(b"\xff\xfe\x00\n")
-    with pytest.raises(ResultsError, match="cannot be read"):
-        run(folder)
+@pytest.mark.parametrize("identity", [{}, {"env": "x", "seed": 3}, {"env": 3, "seed": [], "policies": None}])
+def test_an_identity_that_is_none_is_told(tmp_path, identity):
+    write(tmp_path, [], OWN)
+    edit(tmp_path, f"UPDATE cell SET identity = '{sealed(identity)}'")
+    with pytest.raises(ResultsError, match="is damaged"):
+        read_store(tmp_path)
+
+
+def test_an_episode_has_one_row(made_up):
+    with EpisodeStore(made_up, OWN, 12) as store:
+        store.write(next(played(1, "b")))
+        with pytest.raises(ResultsError, match="UNIQUE"):
+            store.finish({}, [])
 
 
 @pytest.mark.parametrize(
@@ -158,68 +264,100 @@ def test_another_comparison_is_refused(folder, change, says):
 
 
 def test_other_versions_are_another_comparison(folder):
-    told = unsealed((folder / "comparison.json").read_text())
+    told = read_identity(folder)
     told["versions"]["mujoco"] = "3.3.0"
-    (folder / "comparison.json").write_text(sealed(told))
+    edit(folder, f"UPDATE cell SET identity = '{sealed(told)}'")
     with pytest.raises(ResultsError, match=r"versions: mujoco 3\.3\.0 there"):
         run(folder)
-
-
-def test_rows_of_another_comparison_are_noticed(folder, tmp_path):
-    run(tmp_path / "other", env_options={"max_episode_steps": 5, "tolerance": 0.2})
-    for name in ("episodes.csv", "decisions.csv"):
-        (folder / name).write_bytes((tmp_path / "other" / name).read_bytes())
-    with pytest.raises(ResultsError, match="another comparison"):
-        run(folder)
-    with pytest.raises(ResultsError, match="another comparison"):
-        read_results(folder)
-
-
-def test_a_changed_digit_of_the_summary_is_noticed(folder):
-    text = (folder / "summary.json").read_text()
-    (folder / "summary.json").write_text(text.replace('"episodes": 3', '"episodes": 4'))
-    with pytest.raises(ResultsError, match="checksum"):
+    with pytest.raises(ResultsError, match="belongs to another comparison"):
         read_results(folder)
 
 
 def test_a_folder_has_one_writer(folder):
-    before = (folder / "episodes.csv").read_bytes()
-    with one_writer(folder), pytest.raises(ResultsError, match="another process writes"):
-        run(folder, seed=1, overwrite=True)
-    assert (folder / "episodes.csv").read_bytes() == before
-    assert run(folder).resumed == 6
-
-
-def test_a_killed_process_holds_no_folder(folder):
-    code = "import sys, time; from pathlib import Path; from armctl.core.files import one_writer\n"
-    code += f"with one_writer(Path({str(folder)!r})): print('held', flush=True); time.sleep(60)"
-    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as holder:
-        assert holder.stdout.readline() == "held\n"
+    before = contents(folder)
+    with EpisodeStore(folder, read_identity(folder), 3):
         with pytest.raises(ResultsError, match="another process writes"):
-            run(folder)
-        holder.kill()
-        holder.wait()
-        assert run(folder).resumed == 6
+            run(folder, seed=1, overwrite=True)
+        with pytest.raises(ResultsError, match="another process writes"):
+            read_results(folder)
+    with pytest.raises(ResultsError, match="is unfinished"):
+        read_results(folder)
+    assert run(folder).resumed == 6
+    assert contents(folder)["episodes.csv"] == before["episodes.csv"]
 
 
-@pytest.mark.parametrize("name", ["episodes.csv", "decisions.csv", "summary.json", "comparison.json", ".lock"])
-def test_nothing_is_written_through_a_link(folder, tmp_path, name):
-    victim = tmp_path / "victim"
-    victim.write_text("precious")
-    (folder / name).unlink()
+@pytest.mark.parametrize("name", [STORE, f"{STORE}-wal", "episodes.csv", "summary.json", ".lock"])
+def test_nothing_is_written_through_a_link(folder, tmp_path_factory, name):
+    victim = tmp_path_factory.mktemp("elsewhere") / "victim"
+    victim.write_bytes((folder / STORE).read_bytes())
+    (folder / name).unlink(missing_ok=True)
     (folder / name).symlink_to(victim)
-    with contextlib.suppress(ResultsError):
-        run(folder)
-    with contextlib.suppress(ResultsError):
-        run(folder, overwrite=True, seed=1)
-    assert victim.read_text() == "precious"
+    before = victim.read_bytes()
+    for arguments in ({}, {"overwrite": True, "seed": 1}):
+        with contextlib.suppress(ResultsError):
+            run(folder, episodes=4, **arguments)
+    assert victim.read_bytes() == before
 
 
 def test_a_pipe_instead_of_a_file_does_not_hang(folder):
-    (folder / "decisions.csv").unlink()
-    os.mkfifo(folder / "decisions.csv")
-    with pytest.raises(ResultsError, match="not a regular file"):
-        run(folder)
+    (folder / STORE).unlink()
+    os.mkfifo(folder / STORE)
+    for use in (run, read_results):
+        with pytest.raises(ResultsError, match="not a regular file"):
+            use(folder)
+    assert run(folder, overwrite=True).resumed == 0
+
+
+WRITER = """
+import sys
+from pathlib import Path
+from armctl.episodes.store import EpisodeStore
+from tests.made_up_episodes import OWN, played
+with EpisodeStore(Path(sys.argv[1]), OWN, 400) as store:
+    known = {(one.policy, one.episode) for one in store.kept}
+    for result in played(400, "ba"):
+        if (result.policy, result.episode) not in known:
+            store.write(result)
+            print(result.policy, result.episode, flush=True)
+    store.finish({}, [])
+"""
+
+
+@pytest.mark.parametrize(
+    "kills", [pytest.param(3, marks=pytest.mark.slow), pytest.param(50, marks=pytest.mark.thorough)]
+)
+def test_a_kill_at_any_moment_loses_and_doubles_nothing(tmp_path, kills):
+    """Of a process that only writes, so that it is killed within a transaction more often than not."""
+    rng, written, results = random.Random(0), set(), {(one.policy, one.episode): one for one in played(400, "ba")}
+    for _ in range(kills):
+        command = [sys.executable, "-c", WRITER, str(tmp_path)]
+        with subprocess.Popen(command, stdout=-1, text=True) as process:
+            for _ in range(rng.randrange(1, 1 + 800 // kills)):
+                written.add(process.stdout.readline())
+            time.sleep(rng.choice([0.0, rng.uniform(0.0, 0.002)]))
+            process.send_signal(signal.SIGKILL)
+            written.update(process.stdout)
+        stored = read_store(tmp_path).episodes
+        assert {f"{one.policy} {one.episode}\n" for one in stored} >= {line for line in written if line.endswith("\n")}
+        same(list(stored), [results[one.policy, one.episode] for one in stored])
+
+
+@pytest.mark.parametrize(("size", "kept"), [(0, False), (10_000, False), (30_000, False), (200_000, True)])
+def test_a_full_disk_keeps_what_was_there(tmp_path, size, kept):
+    found = list(played(400, "ba"))
+    with full_disk(size), contextlib.suppress(ResultsError), EpisodeStore(tmp_path, OWN, 400) as store:
+        for result in found:
+            store.write(result)
+        same(store.episodes(), found)  # in memory
+        with pytest.raises(ResultsError, match="could not be written any further"):
+            store.finish({}, [])
+    with EpisodeStore(tmp_path, OWN, 400) as store:
+        assert (len(store.kept) > 0) == kept
+        same(store.kept, found[: len(store.kept)])
+        for result in found[len(store.kept) :]:
+            store.write(result)
+        store.finish({}, [])
+    same(read_store(tmp_path).episodes, found)
 
 
 STILL = """

@@ -8,16 +8,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from armctl.core.files import sealed
-from armctl.episodes.store import EpisodeLog, read_episodes
-from armctl.episodes.table import EpisodeTable
+from armctl.episodes.store import EpisodeStore, read_store
+from armctl.episodes.table import EpisodeTable, Ragged
 from armctl.stats import intervals as statistics
 from armctl.stats.intervals import MOST_VALUES, RandomWeights, bounded_mean, grouped, random_weights, worst_decile
 from armctl.verdict.summary import summarise
 
 from ..made_up_episodes import OWN, played, same
 
-APART = ("reward_terms", "metrics", "decision_ms")
 BYTES = 1_000
 """That an episode of some 15 decisions may take while it is read and summarised. It takes 400."""
 
@@ -69,27 +67,11 @@ def test_columns_are_those_of_the_results(results):
     assert part.column("missed_deadlines").tolist() == [one.metrics.missed_deadlines for one in results[6:]]
 
 
-def test_many_at_once_are_as_one_after_the_other(results):
-    table, added = EpisodeTable(results), EpisodeTable(results[:5])
-    rest = table[5:]
-    names = [name for name in vars(results[0]) | vars(results[0].metrics) if name not in APART]
-    columns = {name: rest.column(name) for name in names}
-    repeated = {name: (values.tolist(), np.arange(len(values))) for name, values in columns.items()}
-    added.extend(columns, repeated, rest.reward_terms(), rest.decision_ms())
-    same(added, results)
-    assert not table.repeats.any()
-    added.append(results[7])
-    assert added.repeats.tolist() == [False] * 24 + [True]
-
-
-def test_rows_are_found_in_whatever_order_they_are(tmp_path, results):
-    results[3] = replace(results[3], seed=3)
-    (tmp_path / "comparison.json").write_text(sealed(OWN))
-    with EpisodeLog(tmp_path, OWN, 12) as log:
-        log.finish(results, {})
-    lines = (tmp_path / "decisions.csv").read_text().splitlines(keepends=True)
-    (tmp_path / "decisions.csv").write_text("".join([lines[0], *lines[:7:-1]]))
-    same(read_episodes(tmp_path, OWN), results[7:])
+def test_lists_of_numbers_are_taken_in_any_order():
+    lists = Ragged.of(np.arange(6.0), [2, 0, 3, 1])
+    taken = lists.take(np.array([3, 0, 1, 3]))
+    assert [taken[i].tolist() for i in range(4)] == [[5.0], [0.0, 1.0], [], [5.0]]
+    assert taken.lengths.tolist() == [1, 2, 0, 1]
 
 
 def test_memory_grows_little_with_the_episodes(tmp_path, monkeypatch):
@@ -103,11 +85,11 @@ def test_memory_grows_little_with_the_episodes(tmp_path, monkeypatch):
     peaks = []
     for episodes in (500, 2_500):
         folder = tmp_path / str(episodes)
-        with EpisodeLog(folder, OWN, episodes) as log:
+        with EpisodeStore(folder, OWN, episodes) as log:
             for result in played(episodes, policies):
                 log.write(result)
         tracemalloc.start()
-        results = read_episodes(folder, OWN)
+        results = read_store(folder).episodes
         summarise(results.sorted(["a", "b"]), policies, episodes, (-30.0, 1.0), 30)
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()

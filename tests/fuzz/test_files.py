@@ -10,7 +10,6 @@ import math
 import shutil
 from pathlib import Path
 from types import NoneType
-from typing import get_args
 
 import onnx
 import pytest
@@ -18,15 +17,13 @@ from onnx import AttributeProto, TensorProto, helper
 
 from armctl.agents import sha256
 from armctl.agents.graph import OPERATORS
-from armctl.core.files import digest, sealed, unsealed
-from armctl.episodes.csv_files import lines, row_checksum
-from armctl.episodes.parquet_files import write_parquet
-from armctl.episodes.store import read_episodes
+from armctl.core.files import sealed, unsealed
+from armctl.episodes.store import STORE, read_store
 from armctl.episodes.table import TYPES
 from armctl.study import compare, sweep
 from armctl.study.reproduce import card_path
 
-from ..forgery import write_sweep
+from ..forgery import rewrite, write_sweep
 from .child import Child
 from .mutation import mutated_bytes, outcomes_of
 
@@ -87,7 +84,6 @@ def originals(tmp_path_factory):
     """Folders of a comparison, a sweep, a suite, an agent, a recipe and a curve."""
     home = tmp_path_factory.mktemp("originals")
     compare(["random", "reach_ppo"], episodes=3, out=home / "results", env_options=OPTIONS)
-    compare(["random", "reach_ppo"], episodes=3, out=home / "parquet", env_options=OPTIONS, store="parquet")
     sweep(["random"], disturbances={"delay": [1]}, episodes=2, out=home / "swept", env_options=OPTIONS)
     with pytest.MonkeyPatch.context() as patch:
         suites = importlib.import_module("armctl.study.suite")
@@ -148,33 +144,15 @@ def entry(rng, *slow):
 
 
 def results_bytes(load, rng):
-    names = ["comparison.json", "summary.json", "episodes.csv", "decisions.csv"]
-    return load("results", entry(rng, "report", "resume"), one_file(rng, names))
+    return load("results", entry(rng, "report", "resume"), one_file(rng, [STORE]))
 
 
-def results_summary(load, rng):
-    return load("results", entry(rng, "report"), resealed(rng, "summary.json"))
-
-
-def results_forged(load, rng):
-    """Identity, rows and summary of somebody's choice, which belong together by all checksums."""
-
+def results_facts(load, rng):
     def change(folder):
-        own, summary = (unsealed((folder / name).read_text()) for name in ("comparison.json", "summary.json"))
-        (header, *rows), (other_header, *others) = (table(folder / name) for name in ("episodes.csv", "decisions.csv"))
-        if rng.random() < 0.5:
-            own = mutated_values(rng, own)
-        for _ in range(rng.randint(0, 3)):
-            row = rng.choice(rng.choice([rows, rows, others]))
-            row[rng.randrange(len(row))] = rng.choice([str(rng.choice(HOSTILE)), *rng.choice(rows)])
-        for row, other in zip(rows, others, strict=True):
-            other[:3] = row[0], row[2], row_checksum(digest(own), row, other[3])
-        for name, rows_here in (("episodes.csv", [header, *rows]), ("decisions.csv", [other_header, *others])):
-            (folder / name).write_text(lines(rows_here), errors="replace")
-        (folder / "comparison.json").write_text(sealed(own))
-        (folder / "summary.json").write_text(sealed(mutated_values(rng, summary) | {"comparison": digest(own)}))
+        stored = read_store(folder)
+        rewrite(folder, stored.identity, mutated_values(rng, stored.facts), stored.episodes, stored.runs)
 
-    return load("results", entry(rng, "report", "report", "resume"), change)
+    return load("results", entry(rng, "report"), change)
 
 
 HOSTILE_VALUES = {
@@ -186,25 +164,19 @@ HOSTILE_VALUES = {
 }
 
 
-def results_parquet(load, rng):
-    """Any bytes, or hostile values of the right types with the right checksum."""
+def results_forged(load, rng):
+    """Identity, facts and episodes of somebody's choice, which belong together by all checksums."""
 
     def change(folder):
-        path = folder / "episodes.parquet"
-        if rng.random() < 0.4:
-            path.write_bytes(mutated_bytes(rng, path.read_bytes()))
-            return
-        own = unsealed((folder / "comparison.json").read_text())
-        changed = read_episodes(folder, own)
-        columns = sorted(set(TYPES) - {"reward_terms", "metrics", "decision_ms"})
-        for name in rng.sample(columns, rng.randint(1, 3)):
-            kinds = get_args(TYPES[name]) or (TYPES[name],)
-            values = changed.column(name).tolist()
-            values[rng.randrange(len(values))] = rng.choice(HOSTILE_VALUES[rng.choice(kinds)])
-            changed = changed.with_column(name, values)
-        write_parquet(path, digest(own), changed)
+        identity, facts, runs, results = read_store(folder)
+        for name in rng.sample(sorted(set(TYPES) - {"env", "seed"}), rng.randint(0, 3)):
+            values = results.column(name).tolist()
+            values[rng.randrange(len(values))] = rng.choice(HOSTILE_VALUES[rng.choice(sorted(TYPES[name], key=str))])
+            results = results.with_column(name, values)
+        identity, facts = (mutated_values(rng, one) if rng.random() < 0.5 else one for one in (identity, facts))
+        rewrite(folder, identity, facts, results, runs)
 
-    return load("parquet", entry(rng, "report", "report", "resume"), change)
+    return load("results", entry(rng, "report", "report", "resume"), change)
 
 
 def table(path):
@@ -229,11 +201,13 @@ def sweep_cells(load, rng):
     return load("swept", entry(rng, "report"), change)
 
 
-SUITE = ["suite.json", "ArmReach-v0/sweep.json", "ArmReach-v0/none/summary.json"]
+SUITE = ["suite.json", "ArmReach-v0/sweep.json"]
 
 
 def suite_bytes(load, rng):
-    return load("suite", entry(rng, "report"), one_file(rng, [*SUITE, "ArmReach-v0/sweep.csv"]))
+    return load(
+        "suite", entry(rng, "report"), one_file(rng, [*SUITE, "ArmReach-v0/sweep.csv", f"ArmReach-v0/none/{STORE}"])
+    )
 
 
 def suite_values(load, rng):
@@ -348,9 +322,8 @@ def curve(load, rng):
 
 
 KINDS = {
-    results_bytes: 300, results_summary: 400, results_forged: 400, results_parquet: 500, sweep_bytes: 400,
-    sweep_cells: 600, suite_bytes: 400, suite_values: 600, agent_card: 1000, agent_graph: 1000, recipe: 1000,
-    curve: 1000,
+    results_bytes: 300, results_facts: 400, results_forged: 900, sweep_bytes: 400, sweep_cells: 600, suite_bytes: 400,
+    suite_values: 600, agent_card: 1000, agent_graph: 1000, recipe: 1000, curve: 1000,
 }  # fmt: skip
 """How often each is tried: 1,000 times or more for results, sweeps, suites, cards, graphs, recipes and curves."""
 
@@ -360,8 +333,6 @@ KINDS = {
     [
         ("results", "report"),
         ("results", "resume"),
-        ("parquet", "report"),
-        ("parquet", "resume"),
         ("swept", "report"),
         ("suite", "report"),
         ("agent", "agent"),

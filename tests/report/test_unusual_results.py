@@ -3,21 +3,21 @@
 import os
 import re
 import shutil
+from dataclasses import replace
 
 import pandas as pd
 import pytest
 
 from armctl.agents import read_card
-from armctl.agents.costs import TrainingCost
 from armctl.core.errors import ResultsError
-from armctl.core.files import sealed, unsealed
 from armctl.core.options import option_value
+from armctl.episodes.store import STORE, read_store
 from armctl.report import write_report
 from armctl.study import compare
 from armctl.study.reproduce import card_path
 from armctl.study.results import read_results
 
-from ..forgery import write_sweep
+from ..forgery import change_facts, rewrite, write_sweep
 from .pages import OPTIONS, SWEEP, plots_of, text_of
 
 
@@ -35,42 +35,24 @@ def test_options_survive_as_text(value):
 
 
 def test_an_option_of_a_long_text_is_not_read(folder):
-    summary = unsealed((folder / "summary.json").read_text())
-    summary["env_options"] = {"tolerance": f"[{'1,' * 500}]"}
-    (folder / "summary.json").write_text(sealed(summary))
+    change_facts(folder, lambda facts: facts.update(env_options={"tolerance": f"[{'1,' * 500}]"}))
     with pytest.raises(ResultsError, match="option tolerance has 1,002 characters, more than 1,000"):
         read_results(folder)
 
 
-def test_a_summary_of_an_older_version_is_read(folder):
-    summary = unsealed((folder / "summary.json").read_text())
-    for policy in summary["policies"]:
-        trained = policy.pop("training")
-        policy |= {"training_steps": trained["steps"], "training_minutes": trained["minutes"] or 0.0}
-        del policy["decision_ms_mean"], policy["decision_seconds"]
-    (folder / "summary.json").write_text(sealed(summary))
+def test_what_a_training_took_is_read_back(folder):
     ik, ppo, _ = read_results(folder).comparison.policies
     cost = read_card(card_path("reach_ppo")).cost
-    assert (ik.learned, ppo.training) == (False, TrainingCost(cost.steps, cost.minutes))
-    text = text_of(write_report(folder, video=False))
-    assert f"was trained for {cost.steps / 1e6:.3g} million steps ({cost.minutes:.1f} minutes)" in text
+    assert (ik.learned, ppo.training) == (False, cost)
 
 
 @pytest.mark.parametrize(
     ("spoil", "says"),
     [
         (lambda folder: shutil.rmtree(folder), "there is no folder"),
-        (lambda folder: (folder / "comparison.json").unlink(), "holds no results"),
-        (lambda folder: (folder / "summary.json").unlink(), "is unfinished"),
-        (lambda folder: (folder / "summary.json").write_text("{"), "cannot be read"),
-        (lambda folder: (folder / "summary.json").write_text("[]"), "cannot be read"),
-        (lambda folder: (folder / "comparison.json").write_bytes(b"\xff\xfe"), "cannot be read"),
-        (lambda folder: (folder / "episodes.csv").unlink(), "cannot be read"),
-        (lambda folder: (folder / "episodes.csv").write_text("policy\nrandom\n"), "line 1"),
-        (
-            lambda folder: (folder / "decisions.csv").write_text("policy,episode,checksum,decision_ms\n"),
-            "not belong to the episodes",
-        ),
+        (lambda folder: (folder / STORE).unlink(), "holds no results"),
+        (lambda folder: (folder / STORE).write_bytes(b"{"), "is damaged"),
+        (lambda folder: change_facts(folder, lambda facts: facts.pop("machine")), "cannot be read as results"),
         (lambda folder: write_sweep(folder, "level\n1\n"), "no column disturbance"),
         (lambda folder: (folder / "sweep.csv").write_text(SWEEP), "sweep.json"),
         (
@@ -87,13 +69,6 @@ def test_folders_of_which_no_report_can_be_made(folder, spoil, says):
     assert not list(folder.glob("unfinished*"))
 
 
-def test_a_damaged_reward_term_is_told(folder):
-    text = (folder / "episodes.csv").read_text()
-    (folder / "episodes.csv").write_text(text.replace('""goal""', '""goal', 1))
-    with pytest.raises(ResultsError, match="damaged in line 2"):
-        write_report(folder, video=False)
-
-
 def test_a_folder_that_cannot_be_written(folder):
     with pytest.raises(ResultsError, match="cannot be written"):
         write_report(folder, "/proc/report.html", video=False)
@@ -106,13 +81,11 @@ def test_a_folder_that_cannot_be_written(folder):
 
 def unscored(folder):
     """Make the results of an environment that does not say what a success is, and of which little is known."""
-    summary = unsealed((folder / "summary.json").read_text())
-    for policy in summary["policies"]:
-        policy |= dict.fromkeys(("success", "steps_to_goal", "optimality_gap", "missed_deadlines"))
-    for pair in summary["paired"]:
-        pair |= {"mcnemar_p": None, "only_a": 0, "only_b": 0, "steps_difference": None}
-    summary["notes"] = ["mine/Odd-v0 does not obey its seed: <episodes> differ"]
-    (folder / "summary.json").write_text(sealed(summary))
+    identity, facts, runs, episodes = read_store(folder)
+    facts["notes"] = ["mine/Odd-v0 does not obey its seed: <episodes> differ"]
+    unknown = {"missed_deadlines": None}
+    results = [replace(one, success=None, metrics=replace(one.metrics, **unknown)) for one in episodes]
+    rewrite(folder, identity, facts, results, runs)
 
 
 def test_an_environment_without_success_is_reported_by_return(folder):
@@ -137,18 +110,17 @@ def test_an_environment_without_success_is_reported_by_return(folder):
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (lambda summary: summary["paired"][0].update(a="stranger"), "does not belong to the episodes"),
-        (lambda summary: summary["notes"].append("\ud800"), "surrogates not allowed"),
+        (lambda facts: facts["policies"].pop("random"), "does not belong to its episodes"),
+        (lambda facts: facts.update(return_bounds=[0.0, 1.0]), "does not belong to its episodes"),
+        (lambda facts: facts.update(time_limit=1), "does not belong to its episodes"),
+        (lambda facts: facts["notes"].append("\ud800"), "surrogates not allowed"),
     ],
 )
-def test_a_summary_that_nobody_wrote(tmp_path, change, says):
-    """With the right checksum, these ended in tracebacks."""
-    compare(["random", "reach_ik"], episodes=5, out=tmp_path, env_options=OPTIONS)
-    summary = unsealed((tmp_path / "summary.json").read_text())
-    change(summary)
-    (tmp_path / "summary.json").write_text(sealed(summary))
+def test_facts_that_nobody_wrote(folder, change, says):
+    """With the right checksum."""
+    change_facts(folder, change)
     with pytest.raises(ResultsError, match=says):
-        write_report(tmp_path, video=False)
+        write_report(folder, video=False)
 
 
 def test_a_sweep_has_names(tmp_path):

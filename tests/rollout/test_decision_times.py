@@ -8,9 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from armctl.core.files import sealed, unsealed
 from armctl.envs import make_worlds
-from armctl.episodes.store import RUNS
+from armctl.episodes.store import read_store
 from armctl.episodes.table import EpisodeTable
 from armctl.report import write_report
 from armctl.rollout.decision_times import Machines, TimedPolicy, comparable_times, timing_notes
@@ -19,6 +18,7 @@ from armctl.runtime.provenance import Run
 from armctl.study import compare
 from armctl.study.results import read_results
 
+from ..forgery import rewrite
 from ..printed import text_of
 
 OPTIONS = {"max_episode_steps": 3}
@@ -114,8 +114,8 @@ def test_times_of_another_processor_are_not_pooled(tmp_path):
     """A forged record of another machine's run, which has played most latencies of one policy and none of another."""
     arguments = {"env_options": OPTIONS, "out": tmp_path, "seeding": []}
     compare({"one": holds_still, "other": holds_still}, episodes=2, **arguments)
-    (run,) = unsealed((tmp_path / RUNS).read_text())[RUNS]
-    (tmp_path / RUNS).write_text(sealed({RUNS: [run | {"processor": "abacus", "cores": 1}]}))
+    identity, facts, (played,), episodes = read_store(tmp_path)
+    rewrite(tmp_path, identity, facts, episodes, [replace(played, processor="abacus", cores=1)])
     mixed = compare({"one": holds_still, "other": holds_still}, episodes=5, **arguments)
     last = next(run for run in read_results(tmp_path).runs if run.id == mixed.episodes.run.iloc[-1])
     here = f"{last.processor}, {last.cores} cores"

@@ -10,8 +10,6 @@ import pytest
 import armctl
 from armctl.agents import read_card
 from armctl.core.errors import ConfigurationError, ResultsError
-from armctl.core.files import sealed, unsealed
-from armctl.episodes.store import SUMMARY
 from armctl.policies import expanded, policy_names, training_card
 from armctl.report import write_report
 from armctl.stats.trainings import difference_over_trainings, mean_over_trainings
@@ -198,14 +196,12 @@ def test_options_that_only_older_cards_have_do_not_count(runs, monkeypatch):
         {"x": ["elsewhere"]},
         {"x": [MEMBERS[0], MEMBERS[0]]},
         {"x": [MEMBERS[0]]},
-        {},
         {"x": "text"},
     ],
 )
 def test_groups_that_do_not_belong_to_the_episodes_are_noticed(folder, tmp_path, groups):
     shutil.copytree(folder, tmp_path / "forged")
-    path = tmp_path / "forged" / SUMMARY
-    path.write_text(sealed({**unsealed(path.read_text()), "groups": groups}))
+    change_facts(tmp_path / "forged", lambda facts: facts.update(groups=groups))
     with pytest.raises(ResultsError):
         read_results(tmp_path / "forged")
 

@@ -1,20 +1,15 @@
-import csv
 import dataclasses
-import io
 import json
 import os
 import subprocess
 import sys
-import zlib
 
 import pandas as pd
 import pytest
 
 import armctl
-from armctl.core.errors import ResultsError
-from armctl.core.files import digest, sealed, unsealed
-from armctl.episodes.record import ADDED, COLUMNS
-from armctl.episodes.store import RUNS, read_runs
+from armctl.core.files import digest
+from armctl.episodes.store import read_store
 from armctl.runtime.provenance import MAX_BACKGROUND_LOAD, Run, RunMeter, earlier_looks, processor_model
 from armctl.study import compare
 from armctl.study.results import read_results
@@ -68,7 +63,7 @@ def end(result):
 armctl.compare(["random", "reach_ik"], episodes=40, out={str(tmp_path)!r}, env_options={SHORT!r}, progress=end)
 """
     assert subprocess.run([sys.executable, "-c", code]).returncode == 1
-    first, killed = read_runs(tmp_path)
+    first, killed = read_store(tmp_path).runs
     assert (first.judged, killed.judged, killed.load_end) == (10, None, None)
     resumed = compare(**both, episodes=40)
     assert resumed.looks == read_results(tmp_path).comparison.looks == [10]
@@ -76,7 +71,7 @@ armctl.compare(["random", "reach_ik"], episodes=40, out={str(tmp_path)!r}, env_o
     assert words in resumed.verdict
     assert words in resumed.headline[0]
     assert read_results(tmp_path).comparison.verdict == resumed.verdict
-    assert [run.judged for run in read_runs(tmp_path)] == [10, None, 40]
+    assert [run.judged for run in read_store(tmp_path).runs] == [10, None, 40]
 
 
 def test_another_baseline_or_margin_is_told_forever(tmp_path):
@@ -134,46 +129,8 @@ def test_without_a_load_average_deadlines_are_judged(monkeypatch):
     assert comparison.policies[0].missed_deadlines == 0
 
 
-def test_results_of_older_versions_have_no_runs(tmp_path):
-    play(tmp_path)
-    older(tmp_path)
-    results = read_results(tmp_path)
-    assert results.runs == []
-    assert {one.run for one in results.episodes["random"]} == {""}
-
-
-@pytest.mark.parametrize("runs", ["", "{}", "[]", sealed({RUNS: 3}), sealed({}), sealed({RUNS: [{"id": 1}]}), "\x00"])
-def test_a_damaged_record_of_runs_is_told(tmp_path, runs):
-    (tmp_path / RUNS).write_text(runs)
-    with pytest.raises(ResultsError, match=r"runs.json cannot be read"):
-        read_runs(tmp_path)
-
-
 def test_evaluate_plays_no_run():
     assert set(armctl.evaluate("random", episodes=1, env_options=SHORT).run) == {""}
-
-
-def older(folder):
-    """Rewrite a folder as it was before rows had runs."""
-    own = digest(unsealed((folder / "comparison.json").read_text()))
-    rows = list(csv.reader(io.StringIO((folder / "episodes.csv").read_text())))
-    assert rows[0] == list(COLUMNS)
-    rows = [[cell for name, cell in zip(COLUMNS, row, strict=True) if name not in ADDED] for row in rows]
-    decisions = list(csv.reader(io.StringIO((folder / "decisions.csv").read_text())))
-    for row, decision in zip(rows[1:], decisions[1:], strict=True):
-        decision[2] = f"{zlib.crc32((own + lines([row]) + decision[3]).encode()):08x}"
-    (folder / "episodes.csv").write_text(lines(rows))
-    (folder / "decisions.csv").write_text(lines(decisions))
-    summary = unsealed((folder / "summary.json").read_text())
-    del summary["runs"]
-    (folder / "summary.json").write_text(sealed(summary))
-    (folder / RUNS).unlink()
-
-
-def lines(rows):
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(rows)
-    return text.getvalue()
 
 
 def test_every_look_at_fewer_episodes_counts_once():

@@ -228,6 +228,42 @@ def make_report(
 
 
 @app.command()
+def episodes(
+    folder: Annotated[Path, typer.Argument(help="Results of a comparison, a sweep or a suite.")],
+    csv: Annotated[bool, typer.Option("--csv", help="Write episodes.csv and decisions.csv.")] = False,
+    parquet: Annotated[
+        bool, typer.Option("--parquet", help="Write episodes.parquet, small and typed; needs the extra `parquet`.")
+    ] = False,
+) -> None:
+    """Write the episodes in a results folder as tables for other programs.
+
+    They go beside each results.sqlite in the folder. Comparisons, sweeps and suites write the CSV tables themselves
+    when they end; armctl does not read any of them.
+    """
+    from rich.console import Console
+
+    from armctl.core.errors import ConfigurationError, ResultsError
+    from armctl.episodes.output import write_csv, write_parquet
+    from armctl.episodes.store import STORE, read_store
+
+    if not (csv or parquet):
+        raise ConfigurationError("say what to write: --csv, --parquet or both")
+    stores = sorted(folder.rglob(STORE))
+    if not stores:
+        raise ResultsError(f"{folder} holds no results: armctl compare --out {folder} writes some")
+    console = Console(highlight=False)
+    for store in stores:
+        stored = read_store(store.parent)
+        results = stored.episodes.sorted(stored.identity["policies"])
+        try:
+            for write in [write_csv] * csv + [write_parquet] * parquet:
+                for path in write(store.parent, results):
+                    console.print(path, soft_wrap=True)
+        except OSError as error:
+            raise ResultsError(f"tables cannot be written to {store.parent}: {error.strerror}") from error
+
+
+@app.command()
 def reproduce(
     agents: Annotated[
         list[str],

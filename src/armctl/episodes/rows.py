@@ -8,10 +8,9 @@ import itertools
 import json
 import math
 import struct
-from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from types import NoneType
-from typing import Any
+from typing import Any, NamedTuple
 from zlib import crc32
 
 import numpy as np
@@ -64,17 +63,51 @@ def row_of(result: EpisodeResult, texts: dict[str, int], own: int) -> tuple[Any,
     return (*numbers, *integers, *floats, rewards, times, crc32(times, crc32(rewards, crc32(packed, own))))
 
 
-def table_of_rows(rows: Iterable[Sequence[Any]], texts: Sequence[str], own: int, env: str, seed: int) -> EpisodeTable:
-    """Return the episodes in some rows. Raises `ValueError` for a row that was changed, or belongs to another cell."""
+class Sizes(NamedTuple):
+    """How much memory a table takes."""
+
+    rows: int
+    rewards: int
+    decisions: int
+    """As many as there are, or more."""
+
+
+def sizes_of(rows: Sequence[Sequence[Any]]) -> Sizes:
+    """Return the sizes of a table of some rows."""
+    lengths = [[len(row[COLUMNS.index(name)]) for row in rows] for name in ("reward_terms", "decision_ms")]
+    return Sizes(len(rows), sum(lengths[0]) // 8, sum(lengths[1]) // min(_WIDTHS))
+
+
+def table_of_rows(
+    rows: Iterable[Sequence[Any]],
+    sizes: Sizes,
+    texts: Sequence[str],
+    own: int,
+    env: str,
+    seed: int,
+    policies: Sequence[str] | None = None,
+) -> EpisodeTable:
+    """Return the episodes in some rows. Raises `ValueError` for a row that was changed, or belongs to another cell.
+
+    With `policies`, as in a file that anybody may have written, also for one that cannot be an episode of these.
+    """
     known, checksums = np.array([*texts, ""], object)[:-1], np.array([*map(_text_checksum, texts)], np.int64)
-    chunks = defaultdict[str, list[NDArray[Any]]](lambda: [])
+    columns: dict[str, NDArray[Any]] = {}
+    ends = dict.fromkeys(COLUMNS, 0)
     for batch in _batches(rows):
-        for name, values in _checked(batch, checksums, own).items():
-            chunks[name].append(known[values] if name in TEXTS[:-1] else values)
-    if not chunks:
+        found = _checked(batch, checksums, own)
+        found |= {name: known[found[name]] for name in TEXTS if name != "terms"}
+        if policies is not None:
+            _check_possible(found, policies)
+        for name, values in found.items():
+            size = {"reward_terms": sizes.rewards, "decision_ms": sizes.decisions}.get(name, sizes.rows)
+            kept = columns.setdefault(name, np.empty(size, values.dtype))
+            kept[ends[name] : (end := ends[name] + len(values))] = values
+            ends[name] = end
+    if not columns:
         return EpisodeTable()
-    columns = {name: np.concatenate(chunks.pop(name)) for name in tuple(chunks)}
-    term_codes, lengths = columns.pop("terms"), columns["length"].astype(np.int64)
+    columns = {name: values[: ends[name]] for name, values in columns.items()}
+    term_codes, lengths = columns.pop("terms"), columns["length"]
     used = set(np.unique(term_codes).tolist())
     names = [_names(text) if i in used else () for i, text in enumerate(texts)]
     counts = np.array([*map(len, names)])[term_codes]
@@ -86,24 +119,22 @@ def table_of_rows(rows: Iterable[Sequence[Any]], texts: Sequence[str], own: int,
     return EpisodeTable.of_columns(columns, names, term_codes, Ragged.of(rewards, counts), Ragged.of(times, lengths))
 
 
-def check_episodes(table: EpisodeTable, policies: Sequence[str]) -> None:
-    """Raise `ValueError` unless all may be different episodes of these policies, whoever has written them."""
-    if not set(table.column("policy").tolist()) <= set(policies):
+def _check_possible(columns: Mapping[str, NDArray[Any]], policies: Sequence[str]) -> None:
+    """Raise `ValueError` unless all may be episodes of these policies."""
+    if not set(columns["policy"].tolist()) <= set(policies):
         raise ValueError("it has an episode that is not of this comparison")
-    episodes = table.column("episode")
-    if (first := episodes.min(initial=0)) < 0:
+    if (first := columns["episode"].min()) < 0:
         raise ValueError(f"{first} is not the number of an episode")
-    returns = {"return": table.column("total_reward"), "reward_terms": table.reward_terms()[1]}
-    for name, values in returns.items():
+    for name, values in {"return": columns["total_reward"], "reward_terms": columns["reward_terms"]}.items():
         if len(odd := values[~(np.abs(values) <= LARGEST_RETURN)]):
             raise ValueError(f"{name} has {odd[0]}, and should be between -{LARGEST_RETURN:g} and {LARGEST_RETURN:g}")
-    times, resets = table.decision_ms(), table.column("reset_ms")
-    decided = times.lengths > 0
-    if (table.column("outcome")[~decided] != ERROR).any():
+    times, lengths = columns["decision_ms"], columns["length"]
+    if (columns["outcome"][lengths == 0] != ERROR).any():
         raise ValueError(f"it has an episode without decision times whose outcome is not {ERROR!r}")
-    if np.isnan(times.values[times.ends[:-1][decided]]).any() or _no_times(times.values).any():
+    firsts = (np.cumsum(lengths) - lengths)[lengths > 0]
+    if np.isnan(times[firsts]).any() or _no_times(times).any():
         raise ValueError("it has decision times that are no times: numbers from 0 on, and nan where none began")
-    if _no_times(resets).any():
+    if _no_times(columns["reset_ms"]).any():
         raise ValueError("it has a reset_ms that is no time")
 
 
@@ -120,12 +151,6 @@ def _batches(rows: Iterable[Sequence[Any]]) -> Iterator[list[Sequence[Any]]]:
 def _checked(batch: list[Sequence[Any]], text_checksums: NDArray[np.int64], own: int) -> dict[str, NDArray[Any]]:
     """The columns of some rows, the ragged ones one list after the other."""
     columns: dict[str, Any] = dict(zip(COLUMNS, zip(*batch, strict=True), strict=True))
-    allowed: dict[str, set[Any]] = {name: {int} for name in (*TEXTS, "checksum")}
-    allowed |= {name: {int} | (TYPES[name] & {NoneType}) for name in INTEGERS}
-    allowed |= {name: {float, NoneType} for name in NUMBERS} | {"reward_terms": {bytes}, "decision_ms": {bytes}}
-    for name, values in columns.items():
-        if not set(map(type, values)) <= allowed[name]:
-            raise ValueError(f"it has values in {name} that are of another type")
     found: dict[str, NDArray[Any]] = {name: np.array(columns[name], np.int64) for name in TEXTS}
     if min(int(numbers.min()) for numbers in found.values()) < 0:
         raise ValueError("it refers to a text that is not there")

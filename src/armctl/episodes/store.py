@@ -14,11 +14,11 @@ from types import TracebackType
 from typing import Any, NamedTuple
 from zlib import crc32
 
-import pandas as pd
+import numpy as np
 from pydantic import TypeAdapter
 
 from armctl.core.errors import ResultsError
-from armctl.core.files import digest, one_writer, sealed, unsealed
+from armctl.core.files import digest, one_writer, sealed, unsealed, write_atomically
 from armctl.core.registration import bare_id
 from armctl.episodes.database import (
     APPLICATION,
@@ -32,7 +32,7 @@ from armctl.episodes.database import (
     reason,
 )
 from armctl.episodes.record import EpisodeResult
-from armctl.episodes.rows import COLUMNS, check_episodes, row_of, table_of_rows
+from armctl.episodes.rows import COLUMNS, Sizes, row_of, sizes_of, table_of_rows
 from armctl.episodes.table import EpisodeTable
 from armctl.runtime.identity import reasons_not_to_resume
 from armctl.runtime.provenance import Run
@@ -42,7 +42,7 @@ POLICY_SEED = "policy_seed"
 """In a comparison's identity: the secret of its policies' random numbers, in decimal digits."""
 _CELL = 0
 _INSERT = f"INSERT INTO episode VALUES ({', '.join('?' * (1 + len(COLUMNS)))})"
-_SELECT = f"SELECT {', '.join(COLUMNS)} FROM episode WHERE cell = ?"
+_SELECT = f"SELECT {', '.join(COLUMNS)} FROM episode NOT INDEXED WHERE cell = ?"
 _RUNS = TypeAdapter(list[Run])
 
 
@@ -105,10 +105,14 @@ class EpisodeStore:
             if path is not None and not resuming:
                 for one in files(path):
                     one.unlink(missing_ok=True)
-            self._file = self._opened.enter_context(connected(path, "rw" if resuming else "rwc"))
-            if resuming:
-                self._resume(episodes)
-            self._begin(resuming, run)
+                write_atomically(path, self._make)
+            with damage(path) if path is not None else contextlib.nullcontext():
+                self._file = self._opened.enter_context(connected(path, "rw"))
+            if path is None:
+                self._make_tables(self._file)
+            elif resuming:
+                self._resume(path, episodes)
+            self._begin(run)
         except (OSError, sqlite3.Error) as error:
             self.close()
             raise ResultsError(f"results cannot be written to {folder}: {reason(error)}") from error
@@ -131,7 +135,7 @@ class EpisodeStore:
         if self._failure is None:
             new = [(i, text) for text, i in self._texts.items() if i >= known] if len(self._texts) > known else []
             try:
-                with self._transaction():
+                with _transaction(self._file):
                     self._file.executemany("INSERT INTO text VALUES (?, ?)", new)
                     self._file.execute(_INSERT, (_CELL, *row))
                 return
@@ -144,7 +148,9 @@ class EpisodeStore:
         if not self._grown:
             return self.kept
         rows = itertools.chain(self._file.execute(_SELECT, (_CELL,)), self._unwritten)
-        return _table(rows, [*self._texts], self.identity)
+        stored, unwritten = _sizes(self._file), sizes_of(self._unwritten)
+        sizes = Sizes(*map(sum, zip(stored, unwritten, strict=True)))
+        return _table(rows, sizes, [*self._texts], self.identity)
 
     def finish(self, facts: Mapping[str, Any], runs: Iterable[Run], without: Iterable[str] = ()) -> list[Run]:
         """Write what is known besides the episodes, with the `runs`, and remove the episodes of policies `without`.
@@ -155,7 +161,7 @@ class EpisodeStore:
         try:
             if self._failure is not None:
                 raise self._failure
-            with self._transaction():
+            with _transaction(self._file):
                 removed = [(self._texts.get(name),) for name in without]
                 self._file.executemany("DELETE FROM episode WHERE policy = ?", removed)
                 counted = self._write_runs(runs)
@@ -176,9 +182,20 @@ class EpisodeStore:
     def _own(self) -> int:
         return _checksum(self.identity)
 
-    def _resume(self, episodes: int) -> None:
-        assert self._folder is not None
-        with damage(self._folder / STORE):
+    def _make(self, path: Path) -> None:
+        with connected(path, "rw") as file:
+            self._make_tables(file)
+
+    def _make_tables(self, file: sqlite3.Connection) -> None:
+        with _transaction(file):
+            file.execute(f"PRAGMA application_id = {APPLICATION}")
+            file.execute(f"PRAGMA user_version = {FORMAT}")
+            for table in SCHEMA.values():
+                file.execute(table)
+            file.execute("INSERT INTO cell VALUES (?, ?, NULL)", (_CELL, sealed(self.identity)))
+
+    def _resume(self, path: Path, episodes: int) -> None:
+        with damage(path):
             check_file(self._file)
             identity, _ = _cell(self._file)
             if reasons := "; ".join(reasons_not_to_resume(identity, self.identity)):
@@ -192,16 +209,10 @@ class EpisodeStore:
                 "another folder, or overwrite them (--overwrite)"
             )
 
-    def _begin(self, resuming: bool, run: Run | None) -> None:
-        """Make the tables unless they are there, and add a run, so that every episode's run is known."""
+    def _begin(self, run: Run | None) -> None:
+        """Add a run, so that every episode's run is known."""
         self._file.execute("PRAGMA journal_mode = WAL")
-        with self._transaction():
-            if not resuming:
-                self._file.execute(f"PRAGMA application_id = {APPLICATION}")
-                self._file.execute(f"PRAGMA user_version = {FORMAT}")
-                for table in SCHEMA.values():
-                    self._file.execute(table)
-                self._file.execute("INSERT INTO cell VALUES (?, ?, NULL)", (_CELL, sealed(self.identity)))
+        with _transaction(self._file):
             self._file.execute("UPDATE cell SET facts = NULL")
             self.runs = self._write_runs(self.runs)
             if run is not None:
@@ -222,16 +233,17 @@ class EpisodeStore:
     def _add_runs(self, runs: Iterable[Run]) -> None:
         self._file.executemany("INSERT INTO run VALUES (?, ?)", [(_CELL, sealed(asdict(one))) for one in runs])
 
-    @contextlib.contextmanager
-    def _transaction(self) -> Iterator[None]:
-        self._file.execute("BEGIN IMMEDIATE")
-        try:
-            yield
-            self._file.execute("COMMIT")
-        except BaseException:
-            if self._file.in_transaction:
-                self._file.execute("ROLLBACK")
-            raise
+
+@contextlib.contextmanager
+def _transaction(file: sqlite3.Connection) -> Iterator[None]:
+    file.execute("BEGIN IMMEDIATE")
+    try:
+        yield
+        file.execute("COMMIT")
+    except BaseException:
+        if file.in_transaction:
+            file.execute("ROLLBACK")
+        raise
 
 
 def read_store(folder: Path) -> Stored:
@@ -288,18 +300,30 @@ def _texts(file: sqlite3.Connection) -> list[str]:
 
 
 def _episodes(file: sqlite3.Connection, identity: Mapping[str, Any]) -> EpisodeTable:
-    table = _table(file.execute(_SELECT, (_CELL,)), _texts(file), identity)
+    """The episodes in a file that anybody may have written."""
+    policies = _KEYS.validate_python(identity).policies
+    table = _table(file.execute(_SELECT, (_CELL,)), _sizes(file), _texts(file), identity, policies)
     if (foreign := file.execute("SELECT count(*) FROM episode").fetchone()[0] - len(table)) != 0:
         raise ValueError(f"it has {foreign} episodes that are not of this comparison")
-    check_episodes(table, _KEYS.validate_python(identity).policies)
-    if pd.DataFrame({name: table.column(name) for name in ("policy", "episode")}).duplicated().any():
+    if any(len(np.unique(one.column("episode"))) < len(one) for one in table.by_policy().values()):
         raise ValueError("it has an episode for the second time")
     return table
 
 
-def _table(rows: Iterable[Sequence[Any]], texts: Sequence[str], identity: Mapping[str, Any]) -> EpisodeTable:
+def _sizes(file: sqlite3.Connection) -> Sizes:
+    count = "count(*), coalesce(sum(length(reward_terms)), 0) / 8, coalesce(sum(length(decision_ms)), 0) / 2"
+    return Sizes(*file.execute(f"SELECT {count} FROM episode NOT INDEXED WHERE cell = ?", (_CELL,)).fetchone())
+
+
+def _table(
+    rows: Iterable[Sequence[Any]],
+    sizes: Sizes,
+    texts: Sequence[str],
+    identity: Mapping[str, Any],
+    policies: Sequence[str] | None = None,
+) -> EpisodeTable:
     keys = _KEYS.validate_python(identity)
-    return table_of_rows(rows, texts, _checksum(identity), bare_id(keys.env), keys.seed)
+    return table_of_rows(rows, sizes, texts, _checksum(identity), bare_id(keys.env), keys.seed, policies)
 
 
 def _checksum(identity: Mapping[str, Any]) -> int:

@@ -79,7 +79,7 @@ def _comparison(stored: Stored, facts: Facts) -> Comparison:
     returns = results.column("total_reward")[results.column("outcome") != ERROR]
     rounding = 1e-9 * max(abs(low), abs(high)) if facts.return_bounds else 0.0
     fits = (
-        all(facts.groups.values())
+        min(map(len, facts.groups.values()), default=2) > 1
         and len(set(members) & set(policies)) == len(members)
         and set(results.column("policy").tolist()) <= set(facts.policies)
         and low <= high
