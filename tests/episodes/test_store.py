@@ -342,7 +342,7 @@ def test_a_kill_at_any_moment_loses_and_doubles_nothing(tmp_path, kills):
         same(list(stored), [results[one.policy, one.episode] for one in stored])
 
 
-@pytest.mark.parametrize(("size", "kept"), [(0, False), (10_000, False), (30_000, False), (200_000, True)])
+@pytest.mark.parametrize(("size", "kept"), [(0, False), (10_000, False), (40_000, True), (200_000, True)])
 def test_a_full_disk_keeps_what_was_there(tmp_path, size, kept):
     found = list(played(400, "ba"))
     with full_disk(size), contextlib.suppress(ResultsError), EpisodeStore(tmp_path, OWN, 400) as store:

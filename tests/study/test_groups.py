@@ -18,6 +18,8 @@ from armctl.study.results import read_results
 from armctl.study.sample_size import plan_comparison
 from armctl.verdict.tables import Remark
 
+from ..forgery import change_facts
+
 MEMBERS = [f"reach_bc[{seed}]" for seed in (0, 1, 2)]
 
 
