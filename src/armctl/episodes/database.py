@@ -32,11 +32,11 @@ def connected(path: Path | None, mode: str) -> Iterator[sqlite3.Connection]:
     """A database, in memory if there is no path. Raises `OSError`, `ValueError`, `ResultsError` or `sqlite3.Error`."""
     name = ":memory:"
     if path is not None:
-        for one in files(path):
-            if one.is_symlink():
-                raise ResultsError(f"{one} is a symbolic link, which may lead elsewhere: {OTHERWISE}")
-            if one.exists():
-                with opened_regular(one, LARGEST_FILE):
+        for part in files(path):
+            if part.is_symlink():
+                raise ResultsError(f"{part} is a symbolic link, which may lead elsewhere: {OTHERWISE}")
+            if part.exists():
+                with opened_regular(part, LARGEST_FILE):
                     pass
         name = f"file:{quote(os.path.abspath(path))}?mode={mode}"
     file = sqlite3.connect(name, uri=True, isolation_level=None, timeout=0)
@@ -63,13 +63,13 @@ def damage(path: Path) -> Iterator[None]:
 
 def check_file(file: sqlite3.Connection, whole: bool = True) -> None:
     """Raise `ValueError` or `sqlite3.Error` unless a database is a sound one of our own."""
-    if (found := file.execute("PRAGMA user_version").fetchone()[0]) != FORMAT:
-        raise ValueError(f"it has format {found}, and this version of armctl reads format {FORMAT}")
+    if (version := file.execute("PRAGMA user_version").fetchone()[0]) != FORMAT:
+        raise ValueError(f"it has format {version}, and this version of armctl reads format {FORMAT}")
     schema = file.execute("SELECT name, sql FROM sqlite_schema WHERE sql IS NOT NULL").fetchall()
     if dict(schema) != SCHEMA:
         raise ValueError("it does not have the tables of armctl's results")
-    if whole and (found := file.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
-        raise ValueError(found)
+    if whole and (message := file.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
+        raise ValueError(message)
 
 
 def files(path: Path) -> list[Path]:

@@ -21,8 +21,8 @@ DECISION_COLUMNS = ("policy", "episode", "decision_ms")
 
 def write_csv(folder: Path, results: EpisodeTable) -> list[Path]:
     """Write `episodes.csv` and `decisions.csv`; return their paths. Raises `OSError`."""
-    rows = (one.row().values() for one in results)
-    times = ((one.policy, one.episode, " ".join(map(str, one.decision_ms.tolist()))) for one in results)
+    rows = (result.row().values() for result in results)
+    times = ((result.policy, result.episode, " ".join(map(str, result.decision_ms.tolist()))) for result in results)
     return [_written(folder / EPISODES, COLUMNS, rows), _written(folder / DECISIONS, DECISION_COLUMNS, times)]
 
 

@@ -46,8 +46,8 @@ def definition() -> str:
     return f"{integers}, {numbers}, reward_terms BLOB NOT NULL, decision_ms BLOB NOT NULL, checksum INTEGER NOT NULL"
 
 
-def row_of(result: EpisodeResult, texts: dict[str, int], own: int) -> tuple[Any, ...]:
-    """Return an episode's row; new texts get the next numbers. `own` is the checksum of its cell's identity."""
+def row_of(result: EpisodeResult, texts: dict[str, int], cell_checksum: int) -> tuple[Any, ...]:
+    """Return an episode's row; new texts get the next numbers. `cell_checksum` is that of its cell's identity."""
     values = vars(result) | vars(result.metrics)
     values["terms"] = json.dumps(list(result.reward_terms))
     numbers = [texts.setdefault(values[name], len(texts)) for name in TEXTS]
@@ -60,7 +60,7 @@ def row_of(result: EpisodeResult, texts: dict[str, int], own: int) -> tuple[Any,
         *(_UNKNOWN if value is None else value for value in integers),
         *(math.nan if value != value else value for value in floats),
     )
-    return (*numbers, *integers, *floats, rewards, times, crc32(times, crc32(rewards, crc32(packed, own))))
+    return (*numbers, *integers, *floats, rewards, times, crc32(times, crc32(rewards, crc32(packed, cell_checksum))))
 
 
 class Sizes(NamedTuple):
@@ -82,7 +82,7 @@ def table_of_rows(
     rows: Iterable[Sequence[Any]],
     sizes: Sizes,
     texts: Sequence[str],
-    own: int,
+    cell_checksum: int,
     env: str,
     seed: int,
     policies: Sequence[str] | None = None,
@@ -91,18 +91,18 @@ def table_of_rows(
 
     With `policies`, as in a file that anybody may have written, also for one that cannot be an episode of these.
     """
-    known, checksums = np.array([*texts, ""], object)[:-1], np.array([*map(_text_checksum, texts)], np.int64)
+    text_values, checksums = np.array([*texts, ""], object)[:-1], np.array([*map(_text_checksum, texts)], np.int64)
     columns: dict[str, NDArray[Any]] = {}
     ends = dict.fromkeys(COLUMNS, 0)
     for batch in _batches(rows):
-        found = _checked(batch, checksums, own)
-        found |= {name: known[found[name]] for name in TEXTS if name != "terms"}
+        checked = _checked(batch, checksums, cell_checksum)
+        checked |= {name: text_values[checked[name]] for name in TEXTS if name != "terms"}
         if policies is not None:
-            _check_possible(found, policies)
-        for name, values in found.items():
+            _check_possible(checked, policies)
+        for name, values in checked.items():
             size = {"reward_terms": sizes.rewards, "decision_ms": sizes.decisions}.get(name, sizes.rows)
-            kept = columns.setdefault(name, np.empty(size, values.dtype))
-            kept[ends[name] : (end := ends[name] + len(values))] = values
+            target = columns.setdefault(name, np.empty(size, values.dtype))
+            target[ends[name] : (end := ends[name] + len(values))] = values
             ends[name] = end
     if not columns:
         return EpisodeTable()
@@ -148,29 +148,33 @@ def _batches(rows: Iterable[Sequence[Any]]) -> Iterator[list[Sequence[Any]]]:
         yield batch
 
 
-def _checked(batch: list[Sequence[Any]], text_checksums: NDArray[np.int64], own: int) -> dict[str, NDArray[Any]]:
+def _checked(
+    batch: list[Sequence[Any]], text_checksums: NDArray[np.int64], cell_checksum: int
+) -> dict[str, NDArray[Any]]:
     """The columns of some rows, the ragged ones one list after the other."""
     columns: dict[str, Any] = dict(zip(COLUMNS, zip(*batch, strict=True), strict=True))
-    found: dict[str, NDArray[Any]] = {name: np.array(columns[name], np.int64) for name in TEXTS}
-    if min(int(numbers.min()) for numbers in found.values()) < 0:
+    arrays: dict[str, NDArray[Any]] = {name: np.array(columns[name], np.int64) for name in TEXTS}
+    if min(int(numbers.min()) for numbers in arrays.values()) < 0:
         raise ValueError("it refers to a text that is not there")
-    packed = [text_checksums[numbers] for numbers in found.values()]
+    packed = [text_checksums[numbers] for numbers in arrays.values()]
     for name in INTEGERS:
         values = columns[name]
         unknown = None in values
-        packed.append(np.array([_UNKNOWN if one is None else one for one in values] if unknown else values, np.int64))
-        found[name] = _integers(name, packed[-1], unknown)
+        packed.append(
+            np.array([_UNKNOWN if value is None else value for value in values] if unknown else values, np.int64)
+        )
+        arrays[name] = _integers(name, packed[-1], unknown)
     for name in NUMBERS:
-        found[name] = np.array(columns[name], float)
-        packed.append(found[name].view(np.int64))
+        arrays[name] = np.array(columns[name], float)
+        packed.append(arrays[name].view(np.int64))
     data, width = np.column_stack(packed).astype("<i8").tobytes(), 8 * len(packed)
     blobs = zip(columns["reward_terms"], columns["decision_ms"], columns["checksum"], strict=True)
     for at, (rewards, times, checksum) in zip(range(0, len(data), width), blobs, strict=True):
-        if crc32(times, crc32(rewards, crc32(data[at : at + width], own))) != checksum:
+        if crc32(times, crc32(rewards, crc32(data[at : at + width], cell_checksum))) != checksum:
             raise ValueError("an episode was changed, or belongs to another comparison")
-    found["reward_terms"] = np.frombuffer(b"".join(columns["reward_terms"]), "<f8")
-    found["decision_ms"] = _unpacked_times(columns["decision_ms"], found["length"])
-    return found
+    arrays["reward_terms"] = np.frombuffer(b"".join(columns["reward_terms"]), "<f8")
+    arrays["decision_ms"] = _unpacked_times(columns["decision_ms"], arrays["length"])
+    return arrays
 
 
 def _integers(name: str, values: NDArray[np.int64], unknown: bool) -> NDArray[Any]:

@@ -103,8 +103,8 @@ class EpisodeStore:
             path = None if folder is None else folder / STORE
             resuming = path is not None and not overwrite and os.path.lexists(path)
             if path is not None and not resuming:
-                for one in files(path):
-                    one.unlink(missing_ok=True)
+                for part in files(path):
+                    part.unlink(missing_ok=True)
                 write_atomically(path, self._make)
             with damage(path) if path is not None else contextlib.nullcontext():
                 self._file = self._opened.enter_context(connected(path, "rw"))
@@ -113,6 +113,7 @@ class EpisodeStore:
             elif resuming:
                 self._resume(path, episodes)
             self._begin(run)
+            self._cell_checksum = _checksum(self.identity)
         except (OSError, sqlite3.Error) as error:
             self.close()
             raise ResultsError(f"results cannot be written to {folder}: {reason(error)}") from error
@@ -130,10 +131,12 @@ class EpisodeStore:
 
     def write(self, result: EpisodeResult) -> None:
         """Add an episode. `finish` tells whether that failed; until then it is kept in memory."""
-        known, self._grown = len(self._texts), True
-        row = row_of(result, self._texts, self._own)
+        num_texts, self._grown = len(self._texts), True
+        row = row_of(result, self._texts, self._cell_checksum)
         if self._failure is None:
-            new = [(i, text) for text, i in self._texts.items() if i >= known] if len(self._texts) > known else []
+            new = (
+                [(i, text) for text, i in self._texts.items() if i >= num_texts] if len(self._texts) > num_texts else []
+            )
             try:
                 with _transaction(self._file):
                     self._file.executemany("INSERT INTO text VALUES (?, ?)", new)
@@ -178,10 +181,6 @@ class EpisodeStore:
         """Close the file, and let others write to the folder."""
         self._opened.close()
 
-    @property
-    def _own(self) -> int:
-        return _checksum(self.identity)
-
     def _make(self, path: Path) -> None:
         with connected(path, "rw") as file:
             self._make_tables(file)
@@ -222,16 +221,16 @@ class EpisodeStore:
         """Replace the runs by those that have played episodes, or told a verdict by other arguments than all before."""
         played = {text for (text,) in self._file.execute("SELECT text FROM text WHERE id IN (SELECT run FROM episode)")}
         counted: list[Run] = []
-        for one in runs:
+        for run in runs:
             verdicts = {(other.baseline, other.margin) for other in counted if other.judged}
-            if one.id in played or (one.judged and (one.baseline, one.margin) not in verdicts):
-                counted.append(one)
+            if run.id in played or (run.judged and (run.baseline, run.margin) not in verdicts):
+                counted.append(run)
         self._file.execute("DELETE FROM run")
         self._add_runs(counted)
         return counted
 
     def _add_runs(self, runs: Iterable[Run]) -> None:
-        self._file.executemany("INSERT INTO run VALUES (?, ?)", [(_CELL, sealed(asdict(one))) for one in runs])
+        self._file.executemany("INSERT INTO run VALUES (?, ?)", [(_CELL, sealed(asdict(run))) for run in runs])
 
 
 @contextlib.contextmanager
@@ -271,7 +270,7 @@ def stored_policy_seed(folder: Path) -> int | None:
 def _read(folder: Path, whole: bool = True) -> Iterator[sqlite3.Connection]:
     """A folder's store, opened to be read: by itself, unless a run that was killed has left a log to recover from."""
     path = folder / STORE
-    recovered = any(one.exists() and one.stat().st_size for one in files(path)[1:])
+    recovered = any(part.exists() and part.stat().st_size for part in files(path)[1:])
     with damage(path), connected(path, "rw" if recovered else "ro&immutable=1") as file:
         check_file(file, whole)
         yield file
@@ -305,7 +304,7 @@ def _episodes(file: sqlite3.Connection, identity: Mapping[str, Any]) -> EpisodeT
     table = _table(file.execute(_SELECT, (_CELL,)), _sizes(file), _texts(file), identity, policies)
     if (foreign := file.execute("SELECT count(*) FROM episode").fetchone()[0] - len(table)) != 0:
         raise ValueError(f"it has {foreign} episodes that are not of this comparison")
-    if any(len(np.unique(one.column("episode"))) < len(one) for one in table.by_policy().values()):
+    if any(len(np.unique(part.column("episode"))) < len(part) for part in table.by_policy().values()):
         raise ValueError("it has an episode for the second time")
     return table
 
