@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from armctl.episodes import rows
 from armctl.episodes.store import EpisodeStore, read_store
 from armctl.episodes.table import EpisodeTable, Ragged
 from armctl.stats import intervals as statistics
@@ -77,10 +78,11 @@ def test_lists_of_numbers_are_taken_in_any_order():
 def test_memory_grows_little_with_the_episodes(tmp_path, monkeypatch):
     """By what is allocated, which is the same on each machine: between a small table and a larger one.
 
-    Random weights take a fixed amount, which is made so small that the rest is seen.
+    Random weights and rows on their way into a table take a fixed amount, which is made so small that the rest is seen.
     """
     monkeypatch.setattr(statistics, "LARGEST_BATCH", 1)
     monkeypatch.setattr(statistics, "DRAWS", 50)
+    monkeypatch.setattr(rows, "AT_ONCE", 200)
     policies = {"a": Still(), "b": Still()}
     peaks = []
     for episodes in (500, 2_500):
