@@ -20,8 +20,8 @@ from armctl.policies import make_policy
 from armctl.policies.find import is_expert
 from armctl.rl.agents import AGENTS
 from armctl.rollout import evaluate
-from armctl.study.compare import default_policies
 from armctl.study.curves import read_curve
+from armctl.study.line_up import default_policies
 
 COLUMNS = 3
 

@@ -18,7 +18,8 @@ from cluster_servers import dask_cluster, ray_cluster
 
 import armctl
 from armctl.episodes.record import EpisodeResult
-from armctl.episodes.store import EpisodeStore
+from armctl.episodes.store import Store
+from armctl.episodes.stored import UNDISTURBED
 from armctl.rollout.parallel import ROUNDS, RolloutBatch
 from armctl.runtime import engines
 from armctl.runtime.engines import AHEAD, Cluster, Engine, Local, connect
@@ -80,7 +81,10 @@ def durations(env: str, episodes: int) -> dict[str, list[float]]:
 def writing() -> float:
     """Return the seconds that the client takes to keep and write an episode."""
     template = _a_batch(1).results[0]
-    with tempfile.TemporaryDirectory() as folder, EpisodeStore(Path(folder), {}, WRITTEN) as log:
+    identity = {"env": template.env, "seed": template.seed, "policies": [template.policy]}
+    with tempfile.TemporaryDirectory() as folder, Store(Path(folder)) as store:
+        store.open(template.seed, [UNDISTURBED])
+        log = store.cell(UNDISTURBED, identity, WRITTEN)
         start = time.perf_counter()
         for episode in range(WRITTEN):
             log.write(replace(template, episode=episode))

@@ -29,7 +29,8 @@ from rich.table import Table
 
 import armctl
 from armctl.episodes.record import EpisodeResult
-from armctl.episodes.store import STORE, EpisodeStore, read_identity, read_store
+from armctl.episodes.store import Store
+from armctl.episodes.stored import STORE, UNDISTURBED, read_identities, read_store
 from armctl.report import write_report
 
 WORLDS = (64, 256, 1024, 4096)
@@ -97,7 +98,10 @@ def fill(folder: Path, env: str, rows: int) -> None:
     episodes: list[EpisodeResult] = []
     armctl.compare(env=env, episodes=1, out=folder, progress=episodes.append)
     each, decisions = rows // len(episodes), 0
-    with EpisodeStore(folder, read_identity(folder), each) as log:
+    (identity,) = read_identities(folder)
+    with Store(folder) as store:
+        store.open(identity["seed"], [UNDISTURBED])
+        log = store.cell(UNDISTURBED, identity, each)
         for first in episodes:
             decisions += first.length
             for result in _others(first, each):
@@ -127,7 +131,7 @@ def _others(first: EpisodeResult, episodes: int) -> Iterator[EpisodeResult]:
 @app.command(hidden=True)
 def summary(folder: Path, env: str) -> None:
     """Resume a comparison of which everything is played, and print what it took, and its folder's size."""
-    identity = read_identity(folder)
+    (identity,) = read_identities(folder)
     rows = int(_in_a_fresh_process("read", folder, env)["rows"])
     start = time.process_time()
     comparison = armctl.compare(env=env, episodes=rows // len(identity["policies"]), out=folder)
@@ -140,7 +144,7 @@ def summary(folder: Path, env: str) -> None:
 def read(folder: Path, env: str) -> None:
     """Read a comparison's episodes, and print what it took, and the size of their files."""
     start = time.process_time()
-    rows = len(read_store(folder).episodes)
+    rows = len(read_store(folder).cells[UNDISTURBED].episodes)
     _print_cost(start, _size(folder / STORE), rows=rows)
 
 

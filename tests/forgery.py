@@ -5,26 +5,44 @@ import json
 import sqlite3
 from dataclasses import replace
 
-from armctl.core.files import digest, sealed, unsealed
+from armctl.core.files import sealed, unsealed
 from armctl.core.registration import bare_id
-from armctl.episodes.store import STORE, EpisodeStore, read_store
+from armctl.episodes.store import Store
+from armctl.episodes.stored import STORE, UNDISTURBED, StoredCell, read_store
 
 
 def rewrite(folder, identity, facts, results, runs=()):
     """Replace all that a comparison's store says."""
-    with EpisodeStore(folder, identity, 2**62, overwrite=True) as store:
-        for result in results:
-            store.write(result)
-        store.finish(facts, runs)
+    record = read_store(folder).record
+    record["envs"], record["tasks"] = [identity["env"]], {identity["env"]: next(iter(record["tasks"].values()))}
+    _rewrite(folder, {UNDISTURBED: StoredCell(identity, facts, runs, results)}, record)
+
+
+def _rewrite(folder, cells, record=None):
+    record = record or read_store(folder).record
+    with Store(folder, overwrite=True) as store:
+        for name, cell in cells.items():
+            store.open(cell.identity["seed"], cells)
+            writer = store.cell(name, cell.identity, 2**62)
+            for result in cell.episodes:
+                writer.write(result)
+            writer.finish(cell.facts, cell.runs)
+        store.describe(record)
 
 
 def forge(folder, there, hostile):
-    """Replace a text in all that a comparison's store says."""
+    """Replace a text in all that a store says of its cells."""
     stored = read_store(folder)
-    identity, facts = (
-        json.loads(json.dumps(values).replace(json.dumps(there)[1:-1], json.dumps(hostile)[1:-1]))
-        for values in (stored.identity, stored.facts)
-    )
+    cells = {name: _forged(cell, there, hostile) for name, cell in stored.cells.items()}
+    _rewrite(folder, cells, _with_text(stored.record, there, hostile))
+
+
+def _with_text(values, there, hostile):
+    return json.loads(json.dumps(values).replace(json.dumps(there)[1:-1], json.dumps(hostile)[1:-1]))
+
+
+def _forged(stored, there, hostile):
+    identity, facts = (_with_text(values, there, hostile) for values in (stored.identity, stored.facts))
     results = [
         replace(
             one,
@@ -33,7 +51,7 @@ def forge(folder, there, hostile):
         )
         for one in stored.episodes
     ]
-    rewrite(folder, identity, facts, results, stored.runs)
+    return StoredCell(identity, facts, stored.runs, results)
 
 
 def change_facts(folder, change):
@@ -45,7 +63,10 @@ def change_facts(folder, change):
         file.execute("UPDATE cell SET facts = ?", (sealed(facts),))
 
 
-def write_sweep(folder, table):
-    """Write a sweep's table as CSV text."""
-    (folder / "sweep.csv").write_text(table)
-    (folder / "sweep.json").write_text(sealed({"sweep.csv": digest(table)}))
+def change_record(folder, change):
+    """Change what a store says of the study besides its cells."""
+    with contextlib.closing(sqlite3.connect(folder / STORE)) as file, file:
+        ((text,),) = file.execute("SELECT record FROM study")
+        record = unsealed(text)
+        change(record)
+        file.execute("UPDATE study SET record = ?", (sealed(record),))

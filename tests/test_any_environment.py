@@ -12,10 +12,11 @@ import pandas as pd
 import pytest
 
 from armctl.episodes.record import TIME_COLUMNS
-from armctl.episodes.store import read_store
+from armctl.episodes.stored import STORE
 
 from .command_line import ARMCTL, armctl, program
 from .forgery import rewrite
+from .stores import read_cell
 
 HERE = Path(__file__).parent
 POLICIES = """
@@ -59,7 +60,7 @@ def test_compare_resume_and_report(home, env):
     assert rows.groupby("policy").success.sum()["mine.py:right"] == 12
     assert rows.contacts.isna().all()
     assert "Played again" not in (home / "results" / "report.html").read_text()
-    identity, _, runs, results = read_store(home / "results")
+    identity, _, runs, results = read_cell(home / "results")
     rewrite(home / "results", identity, {}, results[:19], runs)  # as after a kill
     again = armctl(*arguments, cwd=home)
     assert "were finished by an earlier run" in " ".join(again.stdout.split())
@@ -159,18 +160,18 @@ def test_what_an_interrupt_leaves_is_resumed(home):
         "r",
     ]
     running = subprocess.Popen([ARMCTL, *command], cwd=home, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    episodes = home / "r" / "episodes.csv"
+    log = home / "r" / f"{STORE}-wal"
     deadline = time.monotonic() + 60
-    while not (episodes.exists() and len(episodes.read_text().splitlines()) > 5) and time.monotonic() < deadline:
+    while not (log.exists() and log.stat().st_size > 20 * 4_096) and time.monotonic() < deadline:
         time.sleep(0.05)
     running.send_signal(signal.SIGINT)
     out, _ = running.communicate(timeout=60)
     assert running.returncode == 130, out
-    kept = len(pd.read_csv(episodes))
+    kept = len(pd.read_csv(home / "r" / "episodes.csv"))
     assert 5 <= kept < 80
     resumed = armctl(*command, cwd=home).stdout
     assert f"{kept} episodes were finished by an earlier run" in " ".join(resumed.split())
-    assert len(pd.read_csv(episodes)) == 80
+    assert len(pd.read_csv(home / "r" / "episodes.csv")) == 80
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ from armctl.agents import read_card
 from armctl.core.errors import ArmctlError, ConfigurationError
 from armctl.core.registration import environment_names
 from armctl.policies import Policy, make_policy, policy_names
-from armctl.study.compare import default_policies
+from armctl.study.line_up import default_policies
 from armctl.study.reproduce import card_path
 
 ENV = "armctl/ArmReach-v0"

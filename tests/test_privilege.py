@@ -18,7 +18,7 @@ from armctl.policies.find import declared_sees
 from armctl.report import write_report
 from armctl.rollout.rollouts import PolicyDisqualified, build_policy, rollouts
 from armctl.runtime.state_guard import StateGuard
-from armctl.study.results import read_results
+from armctl.study.results import read_comparison
 
 REACH, OBSTACLES, BRIDGE = "ArmReach-v0", "ArmReachObstacles-v0", "BridgeCrossMoving-v0"
 SMALL = {"resolution": (4, 4)}
@@ -350,7 +350,7 @@ def test_none_of_its_episodes_count_and_everything_says_why(tmp_path):
         assert [policy.policy for policy in comparison.policies] == ["reach_ik", "random"]
         assert "late" not in comparison.episodes.policy.tolist()
         assert any("late is disqualified" in getattr(part, "text", "") for part in comparison.document().parts)
-        assert comparison.disqualified == ["late"]
+        assert comparison.facts.disqualified == ["late"]
         (table,) = (one for one in comparison.document().tables if one.key == "policies")
         assert [(row[0].text, row[0].small) for row in table.rows][-1] == ("late", "disqualified")
         assert table.records[-1] == {"policy": "late", "disqualified": True}
@@ -445,7 +445,7 @@ def test_whoever_writes_as_it_is_made_is_disqualified_and_changes_nothing_for_th
         rf"cheat is disqualified: when it was made, it wrote to the world.*{re.escape(BORN[write])}",
         comparison.failures["cheat"],
     )
-    assert comparison.disqualified == ["cheat"]
+    assert comparison.facts.disqualified == ["cheat"]
     assert [policy.policy for policy in comparison.policies] == ["reach_ik", "random"]
     columns = ["policy", "episode", "outcome", "return", "length", "path_length"]
     assert comparison.episodes[columns].equals(alone[columns])
@@ -488,8 +488,8 @@ def test_evaluate_collect_and_results_on_disk_know_of_it(tmp_path):
     assert not (tmp_path / "data").exists()
     for _ in range(2):  # the second time, in the same folder
         armctl.compare([cheat, "reach_ik"], episodes=2, out=tmp_path / "out", env_options={"max_episode_steps": 4})
-        results = read_results(tmp_path / "out").comparison
-        assert results.disqualified == ["cheat"]
+        results = read_comparison(tmp_path / "out")
+        assert results.facts.disqualified == ["cheat"]
         assert [policy.policy for policy in results.policies] == ["reach_ik"]
 
 

@@ -5,6 +5,7 @@ python tests/test_public_api.py    # writes public_api.txt anew; say what change
 
 import importlib
 import inspect
+import typing
 from pathlib import Path
 
 import armctl
@@ -29,8 +30,14 @@ def _signature(value):
     if isinstance(value, type):
         methods = (name for name in vars(value) if not name.startswith("_"))
         return f": {', '.join(sorted(methods))}"
-    parameters = inspect.signature(value).parameters.values()
-    return f"({', '.join(str(one.replace(annotation=one.empty)) for one in parameters)})"
+    return f"({', '.join(map(_parameter, inspect.signature(value).parameters.values()))})"
+
+
+def _parameter(parameter):
+    if typing.get_origin(parameter.annotation) is not typing.Unpack:
+        return str(parameter.replace(annotation=parameter.empty))
+    (options,) = typing.get_args(parameter.annotation)
+    return f"**{{{', '.join(options.__annotations__)}}}"
 
 
 def test_the_public_interface_is_the_recorded_one():

@@ -9,13 +9,13 @@ import pytest
 
 from armctl.core.errors import ConfigurationError
 from armctl.core.registration import check_named
-from armctl.episodes.store import read_store
 from armctl.study import compare
 from armctl.study.reproduce import card_path, reproduce
 from armctl.training.learners import load_recipe
 
 from .command_line import armctl, program
 from .forgery import forge, rewrite
+from .stores import read_cell
 
 EVIL = "from pathlib import Path\nPath(__file__ + '.ran').touch()\n"
 OPTIONS = {"max_episode_steps": 5}
@@ -82,7 +82,7 @@ class Maze(PendulumEnv):
 
 def test_to_name_one_thing_of_a_module_is_not_to_name_another(home, results):
     (home / "mine.py").write_text(RUNS)
-    identity, facts, runs, episodes = read_store(results)
+    identity, facts, runs, episodes = read_cell(results)
     identity["env"] = "mine.py:run"
     identity["env_options"] = facts["env_options"] = {"args": "touch evil.ran", "shell": "True"}
     rewrite(results, identity, facts, [replace(one, env="run") for one in episodes], runs)

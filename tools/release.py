@@ -34,8 +34,8 @@ from armctl.core import seeds
 from armctl.core.files import write_atomically
 from armctl.core.registration import environment_names
 from armctl.policies import agent_cards
+from armctl.study.line_up import line_up
 from armctl.study.reproduce import evaluation_of, reproduce
-from armctl.study.suite import line_up
 from armctl.tasks.reach.layout_pool import POOL_FILE, read_pool, write_pool
 
 ROOT = Path(__file__).parents[1]

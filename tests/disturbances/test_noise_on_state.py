@@ -8,8 +8,8 @@ import pytest
 from armctl.core.registration import environment_names
 from armctl.envs import make_worlds
 from armctl.study import compare
-from armctl.study.suite import line_up
-from armctl.study.sweep import sweep_levels
+from armctl.study.levels import sweep_levels
+from armctl.study.line_up import line_up
 from armctl.tasks.bridge.observation import BLOCK, ROVER
 
 MOVING = "armctl/BridgeCrossMoving-v0"

@@ -13,7 +13,7 @@ from armctl.core.errors import ConfigurationError, ResultsError
 from armctl.envs import INTERFACES, PolicyStreams, make_worlds
 from armctl.policies import make_policy
 from armctl.study import sweep
-from armctl.study.results import read_results
+from armctl.study.results import read_comparison
 from armctl.study.suite import suite
 
 REACH, SHORT = "ArmReach-v0", {"max_episode_steps": 3}
@@ -150,16 +150,16 @@ def test_a_folder_keeps_its_policy_seed(tmp_path):
     command = {"env_options": SHORT, "out": tmp_path / "a"}
     first = armctl.compare({"mine": Random}, episodes=2, **command)
     more = armctl.compare({"mine": Random}, episodes=5, worlds=3, **command)
-    assert (more.resumed, more.policy_seed) == (2, first.policy_seed)
-    at_once = armctl.compare({"mine": Random}, episodes=5, env_options=SHORT, policy_seed=first.policy_seed)
+    assert (more.resumed, more.facts.policy_seed) == (2, first.facts.policy_seed)
+    at_once = armctl.compare({"mine": Random}, episodes=5, env_options=SHORT, policy_seed=first.facts.policy_seed)
     assert more.episodes["return"].tolist() == at_once.episodes["return"].tolist()
-    with pytest.raises(ResultsError, match=f"policy_seed: {first.policy_seed} there, 12 here"):
+    with pytest.raises(ResultsError, match=f"policy_seed: {first.facts.policy_seed} there, 12 here"):
         armctl.compare({"mine": Random}, episodes=5, policy_seed=12, **command)
-    assert armctl.compare({"mine": Random}, episodes=5, policy_seed=first.policy_seed, **command).resumed == 5
+    assert armctl.compare({"mine": Random}, episodes=5, policy_seed=first.facts.policy_seed, **command).resumed == 5
     written = json.loads((tmp_path / "a" / "summary.json").read_text())
-    assert int(written["policy_seed"]) == first.policy_seed == read_results(tmp_path / "a").comparison.policy_seed
+    assert int(written["policy_seed"]) == first.facts.policy_seed == read_comparison(tmp_path / "a").facts.policy_seed
     anew = armctl.compare({"mine": Random}, episodes=2, overwrite=True, **command)
-    assert anew.policy_seed != first.policy_seed
+    assert anew.facts.policy_seed != first.facts.policy_seed
 
 
 def test_workers_draw_the_same(tmp_path):
@@ -170,16 +170,18 @@ def test_workers_draw_the_same(tmp_path):
 
 def test_all_comparisons_of_a_sweep_have_one(tmp_path):
     swept = sweep("random", disturbances={"noise": [0, 0.02]}, episodes=1, out=tmp_path, env_options=SHORT)
-    assert len({one.policy_seed for one in swept.comparisons.values()}) == 1
+    assert len({one.facts.policy_seed for one in swept.comparisons.values()}) == 1
     again = sweep("random", disturbances={"noise": [0, 0.02, 0.05]}, episodes=1, out=tmp_path, env_options=SHORT)
-    assert {one.policy_seed for one in again.comparisons.values()} == {swept.comparisons["none"].policy_seed}
+    assert {one.facts.policy_seed for one in again.comparisons.values()} == {
+        swept.comparisons["none"].facts.policy_seed
+    }
     assert not again.failures
 
 
 def test_a_suite_hands_it_on():
     found = suite(["Pendulum-v1"], quick=True, episodes=1, policy_seed=SECRET)
     (swept,) = found.tasks.values()
-    assert {one.policy_seed for one in swept.comparisons.values()} == {SECRET}
+    assert {one.facts.policy_seed for one in swept.comparisons.values()} == {SECRET}
 
 
 def seeing(places):

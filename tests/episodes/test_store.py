@@ -24,13 +24,14 @@ from armctl.episodes import rows as rows_module
 from armctl.episodes.database import FORMAT
 from armctl.episodes.metrics import Metrics
 from armctl.episodes.record import TIME_COLUMNS, EpisodeResult
-from armctl.episodes.store import STORE, EpisodeStore, read_identity, read_store
+from armctl.episodes.stored import STORE, read_store
 from armctl.robot_description import load_arm
 from armctl.study import compare
-from armctl.study.results import read_results
+from armctl.study.results import read_comparison
 
 from ..command_line import full_disk, program
 from ..made_up_episodes import OWN, played, same
+from ..stores import one_cell, read_cell
 
 POLICIES = ["random", "reach_ik"]
 OPTIONS = {"max_episode_steps": 5}
@@ -52,10 +53,15 @@ def timeless(folder):
 
 
 def write(folder, results, identity=OWN):
-    with EpisodeStore(folder, identity, 2**62, overwrite=True) as store:
+    with one_cell(folder, identity, 2**62, overwrite=True) as store:
         for result in results:
             store.write(result)
         store.finish({}, [])
+
+
+def resume(folder):
+    with one_cell(folder, OWN, 12):
+        pass
 
 
 def edit(folder, *commands):
@@ -106,7 +112,7 @@ def results(draw):
 def test_it_holds_what_was_written(found, tmp_path, monkeypatch):
     monkeypatch.setattr(rows_module, "AT_ONCE", 3)
     write(tmp_path, found)
-    same(read_store(tmp_path).episodes, found)
+    same(read_cell(tmp_path).episodes, found)
 
 
 def test_the_same_command_plays_nothing_twice(folder):
@@ -134,12 +140,10 @@ def test_more_episodes_go_on_from_fewer(folder):
 
 
 def test_without_a_folder_the_results_are_the_same(finished):
-    found = compare(
-        POLICIES, episodes=3, env_options=OPTIONS, policy_seed=read_results(finished).comparison.policy_seed
-    )
+    found = compare(POLICIES, episodes=3, env_options=OPTIONS, policy_seed=read_comparison(finished).facts.policy_seed)
     pd.testing.assert_frame_equal(
         found.episodes.drop(columns=list(TIME_COLUMNS)),
-        read_results(finished).comparison.episodes.drop(columns=list(TIME_COLUMNS)),
+        read_comparison(finished).episodes.drop(columns=list(TIME_COLUMNS)),
     )
 
 
@@ -156,12 +160,12 @@ def test_without_a_folder_the_results_are_the_same(finished):
         ("UPDATE episode SET reward_terms = x'' WHERE rowid = 4", "an episode was changed"),
         ("UPDATE episode SET run = 10000", "is out of bounds"),
         ("UPDATE episode SET run = -1", "a text that is not there"),
-        ("UPDATE episode SET cell = 1 WHERE rowid = 4", "1 episodes that are not of this comparison"),
+        ("UPDATE episode SET cell = 1 WHERE rowid = 4", "1 episodes that are not of its cells"),
         ("UPDATE text SET text = text || 'x' WHERE id = 0", "an episode was changed"),
         ("UPDATE text SET id = 99 WHERE id = 0", "not numbered"),
         ("UPDATE cell SET identity = replace(identity, ': 3', ': 4')", "checksum"),
         ("UPDATE cell SET identity = '[]'", "checksum"),
-        ("DELETE FROM cell", "not enough values"),
+        ("DELETE FROM cell", "24 episodes that are not of its cells"),
         ("INSERT INTO run VALUES (0, '{}')", "checksum"),
         (f"INSERT INTO run VALUES (0, '{sealed({'id': 1})}')", "validation errors"),
         ("CREATE TABLE more (x)", "does not have the tables"),
@@ -174,7 +178,7 @@ def test_without_a_folder_the_results_are_the_same(finished):
 def test_what_another_program_changed_is_told_and_nothing_is_touched(made_up, command, says):
     edit(made_up, command)
     before = contents(made_up)
-    for use in (read_store, lambda folder: EpisodeStore(folder, OWN, 12)):
+    for use in (read_store, resume):
         with pytest.raises(ResultsError, match=rf"results\.sqlite is damaged .*{says}"):
             use(made_up)
     assert contents(made_up) == before
@@ -203,7 +207,7 @@ def test_any_bytes_are_refused_or_change_nothing(made_up):
     for content in contents:
         (made_up / STORE).write_bytes(content)
         try:
-            same(read_store(made_up).episodes, list(played(12, "ba")))
+            same(read_cell(made_up).episodes, list(played(12, "ba")))
         except ResultsError as error:
             refused += "is damaged" in str(error)
     assert refused > 40
@@ -243,7 +247,7 @@ def test_an_identity_that_is_none_is_told(tmp_path, identity):
 
 
 def test_an_episode_has_one_row(made_up):
-    with EpisodeStore(made_up, OWN, 12) as store:
+    with one_cell(made_up, OWN, 12) as store:
         store.write(next(played(1, "b")))
         with pytest.raises(ResultsError, match="UNIQUE"):
             store.finish({}, [])
@@ -264,24 +268,24 @@ def test_another_comparison_is_refused(folder, change, says):
 
 
 def test_other_versions_are_another_comparison(folder):
-    told = read_identity(folder)
+    told = read_cell(folder).identity
     told["versions"]["mujoco"] = "3.3.0"
     edit(folder, f"UPDATE cell SET identity = '{sealed(told)}'")
     with pytest.raises(ResultsError, match=r"versions: mujoco 3\.3\.0 there"):
         run(folder)
     with pytest.raises(ResultsError, match="belongs to another comparison"):
-        read_results(folder)
+        read_comparison(folder)
 
 
 def test_a_folder_has_one_writer(folder):
     before = contents(folder)
-    with EpisodeStore(folder, read_identity(folder), 3):
+    with one_cell(folder, read_cell(folder).identity, 3):
         with pytest.raises(ResultsError, match="another process writes"):
             run(folder, seed=1, overwrite=True)
         with pytest.raises(ResultsError, match="another process writes"):
-            read_results(folder)
+            read_comparison(folder)
     with pytest.raises(ResultsError, match="is unfinished"):
-        read_results(folder)
+        read_comparison(folder)
     assert run(folder).resumed == 6
     assert contents(folder)["episodes.csv"] == before["episodes.csv"]
 
@@ -302,7 +306,7 @@ def test_nothing_is_written_through_a_link(folder, tmp_path_factory, name):
 def test_a_pipe_instead_of_a_file_does_not_hang(folder):
     (folder / STORE).unlink()
     os.mkfifo(folder / STORE)
-    for use in (run, read_results):
+    for use in (run, read_comparison):
         with pytest.raises(ResultsError, match="not a regular file"):
             use(folder)
     assert run(folder, overwrite=True).resumed == 0
@@ -311,9 +315,9 @@ def test_a_pipe_instead_of_a_file_does_not_hang(folder):
 WRITER = """
 import sys
 from pathlib import Path
-from armctl.episodes.store import EpisodeStore
 from tests.made_up_episodes import OWN, played
-with EpisodeStore(Path(sys.argv[1]), OWN, 400) as store:
+from tests.stores import one_cell
+with one_cell(Path(sys.argv[1]), OWN, 400) as store:
     known = {(one.policy, one.episode) for one in store.kept}
     for result in played(400, "ba"):
         if (result.policy, result.episode) not in known:
@@ -337,7 +341,7 @@ def test_a_kill_at_any_moment_loses_and_doubles_nothing(tmp_path, kills):
             time.sleep(rng.choice([0.0, rng.uniform(0.0, 0.002)]))
             process.send_signal(signal.SIGKILL)
             written.update(process.stdout)
-        stored = read_store(tmp_path).episodes
+        stored = read_cell(tmp_path).episodes
         assert {f"{one.policy} {one.episode}\n" for one in stored} >= {line for line in written if line.endswith("\n")}
         same(list(stored), [results[one.policy, one.episode] for one in stored])
 
@@ -345,19 +349,19 @@ def test_a_kill_at_any_moment_loses_and_doubles_nothing(tmp_path, kills):
 @pytest.mark.parametrize(("size", "kept"), [(0, False), (10_000, False), (40_000, True), (200_000, True)])
 def test_a_full_disk_keeps_what_was_there(tmp_path, size, kept):
     found = list(played(400, "ba"))
-    with full_disk(size), contextlib.suppress(ResultsError), EpisodeStore(tmp_path, OWN, 400) as store:
+    with full_disk(size), contextlib.suppress(ResultsError), one_cell(tmp_path, OWN, 400) as store:
         for result in found:
             store.write(result)
         same(store.episodes(), found)  # in memory
         with pytest.raises(ResultsError, match="could not be written any further"):
             store.finish({}, [])
-    with EpisodeStore(tmp_path, OWN, 400) as store:
+    with one_cell(tmp_path, OWN, 400) as store:
         assert (len(store.kept) > 0) == kept
         same(store.kept, found[: len(store.kept)])
         for result in found[len(store.kept) :]:
             store.write(result)
         store.finish({}, [])
-    same(read_store(tmp_path).episodes, found)
+    same(read_cell(tmp_path).episodes, found)
 
 
 STILL = """

@@ -9,13 +9,13 @@ import pandas as pd
 import pytest
 
 from armctl.episodes import rows
-from armctl.episodes.store import EpisodeStore, read_store
 from armctl.episodes.table import EpisodeTable, Ragged
 from armctl.stats import intervals as statistics
 from armctl.stats.intervals import MOST_VALUES, RandomWeights, bounded_mean, grouped, random_weights, worst_decile
 from armctl.verdict.summary import summarise
 
 from ..made_up_episodes import OWN, played, same
+from ..stores import one_cell, read_cell
 
 BYTES = 1_000
 """That an episode of some 15 decisions may take while it is read and summarised. It takes 400."""
@@ -87,11 +87,11 @@ def test_memory_grows_little_with_the_episodes(tmp_path, monkeypatch):
     peaks = []
     for episodes in (500, 2_500):
         folder = tmp_path / str(episodes)
-        with EpisodeStore(folder, OWN, episodes) as log:
+        with one_cell(folder, OWN, episodes) as log:
             for result in played(episodes, policies):
                 log.write(result)
         tracemalloc.start()
-        results = read_store(folder).episodes
+        results = read_cell(folder).episodes
         summarise(results.sorted(["a", "b"]), policies, episodes, (-30.0, 1.0), 30)
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()

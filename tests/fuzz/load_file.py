@@ -8,10 +8,9 @@ from armctl.agents import load_agent
 from armctl.envs import make_worlds
 from armctl.report import write_report
 from armctl.study import compare
-from armctl.study.curves import read_curve, read_sweep
+from armctl.study.curves import read_curve
 from armctl.study.reproduce import reproduce
-from armctl.study.results import read_results
-from armctl.study.suite_results import read_suite
+from armctl.study.results import read_study
 from armctl.training.learners import load_recipe
 
 MEMORY = 8 * 2**30
@@ -24,10 +23,11 @@ def check(path):
     """Do with a file or folder what its parent folder is named after."""
     match path.parent.name:
         case "read":
-            if (path / "suite.json").exists():
-                read_suite(path).document()
-            else:
-                read_sweep(path) if (path / "sweep.csv").exists() else read_results(path)
+            study = read_study(path)
+            for swept in study.tasks.values():
+                swept.document()
+            if study.kind == "suite":
+                study.document()
         case "report":
             write_report(path, path / "report.html", video=False)
         case "resume":

@@ -2,7 +2,6 @@
 
 import copy
 import csv
-import importlib
 import io
 import itertools
 import json
@@ -17,13 +16,14 @@ from onnx import AttributeProto, TensorProto, helper
 
 from armctl.agents import sha256
 from armctl.agents.graph import OPERATORS
-from armctl.core.files import sealed, unsealed
-from armctl.episodes.store import STORE, read_store
+from armctl.episodes.stored import STORE
 from armctl.episodes.table import TYPES
-from armctl.study import compare, sweep
+from armctl.study import compare, suite, sweep
+from armctl.study.line_up import SuiteSize
 from armctl.study.reproduce import card_path
 
-from ..forgery import rewrite, write_sweep
+from ..forgery import change_record, rewrite
+from ..stores import read_cell
 from .child import Child
 from .mutation import mutated_bytes, outcomes_of
 
@@ -86,10 +86,9 @@ def originals(tmp_path_factory):
     compare(["random", "reach_ppo"], episodes=3, out=home / "results", env_options=OPTIONS)
     sweep(["random"], disturbances={"delay": [1]}, episodes=2, out=home / "swept", env_options=OPTIONS)
     with pytest.MonkeyPatch.context() as patch:
-        suites = importlib.import_module("armctl.study.suite")
-        patch.setattr(suites, "FULL", suites.Size(2, ("delay",), (0.25,)))
-        patch.setattr(suites, "line_up", lambda env: ("reach_ik", "reach_ppo"))
-        suites.suite(["armctl/ArmReach-v0"], out=home / "suite")
+        patch.setattr("armctl.study.plan.FULL", SuiteSize(2, ("delay",), (0.25,)))
+        patch.setattr("armctl.study.plan.line_up", lambda env: ("reach_ik", "reach_ppo"))
+        suite(["armctl/ArmReach-v0"], out=home / "suite")
     card = card_path("reach_ppo")
     for name in ("agent", "recipe", "curve"):
         (home / name).mkdir()
@@ -127,17 +126,6 @@ def one_file(rng, names):
     return change
 
 
-def resealed(rng, name):
-    """Mutates the values of a JSON file, which gets the right checksum, if its values have one."""
-
-    def change(folder):
-        path = folder / name
-        changed = mutated_values(rng, unsealed(path.read_text()))
-        path.write_text(sealed(changed), errors="replace")
-
-    return change
-
-
 def entry(rng, *slow):
     """What is done with results: mostly no more than reading them."""
     return rng.choice(slow) if rng.random() < 0.2 else "read"
@@ -149,7 +137,7 @@ def results_bytes(load, rng):
 
 def results_facts(load, rng):
     def change(folder):
-        stored = read_store(folder)
+        stored = read_cell(folder)
         rewrite(folder, stored.identity, mutated_values(rng, stored.facts), stored.episodes, stored.runs)
 
     return load("results", entry(rng, "report"), change)
@@ -168,7 +156,7 @@ def results_forged(load, rng):
     """Identity, facts and episodes of somebody's choice, which belong together by all checksums."""
 
     def change(folder):
-        identity, facts, runs, results = read_store(folder)
+        identity, facts, runs, results = read_cell(folder)
         for name in rng.sample(sorted(set(TYPES) - {"env", "seed"}), rng.randint(0, 3)):
             values = results.column(name).tolist()
             values[rng.randrange(len(values))] = rng.choice(HOSTILE_VALUES[rng.choice(sorted(TYPES[name], key=str))])
@@ -183,35 +171,20 @@ def table(path):
     return list(csv.reader(io.StringIO(path.read_text())))
 
 
-def sweep_bytes(load, rng):
-    return load("swept", entry(rng, "report"), one_file(rng, ["sweep.csv", "sweep.json"]))
-
-
-def sweep_cells(load, rng):
+def study_record(load, rng):
     def change(folder):
-        lines = table(folder / "sweep.csv")
-        for _ in range(rng.randint(1, 4)):
-            line = rng.choice(lines)
-            line[rng.randrange(len(line))] = rng.choice([str(rng.choice(HOSTILE)), *rng.choice(lines)])
-        text = (
-            "".join(",".join(f'"{cell}"' for cell in line) + "\n" for line in lines).encode(errors="replace").decode()
-        )
-        write_sweep(folder, text)
+        change_record(folder, lambda record: replace_all(record, mutated_values(rng, dict(record))))
 
-    return load("swept", entry(rng, "report"), change)
+    return load(rng.choice(["swept", "suite"]), entry(rng, "report"), change)
 
 
-SUITE = ["suite.json", "ArmReach-v0/sweep.json"]
+def replace_all(values, others):
+    values.clear()
+    values.update(others)
 
 
-def suite_bytes(load, rng):
-    return load(
-        "suite", entry(rng, "report"), one_file(rng, [*SUITE, "ArmReach-v0/sweep.csv", f"ArmReach-v0/none/{STORE}"])
-    )
-
-
-def suite_values(load, rng):
-    return load("suite", entry(rng, "report"), resealed(rng, rng.choice(SUITE)))
+def sweep_bytes(load, rng):
+    return load("swept", entry(rng, "report"), one_file(rng, [STORE]))
 
 
 def agent_card(load, rng):
@@ -322,8 +295,8 @@ def curve(load, rng):
 
 
 KINDS = {
-    results_bytes: 300, results_facts: 400, results_forged: 900, sweep_bytes: 400, sweep_cells: 600, suite_bytes: 400,
-    suite_values: 600, agent_card: 1000, agent_graph: 1000, recipe: 1000, curve: 1000,
+    results_bytes: 300, results_facts: 400, results_forged: 900, study_record: 1000, sweep_bytes: 400,
+    agent_card: 1000, agent_graph: 1000, recipe: 1000, curve: 1000,
 }  # fmt: skip
 """How often each is tried: 1,000 times or more for results, sweeps, suites, cards, graphs, recipes and curves."""
 

@@ -9,13 +9,6 @@ POLICIES = ["reach_ik", "reach_ppo", "random"]
 OPTIONS = {"max_episode_steps": 15}
 """Enough for the experts: each decision is a picture in a video."""
 
-SWEEP = "disturbance,level,policy,success,low,high,episodes\n" + "".join(
-    f"{kind},{level},{policy},{0.9 - level},{0.8 - level},{1 - level},20\n"
-    for kind in ("noise", "delay")
-    for level in (0, 0.1, 0.3)
-    for policy in ("reach_ik", "reach_bc")
-)
-
 
 def text_of(page):
     """What a reader sees, without scripts, styles and tags."""

@@ -7,8 +7,7 @@ import pytest
 
 from armctl.report import write_report
 
-from ..forgery import write_sweep
-from .pages import SWEEP, plots_of
+from .pages import plots_of
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
@@ -45,10 +44,9 @@ def look_at_the_switches(tab):
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
 @pytest.mark.parametrize("width", [1280, 390])
-def test_the_page_in_a_browser(folder, tmp_path, width):
+def test_the_page_in_a_browser(swept, tmp_path, width):
     playwright = pytest.importorskip("playwright.sync_api", reason="no Playwright here: pip install playwright")
-    write_sweep(folder, SWEEP)
-    report = write_report(folder)
+    report = write_report(swept)
     assert report.stat().st_size < 15e6
     requests, complaints = [], []
     with playwright.sync_playwright() as p:

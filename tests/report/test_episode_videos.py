@@ -6,14 +6,14 @@ import pytest
 from armctl.core.errors import ConfigurationError
 from armctl.envs import TaskVectorEnv
 from armctl.report import plots, videos, write_report
-from armctl.study.results import read_results
+from armctl.study.results import read_comparison
 
 from ..forgery import forge
 from .pages import POLICIES, text_of
 
 
 def test_episodes_to_show(finished):
-    episodes = read_results(finished).episodes
+    episodes = read_comparison(finished).counted
     together = videos.most_different(episodes)
     assert [result.policy for result in together] == POLICIES
     assert len({result.episode for result in together}) == 1
@@ -38,8 +38,8 @@ def test_videos_show_the_episodes_of_the_table(finished, tmp_path):
     needs_opengl()
     import imageio.v3 as imageio
 
-    results = read_results(finished)
-    together = videos.most_different(results.episodes)
+    results = read_comparison(finished)
+    together = videos.most_different(results.counted)
     clips = videos.film(results, together)
     assert [clip.problem for clip in clips] == [""] * 3
     frames = [imageio.imread(clip.video, extension=".mp4") for clip in clips]
@@ -55,8 +55,8 @@ def test_a_replay_that_goes_otherwise_is_told(finished):
     needs_opengl()
     from dataclasses import replace
 
-    results = read_results(finished)
-    (clip,) = videos.film(results, [replace(results.episodes["reach_ik"][0], outcome="fell")])
+    results = read_comparison(finished)
+    (clip,) = videos.film(results, [replace(results.counted["reach_ik"][0], outcome="fell")])
     assert clip.problem.startswith("Played again: reached after")
     assert clip.video
 

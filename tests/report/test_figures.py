@@ -14,8 +14,7 @@ from armctl.report.profile import profile_start
 from armctl.study import compare
 from armctl.study.reproduce import card_path
 
-from ..forgery import write_sweep
-from .pages import SWEEP, plot_of, plots_of, text_of
+from .pages import plot_of, plots_of, text_of
 
 
 def test_terms_of_the_reward_are_in_the_table_and_add_up(finished):
@@ -121,10 +120,9 @@ def contrast(one, other):
     return max(lights) / min(lights)
 
 
-def test_no_colour_of_a_figure_is_forgotten_on_a_dark_page(folder):
-    write_sweep(folder, SWEEP)
+def test_no_colour_of_a_figure_is_forgotten_on_a_dark_page(swept):
     readable = {*colours.TERM_COLOURS, "rgba(0,0,0,0)", *colours.DARK}
-    for figure in plots_of(write_report(folder, video=False)).values():
+    for figure in plots_of(write_report(swept, video=False)).values():
         used = re.findall(r"#[0-9a-fA-F]{6}\b|rgba\([^)]*\)|\bwhite\b|\bblack\b", json.dumps(figure))
         assert set(used) <= readable
 

@@ -14,17 +14,20 @@ from rich.console import Console
 
 from armctl.agents import Evaluation
 from armctl.agents.costs import TrainingCost
+from armctl.episodes.table import EpisodeTable
 from armctl.report.formats import FORMATS, as_csv, as_json, latex, markdown
 from armctl.report.reproduction import reproduction_document
 from armctl.report.terminal import UNLIMITED, DocumentView, fitted_table, tables
 from armctl.stats.intervals import Estimate, Superiority
 from armctl.stats.paired import PairedDifference
-from armctl.study import Comparison, Sweep
+from armctl.study import Sweep
 from armctl.study.reproduce import Reproduction
-from armctl.study.sweep import COLUMNS
+from armctl.study.task_results import COLUMNS
 from armctl.verdict.notebook import html_of
 from armctl.verdict.summary import PolicySummary
 from armctl.verdict.tables import Cell, Column, Document, Remark, Table, p_value, plain
+
+from ..made_up_comparison import made_up
 
 SHORT = ["reach_ik", "reach_ppo", "random"]
 LONG = ["some/long/path/of/mine.py:resolved_rate", "/home/somebody/agents/first/agent.json", "random"]
@@ -55,7 +58,7 @@ def comparison_of(names, success=SUCCESS, p=3.8e-59):
     policies = [summary_of(name, success) for name in names]
     paired = [pair_of(a, b, p) for a, b in itertools.combinations(names, 2)]
     notes = ["mine/Odd-v0 does not obey its seed: episodes differ."]
-    return Comparison("armctl/ArmReach-v0", 0, {"robot": "ur3"}, pd.DataFrame(), policies, paired, notes=notes)
+    return made_up("armctl/ArmReach-v0", EpisodeTable(), policies, paired, notes, env_options={"robot": "ur3"})
 
 
 def swept(names=SHORT, levels=9):
@@ -64,7 +67,9 @@ def swept(names=SHORT, levels=9):
         for i, name in itertools.product(range(levels), names)
     ]
     points = pd.DataFrame(rows, columns=list(COLUMNS))
-    return Sweep("armctl/ArmReach-v0", 0, {"delay": list(range(levels))}, points=points)
+    found = Sweep("armctl/ArmReach-v0", 0, {"delay": list(range(levels))})
+    found.points = points
+    return found
 
 
 def printed(document, width):

@@ -11,22 +11,23 @@ import pytest
 from armctl.agents import read_card
 from armctl.core.errors import ResultsError
 from armctl.core.options import option_value
-from armctl.episodes.store import STORE, read_store
+from armctl.episodes.stored import STORE
 from armctl.report import write_report
-from armctl.study import compare
+from armctl.study import compare, sweep
 from armctl.study.reproduce import card_path
-from armctl.study.results import read_results
+from armctl.study.results import read_comparison
 
-from ..forgery import change_facts, rewrite, write_sweep
-from .pages import OPTIONS, SWEEP, plots_of, text_of
+from ..forgery import change_facts, change_record, rewrite
+from ..stores import read_cell
+from .pages import OPTIONS, plots_of, text_of
 
 
 def test_results_read_back_are_those_that_were_written(tmp_path):
     made = compare(["random", "reach_ik"], episodes=10, out=tmp_path, env_options=OPTIONS)
-    read = read_results(tmp_path)
-    pd.testing.assert_frame_equal(read.comparison.episodes, made.episodes)
-    assert (read.comparison.policies, read.comparison.paired) == (made.policies, made.paired)
-    assert read.comparison.env_options == OPTIONS
+    read = read_comparison(tmp_path)
+    pd.testing.assert_frame_equal(read.episodes, made.episodes)
+    assert (read.policies, read.paired) == (made.policies, made.paired)
+    assert read.env_options == OPTIONS
 
 
 @pytest.mark.parametrize("value", [3, 0.02, (4, 4), None, True, "ur10", "path/to my.urdf"])
@@ -37,11 +38,11 @@ def test_options_survive_as_text(value):
 def test_an_option_of_a_long_text_is_not_read(folder):
     change_facts(folder, lambda facts: facts.update(env_options={"tolerance": f"[{'1,' * 500}]"}))
     with pytest.raises(ResultsError, match="option tolerance has 1,002 characters, more than 1,000"):
-        read_results(folder)
+        read_comparison(folder)
 
 
 def test_what_a_training_took_is_read_back(folder):
-    ik, ppo, _ = read_results(folder).comparison.policies
+    ik, ppo, _ = read_comparison(folder).policies
     cost = read_card(card_path("reach_ppo")).cost
     assert (ik.learned, ppo.training) == (False, cost)
 
@@ -53,12 +54,8 @@ def test_what_a_training_took_is_read_back(folder):
         (lambda folder: (folder / STORE).unlink(), "holds no results"),
         (lambda folder: (folder / STORE).write_bytes(b"{"), "is damaged"),
         (lambda folder: change_facts(folder, lambda facts: facts.pop("machine")), "cannot be read as results"),
-        (lambda folder: write_sweep(folder, "level\n1\n"), "no column disturbance"),
-        (lambda folder: (folder / "sweep.csv").write_text(SWEEP), "sweep.json"),
-        (
-            lambda folder: (write_sweep(folder, SWEEP), (folder / "sweep.csv").write_text(SWEEP.replace("0.9", "1.0"))),
-            "was changed",
-        ),
+        (lambda folder: change_record(folder, lambda record: record.clear()), "is unfinished"),
+        (lambda folder: change_record(folder, lambda record: record.pop("envs")), "cannot be read as results"),
         (lambda folder: (folder / "report.html").mkdir(), "cannot be written"),
     ],
 )
@@ -81,7 +78,7 @@ def test_a_folder_that_cannot_be_written(folder):
 
 def unscored(folder):
     """Make the results of an environment that does not say what a success is, and of which little is known."""
-    identity, facts, runs, episodes = read_store(folder)
+    identity, facts, runs, episodes = read_cell(folder)
     facts["notes"] = ["mine/Odd-v0 does not obey its seed: <episodes> differ"]
     unknown = {"missed_deadlines": None}
     results = [replace(one, success=None, metrics=replace(one.metrics, **unknown)) for one in episodes]
@@ -90,11 +87,6 @@ def unscored(folder):
 
 def test_an_environment_without_success_is_reported_by_return(folder):
     unscored(folder)
-    write_sweep(
-        folder,
-        "disturbance,level,policy,success,low,high,return,return_low,return_high,episodes\n"
-        + "".join(f"noise,{i},random,,,,{-i},{-i - 1},{1 - i},20\n" for i in range(3)),
-    )
     report = write_report(folder, video=False)
     text = text_of(report)
     assert "does not say what a success is" in text
@@ -103,7 +95,6 @@ def test_an_environment_without_success_is_reported_by_return(folder):
         assert word not in text
     drawn = plots_of(report)
     assert any("reach_ik: return" in name for name in drawn)
-    assert "Return against the level of noise" in drawn
     assert re.search(r"The first has the higher return in [\d.]+ % of the episodes .* sign test p = ", text)
 
 
@@ -123,7 +114,7 @@ def test_facts_that_nobody_wrote(folder, change, says):
         write_report(folder, video=False)
 
 
-def test_a_sweep_has_names(tmp_path):
-    write_sweep(tmp_path, "disturbance,level,policy,success,low,high\ndelay,1,,0.5,0.4,0.6\n")
-    with pytest.raises(ResultsError, match="a row without a name"):
-        write_report(tmp_path, video=False)
+def test_a_sweep_without_success_is_drawn_by_return(tmp_path):
+    options = {"max_episode_steps": 5}
+    sweep("random", "Pendulum-v1", disturbances={"delay": [1]}, episodes=2, out=tmp_path, env_options=options)
+    assert "Return against the level of delay" in plots_of(write_report(tmp_path, video=False))

@@ -9,17 +9,17 @@ import pandas as pd
 import pytest
 
 from armctl.envs import make_worlds
-from armctl.episodes.store import read_store
 from armctl.episodes.table import EpisodeTable
 from armctl.report import write_report
 from armctl.rollout.decision_times import Machines, TimedPolicy, comparable_times, timing_notes
 from armctl.rollout.rollouts import rollouts
 from armctl.runtime.provenance import Run
 from armctl.study import compare
-from armctl.study.results import read_results
+from armctl.study.results import read_comparison
 
 from ..forgery import rewrite
 from ..printed import text_of
+from ..stores import read_cell
 
 OPTIONS = {"max_episode_steps": 3}
 
@@ -93,9 +93,7 @@ class Sleepy:
 @pytest.mark.parametrize(("worlds", "workers"), [(1, 1), (4, 1), pytest.param(2, 2, marks=pytest.mark.slow)])
 def test_construction_resets_and_decisions_have_their_own_times_in_any_number_of_worlds(tmp_path, worlds, workers):
     """Episodes as many as worlds, so that each world is reset once, before the first decision of the process."""
-    found = compare(
-        {"sleepy": Sleepy}, episodes=4, worlds=worlds, workers=workers, env_options=OPTIONS, out=tmp_path, seeding=[]
-    )
+    found = compare({"sleepy": Sleepy}, episodes=4, worlds=worlds, workers=workers, env_options=OPTIONS, out=tmp_path)
     assert pd.read_csv(tmp_path / "episodes.csv").reset_ms.between(20, 40).all()
     (sleepy,) = found.policies
     assert 50 <= sleepy.construction_ms < 90
@@ -103,7 +101,7 @@ def test_construction_resets_and_decisions_have_their_own_times_in_any_number_of
     assert 1 <= sleepy.decision_ms_p50 < 5
     assert sleepy.decision_ms > 20 / 3  # the mean has the resets, spread over three decisions each
     assert 0.023 <= sleepy.decision_seconds.value < 0.06
-    again = read_results(tmp_path).comparison.policies[0]
+    again = read_comparison(tmp_path).policies[0]
     assert (again.reset_ms, again.construction_ms) == (sleepy.reset_ms, sleepy.construction_ms)
     said = text_of(found)
     assert "ms at the reset" in said
@@ -112,12 +110,12 @@ def test_construction_resets_and_decisions_have_their_own_times_in_any_number_of
 
 def test_times_of_another_processor_are_not_pooled(tmp_path):
     """A forged record of another machine's run, which has played most latencies of one policy and none of another."""
-    arguments = {"env_options": OPTIONS, "out": tmp_path, "seeding": []}
+    arguments = {"env_options": OPTIONS, "out": tmp_path}
     compare({"one": holds_still, "other": holds_still}, episodes=2, **arguments)
-    identity, facts, (played,), episodes = read_store(tmp_path)
+    identity, facts, (played,), episodes = read_cell(tmp_path)
     rewrite(tmp_path, identity, facts, episodes, [replace(played, processor="abacus", cores=1)])
     mixed = compare({"one": holds_still, "other": holds_still}, episodes=5, **arguments)
-    last = next(run for run in read_results(tmp_path).runs if run.id == mixed.episodes.run.iloc[-1])
+    last = next(run for run in read_comparison(tmp_path).runs if run.id == mixed.episodes.run.iloc[-1])
     here = f"{last.processor}, {last.cores} cores"
     for name, policy in zip(("one", "other"), mixed.policies, strict=True):
         assert (
@@ -156,7 +154,7 @@ def test_a_policy_that_has_decided_before_is_warm(clock):
 
 
 def test_times_that_were_taken_otherwise_are_not_mixed(tmp_path):
-    arguments = {"env_options": OPTIONS, "out": tmp_path, "seeding": []}
+    arguments = {"env_options": OPTIONS, "out": tmp_path}
     shares = compare(["random"], episodes=2, worlds=2, **arguments)
     assert shares.notes == [
         "Decision times are shares of a batch of 2 worlds. Only those of one world and one worker are held against "
@@ -192,7 +190,7 @@ def test_times_of_different_settings_are_said_not_to_compare(clock):
 
 
 def test_the_report_says_what_its_times_are_and_how_to_take_them_again(tmp_path):
-    compare(["random"], episodes=2, worlds=2, env_options=OPTIONS, out=tmp_path, seeding=[])
+    compare(["random"], episodes=2, worlds=2, env_options=OPTIONS, out=tmp_path)
     page = write_report(tmp_path, video=False).read_text()
     assert "--episodes 2 --worlds 2" in page
     assert "times are shares of a batch of 2 worlds" in page

@@ -104,7 +104,7 @@ def test_exactly_the_episodes_in_which_a_policy_fails_are_lost(tmp_path, lost, p
         worlds, workers = SETTINGS[name]
         found = compare(
             {"moody": policy, "still": still}, ENV, episodes=EPISODES, env_options=OPTIONS, worlds=worlds,
-            workers=workers, out=tmp_path / name, seeding=[],
+            workers=workers, out=tmp_path / name
         )  # fmt: skip
         tables[name] = pd.read_csv(tmp_path / name / "episodes.csv").drop(columns=list(TIME_COLUMNS))
         assert f"in {len(lost)} of {EPISODES} episodes" in found.failures["moody"]
@@ -129,11 +129,11 @@ def test_exactly_the_episodes_in_which_a_policy_fails_are_lost(tmp_path, lost, p
 
 
 def test_failing_episodes_are_finished_and_are_not_played_again(tmp_path, lost):
-    first = compare({"moody": Moody}, ENV, episodes=10, env_options=OPTIONS, out=tmp_path, seeding=[])
-    again = compare({"moody": Moody}, ENV, episodes=EPISODES, env_options=OPTIONS, out=tmp_path, seeding=[])
+    first = compare({"moody": Moody}, ENV, episodes=10, env_options=OPTIONS, out=tmp_path)
+    again = compare({"moody": Moody}, ENV, episodes=EPISODES, env_options=OPTIONS, out=tmp_path)
     assert again.resumed == 10
     pd.testing.assert_frame_equal(again.episodes.head(10), first.episodes)
-    once_more = compare({"moody": Moody}, ENV, episodes=EPISODES, env_options=OPTIONS, out=tmp_path, seeding=[])
+    once_more = compare({"moody": Moody}, ENV, episodes=EPISODES, env_options=OPTIONS, out=tmp_path)
     assert once_more.resumed == EPISODES
     assert f"in {len(lost)} of {EPISODES} episodes" in once_more.failures["moody"]
     assert once_more.policies[0].outcomes == again.policies[0].outcomes
@@ -154,7 +154,7 @@ def test_a_crash_never_pays():
             return observation[3:9] if self.steps == 1 else fail(0)
 
     options = OPTIONS | {"max_episode_steps": 20}
-    found = compare({"coward": Coward, "still": still}, ENV, episodes=8, env_options=options, seeding=[])
+    found = compare({"coward": Coward, "still": still}, ENV, episodes=8, env_options=options)
     coward, honest = found.policies
     earned = found.episodes.groupby("policy")["return"].mean()
     assert earned["coward"] > earned["still"]
@@ -173,7 +173,7 @@ def test_a_policy_that_cannot_play_at_all_stops_at_once(worlds, workers):
 
     found = compare(
         {"at_a_loss": at_a_loss, "still": still}, ENV, episodes=40, worlds=worlds, workers=workers,
-        env_options=OPTIONS, seeding=[],
+        env_options=OPTIONS
     )  # fmt: skip
     assert found.failures["at_a_loss"].startswith("at_a_loss failed in episode 0: IndexError")
     assert "IndexError" in found.tracebacks["at_a_loss"]
@@ -202,7 +202,7 @@ def test_a_batch_that_acts_otherwise_when_it_is_played_again_gains_nothing_by_it
             return observations[:, 3:9] + self.luck.normal(scale=1e-3, size=(len(observations), 6))
 
     options = {"max_episode_steps": 6}
-    found = compare({"gambler": lambda env: Gambler()}, ENV, episodes=8, worlds=4, env_options=options, seeding=[])
+    found = compare({"gambler": lambda env: Gambler()}, ENV, episodes=8, worlds=4, env_options=options)
     errors = found.episodes[found.episodes.outcome == "error"]
     assert len(errors) >= 4
     assert set(errors.length) == {2}
@@ -225,9 +225,7 @@ def test_a_failure_of_no_episode_is_told_and_counts_for_none():
 
     options = {"max_episode_steps": 6}
     with pytest.warns(UserWarning, match="unplugged failed in 4 episodes played at once .RuntimeError: out of ideas"):
-        found = compare(
-            {"unplugged": lambda env: Unplugged()}, ENV, episodes=8, worlds=4, env_options=options, seeding=[]
-        )
+        found = compare({"unplugged": lambda env: Unplugged()}, ENV, episodes=8, worlds=4, env_options=options)
     assert found.policies[0].outcomes == {"timeout": 8}
     assert found.episodes.length.tolist() == [6] * 8
 
@@ -258,7 +256,7 @@ def test_a_crash_does_not_pay_where_nobody_knows_the_possible_returns():
     def hasty(observation):
         return fail(0) if observation[0] > 0.3 else np.zeros(1)
 
-    found = compare({"hasty": hasty, "patient": patient}, "ForFailing/Endless-v0", episodes=20, seeding=[])
+    found = compare({"hasty": hasty, "patient": patient}, "ForFailing/Endless-v0", episodes=20)
     worse, better = found.policies
     errors = worse.outcomes["error"]
     assert 3 < errors < 17

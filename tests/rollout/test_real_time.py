@@ -12,7 +12,7 @@ from armctl.core.errors import ConfigurationError, ResultsError
 from armctl.report import write_report
 from armctl.rollout.real_time import RealTime, RealTimePolicy, RecordedTimes, check_real_time
 from armctl.study import compare, sweep
-from armctl.study.results import read_results
+from armctl.study.results import read_comparison
 
 from ..command_line import program
 
@@ -117,7 +117,7 @@ def wandering(clock):
 
 
 def test_recorded_times_repeat_a_measured_run_exactly_in_any_number_of_worlds(clock, tmp_path):
-    arguments = {"policies": wandering(clock), "env": BRIDGE, "episodes": 7, "env_options": SHORT, "seeding": []}
+    arguments = {"policies": wandering(clock), "env": BRIDGE, "episodes": 7, "env_options": SHORT}
     late = compare(**arguments, real_time="measured", slow_down=2, out=tmp_path / "late")
     waiting = compare(**arguments, out=tmp_path / "waiting")
     assert not late.failures
@@ -135,14 +135,14 @@ def test_recorded_times_repeat_a_measured_run_exactly_in_any_number_of_worlds(cl
 
 
 def test_real_time_in_processes_is_the_same(tmp_path):
-    arguments = {"policies": ["random"], "env": BRIDGE, "episodes": 3, "env_options": SHORT, "seeding": []}
+    arguments = {"policies": ["random"], "env": BRIDGE, "episodes": 3, "env_options": SHORT}
     compare(**arguments, out=tmp_path)
     here, there = (compare(**arguments, real_time=tmp_path, slow_down=9e3, workers=n) for n in (1, 2))
     assert_same_episodes(here, there)
 
 
 def test_late_decisions_are_missed_deadlines_and_results_say_how_they_came(clock, tmp_path):
-    arguments = {"env": BRIDGE, "episodes": 2, "env_options": SHORT, "seeding": []}
+    arguments = {"env": BRIDGE, "episodes": 2, "env_options": SHORT}
     late = compare({"wandering": wandering(clock)["wandering"]}, **arguments, real_time="measured", slow_down=5,
                    out=tmp_path)  # fmt: skip
     (note,) = late.notes
@@ -156,8 +156,8 @@ def test_late_decisions_are_missed_deadlines_and_results_say_how_they_came(clock
     assert late.episodes.reset_ms.tolist() == [40, 40]
     assert late.episodes.missed_deadlines.tolist() == [2, 3]
     assert late.policies[0].missed_deadlines == 1
-    read = read_results(tmp_path).comparison
-    assert read.real_time == {"latency": "measured", "slow_down": 5.0}
+    read = read_comparison(tmp_path)
+    assert read.facts.real_time == {"latency": "measured", "slow_down": 5.0}
     page = write_report(tmp_path).read_text()
     assert "--real-time measured --slow-down 5" in page
     assert "Episodes in real time cannot be played again" in page
@@ -169,8 +169,8 @@ def test_late_decisions_are_missed_deadlines_and_results_say_how_they_came(clock
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
     folder = tmp_path_factory.mktemp("recorded")
-    compare("random", BRIDGE, episodes=2, env_options=SHORT, out=folder / "latencies", seeding=[])
-    compare("random", BRIDGE, episodes=2, env_options=SHORT, out=folder / "shares", worlds=2, seeding=[])
+    compare("random", BRIDGE, episodes=2, env_options=SHORT, out=folder / "latencies")
+    compare("random", BRIDGE, episodes=2, env_options=SHORT, out=folder / "shares", worlds=2)
     return folder
 
 
@@ -193,7 +193,7 @@ def recorded(tmp_path_factory):
     ],
 )
 def test_what_cannot_be_played_in_real_time_is_refused(recorded, tmp_path, arguments, says):
-    given = {"policies": "random", "env": BRIDGE, "episodes": 2, "env_options": SHORT, "seeding": []} | arguments
+    given = {"policies": "random", "env": BRIDGE, "episodes": 2, "env_options": SHORT} | arguments
     if given["env"] == "CartPole-v1":
         given["env_options"] = {}
     if (folder := recorded / given.get("real_time", "none")).exists():
@@ -218,7 +218,7 @@ def test_success_against_slow_down_has_the_same_times_at_every_level(clock, tmp_
     times = {name: one.episodes.decision_ms_p50.tolist() for name, one in found.comparisons.items()}
     assert times["slow-down-1.0"] != times["none"]  # late decisions are fewer
     for level in (1.0, 5.0):
-        alone = compare(**arguments, real_time=tmp_path / "none", slow_down=level, seeding=[])
+        alone = compare(**arguments, real_time=tmp_path, slow_down=level)
         assert_same_episodes(alone, found.comparisons[f"slow-down-{level}"])
     said = repr(found.document())
     assert "slow-down: in real time, with the decision times of the undisturbed comparison" in said
@@ -232,8 +232,11 @@ def test_a_sweep_of_recorded_times_may_have_many_worlds(recorded, tmp_path):
     arguments = {"env": BRIDGE, "episodes": 2, "env_options": SHORT, "disturbances": {"slow-down": [2], "delay": [1]}}
     found = sweep("random", **arguments, worlds=2, real_time=recorded / "latencies", out=tmp_path)
     assert not found.failures
-    assert found.comparisons["slow-down-2.0"].real_time == {"latency": str(recorded / "latencies"), "slow_down": 2.0}
-    assert found.comparisons["delay-1.0"].real_time is None
+    assert found.comparisons["slow-down-2.0"].facts.real_time == {
+        "latency": str(recorded / "latencies"),
+        "slow_down": 2.0,
+    }
+    assert found.comparisons["delay-1.0"].facts.real_time is None
     assert f"--real-time {recorded / 'latencies'}" in write_report(tmp_path, video=False).read_text()
 
 

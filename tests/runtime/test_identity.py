@@ -21,7 +21,7 @@ from armctl.runtime import identity as identity_module
 from armctl.runtime.fingerprint import fingerprint
 from armctl.runtime.identity import checksum_of_core, checksums_of_code, differences, identity
 from armctl.study import compare
-from armctl.study.results import read_results
+from armctl.study.results import read_comparison
 
 from ..command_line import program
 
@@ -99,7 +99,7 @@ def test_what_cannot_be_hashed_is_played_and_written_but_not_resumed(tmp_path):
     policies["locked"].lock = threading.Lock()
     first = compare(policies, episodes=2, out=tmp_path, env_options=OPTIONS)
     assert len(first.results) == 4
-    assert read_results(tmp_path).names == ["locked", "mine"]
+    assert read_comparison(tmp_path).names == ["locked", "mine"]
     with pytest.raises(ResultsError) as refused:
         compare(policies, episodes=2, out=tmp_path, env_options=OPTIONS)
     assert "episodes of locked cannot be resumed, since it cannot be hashed (its .lock of type lock: " in str(

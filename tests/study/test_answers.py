@@ -7,13 +7,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from armctl.episodes.stored import UNDISTURBED
 from armctl.report.suite_page import headline, write_suite_page
 from armctl.stats.across_tasks import Choice, HeadToHead, heads_to_head
 from armctl.stats.intervals import Estimate, bounded_difference
 from armctl.stats.paired import holm, mcnemar
+from armctl.study import Study, sweep
 from armctl.study.answers import Answer, answer, corrected
-from armctl.study.suite import Suite
-from armctl.study.sweep import UNDISTURBED, sweep
 
 from ..report.pages import text_of
 from ..verdict.test_sentences import summary_of
@@ -70,10 +70,10 @@ def test_verdicts_and_headline_are_corrected_for_all_tasks_and_for_success_and_s
 
 
 def test_the_answers_of_a_suite_are_corrected_for_all_its_tasks(monkeypatch):
-    module = importlib.import_module("armctl.study.suite")
+    module = importlib.import_module("armctl.study.study")
     heads = {f"armctl/Task{i}-v0": head(6, 0) for i in range(3)}
     monkeypatch.setattr(module, "answer", lambda env: answer_of(heads[env], env=env))
-    found = module.Suite(0, 50, tasks={env: env for env in heads}).answers
+    found = module.Study("suite", 0, 50, tasks={env: env for env in heads}).answers
     assert [one.undisturbed.p for one in found] == holm([mcnemar(6, 0)] * 3)
     assert [(one.undisturbed.better, one.undisturbed.claims) for one in found] == [(0, 3)] * 3
 
@@ -195,7 +195,7 @@ def test_a_setting_that_spares_who_stands_for_a_kind_is_not_compared(tmp_path):
     assert found.not_compared == "Not compared: noise 0.5 (spares bridge_mpc)."
     assert found.not_compared in found.sentence
     page = tmp_path / "page.html"
-    write_suite_page(Suite(0, 2, [env], tasks={env: swept}), tmp_path, page, {})
+    write_suite_page(Study("suite", 0, 2, [env], tasks={env: swept}), tmp_path, page, {})
     assert "bridge_mpc 0 spared 0" in text_of(page)
 
 

@@ -10,13 +10,13 @@ from rich.console import Console
 
 import armctl
 from armctl.core.errors import ConfigurationError, ResultsError
-from armctl.episodes.store import read_store
 from armctl.report.terminal import tables
 from armctl.rollout import evaluate
 from armctl.study import compare
 
 from .. import command_line
 from ..printed import text_of
+from ..stores import read_cell
 
 
 class Fragile:
@@ -104,7 +104,7 @@ def test_a_full_disk_is_reported_and_nothing_that_was_written_is_lost(tmp_path, 
     assert "has every episode" not in full.stdout
     assert "Traceback" not in full.stdout + full.stderr
     assert not (tmp_path / "out" / "summary.json").exists()
-    assert 0 < len(read_store(tmp_path / "out").episodes) < 60
+    assert 0 < len(read_cell(tmp_path / "out").episodes) < 60
     again = command_line.armctl(*command, cwd=tmp_path)
     assert "episodes were finished by an earlier run" in again.stdout
     assert len(pd.read_csv(tmp_path / "out" / "episodes.csv")) == 60

@@ -14,7 +14,7 @@ from armctl.policies import expanded, policy_names, training_card
 from armctl.report import write_report
 from armctl.stats.trainings import difference_over_trainings, mean_over_trainings
 from armctl.study.reproduce import card_path
-from armctl.study.results import read_results
+from armctl.study.results import read_comparison
 from armctl.study.sample_size import plan_comparison
 from armctl.verdict.tables import Remark
 
@@ -32,7 +32,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def results(folder):
-    return read_results(folder)
+    return read_comparison(folder)
 
 
 @pytest.fixture
@@ -53,14 +53,14 @@ def rewrite(card, **changes):
 def test_a_group_is_one_learner_of_several_policies(folder, results):
     rows = pd.read_csv(folder / "episodes.csv")
     assert rows.policy.unique().tolist() == ["reach_ik", *MEMBERS]
-    expert, group = results.comparison.policies
+    expert, group = results.policies
     assert (group.policy, group.episodes, list(group.trainings)) == ("reach_bc[*]", 12, MEMBERS)
     by_training = rows.groupby("policy").success.mean()
     assert list(group.trainings.values()) == by_training[MEMBERS].tolist()
     scores = np.array([rows[rows.policy == name].success for name in MEMBERS], dtype=float)
     crossed = mean_over_trainings(scores, (0.0, 1.0))
     assert (group.success, group.if_normal, group.between) == (crossed.mean, crossed.if_normal, crossed.between)
-    (pair,) = results.comparison.paired
+    (pair,) = results.paired
     won = rows[rows.policy == "reach_ik"].success.to_numpy(float)[None]
     assert pair.crossed == difference_over_trainings(won, scores, (0.0, 1.0))
     assert pair.mcnemar_p == pair.crossed.p
@@ -69,7 +69,7 @@ def test_a_group_is_one_learner_of_several_policies(folder, results):
 
 
 def test_a_verdict_tells_a_recipe_from_a_network(results):
-    assert "reach_bc[*] is this recipe, by 3 trainings." in results.comparison.verdict
+    assert "reach_bc[*] is this recipe, by 3 trainings." in results.verdict
     alone = armctl.compare(["reach_ik", "reach_bc[1]"], episodes=10, worlds=10)
     assert "reach_bc[1] is this network." in alone.verdict
 
@@ -81,8 +81,8 @@ def test_a_group_resumes_and_is_the_same_with_workers(folder, tmp_path, results)
     assert more.resumed == 48
     assert "after an earlier look at 12 episodes" in more.verdict
     assert "earlier look" not in again.verdict
-    assert again.paired == results.comparison.paired
-    assert again.verdict.partition(". ")[0] == results.comparison.verdict.partition(". ")[0]
+    assert again.paired == results.paired
+    assert again.verdict.partition(". ")[0] == results.verdict.partition(". ")[0]
 
 
 def test_a_report_shows_a_group(folder, tmp_path):
@@ -205,7 +205,7 @@ def test_groups_that_do_not_belong_to_the_episodes_are_noticed(folder, tmp_path,
     shutil.copytree(folder, tmp_path / "forged")
     change_facts(tmp_path / "forged", lambda facts: facts.update(groups=groups))
     with pytest.raises(ResultsError):
-        read_results(tmp_path / "forged")
+        read_comparison(tmp_path / "forged")
 
 
 def test_a_plan_leaves_out_groups(folder, tmp_path):

@@ -9,10 +9,11 @@ import pytest
 
 import armctl
 from armctl.core.files import digest
-from armctl.episodes.store import read_store
 from armctl.runtime.provenance import MAX_BACKGROUND_LOAD, Run, RunMeter, earlier_looks, processor_model
 from armctl.study import compare
-from armctl.study.results import read_results
+from armctl.study.results import read_comparison
+
+from ..stores import read_cell
 
 SHORT = {"max_episode_steps": 3}
 NOTE = "Deadlines are not judged"
@@ -25,7 +26,7 @@ def play(folder, episodes=2, **options):
 def test_every_row_carries_the_run_that_made_it_and_a_resumed_comparison_has_both(tmp_path):
     play(tmp_path)
     play(tmp_path, episodes=5, worlds=3)
-    first, second = read_results(tmp_path).runs
+    first, second = read_comparison(tmp_path).runs
     assert pd.read_csv(tmp_path / "episodes.csv", dtype=str).run.tolist() == 2 * [first.id] + 3 * [second.id]
     assert ((first.worlds, first.workers), (second.worlds, second.workers)) == ((1, 1), (3, 1))
     assert (first.load_start, first.load_most, first.load_end) == (0, 0, 0)
@@ -63,15 +64,15 @@ def end(result):
 armctl.compare(["random", "reach_ik"], episodes=40, out={str(tmp_path)!r}, env_options={SHORT!r}, progress=end)
 """
     assert subprocess.run([sys.executable, "-c", code]).returncode == 1
-    first, killed = read_store(tmp_path).runs
+    first, killed = read_cell(tmp_path).runs
     assert (first.judged, killed.judged, killed.load_end) == (10, None, None)
     resumed = compare(**both, episodes=40)
-    assert resumed.looks == read_results(tmp_path).comparison.looks == [10]
+    assert resumed.looks == read_comparison(tmp_path).looks == [10]
     words = "; after an earlier look at 10 episodes, p is too small and intervals are too narrow"
     assert words in resumed.verdict
     assert words in resumed.headline[0]
-    assert read_results(tmp_path).comparison.verdict == resumed.verdict
-    assert [run.judged for run in read_store(tmp_path).runs] == [10, None, 40]
+    assert read_comparison(tmp_path).verdict == resumed.verdict
+    assert [run.judged for run in read_cell(tmp_path).runs] == [10, None, 40]
 
 
 def test_another_baseline_or_margin_is_told_forever(tmp_path):
@@ -118,7 +119,7 @@ def test_deadlines_on_a_busy_machine_are_blank_with_the_reason(tmp_path, monkeyp
     assert busy.policies[0].missed_deadlines is None
     assert busy.episodes.missed_deadlines.isna().all()
     assert NOTE in " ".join(busy.notes)
-    assert NOTE in " ".join(read_results(tmp_path / "busy").comparison.notes)
+    assert NOTE in " ".join(read_comparison(tmp_path / "busy").notes)
     shares = compare(["random"], episodes=2, worlds=2, env_options=SHORT)
     assert NOTE not in " ".join(shares.notes)
 

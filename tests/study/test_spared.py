@@ -7,7 +7,7 @@ import pytest
 import armctl
 from armctl.core.errors import ConfigurationError
 from armctl.study import compare
-from armctl.study.results import read_results
+from armctl.study.results import read_comparison
 from armctl.verdict.sentences import contests, headline, verdict
 
 from ..verdict.test_sentences import played
@@ -27,7 +27,7 @@ def test_who_reads_no_observation_is_spared_its_noise(noisy):
     found, folder = noisy
     spared = {"bridge_mpc": ("noise",), "bridge_state_ppo": (), "bridge_ppo": (), "random": ("noise",)}
     assert {one.policy: one.spared for one in found.policies} == spared
-    assert {one.policy: tuple(one.spared) for one in read_results(folder).comparison.policies} == spared
+    assert {one.policy: tuple(one.spared) for one in read_comparison(folder).policies} == spared
 
 
 def test_no_pair_with_a_spared_policy_is_tested_or_told(noisy):

@@ -1,5 +1,4 @@
 import io
-import json
 import os
 from dataclasses import replace
 
@@ -10,7 +9,6 @@ from rich.console import Console
 
 import armctl
 from armctl.core.errors import ConfigurationError, ResultsError
-from armctl.core.files import sealed, unsealed
 from armctl.episodes.record import TIME_COLUMNS
 from armctl.episodes.table import EpisodeTable
 from armctl.report import write_report
@@ -18,9 +16,10 @@ from armctl.report.terminal import tables
 from armctl.stats.degradation import Onset, degradations
 from armctl.stats.paired import mcnemar
 from armctl.stats.robustness import NEUTRAL, PairTest
-from armctl.study import compare
-from armctl.study.curves import read_pairs
-from armctl.study.sweep import COLUMNS, _against_undisturbed, sweep, sweep_levels
+from armctl.study import compare, sweep
+from armctl.study.levels import sweep_levels
+from armctl.study.results import read_study
+from armctl.study.task_results import COLUMNS
 from armctl.verdict.summary_tables import sweep_parts
 from tests.report.pages import plot_of
 
@@ -40,9 +39,8 @@ def printed(found):
 
 
 def timeless(folder):
-    return {
-        path.parent.name: pd.read_csv(path).drop(columns=list(TIME_COLUMNS)) for path in folder.glob("*/episodes.csv")
-    }
+    rows = pd.read_csv(folder / "episodes.csv").drop(columns=list(TIME_COLUMNS))
+    return {name: its.drop(columns="cell").reset_index(drop=True) for name, its in rows.groupby("cell", sort=False)}
 
 
 def same(one, other):
@@ -93,7 +91,9 @@ def test_the_pairs_of_a_sweep_are_kept(finished):
         (*NEUTRAL, both): pairs["none"],
         ("delay", 2.0, both): pairs["delay-2.0"],
     }
-    assert read_pairs(folder) == found.pairs
+    (again,) = read_study(folder).tasks.values()
+    assert again.pairs == found.pairs
+    pd.testing.assert_frame_equal(again.points, found.points)
 
 
 def test_a_spared_policy_is_told_so_and_in_no_test(finished):
@@ -121,14 +121,30 @@ def test_p_is_mcnemars_on_the_same_episodes():
 
 def test_asked_again_nothing_is_played_and_more_is_added(finished, tmp_path):
     _, folder = finished
-    before = {path: path.read_text() for path in folder.glob("*/episodes.csv")}
+    before = (folder / "episodes.csv").read_text()
     told = []
     run(out=folder, progress=lambda setting, result: told.append(setting))
-    assert {path: path.read_text() for path in before} == before
+    assert (folder / "episodes.csv").read_text() == before  # times included
     assert told == ["none"] * 8 + ["noise-0.05"] * 8 + ["delay-2.0"] * 8
-    more = run(out=folder, disturbances={"noise": [0.05, 0.1]})
-    assert more.points.level.unique().tolist() == [0, 0.05, 0.1]
-    assert {path: path.read_text() for path in before} == before
+    more = run(out=folder, disturbances=LEVELS | {"noise": [0.05, 0.1]})
+    assert more.points.level.unique().tolist() == [0, 0.05, 0.1, 2]
+    rows = (folder / "episodes.csv").read_text().splitlines()
+    assert set(before.splitlines()) < set(rows)
+
+
+def test_fewer_levels_than_there_are_would_be_forgotten(finished):
+    _, folder = finished
+    with pytest.raises(ResultsError, match=r"further results \(delay-2\.0, noise-0\.1\): ask for these too"):
+        run(out=folder, disturbances={"noise": [0.05]})
+
+
+def test_a_comparison_is_extended_to_a_sweep(tmp_path):
+    alone = compare(POLICIES, episodes=4, seed=3, out=tmp_path)
+    found = run(out=tmp_path, disturbances={"noise": [0.05]})
+    assert found.undisturbed.resumed == len(alone.episodes) == 8
+    assert [one.success for one in found.undisturbed.policies] == [one.success for one in alone.policies]
+    with pytest.raises(ResultsError, match="further results"):
+        compare(POLICIES, episodes=4, seed=3, out=tmp_path)
 
 
 def test_another_seed_is_refused_and_nothing_lost(finished):
@@ -173,7 +189,7 @@ def test_an_interrupted_sweep_keeps_its_episodes_and_goes_on(decisions, tmp_path
     cut = run(policies=[Interrupting], out=tmp_path / "cut")
     assert cut.interrupted
     assert "Interrupted." in printed(cut)
-    assert json.loads((tmp_path / "cut" / "sweep.json").read_text())["interrupted"]
+    assert read_study(tmp_path / "cut").interrupted
     kept = sum(map(len, timeless(tmp_path / "cut").values()))
     assert 0 <= kept < 12
     again = run(policies=[Interrupting], out=tmp_path / "cut")
@@ -285,7 +301,7 @@ def test_whoever_recovers_is_not_worse_from_there_on():
 
 def test_only_what_counts_is_held_against_the_undisturbed():
     """An infeasible episode, and one that was finished after an unfinished one, are left out of p as of all figures."""
-    found = run(policies=["reach_ik"], disturbances=["delay"], episodes=2)
+    found = run(policies=["reach_ik"], disturbances={"delay": [1]}, episodes=2)
     one = found.comparisons["none"].results[0]
     before = [replace(one, episode=k, success=True, feasible=True) for k in range(12)]
     labelled = [replace(one, success=False, feasible=one.episode < 4) for one in before]
@@ -295,39 +311,11 @@ def test_only_what_counts_is_held_against_the_undisturbed():
     for spoilt in (labelled, unfinished):
         comparisons = {
             "none": replace(found.comparisons["none"], results=EpisodeTable(before)),
-            "x": replace(found.comparisons["none"], results=EpisodeTable(spoilt)),
+            "delay-1.0": replace(found.comparisons["none"], results=EpisodeTable(spoilt)),
         }
         only = replace(found, comparisons=comparisons)
-        assert _against_undisturbed(only, comparisons["x"], comparisons["x"].policies[0]) == (mcnemar(4, 0), -1.0)
-
-
-@pytest.mark.parametrize(
-    "pairs",
-    [
-        "x",
-        [["noise", 0.05, "a", "b", 7, 0.1]],
-        [["noise", 0.05, "a", "b", 0.5, -2]],
-        [["noise", 0.05, "a", "b", None, 0]],
-        [["noise", 0.05, "a", "b", 0.5]],
-        [[]],
-        {"a": 1},
-    ],
-)
-def test_hostile_pairs_are_an_error(pairs, finished, tmp_path):
-    told = unsealed((finished[1] / "sweep.json").read_text())
-    (tmp_path / "sweep.json").write_text(sealed(told | {"paired": pairs}))
-    with pytest.raises(ResultsError, match="cannot be read"):
-        read_pairs(tmp_path)
-    (tmp_path / "sweep.json").write_text(sealed({name: value for name, value in told.items() if name != "paired"}))
-    assert read_pairs(tmp_path) == {}  # an older version's
-
-
-def test_a_comparison_that_was_replaced_is_not_the_sweeps(tmp_path):
-    sweep("random", disturbances={"delay": [1]}, episodes=2, out=tmp_path, env_options={"max_episode_steps": 3})
-    write_report(tmp_path, video=False)
-    compare("random", seed=9, episodes=2, out=tmp_path / "none", overwrite=True)
-    with pytest.raises(ResultsError, match="holds another comparison by now"):
-        write_report(tmp_path, video=False)
+        row = only.points.iloc[1]
+        assert (row.p, row.change) == (mcnemar(4, 0), -1.0)
 
 
 def test_the_ranking_is_the_verdict(finished):

@@ -10,7 +10,7 @@ from armctl.stats.degradation import FALSE_DISCOVERY_RATE, Onset, change_between
 from armctl.stats.paired import paired_difference
 from armctl.stats.robustness import robustness_rankings
 from armctl.stats.trainings import FEWEST_TRAININGS
-from armctl.study.sweep import _test_of
+from armctl.study.task_results import _test_of
 
 EPISODES, RUNS = 100, 120
 MOST = 0.025 + 2 * (0.025 * 0.975 / RUNS) ** 0.5

@@ -443,8 +443,8 @@ def test_a_baseline_that_failed_leaves_the_verdict_to_the_others():
 
 
 def test_baseline_and_margin_survive_in_the_folder(tmp_path):
-    from armctl.study.results import read_results
+    from armctl.study.results import read_comparison
 
     made = armctl.compare(["reach_ik", "random"], episodes=10, worlds=10, out=tmp_path, baseline="random", margin=0.1)
-    read = read_results(tmp_path).comparison
-    assert (read.baseline, read.margin, read.verdict) == ("random", 0.1, made.verdict)
+    read = read_comparison(tmp_path)
+    assert (read.facts.baseline, read.facts.margin, read.verdict) == ("random", 0.1, made.verdict)

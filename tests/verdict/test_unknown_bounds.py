@@ -9,12 +9,14 @@ import armctl
 from armctl.core.errors import ConfigurationError, ResultsError
 from armctl.episodes.metrics import Metrics
 from armctl.episodes.record import EpisodeResult
+from armctl.episodes.table import EpisodeTable
 from armctl.report.page import _command
 from armctl.stats.intervals import Estimate, bounded_mean, median, worst_decile
 from armctl.stats.paired import corrected, difference_of_groups, paired_difference
-from armctl.study.comparison import Comparison
-from armctl.study.results import read_results
+from armctl.study.results import read_comparison
 from armctl.verdict.summary import summarise
+
+from ..made_up_comparison import made_up
 
 EPISODES, RUNS = 60, 30
 DISASTERS, COST = 1 / 200, 2000.0
@@ -52,7 +54,7 @@ def comparison_of(earned, bounds, time_limit=None):
     played = [result for name in earned for result in episodes(name, earned[name])]
     policies = {name: Untrained() for name in earned}
     found, paired = summarise(played, policies, EPISODES, bounds, time_limit)
-    return Comparison("mine/Hover-v0", 0, {}, played, found, paired)
+    return made_up("mine/Hover-v0", EpisodeTable(played), found, paired)
 
 
 def said_in(comparison):
@@ -164,10 +166,9 @@ def test_stated_bounds_belong_to_the_results(tmp_path):
     whole = pendulum(out=tmp_path, return_bounds=PENDULUM)
     assert PENDULUM[0] <= whole.policies[0].episode_return.low < whole.policies[0].episode_return.high <= PENDULUM[1]
     assert not any("possible returns are unknown" in note for note in whole.notes)
-    stored = read_results(tmp_path)
-    kept = stored.comparison
-    assert kept.env_options["return_bounds"] == PENDULUM
-    assert kept.policies == whole.policies
+    stored = read_comparison(tmp_path)
+    assert stored.env_options["return_bounds"] == PENDULUM
+    assert stored.policies == whole.policies
     again = pendulum(out=tmp_path, return_bounds=PENDULUM)
     assert (again.resumed, again.policies[0].episode_return) == (3, whole.policies[0].episode_return)
     with pytest.raises(ResultsError, match="return_bounds"):

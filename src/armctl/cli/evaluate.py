@@ -85,7 +85,7 @@ def compare(
     from armctl.policies import expanded, named_policies
     from armctl.runtime.engines import connect
     from armctl.study import compare as run_comparison
-    from armctl.study.compare import default_policies
+    from armctl.study.line_up import default_policies
 
     names = policies or default_policies(env)
     players, _ = expanded(named_policies(names))
@@ -237,30 +237,27 @@ def episodes(
 ) -> None:
     """Write the episodes in a results folder as tables for other programs.
 
-    They go beside each results.sqlite in the folder. Comparisons, sweeps and suites write the CSV tables themselves
-    when they end; armctl does not read any of them.
+    Comparisons, sweeps and suites write the CSV tables themselves when they end; armctl does not read any of them.
     """
     from rich.console import Console
 
     from armctl.core.errors import ConfigurationError, ResultsError
     from armctl.episodes.output import write_csv, write_parquet
-    from armctl.episodes.store import STORE, read_store
+    from armctl.episodes.stored import UNDISTURBED, read_store
+    from armctl.study.plan import COMPARISON
 
     if not (csv or parquet):
         raise ConfigurationError("say what to write: --csv, --parquet or both")
-    stores = sorted(folder.rglob(STORE))
-    if not stores:
-        raise ResultsError(f"{folder} holds no results: armctl compare --out {folder} writes some")
+    stored = read_store(folder)
+    cells = {name: cell.episodes.sorted(cell.identity["policies"]) for name, cell in stored.cells.items()}
+    results = cells[UNDISTURBED] if stored.record.get("kind") == COMPARISON else cells
     console = Console(highlight=False)
-    for store in stores:
-        stored = read_store(store.parent)
-        results = stored.episodes.sorted(stored.identity["policies"])
-        try:
-            for write in [write_csv] * csv + [write_parquet] * parquet:
-                for path in write(store.parent, results):
-                    console.print(path, soft_wrap=True)
-        except OSError as error:
-            raise ResultsError(f"tables cannot be written to {store.parent}: {error.strerror}") from error
+    try:
+        for write in [write_csv] * csv + [write_parquet] * parquet:
+            for path in write(folder, results):
+                console.print(path, soft_wrap=True)
+    except OSError as error:
+        raise ResultsError(f"tables cannot be written to {folder}: {error.strerror}") from error
 
 
 @app.command()

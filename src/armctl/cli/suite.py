@@ -91,8 +91,8 @@ def sweep(
     from armctl.rollout.real_time import SLOWER
     from armctl.runtime.engines import connect
     from armctl.study import sweep as run_sweep
-    from armctl.study.compare import default_policies
-    from armctl.study.sweep import sweep_levels
+    from armctl.study.levels import sweep_levels
+    from armctl.study.line_up import default_policies
 
     names, options = policies or default_policies(env), options_of(env_options, success_return=success_return)
     arguments = (disturbances or []) + ([f"{SLOWER}={slow_down}"] if slow_down else [])
@@ -124,7 +124,7 @@ def sweep(
         )
     console = print_document(sweep_result.document(), table_format)
     if "results" not in sweep_result.failures:
-        console.print(f"{folder / 'sweep.csv'} has the curves; each comparison has a folder beside it.", soft_wrap=True)
+        console.print(f"{folder / 'sweep.csv'} has the curves.", soft_wrap=True)
     exit_if_interrupted(sweep_result.interrupted, folder, console)
     for comparison in sweep_result.comparisons.values():
         print_tracebacks(comparison.tracebacks)
@@ -176,7 +176,7 @@ def suite(
     """
     from armctl.runtime.engines import connect
     from armctl.study import suite as run_suite
-    from armctl.study.suite import ALL
+    from armctl.study.plan import ALL
 
     folder = out or new_folder()
     with connect(on, workers) as engine, progress_bar() as bar:

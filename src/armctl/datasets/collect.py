@@ -23,7 +23,7 @@ from armctl.datasets.parallel import WorldsAsAsked, demonstrate_in_workers
 from armctl.datasets.unfinished import IDENTITY, OTHERWISE, Unfinished, check_same
 from armctl.envs import chosen_policy_seed, full_id
 from armctl.episodes.failures import PolicyFailed
-from armctl.episodes.store import POLICY_SEED
+from armctl.episodes.stored import POLICY_SEED
 from armctl.policies import PolicyFactory, policy_name
 from armctl.rollout.parallel import WorkerConfig, check_sendable
 from armctl.rollout.rollouts import build_policy, check_counts

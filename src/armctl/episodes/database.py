@@ -18,7 +18,8 @@ FORMAT = 1
 APPLICATION = 0x61726D63
 """In the file's header: "armc"."""
 _TABLES = {
-    "cell": "id INTEGER PRIMARY KEY, identity TEXT NOT NULL, facts TEXT",
+    "study": "record TEXT NOT NULL",
+    "cell": "id INTEGER PRIMARY KEY, name TEXT NOT NULL UNIQUE, identity TEXT NOT NULL, facts TEXT",
     "run": "cell INTEGER NOT NULL, record TEXT NOT NULL",
     "text": "id INTEGER PRIMARY KEY, text TEXT NOT NULL",
     "episode": f"cell INTEGER NOT NULL, {definition()}, UNIQUE (cell, policy, episode)",
@@ -68,8 +69,13 @@ def check_file(file: sqlite3.Connection, whole: bool = True) -> None:
     schema = file.execute("SELECT name, sql FROM sqlite_schema WHERE sql IS NOT NULL").fetchall()
     if dict(schema) != SCHEMA:
         raise ValueError("it does not have the tables of armctl's results")
-    if whole and (message := file.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
+    if not whole:
+        return
+    if (message := file.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
         raise ValueError(message)
+    foreign = "SELECT count(*) FROM episode WHERE cell NOT IN (SELECT id FROM cell)"
+    if count := file.execute(foreign).fetchone()[0]:
+        raise ValueError(f"it has {count} episodes that are not of its cells")
 
 
 def files(path: Path) -> list[Path]:

@@ -2,7 +2,7 @@
 
 import csv
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from types import NoneType
 from typing import Any
@@ -11,33 +11,65 @@ import numpy as np
 
 from armctl.core.errors import missing_extra
 from armctl.core.files import write_atomically
-from armctl.episodes.record import COLUMNS
+from armctl.episodes.record import COLUMNS, EpisodeResult
 from armctl.episodes.table import AT_ONCE, TYPES, EpisodeTable, field_of
 
 EPISODES, DECISIONS, EPISODES_PARQUET = "episodes.csv", "decisions.csv", "episodes.parquet"
+CELL = "cell"
 DECISION_COLUMNS = ("policy", "episode", "decision_ms")
 """The last column of `decisions.csv` holds the episode's decision times, ms, separated by spaces."""
 
 
-def write_csv(folder: Path, results: EpisodeTable) -> list[Path]:
-    """Write `episodes.csv` and `decisions.csv`; return their paths. Raises `OSError`."""
-    rows = (result.row().values() for result in results)
-    times = ((result.policy, result.episode, " ".join(map(str, result.decision_ms.tolist()))) for result in results)
-    return [_written(folder / EPISODES, COLUMNS, rows), _written(folder / DECISIONS, DECISION_COLUMNS, times)]
+Cells = EpisodeTable | Mapping[str, EpisodeTable]
+"""The episodes of a comparison, or of several cells by their names."""
 
 
-def write_parquet(folder: Path, results: EpisodeTable) -> list[Path]:
-    """Write `episodes.parquet`; return its path. Raises `OSError`, and `ConfigurationError` without pyarrow."""
+def write_csv(folder: Path, results: Cells) -> list[Path]:
+    """Write `episodes.csv` and `decisions.csv`; return their paths. Raises `OSError`.
+
+    Names of cells are in a first column `cell`.
+    """
+    cells, shown = _named(results)
+
+    def written(path: Path, columns: Sequence[str], values: Callable[[EpisodeResult], Iterable[Any]]) -> Path:
+        rows = ((name, *values(result))[shown] for name, table in cells.items() for result in table)
+        return _written(path, (CELL, *columns)[shown], rows)
+
+    def times(result: EpisodeResult) -> tuple[Any, ...]:
+        return result.policy, result.episode, " ".join(map(str, result.decision_ms.tolist()))
+
+    return [
+        written(folder / EPISODES, COLUMNS, lambda result: result.row().values()),
+        written(folder / DECISIONS, DECISION_COLUMNS, times),
+    ]
+
+
+def write_parquet(folder: Path, results: Cells) -> list[Path]:
+    """Write `episodes.parquet`; return its path. Raises `OSError`, and `ConfigurationError` without pyarrow.
+
+    Names of cells are in a first column `cell`.
+    """
+    cells, shown = _named(results)
     pa, pq = _pyarrow()
     schema = _schema()
+    fields = [pa.field(CELL, pa.string(), nullable=False), *schema][shown]
 
     def write(unfinished: Path) -> None:
-        with pq.ParquetWriter(unfinished, schema, compression="zstd") as writer:
-            for first in range(0, len(results), AT_ONCE):
-                writer.write_table(pa.table(_arrays(results[first : first + AT_ONCE], schema), schema=schema))
+        with pq.ParquetWriter(unfinished, pa.schema(fields), compression="zstd") as writer:
+            for name, table in cells.items():
+                for first in range(0, len(table), AT_ONCE):
+                    part = table[first : first + AT_ONCE]
+                    names = pa.array([name] * len(part), pa.string())
+                    arrays = [names, *_arrays(part, schema)][shown]
+                    writer.write_table(pa.table(arrays, schema=pa.schema(fields)))
 
     write_atomically(folder / EPISODES_PARQUET, write)
     return [folder / EPISODES_PARQUET]
+
+
+def _named(results: Cells) -> tuple[Mapping[str, EpisodeTable], slice]:
+    """Tables by cell, and which columns are shown: not the first one without names of cells."""
+    return ({"": results}, slice(1, None)) if isinstance(results, EpisodeTable) else (results, slice(None))
 
 
 def _written(path: Path, columns: Sequence[str], rows: Iterable[Iterable[Any]]) -> Path:

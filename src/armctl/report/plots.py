@@ -20,8 +20,8 @@ from armctl.rollout.decision_times import Machines
 from armctl.stats.intervals import Estimate
 from armctl.stats.paired import Corrected, PairedDifference, corrected
 from armctl.stats.robustness import RobustnessRanking
+from armctl.study.comparison import Comparison
 from armctl.study.curves import training_curves
-from armctl.study.results import Results
 from armctl.verdict.summary import PolicySummary
 from armctl.verdict.tables import p_value
 from armctl.verdict.trade_off import break_evens, cost_curve, pareto_front, points
@@ -49,20 +49,18 @@ class Plot:
         return Markup(text.replace("<", r"\u003c").replace(">", r"\u003e").replace("&", r"\u0026"))
 
 
-def comparison_plots(results: Results, styles: style.Styles) -> dict[str, Any]:
+def comparison_plots(comparison: Comparison, styles: style.Styles) -> dict[str, Any]:
     """All figures of a comparison with at least one episode, by their names on the page."""
-    policies, episodes = results.comparison.policies, results.episodes
+    policies, episodes = comparison.policies, comparison.counted
     terms = figures.term_means(episodes)
     term_styles = {
         term: style.Style(term, TERM_COLOURS[i % len(TERM_COLOURS)])
         for i, term in enumerate(dict.fromkeys(itertools.chain(*terms.values())))
     }
-    curves, problems = training_curves(
-        [policy.policy for policy in policies], results.comparison.env, results.comparison.env_options
-    )
-    period = None if any(policy.timing for policy in policies) else _period(results)
+    curves, problems = training_curves([policy.policy for policy in policies], comparison.env, comparison.env_options)
+    period = None if any(policy.timing for policy in policies) else _period(comparison)
     by_success = any(policy.success for policy in policies)
-    machines = Machines.of(results.runs, results.comparison.results)
+    machines = Machines.of(comparison.runs, comparison.results)
     return {
         "by_success": by_success,
         "shown": [styles[name] for name in episodes],
@@ -75,8 +73,8 @@ def comparison_plots(results: Results, styles: style.Styles) -> dict[str, Any]:
             figures.return_points(policies, styles),
             "; ".join(f"{policy.policy}: return {mean(policy.episode_return)}" for policy in policies),
         ),
-        "profile": _profile(results, styles),
-        "paired": _paired(results, styles),
+        "profile": _profile(comparison, styles),
+        "paired": _paired(comparison, styles),
         "reward_terms": Plot(
             figures.reward_terms(terms, styles, term_styles),
             "; ".join(
@@ -156,12 +154,12 @@ def sweep_plots(sweep: pd.DataFrame, rankings: Sequence[RobustnessRanking], styl
     ]
 
 
-def _profile(results: Results, styles: style.Styles) -> Plot:
-    figure, alt_text = profile(results.episodes, styles), "Share of episodes above each return, by policy"
-    start = profile_start(results.episodes)
+def _profile(comparison: Comparison, styles: style.Styles) -> Plot:
+    figure, alt_text = profile(comparison.counted, styles), "Share of episodes above each return, by policy"
+    start = profile_start(comparison.counted)
     if start is None:
         return Plot(figure, alt_text)
-    returns = {name: table.column("total_reward") for name, table in results.episodes.items()}
+    returns = {name: table.column("total_reward") for name, table in comparison.counted.items()}
     lowest = float(min(sample.min() for sample in returns.values()))
     highest = float(max(sample.max() for sample in returns.values()))
     visible_range, whole = ([low - 0.02 * (highest - low), highest + 0.02 * (highest - low)] for low in (start, lowest))
@@ -174,16 +172,15 @@ def _profile(results: Results, styles: style.Styles) -> Plot:
     return Plot(figure, alt_text, note=f"{note}.", whole_axis=whole)
 
 
-def _paired(results: Results, styles: style.Styles) -> list[Plot]:
-    comparison = results.comparison
-    pairs = list(zip(comparison.paired, corrected(comparison.paired, comparison.baseline), strict=True))
+def _paired(comparison: Comparison, styles: style.Styles) -> list[Plot]:
+    pairs = list(zip(comparison.paired, corrected(comparison.paired, comparison.facts.baseline), strict=True))
     if len(pairs) > MAX_PAIRS:
         reached = [policy for policy in comparison.policies if not policy.spared]
         best = max(reached, key=lambda policy: _score(policy.success or policy.episode_return))
         pairs = [(pair, p) for pair, p in pairs if best.policy in (pair.a, pair.b)]
     return [
         Plot(
-            figures.paired(pair, results.episodes, styles),
+            figures.paired(pair, comparison.counted, styles),
             f"Returns of {pair.a} against those of {pair.b}",
             f"{styles[pair.a].label} against {styles[pair.b].label}",
             _difference(pair, p),
@@ -231,11 +228,11 @@ def _score(estimate: Estimate | None) -> float:
     return estimate.value if estimate else 0.0
 
 
-def _period(results: Results) -> float | None:
+def _period(comparison: Comparison) -> float | None:
     """Return the control period, s; None if the environment does not say, or cannot be made here."""
     try:
-        check_from_file(results.comparison.env, results.comparison.env_options, "the comparison")
-        with closing(make_worlds(results.comparison.env, 1, results.comparison.env_options)) as worlds:
+        check_from_file(comparison.env, comparison.env_options, "the comparison")
+        with closing(make_worlds(comparison.env, 1, comparison.env_options)) as worlds:
             period: float | None = worlds.task.control_period
             return period
     except ArmctlError:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from armctl.episodes.stored import UNDISTURBED
 from armctl.report import style, suite_figures
 from armctl.report.colours import INK
 from armctl.report.plots import Plot
@@ -25,8 +26,9 @@ from armctl.stats.across_tasks import (
 )
 from armctl.stats.intervals import Estimate
 from armctl.study.answers import CHOSEN, Answer
-from armctl.study.suite import Suite, folder_of
-from armctl.study.sweep import UNDISTURBED, folder_name
+from armctl.study.levels import setting_name
+from armctl.study.plan import task_name
+from armctl.study.study import Study
 from armctl.verdict.summary import PolicySummary
 from armctl.verdict.summary_tables import SPARED
 
@@ -34,7 +36,7 @@ ALL_TASKS = "all tasks"
 THRESHOLDS = np.linspace(0.0, 1.0, 101)
 
 
-def write_suite_page(suite: Suite, folder: Path, out: Path, reports: Mapping[str, str]) -> None:
+def write_suite_page(suite: Study, folder: Path, out: Path, reports: Mapping[str, str]) -> None:
     """Write the page of a suite in `folder`. `reports` are the links to the tasks' own reports, by environment.
 
     Raises `ResultsError` if the page cannot be written.
@@ -48,7 +50,7 @@ def write_suite_page(suite: Suite, folder: Path, out: Path, reports: Mapping[str
         "chosen": CHOSEN,
         "folder": folder.resolve().name,
         "command": _command(suite),
-        "tasks": [{"answer": task, "short": folder_of(task.env), "link": reports.get(task.env)} for task in answers],
+        "tasks": [{"answer": task, "short": task_name(task.env), "link": reports.get(task.env)} for task in answers],
         "heads": heads,
         "heat": [_heat(suite, answer, heads, reports.get(answer.env)) for answer in answers if answer.cells],
         "families": _families(answers, names),
@@ -59,7 +61,7 @@ def write_suite_page(suite: Suite, folder: Path, out: Path, reports: Mapping[str
         "costs": _costs(answers, styles),
         "styles": list(styles.values()),
         "symbols": dict(
-            zip((folder_of(task.env) for task in answers), _symbols(answers, SYMBOLS.values()), strict=True)
+            zip((task_name(task.env) for task in answers), _symbols(answers, SYMBOLS.values()), strict=True)
         ),
     }
     write_page(out, "suite.html.j2", page)
@@ -68,7 +70,7 @@ def write_suite_page(suite: Suite, folder: Path, out: Path, reports: Mapping[str
 def headline(answers: Sequence[Answer]) -> str:
     """Return a sentence: in how many tasks each kind is better in success, and in how many others in steps.
 
-    `answers` are corrected for all tasks, as `Suite.answers` is.
+    `answers` are corrected for all tasks, as `Study.answers` is.
     """
     heads = [head for answer in answers if (head := answer.undisturbed)]
     if not heads:
@@ -83,12 +85,12 @@ def headline(answers: Sequence[Answer]) -> str:
     return "; ".join([*sentences, looks_in_words(looks)] if looks else sentences)
 
 
-def _command(suite: Suite) -> str:
+def _command(suite: Study) -> str:
     envs = " ".join(f"--env {shlex.quote(env)}" for env in suite.envs)
     return f"armctl suite {envs} {'--quick ' if suite.quick else ''}--episodes {suite.episodes} --seed {suite.seed}"
 
 
-def _heads(suite: Suite) -> list[tuple[str, int]]:
+def _heads(suite: Study) -> list[tuple[str, int]]:
     """Return the columns of the heat map after the undisturbed one: a disturbance, and which of its levels."""
     columns: dict[str, int] = {}
     for swept in suite.tasks.values():
@@ -97,7 +99,7 @@ def _heads(suite: Suite) -> list[tuple[str, int]]:
     return [(name, i) for name, count in columns.items() for i in range(1, count + 1)]
 
 
-def _heat(suite: Suite, answer: Answer, heads: Sequence[tuple[str, int]], link: str | None) -> dict[str, Any]:
+def _heat(suite: Study, answer: Answer, heads: Sequence[tuple[str, int]], link: str | None) -> dict[str, Any]:
     """Return a task's rows of the heat map: for each policy, its success in percent in each column, None where unknown.
 
     It is `spared` where the disturbance does not reach the policy.
@@ -106,13 +108,13 @@ def _heat(suite: Suite, answer: Answer, heads: Sequence[tuple[str, int]], link: 
     settings: list[tuple[str, str] | None] = [(UNDISTURBED, "")]
     for name, i in heads:
         has_level = i < len(levels.get(name, ()))
-        settings.append((folder_name(name, levels[name][i]), f"{levels[name][i]:g}") if has_level else None)
+        settings.append((setting_name(name, levels[name][i]), f"{levels[name][i]:g}") if has_level else None)
     rows = [
         (policy.policy, [None if at is None else _cell_value(answer, policy.policy, at[0]) for at in settings])
         for policy in sorted(answer.policies, key=lambda policy: policy.learned)
     ]
     levels_shown = [None if at is None else at[1] for at in settings]
-    return {"task": folder_of(answer.env), "link": link, "levels": levels_shown[1:], "rows": rows}
+    return {"task": task_name(answer.env), "link": link, "levels": levels_shown[1:], "rows": rows}
 
 
 def _cell_value(answer: Answer, policy: str, setting: str) -> float | str | None:
@@ -151,7 +153,7 @@ def _pairs(answers: Sequence[Answer]) -> list[tuple[Answer, Choice, Choice]]:
 
 def _improvement(answers: Sequence[Answer]) -> Plot | None:
     improvements = {
-        folder_of(answer.env): improvement(answer.shared_cells, classical, learned)
+        task_name(answer.env): improvement(answer.shared_cells, classical, learned)
         for answer, classical, learned in _pairs(answers)
     }
     means = {task: mean_over_tasks([values]) for task, values in improvements.items()}
@@ -193,7 +195,7 @@ def _costs(answers: Sequence[Answer], styles: style.Styles) -> list[Plot]:
     def points(cost: Any) -> list[CostPoint]:
         return [
             CostPoint(
-                policy.policy, folder_of(answer.env), styles[family(policy.policy)], symbols[answer.env], success / 100,
+                policy.policy, task_name(answer.env), styles[family(policy.policy)], symbols[answer.env], success / 100,
                 float(known_cost),
             )
             for answer in answers
@@ -224,8 +226,3 @@ def _symbols(answers: Sequence[Answer], symbols: Any) -> list[str]:
     """Return a symbol for each task; further ones begin anew."""
     listed = list(symbols)
     return [listed[i % len(listed)] for i in range(len(answers))]
-
-
-def task_folders(suite: Suite) -> dict[str, str]:
-    """Return the folder of each task that has results, by environment."""
-    return {env: folder_of(env) for env in suite.tasks}

@@ -19,7 +19,7 @@ from armctl.envs import ThirdPartyVectorEnv, check_from_file
 from armctl.episodes.record import EpisodeResult
 from armctl.episodes.table import table_of
 from armctl.simulation.rendering import Camera
-from armctl.study.results import Results
+from armctl.study.comparison import Comparison
 from armctl.viewer.recording import check_frames
 from armctl.viewer.stage import Stage
 
@@ -75,7 +75,7 @@ def worst(episodes: Mapping[str, Sequence[EpisodeResult]]) -> list[EpisodeResult
     return [table[int(table.column("total_reward").argmin())] for table in map(table_of, episodes.values())]
 
 
-def film(results: Results, selection: Sequence[EpisodeResult]) -> list[Clip]:
+def film(comparison: Comparison, selection: Sequence[EpisodeResult]) -> list[Clip]:
     """Videos of equal length and speed, which can be played side by side."""
     lengths = [result.length for result in selection]
     slowness = 2 if np.median(lengths) < BRIEF else 1
@@ -83,7 +83,7 @@ def film(results: Results, selection: Sequence[EpisodeResult]) -> list[Clip]:
     recordings: list[_Recording | str] = []
     for result in selection:
         try:
-            recordings.append(_play(results, result, stride))
+            recordings.append(_play(comparison, result, stride))
         except ArmctlError as error:
             recordings.append(str(error))
     longest = max((len(recording.frames) for recording in recordings if isinstance(recording, _Recording)), default=0)
@@ -114,9 +114,9 @@ class _Recording:
     problem: str
 
 
-def _play(results: Results, result: EpisodeResult, stride: int) -> _Recording:
+def _play(comparison: Comparison, result: EpisodeResult, stride: int) -> _Recording:
     """Play an episode again, with an image at every `stride`-th control step and at the end."""
-    name, comparison = result.policy, results.comparison
+    name = result.policy
     check_from_file(comparison.env, comparison.env_options, "the comparison")
     if Path(name).suffix not in agents.FILES:
         check_named(name, "the comparison", "--policy")
@@ -129,7 +129,7 @@ def _play(results: Results, result: EpisodeResult, stride: int) -> _Recording:
                 result.episode,
                 comparison.env_options,
                 render_mode="rgb_array",
-                policy_seed=comparison.policy_seed,
+                policy_seed=comparison.facts.policy_seed,
             )
         ) as stage,
         _pictures(stage) as picture,

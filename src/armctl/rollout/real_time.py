@@ -22,7 +22,7 @@ from armctl.disturbances import Disturbance, DisturbanceSpec
 from armctl.envs import EpisodeVectorEnv
 from armctl.episodes.output import DECISIONS
 from armctl.episodes.record import EpisodeResult
-from armctl.episodes.store import STORE, read_store
+from armctl.episodes.stored import STORE, UNDISTURBED, read_store
 from armctl.policies import Actions, Policy
 from armctl.rollout.decision_times import Errors, TimedPolicy
 from armctl.tasks import Observations
@@ -149,7 +149,7 @@ class RealTimePolicy(TimedPolicy):
         return self._command, spent, errors
 
 
-def real_time_of(real_time: "str | Path | RealTime | None", slow_down: float, env: str, seed: int) -> "RealTime | None":
+def real_time_of(real_time: str | Path | None, slow_down: float, env: str, seed: int) -> RealTime | None:
     """What the arguments of `compare` ask for; None for a world that waits.
 
     Raises `ConfigurationError`, and `ResultsError` for a damaged recording.
@@ -161,8 +161,6 @@ def real_time_of(real_time: "str | Path | RealTime | None", slow_down: float, en
         if slow_down != 1:
             raise ConfigurationError("slow_down is for real time: add real_time='measured' (--real-time measured)")
         return None
-    if isinstance(real_time, RealTime):
-        return real_time
     if str(real_time) == MEASURED:
         return RealTime(float(slow_down))
     return read_recording(Path(real_time), float(slow_down), env, seed)
@@ -180,7 +178,9 @@ def read_recording(path: Path, slow_down: float, env: str, seed: int) -> RealTim
             f"real time takes '{MEASURED}', or a folder with a comparison's results, whose decision times it repeats, "
             f"not {path}"
         )
-    stored = read_store(folder)
+    cells = read_store(folder).cells
+    undisturbed = [cell for name, cell in cells.items() if name.rpartition("/")[2] == UNDISTURBED]
+    stored = next((cell for cell in undisturbed if cell.identity.get("env") == env), undisturbed[0])
     for name, here in {"env": env, "seed": seed}.items():
         if (there := stored.identity.get(name)) != here:
             raise ConfigurationError(

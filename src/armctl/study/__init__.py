@@ -2,7 +2,9 @@
 
 from armctl.study.compare import compare
 from armctl.study.comparison import Comparison
-from armctl.study.suite import Suite, suite
-from armctl.study.sweep import Sweep, sweep
+from armctl.study.study import Study
+from armctl.study.suite import suite
+from armctl.study.sweep import sweep
+from armctl.study.task_results import Sweep
 
-__all__ = ["Comparison", "Suite", "Sweep", "compare", "suite", "sweep"]
+__all__ = ["Comparison", "Study", "Sweep", "compare", "suite", "sweep"]

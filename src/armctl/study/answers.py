@@ -7,13 +7,15 @@ import numpy as np
 import pandas as pd
 
 from armctl.core.registration import bare_id
+from armctl.episodes.stored import UNDISTURBED
 from armctl.policies import privileges
 from armctl.runtime.provenance import looks_in_words
 from armctl.stats.across_tasks import Choice, HeadToHead, choose, heads_to_head, rate_of, values_of
 from armctl.stats.intervals import FEWEST, Estimate, bounded_difference
 from armctl.stats.paired import MARGIN, holm
 from armctl.study.comparison import Comparison
-from armctl.study.sweep import UNDISTURBED, Sweep, folder_name
+from armctl.study.levels import setting_name
+from armctl.study.task_results import Sweep
 from armctl.verdict.scores import counted_rows
 from armctl.verdict.summary import PolicySummary
 from armctl.verdict.tables import p_value, points, size
@@ -162,10 +164,12 @@ class Answer:
 def answer(swept: Sweep) -> Answer:
     """The answer for the task of a sweep."""
     tables = {name: table for name, one in swept.comparisons.items() if (table := success_table(one)) is not None}
-    named = {folder_name(name, level): f"{name} {level:g}" for name, levels in swept.levels.items() for level in levels}
+    named = {
+        setting_name(name, level): f"{name} {level:g}" for name, levels in swept.levels.items() for level in levels
+    }
     labels = {name: named.get(name, name) for name in swept.comparisons} | {UNDISTURBED: "undisturbed"}
     spared = {name: {one.policy for one in at.policies if one.spared} for name, at in swept.comparisons.items()}
-    plain = swept.comparisons.get(UNDISTURBED)
+    plain = swept.undisturbed
     if plain is None or UNDISTURBED not in tables:
         return Answer(swept.env, plain.policies if plain else [], {}, labels)
     played = counted_rows(plain.episodes)
@@ -184,13 +188,13 @@ def answer(swept: Sweep) -> Answer:
 
 def _with_steps(head: HeadToHead, plain: Comparison, classical: Choice | None, learned: Choice | None) -> HeadToHead:
     """The same with the difference in steps to the goal, a failure counting as the time limit, if that is known."""
-    if plain.time_limit is None or classical is None or learned is None:
+    if plain.facts.time_limit is None or classical is None or learned is None:
         return head
     rows = counted_rows(plain.episodes)
-    rows = rows.assign(steps=rows.length.where(rows.success.astype(bool), plain.time_limit))
+    rows = rows.assign(steps=rows.length.where(rows.success.astype(bool), plain.facts.time_limit))
     table = rows.pivot(index="episode", columns="policy", values="steps").astype(float)
     gains = np.asarray((values_of(table, classical) - values_of(table, learned)).dropna(), dtype=np.float64)
-    found = bounded_difference(gains, (1.0 - plain.time_limit, plain.time_limit - 1.0))
+    found = bounded_difference(gains, (1.0 - plain.facts.time_limit, plain.facts.time_limit - 1.0))
     return replace(head, steps=found.estimate, steps_p=found.p) if found else head
 
 

@@ -1,61 +1,85 @@
-"""The result of a comparison, and its `summary.json`."""
+"""The result of a comparison: of one cell of a study."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import Any
 
 import pandas as pd
 
+from armctl.core.registration import bare_id
 from armctl.episodes.table import EpisodeTable
-from armctl.runtime.provenance import machine, versions
-from armctl.stats.paired import MARGIN, PairedDifference
+from armctl.policies import learners
+from armctl.rollout.decision_times import Machines, load_notes, timing_notes, unjudged
+from armctl.rollout.real_time import MEASURED
+from armctl.runtime.provenance import Run, argument_notes, earlier_looks
+from armctl.stats.paired import PairedDifference
+from armctl.study.facts import Facts
 from armctl.verdict.notebook import Displayed
+from armctl.verdict.scores import by_learner
 from armctl.verdict.sentences import headline, verdict
-from armctl.verdict.summary import PolicySummary
+from armctl.verdict.summary import PolicySummary, certificate_notes, counted_results, motion_notes, summarise
 from armctl.verdict.summary_tables import details, paired_table, policy_table
 from armctl.verdict.tables import Document, Remark, Table
+
+NO_SUCCESS_SIGNAL = (
+    "{env} does not say what a success is: the verdict goes by return. --success-return says which is one."
+)
+UNBOUNDED = (
+    "The possible returns are unknown, so that their means and worst tenths have neither intervals nor tests: a "
+    "disaster that none of these episodes had may cost anything. --return-bounds LOW HIGH states the bounds."
+)
 
 
 @dataclass(repr=False)
 class Comparison(Displayed):
     """The result of a comparison. After an interrupt or a failure, it covers the finished episodes."""
 
-    env: str
-    seed: int
+    identity: Mapping[str, Any]
+    """What determines the episodes."""
     env_options: Mapping[str, Any]
+    facts: Facts
     results: EpisodeTable
     """Every episode, by policy and episode."""
+    runs: Sequence[Run] = ()
+    """Those that played the episodes, or told another verdict."""
     policies: list[PolicySummary] = field(default_factory=list)
     paired: list[PairedDifference] = field(default_factory=list)
-    failures: dict[str, str] = field(default_factory=dict)
-    """Error messages: by policy, under `results` if results could not be written, or under `workers`."""
-    tracebacks: dict[str, str] = field(default_factory=dict)
-    """Tracebacks of the failures, where there are any."""
-    baseline: str | None = None
-    """The policy that all others are held against, if one was chosen beforehand."""
-    margin: float = MARGIN
-    """Difference in success below which policies count as equivalent."""
-    time_limit: int | None = None
-    """Largest number of control steps of an episode; None if unknown, and in results of older versions."""
-    looks: list[int] = field(default_factory=list)
-    """The numbers of episodes after which earlier runs told a verdict; its sentence says so."""
     notes: list[str] = field(default_factory=list)
-    """Remarks about the environment: what it does not tell, and whether it obeys its seed."""
-    real_time: dict[str, Any] | None = None
-    """The `latency` (`measured`, or the folder of recorded times) and `slow_down`, if the world did not wait."""
-    groups: dict[str, list[str]] = field(default_factory=dict)
-    """The trainings that count as one learner: their names in `episodes`, by the group's name."""
-    spared: dict[str, tuple[str, ...]] = field(default_factory=dict)
-    """The disturbances that do not reach a policy, by its name in `episodes`."""
-    disqualified: list[str] = field(default_factory=list)
-    """Policies that wrote to the world, so that none of their episodes count."""
-    policy_seed: int | None = None
-    """Secret from which policies drew their own random numbers; None if it is not known."""
-    interrupted: bool = False
-    resumed: int = 0
-    """Number of episodes that an earlier run had finished."""
+    """Remarks: about the environment, and about what the figures depend on."""
+    tracebacks: dict[str, str] = field(default_factory=dict)
+    """Tracebacks of the failures, where there are any; of episodes that were played now."""
+
+    @property
+    def env(self) -> str:
+        """The environment's id."""
+        return str(self.identity["env"])
+
+    @property
+    def seed(self) -> int:
+        """The seed of the episodes."""
+        return int(self.identity["seed"])
+
+    @property
+    def failures(self) -> dict[str, str]:
+        """Error messages: see `Facts.failures`."""
+        return self.facts.failures
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether it was ended by Ctrl-C."""
+        return self.facts.interrupted
+
+    @property
+    def resumed(self) -> int:
+        """Number of episodes that an earlier run had finished."""
+        return self.facts.resumed
+
+    @property
+    def looks(self) -> list[int]:
+        """The numbers of episodes after which earlier runs told a verdict; its sentence says so."""
+        return earlier_looks(self.runs) if self.policies else []
 
     @cached_property
     def episodes(self) -> pd.DataFrame:
@@ -63,25 +87,39 @@ class Comparison(Displayed):
         return self.results.frame()
 
     @property
+    def names(self) -> list[str]:
+        """Names of all policies that were asked for, in order; a group of trainings counts as one."""
+        return learners(list(self.identity["policies"]), self.facts.groups)
+
+    @cached_property
+    def counted(self) -> dict[str, EpisodeTable]:
+        """The episodes that count, by policy; policies without any are left out. Those of a group: of all trainings."""
+        counted, _ = counted_results(self.results)
+        trained = by_learner(counted, self.identity["policies"], self.facts.groups)
+        return {one.policy: reduce(EpisodeTable.together, trained[one.policy].values()) for one in self.policies}
+
+    @property
     def verdict(self) -> str:
         """Which policy is better, by how much, at what cost; empty for a single policy."""
-        several = len(self.policies) > 1
-        return verdict(self.policies, self.paired, self.baseline, self.margin, self.looks) if several else ""
+        return verdict(*self._judged) if len(self.policies) > 1 else ""
 
     @property
     def headline(self) -> tuple[str, str]:
         """The verdict in short: who is better by how much, and at what cost; empty for a single policy."""
-        several = len(self.policies) > 1
-        return headline(self.policies, self.paired, self.baseline, self.margin, self.looks) if several else ("", "")
+        return headline(*self._judged) if len(self.policies) > 1 else ("", "")
+
+    @property
+    def _judged(self) -> tuple[Any, ...]:
+        return self.policies, self.paired, self.facts.baseline, self.facts.margin, self.looks
 
     def document(self) -> Document:
         """The tables, the verdict, and what else there is to say."""
         parts: list[Table | Remark] = []
         if self.policies:
-            parts.append(policy_table(self.env, self.seed, self.policies, self.disqualified))
+            parts.append(policy_table(self.env, self.seed, self.policies, self.facts.disqualified))
         parts += [details(policy) for policy in self.policies]
         if self.paired:
-            parts.append(paired_table(self.paired, self.baseline))
+            parts.append(paired_table(self.paired, self.facts.baseline))
         if sentence := self.verdict:
             parts.append(Remark(sentence, "verdict"))
         if self.policies and (infeasible := self.policies[0].infeasible):
@@ -97,8 +135,7 @@ class Comparison(Displayed):
             if policy.episodes < policy.planned - policy.infeasible:
                 counts = f"the first {policy.episodes} of {policy.planned} episodes"
                 parts.append(Remark(f"{policy.policy} was cut short: its figures are over {counts}.", "note"))
-        settings = {name: str(value) for name, value in self.env_options.items()}
-        return Document(parts, {"env": self.env, "env_options": settings, "seed": self.seed})
+        return Document(parts, {"env": self.env, "env_options": self.facts.env_options, "seed": self.seed})
 
     def __repr__(self) -> str:
         names = ", ".join(policy.policy for policy in self.policies) or "no policy"
@@ -107,25 +144,40 @@ class Comparison(Displayed):
         return f"<Comparison of {names} in {self.env}, seed {self.seed}{said}{failed}>"
 
 
-def summary(comparison: Comparison) -> dict[str, Any]:
-    """The content of `summary.json`: settings, results, versions and machine."""
-    return {
-        "env": comparison.env,
-        "env_options": {name: str(value) for name, value in comparison.env_options.items()},
-        "seed": comparison.seed,
-        "policy_seed": None if comparison.policy_seed is None else str(comparison.policy_seed),
-        "real_time": comparison.real_time,
-        "interrupted": comparison.interrupted,
-        "resumed": comparison.resumed,
-        "failures": comparison.failures,
-        "notes": comparison.notes,
-        "baseline": comparison.baseline,
-        "margin": comparison.margin,
-        "time_limit": comparison.time_limit,
-        "groups": comparison.groups,
-        "disqualified": comparison.disqualified,
-        "policies": [dataclasses.asdict(policy) for policy in comparison.policies],
-        "paired": [dataclasses.asdict(difference) for difference in comparison.paired],
-        "versions": versions(),
-        "machine": machine(),
-    }
+def concluded(
+    identity: Mapping[str, Any],
+    env_options: Mapping[str, Any],
+    facts: Facts,
+    results: EpisodeTable,
+    runs: Sequence[Run],
+    tracebacks: dict[str, str] | None = None,
+) -> Comparison:
+    """The result of a cell from what is stored of it: its identity, facts, episodes and runs."""
+    latencies = facts.real_time is None or facts.real_time["latency"] == MEASURED
+    results = unjudged(results, runs) if latencies and len(results) else results
+    found = Comparison(identity, env_options, facts, results, runs, notes=[*facts.notes])
+    found.tracebacks = tracebacks or {}
+    if not len(results):
+        return found
+    policies: Any = facts.policies
+    summaries, found.paired = summarise(
+        results, policies, facts.planned, facts.return_bounds, facts.time_limit, facts.groups, facts.spared, runs
+    )
+    found.policies = [_with_construction(one, facts) for one in summaries]
+    counted, _ = counted_results(results)
+    found.notes += [
+        *([] if facts.return_bounds else [UNBOUNDED]),
+        *certificate_notes(results),
+        *motion_notes(results, facts.control_period),
+        *timing_notes(((name, played) for name, played in counted.items() if played), Machines.of(runs, results)),
+        *([NO_SUCCESS_SIGNAL.format(env=bare_id(found.env))] if summaries and summaries[0].success is None else []),
+        *(load_notes(results, runs) if latencies else []),
+        *(argument_notes(runs, facts.baseline, facts.margin) if found.paired else []),
+    ]
+    return found
+
+
+def _with_construction(one: PolicySummary, facts: Facts) -> PolicySummary:
+    """The summary with the time that it took to make the policy; of a group's trainings, the longest."""
+    construction_ms = max(facts.policies[name].construction_ms for name in one.trainings or [one.policy])
+    return dataclasses.replace(one, construction_ms=construction_ms)

@@ -1,79 +1,118 @@
-"""Reads a comparison's folder back, without playing anything."""
+"""Reads a study's folder back, without playing anything."""
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from functools import reduce
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter, ValidationError
 
-from armctl.core.errors import ResultsError
-from armctl.core.files import bounded_text, unsealed
+from armctl.core.errors import ConfigurationError, ResultsError
 from armctl.core.options import option_value
 from armctl.envs import ERROR
-from armctl.episodes.store import STORE, Stored, read_store
-from armctl.episodes.table import EpisodeTable
-from armctl.policies import learners
-from armctl.runtime.provenance import Run
-from armctl.study.comparison import Comparison
-from armctl.study.facts import Facts, judge
-from armctl.verdict.scores import by_learner
-from armctl.verdict.summary import counted_results
+from armctl.episodes.stored import STORE, UNDISTURBED, StoredCell, StoredStudy, read_store
+from armctl.study.comparison import Comparison, concluded
+from armctl.study.facts import Facts, Finite
+from armctl.study.plan import COMPARISON, SUITE, SWEEP
+from armctl.study.study import Study, cell_name
+from armctl.study.task_results import Sweep
 
-Kind = TypeVar("Kind")
-_FACTS = TypeAdapter(Facts)
 LONGEST_OPTION = 1_000
 """Characters of an option's text; to read long ones as Python takes much time and memory."""
+UNFINISHED = "it is unfinished: the same command resumes it"
 
 
 @dataclass(frozen=True)
-class Results:
-    """A comparison, and each of its episodes."""
-
-    comparison: Comparison
-    names: list[str]
-    """Names of all compared policies, in order; a group of trainings counts as one."""
-    episodes: Mapping[str, EpisodeTable]
-    """The episodes that count, by policy; policies without any are left out. Those of a group: of all its trainings."""
-    versions: Mapping[str, str]
-    machine: Mapping[str, Any]
-    runs: list[Run] = field(default_factory=list)
-    """Those that played the episodes."""
+class _Task:
+    levels: dict[str, list[Finite]]
+    units: dict[str, str]
+    recorded: str
+    failures: dict[str, str]
+    interrupted: bool
 
 
-def read_results(folder: Path) -> Results:
-    """Read the folder of a finished or interrupted comparison.
+@dataclass(frozen=True)
+class _Record:
+    """What `Study.record` gives."""
 
-    Raises `ResultsError` if its store is missing or damaged.
+    kind: Annotated[str, Field(pattern=f"^({COMPARISON}|{SWEEP}|{SUITE})$")]
+    seed: int
+    episodes: int
+    envs: list[str]
+    quick: bool
+    failures: dict[str, str]
+    interrupted: bool
+    tasks: dict[str, _Task]
+
+
+_FACTS, _RECORD = TypeAdapter(Facts), TypeAdapter(_Record)
+
+
+def read_comparison(folder: Path) -> Comparison:
+    """Read the folder of a finished or interrupted comparison, or the undisturbed one of a sweep.
+
+    Raises `ResultsError` if its store is missing or damaged, or holds a suite.
+    """
+    found = read_study(folder)
+    if found.kind == SUITE:
+        raise ResultsError(f"{folder} holds a suite, not a comparison")
+    (swept,) = found.tasks.values()
+    return swept.comparisons[UNDISTURBED]
+
+
+def read_study(folder: Path) -> Study:
+    """Read the folder of a finished or interrupted study. A suite's task that is unfinished is in its failures.
+
+    Raises `ResultsError` if its store is missing or damaged, or has no finished cell.
     """
     stored, path = read_store(folder), folder / STORE
-    if stored.facts is None:
-        raise ResultsError(f"{folder} is unfinished: the same command with --out {folder} resumes it")
+    unfinished = ResultsError(f"{folder} is unfinished: the same command with --out {folder} resumes it")
+    if not stored.record:
+        raise unfinished
     try:
-        facts = _FACTS.validate_python(stored.facts)
-        comparison = _comparison(stored, facts)
-        judge(comparison, facts, stored.runs)
-    except ValueError as error:
+        record = _RECORD.validate_python(stored.record)
+        found = _study(record, stored)
+    except (ValueError, LookupError, ConfigurationError) as error:
         why = error.errors()[0]["msg"] if isinstance(error, ValidationError) else error
-        raise ResultsError(f"{path} cannot be read as results of a comparison: {why}") from error
-    policies = stored.identity["policies"]
-    counted, _ = counted_results(comparison.results)
-    trained = by_learner(counted, policies, facts.groups)
-    return Results(
-        comparison,
-        learners(policies, facts.groups),
-        {one.policy: reduce(EpisodeTable.together, trained[one.policy].values()) for one in comparison.policies},
-        facts.versions,
-        facts.machine,
-        stored.runs,
-    )
+        raise ResultsError(f"{path} cannot be read as results of a {stored.record.get('kind')}: {why}") from error
+    if not found.tasks and found.kind != SUITE:
+        raise unfinished
+    return found
 
 
-def _comparison(stored: Stored, facts: Facts) -> Comparison:
-    """The comparison before it is judged. Raises `ValueError` for facts that its episodes cannot have."""
-    policies, results = stored.identity["policies"], stored.episodes
+def _study(record: _Record, stored: StoredStudy) -> Study:
+    """Raises `ValueError` for a record that does not belong to its cells."""
+    found = Study(
+        record.kind, record.seed, record.episodes, record.envs, record.quick, {}, dict(record.failures),
+        record.interrupted,
+    )  # fmt: skip
+    if record.kind != SUITE and len(record.tasks) != 1:
+        raise ValueError(f"it has {len(record.tasks)} tasks")
+    for env in record.envs:
+        swept = _task(env, record, stored) if env in record.tasks else None
+        if swept is not None and swept.undisturbed is not None:
+            found.tasks[env] = swept
+        else:
+            found.failures.setdefault(env, UNFINISHED)
+    return found
+
+
+def _task(env: str, record: _Record, stored: StoredStudy) -> Sweep:
+    task = record.tasks[env]
+    swept = Sweep(env, record.seed, task.levels, task.units, task.recorded, {}, dict(task.failures), task.interrupted)
+    for setting in (UNDISTURBED, *swept.settings):
+        cell = stored.cells.get(cell_name(record.kind, env, setting))
+        if cell is not None and cell.facts is not None:
+            swept.comparisons[setting] = played = _comparison(cell)
+            if (played.env, played.seed) != (env, record.seed):
+                raise ValueError(f"its cell {setting} is of another environment or seed")
+    return swept
+
+
+def _comparison(cell: StoredCell) -> Comparison:
+    """Raises `ValueError` for facts that the episodes cannot have."""
+    facts, policies, results = _FACTS.validate_python(cell.facts), cell.identity["policies"], cell.episodes
     members = [member for group in facts.groups.values() for member in group]
     low, high = facts.return_bounds or (-math.inf, math.inf)
     returns = results.column("total_reward")[results.column("outcome") != ERROR]
@@ -88,22 +127,8 @@ def _comparison(stored: Stored, facts: Facts) -> Comparison:
     )
     if not fits:
         raise ValueError("what is known of it does not belong to its episodes: run the comparison again")
-    return Comparison(
-        stored.identity["env"],
-        stored.identity["seed"],
-        _options(facts.env_options),
-        results.sorted(policies),
-        failures=facts.failures,
-        baseline=facts.baseline,
-        margin=facts.margin,
-        real_time=dict(facts.real_time) if facts.real_time else None,
-        groups=facts.groups,
-        spared={name: one.spared for name, one in facts.policies.items()},
-        disqualified=facts.disqualified,
-        policy_seed=facts.policy_seed,
-        interrupted=facts.interrupted,
-        resumed=facts.resumed,
-    )
+    options = _options(facts.env_options)
+    return concluded(cell.identity, options, facts, results.sorted(policies), cell.runs)
 
 
 def _options(texts: Mapping[str, str]) -> dict[str, Any]:
@@ -113,13 +138,3 @@ def _options(texts: Mapping[str, str]) -> dict[str, Any]:
                 f"its option {name[:LONGEST_OPTION]} has {len(text):,} characters, more than {LONGEST_OPTION:,}"
             )
     return {name: option_value(text) for name, text in texts.items()}
-
-
-def read_sealed(path: Path, kind: type[Kind], what: str = "a comparison") -> tuple[dict[str, Any], Kind]:
-    """All values of a file that `sealed` made, and those that `kind` has. Raises `ResultsError`, which names `what`."""
-    try:
-        values = unsealed(bounded_text(path))
-        return values, TypeAdapter(kind).validate_python(values)
-    except (OSError, ValueError) as error:
-        why = error.errors()[0]["msg"] if isinstance(error, ValidationError) else error
-        raise ResultsError(f"{path} cannot be read as results of {what}: {why}") from error

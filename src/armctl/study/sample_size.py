@@ -6,7 +6,7 @@ from pathlib import Path
 from armctl.core.errors import ConfigurationError, ResultsError
 from armctl.stats.paired import LEVELS
 from armctl.stats.power import episodes_to_detect, episodes_to_show_equivalence
-from armctl.study.results import read_results
+from armctl.study.results import read_comparison
 from armctl.verdict.sentences import contests
 from armctl.verdict.tables import AGAINST, Cell, Column, Document, Remark, Table
 
@@ -86,13 +86,15 @@ def _caption(tests: int, claims: int) -> str:
 
 
 def _planned(pilot: Path) -> _Planned:
-    found = read_results(pilot).comparison
-    known = [pair for pair in found.paired if pair.mcnemar_p is not None and found.baseline in (None, pair.a, pair.b)]
+    found = read_comparison(pilot)
+    known = [
+        pair for pair in found.paired if pair.mcnemar_p is not None and found.facts.baseline in (None, pair.a, pair.b)
+    ]
     left_out = [f"{pair.a} {AGAINST}{pair.b}" for pair in known if pair.crossed is not None]
     alone = {Cell(pair.a, AGAINST + pair.b): pair for pair in known if pair.crossed is None}
     if not alone:
         why = f": {TRAININGS}" if left_out else ""
         raise ResultsError(f"{pilot} has no pair of policies whose success is known, and so nothing to plan by{why}")
     shares = {name: (pair.only_a + pair.only_b + 1) / (pair.episodes + 2) for name, pair in alone.items()}
-    told = contests(found.policies, found.paired, found.baseline)[0]
+    told = contests(found.policies, found.paired, found.facts.baseline)[0]
     return _Planned(shares, told.p.tests, told.claims, left_out)

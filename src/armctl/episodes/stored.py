@@ -1,0 +1,164 @@
+"""Reads the store of a results folder, which anybody may have written."""
+
+import contextlib
+import os
+import sqlite3
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+from zlib import crc32
+
+import numpy as np
+from pydantic import TypeAdapter
+
+from armctl.core.errors import ResultsError
+from armctl.core.files import digest, unsealed
+from armctl.core.registration import bare_id
+from armctl.episodes.database import check_file, connected, damage, files
+from armctl.episodes.rows import COLUMNS, Sizes, table_of_rows
+from armctl.episodes.table import EpisodeTable
+from armctl.runtime.provenance import Run
+
+STORE = "results.sqlite"
+UNDISTURBED = "none"
+"""Name, or its last part, of a cell without a disturbance."""
+POLICY_SEED = "policy_seed"
+"""In a cell's identity: the secret of its policies' random numbers, in decimal digits."""
+_RUNS = TypeAdapter(list[Run])
+
+
+@dataclass(frozen=True)
+class CellKeys:
+    """The part of a cell's identity that its episodes are checked by."""
+
+    env: str
+    seed: int
+    policies: list[str]
+
+
+KEYS = TypeAdapter(CellKeys)
+
+
+class StoredCell(NamedTuple):
+    """What a store holds of a cell."""
+
+    identity: dict[str, Any]
+    facts: dict[str, Any] | None
+    """What is known besides the episodes; None while it is unfinished."""
+    runs: list[Run]
+    """Those that have played episodes, or told another verdict."""
+    episodes: EpisodeTable
+
+
+class StoredStudy(NamedTuple):
+    """What a store holds."""
+
+    record: dict[str, Any]
+    """What was played, and what came of it besides the cells; empty before the first cell."""
+    cells: dict[str, StoredCell]
+
+
+def read_store(folder: Path) -> StoredStudy:
+    """Read the store of a folder. Raises `ResultsError` if it is missing or damaged."""
+    with _read(folder) as file:
+        texts = texts_in(file)
+        record = [unsealed(text) for (text,) in file.execute("SELECT record FROM study LIMIT 2")]
+        if len(record) > 1:
+            raise ValueError("it has several studies")
+        cells = {
+            name: StoredCell(
+                identity := unsealed(text),
+                None if facts is None else unsealed(facts),
+                runs_of(file, number),
+                episodes_of(file, number, identity, texts),
+            )
+            for number, name, text, facts in cells_in(file)
+        }
+        return StoredStudy(record[0] if record else {}, cells)
+
+
+def read_identities(folder: Path) -> list[dict[str, Any]]:
+    """Read what identifies each cell in a folder's store. Raises `ResultsError` if it is missing or damaged."""
+    with _read(folder, whole=False) as file:
+        return [unsealed(text) for _, _, text, _ in cells_in(file)]
+
+
+def stored_policy_seed(folder: Path) -> int | None:
+    """The policy seed in a folder's store; None if there is none that can be read."""
+    try:
+        return int(read_identities(folder)[0][POLICY_SEED])
+    except (ResultsError, LookupError, TypeError, ValueError):
+        return None
+
+
+@contextlib.contextmanager
+def _read(folder: Path, whole: bool = True) -> Iterator[sqlite3.Connection]:
+    """A folder's store, opened to be read: by itself, unless a run that was killed has left a log to recover from."""
+    path = folder / STORE
+    if not os.path.lexists(path):
+        raise ResultsError(f"{folder} holds no results: armctl compare --out {folder} writes some")
+    recovered = any(part.exists() and part.stat().st_size for part in files(path)[1:])
+    with damage(path), connected(path, "rw" if recovered else "ro&immutable=1") as file:
+        check_file(file, whole)
+        yield file
+
+
+def cells_in(file: sqlite3.Connection) -> list[tuple[int, str, str, str | None]]:
+    """Number, name, identity and facts of each cell, in the order in which they were begun."""
+    return file.execute("SELECT id, name, identity, facts FROM cell ORDER BY id").fetchall()
+
+
+def runs_of(file: sqlite3.Connection, cell: int) -> list[Run]:
+    """The runs of a cell. Raises `ValueError`."""
+    records = file.execute("SELECT record FROM run WHERE cell = ?", (cell,))
+    return _RUNS.validate_python([unsealed(record) for (record,) in records])
+
+
+def texts_in(file: sqlite3.Connection) -> list[str]:
+    """The texts that rows refer to by number. Raises `ValueError`."""
+    numbers, texts = [], []
+    for number, text in file.execute("SELECT id, text FROM text ORDER BY id"):
+        numbers.append(number)
+        texts.append(text)
+    if numbers != list(range(len(texts))) or len(set(texts)) != len(texts):
+        raise ValueError("its texts are not numbered")
+    return texts
+
+
+def episodes_of(file: sqlite3.Connection, cell: int, identity: Mapping[str, Any], texts: Sequence[str]) -> EpisodeTable:
+    """The episodes of a cell in a file that anybody may have written."""
+    policies = KEYS.validate_python(identity).policies
+    table = table_from(file.execute(select(file), (cell,)), sizes_in(file, cell), texts, identity, policies)
+    if any(len(np.unique(part.column("episode"))) < len(part) for part in table.by_policy().values()):
+        raise ValueError("it has an episode for the second time")
+    return table
+
+
+def select(file: sqlite3.Connection) -> str:
+    """The rows of a cell: in the order of the file if that holds no others, else by the index."""
+    alone = file.execute("SELECT count(*) FROM cell").fetchone()[0] == 1
+    return f"SELECT {', '.join(COLUMNS)} FROM episode {'NOT INDEXED' if alone else ''} WHERE cell = ?"
+
+
+def sizes_in(file: sqlite3.Connection, cell: int) -> Sizes:
+    """How much memory the episodes of a cell take as a table."""
+    count = "count(*), coalesce(sum(length(reward_terms)), 0) / 8, coalesce(sum(length(decision_ms)), 0) / 2"
+    return Sizes(*file.execute(f"SELECT {count} FROM episode WHERE cell = ?", (cell,)).fetchone())
+
+
+def table_from(
+    rows: Iterable[Sequence[Any]],
+    sizes: Sizes,
+    texts: Sequence[str],
+    identity: Mapping[str, Any],
+    policies: Sequence[str] | None = None,
+) -> EpisodeTable:
+    """The episodes of a cell in rows of it. Raises `ValueError`."""
+    keys = KEYS.validate_python(identity)
+    return table_of_rows(rows, sizes, texts, checksum_of(identity), bare_id(keys.env), keys.seed, policies)
+
+
+def checksum_of(identity: Mapping[str, Any]) -> int:
+    """The part of a row's checksum that says to which cell it belongs."""
+    return crc32(digest(identity).encode())

@@ -1,0 +1,301 @@
+"""Plays a cell: every policy in the same episodes, each written as soon as it ends."""
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, closing
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from armctl.core.errors import ConfigurationError, ResultsError
+from armctl.core.registration import bare_id
+from armctl.envs import ERROR, RETURN_BOUNDS, EpisodeVectorEnv, ThirdPartyVectorEnv
+from armctl.episodes.failures import PolicyDisqualified
+from armctl.episodes.record import EpisodeResult, FailedEpisode
+from armctl.episodes.store import CellWriter, Store
+from armctl.episodes.stored import POLICY_SEED
+from armctl.episodes.table import EpisodeTable
+from armctl.policies import Policy, WorldsByInterface
+from armctl.rollout.parallel import (
+    RolloutBatch,
+    Setting,
+    WorkerConfig,
+    check_sendable,
+    failed,
+    play_here,
+    play_in_workers,
+)
+from armctl.rollout.real_time import check_real_time
+from armctl.rollout.rollouts import build_timed, wrap_environment_errors
+from armctl.rollout.seeding import seed_notes
+from armctl.runtime.identity import identity
+from armctl.runtime.provenance import RunMeter, machine, versions
+from armctl.runtime.workers import WorkersFailed
+from armctl.stats.intervals import Bounds
+from armctl.study.comparison import Comparison, concluded
+from armctl.study.facts import Facts, PolicyFacts
+from armctl.study.plan import Cell, Plan
+from armctl.verdict.summary import training_cost_of
+
+NOT_AN_ARMCTL_TASK = (
+    "{env} is not made of a task of armctl's: least times, feasibility, contacts and clearances are unknown."
+)
+
+
+@dataclass
+class Task:
+    """What the cells of a task share while they are played."""
+
+    least_lengths: dict[int, float] = field(default_factory=dict)
+    """Of each episode, as in `rollouts`."""
+    seed_notes: list[str] | None = None
+    """Remarks of `seed_notes`; None before the first cell is played."""
+
+
+@dataclass(frozen=True)
+class Session:
+    """What all cells of a study share while they are played."""
+
+    plan: Plan
+    store: Store
+    policy_seed: int
+    on_first_cell: Callable[[], None]
+    """Called when a cell can be written to the store."""
+    progress: Callable[[Cell, EpisodeResult], None]
+    """Called with every finished episode, and first with those of an earlier run."""
+
+
+@dataclass
+class _Events:
+    """What happened in a cell besides its episodes."""
+
+    failures: dict[str, str] = field(default_factory=dict)
+    tracebacks: dict[str, str] = field(default_factory=dict)
+    disqualified: list[str] = field(default_factory=list)
+    crashes: dict[str, FailedEpisode] = field(default_factory=dict)
+    """The first episode in which each policy failed."""
+    construction_ms: dict[str, float] = field(default_factory=dict)
+    interrupted: bool = False
+
+    def note(self, played: RolloutBatch) -> None:
+        """Keep what a batch tells."""
+        if played.failure:
+            self.failures[played.policy] = played.failure
+            self.tracebacks[played.policy] = played.traceback
+        if played.disqualified:
+            self.disqualified.append(played.policy)
+        for crash in (one for one in played.results if isinstance(one, FailedEpisode)):
+            first = self.crashes.setdefault(crash.policy, crash)
+            self.crashes[crash.policy] = min(first, crash, key=lambda one: one.episode)
+
+    def note_crashes(self, results: EpisodeTable) -> None:
+        """Say in how many episodes each policy failed, and why in the first that was played now."""
+        for name, played in results.by_policy().items():
+            episodes = played.column("episode")[played.column("outcome") == ERROR]
+            if not len(episodes):
+                continue
+            crash = self.crashes.get(name)
+            first = f"the first is episode {episodes.min()}"
+            if crash is not None:
+                first = f"episode {crash.episode}: {crash.message}"
+                self.tracebacks.setdefault(name, crash.traceback)
+            said = (
+                f"{name} raised an error, or returned an invalid action, in {len(episodes)} of {len(played)} episodes, "
+                f"which count as failures; {first}"
+            )
+            self.failures[name] = "; ".join(filter(None, (self.failures.get(name), said)))
+
+
+@dataclass(frozen=True)
+class _Line:
+    """The policies of a cell, made here, and their worlds."""
+
+    cell: Cell
+    plan: Plan
+    policy_seed: int
+    interfaces: WorldsByInterface
+    made: Mapping[str, Policy]
+
+    @property
+    def worlds(self) -> int:
+        """How many worlds share a policy's calls."""
+        return 1 if self.cell.real_time else min(self.plan.worlds, self.plan.episodes)
+
+    @property
+    def playing(self) -> dict[str, Any]:
+        """The policies as they were asked for, by name, without those that cannot play."""
+        return {name: policy for name, policy in self.cell.players.items() if name in self.made}
+
+    @property
+    def env(self) -> EpisodeVectorEnv:
+        """The worlds as they were asked for."""
+        return self.interfaces.requested
+
+    def identity(self) -> dict[str, Any]:
+        """What determines the episodes."""
+        cell = self.cell
+        late = None if cell.real_time is None else cell.real_time.identity(cell.players)
+        own = identity(cell.env, cell.env_options, self.plan.seed, cell.players, self.made, self.env, late)
+        return {**own, POLICY_SEED: str(self.policy_seed)}
+
+    def play(self, kept: EpisodeTable, least_lengths: dict[int, float]) -> Iterator[RolloutBatch]:
+        """Play the episodes that are not among those that were `kept`."""
+        cell, plan, engine = self.cell, self.plan, self.plan.engine
+        finished = {name: its.column("episode") for name, its in kept.by_policy().items()}
+        waiting = {name: np.setdiff1d(np.arange(plan.episodes), finished.get(name, [])).tolist() for name in self.made}
+        lengths = (kept.column(name).tolist() for name in ("episode", "least_length"))
+        least_lengths.update(zip(*lengths, strict=True))
+        if engine.is_local:
+            worlds = {name: self.interfaces.of(policy) for name, policy in self.playing.items()}
+            return play_here(self.made, worlds, plan.seed, waiting, least_lengths, cell.real_time, set(finished))
+        options = dict(cell.env_options)
+        config = WorkerConfig(cell.env, self.worlds, options, plan.seed, self.policy_seed, engine.workers)
+        setting = Setting(config, self.playing)
+        return play_in_workers(
+            setting, self.made, self.interfaces, waiting, least_lengths, engine, cell.real_time, set(finished)
+        )
+
+    def facts(self, events: _Events, notes: list[str], resumed: int) -> Facts:
+        """All that is stored besides the episodes."""
+        cell, plan, env = self.cell, self.plan, self.env
+        late = cell.real_time
+        return Facts(
+            env_options={name: str(value) for name, value in cell.env_options.items()},
+            policy_seed=self.policy_seed,
+            planned=plan.episodes,
+            policies={
+                name: PolicyFacts(
+                    policy.sees,
+                    training_cost_of(policy),
+                    events.construction_ms[name],
+                    tuple(self.interfaces.spared(self.playing[name], policy)),
+                )
+                for name, policy in self.made.items()
+            },
+            return_bounds=env.return_bounds,
+            time_limit=env.max_episode_steps,
+            control_period=env.task.control_period,
+            versions=versions(),
+            machine=machine(),
+            notes=notes,
+            failures=events.failures,
+            baseline=plan.baseline,
+            margin=plan.margin,
+            real_time=None if late is None else {"latency": late.latency, "slow_down": late.slow_down},
+            groups=cell.groups,
+            disqualified=events.disqualified,
+            interrupted=events.interrupted,
+            resumed=resumed,
+        )
+
+
+def play_cell(cell: Cell, session: Session, task: Task) -> Comparison:
+    """Let all policies of a cell play its episodes; resume what the store holds of it.
+
+    Before anything is written to its store, everything is checked that can be.
+
+    Raises `ConfigurationError`, `AgentFileError`, and `ResultsError` as `Store` does. What goes wrong later is in the
+    result's failures.
+    """
+    plan, store = session.plan, session.store
+
+    def progress(result: EpisodeResult) -> None:
+        session.progress(cell, result)
+
+    with ExitStack() as stack:
+        worlds = 1 if cell.real_time else min(plan.worlds, plan.episodes)
+        interfaces = WorldsByInterface(cell.env, worlds if plan.engine.is_local else 1, cell.env_options)
+        stack.callback(interfaces.close)
+        events = _Events()
+        made = _made(cell, interfaces, session.policy_seed, events)
+        line = _Line(cell, plan, session.policy_seed, interfaces, made)
+        notes = _notes(line, task)
+        store.open(plan.seed, [other.name for other in plan.cells])
+        own = line.identity() if store.folder else {"env": cell.env, "seed": plan.seed, "policies": [*cell.players]}
+        meter = RunMeter(own, line.worlds, plan.engine.workers)
+        writer = store.cell(cell.name, own, plan.episodes, meter.run)
+        session.on_first_cell()
+        for result in writer.kept:
+            progress(result)
+        _play(line, writer, task.least_lengths, meter, events, progress)
+        results = writer.episodes()
+        results = results[~np.isin(results.column("policy"), events.disqualified)].sorted(list(line.made))
+        events.note_crashes(results)
+        judged = min(map(len, results.by_policy().values()), default=0)
+        runs = [*writer.runs, meter.finished(judged, plan.baseline, plan.margin)]
+        facts = line.facts(events, notes, len(writer.kept))
+        try:
+            runs = writer.finish(asdict(facts), runs, events.disqualified)
+        except ResultsError as error:
+            facts.failures["results"] = str(error)
+        return concluded(writer.identity, cell.env_options, facts, results, runs, events.tracebacks)
+
+
+def _made(cell: Cell, interfaces: WorldsByInterface, policy_seed: int, events: _Events) -> dict[str, Policy]:
+    """The policies, made before anything is reset; without any that write to the world."""
+    made = dict[str, Policy]()
+    for name, policy in cell.players.items():
+        try:
+            made[name], events.construction_ms[name] = build_timed(policy, interfaces.of(policy), name, policy_seed)
+        except PolicyDisqualified as failure:
+            events.note(failed(name, [], failure))
+    return made
+
+
+def _notes(line: _Line, task: Task) -> list[str]:
+    """Remarks about an environment, before anything is played in it. Raises `ConfigurationError`."""
+    cell, env = line.cell, line.env
+    with wrap_environment_errors("a trial", 0):
+        env.reset(seed=line.plan.seed)  # raises for an invalid seed
+    notes = cell.single_trainings
+    if cell.real_time is not None:
+        check_real_time(bare_id(cell.env), env)
+        notes.append(cell.real_time.in_words(env.task.control_period))
+    if not line.plan.engine.is_local:
+        check_sendable(line.playing)
+    if task.seed_notes is None:
+        task.seed_notes = seed_notes(cell.env, cell.env_options)
+    notes += task.seed_notes
+    if isinstance(env, ThirdPartyVectorEnv):
+        notes.append(NOT_AN_ARMCTL_TASK.format(env=bare_id(cell.env)))
+    return notes
+
+
+def _play(
+    line: _Line,
+    writer: CellWriter,
+    least_lengths: dict[int, float],
+    meter: RunMeter,
+    events: _Events,
+    progress: Callable[[EpisodeResult], None],
+) -> None:
+    """Write episodes until all are played, the workers are lost, or somebody interrupts."""
+    here, in_workers = dict(events.construction_ms), dict[str, float]()
+    try:
+        with closing(line.play(writer.kept, least_lengths)) as stream:  # type: ignore[type-var]
+            for played in stream:
+                events.note(played)
+                if (spent := played.construction_ms) is not None:
+                    in_workers[played.policy] = max(spent, in_workers.get(played.policy, 0.0))
+                meter.update_load()
+                for result in (replace(one, run=meter.run.id) for one in played.results):
+                    _check_return(result, line.env.stated_return_bounds)
+                    writer.write(result)
+                    progress(result)
+    except WorkersFailed as failure:
+        events.failures["workers"] = str(failure)
+    except KeyboardInterrupt:
+        events.interrupted = True
+    events.construction_ms = here | in_workers
+
+
+def _check_return(result: EpisodeResult, bounds: Bounds | None) -> None:
+    """Raise `ConfigurationError` for a return beyond the stated bounds, by more than what sums are rounded by."""
+    if bounds is None or result.outcome == ERROR:
+        return
+    rounding = 1e-9 * max(map(abs, bounds))
+    if not bounds[0] - rounding <= result.total_reward <= bounds[1] + rounding:
+        raise ConfigurationError(
+            f"episode {result.episode} of {result.policy} has the return {result.total_reward:g}, outside the stated "
+            f"{RETURN_BOUNDS} [{bounds[0]:g}, {bounds[1]:g}]: state bounds that hold for every possible episode"
+        )

@@ -1,0 +1,67 @@
+"""The options that studies share, written once: as arguments by keyword of `compare`, `sweep` and `suite`."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypedDict
+
+from armctl.core.errors import unknown_name
+from armctl.envs import RETURN_BOUNDS
+from armctl.runtime.engines import Engine
+from armctl.stats.intervals import Bounds
+
+
+class StudyOptions(TypedDict, total=False):
+    """Options of every study."""
+
+    overwrite: bool
+    """Replace all results in the folder, which are resumed otherwise."""
+    worlds: int
+    """Number of worlds that each process plays at once, 1 by default: see `compare` about decision times."""
+    workers: int | Engine
+    """Number of processes that play, 1 by default, each with `worlds` worlds on one core; or an engine, whose workers
+    play (`armctl.runtime.engines.connect`). Decision times are then measured while the other processes compute."""
+    policy_seed: int | None
+    """Secret from which policies draw their own random numbers (see `armctl.envs.policy_seed`), so that another study
+    draws the same. By default, that of the folder, or a new one; it is in the summary."""
+
+
+class TaskOptions(StudyOptions, total=False):
+    """Options of a study of one environment."""
+
+    env_options: Mapping[str, Any] | None
+    """Options of the environment, by name."""
+    return_bounds: Bounds | None
+    """Least and largest possible return of an episode, for an environment that does not tell them: means of returns
+    have intervals and tests with such bounds only."""
+    real_time: str | Path | None
+    """With it, the world does not wait: a decision that takes longer than the control period takes effect when it is
+    ready (see `armctl.rollout.real_time`). It is `measured`, which needs one world and one worker, or the folder of a
+    comparison with one world and one worker, whose decision times are repeated: then the episodes are the same whenever
+    and wherever they are played. Each process plays one world at a time. In a sweep, it is the folder for the levels of
+    `slow-down`."""
+
+
+class ComparisonOptions(TaskOptions, total=False):
+    """Options of a comparison."""
+
+    baseline: str | None
+    """The policy that all others are held against; by default, the verdict is about the best classical and the best
+    learned policy."""
+    margin: float
+    """Difference in success, as a share, below which policies count as equivalent; 0.02 by default."""
+    slow_down: float
+    """In real time, decisions take so many times as long as they were measured."""
+
+
+def checked_options(given: Mapping[str, Any], kind: type) -> None:
+    """Raise `ConfigurationError` for an option that a kind of study does not have."""
+    allowed = kind.__annotations__
+    for name in given:
+        if name not in allowed:
+            raise unknown_name("option", name, [*allowed])
+
+
+def environment_options(options: TaskOptions) -> dict[str, Any]:
+    """The options of the environment, with the bounds of its returns if they are stated."""
+    bounds = options.get("return_bounds")
+    return dict(options.get("env_options") or {}) | ({} if bounds is None else {RETURN_BOUNDS: bounds})

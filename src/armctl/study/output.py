@@ -1,0 +1,67 @@
+"""What a study leaves for other programs: tables and a summary. armctl does not read them back."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from armctl.core.errors import ResultsError
+from armctl.core.files import write_atomically
+from armctl.episodes.output import DECISIONS, EPISODES, EPISODES_PARQUET, write_csv
+from armctl.episodes.stored import UNDISTURBED
+from armctl.study.comparison import Comparison
+from armctl.study.plan import COMPARISON, SUITE
+from armctl.study.study import Study
+from armctl.study.task_results import COLUMNS
+
+SUMMARY, POINTS = "summary.json", "sweep.csv"
+
+
+def write_output(folder: Path, found: Study) -> None:
+    """Write the tables `episodes.csv`, `decisions.csv` and `sweep.csv`, and `summary.json`. Raises `ResultsError`."""
+    summaries = {name: summary(comparison) for name, comparison in found.cells.items()}
+    results = {name: comparison.results for name, comparison in found.cells.items()}
+    alone = found.kind == COMPARISON
+    about = summaries[UNDISTURBED] if alone else {**found.record(), "cells": summaries}
+    try:
+        write_csv(folder, results[UNDISTURBED] if alone else results)
+        write_atomically(folder / SUMMARY, json.dumps(about, indent=2) + "\n")
+        if not alone:
+            write_atomically(folder / POINTS, _points(found).to_csv(index=False))
+    except OSError as error:
+        raise ResultsError(f"tables could not be written to {folder}: {error.strerror}") from error
+
+
+def remove_output(folder: Path) -> None:
+    """Remove all that may have been written from a store, while more is played. Raises `ResultsError`."""
+    try:
+        for name in (SUMMARY, POINTS, EPISODES, DECISIONS, EPISODES_PARQUET):
+            (folder / name).unlink(missing_ok=True)
+    except OSError as error:
+        raise ResultsError(f"results cannot be written to {folder}: {error.strerror}") from error
+
+
+def _points(found: Study) -> pd.DataFrame:
+    """The rows of `sweep.csv`; those of a suite begin with the environment."""
+    tables = [swept.points for swept in found.tasks.values()]
+    if found.kind == SUITE:
+        tables = [table.assign(env=env)[["env", *COLUMNS]] for env, table in zip(found.tasks, tables, strict=True)]
+    return pd.concat(tables) if len(tables) > 1 else tables[0]
+
+
+def summary(comparison: Comparison) -> dict[str, Any]:
+    """A comparison as JSON values: settings, results, versions and machine."""
+    facts = {name: value for name, value in vars(comparison.facts).items() if name != "policies"}
+    return {
+        "env": comparison.env,
+        "seed": comparison.seed,
+        **facts,
+        "policy_seed": str(comparison.facts.policy_seed),
+        "notes": comparison.notes,
+        "policies": [asdict(policy) for policy in comparison.policies],
+        "paired": [asdict(difference) for difference in comparison.paired],
+        "runs": [asdict(run) for run in comparison.runs],
+        "comparison": comparison.identity,
+    }

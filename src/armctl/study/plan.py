@@ -1,0 +1,242 @@
+"""What a study plays: policies times cells, checked before anything is played."""
+
+import functools
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from armctl.core.errors import ArmctlError, ConfigurationError, unknown_name
+from armctl.core.files import checked_name
+from armctl.core.registration import bare_id, environment_names, remember_named
+from armctl.envs import full_id, make_worlds
+from armctl.episodes.stored import UNDISTURBED
+from armctl.policies import expanded, is_seed_group, learners, named_policies
+from armctl.rollout.real_time import (
+    SLOWER,
+    RealTime,
+    check_measurable,
+    check_real_time,
+    check_recorded,
+    read_recording,
+    real_time_of,
+)
+from armctl.rollout.rollouts import check_counts
+from armctl.rollout.seeds import Seed, evaluation_seed
+from armctl.runtime.engines import Engine, engine_of
+from armctl.stats.paired import MARGIN
+from armctl.study.levels import Disturbances, checked_levels, disturbance_specs, setting_name
+from armctl.study.line_up import FULL, QUICK, default_policies, line_up, main_disturbances, unusable_agents
+from armctl.study.options import (
+    ComparisonOptions,
+    StudyOptions,
+    TaskOptions,
+    checked_options,
+    environment_options,
+)
+
+COMPARISON, SWEEP, SUITE = "comparison", "sweep", "suite"
+"""Kinds of studies: one cell; one task's cells; the cells of several tasks."""
+ALL = "all"
+"""As an environment: those of all installed packages."""
+HOME = "armctl/"
+"""The namespace that is left out of the names of a suite's cells."""
+FROM_UNDISTURBED = "the undisturbed comparison"
+"""Where the decision times of a sweep come from, unless a folder has them."""
+ONE_TRAINING = "{group} is a single training, which says nothing of others by the same recipe."
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Conditions under which policies play the same episodes."""
+
+    name: str
+    env: str
+    env_options: Mapping[str, Any]
+    policies: Mapping[str, Any]
+    """As they were asked for, by name; a group of trainings is one of these."""
+    real_time: RealTime | None = None
+    """None if the world waits for decisions."""
+    repeats: str | None = None
+    """Name of the cell whose decision times are repeated, if they come from none that was played before."""
+
+    @property
+    def setting(self) -> str:
+        """Its name among the cells of its task."""
+        return self.name.rpartition("/")[2]
+
+    @functools.cached_property
+    def players(self) -> dict[str, Any]:
+        """Each policy by its name in the episodes, each training of a group by itself."""
+        return expanded(self.policies)[0]
+
+    @functools.cached_property
+    def groups(self) -> dict[str, list[str]]:
+        """The trainings of each group."""
+        return expanded(self.policies)[1]
+
+    @property
+    def single_trainings(self) -> list[str]:
+        """A remark for each group that has one training only."""
+        return [
+            ONE_TRAINING.format(group=name)
+            for name in self.policies
+            if is_seed_group(self.policies[name]) and name not in self.groups
+        ]
+
+
+@dataclass(frozen=True)
+class TaskPlan:
+    """The cells of one task, the undisturbed one first."""
+
+    env: str
+    cells: Sequence[Cell]
+    levels: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    """Of each disturbance, beginning with the one that changes nothing."""
+    units: Mapping[str, str] = field(default_factory=dict)
+    """Of each disturbance's levels."""
+    recorded: str = ""
+    """Where the decision times of the slow-down levels come from; empty without such levels."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a study plays."""
+
+    kind: str
+    tasks: Sequence[TaskPlan]
+    seed: int
+    episodes: int
+    """Of each policy in each cell."""
+    worlds: int = 1
+    engine: Engine = field(default_factory=lambda: engine_of(1))
+    baseline: str | None = None
+    margin: float = MARGIN
+    quick: bool = False
+    envs: Sequence[str] = ()
+    """All environments that were asked for."""
+    failures: Mapping[str, str] = field(default_factory=dict)
+    """By environment: why it cannot be played, or not by all of its agents."""
+
+    @property
+    def cells(self) -> list[Cell]:
+        """Those of all tasks."""
+        return [cell for task in self.tasks for cell in task.cells]
+
+    @property
+    def total(self) -> int:
+        """Number of episodes of all policies in all cells."""
+        return self.episodes * sum(len(cell.players) for cell in self.cells)
+
+
+def comparison_plan(policies: Any, env: str, episodes: int, seed: Seed, options: ComparisonOptions) -> Plan:
+    """One cell. Raises `ConfigurationError`, and `ResultsError` for a damaged recording of decision times."""
+    checked_options(options, ComparisonOptions)
+    cell, shared = _undisturbed(policies, env, options), _extent(episodes, seed, options)
+    baseline, margin = options.get("baseline"), options.get("margin", MARGIN)
+    if baseline is not None and baseline not in (compared := learners(list(cell.players), cell.groups)):
+        raise unknown_name("baseline among the compared policies", baseline, compared)
+    if not 0 < margin < 1:
+        raise ConfigurationError(f"the margin is a difference in success between 0 and 1, not {margin:g}")
+    real_time = real_time_of(options.get("real_time"), options.get("slow_down", 1.0), cell.env, shared["seed"])
+    if real_time is not None:
+        if real_time.recorded is None:
+            check_measurable(shared["worlds"], shared["engine"].workers)
+        check_recorded(real_time, cell.players, episodes)
+    task = TaskPlan(cell.env, [replace(cell, real_time=real_time)])
+    return Plan(COMPARISON, [task], **shared, baseline=baseline, margin=margin, envs=[cell.env])
+
+
+def sweep_plan(
+    policies: Any, env: str, disturbances: Disturbances, episodes: int, seed: Seed, options: TaskOptions
+) -> Plan:
+    """An undisturbed cell, and one for each level of each disturbance. Raises as `comparison_plan` does."""
+    checked_options(options, TaskOptions)
+    shared = _extent(episodes, seed, options)
+    task = _task_plan(_undisturbed(policies, env, options), disturbances, options.get("real_time"), "", shared)
+    return Plan(SWEEP, [task], **shared, envs=[task.env])
+
+
+def suite_plan(envs: Sequence[str], quick: bool, episodes: int | None, seed: Seed, options: StudyOptions) -> Plan:
+    """The cells of several tasks. A task that cannot be played is among the failures. Raises `ConfigurationError`."""
+    checked_options(options, StudyOptions)
+    size = QUICK if quick else FULL
+    shared = _extent(size.episodes if episodes is None else episodes, seed, options)
+    asked = [name for env in envs for name in (environment_names() if env == ALL else [env])]
+    wanted = {task_name(env): env for env in dict.fromkeys(map(full_id, asked))}
+    if not wanted or len(wanted) < len(set(map(full_id, asked))):
+        raise ConfigurationError(f"a suite needs environments of different names, not {', '.join(asked) or 'none'}")
+    tasks: list[TaskPlan] = []
+    failures: dict[str, str] = {}
+    for name, env in wanted.items():
+        try:
+            undisturbed = _undisturbed(line_up(env), env, {})
+            tasks.append(_task_plan(undisturbed, main_disturbances(env, size), None, f"{name}/", shared))
+            unusable = unusable_agents(env)
+        except ArmctlError as error:
+            failures[env] = str(error)
+            continue
+        if unusable:
+            failures[env] = "; ".join(f"{agent} was left out: {why}" for agent, why in unusable.items())
+    return Plan(SUITE, tasks, **shared, quick=quick, envs=[*wanted.values()], failures=failures)
+
+
+def _extent(episodes: int, seed: Seed, options: StudyOptions) -> dict[str, Any]:
+    """How much is played, by whom. Raises `ConfigurationError`."""
+    worlds, workers = options.get("worlds", 1), options.get("workers", 1)
+    check_counts(episodes=episodes, worlds=worlds, **({"workers": workers} if isinstance(workers, int) else {}))
+    return {"episodes": episodes, "seed": evaluation_seed(seed), "worlds": worlds, "engine": engine_of(workers)}
+
+
+def _undisturbed(policies: Any, env: str, options: TaskOptions) -> Cell:
+    env = full_id(env)
+    remember_named(env)
+    return Cell(
+        UNDISTURBED,
+        env,
+        environment_options(options),
+        named_policies(default_policies(env) if policies is None else policies),
+    )
+
+
+def _task_plan(
+    undisturbed: Cell, disturbances: Disturbances, real_time: str | Path | None, prefix: str, shared: Mapping[str, Any]
+) -> TaskPlan:
+    """The undisturbed cell, and those of the disturbances, whose names begin with the `prefix`."""
+    env, options = undisturbed.env, dict(undisturbed.env_options)
+    specs = disturbance_specs(env, options)
+    levels = checked_levels(specs, disturbances)
+    undisturbed = replace(undisturbed, name=prefix + UNDISTURBED)
+    recorded = None if real_time is None else read_recording(Path(real_time), 1.0, env, shared["seed"])
+    source = ""
+    if SLOWER in levels:
+        with closing(make_worlds(env, 1, options)) as made:
+            check_real_time(bare_id(env), made)
+        if recorded is None:
+            check_measurable(shared["worlds"], shared["engine"].workers)
+            source = FROM_UNDISTURBED
+        else:
+            check_recorded(recorded, undisturbed.players, shared["episodes"])
+            source = recorded.latency
+    elif recorded is not None:
+        raise ConfigurationError(f"real_time is for the levels of {SLOWER}, of which none is asked for (--slow-down)")
+    constant = dict(options.pop("disturbances", {}))
+    cells = [undisturbed]
+    for name, at in levels.items():
+        for level in at[1:]:
+            if name == SLOWER:
+                late = replace(recorded or RealTime(latency=source), slow_down=level)
+                changed = replace(undisturbed, real_time=late, repeats=None if recorded else undisturbed.name)
+            else:
+                changed = replace(undisturbed, env_options=options | {"disturbances": constant | {name: level}})
+            cells.append(replace(changed, name=prefix + setting_name(name, level)))
+    return TaskPlan(env, cells, levels, {name: specs[name].unit for name in levels}, source)
+
+
+def task_name(env: str) -> str:
+    """The first part of the names of a task's cells in a suite, which is also its page's name.
+
+    Raises `ConfigurationError` for an id that no file should be called by.
+    """
+    return checked_name("task", bare_id(env).removeprefix(HOME).replace("/", "_"))

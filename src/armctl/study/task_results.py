@@ -1,0 +1,147 @@
+"""The robustness of policies: the cells of one task, undisturbed and at each level of each disturbance."""
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import pandas as pd
+
+from armctl.episodes.stored import UNDISTURBED
+from armctl.rollout.real_time import SLOWER
+from armctl.stats.degradation import change_between, change_of_group
+from armctl.stats.intervals import Estimate
+from armctl.stats.paired import PairedDifference
+from armctl.stats.robustness import NEUTRAL, Pair, PairTest
+from armctl.study.comparison import Comparison
+from armctl.study.levels import setting_name
+from armctl.verdict.notebook import Displayed
+from armctl.verdict.scores import counted_rows
+from armctl.verdict.summary import PolicySummary
+from armctl.verdict.summary_tables import sweep_parts
+from armctl.verdict.tables import Document, Remark
+
+COLUMNS = (
+    "disturbance", "level", "policy", "episodes", "success", "low", "high", "return", "return_low", "return_high",
+    "steps_to_goal", "steps_low", "steps_high", "p", "change", "unit", "sees",
+    "spared",
+)  # fmt: skip
+"""Of `sweep.csv`: one row per disturbance, level and policy, with 95 % intervals. `p` is McNemar's p-value for equal
+success in the same episodes without the disturbance, or the sign test's for equal return if success is unknown; for a
+group of trainings, that of random weights of trainings and of episodes. `change` is what it tests: success minus
+that without the disturbance, or the share of episodes with a higher return minus the share with a lower one.
+`spared` is True where the disturbance does not reach the policy, which is in no test then: `p` and `change` are NaN."""
+
+
+@dataclass(repr=False)
+class Sweep(Displayed):
+    """The results of one task. After an interrupt or a failure, they cover the finished episodes."""
+
+    env: str
+    seed: int
+    levels: Mapping[str, Sequence[float]]
+    """The levels of each disturbance, beginning with the one that changes nothing."""
+    units: Mapping[str, str] = field(default_factory=dict)
+    """Of each disturbance's levels."""
+    recorded: str = ""
+    """Where the decision times of the slow-down levels come from; empty without such levels."""
+    comparisons: dict[str, Comparison] = field(default_factory=dict)
+    """By setting: `none`, `payload-2.0` and so on."""
+    failures: dict[str, str] = field(default_factory=dict)
+    """Error messages: by setting and policy, or under `results` if results could not be written."""
+    interrupted: bool = False
+
+    def document(self) -> Document:
+        """A table for each disturbance, and from which level each policy gets worse."""
+        parts = sweep_parts(self.points, self.pairs, self.looks)
+        waiting = (comparison for comparison in self.comparisons.values() if comparison.facts.real_time is None)
+        notes = itertools.chain.from_iterable(comparison.notes for comparison in waiting)
+        parts += [Remark(note, "note") for note in dict.fromkeys(notes)]
+        if self.recorded:
+            times = f"with the decision times of {self.recorded}"
+            parts.append(Remark(f"{SLOWER}: in real time, {times}; at 0 the world waits."))
+        parts += [Remark(f"{what}: {why}", "problem") for what, why in self.failures.items()]
+        if self.interrupted:
+            parts.append(Remark("Interrupted.", "note"))
+        return Document(parts, {"env": self.env, "seed": self.seed})
+
+    @property
+    def undisturbed(self) -> Comparison | None:
+        """The comparison without a disturbance; None before it has any episode."""
+        return self.comparisons.get(UNDISTURBED)
+
+    @property
+    def settings(self) -> dict[str, tuple[str, float]]:
+        """The disturbance and level of each disturbed setting, by its name."""
+        return {setting_name(name, level): (name, level) for name, at in self.levels.items() for level in at[1:]}
+
+    @cached_property
+    def points(self) -> pd.DataFrame:
+        """The rows of `sweep.csv`; worked out once, when all is played."""
+        undisturbed = self.undisturbed
+        if undisturbed is None:
+            return pd.DataFrame(columns=list(COLUMNS))
+        before, rows = counted_rows(undisturbed.episodes), []
+        for name, levels in self.levels.items():
+            for level in levels:
+                first = level == levels[0]
+                comparison = undisturbed if first else self.comparisons.get(setting_name(name, level))
+                if comparison is None:
+                    continue
+                after = before if first else counted_rows(comparison.episodes)
+                for policy in comparison.policies:
+                    values = (
+                        name, level, policy.policy, policy.episodes, *_numbers(policy.success),
+                        *_numbers(policy.episode_return), *_numbers(policy.steps_to_goal),
+                        *((1.0, 0.0) if first else _change(before, after, policy)), self.units[name],
+                        policy.sees, bool(policy.spared),
+                    )  # fmt: skip
+                    rows.append(dict(zip(COLUMNS, values, strict=True)))
+        return pd.DataFrame(rows, columns=list(COLUMNS))
+
+    @property
+    def pairs(self) -> dict[Pair, PairTest]:
+        """The test of each two policies in the same episodes: for equal success, or the sign test if it is unknown."""
+        where = self.settings | {UNDISTURBED: NEUTRAL}
+        return {
+            (*where[name], frozenset((pair.a, pair.b))): _test_of(pair)
+            for name, comparison in self.comparisons.items()
+            for pair in comparison.paired
+        }
+
+    @property
+    def looks(self) -> list[int]:
+        """The numbers of episodes after which earlier runs of any comparison told a verdict."""
+        return sorted({look for comparison in self.comparisons.values() for look in comparison.looks})
+
+    def __repr__(self) -> str:
+        names = ", ".join(dict.fromkeys(self.points.policy)) or "no policy"
+        swept = ", ".join(f"{name} at {len(levels)} levels" for name, levels in self.levels.items())
+        return f"<Sweep of {names} in {self.env}, seed {self.seed}: {swept}>"
+
+
+def _numbers(estimate: Estimate | None) -> tuple[float, float, float]:
+    """Value and bounds; NaN where unknown."""
+    if estimate is None:
+        return math.nan, math.nan, math.nan
+    low, high = (math.nan if bound is None else bound for bound in (estimate.low, estimate.high))
+    return estimate.value, low, high
+
+
+def _test_of(pair: PairedDifference) -> PairTest:
+    success = pair.success_difference
+    if pair.mcnemar_p is None or success is None:
+        p, lead = pair.superiority.p, 2 * pair.superiority.probability.value - 1
+    else:
+        p, lead = pair.mcnemar_p, success.value
+    return PairTest(p, lead if pair.a < pair.b else -lead)
+
+
+def _change(before: pd.DataFrame, after: pd.DataFrame, policy: PolicySummary) -> tuple[float, float]:
+    """The p-value for no change in the same episodes, and the change: see `COLUMNS`."""
+    if policy.spared:
+        return math.nan, math.nan
+    first, second = (rows[rows.policy.isin(policy.trainings or [policy.policy])] for rows in (before, after))
+    score = "return" if policy.success is None else "success"
+    return (change_of_group if policy.trainings else change_between)(first, second, score)
