@@ -24,6 +24,7 @@ from armctl.episodes import rows as rows_module
 from armctl.episodes.database import FORMAT
 from armctl.episodes.metrics import Metrics
 from armctl.episodes.record import TIME_COLUMNS, EpisodeResult
+from armctl.episodes.store import Store
 from armctl.episodes.stored import STORE, read_store
 from armctl.robot_description import load_arm
 from armctl.study import compare
@@ -362,6 +363,25 @@ def test_a_full_disk_keeps_what_was_there(tmp_path, size, kept):
             store.write(result)
         store.finish({}, [])
     same(read_cell(tmp_path).episodes, found)
+
+
+def test_cells_share_a_file_and_nothing_else(tmp_path):
+    """Episodes of the same numbers, in runs of the same id, of two cells that are written in turn."""
+    found, other = list(played(12, "ba")), list(played(12, "ab"))
+    with Store(tmp_path) as store:
+        store.open(OWN["seed"], ["one", "other"])
+        one, two = store.cell("one", OWN, 12), store.cell("other", OWN | {"env_options": {"x": 1}}, 12)
+        for result, later in zip(found, other, strict=True):
+            one.write(result)
+            two.write(later)
+        one.finish({"first": 1}, [], without=["a"])
+    stored = read_store(tmp_path).cells
+    same(stored["one"].episodes, [result for result in found if result.policy != "a"])
+    same(stored["other"].episodes.sorted(["a", "b"]), other)
+    assert (stored["one"].facts, stored["other"].facts) == ({"first": 1}, None)
+    edit(tmp_path, "UPDATE episode SET cell = 0 WHERE rowid = 2")
+    with pytest.raises(ResultsError, match="was changed, or belongs to another comparison"):
+        read_store(tmp_path)
 
 
 STILL = """

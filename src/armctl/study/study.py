@@ -53,12 +53,17 @@ class Study(Displayed):
         }
 
     @property
-    def storage_failures(self) -> dict[str, str]:
-        """The failures of what was asked for: of the one comparison, of the one task, or of the whole."""
+    def result(self) -> "Comparison | Sweep | Study":
+        """What was asked for: the one comparison, the one task, or the whole."""
         if self.kind == SUITE:
-            return self.failures
+            return self
         (swept,) = self.tasks.values()
-        return swept.failures if self.kind == SWEEP else swept.comparisons[UNDISTURBED].failures
+        return swept if self.kind == SWEEP else swept.comparisons[UNDISTURBED]
+
+    @property
+    def storage_failures(self) -> dict[str, str]:
+        """The failures of what was asked for."""
+        return self.result.failures
 
     @functools.cached_property
     def answers(self) -> list[Answer]:
