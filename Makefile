@@ -2,6 +2,7 @@
 # make test:    set up with everything, then run the quick tests; make test-all: the slow ones too; make test-thorough: thousands of trials.
 # make check:   lint, format, types, spelling. make lock: after a change of dependencies. make dist: sdist and wheel.
 # make mutants: plant faults in the statistics and the verdict, one at a time, and list those that no quick test notices: hours.
+# make coverage: the share of lines and branches of stats and verdict that their tests run: at least 98 %.
 # make docs:    the documentation as a site, in site/; make docs-serve: the same in the browser, while you write.
 # For some of the tests: make test ARGS="tests/kinematics -k jacobian"
 
@@ -21,7 +22,7 @@ CLEANRL := cleanrl==1.2.0
 LEROBOT := lerobot==0.4.4 torchvision==0.25.0 accelerate==1.15.0 safetensors==0.8.0
 EXPORT := $(UV) export --frozen --all-extras --no-emit-project --no-hashes --no-annotate
 
-.PHONY: compare test test-all test-thorough mutants check docs docs-serve lock check-lock dist benchmarks clean
+.PHONY: compare test test-all test-thorough coverage mutants check docs docs-serve lock check-lock dist benchmarks clean
 
 compare: $(VENV)/core
 	$(BIN)/armctl compare --seed test
@@ -34,6 +35,10 @@ test-all: $(VENV)/full
 
 test-thorough: $(VENV)/full
 	$(PYTEST) --all --thorough -m thorough $(ARGS)
+
+coverage: $(VENV)/full
+	OMP_NUM_THREADS=1 $(BIN)/coverage run -m pytest -q tests/stats tests/verdict $(ARGS)
+	$(BIN)/coverage report
 
 mutants: $(VENV)/full
 	@$(PIP) mutmut==3.8.1

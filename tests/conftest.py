@@ -1,12 +1,15 @@
 """`pytest` runs the quick tests, `pytest --all` also the slow ones, and quick ones with their full samples."""
 
 import os
+import shutil
 import signal
 import tomllib
+from functools import cache
 from importlib.metadata import distribution
 from pathlib import Path
 from types import SimpleNamespace
 
+import hypothesis
 import pytest
 
 import armctl  # noqa: F401 - before any test imports MuJoCo, which chooses its OpenGL then
@@ -20,8 +23,13 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 policy_seed.secrets = SimpleNamespace(randbits=lambda bits: POLICY_SEED)
 """In this process, policies that draw random numbers repeat themselves exactly in another run."""
 
+hypothesis.settings.register_profile("armctl", deadline=None)  # which a busy machine or coverage would miss
+hypothesis.settings.load_profile("armctl")
+
 MARKERS = {"slow": "--all", "thorough": "--thorough"}
 """What runs with which option."""
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
 
 def pytest_addoption(parser):
@@ -40,11 +48,37 @@ def pytest_sessionstart():
         pytest.exit("pyproject.toml has new entry points: pip install --no-deps --no-build-isolation -e .", 4)
 
 
+@cache
+def draws_with_opengl():
+    import mujoco
+
+    try:
+        mujoco.GLContext(16, 16).free()
+    except Exception:  # each of its three backends raises another one
+        return False
+    return True
+
+
+MISSING = {
+    "browser": (lambda: CHROMIUM is None, "no Chromium here: apt-get install chromium"),
+    "opengl": (lambda: not draws_with_opengl(), "no OpenGL here: apt-get install libegl1 libgl1-mesa-dri"),
+}
+"""What a marker needs: how to find out that the machine lacks it, and what to say then."""
+
+
 def pytest_collection_modifyitems(config, items):
-    left_out = {marker for marker, option in MARKERS.items() if not config.getoption(option)}
-    others = [item for item in items if left_out.intersection(marker.name for marker in item.iter_markers())]
-    items[:] = [item for item in items if item not in others]
-    config.hook.pytest_deselected(items=others)
+    """Leave out what was not asked for, and what this machine cannot run: with `--all`, that is told of as skipped."""
+    kept, left_out = [], []
+    for item in items:
+        markers = {marker.name for marker in item.iter_markers()}
+        missing = [reason for marker, (is_missing, reason) in MISSING.items() if marker in markers and is_missing()]
+        is_asked_for = all(config.getoption(MARKERS[marker]) for marker in markers & MARKERS.keys())
+        if missing and config.getoption("--all"):
+            item.add_marker(pytest.mark.skip(reason=missing[0]))
+            missing = []
+        (kept if is_asked_for and not missing else left_out).append(item)
+    items[:] = kept
+    config.hook.pytest_deselected(items=left_out)
 
 
 @pytest.fixture(autouse=True)
@@ -57,3 +91,15 @@ def idle_machine(monkeypatch):
 def sized(request):
     """A sample's size: the first of two, and with `--all` the second."""
     return lambda quick, full: full if request.config.getoption("--all") else quick
+
+
+@pytest.fixture
+def chromium():
+    """A browser without a window, which draws with the processor."""
+    from playwright.sync_api import sync_playwright
+
+    arguments = ["--no-sandbox", "--enable-unsafe-swiftshader", "--use-angle=swiftshader"]
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=arguments)
+        yield browser
+        browser.close()

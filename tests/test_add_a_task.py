@@ -47,6 +47,7 @@ def test_the_example_is_short_and_outside_the_package():
     assert len(EXAMPLE.read_text().splitlines()) < 150
 
 
+@pytest.mark.slow
 def test_compare_goes_on_and_reports(folder, run):
     once = ["compare", "hover:Expert", "random", "--out", "results"]
     assert "hover:Expert is better than random" in run(*once, "--episodes", "10")
@@ -61,6 +62,7 @@ def test_compare_goes_on_and_reports(folder, run):
     in_process("report", "results", cwd=folder)
 
 
+@pytest.mark.slow
 def test_the_default_line_up_is_the_tasks_own_also_in_a_program(folder):
     text = program("compare", "--episodes", "2", "--env", ENV, cwd=folder).stdout
     assert "hover:Expert" in text
@@ -86,6 +88,7 @@ def test_collect_writes_a_dataset_and_bc_learns_from_it(folder, run):
     assert metadata["env"] == ENV
 
 
+@pytest.mark.slow
 def test_train_learns_with_its_own_potential(folder, run):
     options = {"worlds": 8, "batch_size": 64, "validation_episodes": 2, "evaluation_episodes": 4}
     recipe = f'learner = "ppo"\nenv = "{ENV}"\nshaping = "time"\n[options]\n'

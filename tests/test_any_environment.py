@@ -46,6 +46,7 @@ LINE = [
 PAIR = ["mine.py:right", "mine:slow"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("env", LINE)
 def test_compare_resume_and_report(home, env):
     arguments = ["compare", *PAIR, "random", "--env", env, "--episodes", "12", "--out", "results"]
@@ -75,6 +76,7 @@ def test_another_spelling_of_an_id_resumes(home):
     assert "2 episodes were finished" in " ".join(armctl(*first, "armctl/ArmReach-v0", cwd=home).stdout.split())
 
 
+@pytest.mark.slow
 def test_a_program_finds_files_and_modules_and_so_do_its_workers(home):
     for env in ("odd_environments.py:Line", "odd_environments:odd/Line-v0"):
         program(
@@ -83,6 +85,7 @@ def test_a_program_finds_files_and_modules_and_so_do_its_workers(home):
         assert len(pd.read_csv(home / "r" / "episodes.csv")) == 12
 
 
+@pytest.mark.slow
 def test_sweep_collect_and_run(home):
     env = ["--env", "odd_environments.py:Silent"]
     swept = armctl("sweep", *PAIR, *env, "--episodes", "12", "--out", "s", "--disturbance", "delay=0,5", cwd=home)
@@ -145,6 +148,7 @@ def test_mistakes_get_one_clear_line(home, arguments, said):
     assert not (home / "runs").exists()
 
 
+@pytest.mark.slow
 def test_what_an_interrupt_leaves_is_resumed(home):
     slow = "import time\n\n\ndef right(observation):\n    time.sleep(0.01)\n    return [0.2]\n"
     (home / "slow.py").write_text(slow)

@@ -32,6 +32,7 @@ def test_help_loads_no_simulator():
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
 
 
+@pytest.mark.slow
 def test_comparing_needs_no_torch():
     code = (
         "import sys, armctl; assert len(armctl.compare(['reach_ppo', 'reach_ik'], episodes=2).episodes) == 4\n"
@@ -145,6 +146,7 @@ def test_other_formats_are_all_that_standard_output_holds(tmp_path):
     assert (wrong.returncode, "'json'" in wrong.stderr) == (2, True)
 
 
+@pytest.mark.slow
 def test_a_pipe_has_no_width_unless_it_is_told_one(tmp_path):
     name = "a_module_with_a_very_long_name_indeed:and_a_function_with_a_very_long_name_of_its_own"
     (tmp_path / f"{name.partition(':')[0]}.py").write_text(
@@ -158,6 +160,7 @@ def test_a_pipe_has_no_width_unless_it_is_told_one(tmp_path):
     assert "…" not in wide
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_finished_episodes(tmp_path):
     command = [ARMCTL, "compare", "random", "--episodes", "100000", "--out", "here"]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
@@ -226,6 +229,7 @@ def test_run_records_a_video_or_says_what_is_missing(tmp_path):
     assert frames.std() > 20
 
 
+@pytest.mark.slow
 def test_a_policy_in_the_current_folder_is_found(tmp_path):
     (tmp_path / "mine.py").write_text("def still(env):\n    import armctl; return armctl.make_policy('random', env)\n")
     assert "mine:still" in program("compare", "mine:still", "--episodes", "2", cwd=tmp_path).stdout
@@ -233,6 +237,7 @@ def test_a_policy_in_the_current_folder_is_found(tmp_path):
     assert "reach_ik" in done.stdout
 
 
+@pytest.mark.slow
 def test_a_task_in_the_current_folder_is_found(tmp_path):
     (tmp_path / "mine.py").write_text(
         "import armctl\n"
@@ -260,98 +265,6 @@ def test_train_follows_a_recipe_with_changes(tmp_path):
     again = armctl("train", "mine.toml", "--resume", cwd=tmp_path, check=False)
     assert again.returncode == 2
     assert "was started with env_options {'tolerance': 0.1}, not {}" in again.stderr
-
-
-FORK = "<robot name='fork'><link name='base'/><link name='left'/><link name='right'/>" + "".join(
-    f"<joint name='{side}' type='revolute'><parent link='base'/><child link='{side}'/></joint>"
-    for side in ("left", "right")
-) + "</robot>"  # fmt: skip
-"""An arm with two tips."""
-
-
-QUITS = """def act(observation):
-    raise SystemExit(5)
-class Made:
-    def __init__(self): raise SystemExit(6)
-    def act(self, observation): pass
-"""
-
-
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (["compare", "reach_ki"], "Did you mean 'reach_ik'"),
-        (["compare", "random", "--set", "robto=ur3"], "Did you mean 'robot'"),
-        (["compare", "random", "--set", "disturbances={'noize': 1}"], "Did you mean 'noise'"),
-        (["sweep", "random", "--disturbance", "playload"], "Did you mean 'payload'"),
-        (["sweep", "random", "--disturbance", "payload=heavy"], "payload are numbers, such as"),
-        (["sweep", "random", "--disturbance", "delay=0.5"], "delay is a whole number"),
-        (["compare", "random", "--set", "robot"], "NAME=VALUE"),
-        (["compare", "none.json"], "there is no agent"),
-        (["run", "random", "--env", "armctl/Reach-v0"], "ArmReach"),
-        (["run", "random", "--set", "robot=two.urdf"], r"2 leaf links \(left, right\).*`--set tip=LINK`"),
-        (["run", "random", "--set", "robot=two.urdf", "--set", "tip=lift"], "Did you mean 'left'.*base, left, right"),
-        (["reproduce", "reach_ik"], "reach_ik is not a learned agent: .* Agents are .*reach_ppo"),
-        (["reproduce", "reach_pp"], "Did you mean 'reach_ppo'"),
-        (["list", "--env", "armctl/ArmReech-v0"], "Did you mean 'armctl/ArmReach-v0'"),
-        (["run", "random", "--set", "control=torqe"], "Did you mean 'torque'"),
-        (["collect", "reach_ki", "--out", "data"], "Did you mean 'reach_ik'"),
-        (["collect", "random", "--out", "/proc/data", "--episodes", "1"], "cannot be written"),
-        (["train", "reach_bc", "--option", "dataset=nowhere"], "no Minari dataset nowhere"),
-        (["train", "reach_dagger", "--teacher", "reach_ki"], "Did you mean 'reach_ik'"),
-        (["view", "random", "--set", "robto=ur3"], "Did you mean 'robot'"),
-        (["train", "pppo"], "Did you mean 'ppo'"),
-        (["train", "reach_pp"], "Did you mean 'reach_ppo'"),
-        (["train", "none.toml"], "cannot be read"),
-        (["train", "reach_ppo", "--shaping", "distanse"], "Did you mean 'distance'"),
-        (["train", "reach_ppo", "--option", "gama=0.9"], "Did you mean 'gamma'"),
-        (["train", "reach_ppo", "--option", "gamma"], "--option needs NAME=VALUE"),
-        (["train", "reach_ppo", "--option", "gamma=high"], "gamma"),
-        (["train", "reach_ppo", "--shaping-scale", "nan"], "shaping_scale"),
-        (["train", "reach_ppo", "--out", "/dev/null/run"], "cannot be written"),
-        (["train", "ppo", "--env", "armctl/ArmReach-v1"], "Did you mean 'armctl/ArmReach-v0'"),
-        (["train", "ppo", "--resume", "--out", "nowhere"], "no training to resume"),
-        (["run", "random", "--video", "/dev/null/film.mp4"], "cannot be written: /dev/null is not a folder"),
-        (["run", "random", "--video", "/proc/film.mp4"], "cannot be written: No such file"),
-        (["run", "random", "--video", "film.xyz"], "ends in one of .mp4, .mkv"),
-        (["run", "random", "--video", "film.mp4", "--watch"], "exclude each other"),
-        (["run", "random", "--set", "max_episode_steps=abc"], "max_episode_steps"),
-        (["train", "ppo", "--set", "control=nope", "--out", "fresh"], "control"),
-        (["run", "random", "--env", "exits.py:Maze"], r"cannot load the environment .*SystemExit: 17 \(exits.py:1\)"),
-        (["run", "exits.py:act"], "cannot load the policy .*SystemExit: 17"),
-        (["run", "quits.py:act"], r"quits.py:act failed in episode 0: SystemExit: 5 \(quits.py:2\)"),
-        (["run", "quits.py:Made"], r"quits.py:Made could not be made: SystemExit: 6"),
-        (["collect", "random", "--out", "loop", "--episodes", "1"], "loop cannot be written to"),
-        (["export", "model.zip", "--out", "", "--env", "Pendulum-v1"], "an agent is a file .onnx"),
-        (["export", "model.zip", "--out", "x" * 300 + ".onnx", "--env", "Pendulum-v1"], "model.zip"),
-        (["report", "x" * 300], "there is no folder"),
-        (["compare", "x" * 300 + ".json"], "there is no agent"),
-        (["compare", "random", "--episodes", "9" * 30], "at most 10,000,000"),
-    ],
-)
-def test_mistakes_get_one_clear_line(arguments, says, tmp_path):
-    (tmp_path / "two.urdf").write_text(FORK)
-    (tmp_path / "exits.py").write_text("raise SystemExit(17)\n")
-    (tmp_path / "quits.py").write_text(QUITS)
-    (tmp_path / "loop").symlink_to("loop")
-    done = armctl(*arguments, cwd=tmp_path, check=False)
-    assert done.returncode == 2
-    assert re.search(says, done.stderr)
-    assert done.stderr.count("\n") == 1
-
-
-def test_a_traceback_is_shown_where_it_is_asked_for(tmp_path):
-    (tmp_path / "mine.py").write_text("def typo(observation):\n    return obsevation\n")
-    arguments = ["compare", "mine.py:typo", "--episodes", "1", "--out", "r"]
-    short = armctl(*arguments, cwd=tmp_path, check=False)
-    assert "'obsevation' is not defined (mine.py:2)" in " ".join(short.stdout.split())
-    assert "Traceback" not in short.stdout + short.stderr
-    for words in (["--traceback", *arguments], [*arguments, "--traceback"]):
-        long = armctl(*words, "--overwrite", cwd=tmp_path, check=False)
-        assert "line 2, in typo" in long.stderr
-    refused = armctl("run", "mine.py:tipo", "--traceback", cwd=tmp_path, check=False)
-    assert refused.returncode == 2
-    assert "Traceback" in refused.stderr
 
 
 def test_run_starts_at_any_episode(tmp_path):

@@ -86,6 +86,7 @@ def test_each_unit_has_one_result_while_a_worker_is_left(workers, units, per_hou
         assert found.again == found.wasted == 0
 
 
+@pytest.mark.slow
 def test_workers_are_lost_at_the_rate_that_was_asked_for():
     hour = simulated([60.0] * 60 * 1000, 1, 1000, Costs(), 0.05 / 3600, np.random.default_rng(1))
     assert 30 < hour.lost < 75

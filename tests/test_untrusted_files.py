@@ -36,23 +36,34 @@ def marks(home):
     return [path.name for path in home.rglob("*.ran")]
 
 
+@pytest.fixture(scope="module")
+def played(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("played")
+    compare(["random", "reach_ik"], episodes=2, out=folder, env_options=OPTIONS)
+    return folder
+
+
 @pytest.fixture
-def results(home):
-    compare(["random", "reach_ik"], episodes=2, out=home / "results", env_options=OPTIONS)
-    return home / "results"
+def results(home, played):
+    return shutil.copytree(played, home / "results", dirs_exist_ok=True)
 
 
 @pytest.mark.parametrize(
     ("there", "hostile"),
     [
-        ("armctl/ArmReach-v0", "evil:armctl/ArmReach-v0"),
         ("armctl/ArmReach-v0", "evil.py:armctl/ArmReach-v0"),
-        ("armctl/ArmReach-v0", "results.evil:armctl/x.json"),
-        ("armctl/ArmReach-v0", "results/evil.py:Maze"),
-        ("random", "evil:make"),
         ("random", "evil.py:make"),
-        ("random", "results.evil:make"),
-        ("random", "evil:armctl/x.json"),
+        *(
+            pytest.param(there, hostile, marks=pytest.mark.slow)
+            for there, hostile in [
+                ("armctl/ArmReach-v0", "evil:armctl/ArmReach-v0"),
+                ("armctl/ArmReach-v0", "results.evil:armctl/x.json"),
+                ("armctl/ArmReach-v0", "results/evil.py:Maze"),
+                ("random", "evil:make"),
+                ("random", "results.evil:make"),
+                ("random", "evil:armctl/x.json"),
+            ]
+        ),
     ],
 )
 def test_a_results_folder_runs_no_code(home, results, there, hostile):
@@ -80,6 +91,7 @@ class Maze(PendulumEnv):
 """
 
 
+@pytest.mark.slow
 def test_to_name_one_thing_of_a_module_is_not_to_name_another(home, results):
     (home / "mine.py").write_text(RUNS)
     identity, facts, runs, episodes = read_cell(results)
@@ -100,6 +112,7 @@ def test_a_text_for_an_environment_of_others_may_be_a_path(home, agent):
         reproduce(agent)
 
 
+@pytest.mark.slow
 def test_a_report_says_how_to_run_code_that_one_trusts(home, results):
     (home / "mine.py").write_text("def still(observation):\n    return observation[3:9]\n")
     program("compare", "mine.py:still", "--episodes", "2", "--out", "own", "--set", "max_episode_steps=5", cwd=home)
@@ -112,6 +125,7 @@ def test_a_report_says_how_to_run_code_that_one_trusts(home, results):
     assert "data:video/mp4" in page
 
 
+@pytest.mark.slow
 def test_a_folder_in_which_one_works_runs_no_code(home, results):
     """`import orjson` inside a library finds no file of the working directory."""
     program("report", ".", cwd=results.parent, check=False)
@@ -123,7 +137,10 @@ def test_a_folder_in_which_one_works_runs_no_code(home, results):
     assert marks(home) == []
 
 
-@pytest.mark.parametrize("env", ["evil:armctl/ArmReach-v0", "evil.py:ArmReach-v0", "results.evil:x"])
+@pytest.mark.parametrize(
+    "env",
+    [pytest.param("evil:armctl/ArmReach-v0", marks=pytest.mark.slow), "evil.py:ArmReach-v0", "results.evil:x"],
+)
 def test_a_card_runs_no_code(home, agent, env):
     agent.write_text(json.dumps(json.loads(agent.read_text()) | {"env": env}))
     new_process = env == "evil:armctl/ArmReach-v0"
@@ -148,7 +165,7 @@ def recipe_text(**changes):
 @pytest.mark.parametrize(
     ("changes", "option"),
     [
-        ({"env": "evil:armctl/ArmReach-v0"}, "--env evil:armctl/ArmReach-v0"),
+        pytest.param({"env": "evil:armctl/ArmReach-v0"}, "--env evil:armctl/ArmReach-v0", marks=pytest.mark.slow),
         ({"env": "evil.py:Maze"}, "--env evil.py:Maze"),
         ({"learner": "dagger", "teacher": "evil:make"}, "--teacher evil:make"),
         ({"learner": "bc", "teacher": "results/evil.py:make"}, "--teacher results/evil.py:make"),
@@ -197,6 +214,7 @@ def test_only_what_was_named_here_is_named():
         check_named("colorsys:rgb_to_hsv", "a file", "--env")
 
 
+@pytest.mark.slow
 def test_workers_import_nothing_from_where_they_run(tmp_path):
     for name in ("numpy", "queue", "cloudpickle", "threadpoolctl", "orjson"):
         (tmp_path / f"{name}.py").write_text(EVIL)

@@ -24,7 +24,7 @@ def test_follow_is_the_law_of_the_drives_tick_by_tick():
     np.testing.assert_allclose(found, (expected, speed), rtol=0, atol=1e-12)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(rates, rates, rates, st.floats(0.0, 1.0))
 def test_the_command_leads_where_some_command_would(place, speed, way, near):
     velocity = speed * LIMITS.velocity

@@ -12,7 +12,7 @@ from armctl.core.errors import ConfigurationError
 from armctl.robot_description import load_arm
 
 LIMITS = load_arm("ur5").limits
-properties = settings(deadline=None, derandomize=True, max_examples=50)
+properties = settings(derandomize=True, max_examples=50)
 
 
 def random_path(seed, corners):

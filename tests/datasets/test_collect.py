@@ -55,6 +55,7 @@ def kill_until_finished(out, kills, rng):
     return output
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0])
 def test_a_killed_collection_resumes_to_the_same_dataset(uninterrupted, seed, tmp_path):
     output = kill_until_finished(tmp_path / "killed-v0", 2, random.Random(seed))
@@ -70,6 +71,7 @@ def test_a_collection_that_is_killed_again_and_again_resumes_to_the_same_dataset
     assert same_dataset(tmp_path / "killed-v0", uninterrupted)
 
 
+@pytest.mark.slow
 def test_ctrl_c_leaves_a_dataset_of_the_finished_episodes_and_the_same_command_resumes(uninterrupted, tmp_path):
     out = tmp_path / "here-v0"
     process = begin(out)
@@ -99,6 +101,7 @@ def test_an_interrupt_between_keeping_and_counting_loses_nothing(tmp_path, monke
     assert collection.episodes == len(read_demonstrations(tmp_path / "one-v0", worlds())) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("limit", [2_000, 100_000], ids=["an episode does not fit", "the dataset does not fit"])
 def test_a_full_disk_is_told_in_a_line_and_the_same_command_resumes(uninterrupted, limit, tmp_path):
     """A limit on the size of files stands for the disk: what crosses it fails as on a full one."""

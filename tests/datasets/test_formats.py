@@ -6,6 +6,7 @@ import subprocess
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from armctl.core.files import bounded_text, unsealed
 from armctl.datasets.formats import FORMATS, load_formats
@@ -20,6 +21,7 @@ def test_armctl_offers_two_formats():
     assert all(kind.MANIFEST.startswith(kind.PARTS[-1]) for kind in load_formats().values())
 
 
+@pytest.mark.slow
 def test_the_format_of_another_package_is_written_and_resumed(tmp_path):
     """The module of the documentation, in a package that is installed in a folder."""
     about = tmp_path / "site" / "mine-1.0.dist-info"

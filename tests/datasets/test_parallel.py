@@ -15,6 +15,7 @@ from armctl.runtime.workers import WorkersFailed
 from .collections_of_random import ARMCTL, COMMAND, EPISODES, SHORT, same_dataset, wait_for_episodes, worlds
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("policy", ["random", "reach_ppo", "reach_ik"])
 def test_workers_record_what_one_process_records(policy, tmp_path):
     """Also with another interface than the policy's own in a comparison, and with rewards of another scale."""
@@ -28,6 +29,7 @@ def test_workers_record_what_one_process_records(policy, tmp_path):
     assert same_dataset(tmp_path / "alone", tmp_path / "workers")
 
 
+@pytest.mark.slow
 def test_what_one_process_began_workers_finish(interrupted, tmp_path):
     assert collect("random", episodes=9, out=interrupted, env_options=SHORT, workers=2).resumed == 5
     collect("random", episodes=9, out=tmp_path / "whole", env_options=SHORT)

@@ -162,6 +162,7 @@ def test_a_folder_keeps_its_policy_seed(tmp_path):
     assert anew.facts.policy_seed != first.facts.policy_seed
 
 
+@pytest.mark.slow
 def test_workers_draw_the_same(tmp_path):
     one = armctl.compare({"a": Random, "b": Random}, episodes=4, env_options=SHORT, policy_seed=SECRET)
     two = armctl.compare({"a": Random, "b": Random}, episodes=4, env_options=SHORT, policy_seed=SECRET, workers=2)

@@ -108,7 +108,7 @@ def results(draw):
     )  # fmt: skip
 
 
-@settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(found=st.lists(results(), max_size=7, unique_by=lambda one: (one.policy, one.episode)))
 def test_it_holds_what_was_written(found, tmp_path, monkeypatch):
     monkeypatch.setattr(rows_module, "AT_ONCE", 3)
@@ -329,7 +329,7 @@ with one_cell(Path(sys.argv[1]), OWN, 400) as store:
 
 
 @pytest.mark.parametrize(
-    "kills", [pytest.param(3, marks=pytest.mark.slow), pytest.param(50, marks=pytest.mark.thorough)]
+    "kills", [1, pytest.param(3, marks=pytest.mark.slow), pytest.param(50, marks=pytest.mark.thorough)]
 )
 def test_a_kill_at_any_moment_loses_and_doubles_nothing(tmp_path, kills):
     """Of a process that only writes, so that it is killed within a transaction more often than not."""
@@ -392,6 +392,7 @@ def still(observation):
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("edited", ["still.py", "helper.py"])
 def test_edited_code_is_another_comparison(tmp_path, edited):
     """Each run in a process of its own: Python does not notice that a module has changed."""

@@ -78,6 +78,7 @@ def check_frames(found, played, fps):
     assert found["next.truncated"][last].tolist() == [not one.terminated for one in played]
 
 
+@pytest.mark.slow
 def test_lerobot_reads_what_an_arm_did(arm, tmp_path):
     dataset, played = arm
     found = read(dataset, tmp_path)
@@ -97,6 +98,7 @@ def test_lerobot_reads_what_an_arm_did(arm, tmp_path):
     assert names["action"]["names"][5] == "wrist_3_joint"
 
 
+@pytest.mark.slow
 def test_lerobot_reads_what_a_camera_saw(bridge, tmp_path):
     dataset, played = bridge
     found = read(dataset, tmp_path)

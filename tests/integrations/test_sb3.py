@@ -150,6 +150,7 @@ def test_networks_see_a_picture(policy):
     assert "Conv2d" in str(model.policy.features_extractor)
 
 
+@pytest.mark.slow
 def test_an_agent_brings_the_interface_that_it_was_trained_with(tmp_path, monkeypatch):
     import armctl
     from armctl.policies import WorldsByInterface
@@ -193,6 +194,7 @@ def test_experts_act_in_physical_units_whatever_is_asked_for():
     assert followed.success.all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("env", "options", "sees"),
     [

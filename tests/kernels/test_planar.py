@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from armctl.kernels import planar
@@ -33,7 +33,6 @@ def points_of(pose, outline, resolution=41):
 poses = st.tuples(st.floats(2, 8), st.floats(-1.2, 1.2), st.floats(-3, 3))
 
 
-@settings(deadline=None)
 @given(poses, poses)
 def test_contact_with_a_block_is_that_of_the_points_of_both(pose, block):
     bridge = BridgeMap(20.0, 1.4, np.array([[*block, 0.3, 0.7]]))
@@ -46,7 +45,6 @@ def test_contact_with_a_block_is_that_of_the_points_of_both(pose, block):
         assert (found == planar.BARRIER) == (depth < 0)
 
 
-@settings(deadline=None)
 @given(poses, st.tuples(st.floats(2, 8), st.floats(-1.4, 1.4)))
 def test_contact_with_a_person_is_that_of_the_outline_and_a_disc(pose, walker):
     distance = np.linalg.norm(points_of(pose, OUTLINE) - walker, axis=1).min() - DECK.walker_radius
@@ -68,7 +66,6 @@ def scenes_of(blocks, walkers):
     return planar.Scenes(blocks[None], np.ones((1, 2, 5), dtype=bool), np.asarray(walkers, dtype=float)[None])
 
 
-@settings(deadline=None)
 @given(poses, poses, st.tuples(st.floats(2, 8), st.floats(-1.4, 1.4)))
 def test_rays_end_where_the_map_says_that_something_is(pose, block, walker):
     pose, block, walker = ((400 + x, *rest) for x, *rest in (pose, block, walker))  # far from both ends

@@ -1,15 +1,12 @@
 """The page of the report in headless Chromium."""
 
 import re
-import shutil
 
 import pytest
 
 from armctl.report import write_report
 
 from .pages import plots_of
-
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
 
 def look_at_the_switches(tab):
@@ -42,47 +39,39 @@ def look_at_the_switches(tab):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
+@pytest.mark.browser
 @pytest.mark.parametrize("width", [1280, 390])
-def test_the_page_in_a_browser(swept, tmp_path, width):
-    playwright = pytest.importorskip("playwright.sync_api", reason="no Playwright here: pip install playwright")
+def test_the_page_in_a_browser(chromium, swept, width):
     report = write_report(swept)
     assert report.stat().st_size < 15e6
     requests, complaints = [], []
-    with playwright.sync_playwright() as p:
-        browser = p.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        tab = browser.new_page(viewport={"width": width, "height": 844})
-        tab.on("request", lambda request: requests.append(request.url))
-        tab.on("console", lambda message: complaints.append(message.text))
-        tab.on("pageerror", lambda error: complaints.append(str(error)))
-        tab.goto(report.as_uri(), timeout=120_000)
-        drawn = (
-            "() => [...document.querySelectorAll('.canvas')].every(canvas => canvas.querySelector('.trace, .point'))"
-        )
-        tab.wait_for_function(drawn, timeout=120_000)
-        assert tab.locator(".canvas").count() == len(plots_of(report)) == 11
-        assert tab.evaluate("document.documentElement.scrollWidth") <= width
-        beyond = (
-            "[...document.querySelectorAll('section, .wide')].filter(one => one.scrollWidth > one.clientWidth).length"
-        )
-        assert tab.evaluate(beyond) == 0
-        clips = tab.locator("video")
-        if clips.count():
-            tab.wait_for_function("() => [...document.querySelectorAll('video')].every(clip => clip.duration > 0.5)")
-            tab.locator(".together").scroll_into_view_if_needed()
-            tab.wait_for_function("() => document.querySelector('video').currentTime > 0.2")
-            shown = tab.evaluate("[...document.querySelectorAll('.together video')].map(clip => clip.currentTime)")
-            assert max(shown) - min(shown) < 0.5
-        else:
-            assert "OpenGL" in tab.locator("body").inner_text()
-        look_at_the_switches(tab)
-        wide = "[...document.querySelectorAll('.canvas .main-svg')].map(svg => svg.getBoundingClientRect().width)"
-        tab.evaluate("dispatchEvent(new Event('beforeprint'))")
-        assert max(tab.evaluate(wide)) <= 680
-        tab.evaluate("dispatchEvent(new Event('afterprint'))")
-        pdf = tab.pdf(prefer_css_page_size=True)
-        assert pdf.startswith(b"%PDF")
-        assert 3 <= len(re.findall(rb"/Type\s*/Page\b", pdf)) <= 12
-        browser.close()
+    tab = chromium.new_page(viewport={"width": width, "height": 844})
+    tab.on("request", lambda request: requests.append(request.url))
+    tab.on("console", lambda message: complaints.append(message.text))
+    tab.on("pageerror", lambda error: complaints.append(str(error)))
+    tab.goto(report.as_uri(), timeout=120_000)
+    drawn = "() => [...document.querySelectorAll('.canvas')].every(canvas => canvas.querySelector('.trace, .point'))"
+    tab.wait_for_function(drawn, timeout=120_000)
+    assert tab.locator(".canvas").count() == len(plots_of(report)) == 11
+    assert tab.evaluate("document.documentElement.scrollWidth") <= width
+    beyond = "[...document.querySelectorAll('section, .wide')].filter(one => one.scrollWidth > one.clientWidth).length"
+    assert tab.evaluate(beyond) == 0
+    clips = tab.locator("video")
+    if clips.count():
+        tab.wait_for_function("() => [...document.querySelectorAll('video')].every(clip => clip.duration > 0.5)")
+        tab.locator(".together").scroll_into_view_if_needed()
+        tab.wait_for_function("() => document.querySelector('video').currentTime > 0.2")
+        shown = tab.evaluate("[...document.querySelectorAll('.together video')].map(clip => clip.currentTime)")
+        assert max(shown) - min(shown) < 0.5
+    else:
+        assert "OpenGL" in tab.locator("body").inner_text()
+    look_at_the_switches(tab)
+    wide = "[...document.querySelectorAll('.canvas .main-svg')].map(svg => svg.getBoundingClientRect().width)"
+    tab.evaluate("dispatchEvent(new Event('beforeprint'))")
+    assert max(tab.evaluate(wide)) <= 680
+    tab.evaluate("dispatchEvent(new Event('afterprint'))")
+    pdf = tab.pdf(prefer_css_page_size=True)
+    assert pdf.startswith(b"%PDF")
+    assert 3 <= len(re.findall(rb"/Type\s*/Page\b", pdf)) <= 12
     assert {url for url in requests if not url.startswith("data:")} == {report.as_uri()}
     assert complaints == []

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from armctl.core.errors import ConfigurationError
-from armctl.envs import TaskVectorEnv
-from armctl.report import plots, videos, write_report
+from armctl.report import videos, write_report
 from armctl.study.results import read_comparison
 
 from ..forgery import forge
@@ -22,20 +21,9 @@ def test_episodes_to_show(finished):
     assert videos.most_different({"reach_ik": episodes["reach_ik"]}) == []
 
 
-def needs_opengl():
-    from armctl.simulation import Camera
-
-    env = plots.make_worlds("armctl/ArmReach-v0", 1)
-    assert isinstance(env, TaskVectorEnv)
-    try:
-        Camera(env.task.simulation.model, env.task.camera, 16, 16).close()
-    except ConfigurationError as error:
-        pytest.skip(f"no OpenGL: another test checks what is said then ({error})")
-
-
 @pytest.mark.slow
+@pytest.mark.opengl
 def test_videos_show_the_episodes_of_the_table(finished, tmp_path):
-    needs_opengl()
     import imageio.v3 as imageio
 
     results = read_comparison(finished)
@@ -51,8 +39,8 @@ def test_videos_show_the_episodes_of_the_table(finished, tmp_path):
         assert np.abs(shown[-1].astype(int) - shown[result.length]).mean() < 2  # and stands still in the end
 
 
+@pytest.mark.opengl
 def test_a_replay_that_goes_otherwise_is_told(finished):
-    needs_opengl()
     from dataclasses import replace
 
     results = read_comparison(finished)
@@ -62,8 +50,8 @@ def test_a_replay_that_goes_otherwise_is_told(finished):
 
 
 @pytest.mark.slow
+@pytest.mark.opengl
 def test_policies_that_are_gone_are_told_and_the_others_shown(folder):
-    needs_opengl()
     forge(folder, "reach_ppo", "gone/agent.json")
     report = write_report(folder)
     assert text_of(report).count("No video: there is no agent gone/agent.json") == 2

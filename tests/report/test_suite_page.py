@@ -20,7 +20,6 @@ from armctl.study.results import UNFINISHED, read_study
 from ..forgery import change_record, forge
 from .pages import text_of
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 REACH = "armctl/ArmReach-v0"
 HOSTILE = "<img src=x onerror=alert(1)>_ppo"
 LOOK = Style("PPO", "#0072b2")
@@ -115,18 +114,14 @@ def test_figures_hold_their_numbers():
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
+@pytest.mark.browser
 @pytest.mark.parametrize("width", [1280, 390])
-def test_the_page_in_a_browser(folder, width):
-    playwright = pytest.importorskip("playwright.sync_api", reason="no Playwright here: pip install playwright")
+def test_the_page_in_a_browser(chromium, folder, width):
     page, complaints = write_report(folder), []
-    with playwright.sync_playwright() as p:
-        browser = p.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        tab = browser.new_page(viewport={"width": width, "height": 844})
-        tab.on("console", lambda message: complaints.append(message.text))
-        tab.on("pageerror", lambda error: complaints.append(str(error)))
-        tab.goto(page.as_uri(), timeout=120_000)
-        tab.wait_for_function("() => document.querySelectorAll('.canvas .trace').length > 8", timeout=120_000)
-        assert tab.evaluate("document.documentElement.scrollWidth") <= width
-        browser.close()
+    tab = chromium.new_page(viewport={"width": width, "height": 844})
+    tab.on("console", lambda message: complaints.append(message.text))
+    tab.on("pageerror", lambda error: complaints.append(str(error)))
+    tab.goto(page.as_uri(), timeout=120_000)
+    tab.wait_for_function("() => document.querySelectorAll('.canvas .trace').length > 8", timeout=120_000)
+    assert tab.evaluate("document.documentElement.scrollWidth") <= width
     assert complaints == []

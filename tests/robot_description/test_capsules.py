@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from armctl.robot_description.capsules import Capsule, enclosing_capsule
 
-properties = settings(deadline=None, derandomize=True, max_examples=200)
+properties = settings(derandomize=True, max_examples=200)
 
 
 @st.composite

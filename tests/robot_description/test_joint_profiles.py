@@ -8,8 +8,8 @@ from hypothesis.extra import numpy as hnp
 
 from ..kernels import joint_profiles
 
-properties = settings(deadline=None, derandomize=True, max_examples=200)
-batches = settings(deadline=None, derandomize=True, max_examples=10)
+properties = settings(derandomize=True, max_examples=200)
+batches = settings(derandomize=True, max_examples=10)
 LIMITS = SimpleNamespace(
     lower=np.array([-6.0, -3.0, -1.0]),
     upper=np.array([6.0, 2.0, 1.5]),

@@ -134,6 +134,7 @@ def test_recorded_times_repeat_a_measured_run_exactly_in_any_number_of_worlds(cl
     assert_same_episodes(recorded, late)
 
 
+@pytest.mark.slow
 def test_real_time_in_processes_is_the_same(tmp_path):
     arguments = {"policies": ["random"], "env": BRIDGE, "episodes": 3, "env_options": SHORT}
     compare(**arguments, out=tmp_path)
@@ -277,6 +278,7 @@ def test_a_sweep_that_cannot_be_in_real_time_is_refused(recorded, tmp_path, argu
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_real_time_at_the_command_line(tmp_path):
     few = ("random", "--env", "Pendulum-v1", "--episodes", "1", "--set", "max_episode_steps=3")
     printed = program("compare", *few, "--real-time", "measured", "--slow-down", "2", cwd=tmp_path).stdout

@@ -71,6 +71,7 @@ def test_the_command_line_refuses_other_names(seed):
     assert "whole number" in ran.stderr
 
 
+@pytest.mark.slow
 def test_the_command_line_says_so(tmp_path):
     ran = program("compare", "random", "--episodes", "1", "--seed", "1000000000", cwd=tmp_path, check=False)
     assert ran.returncode != 0

@@ -139,6 +139,7 @@ print("resumed", found.resumed)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("by_file", [True, False], ids=["file", "stdin"])
 def test_a_script_that_runs_again_resumes_and_an_edited_one_does_not(tmp_path, by_file):
     """In processes whose sets have another order: it is the same script."""
@@ -157,6 +158,7 @@ def test_a_script_that_runs_again_resumes_and_an_edited_one_does_not(tmp_path, b
     assert "ResultsError" in run(0.9, "3").stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lazy", [True, False])
 def test_an_import_within_a_function_counts(tmp_path, lazy):
     body = "def pd(observation):\n    from gains import G\n    return observation[3:9] * G\n"
@@ -182,6 +184,7 @@ class Maze(PendulumEnv):
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changed", "steps", "g"), [("registered", 60, 10.0), ("registered", 50, 3.0), ("code: maze.py", 50, 10.0)]
 )
@@ -360,6 +363,7 @@ def test_another_version_of_what_computes_does_not_resume(tmp_path, monkeypatch,
         plays(tmp_path)
 
 
+@pytest.mark.slow
 def test_an_edit_of_armctls_source_changes_the_identity(tmp_path, monkeypatch):
     """Of each module that an episode needs: those that are loaded in a process which has played one."""
     script = (

@@ -105,7 +105,7 @@ def test_crossable_at_its_limits():
     assert not BridgeMap(LENGTH, HALF_WIDTH, gap).crossable(0.401)
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(st.integers(0, 2**32 - 1))
 def test_walkers_walk_at_their_speed_between_their_ends(seed):
     rng = np.random.default_rng(seed)

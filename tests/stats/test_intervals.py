@@ -58,7 +58,7 @@ def test_bounded_mean_knows_of_disasters_that_were_not_seen():
     st.floats(-1000, -100),
     st.floats(100, 1000),
 )
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 def test_bounded_mean_lies_within_its_bounds(values, lowest, highest):
     values = np.array(values)
     found = bounded_mean(values, (lowest, highest))
@@ -142,7 +142,7 @@ def test_mann_whitney_against_conover():
 SCORES = st.lists(st.integers(-3, 3), min_size=1, max_size=8)
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(SCORES, SCORES)
 def test_superiority_counts_pairs(a, b):
     a, b = np.array(a, dtype=float), np.array(b, dtype=float)

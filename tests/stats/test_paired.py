@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -67,7 +67,6 @@ def test_limits_of_a_difference_from_those_of_both_shares(only_a, only_b, episod
 
 
 @given(st.integers(0, 30), st.integers(0, 30), st.integers(1, 1000))
-@settings(deadline=None)
 def test_limits_hold_the_difference_and_are_the_same_for_either(only_a, only_b, others):
     episodes = only_a + only_b + others
     found, turned = mover(only_a, only_b, episodes), mover(only_b, only_a, episodes)

@@ -83,6 +83,7 @@ def test_infeasible_episodes_are_told_apart():
     assert f"{summary.infeasible} episodes are labelled infeasible" in text_of(comparison)
 
 
+@pytest.mark.slow
 def test_labels_do_not_depend_on_the_line_up(monkeypatch):
     """An episode that the certificate gave up counts for nobody, though the expert wins it; a remark tells so."""
     starved = PathCertificate(ArmModel("ur5"), PathCertificateOptions(checks=60))

@@ -94,6 +94,7 @@ def test_results_where_no_folder_can_be(tmp_path):
         compare(["random"], episodes=1, out=tmp_path / "file" / "results")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", ["1", "2"])
 def test_a_full_disk_is_reported_and_nothing_that_was_written_is_lost(tmp_path, workers):
     short = ["--worlds", "10", "--set", "max_episode_steps=5"]

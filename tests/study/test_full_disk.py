@@ -21,6 +21,7 @@ def kernels(tmp_path_factory):
     armctl(*SWEEP, cwd=tmp_path_factory.mktemp("kernels"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("disk", [600, 40_000, 100_000])
 def test_a_sweep_on_a_full_disk_goes_on_later(tmp_path, disk):
     full = (program if disk == 40_000 else armctl)(*SWEEP, cwd=tmp_path, check=False, disk=disk)
@@ -45,6 +46,7 @@ def test_a_report_on_a_full_disk_leaves_the_old_one(tmp_path):
     assert report.read_text() == "the old one"
 
 
+@pytest.mark.slow
 def test_agents_are_reproduced_without_a_disk(tmp_path):
     done = program("reproduce", "reach_ppo", "--seed", "1", cwd=tmp_path, check=False, disk=0)
     assert done.returncode in (0, 1)

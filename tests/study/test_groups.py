@@ -74,6 +74,7 @@ def test_a_verdict_tells_a_recipe_from_a_network(results):
     assert "reach_bc[1] is this network." in alone.verdict
 
 
+@pytest.mark.slow
 def test_a_group_resumes_and_is_the_same_with_workers(folder, tmp_path, results):
     shutil.copytree(folder, tmp_path / "more")
     again = armctl.compare(["reach_ik", "reach_bc[*]"], episodes=12, worlds=3, workers=2, out=tmp_path / "workers")

@@ -74,12 +74,13 @@ def kill_at(moment, command, cwd, rng, of_worker):
     assert "Traceback" not in complaint
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("trial", [0, *(pytest.param(trial, marks=pytest.mark.thorough) for trial in range(1, 6))])
 @pytest.mark.parametrize(
     ("verb", "of_worker"),
     [
-        pytest.param("compare", False, marks=pytest.mark.slow),
-        pytest.param("workers", False, marks=pytest.mark.slow),
+        ("compare", False),
+        ("workers", False),
         ("workers", True),
         ("sweep", False),
     ],
@@ -112,6 +113,7 @@ def test_what_a_killed_run_left_unfinished_is_removed(tmp_path):
     assert (tmp_path / "elsewhere").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", ["compare", "sweep"])
 def test_a_second_run_is_refused_while_one_writes(tmp_path, verb):
     command, out = [verb, *PLAYED, "--episodes", "100000", "--overwrite"], tmp_path / "out"

@@ -40,6 +40,7 @@ def edit(path, **changes):
     path.write_text(json.dumps(card))
 
 
+@pytest.mark.slow
 def test_a_shipped_agent_does_as_its_card_says(agent):
     again = reproduce(agent)
     assert (again.agrees, again.differences) == (True, [])

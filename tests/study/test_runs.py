@@ -53,6 +53,7 @@ def test_threads_are_told(monkeypatch):
     assert "MKL_NUM_THREADS" not in threads
 
 
+@pytest.mark.slow
 def test_a_run_that_was_killed_is_known_and_what_was_judged_before_it_too(tmp_path):
     both = {"policies": ["random", "reach_ik"], "out": tmp_path, "env_options": SHORT}
     compare(**both, episodes=10)

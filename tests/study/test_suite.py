@@ -103,6 +103,7 @@ def test_tables_in_all_formats(finished):
     assert r"\begin{tabular}" in FORMATS["latex"](document)
 
 
+@pytest.mark.slow
 def test_an_interrupted_suite_resumes_and_is_the_same(finished, tmp_path):
     done = 0
 

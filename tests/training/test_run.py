@@ -42,10 +42,11 @@ class InAChild(Cluster):
 
 
 @pytest.fixture(scope="module")
-def trained(tmp_path_factory):
+def trained(tmp_path_factory, sized):
+    """Folders and outcomes of two seeds: with `--all`, each was trained in a process of its own."""
     home = tmp_path_factory.mktemp("home") / "runs"
     folders = {seed: home / f"small-{seed}" for seed in (0, 1)}
-    return folders, list(train_seeds(TrainingJob(RECIPE), folders, Local(2)))
+    return folders, list(train_seeds(TrainingJob(RECIPE), folders, Local(sized(1, 2))))
 
 
 def test_each_seed_has_its_agent_and_a_row(trained):
@@ -60,12 +61,14 @@ def test_each_seed_has_its_agent_and_a_row(trained):
     assert {row["ended"] for row in rows} == {"finished"}
 
 
+@pytest.mark.slow
 def test_it_is_the_training_of_that_seed_alone(trained, tmp_path, monkeypatch):
     monkeypatch.setenv(THREADS_ENV_VAR, "1")
     alone = load_learner("bc")(RECIPE, out=tmp_path / "small-1", seed=1, progress=False)
     assert alone.sha256 == next(one.card.sha256 for one in trained[1] if one.seed == 1)
 
 
+@pytest.mark.slow
 def test_a_clusters_worker_sends_the_same_agent_back(trained, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     folder = tmp_path / "runs" / "small-1"
@@ -90,6 +93,7 @@ def test_a_resumed_job_leaves_out_what_has_finished(trained):
     assert kept.card.sha256 == first[[one.seed for one in first].index(0)].card.sha256
 
 
+@pytest.mark.slow
 def test_one_that_fails_does_not_end_the_others(tmp_path):
     (tmp_path / "small-1").write_text("not a folder")
     ended = {
@@ -118,6 +122,7 @@ def test_how_a_training_ends_is_recorded(tmp_path):
     assert [(row["ended"], row["note"]) for row in rows] == [("interrupted", ""), ("failed", "it diverged")]
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_what_has_begun(tmp_path):
     slow = RECIPE.changed(options=SMALL | {"steps": 10_000_000})
     folders = {seed: tmp_path / f"small-{seed}" for seed in (0, 1)}
@@ -134,6 +139,7 @@ def test_ctrl_c_keeps_what_has_begun(tmp_path):
     assert sorted((row["seed"], row["ended"]) for row in rows) == [("0", "interrupted"), ("1", "interrupted")]
 
 
+@pytest.mark.slow
 def test_the_verb_takes_several_seeds(tmp_path):
     (tmp_path / "small.toml").write_text(TOML)
     done = armctl("train", "small.toml", "--seed", "all", "--workers", "2", cwd=tmp_path)

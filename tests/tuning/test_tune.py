@@ -4,6 +4,7 @@ import dataclasses
 import json
 import multiprocessing
 import os
+import shutil
 import signal
 import tomllib
 from pathlib import Path
@@ -57,6 +58,19 @@ def expert(episodes=3, **options):
     return candidate_of("reach_mpc", episodes=episodes, **options)
 
 
+@pytest.fixture(scope="module")
+def one_trial(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("one_trial")
+    tune(expert(), folder, trials=1)
+    return folder
+
+
+@pytest.fixture
+def begun(one_trial, tmp_path):
+    """The folder of a tuning with one trial."""
+    return shutil.copytree(one_trial, tmp_path / "begun")
+
+
 def test_the_first_trial_is_the_present_values(tmp_path):
     found = tune(expert(), tmp_path, trials=2)
     assert found.trials[0].params == found.candidate.present
@@ -90,6 +104,7 @@ def test_an_hour_of_nothing_is_no_budget(tmp_path):
             tune(expert(), tmp_path / "other", **wrong)
 
 
+@pytest.mark.slow
 def test_a_recipe_is_judged_by_the_median_of_its_trainings(recipe, tmp_path):
     candidate = candidate_of(recipe, training_seeds=3)
     found = tune(candidate, tmp_path / "out", trials=2)
@@ -105,6 +120,7 @@ def test_a_recipe_is_judged_by_the_median_of_its_trainings(recipe, tmp_path):
     assert seeds.isdisjoint(load_recipe("reach_sac").seeds)
 
 
+@pytest.mark.slow
 def test_the_best_values_are_a_recipe(recipe, tmp_path):
     found = tune(candidate_of(recipe, training_seeds=1), tmp_path / "out", trials=5)
     best = found.best
@@ -128,6 +144,7 @@ def test_the_best_options_of_an_expert_can_be_compared(tmp_path):
     assert not result.failures
 
 
+@pytest.mark.slow
 def test_workers_measure_as_this_process_does(tmp_path):
     candidate = expert()
     found = tune(candidate, tmp_path, trials=3, workers=2)
@@ -170,6 +187,7 @@ def test_a_training_is_interrupted_where_it_is_pruned(recipe, tmp_path):
     assert not list(tmp_path.glob("run/*/agent.json"))
 
 
+@pytest.mark.slow
 def test_values_that_fail_are_noted_and_three_in_a_row_end_it(tmp_path):
     file = tmp_path / "crashing.toml"
     file.write_text(CRASHING)
@@ -191,6 +209,7 @@ def _tune_until_killed(folder, episodes):
     tune(expert(episodes=episodes), folder, trials=50, progress=lambda found: None)
 
 
+@pytest.mark.slow
 def test_after_kill_9_a_lost_trial_is_tried_again(tmp_path):
     context = multiprocessing.get_context("spawn")
     process = context.Process(target=_tune_until_killed, args=(tmp_path, 6))
@@ -212,6 +231,7 @@ def test_after_kill_9_a_lost_trial_is_tried_again(tmp_path):
         assert any(values <= other.params.items() for other in found.trials)
 
 
+@pytest.mark.slow
 def test_two_processes_share_a_study(tmp_path):
     context = multiprocessing.get_context("spawn")
     processes = [context.Process(target=_tune_some, args=(tmp_path, seed)) for seed in (1, 2)]
@@ -229,31 +249,28 @@ def _tune_some(folder, seed):
     tune(expert(), folder, trials=6, seed=seed)
 
 
-def test_trials_by_other_code_are_not_mixed_with_it(tmp_path, monkeypatch):
-    tune(expert(), tmp_path, trials=1)
+def test_trials_by_other_code_are_not_mixed_with_it(begun, monkeypatch):
     monkeypatch.setattr(type(expert()), "code", {"reach_mpc.py": "another"})
     with pytest.raises(ResultsError, match=r"code: reach_mpc.py .* there, another here"):
-        tune(expert(), tmp_path, trials=2)
+        tune(expert(), begun, trials=2)
 
 
 @pytest.mark.parametrize("change", ["episodes", "score", "options"])
-def test_another_tuning_is_not_mixed_with_it(tmp_path, change):
-    tune(expert(), tmp_path, trials=1)
+def test_another_tuning_is_not_mixed_with_it(begun, change):
     other = {"episodes": expert(episodes=4), "score": expert(score="success")}
     if change == "options":
         configuration = expert().configuration.model_copy(update={"env_options": {"tolerance": 0.02}})
         other["options"] = dataclasses.replace(expert(), configuration=configuration)
     with pytest.raises(ResultsError, match="holds another tuning"):
-        tune(other[change], tmp_path, trials=2)
+        tune(other[change], begun, trials=2)
 
 
 @pytest.mark.parametrize("damage", [b"what\n", b'{"op_code": 99}\n', b"\x00\n"])
-def test_a_damaged_journal_is_told(tmp_path, damage):
-    tune(expert(), tmp_path, trials=1)
-    journal = tmp_path / JOURNAL
+def test_a_damaged_journal_is_told(begun, damage):
+    journal = begun / JOURNAL
     journal.write_bytes(damage + journal.read_bytes())
     with pytest.raises(ResultsError, match=r"journal.log is damaged"):
-        tune(expert(), tmp_path, trials=2)
+        tune(expert(), begun, trials=2)
 
 
 def test_nothing_is_written_through_a_link(tmp_path):

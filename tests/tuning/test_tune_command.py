@@ -1,14 +1,10 @@
 """The verb `tune`, and its page."""
 
 import json
-import shutil
 
 import pytest
-from playwright.sync_api import sync_playwright
 
 from tests.command_line import armctl
-
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
 
 @pytest.fixture(scope="module")
@@ -38,21 +34,19 @@ def test_the_same_command_again_plays_nothing(tuned):
     assert (folder / "tuned/reach_mpc/trials.csv").read_text() == ledger
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
-def test_the_page_shows_all_plots_without_the_network(tuned):
+@pytest.mark.slow
+@pytest.mark.browser
+def test_the_page_shows_all_plots_without_the_network(chromium, tuned):
     _, folder = tuned
-    with sync_playwright() as p:
-        browser = p.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        page, said, asked = browser.new_page(viewport={"width": 1100, "height": 900}), [], []
-        page.on("console", lambda message: said.append(message.text))
-        page.on("pageerror", lambda error: said.append(str(error)))
-        page.on("request", lambda request: asked.append(request.url))
-        page.goto((folder / "tuned/reach_mpc/tuning.html").as_uri())
-        page.wait_for_selector(".js-plotly-plot .main-svg")
-        page.wait_for_function("document.querySelectorAll('.js-plotly-plot .main-svg').length >= 6")
-        heads = page.locator("figure h3").all_inner_texts()
-        wide = page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
-        browser.close()
+    page, said, asked = chromium.new_page(viewport={"width": 1100, "height": 900}), [], []
+    page.on("console", lambda message: said.append(message.text))
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.on("request", lambda request: asked.append(request.url))
+    page.goto((folder / "tuned/reach_mpc/tuning.html").as_uri())
+    page.wait_for_selector(".js-plotly-plot .main-svg")
+    page.wait_for_function("document.querySelectorAll('.js-plotly-plot .main-svg').length >= 6")
+    heads = page.locator("figure h3").all_inner_texts()
+    wide = page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
     assert said == []
     assert [url for url in asked if not url.startswith(("file:", "data:"))] == []
     assert {"History", "Options", "Together", "What matters", "Curves", "Times"} == set(heads)

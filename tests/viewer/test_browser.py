@@ -2,7 +2,6 @@
 
 import os
 import re
-import shutil
 import signal
 import socket
 import struct
@@ -27,8 +26,6 @@ from armctl.viewer.browser import LOOPBACK, Frame, Play, Player
 from armctl.viewer.stage import Stage
 
 ARMCTL = str(Path(sys.executable).parent / "armctl")
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-SOFTWARE_GL = ("--no-sandbox", "--enable-unsafe-swiftshader", "--use-angle=swiftshader")
 
 
 class Viewer:
@@ -168,6 +165,7 @@ def test_the_page_answers_on_loopback_alone_and_a_taken_port_is_told(tmp_path):
         assert answers("127.0.0.2", public.getsockname()[1])
 
 
+@pytest.mark.slow
 def test_a_window_without_a_screen_is_a_clear_error(tmp_path):
     blind = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
     done = subprocess.run([ARMCTL, "view", "random", "--native"], capture_output=True, text=True, env=blind)
@@ -243,16 +241,11 @@ def test_uploads_and_long_messages_do_not_fill_the_memory(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
-def test_the_robot_moves_on_the_page_and_no_request_leaves_the_machine(tmp_path):
-    playwright = pytest.importorskip("playwright.sync_api", reason="no Playwright here: pip install playwright")
+@pytest.mark.browser
+def test_the_robot_moves_on_the_page_and_no_request_leaves_the_machine(chromium, tmp_path):
     addresses = []
-    with (
-        viewing(tmp_path, "reach_mpc", "--env", "armctl/ArmReachMoving-v0") as (_, address, port),
-        playwright.sync_playwright() as p,
-    ):
-        browser = p.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE_GL)
-        page = browser.new_page(viewport={"width": 800, "height": 500})
+    with viewing(tmp_path, "reach_mpc", "--env", "armctl/ArmReachMoving-v0") as (_, address, port):
+        page = chromium.new_page(viewport={"width": 800, "height": 500})
         page.on("request", lambda request: addresses.append(request.url))
         page.on("websocket", lambda connection: addresses.append(connection.url))
         page.goto(address, wait_until="commit", timeout=120_000)
@@ -262,7 +255,7 @@ def test_the_robot_moves_on_the_page_and_no_request_leaves_the_machine(tmp_path)
         page.mouse.click(700, 400)
         page.keyboard.down("Space")
         assert eventually(page, lambda: stands_still(page))
-        browser.close()
+        page.close()
     assert any(address.startswith("ws://") for address in addresses)
     assert [address for address in addresses if not re.match(rf"(http|ws)://localhost:{port}/", address)] == []
 
@@ -277,18 +270,15 @@ async ([port, path]) => new Promise(tell => {
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
-def test_another_page_in_the_same_browser_gets_nothing(tmp_path):
-    playwright = pytest.importorskip("playwright.sync_api", reason="no Playwright here: pip install playwright")
+@pytest.mark.browser
+def test_another_page_in_the_same_browser_gets_nothing(chromium, tmp_path):
     with (
         viewing(tmp_path, "random") as (_, address, port),
         ThreadingHTTPServer((LOOPBACK, 0), SimpleHTTPRequestHandler) as other,
-        playwright.sync_playwright() as p,
     ):
         threading.Thread(target=other.serve_forever).start()
         try:
-            browser = p.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE_GL)
-            context = browser.new_context()
+            context = chromium.new_context()
             own = context.new_page()
             own.goto(address, wait_until="commit", timeout=120_000)
             assert own.evaluate(ATTACK, [port, "/state?sid=own"]) == "open"
@@ -299,6 +289,6 @@ def test_another_page_in_the_same_browser_gets_nothing(tmp_path):
                 assert strange.evaluate(ATTACK, [port, path]) == "refused"
             fetched = "async port => fetch(`http://localhost:${port}/model`).then(() => 'read', () => 'refused')"
             assert strange.evaluate(fetched, port) == "refused"
-            browser.close()
+            context.close()
         finally:
             other.shutdown()

@@ -55,7 +55,8 @@ def test_a_link_is_replaced_and_not_written_through(tmp_path):
     assert len(imageio.imread(tmp_path / "film.mp4")) == 3
 
 
-@pytest.mark.parametrize(("disk", "steps"), [(9_000, 3), pytest.param(20_000, 60, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("disk", "steps"), [(9_000, 3), (20_000, 60)])
 def test_a_full_disk_is_told_and_leaves_the_older_video(tmp_path, disk, steps):
     (tmp_path / "film.mp4").write_text("older")
     arguments = ["run", "random", "--steps", str(steps), "--video", "film.mp4"]

@@ -31,3 +31,10 @@ def agent(tmp_path):
     for name, suffix in (("agent.onnx", ".onnx"), ("agent.json", ".json"), ("curve.csv", ".csv")):
         shutil.copy(shipped.with_suffix(suffix), folder / name)
     return folder
+
+
+@pytest.fixture
+def nothing_written(tmp_path):
+    before = set(tmp_path.rglob("*"))
+    yield
+    assert set(tmp_path.rglob("*")) == before

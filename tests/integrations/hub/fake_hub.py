@@ -11,6 +11,9 @@ from urllib.parse import unquote, urlsplit
 
 import yaml
 
+NAME = "owner/reach"
+FILES = ("agent.onnx", "agent.json", "curve.csv")
+
 TOKEN = "hf_of_the_owner"
 OWNER = "owner"
 
@@ -227,3 +230,13 @@ def broken_off(content):
         handler.close_connection = True
 
     return answer
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.name in FILES}
+
+
+def published(hub, folder, **changes):
+    """Put an agent on the hub as it is, with some files changed; None leaves one out."""
+    files = contents(folder) | changes
+    return hub.put(NAME, {name: content for name, content in files.items() if content is not None})

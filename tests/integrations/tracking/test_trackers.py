@@ -178,6 +178,7 @@ print(tracker.where)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("account", [{}, {"WANDB_API_KEY": "0" * 40}])
 def test_without_account_or_network_wandb_works_offline(account, home, tmp_path):
     nowhere = {"WANDB_BASE_URL": "http://127.0.0.1:9", "WANDB_INIT_TIMEOUT": "2", "NETRC": str(tmp_path / "none")}

@@ -96,6 +96,7 @@ def test_the_graph_remembers_as_the_network_does_and_each_world_alone(distilled)
         observations = worlds.step(actions)[0]
 
 
+@pytest.mark.slow
 def test_a_training_resumes_where_it_was(tmp_path):
     short = recipe(steps=512, evaluation_every=256)
     first = train(short, out=tmp_path / "run", seed=0, progress=False)

@@ -87,6 +87,7 @@ def test_only_the_layers_from_memory_to_actions_change(student, privileged, tmp_
             assert np.array_equal(old, new)
 
 
+@pytest.mark.slow
 def test_a_training_resumes(student, tmp_path):
     chosen = recipe(student)
     trained(chosen, tmp_path / "run")

@@ -92,20 +92,28 @@ def test_parts_are_followed_anew_one_after_the_other(shapes, layouts):
     assert actions.shape == (7, 6)
 
 
-def test_a_training_gives_an_agent_and_its_card(tmp_path, monkeypatch):
-    monkeypatch.setattr(solved_layouts, "PART", 6)
-    card = plan_bc.train(recipe(), out=tmp_path, seed=0, progress=False)
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("trained")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(solved_layouts, "PART", 6)
+        return folder, plan_bc.train(recipe(), out=folder, seed=0, progress=False)
+
+
+def test_a_training_gives_an_agent_and_its_card(trained):
+    folder, card = trained
     assert (card.learner, card.gradient_steps, card.decisions) == ("plan_bc", 6, 0)
     assert card.teacher_queries > 100
-    assert read_card(tmp_path / "agent.json") == card
+    assert read_card(folder / "agent.json") == card
     worlds = make_worlds(ENV, 2, {})
     observations, _ = worlds.reset(seed=0)
-    agent = make_policy(tmp_path / "agent.json", worlds)
+    agent = make_policy(folder / "agent.json", worlds)
     assert agent.sees == "model"
     assert agent.act(observations).shape == (2, 6)
     worlds.close()
 
 
+@pytest.mark.slow
 def test_an_interrupted_training_resumes(tmp_path, monkeypatch):
     evaluate, calls = Training.evaluate, []
 

@@ -26,11 +26,11 @@ from armctl.tasks.reach.reach import LARGEST_RELATIVE_MOVE
 from armctl.training.learners import load_recipe
 
 SMALL = {
-    "steps": 4096,
-    "worlds": 32,
+    "steps": 1024,
+    "worlds": 8,
     "rollout_length": 32,
-    "batch_size": 512,
-    "evaluation_every": 1024,
+    "batch_size": 128,
+    "evaluation_every": 256,
     "validation_episodes": 10,
     "evaluation_episodes": 20,
 }
@@ -52,10 +52,10 @@ def test_training_leaves_a_runnable_agent_its_card_logs_curve_and_checkpoints(tr
     out, card = trained
     assert card == card.model_validate_json((out / "agent.json").read_bytes())
     assert (card.recipe, card.learner, card.shaping, card.teacher) == ("reach_ppo", "ppo", "distance", None)
-    assert (card.training_steps, card.training_seed, card.evaluation.episodes) == (4096, 3, 20)
-    assert pd.read_csv(out / "curve.csv").steps.tolist() == [0, 1024, 2048, 3072, 4096]
-    assert card.best_after in range(0, 4097, 1024)
-    assert (out / "checkpoints" / "4096.zip").is_file()
+    assert (card.training_steps, card.training_seed, card.evaluation.episodes) == (1024, 3, 20)
+    assert pd.read_csv(out / "curve.csv").steps.tolist() == [0, 256, 512, 768, 1024]
+    assert card.best_after in range(0, 1025, 256)
+    assert (out / "checkpoints" / "1024.zip").is_file()
     assert list((out / "tensorboard").glob("events*"))
     assert len(evaluate(str(out / "agent.json"), episodes=3)) == 3
 
@@ -93,9 +93,9 @@ def test_a_killed_training_resumes_and_a_finished_one_may_go_on(trained, tmp_pat
     out = shutil.copytree(trained[0], tmp_path / "small")
     (out / "clock.json").unlink()
     (out / "checkpoints" / "unfinished-9999.zip").write_text("half a file")
-    card = train(small(steps=6000), out=out, seed=3, resume=True, progress=False)
-    assert card.training_steps == 6144
-    assert pd.read_csv(out / "curve.csv").steps.tolist() == [0, 1024, 2048, 3072, 4096, 5120, 6144]
+    card = train(small(steps=1500), out=out, seed=3, resume=True, progress=False)
+    assert card.training_steps == 1536
+    assert pd.read_csv(out / "curve.csv").steps.tolist() == [0, 256, 512, 768, 1024, 1280, 1536]
 
 
 def test_another_gamma_is_another_training(trained):

@@ -140,6 +140,7 @@ def test_noise_differs_from_world_to_world():
     assert lasting == pytest.approx(0.9, abs=0.05)
 
 
+@pytest.mark.slow
 def test_the_rate_decays_and_the_entropy_is_tuned_to_its_target(tmp_path):
     train(small(target_entropy=0.5), out=tmp_path / "small", seed=1, progress=False)
     model = checkpoint(tmp_path / "small", 800)

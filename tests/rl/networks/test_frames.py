@@ -152,6 +152,7 @@ LEARNERS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("learner", LEARNERS)
 def test_agents_trained_with_frames_remember_and_resume(learner, tmp_path):
     train, options = LEARNERS[learner]

@@ -87,6 +87,7 @@ def test_the_order_of_boxes_does_not_matter_and_the_boxes_do(worlds, features):
     assert not torch.allclose(features(torch.as_tensor(other)), before)
 
 
+@pytest.mark.slow
 def test_the_graph_acts_like_the_network_in_any_number_of_worlds(worlds, features, tmp_path):
     view = view_of(worlds, features="model")
     network = torch.nn.Sequential(features, torch.nn.Linear(features.features_dim, 6))

@@ -78,6 +78,7 @@ def test_a_new_stage_begins_new_episodes(monkeypatch, tmp_path):
     assert all(starts.all() for _, starts in begun[2:])
 
 
+@pytest.mark.slow
 def test_a_student_s_teacher_comes_along(stages, tmp_path):
     options = {**FEW, "length": 4, "epochs": 1, "hidden_units": 8, "memory_units": 8}
     chosen = recipe("distil", options, reward_weights={}, curriculum=[{"after": 0.5}], teacher="reach_ik")

@@ -25,6 +25,7 @@ def trained(tmp_path_factory):
     return done, folder
 
 
+@pytest.mark.slow
 def test_the_follow_up_command_can_be_pasted(trained):
     done, folder = trained
     command = shlex.split(done.stdout.strip().splitlines()[-1].partition(": ")[2])

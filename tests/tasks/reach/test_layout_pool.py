@@ -133,7 +133,7 @@ def test_each_seed_draws_from_its_part(seed, part):
 
 
 @given(SEEDS, st.booleans(), st.integers(0, 2**40))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_a_seed_goes_through_its_part_before_a_layout_comes_again(seed, solvable, begin):
     part = SHIPPED.parts[part_of(seed)]
     wanted = part[SHIPPED.feasible[part]] if solvable else part
