@@ -43,7 +43,7 @@ TRAININGS = {
     "sb3_ppo.py --settings defaults --steps 500000": 3,
     "sb3_sac_her.py": 3,
     "sb3_ppo_bridge_cnn.py": 3,
-    "cleanrl_ppo.py": 1,
+    "one_file_ppo.py": 1,
     "cleanrl_unmodified.py": 1,
     "skrl_ppo.py": 1,
     "torchrl_ppo.py": 1,

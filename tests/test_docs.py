@@ -216,6 +216,11 @@ def test_the_layout_has_every_folder_and_file():
     assert floors.split("\n")[:-1] == next(one["layers"] for one in contracts if one["type"] == "layers")
 
 
+def test_the_diagram_has_the_floors_of_today():
+    diagram = imported("make_architecture")
+    assert diagram.SVG.read_text() == diagram.drawing(), "python docs/make_architecture.py draws it"
+
+
 def test_every_policy_is_said_what_it_sees():
     table = (ROOT / "docs" / "policies.md").read_text().split("may see |")[1].split("\n\n")[0]
     rows = re.findall(r"^\|([^|]+)\|[^|]+\|[^|]+\|$", table, re.MULTILINE)

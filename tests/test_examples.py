@@ -19,7 +19,7 @@ EXAMPLES = ROOT / "examples"
 SCRIPTS = sorted(path.stem for path in EXAMPLES.glob("*.py") if path.stem != "held_out")
 STEPS = {"cleanrl_unmodified": 2_100, "sb3_sac_her": 2_100}
 """Of training: no more than 300, but to where it begins to learn."""
-SLOW = {"cleanrl_unmodified", "minari_imitation_bc", "sb3_ppo_bridge_cnn", "sbx_ppo"}
+SLOW = {"cleanrl_unmodified", "minari_imitation_bc", "one_file_ppo", "sb3_ppo_bridge_cnn", "sbx_ppo"}
 SECONDS = 300
 ZOO = {
     "ppo": "--set actions=normalized --set control=relative --set observation=features",
