@@ -1,4 +1,4 @@
-"""What the examples share: their arguments, and the held-out episodes on which they count successes."""
+"""Arguments of the examples, and the held-out episodes on which they count successes."""
 
 import argparse
 from collections.abc import Sequence
@@ -10,36 +10,41 @@ import armctl
 from armctl.rollout.seeds import TRAINING_SEEDS
 from armctl.stats.intervals import success_rate
 
-MOST_THREADS = 4
-"""More do not pay for networks as small as these; `OMP_NUM_THREADS` can lower it further."""
-MOST_SEED = 2**32 - 1
-"""The largest that NumPy's global generator takes, which most libraries seed too."""
+MAX_THREADS = 4
+"""Limit on threads: small networks gain nothing from more. `OMP_NUM_THREADS` can lower it further."""
+MAX_SEED = 2**32 - 1
+"""Largest seed of NumPy's global generator, which most libraries seed too."""
 
 
 def arguments(description: str | None, steps: int, **choices: Sequence[str]) -> argparse.Namespace:
-    """`steps` to train, `seed` of the training, and `episodes` to judge it by; bounds the threads of torch.
+    """Return `steps` and `seed` of the training and the number of held-out `episodes`; bound the threads of torch.
 
-    `choices` are further arguments, by default the first of what each may be.
+    `choices` are further arguments with their allowed values, the default first.
     """
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--steps", type=_from_to(1, 10**12), default=steps, help=f"of training (default: {steps:,})")
     parser.add_argument(
-        "--seed", type=_from_to(0, MOST_SEED), default=TRAINING_SEEDS, help="of the training (default: %(default)s)"
+        "--steps", type=_from_to(1, 10**12), default=steps, help=f"Steps of the training (default: {steps:,})."
     )
     parser.add_argument(
-        "--episodes", type=_from_to(1, 10**6), default=200, help="that are held out (default: %(default)s)"
+        "--seed",
+        type=_from_to(0, MAX_SEED),
+        default=TRAINING_SEEDS,
+        help="Seed of the training (default: %(default)s).",
+    )
+    parser.add_argument(
+        "--episodes", type=_from_to(1, 10**6), default=200, help="Held-out episodes (default: %(default)s)."
     )
     for name, allowed in choices.items():
-        parser.add_argument(f"--{name}", choices=allowed, default=allowed[0], help="default: %(default)s")
-    torch.set_num_threads(min(torch.get_num_threads(), MOST_THREADS))
+        parser.add_argument(f"--{name}", choices=allowed, default=allowed[0], help="Default: %(default)s.")
+    torch.set_num_threads(min(torch.get_num_threads(), MAX_THREADS))
     return parser.parse_args()
 
 
 def report(policy: Any, env: str, episodes: int, **options: Any) -> None:
-    """Print a policy's success on episodes of seed 0, which is for development: training's seeds are other ones.
+    """Print a policy's success on episodes of seed 0, a development seed: trainings have other seeds.
 
-    `policy` is a model with `predict`, or a function from one observation to an action. `options` are those of the
-    environment.
+    `policy` is a model with `predict`, a function from one observation to an action, or the path of an agent's card.
+    `options` are those of the environment.
     """
     played = armctl.evaluate(
         policy, env, episodes=episodes, worlds=min(episodes, 50), env_options=options, least_lengths=False
@@ -49,10 +54,10 @@ def report(policy: Any, env: str, episodes: int, **options: Any) -> None:
     print(f"success on {episodes} held-out episodes: {success.value:.1%} [{success.low:.1%}, {success.high:.1%}]")
 
 
-def _from_to(least: int, most: int) -> Any:
+def _from_to(low: int, high: int) -> Any:
     def whole_number(text: str) -> int:
-        if not (text.isdecimal() and least <= int(text) <= most):
-            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from {least:,} to {most:,}")
+        if not (text.isdecimal() and low <= int(text) <= high):
+            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from {low:,} to {high:,}")
         return int(text)
 
     return whole_number

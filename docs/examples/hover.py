@@ -39,11 +39,11 @@ class HoverOptions:
     """Options of `mine/Hover-v0`."""
 
     tolerance: Annotated[float, Field(gt=0)] = 0.1
-    """m from the target within which a quadrotor that is slower than 0.5 m/s hovers."""
+    """Distance to the target within which a quadrotor slower than 0.5 m/s hovers, m."""
 
 
 class HoverOutcome(Outcome):
-    """How an episode ends; True marks a success."""
+    """Endings of an episode; True marks a success."""
 
     TIMEOUT = 0
     HOVERING = 1, True
@@ -54,7 +54,7 @@ class TimeToGo(Potential):
     """A potential for reward shaping: minus the seconds to the target at 1 m/s, and as long again to slow down."""
 
     def potentials(self, ids):
-        """In s, (len(ids),)."""
+        """Return minus the time (len(ids),) to the target, s."""
         return -self.task.goal_distances()[ids] - np.linalg.norm(self.task.velocities[ids], axis=1)
 
 
@@ -83,23 +83,23 @@ class HoverTask(Task):
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (18,))
 
     def reset(self, ids, rngs):
-        """Quadrotors hang in the air at the origin; targets are somewhere around them."""
+        """Put quadrotors in the air at the origin, and targets at random positions around them."""
         self.simulation.reset(ids)
         self._targets[ids, 0] = [rng.uniform((-1, -1, 0.5), (1, 1, 2)) for rng in rngs]
         self.simulation.refresh(ids)
 
     def command(self, actions):
-        """Thrusts (n, 4), N."""
+        """Set thrusts (n, 4), N."""
         self._thrusts[:] = np.clip(actions, 0.0, MAX_THRUST)
 
     def observe(self, ids=None):
-        """Offset to the target (m), rotation matrix, velocity (m/s) and body rates (rad/s): (n, 18)."""
+        """Return offset to the target (m), rotation matrix, velocity (m/s) and body rates (rad/s): (n, 18)."""
         rotations = self._rotations[:, -1].reshape(-1, 9)
         seen = np.concatenate((self._offsets(), rotations, self._qvel), axis=1, dtype=np.float32)
         return seen if ids is None else seen[ids]
 
     def reward_terms(self):
-        """A step costs 1; hovering earns 100, and a crash costs as much."""
+        """Return -1 for each step, 100 for hovering and -100 for a crash."""
         outcome = self.outcome()
         return {
             "step": np.full(self.n, -1.0),
@@ -108,17 +108,17 @@ class HoverTask(Task):
         }
 
     def outcome(self):
-        """`CRASHED` on contact with the floor, `HOVERING` near the target and slow."""
+        """Return `CRASHED` on contact with the floor, `HOVERING` if near the target and slow."""
         slow = np.linalg.norm(self.velocities, axis=1) < 0.5
         hovering = (self.goal_distances() < self.options.tolerance) & slow
         return np.where(self._contacts > 0, HoverOutcome.CRASHED, hovering * HoverOutcome.HOVERING)
 
     def goal_distances(self):
-        """(n,) m."""
+        """Return the distances (n,) to the targets, m."""
         return np.linalg.norm(self._offsets(), axis=1)
 
     def motion(self):
-        """Positions, poses and contacts, for the metrics."""
+        """Return positions, poses and contacts, for the metrics."""
         return MotionSample(self._qpos[:, :3].copy(), self._qpos.copy(), self._contacts > 0)
 
     def _offsets(self):
@@ -126,18 +126,18 @@ class HoverTask(Task):
 
 
 class Expert:
-    """A cascade of PD controllers: for the acceleration, then for the attitude that it takes."""
+    """A cascade of PD controllers: for the acceleration, and for the attitude that it requires."""
 
     sees, training_steps = "observation", 0
 
     def __init__(self, env):
-        """From the environment it acts in, of which it needs to know nothing."""
+        """Ignore the environment: the observation is enough."""
 
     def reset(self, ids):
-        """Nothing to forget."""
+        """Do nothing: it has no memory."""
 
     def act(self, observations):
-        """Thrusts (n, 4) for observations (n, 18)."""
+        """Return thrusts (n, 4) for observations (n, 18)."""
         offset, rotation, velocity, rates = np.split(observations.astype(float), (3, 12, 15), axis=1)
         wanted = np.array((0, 0, GRAVITY)) + np.clip(4 * offset - 3 * velocity, -4, 4)
         body_frame = np.einsum("nij,ni->nj", rotation.reshape(-1, 3, 3), wanted)
