@@ -1,7 +1,10 @@
 """The command line's application, to which each verb adds itself."""
 
-from dataclasses import dataclass
-from typing import Annotated
+import functools
+import inspect
+from collections.abc import Callable
+from dataclasses import MISSING, dataclass, fields
+from typing import Annotated, Any, TypeVar
 
 import typer
 
@@ -16,6 +19,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
 )
+
+Request = TypeVar("Request")
 
 
 @dataclass
@@ -47,3 +52,29 @@ def _options(
     ] = False,
 ) -> None:
     settings.traceback = traceback
+
+
+def verb(function: Callable[[Request], None]) -> Callable[[Request], None]:
+    """Add a verb to the command line: a function of a request, a dataclass whose fields are the verb's options.
+
+    A field's type is Annotated with its `typer.Option` or `typer.Argument`; the function's docstring is the help text.
+    """
+    (request,) = (kind for name, kind in inspect.get_annotations(function).items() if name != "return")
+
+    @functools.wraps(function)
+    def command(**options: Any) -> None:
+        function(request(**options))
+
+    command.__signature__ = inspect.Signature(  # type: ignore[attr-defined]  # which Typer reads
+        [
+            inspect.Parameter(
+                field.name,
+                inspect.Parameter.KEYWORD_ONLY,
+                default=inspect.Parameter.empty if field.default is MISSING else field.default,
+                annotation=field.type,
+            )
+            for field in fields(request)
+        ]
+    )
+    app.command()(command)
+    return function

@@ -1,26 +1,29 @@
 """The verb that makes agents of others' models: `export`."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from armctl.cli.app import app
+from armctl.cli.app import verb
 from armctl.cli.learn import say, words
 from armctl.cli.options import EnvOptions, options_of
 
 
-@app.command()
-def export(
-    model: Annotated[Path, typer.Argument(help="Model that Stable-Baselines3 or sb3-contrib saved: a file .zip.")],
-    env: Annotated[str, typer.Option("--env", help="Environment that the model was trained in.")],
+@dataclass(frozen=True)
+class ExportRequest:
+    """Options of `export`."""
+
+    model: Annotated[Path, typer.Argument(help="Model that Stable-Baselines3 or sb3-contrib saved: a file .zip.")]
+    env: Annotated[str, typer.Option("--env", help="Environment that the model was trained in.")]
     out: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE.onnx", help="Agent to write; its card is beside it.", show_default="the model's name"
         ),
-    ] = None,
-    env_options: EnvOptions = None,
+    ] = None
+    env_options: EnvOptions = None
     normalisation: Annotated[
         Path | None,
         typer.Option(
@@ -29,15 +32,18 @@ def export(
             help="Statistics of the observations, saved by VecNormalize; or `none`.",
             show_default="vecnormalize.pkl or vec_normalize.pkl beside the model, if there is one",
         ),
-    ] = None,
+    ] = None
     algorithm: Annotated[
         str | None, typer.Option(help="Such as `ppo`, `sac` or `recurrent_ppo`.", show_default="as the model tells")
-    ] = None,
-    trust: Annotated[
-        bool, typer.Option("--trust", help="Load the model, although its pickles can run any code.")
-    ] = False,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an agent of that name.")] = False,
-) -> None:
+    ] = None
+    trust: Annotated[bool, typer.Option("--trust", help="Load the model, although its pickles can run any code.")] = (
+        False
+    )
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an agent of that name.")] = False
+
+
+@verb
+def export(request: ExportRequest) -> None:
     """Make an agent of a model of Stable-Baselines3 (A2C, DDPG, DQN, PPO, RecurrentPPO, SAC, TD3, TQC).
 
     `armctl export model.zip --env Pendulum-v1 --out agent.onnx --trust` writes `agent.onnx`, a graph that acts as
@@ -53,16 +59,17 @@ def export(
     from armctl.core.options import option_arguments
     from armctl.training.learners import load_exporter
 
-    target = out or model.with_suffix(".onnx")
+    model, env = request.model, request.env
+    target = request.out or model.with_suffix(".onnx")
     card = load_exporter(model)(
         model,
         env=env,
         out=target,
-        env_options=options_of(env_options),
-        normalisation=normalisation,
-        algorithm=algorithm,
-        trust=trust,
-        overwrite=overwrite,
+        env_options=options_of(request.env_options),
+        normalisation=request.normalisation,
+        algorithm=request.algorithm,
+        trust=request.trust,
+        overwrite=request.overwrite,
     )
     conversion = card.conversion
     assert conversion is not None

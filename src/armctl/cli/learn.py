@@ -5,35 +5,39 @@ import logging
 import os
 import shlex
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from armctl.cli import completion
-from armctl.cli.app import app
+from armctl.cli.app import verb
 from armctl.cli.options import EnvOptions, On, options_of, progress_bar
 from armctl.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from armctl.agents import AgentCard
+    from armctl.training.learners import Recipe
     from armctl.training.run import TrainingJob
 
 
-@app.command()
-def train(
+@dataclass(frozen=True)
+class TrainRequest:
+    """Options of `train`."""
+
     recipe: Annotated[
         str,
         typer.Argument(
             help="Recipe: a name (`armctl list` shows them), path/to/recipe.toml, or a learner's name.",
             autocompletion=completion.recipes,
         ),
-    ],
-    env: Annotated[
-        str | None, typer.Option("--env", help="Environment to train in.", show_default="the recipe's")
-    ] = None,
+    ]
+    env: Annotated[str | None, typer.Option("--env", help="Environment to train in.", show_default="the recipe's")] = (
+        None
+    )
     seed: Annotated[
         str | None,
         typer.Option(
@@ -41,8 +45,8 @@ def train(
             help="Seed of the training, several such as `0,1,2`, or `all` of the recipe's.",
             show_default="the recipe's first",
         ),
-    ] = None,
-    steps: Annotated[int | None, typer.Option(min=1, help="Environment steps.", show_default="the recipe's")] = None,
+    ] = None
+    steps: Annotated[int | None, typer.Option(min=1, help="Environment steps.", show_default="the recipe's")] = None
     shaping: Annotated[
         str | None,
         typer.Option(
@@ -50,32 +54,32 @@ def train(
             help="Potential of the environment's task for reward shaping, such as `distance` or `ik`; or `none`.",
             show_default="the recipe's",
         ),
-    ] = None,
+    ] = None
     shaping_scale: Annotated[
         float | None, typer.Option(help="Reward per unit of the potential.", show_default="the recipe's")
-    ] = None,
+    ] = None
     teacher: Annotated[
         str | None, typer.Option(metavar="POLICY", help="Policy to learn from.", show_default="the recipe's")
-    ] = None,
+    ] = None
     options: Annotated[
         list[str] | None,
         typer.Option("--option", metavar="NAME=VALUE", help="Option of the learner, such as `--option gamma=0.98`."),
-    ] = None,
-    env_options: EnvOptions = None,
+    ] = None
+    env_options: EnvOptions = None
     out: Annotated[
         Path | None,
         typer.Option(
             help="Folder for the agent, logs and checkpoints; of several seeds, what theirs begin with.",
             show_default="runs/<recipe>-<seed>",
         ),
-    ] = None,
+    ] = None
     resume: Annotated[
         bool,
         typer.Option(
             "--resume",
             help="Resume from the newest checkpoint in the folder. Checkpoints can run code: only of your own.",
         ),
-    ] = False,
+    ] = False
     track: Annotated[
         list[str] | None,
         typer.Option(
@@ -84,16 +88,19 @@ def train(
             "of the same names) or `tensorboard`; repeatable.",
             autocompletion=completion.trackers,
         ),
-    ] = None,
+    ] = None
     threads: Annotated[
         int | None,
         typer.Option(
             min=1, help="Threads of physics and network: 1 for trainings beside each other.", show_default="all cores"
         ),
-    ] = None,
-    workers: Annotated[int, typer.Option(min=1, help="Trainings at once, with several seeds, each on one core.")] = 1,
-    on: On = "local",
-) -> None:
+    ] = None
+    workers: Annotated[int, typer.Option(min=1, help="Trainings at once, with several seeds, each on one core.")] = 1
+    on: On = "local"
+
+
+@verb
+def train(request: TrainRequest) -> None:
     """Train an agent by a recipe; needs the extra `rl`.
 
     The extra: `pip install 'armctl-suite[rl]'`, or `pip install -e '.[rl]'` in a clone.
@@ -113,64 +120,77 @@ def train(
     Watch the training with `tensorboard --logdir FOLDER`, or let `--track wandb` or `--track mlflow` record it where
     you keep your experiments. A tracker that fails does not harm the training, and `--resume` continues the same run.
     """
-    from armctl.core.options import option_arguments
-    from armctl.envs import task_of
-    from armctl.integrations.tracking import tracked
     from armctl.simulation.threads import THREADS_ENV_VAR
-    from armctl.training.learners import load_learner, load_recipe
-    from armctl.training.run import SETTINGS, TrainingJob, log_trial
 
-    if threads:
-        os.environ[THREADS_ENV_VAR] = str(threads)
-    chosen = load_recipe(recipe, env, teacher)
-    shaping_options = {"shaping": shaping, "shaping_scale": shaping_scale}
-    changes: dict[str, Any] = {name: value for name, value in shaping_options.items() if value is not None}
-    if shaping == "none":
-        changes["shaping"] = None
-    learner_options = options_of(options, "--option") | ({} if steps is None else {"steps": steps})
-    chosen = chosen.changed(
-        **changes,
-        options=chosen.options | learner_options,
-        env_options=chosen.env_options | options_of(env_options),
-    )
-    seeds = _seeds(seed, chosen.seeds)
-    changed = shaping_options | {"options": learner_options, "env_options": options_of(env_options), "teacher": teacher}
-    job = TrainingJob(chosen, changed, resume)
-    start = out or Path("runs") / chosen.name
-    if len(seeds) > 1 or on != "local":
-        if track:
-            raise ConfigurationError("a tracker follows one training, in this process: without --track, or one seed")
-        folders = {training_seed: start.with_name(f"{start.name}-{training_seed}") for training_seed in seeds}
-        _train_several(job, folders, on, workers)
+    if request.threads:
+        os.environ[THREADS_ENV_VAR] = str(request.threads)
+    job = _training_job(request)
+    seeds = _seeds(request.seed, job.recipe.seeds)
+    start = Path("runs") / job.recipe.name
+    if len(seeds) == 1 and request.on == "local":
+        _train_one(job, seeds[0], request.out or _of_seed(start, seeds[0]), request.track or ())
         return
-    seed_here = seeds[0]
-    folder = out or Path("runs") / f"{chosen.name}-{seed_here}"
+    if request.track:
+        raise ConfigurationError("a tracker follows one training, in this process: without --track, or one seed")
+    folders = {seed: _of_seed(request.out or start, seed) for seed in seeds}
+    _train_several(job, folders, request.on, request.workers)
+
+
+def _of_seed(folder: Path, seed: int) -> Path:
+    return folder.with_name(f"{folder.name}-{seed}")
+
+
+def _training_job(request: TrainRequest) -> "TrainingJob":
+    """Return the recipe with what the command line changes."""
+    from armctl.training.learners import load_recipe
+    from armctl.training.run import TrainingJob
+
+    recipe = load_recipe(request.recipe, request.env, request.teacher)
+    shaping = {"shaping": request.shaping, "shaping_scale": request.shaping_scale}
+    changes: dict[str, Any] = {name: value for name, value in shaping.items() if value is not None}
+    if request.shaping == "none":
+        changes["shaping"] = None
+    learner_options = options_of(request.options, "--option") | (
+        {} if request.steps is None else {"steps": request.steps}
+    )
+    env_options = options_of(request.env_options)
+    recipe = recipe.changed(
+        **changes, options=recipe.options | learner_options, env_options=recipe.env_options | env_options
+    )
+    differences = shaping | {"options": learner_options, "env_options": env_options, "teacher": request.teacher}
+    return TrainingJob(recipe, differences, request.resume)
+
+
+def _train_one(job: "TrainingJob", seed: int, folder: Path, trackers: Sequence[str]) -> None:
+    """Train with one seed in this process, and say how the agent does."""
+    from armctl.integrations.tracking import tracked
+    from armctl.training.learners import load_learner
+    from armctl.training.run import SETTINGS, log_trial
+
+    recipe, resume = job.recipe, job.resume
     if resume and (folder / SETTINGS).exists():
         say(f"Resuming {folder}. Its checkpoints are pickles, which can run code: go on only if it is your own.", True)
     try:
         tell = functools.partial(say, error=True)
         with (
-            log_trial(job, seed_here, folder),
+            log_trial(job, seed, folder),
             _evaluations_logged(),
-            tracked(track or (), chosen, folder, seed_here, resume, tell) as on_evaluation,
+            tracked(trackers, recipe, folder, seed, resume, tell) as on_evaluation,
         ):
-            learner = load_learner(chosen.learner)
-            card = learner(chosen, out=folder, seed=seed_here, resume=resume, on_evaluation=on_evaluation)
+            learner = load_learner(recipe.learner)
+            card = learner(recipe, out=folder, seed=seed, resume=resume, on_evaluation=on_evaluation)
     except KeyboardInterrupt:
         has_begun = (folder / SETTINGS).exists()
         how = f"with --resume {words('--out', folder)} resumes the training" if has_begun else "starts it again"
         say(f"Interrupted. The same command {how}.")
         raise typer.Exit(130) from None
+    agent = folder / "agent.json"
     say(_result(card))
-    rival, agent = task_of(chosen.env).default_policies[0], folder / "agent.json"
-    environment = ("--env", chosen.env, *option_arguments(chosen.env_options))
-    say(f"The agent is {agent}: {words('armctl', 'compare', rival, agent, *environment)}")
+    say(f"The agent is {agent}: {_comparison(recipe, agent)}")
 
 
 def _train_several(job: "TrainingJob", folders: dict[int, Path], on: str, workers: int) -> None:
     """Train with several seeds, and say how each training has ended."""
-    from armctl.core.options import option_arguments
-    from armctl.envs import task_of
     from armctl.runtime.engines import connect
     from armctl.training.run import train_seeds
 
@@ -188,10 +208,17 @@ def _train_several(job: "TrainingJob", folders: dict[int, Path], on: str, worker
     if failed:
         raise ConfigurationError(f"{failed} of {len(folders)} trainings failed")
     group = next(iter(folders.values()))
-    recipe = group.with_name(group.name.rpartition("-")[0])
-    rival = task_of(job.recipe.env).default_policies[0]
-    environment = ("--env", job.recipe.env, *option_arguments(job.recipe.env_options))
-    say(f"All of them as one learner: {words('armctl', 'compare', rival, f'{recipe}[*]', *environment)}")
+    seeds = f"{group.with_name(group.name.rpartition('-')[0])}[*]"
+    say(f"All of them as one learner: {_comparison(job.recipe, seeds)}")
+
+
+def _comparison(recipe: "Recipe", agent: Path | str) -> str:
+    """Return the command that compares an agent with the task's first expert."""
+    from armctl.core.options import option_arguments
+    from armctl.envs import task_of
+
+    rival = task_of(recipe.env).default_policies[0]
+    return words("armctl", "compare", rival, agent, "--env", recipe.env, *option_arguments(recipe.env_options))
 
 
 def _result(card: "AgentCard") -> str:

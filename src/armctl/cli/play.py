@@ -1,12 +1,13 @@
 """Verbs that play: `run`, `view`, `collect`."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from armctl import DEFAULT_ENV
-from armctl.cli.app import app
+from armctl.cli.app import verb
 from armctl.cli.options import (
     Env,
     EnvOptions,
@@ -19,53 +20,77 @@ from armctl.cli.options import (
     progress_bar,
 )
 
+FirstEpisode = Annotated[int, typer.Option(min=0, help="Number of the first episode.")]
 
-@app.command()
-def run(
-    policy: PolicyName,
-    env: Env = DEFAULT_ENV,
-    episodes: Annotated[int, typer.Option(min=1, help="Episodes to play.")] = 1,
+
+@dataclass(frozen=True)
+class RunRequest:
+    """Options of `run`."""
+
+    policy: PolicyName
+    env: Env = DEFAULT_ENV
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes to play.")] = 1
     steps: Annotated[
         int | None, typer.Option(min=1, help="Largest number of steps per episode.", show_default="the environment's")
-    ] = None,
-    seed: Seed = 0,
-    episode: Annotated[int, typer.Option(min=0, help="Number of the first episode.")] = 0,
-    video: Annotated[Path | None, typer.Option(metavar="FILE.mp4", help="Record a video.")] = None,
-    watch: Annotated[bool, typer.Option("--watch", help="Show it in a window, in real time.")] = False,
+    ] = None
+    seed: Seed = 0
+    episode: FirstEpisode = 0
+    video: Annotated[Path | None, typer.Option(metavar="FILE.mp4", help="Record a video.")] = None
+    watch: Annotated[bool, typer.Option("--watch", help="Show it in a window, in real time.")] = False
     rerun: Annotated[
         Path | None,
         typer.Option(metavar="FILE.rrd", help="Record everything for Rerun's viewer; needs the extra `rerun`."),
-    ] = None,
-    env_options: EnvOptions = None,
-    policy_seed: PolicySeed = None,
-) -> None:
+    ] = None
+    env_options: EnvOptions = None
+    policy_seed: PolicySeed = None
+
+
+@verb
+def run(request: RunRequest) -> None:
     """Play episodes with one policy, and print its states, actions and rewards."""
     from armctl.viewer.terminal import run_episodes
 
     log = None
-    if rerun:
+    if request.rerun:
         from armctl.integrations.rerun import rerun_opener
 
-        log = rerun_opener(rerun)
-    options = options_of(env_options)
-    if not run_episodes(policy, env, episodes, steps, seed, video, watch, options, episode, log, policy_seed):
+        log = rerun_opener(request.rerun)
+    finished = run_episodes(
+        request.policy,
+        request.env,
+        request.episodes,
+        request.steps,
+        request.seed,
+        request.video,
+        request.watch,
+        options_of(request.env_options),
+        request.episode,
+        log,
+        request.policy_seed,
+    )
+    if not finished:
         raise typer.Exit(130)
 
 
-@app.command()
-def view(
-    policy: PolicyName,
-    env: Env = DEFAULT_ENV,
-    seed: Seed = 0,
-    episode: Annotated[int, typer.Option(min=0, help="Number of the first episode.")] = 0,
+@dataclass(frozen=True)
+class ViewRequest:
+    """Options of `view`."""
+
+    policy: PolicyName
+    env: Env = DEFAULT_ENV
+    seed: Seed = 0
+    episode: FirstEpisode = 0
     port: Annotated[
         int, typer.Option(min=0, max=65535, help="Port of the page.", show_default="the first free one from 8080 on")
-    ] = 0,
-    open_browser: Annotated[bool, typer.Option("--open/--no-open", help="Open a browser, if there is one.")] = True,
-    native: Annotated[bool, typer.Option("--native", help="Show it in MuJoCo's own window; needs a screen.")] = False,
-    env_options: EnvOptions = None,
-    policy_seed: PolicySeed = None,
-) -> None:
+    ] = 0
+    open_browser: Annotated[bool, typer.Option("--open/--no-open", help="Open a browser, if there is one.")] = True
+    native: Annotated[bool, typer.Option("--native", help="Show it in MuJoCo's own window; needs a screen.")] = False
+    env_options: EnvOptions = None
+    policy_seed: PolicySeed = None
+
+
+@verb
+def view(request: ViewRequest) -> None:
     """Show a policy live in the browser, in real time, with its plans, contacts and rewards.
 
     A panel on the page selects policy, seed and episode. Keys: Space pauses, Right arrow makes one control step, R
@@ -77,34 +102,41 @@ def view(
     from armctl.viewer.stage import Stage
     from armctl.viewer.window import check_screen, show_in_window
 
-    if native:
+    if request.native:
         check_screen()
-    player = Player(Stage(policy, env, seed, episode, options_of(env_options), policy_seed=policy_seed))
+    options = options_of(request.env_options)
+    stage = Stage(request.policy, request.env, request.seed, request.episode, options, policy_seed=request.policy_seed)
+    player = Player(stage)
     try:
-        show_in_window(player) if native else show_in_browser(player, port, open_browser)
+        show_in_window(player) if request.native else show_in_browser(player, request.port, request.open_browser)
     except KeyboardInterrupt:
         raise typer.Exit(130) from None
 
 
-@app.command()
-def collect(
-    policy: PolicyName,
-    out: Annotated[Path, typer.Option(metavar="DATASET", help="Folder of the dataset, such as `data/reach_ik-v0`.")],
-    env: Env = DEFAULT_ENV,
-    episodes: Annotated[int, typer.Option(min=1, help="Episodes to play.")] = 500,
+@dataclass(frozen=True)
+class CollectRequest:
+    """Options of `collect`."""
+
+    policy: PolicyName
+    out: Annotated[Path, typer.Option(metavar="DATASET", help="Folder of the dataset, such as `data/reach_ik-v0`.")]
+    env: Env = DEFAULT_ENV
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes to play.")] = 500
     seed: Annotated[
         int, typer.Option(min=0, help="Seed of the episodes; training seed k plays those from (k + 1) * 10^9.")
-    ] = 10**9,
-    worlds: Annotated[int, typer.Option(min=1, help="Worlds stepped at once, in each worker.")] = 50,
-    workers: Workers = 1,
-    on: On = "local",
-    env_options: EnvOptions = None,
-    policy_seed: PolicySeed = None,
+    ] = 10**9
+    worlds: Annotated[int, typer.Option(min=1, help="Worlds stepped at once, in each worker.")] = 50
+    workers: Workers = 1
+    on: On = "local"
+    env_options: EnvOptions = None
+    policy_seed: PolicySeed = None
     format: Annotated[
         str, typer.Option(help="`minari`, from which `bc` can learn (extra `rl`), or `lerobot` (extra `lerobot`).")
-    ] = "minari",
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the dataset in the folder.")] = False,
-) -> None:
+    ] = "minari"
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the dataset in the folder.")] = False
+
+
+@verb
+def collect(request: CollectRequest) -> None:
     """Write a policy's episodes to a dataset for learners, in the format of Minari or LeRobot.
 
     Ctrl-C keeps the finished episodes, and the same command resumes. So it does after a full disk or a crash. The
@@ -114,12 +146,13 @@ def collect(
     from armctl.datasets.collect import collect as run_collection
     from armctl.runtime.engines import connect
 
-    with connect(on, workers) as engine, progress_bar() as bar:
+    policy, episodes = request.policy, request.episodes
+    with connect(request.on, request.workers) as engine, progress_bar() as bar:
         task = bar.add_task(policy, total=episodes)
         collection = run_collection(
-            policy, env, episodes=episodes, out=out, seed=seed, worlds=worlds, workers=engine,
-            env_options=options_of(env_options), format=format, overwrite=overwrite,
-            policy_seed=policy_seed,
+            policy, request.env, episodes=episodes, out=request.out, seed=request.seed, worlds=request.worlds,
+            workers=engine, env_options=options_of(request.env_options), format=request.format,
+            overwrite=request.overwrite, policy_seed=request.policy_seed,
             progress=lambda finished: bar.update(task, completed=finished),
         )  # fmt: skip
     console = PlainConsole()
@@ -127,7 +160,7 @@ def collect(
         console.print(f"Resumed: {collection.resumed} of {episodes} episodes were there already.", soft_wrap=True)
     console.print(
         f"{collection.episodes} episodes of {policy}, {collection.steps} control steps, "
-        f"{collection.successes} successes: {out}",
+        f"{collection.successes} successes: {request.out}",
         soft_wrap=True,
     )
     if collection.interrupted:

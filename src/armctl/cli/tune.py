@@ -1,12 +1,13 @@
 """The verb that looks for better values of a recipe's or an expert's options: `tune`."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from armctl.cli import completion
-from armctl.cli.app import app
+from armctl.cli.app import verb
 from armctl.cli.evaluate import exit_if_interrupted
 from armctl.cli.options import Format, On, TableFormat, Workers, print_document, progress_bar
 
@@ -14,38 +15,43 @@ if TYPE_CHECKING:
     from armctl.tuning import TuningOutcome
 
 
-@app.command()
-def tune(
+@dataclass(frozen=True)
+class TuneRequest:
+    """Options of `tune`."""
+
     name: Annotated[
         str,
         typer.Argument(
             help="Recipe or expert with a search space, such as `reach_sac` or `reach_mpc`, or path/to/file.toml.",
             autocompletion=completion.tunable,
         ),
-    ],
+    ]
     trials: Annotated[
         int | None, typer.Option(min=1, help="Trials in all.", show_default="50, unless hours are given")
-    ] = None,
+    ] = None
     hours: Annotated[
         float | None, typer.Option(help="Processor hours of all trials together: ends at whichever comes first.")
-    ] = None,
-    score: Annotated[str, typer.Option(help="What is maximised: `return` or `success`.")] = "return",
+    ] = None
+    score: Annotated[str, typer.Option(help="What is maximised: `return` or `success`.")] = "return"
     training_seeds: Annotated[
         int, typer.Option(min=1, help="Trainings of each trial of a recipe; their median counts.")
-    ] = 2,
-    episodes: Annotated[int, typer.Option(min=1, help="Development episodes of each trial of an expert.")] = 200,
+    ] = 2
+    episodes: Annotated[int, typer.Option(min=1, help="Development episodes of each trial of an expert.")] = 200
     env: Annotated[
         str | None, typer.Option("--env", help="Environment.", show_default="the recipe's, or the expert's")
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the search.")] = 0,
+    ] = None
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the search.")] = 0
     out: Annotated[
         Path | None,
         typer.Option(help="Folder of the tuning; the same one resumes it.", show_default="tuned/<name>"),
-    ] = None,
-    workers: Workers = 1,
-    on: On = "local",
-    table_format: Format = TableFormat.TABLE,
-) -> None:
+    ] = None
+    workers: Workers = 1
+    on: On = "local"
+    table_format: Format = TableFormat.TABLE
+
+
+@verb
+def tune(request: TuneRequest) -> None:
     """Tune a recipe's or an expert's options with Optuna; needs the extra `tune`.
 
     `armctl tune reach_sac --trials 30` and `armctl tune reach_mpc --hours 2`: both sides of a comparison can be tuned
@@ -72,10 +78,16 @@ def tune(
     from armctl.tuning import candidate_of
     from armctl.tuning import tune as run_tuning
 
-    candidate = candidate_of(name, score=score, training_seeds=training_seeds, episodes=episodes, env=env)  # type: ignore[arg-type]
-    folder = out or Path("tuned") / Path(name).stem
-    budget = 50 if trials is None and hours is None else trials
-    with connect(on, workers) as engine, progress_bar() as bar:
+    candidate = candidate_of(
+        request.name,
+        score=request.score,  # type: ignore[arg-type]
+        training_seeds=request.training_seeds,
+        episodes=request.episodes,
+        env=request.env,
+    )
+    folder = request.out or Path("tuned") / Path(request.name).stem
+    budget = 50 if request.trials is None and request.hours is None else request.trials
+    with connect(request.on, request.workers) as engine, progress_bar() as bar:
         task = bar.add_task("trials", total=budget)
 
         def progress(outcome: "TuningOutcome") -> None:
@@ -84,9 +96,9 @@ def tune(
             bar.update(task, description=description, completed=len(outcome.trials))
 
         outcome = run_tuning(
-            candidate, folder, trials=budget, hours=hours, seed=seed, workers=engine, progress=progress
+            candidate, folder, trials=budget, hours=request.hours, seed=request.seed, workers=engine, progress=progress
         )
     page = write_tuning_page(outcome)
-    console = print_document(document(outcome), table_format)
+    console = print_document(document(outcome), request.table_format)
     console.print(f"{page} shows all trials; what they found is beside it.", soft_wrap=True)
     exit_if_interrupted(outcome.interrupted, folder, console)
