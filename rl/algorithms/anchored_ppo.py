@@ -7,7 +7,7 @@ difference of their means, in standard deviations.
 
 import copy
 from collections.abc import Callable, Iterator
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
@@ -19,6 +19,7 @@ from armctl.agents import AgentCard
 from armctl.core.options import Count, NonNegative, Positive, options
 from armctl.rl.algorithms.ppo import PpoOptions, actor_of, load_or_make
 from armctl.rl.algorithms.sb3_training import learn
+from armctl.rl.networks.view import Features
 from armctl.rl.run.training import LOG, Training
 from armctl.rl.run.vector import StableBaselinesVectorEnv
 
@@ -34,6 +35,9 @@ PATIENCE_ROLLOUTS = 2
 class AnchoredPpoOptions(PpoOptions):
     """Options of PPO that starts from a policy worth keeping."""
 
+    steps: Count = 1_000_000
+    features: Features = "invariant"
+    activation: Literal["elu", "relu"] = "relu"
     critic_steps: Count = 150_000
     """Environment steps after which PPO begins at the latest; until then, only the critic learns."""
     critic_rate: Positive = 1e-3

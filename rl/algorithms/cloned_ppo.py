@@ -6,8 +6,6 @@ and a penalty, which decays, holds the actor to the clone.
 """
 
 import functools
-from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -15,49 +13,39 @@ from armctl.agents import AgentCard
 from armctl.core.errors import ConfigurationError
 from armctl.core.options import Count, Positive, options
 from armctl.rl.algorithms.anchored_ppo import AnchoredPpo, AnchoredPpoOptions, improve
+from armctl.rl.algorithms.bc import BcOptions
 from armctl.rl.algorithms.cloning import fit
 from armctl.rl.algorithms.ppo import actor_of, vec_env_for
-from armctl.rl.data.demonstrations import CloningOptions, demonstrations, examples_for
-from armctl.rl.networks.view import Features
+from armctl.rl.data.demonstrations import demonstrations, examples_for
+from armctl.rl.run.learner import learner
 from armctl.rl.run.training import Training
-from armctl.training.learners import Callback, Recipe
 
 
 @options
-class ClonedPpoOptions(AnchoredPpoOptions, CloningOptions):
+class ClonedPpoOptions(AnchoredPpoOptions, BcOptions):
     """Options of PPO, whose steps are environment steps, and of the cloning before it."""
 
-    steps: Count = 1_000_000
-    worlds: Count = 256
     hidden_units: Count = 256
     layers: Count = 3
-    features: Features = "invariant"
-    batch_size: Count = 2048
     evaluation_every: Count = 50_000
-    activation: Literal["elu", "relu"] = "relu"
     cloning_steps: Count = 6_000
     """Number of gradient steps of cloning."""
     cloning_rate: Positive = 1e-3
     cloning_batch_size: Count = 256
-    dataset: str | None = None
-    """Minari dataset to clone from, instead of the teacher."""
 
 
-def train(
-    recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True, on_evaluation: Callback = None
-) -> AgentCard:
-    """Train an agent into the folder `out`. See `armctl.rl.run.training.Training`, also for the errors raised."""
-    options = recipe.read_options(ClonedPpoOptions)
+@learner(ClonedPpoOptions)
+def train(training: Training, options: ClonedPpoOptions, progress: bool) -> AgentCard:
+    """Fit an actor and a critic to the teacher's episodes, and improve them by PPO."""
     if options.frames > 1:
         raise ConfigurationError("cloned_ppo clones from single observations: leave the option frames out")
-    training = Training(recipe, options, out, seed, resume, on_evaluation)
     examples = examples_for(training, options)
     if training.newest_checkpoint() is None:
         examples.add(demonstrations(training, options, options.dataset, progress))
 
     def clone(model: AnchoredPpo) -> None:
         for _ in fit(
-            actor_of(model, training), examples, options.cloning_steps, np.random.default_rng(seed),
+            actor_of(model, training), examples, options.cloning_steps, np.random.default_rng(training.seed),
             batch_size=options.cloning_batch_size, learning_rate=options.cloning_rate, progress=progress,
         ):  # fmt: skip
             training.meter.add(gradient_steps=1)

@@ -8,24 +8,14 @@ import torch
 from tqdm import tqdm
 
 from armctl.agents import AgentCard
-from armctl.core.errors import ConfigurationError
 from armctl.rl.networks.actor import Actor, tensors
 from armctl.rl.networks.layers import hidden_layers
 from armctl.rl.run.disk import save_torch
 from armctl.rl.run.options import TrainingOptions
 from armctl.rl.run.training import Training, bar_fits
-from armctl.training.learners import Recipe
 
 LAST_RATE = 0.02
 """Share of the learning rate that remains at the end of a fit."""
-
-
-def check_teaching(recipe: Recipe) -> None:
-    """Raise `ConfigurationError` for options that have no meaning without rewards."""
-    if recipe.shaping or recipe.reward_weights or any(stage.reward_weights for stage in recipe.curriculum):
-        raise ConfigurationError(
-            f"{recipe.learner} does not learn from rewards: it takes neither shaping nor reward_weights"
-        )
 
 
 def new_actor(training: Training, options: TrainingOptions) -> Actor:

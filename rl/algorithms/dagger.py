@@ -4,7 +4,6 @@ In the first round the teacher acts; then the student acts more and more often. 
 far.
 """
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,12 +16,12 @@ from armctl.core.files import write_atomically
 from armctl.core.options import Count, options
 from armctl.datasets.demonstrations import Demonstration
 from armctl.policies import Policy
-from armctl.rl.algorithms.cloning import check_teaching, fit, new_actor
+from armctl.rl.algorithms.cloning import fit, new_actor
 from armctl.rl.data.demonstrations import CloningOptions, Examples, Teacher, examples_for
 from armctl.rl.networks.actor import Actor, numpy_arrays, tensors
 from armctl.rl.run.disk import save_torch
-from armctl.rl.run.training import Training, check_no_curriculum
-from armctl.training.learners import Callback, Recipe
+from armctl.rl.run.learner import learner
+from armctl.rl.run.training import Training
 
 RECORD = "rounds.pt"
 
@@ -55,19 +54,14 @@ class MemorylessTeacher:
         return self._policy.act(observations)
 
 
-def train(
-    recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True, on_evaluation: Callback = None
-) -> AgentCard:
-    """Train an agent into the folder `out`. See `armctl.rl.run.training.Training`, also for the errors raised."""
-    options = recipe.read_options(DaggerOptions)
-    check_teaching(recipe)
-    check_no_curriculum(recipe)
+@learner(DaggerOptions, rewards=False, curriculum=False)
+def train(training: Training, options: DaggerOptions, progress: bool) -> AgentCard:
+    """Let the teacher label what the student visits, and fit the student, round by round."""
     each = options.demonstrations // options.rounds
     if not each or options.steps < options.rounds:
         raise ConfigurationError(f"{options.rounds} rounds need an episode and a gradient step each")
     steps = options.steps // options.rounds
-    training = Training(recipe, options, out, seed, resume, on_evaluation)
-    teacher = Teacher(recipe, min(options.worlds, each), training.seed)
+    teacher = Teacher(training.recipe, min(options.worlds, each), training.seed)
     if not options.teacher_memory:
         teacher.policy = MemorylessTeacher(teacher.policy)
     with training:
@@ -76,7 +70,7 @@ def train(
             finished = _load(training, actor, examples)
             for i in range(finished, options.rounds):
                 share = max(0.0, 1 - i / options.mixed_rounds)
-                rng = np.random.default_rng((seed, i))
+                rng = np.random.default_rng((training.seed, i))
                 mixture = _mixture(actor, share, rng)
                 episodes = teacher.show(each, training.first_seed(i), progress, acting=mixture)
                 decisions = sum(map(len, episodes))

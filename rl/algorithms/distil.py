@@ -8,7 +8,6 @@ through which gradients flow back (truncated backpropagation through time), and 
 
 from collections.abc import Iterator
 from contextlib import closing
-from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
@@ -22,17 +21,17 @@ from armctl.core.errors import ConfigurationError
 from armctl.core.options import Count, Positive, options
 from armctl.envs import make_worlds
 from armctl.policies import Policy
-from armctl.rl.algorithms.cloning import LAST_RATE, check_teaching
+from armctl.rl.algorithms.cloning import LAST_RATE
 from armctl.rl.data.demonstrations import teacher_in
 from armctl.rl.networks.actor import Actor, map_arrays, tensors
 from armctl.rl.networks.onnx_graph import initial_memory
 from armctl.rl.networks.recurrent import RecurrentNetwork
 from armctl.rl.networks.view import Features
 from armctl.rl.run.disk import save_torch
+from armctl.rl.run.learner import learner
 from armctl.rl.run.meter import Metered
 from armctl.rl.run.options import TrainingOptions
 from armctl.rl.run.training import Training, bar_fits
-from armctl.training.learners import Callback, Recipe
 
 Steps = Annotated[int, Field(ge=0)]
 
@@ -65,16 +64,12 @@ class DistilOptions(TrainingOptions):
             raise ConfigurationError(f"{self.worlds} worlds cannot be split into {self.minibatches} minibatches")
 
 
-def train(
-    recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True, on_evaluation: Callback = None
-) -> AgentCard:
-    """Train an agent into the folder `out`. See `armctl.rl.run.training.Training`, also for the errors raised."""
-    options = recipe.read_options(DistilOptions)
-    check_teaching(recipe)
-    for stage in recipe.stages:
+@learner(DistilOptions, rewards=False)
+def train(training: Training, options: DistilOptions, progress: bool) -> AgentCard:
+    """Let the teacher label what the student does, and teach the student by the labels."""
+    for stage in training.recipe.stages:
         with closing(make_worlds(stage.env, 1, stage.options_in_training)) as envs:
-            teacher_in(envs, stage, seed)  # raises an error now rather than in hours
-    training = Training(recipe, options, out, seed, resume, on_evaluation)
+            teacher_in(envs, stage, training.seed)  # raises an error now rather than in hours
     with training:
         student = Student(training, options)
         try:

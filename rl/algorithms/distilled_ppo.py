@@ -6,8 +6,7 @@ nothing flows back through time, and the learner is plain PPO. As in `cloned_ppo
 penalty holds the actor to its start.
 """
 
-from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -22,34 +21,29 @@ from armctl.rl.algorithms.anchored_ppo import AnchoredPpo, AnchoredPpoOptions, i
 from armctl.rl.algorithms.asymmetric import AsymmetricVectorEnv
 from armctl.rl.networks.encoder import Encoder
 from armctl.rl.networks.recurrent import MEMORY, RecurrentNetwork
-from armctl.rl.networks.view import Features, View
+from armctl.rl.networks.view import View
+from armctl.rl.run.learner import learner
 from armctl.rl.run.training import Training
 from armctl.rl.run.vector import EncodedVectorEnv, StableBaselinesVectorEnv
-from armctl.training.learners import Callback, Recipe
+from armctl.training.learners import Recipe
 
 
 @options
 class DistilledPpoOptions(AnchoredPpoOptions):
     """Options of PPO, whose network has the sizes of the agent from which it starts."""
 
-    steps: Count = 1_000_000
     hidden_units: Count = 192
     layers: Count = 1
     """Layers between the memory and the actions."""
-    features: Features = "invariant"
-    activation: Literal["elu", "relu"] = "relu"
     evaluation_every: Count = 100_000
 
 
-def train(
-    recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True, on_evaluation: Callback = None
-) -> AgentCard:
-    """Train an agent into the folder `out`. See `armctl.rl.run.training.Training`, also for the errors raised."""
-    options = recipe.read_options(DistilledPpoOptions)
+@learner(DistilledPpoOptions)
+def train(training: Training, options: DistilledPpoOptions, progress: bool) -> AgentCard:
+    """Improve by PPO what an agent makes of its memory."""
     if options.frames > 1:
         raise ConfigurationError("distilled_ppo starts from an agent that remembers: leave the option frames out")
-    training = Training(recipe, options, out, seed, resume, on_evaluation)
-    sizes, weights = network_of(recipe, training)
+    sizes, weights = network_of(training.recipe, training)
 
     def make_vec_env() -> StableBaselinesVectorEnv:
         envs, view = training.envs, training.view

@@ -4,23 +4,21 @@
 plans whose commands are disturbed (Laskey et al., DART: Noise injection for robust imitation learning, CoRL 2017).
 """
 
-from pathlib import Path
-
 import numpy as np
 
 from armctl.agents import AgentCard
 from armctl.core.errors import ConfigurationError
 from armctl.core.options import Count, Positive, Share, options
 from armctl.kinematics import ArmModel, ArmShapes
-from armctl.rl.algorithms.cloning import check_teaching, fit_and_export, new_actor
+from armctl.rl.algorithms.cloning import fit_and_export, new_actor
 from armctl.rl.data import solved_layouts
 from armctl.rl.data.followed_plans import FollowedPlans
 from armctl.rl.networks.view import Features
+from armctl.rl.run.learner import learner
 from armctl.rl.run.options import TrainingOptions
-from armctl.rl.run.training import Training, bar_fits, check_no_curriculum
+from armctl.rl.run.training import Training, bar_fits
 from armctl.tasks import ReachObstaclesTask
 from armctl.tasks.reach.obstacles import OBSTACLES_OBSERVATION
-from armctl.training.learners import Callback, Recipe
 
 LAYOUTS = "layouts"
 """Folder of a training's layouts, in its own."""
@@ -55,23 +53,19 @@ class PlanBcOptions(TrainingOptions):
     """Share of control steps in which the command is disturbed."""
 
 
-def train(
-    recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True, on_evaluation: Callback = None
-) -> AgentCard:
-    """Train an agent into the folder `out`. See `armctl.rl.run.training.Training`, also for the errors raised."""
-    options = recipe.read_options(PlanBcOptions)
-    check_teaching(recipe)
-    check_no_curriculum(recipe)
+@learner(PlanBcOptions, rewards=False, curriculum=False)
+def train(training: Training, options: PlanBcOptions, progress: bool) -> AgentCard:
+    """Plan in layouts, and fit an actor to followers of the plans."""
+    recipe = training.recipe
     if recipe.teacher is not None:
         raise ConfigurationError(f"{recipe.learner} learns from plans of its own: it takes no teacher")
-    training = Training(recipe, options, out, seed, resume, on_evaluation)
     task = training.held_out.task
     if not isinstance(task, ReachObstaclesTask) or list(task.options.parts) != list(OBSTACLES_OBSERVATION):
         raise ConfigurationError(f"{recipe.learner} is for armctl/ArmReachObstacles-v0 and its observation 'paper'")
     if task.options.control != "position" or not options.relative:
         raise ConfigurationError(f"{recipe.learner} needs control 'position' and relative actions")
     with training:
-        tolerance, folder = task.options.tolerance, out / LAYOUTS
+        tolerance, folder, seed = task.options.tolerance, training.out / LAYOUTS, training.seed
         solved_layouts.make(folder, options.layouts, seed, task.robot, tolerance, bar_fits(progress))
         examples = FollowedPlans(
             ArmShapes(ArmModel(task.robot)), solved_layouts.read(folder), options.parts, tolerance=tolerance,

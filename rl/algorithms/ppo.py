@@ -5,7 +5,6 @@
 
 import functools
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 import torch
@@ -17,10 +16,10 @@ from armctl.rl.algorithms.asymmetric import AsymmetricVectorEnv
 from armctl.rl.algorithms.sb3_training import decaying, learn
 from armctl.rl.networks.actor import Actor
 from armctl.rl.networks.view import View
+from armctl.rl.run.learner import learner
 from armctl.rl.run.options import FrameOptions
 from armctl.rl.run.training import Training
 from armctl.rl.run.vector import StableBaselinesVectorEnv, vec_env_of
-from armctl.training.learners import Callback, Recipe
 
 Model = TypeVar("Model", bound=PPO)
 ACTIVATIONS = {"elu": torch.nn.ELU, "relu": torch.nn.ReLU}
@@ -46,12 +45,9 @@ class PpoOptions(FrameOptions):
     """Privilege of the critic: it sees the state, which the actor does not. The agent is the actor."""
 
 
-def train(
-    recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True, on_evaluation: Callback = None
-) -> AgentCard:
-    """Train an agent into the folder `out`. See `armctl.rl.run.training.Training`, also for the errors raised."""
-    options = recipe.read_options(PpoOptions)
-    training = Training(recipe, options, out, seed, resume, on_evaluation)
+@learner(PpoOptions)
+def train(training: Training, options: PpoOptions, progress: bool) -> AgentCard:
+    """Improve a new actor by the rewards of its own episodes."""
     make_vec_env = functools.partial(vec_env_for, training, options)
     model = load_or_make(training, options, PPO, make_vec_env)
     with training:

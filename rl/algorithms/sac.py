@@ -19,12 +19,12 @@ from armctl.core.errors import ConfigurationError
 from armctl.core.options import Count, NonNegative, Positive, Share, options
 from armctl.rl.algorithms.hindsight import GoalVectorEnv, HindsightBuffer, split
 from armctl.rl.algorithms.sb3_training import REPLAY, decaying, learn
+from armctl.rl.run.learner import learner
 from armctl.rl.run.options import FrameOptions
-from armctl.rl.run.training import Training, check_no_curriculum
+from armctl.rl.run.training import Training
 from armctl.rl.run.vector import StableBaselinesVectorEnv, vec_env_of
 from armctl.tasks import ReachTask
 from armctl.tasks.reach import OBSERVATION
-from armctl.training.learners import Callback, Recipe
 
 NOISE_TIME_CONSTANT = 10
 """Control steps in which the exploration noise decays to about a third."""
@@ -58,18 +58,15 @@ class SacOptions(FrameOptions):
     evaluation_every: Count = 20_000
 
 
-def train(
-    recipe: Recipe, *, out: Path, seed: int, resume: bool = False, progress: bool = True, on_evaluation: Callback = None
-) -> AgentCard:
-    """Train an agent into the folder `out`. See `armctl.rl.run.training.Training`, also for the errors raised."""
-    options = recipe.read_options(SacOptions)
-    check_no_curriculum(recipe)
+@learner(SacOptions, curriculum=False)
+def train(training: Training, options: SacOptions, progress: bool) -> AgentCard:
+    """Improve a new actor by the rewards of all transitions so far, real ones and relabelled ones."""
+    recipe = training.recipe
     if options.relabelled and (recipe.shaping or recipe.reward_weights or "reward" in recipe.options_in_training):
         raise ConfigurationError(
             "relabelled transitions earn the task's plain reward: with shaping, reward_weights or another reward, "
             "set the option relabelled to 0"
         )
-    training = Training(recipe, options, out, seed, resume, on_evaluation)
     vec_env = _make_vec_env(training, options)
     newest = training.newest_checkpoint()
     model = _new_model(vec_env, training, options) if newest is None else _load(newest, vec_env)

@@ -258,12 +258,6 @@ class Training:
         write_atomically(self.out / "agent.json", card.model_dump_json(indent=2) + "\n")
 
 
-def check_no_curriculum(recipe: Recipe) -> None:
-    """Raise `ConfigurationError` for a recipe with a curriculum: for learners whose worlds stay the same."""
-    if recipe.curriculum:
-        raise ConfigurationError(f"{recipe.learner} takes no curriculum: ppo, cloned_ppo, distil and distilled_ppo do")
-
-
 def bar_fits(progress: bool) -> bool:
     """Return whether to show a requested progress bar: in a terminal only, since it would flood a log file."""
     return progress and sys.stdout.isatty() and sys.stderr.isatty()

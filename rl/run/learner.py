@@ -1,0 +1,52 @@
+"""Learners: functions of a training, behind the one signature by which armctl calls them all."""
+
+import functools
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from armctl.agents import AgentCard
+from armctl.core.errors import ConfigurationError
+from armctl.rl.run.training import Training
+from armctl.training.learners import Callback, Learner, Recipe
+
+
+def learner(
+    options_type: type[Any], *, rewards: bool = True, curriculum: bool = True
+) -> Callable[[Callable[[Training, Any, bool], AgentCard]], Learner]:
+    """Make a learner of a function of a training, its options, and whether to show progress bars: a decorator.
+
+    Without `rewards` or `curriculum`, the learner refuses recipes with shaping or reward weights, or with later stages.
+    For all errors that it raises, see `armctl.rl.run.training.Training`.
+    """
+
+    def decorate(function: Callable[[Training, Any, bool], AgentCard]) -> Learner:
+        @functools.wraps(function)
+        def train(
+            recipe: Recipe,
+            *,
+            out: Path,
+            seed: int,
+            resume: bool = False,
+            progress: bool = True,
+            on_evaluation: Callback = None,
+        ) -> AgentCard:
+            options = recipe.read_options(options_type)
+            if not rewards:
+                _check_no_rewards(recipe)
+            if recipe.curriculum and not curriculum:
+                raise ConfigurationError(
+                    f"{recipe.learner} takes no curriculum: ppo, cloned_ppo, distil and distilled_ppo do"
+                )
+            return function(Training(recipe, options, out, seed, resume, on_evaluation), options, progress)
+
+        return train
+
+    return decorate
+
+
+def _check_no_rewards(recipe: Recipe) -> None:
+    if recipe.shaping or recipe.reward_weights or any(stage.reward_weights for stage in recipe.curriculum):
+        raise ConfigurationError(
+            f"{recipe.learner} does not learn from rewards: it takes neither shaping nor reward_weights"
+        )
