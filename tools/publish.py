@@ -13,7 +13,7 @@ from typing import Annotated, Any, NamedTuple
 import typer
 import zoo
 
-from armctl.agents import AgentCard, read_card, sha256
+from armctl.agents import CARD, AgentCard, read_card, sha256
 from armctl.core.errors import AgentFileError, ConfigurationError
 from armctl.core.files import write_atomically
 from armctl.policies.trainings import by_seed
@@ -38,12 +38,12 @@ def publish(folders: Sequence[Path], home: Path = zoo.HOME, *, replace: bool = F
     Raises `AgentFileError` if a folder has no finished agent, `ConfigurationError` if trainings differ in more than
     their seed or have the same one. Nothing has been changed then.
     """
-    name = str(read_card(folders[0] / "agent.json").recipe)
+    name = str(read_card(folders[0] / CARD).recipe)
     if name not in recipe_names():
         raise ConfigurationError(f"{folders[0]} was trained by {name}, which is no recipe of armctl")
     shipped, seeds = home / "agents" / f"{name}.json", home / "agents" / "seeds"
     present = [path for path in (shipped, *seeds.glob(f"{name}-[0-9]*.json")) if path.with_suffix(".onnx").exists()]
-    new = by_seed(name, [folder / "agent.json" for folder in folders])
+    new = by_seed(name, [folder / CARD for folder in folders])
     kept = {} if replace else {seed: path for seed, path in by_seed(name, present).items() if seed not in new}
     agents = [_read(path) for path in by_seed(name, [*new.values(), *kept.values()]).values()]
     trials = _new_trials(folders, home / TRIALS)
@@ -89,7 +89,7 @@ def main(
 ) -> None:
     """Put trained agents among those that come with armctl."""
     print(f"shipped: {publish(folders, replace=replace)}")
-    zoo.trace()
+    zoo.record_tuning()
     zoo.write()
 
 

@@ -1,20 +1,16 @@
 """The table of all trained agents, from their cards: `python tools/zoo.py` writes `rl/README.md`.
 
 Shipped agents have their cards in `rl/agents/`, those of other training seeds theirs in `rl/agents/seeds/`; a release
-gives them their evaluations on the sealed test (`tools/release.py`). Cards that lack them get the costs of their
-teachers, and what the ledger has on the trials of their recipes.
+gives them their evaluations on the sealed test (`tools/release.py`). Cards get what the ledger has on the trials of
+their recipes.
 """
 
-from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
-from typing import Any
 
-from armctl.agents import AgentCard, Ancestor, read_card
-from armctl.agents.costs import UNTRAINED
+from armctl.agents import AgentCard, read_card
 from armctl.core.files import write_atomically
-from armctl.policies.configured import tuning_of
-from armctl.rl.run.lineage import ancestors, recorded_tuning
+from armctl.rl.run.lineage import recorded_tuning
 
 HOME = Path(__file__).parents[1] / "rl"
 HEAD = """<!-- Made by `python tools/zoo.py` from the agents' cards: change those, or tools/zoo.py. -->
@@ -39,9 +35,6 @@ COLUMNS = (
     "agent", "environment", "learner", "shaping", "teacher", "decisions", "with teachers", "queries", "gradient steps",
     "processor minutes", "with teachers", "minutes", "trials", "seed", "success", "95 % interval", "steps to goal",
 )  # fmt: skip
-TAUGHT = {"4e221cbe6df5679887ec54b11a9d743e072a114d6988851ae86242ef0a1edfeb": "seeds/bridge_state_ppo-0"}
-"""Teachers of those agents that another than the shipped training of their teacher has taught, by checksum (by git
-history, the shipped ones were trained, or chosen, later)."""
 
 
 def table() -> str:
@@ -96,36 +89,14 @@ def _minutes(seconds: float | None) -> str:
     return "-" if seconds is None else f"{seconds / 60:.1f}"
 
 
-def trace() -> None:
-    """Give the cards the lineage that they lack, and what is recorded of the trials of their recipes."""
-    agents = HOME / "agents"
-    for path in sorted(agents.rglob("*.json")):
+def record_tuning() -> None:
+    """Write on the cards what is recorded of the trials of their recipes."""
+    for path in sorted((HOME / "agents").rglob("*.json")):
         card = read_card(path)
-        _update(path, tuning=recorded_tuning(str(card.recipe)))
-    for path in sorted(agents.rglob("*.json")):
-        _trace(path)
-
-
-def _trace(path: Path) -> AgentCard:
-    """Return a card with its lineage, whose teachers have theirs."""
-    card = read_card(path)
-    if card.lineage is not None:
-        return card
-    if card.teacher is None:
-        return _update(path, lineage=[])
-    taught_by = HOME / "agents" / f"{TAUGHT.get(card.sha256, card.teacher)}.json"
-    if taught_by.exists():
-        return _update(path, lineage=ancestors(card.teacher, _trace(taught_by)))
-    cost = replace(UNTRAINED, tuning=tuning_of(card.teacher))
-    return _update(path, lineage=[Ancestor(name=card.teacher, cost=cost)])
-
-
-def _update(path: Path, **changes: Any) -> AgentCard:
-    card = read_card(path).model_copy(update=changes)
-    write_atomically(path, card.model_dump_json(indent=2) + "\n")
-    return card
+        card = card.model_copy(update={"tuning": recorded_tuning(str(card.recipe))})
+        write_atomically(path, card.model_dump_json(indent=2) + "\n")
 
 
 if __name__ == "__main__":
-    trace()
+    record_tuning()
     write()

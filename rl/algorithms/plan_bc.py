@@ -12,7 +12,7 @@ from armctl.core.options import Count, Positive, Share, options
 from armctl.kinematics import ArmModel, ArmShapes
 from armctl.rl.algorithms.cloning import fit_and_export, new_actor
 from armctl.rl.data import solved_layouts
-from armctl.rl.data.followed_plans import FollowedPlans
+from armctl.rl.data.followed_plans import FollowedPlans, Following
 from armctl.rl.networks.view import Features
 from armctl.rl.run.learner import learner
 from armctl.rl.run.options import TrainingOptions
@@ -67,11 +67,12 @@ def train(training: Training, options: PlanBcOptions, progress: bool) -> AgentCa
     with training:
         tolerance, folder, seed = task.options.tolerance, training.out / LAYOUTS, training.seed
         solved_layouts.make(folder, options.layouts, seed, task.robot, tolerance, bar_fits(progress))
-        examples = FollowedPlans(
-            ArmShapes(ArmModel(task.robot)), solved_layouts.read(folder), options.parts, tolerance=tolerance,
-            largest_move=options.largest_move, margin=options.margin, noise=options.noise,
+        how = Following(
+            tolerance=tolerance, largest_move=options.largest_move, margin=options.margin, noise=options.noise,
             noise_share=options.noise_share,
         )  # fmt: skip
+        shapes, layouts = ArmShapes(ArmModel(task.robot)), solved_layouts.read(folder)
+        examples = FollowedPlans(shapes, layouts, options.parts, how)
         rounds, every = 0, max(1, options.steps // (options.renewals + 1))
 
         def renew(step: int) -> None:

@@ -5,6 +5,7 @@ depends on where the arm is, and leads back to the way. Nothing is simulated (`a
 """
 
 import itertools
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,19 +26,32 @@ MAX_STEPS = 75
 """Control steps (3 s) after which an arm stops to follow."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Following:
+    """How arms follow ways."""
+
+    tolerance: float
+    """Distance from the target at which an arm has arrived, m."""
+    largest_move: float
+    """Largest move of a joint in a label, rad."""
+    margin: float
+    """Distance kept by straight motions, m."""
+    noise: float
+    """Standard deviation of what is added to commands, rad."""
+    noise_share: float
+    """Probability that it is added in a control step."""
+
+
 def follow(
-    shapes: ArmShapes, layouts: SolvedLayouts, rows: NDArray[np.intp], rng: np.random.Generator, *, tolerance: float,
-    largest_move: float, margin: float, noise: float, noise_share: float,
-) -> tuple[NDArray[np.intp], NDArray[np.float32], NDArray[np.float32]]:  # fmt: skip
+    shapes: ArmShapes, layouts: SolvedLayouts, rows: NDArray[np.intp], rng: np.random.Generator, how: Following
+) -> tuple[NDArray[np.intp], NDArray[np.float32], NDArray[np.float32]]:
     """Follow the ways of some `rows` of layouts: the row of every state, its joint positions and its label, (k, dof).
 
-    Labels are absolute joint positions (rad): a move of up to `largest_move` (rad) in each joint. With the probability
-    `noise_share` in each step, Gaussian `noise` (rad) is added to what is commanded. Straight motions keep `margin`
-    (m). Arms that touch something, or have arrived, are done.
+    Labels are absolute joint positions (rad). Arms that touch something, or have arrived, are done.
     """
     ways, lengths = _padded([waypoints(layouts.way(int(row))) for row in rows])
     n = len(rows)
-    arms = ImaginedArms(shapes, n, MOST_OBSTACLES, tolerance=tolerance, period=CONTROL_PERIOD)
+    arms = ImaginedArms(shapes, n, MOST_OBSTACLES, tolerance=how.tolerance, period=CONTROL_PERIOD)
     arms.begin(np.arange(n), ways[:, 0], 0.0, layouts.targets[rows], layouts.boxes[rows])
     next_waypoint = np.ones(n, dtype=np.int64)
     states, positions, labels = [], [], []
@@ -45,14 +59,14 @@ def follow(
         moving = np.flatnonzero(arms.states == MOVING)
         if not len(moving):
             break
-        arms.next_waypoints(ways, lengths, margin, next_waypoint)
+        arms.next_waypoints(ways, lengths, how.margin, next_waypoint)
         moves = ways[np.arange(n), next_waypoint] - arms.positions
-        moves *= np.minimum(1.0, largest_move / np.maximum(abs(moves).max(axis=1, keepdims=True), 1e-9))
+        moves *= np.minimum(1.0, how.largest_move / np.maximum(abs(moves).max(axis=1, keepdims=True), 1e-9))
         states.append(rows[moving])
         positions.append(arms.positions[moving].astype(np.float32))
         labels.append((arms.positions + moves)[moving].astype(np.float32))
-        is_disturbed = rng.random((n, 1)) < noise_share
-        arms.move(arms.positions + moves + is_disturbed * rng.normal(scale=noise, size=moves.shape))
+        is_disturbed = rng.random((n, 1)) < how.noise_share
+        arms.move(arms.positions + moves + is_disturbed * rng.normal(scale=how.noise, size=moves.shape))
     return np.concatenate(states), np.concatenate(positions), np.concatenate(labels)
 
 
@@ -66,20 +80,17 @@ def waypoints(way: Array) -> Array:
 
 
 class FollowedPlans:
-    """Examples from all layouts, of which a part is followed anew, with other noise, whenever `renew` is called.
+    """Examples from all layouts, of which a part is followed anew, with other noise, whenever `renew` is called."""
 
-    `options` are those of `follow`.
-    """
-
-    def __init__(self, shapes: ArmShapes, layouts: SolvedLayouts, parts: int, **options: Any) -> None:
-        self._shapes, self._layouts, self._options, self._parts = shapes, layouts, options, parts
+    def __init__(self, shapes: ArmShapes, layouts: SolvedLayouts, parts: int, how: Following) -> None:
+        self._shapes, self._layouts, self._how, self._parts = shapes, layouts, how, parts
         self._examples: dict[int, tuple[NDArray[Any], ...]] = {}
 
     def renew(self, number: int, rng: np.random.Generator) -> int:
         """Follow the part of this number, counted on and on. Returns how many states were labelled."""
         part = number % self._parts
         rows = np.arange(part, len(self._layouts), self._parts)
-        self._examples[part] = follow(self._shapes, self._layouts, rows, rng, **self._options)
+        self._examples[part] = follow(self._shapes, self._layouts, rows, rng, self._how)
         parts = list(self._examples.values())
         self._rows, self._positions, self._labels = (np.concatenate([part[i] for part in parts]) for i in range(3))
         return len(self._examples[part][0])

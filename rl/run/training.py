@@ -18,7 +18,7 @@ import pandas as pd
 import torch
 from stable_baselines3.common.logger import configure
 
-from armctl.agents import AgentCard, Evaluation, sha256, shapes
+from armctl.agents import CARD, GRAPH, AgentCard, Evaluation, sha256, shapes
 from armctl.core.errors import ConfigurationError
 from armctl.core.files import one_writer, write_atomically
 from armctl.envs import EpisodeVectorEnv, make_worlds
@@ -40,11 +40,12 @@ from armctl.stats.intervals import success_rate
 from armctl.study.curves import COSTS, CURVE, read_curve
 from armctl.study.reproduce import evaluation_of
 from armctl.training.learners import Callback, Recipe
+from armctl.training.run import SETTINGS
 
 LOG = logging.getLogger(__name__)
 
 VALIDATION_ENVS = 50
-SETTINGS, CLOCK = "settings.json", "clock.json"
+CLOCK = "clock.json"
 RECIPE_ON_CARD = (
     "learner", "env", "env_options", "training_options", "shaping", "reward_weights", "curriculum", "teacher",
 )  # fmt: skip
@@ -178,7 +179,7 @@ class Training:
         best = self._best()
         assert best is not None
         actor.load_state_dict(best["actor"])
-        graph = self.out / "agent.onnx"
+        graph = self.out / GRAPH
         write_atomically(graph, actor.export)
         recipe, envs, costs, plain = self.recipe, self.held_out, self.meter.read(), _plain(self.recipe)
         card = AgentCard(
@@ -244,7 +245,7 @@ class Training:
 
     def _final_evaluation(self) -> Evaluation:
         episodes = evaluate(
-            self.out / "agent.json",
+            self.out / CARD,
             self.recipe.env,
             episodes=self.options.evaluation_episodes,
             seed=DEVELOPMENT_SEED,
@@ -255,7 +256,7 @@ class Training:
         return evaluation_of(episodes, DEVELOPMENT_SEED)
 
     def _write(self, card: AgentCard) -> None:
-        write_atomically(self.out / "agent.json", card.model_dump_json(indent=2) + "\n")
+        write_atomically(self.out / CARD, card.model_dump_json(indent=2) + "\n")
 
 
 def bar_fits(progress: bool) -> bool:

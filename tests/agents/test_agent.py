@@ -151,15 +151,7 @@ def test_a_shipped_card_is_of_the_present_recipe(path):
         "distilled_ppo": DistilledPpoOptions, "plan_bc": PlanBcOptions, "ppo": PpoOptions, "sac": SacOptions,
     }  # fmt: skip
     kind = kinds[card.learner]
-    assert kind(**_as_named_now(card.learner_options)) == recipe.read_options(kind)  # later options have their defaults
-
-
-def _as_named_now(learner_options):
-    """Options on cards from before `features` (bool) and `turned` became one."""
-    options = dict(learner_options)
-    if (turned := options.pop("turned", None)) is not None:
-        options["features"] = ("invariant" if turned else "plain") if options["features"] else "none"
-    return options
+    assert kind(**card.learner_options) == recipe.read_options(kind)  # later options have their defaults
 
 
 def test_an_agent_whose_graph_lacks_the_memory_of_its_card(agent):

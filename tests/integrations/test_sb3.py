@@ -155,12 +155,17 @@ def test_an_agent_brings_the_interface_that_it_was_trained_with(tmp_path, monkey
     import armctl
     from armctl.policies import WorldsByInterface
     from armctl.rl.export.sb3 import export
+    from armctl.training.learners import ModelExport
 
     monkeypatch.chdir(tmp_path)
     model = PPO("MlpPolicy", VecEnv(worlds(**LEARNER)), device="cpu", seed=0)
     model.save(tmp_path / "model.zip")
     agent = tmp_path / "agent.onnx"
-    export(tmp_path / "model.zip", env=REACH, out=agent, env_options={**LEARNER, "tolerance": 0.06}, trust=True)
+    export(
+        ModelExport(
+            tmp_path / "model.zip", env=REACH, out=agent, env_options={**LEARNER, "tolerance": 0.06}, trust=True
+        )
+    )
     players = {"mine": agent.with_suffix(".json"), "ik": "reach_ik", "ppo": "reach_ppo"}
     alone = armctl.evaluate(players["mine"], episodes=4, env_options={**LEARNER, "tolerance": 0.05})
     for workers in (1, 2):
@@ -206,9 +211,10 @@ def test_experts_act_in_physical_units_whatever_is_asked_for():
 def test_tables_say_what_an_agent_sees_and_other_units_are_refused(env, options, sees, tmp_path):
     import armctl
     from armctl.rl.export.sb3 import export
+    from armctl.training.learners import ModelExport
 
     PPO("MlpPolicy", VecEnv(worlds(env, **options)), device="cpu").save(tmp_path / "model.zip")
-    export(tmp_path / "model.zip", env=env, out=tmp_path / "agent.onnx", env_options=options, trust=True)
+    export(ModelExport(tmp_path / "model.zip", env=env, out=tmp_path / "agent.onnx", env_options=options, trust=True))
     found = armctl.compare({"mine": tmp_path / "agent.json", "random": "random"}, env, episodes=2)
     assert {one.policy: one.sees for one in found.policies} == {"mine": sees, "random": "observation"}
     plain = make_worlds(env, 1, {**options, "actions": "physical"})

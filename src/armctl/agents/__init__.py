@@ -1,7 +1,9 @@
 """Learned agents as files: an ONNX graph and a JSON card with its costs and lineage."""
 
 from armctl.agents.agent import (
+    CARD,
     FILES,
+    GRAPH,
     INPUT,
     NEXT,
     OUTPUT,
@@ -20,6 +22,6 @@ from armctl.agents.agent import (
 )  # fmt: skip
 
 __all__ = [
-    "FILES", "INPUT", "NEXT", "OUTPUT", "AgentCard", "Ancestor", "Conversion", "Evaluation", "OnnxPolicy", "distinct",
-    "inputs", "load_agent", "read_agent", "read_card", "sha256", "shapes",
+    "CARD", "FILES", "GRAPH", "INPUT", "NEXT", "OUTPUT", "AgentCard", "Ancestor", "Conversion", "Evaluation",
+    "OnnxPolicy", "distinct", "inputs", "load_agent", "read_agent", "read_card", "sha256", "shapes",
 ]  # fmt: skip

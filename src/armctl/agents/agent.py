@@ -23,6 +23,8 @@ from armctl.tasks import Observations
 
 FILES = (".onnx", ".json")
 """Suffixes of an agent's graph and card."""
+GRAPH, CARD = "agent.onnx", "agent.json"
+"""Names of an agent's graph and card in a training's folder, or in a repository."""
 INPUT, OUTPUT, NEXT = "observation", "action", "next_"
 """Names in a graph: of its input if the observation is one array, of its first output, and before a new memory's."""
 
@@ -41,7 +43,7 @@ class Evaluation(BaseModel):
     mean_steps_to_goal: float | None
     """Mean over successful episodes."""
     mean_steps: float | None = None
-    """Mean over all episodes. It and the next three are unknown (None) on cards of older versions."""
+    """Mean over all episodes. It and the next three are None if unknown."""
     std_return: float | None = None
     """Sample standard deviation of the return over episodes."""
     std_steps: float | None = None

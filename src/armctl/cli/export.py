@@ -57,19 +57,21 @@ def export(request: ExportRequest) -> None:
     only loaded with `--trust`. The agent that comes out cannot run code, and is safe to share. Needs the extra `rl`.
     """
     from armctl.core.options import option_arguments
-    from armctl.training.learners import load_exporter
+    from armctl.training.learners import ModelExport, load_exporter
 
     model, env = request.model, request.env
     target = request.out or model.with_suffix(".onnx")
     card = load_exporter(model)(
-        model,
-        env=env,
-        out=target,
-        env_options=options_of(request.env_options),
-        normalisation=request.normalisation,
-        algorithm=request.algorithm,
-        trust=request.trust,
-        overwrite=request.overwrite,
+        ModelExport(
+            model,
+            env,
+            target,
+            options_of(request.env_options),
+            request.normalisation,
+            request.algorithm,
+            request.trust,
+            request.overwrite,
+        )
     )
     conversion = card.conversion
     assert conversion is not None

@@ -163,6 +163,7 @@ def _training_job(request: TrainRequest) -> "TrainingJob":
 
 def _train_one(job: "TrainingJob", seed: int, folder: Path, trackers: Sequence[str]) -> None:
     """Train with one seed in this process, and say how the agent does."""
+    from armctl.agents import CARD
     from armctl.integrations.tracking import tracked
     from armctl.training.learners import load_learner
     from armctl.training.run import SETTINGS, log_trial
@@ -184,7 +185,7 @@ def _train_one(job: "TrainingJob", seed: int, folder: Path, trackers: Sequence[s
         how = f"with --resume {words('--out', folder)} resumes the training" if has_begun else "starts it again"
         say(f"Interrupted. The same command {how}.")
         raise typer.Exit(130) from None
-    agent = folder / "agent.json"
+    agent = folder / CARD
     say(_result(card))
     say(f"The agent is {agent}: {_comparison(recipe, agent)}")
 

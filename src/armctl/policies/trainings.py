@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from armctl.agents import FILES, AgentCard, read_card
+from armctl.agents import CARD, FILES, AgentCard, read_card
 from armctl.core.errors import AgentFileError, ConfigurationError
 from armctl.core.registration import files_beside
 
@@ -71,7 +71,7 @@ def trainings_of(recipe: str) -> dict[int, Path]:
         paths = []
         with contextlib.suppress(OSError, ValueError):  # a name that no file can have
             folders = (path for path in home.parent.glob("*") if pattern.fullmatch(path.name)) if home.name else ()
-            paths = [path for folder in sorted(folders) if (path := folder / "agent.json").is_file()]
+            paths = [path for folder in sorted(folders) if (path := folder / CARD).is_file()]
     if not paths:
         raise ConfigurationError(
             f"there are no trainings {recipe}[*]: neither is {recipe} a shipped agent, nor are there folders "
@@ -159,7 +159,6 @@ def _check_alike(recipe: str, first: AgentCard, card: AgentCard, path: Path) -> 
 def _differences(name: str, first: Any, second: Any) -> Iterator[tuple[str, Any, Any]]:
     """Yield differences of two cards. Options of the learner that only one version of armctl knew do not count."""
     if name == "learner_options":
-        first, second = _present_options(first), _present_options(second)
         names = first.keys() & second.keys()
     elif isinstance(first, dict):
         names = first.keys() | second.keys()
@@ -168,14 +167,6 @@ def _differences(name: str, first: Any, second: Any) -> Iterator[tuple[str, Any,
             yield name, first, second
         return
     yield from ((key, first.get(key), second.get(key)) for key in sorted(names) if first.get(key) != second.get(key))
-
-
-def _present_options(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options of a learner; on older cards, two of them said which features it sees."""
-    if not isinstance(options.get("features"), bool):
-        return dict(options)
-    features = "invariant" if options.get("turned") else "plain"
-    return {**options, "features": features if options["features"] else "none"}
 
 
 def _named(recipe: str, seed: int) -> str:

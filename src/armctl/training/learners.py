@@ -6,6 +6,7 @@ A package offers learners under the entry-point group `armctl.learners`, package
 
 import itertools
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -126,25 +127,28 @@ class Learner(Protocol):
     ) -> AgentCard: ...
 
 
-class Exporter(Protocol):
-    """Turns another library's model into an agent: the graph `out` (`.onnx`), and its card beside it.
+@dataclass(frozen=True)
+class ModelExport:
+    """Another library's model, and the agent to make of it."""
 
-    `normalisation` is the file of the observations' statistics; without it, the exporter looks beside the model.
-    Nothing that could run code is loaded without `trust`, and no agent is replaced without `overwrite`.
-    """
+    model: Path
+    env: str
+    """Environment that the model was trained in."""
+    out: Path
+    """The agent's graph (`.onnx`); its card is beside it."""
+    env_options: Mapping[str, Any] = field(default_factory=dict)
+    normalisation: Path | None = None
+    """File of the observations' statistics; None: the exporter looks beside the model; a path named `none`: none."""
+    algorithm: str | None = None
+    """Algorithm that trained the model; None: as its file tells."""
+    trust: bool = False
+    """Permission to load what could run code."""
+    overwrite: bool = False
+    """Permission to replace an agent of that name."""
 
-    def __call__(  # noqa: D102
-        self,
-        model: Path,
-        *,
-        env: str,
-        out: Path,
-        env_options: Mapping[str, Any] | None = None,
-        normalisation: Path | None = None,
-        algorithm: str | None = None,
-        trust: bool = False,
-        overwrite: bool = False,
-    ) -> AgentCard: ...
+
+Exporter = Callable[[ModelExport], AgentCard]
+"""Turns another library's model into an agent, and returns its card."""
 
 
 def learner_names() -> list[str]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from armctl.agents import FILES, AgentCard, read_card
+from armctl.agents import CARD, FILES, AgentCard, read_card
 from armctl.core.errors import FAILURES, ArmctlError, ConfigurationError, ResultsError, described
 from armctl.core.files import write_atomically
 from armctl.envs import task_of
@@ -23,7 +23,8 @@ from armctl.simulation.threads import one_thread
 from armctl.training.learners import Callback, Recipe, load_learner
 from armctl.training.trials import TRIALS, add_trial, progress_of, read_trials, results_of, trial_row
 
-SETTINGS, CARD = "settings.json", "agent.json"
+SETTINGS = "settings.json"
+"""Name of the file of a training's recipe and options: where it is, one has begun."""
 AWAY = Path("runs")
 """Folder in which a cluster's worker trains, within its own."""
 

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -9,7 +11,7 @@ from armctl.kinematics import ArmModel, ArmShapes
 from armctl.policies import make_policy
 from armctl.rl.algorithms import plan_bc
 from armctl.rl.data import solved_layouts
-from armctl.rl.data.followed_plans import WAYPOINTS_APART, FollowedPlans, follow, waypoints
+from armctl.rl.data.followed_plans import WAYPOINTS_APART, FollowedPlans, Following, follow, waypoints
 from armctl.rl.data.solved_layouts import make, read
 from armctl.rl.run.training import Training
 from armctl.robot_description import load_arm
@@ -17,7 +19,7 @@ from armctl.tasks.reach.obstacles import obstacles_observation
 from armctl.training.learners import load_recipe
 
 ENV = "armctl/ArmReachObstacles-v0"
-HOW = {"tolerance": 0.05, "largest_move": 0.3, "margin": 0.02, "noise": 0.15, "noise_share": 0.5}
+HOW = Following(tolerance=0.05, largest_move=0.3, margin=0.02, noise=0.15, noise_share=0.5)
 SMALL = {
     "steps": 6, "evaluation_every": 3, "layouts": 12, "parts": 2, "renewals": 1, "batch_size": 32,
     "hidden_units": 16, "validation_episodes": 4, "evaluation_episodes": 4,
@@ -42,18 +44,18 @@ def recipe(**options):
 
 def test_most_followers_arrive_without_noise(shapes, layouts):
     rows, n = np.arange(len(layouts)), len(layouts)
-    states, positions, labels = follow(shapes, layouts, rows, np.random.default_rng(0), **HOW | {"noise_share": 0.0})
+    states, positions, labels = follow(shapes, layouts, rows, np.random.default_rng(0), replace(HOW, noise_share=0.0))
     assert set(states) == set(rows)
     last = {int(row): label for row, label in zip(states, labels, strict=True)}
     tips = shapes.model.positions(np.array([last[row] for row in range(n)]))
     assert (np.linalg.norm(tips - layouts.targets, axis=1) < 0.06).mean() > 0.8
-    assert abs(labels - positions).max() <= HOW["largest_move"] + 1e-6
+    assert abs(labels - positions).max() <= HOW.largest_move + 1e-6
 
 
 def test_noise_leads_off_the_ways(shapes, layouts):
     rows = np.arange(10)
     calm, noisy = (
-        follow(shapes, layouts, rows, np.random.default_rng(0), **HOW | {"noise_share": share})[1] for share in (0, 1)
+        follow(shapes, layouts, rows, np.random.default_rng(0), replace(HOW, noise_share=share))[1] for share in (0, 1)
     )
     known = set(map(tuple, calm.tolist()))
     assert np.mean([tuple(q) in known for q in noisy.tolist()]) < 0.3  # limits of acceleration make beginnings alike
@@ -78,7 +80,7 @@ def test_imagined_observations_are_those_of_the_environment(shapes):
 
 
 def test_parts_are_followed_anew_one_after_the_other(shapes, layouts):
-    examples = FollowedPlans(shapes, layouts, 3, **HOW)
+    examples = FollowedPlans(shapes, layouts, 3, HOW)
     first = examples.renew(0, np.random.default_rng(0))
     assert first == len(examples._rows)
     for number in (1, 2):

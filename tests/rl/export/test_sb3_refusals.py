@@ -20,6 +20,7 @@ from stable_baselines3 import PPO
 from armctl.core.errors import AgentFileError
 from armctl.rl.export import sb3_check, sb3_file
 from armctl.rl.export.sb3 import export
+from armctl.training.learners import ModelExport
 from tests.command_line import armctl
 from tests.rl.sb3_models import exported, make, normalised, register
 
@@ -66,7 +67,7 @@ def test_nothing_is_unpickled_without_trust(trust, tmp_path):
 def test_without_trust_nothing_is_read(tmp_path):
     os.mkfifo(tmp_path / "model.zip")  # who opens it waits for ever
     with pytest.raises(AgentFileError, match="can run any code"):
-        export(tmp_path / "model.zip", env="Pendulum-v1", out=tmp_path / "agent.onnx")
+        export(ModelExport(tmp_path / "model.zip", env="Pendulum-v1", out=tmp_path / "agent.onnx"))
 
 
 def zipped(path, files, compression=zipfile.ZIP_DEFLATED):
@@ -220,7 +221,9 @@ def test_an_agent_that_acts_otherwise_is_not_written(tmp_path, monkeypatch):
     predict = PPO.predict
     monkeypatch.setattr(PPO, "predict", lambda *a, **k: (predict(*a, **k)[0] + 0.01, None))
     with pytest.raises(AgentFileError, match=r"differ by 0\.00\d+ of the range"):
-        export(tmp_path / "model.zip", env="Pendulum-v1", out=tmp_path / "agents" / "agent.onnx", trust=True)
+        export(
+            ModelExport(tmp_path / "model.zip", env="Pendulum-v1", out=tmp_path / "agents" / "agent.onnx", trust=True)
+        )
     assert [path.name for path in tmp_path.iterdir()] == ["model.zip"]
 
 

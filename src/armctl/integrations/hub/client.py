@@ -9,8 +9,6 @@ from armctl.core.errors import ArmctlError, ConfigurationError, HubError, missin
 if TYPE_CHECKING:
     from huggingface_hub import HfApi
 
-GRAPH, CARD, MODEL_CARD = "agent.onnx", "agent.json", "README.md"
-"""Files of a repository, beside the learning curve."""
 LONGEST_MESSAGE = 300
 """Characters of what a hub says that are shown."""
 

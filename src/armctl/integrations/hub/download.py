@@ -8,11 +8,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from armctl.agents import OnnxPolicy, read_agent, read_card
+from armctl.agents import CARD, GRAPH, OnnxPolicy, read_agent, read_card
 from armctl.agents.graph import LARGEST_FILE
 from armctl.core.errors import AgentFileError, ConfigurationError, HubError, ResultsError
 from armctl.core.files import LARGEST_TEXT, file_checksum, one_writer, write_atomically
-from armctl.integrations.hub.client import CARD, GRAPH, check_repository, hub_api, hub_errors
+from armctl.integrations.hub.client import check_repository, hub_api, hub_errors
 from armctl.integrations.hub.model_card import folder_of
 from armctl.study.curves import CURVE, read_curve
 

@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from armctl import DISTRIBUTION
-from armctl.agents import AgentCard
+from armctl.agents import CARD, GRAPH, AgentCard
 from armctl.core.console import printable
 from armctl.core.errors import ConfigurationError
 from armctl.core.options import option_arguments
 from armctl.core.registration import bare_id
 from armctl.envs import check_from_file, task_of
-from armctl.integrations.hub.client import CARD, GRAPH
 
 TAGS = ("reinforcement-learning", "robotics", "onnx", "armctl")
 PAGE = """---
@@ -158,30 +157,23 @@ def _evaluation(card: AgentCard) -> str:
 
 
 def _training(card: AgentCard) -> Iterable[tuple[str, str]]:
-    yield "Learner", _code(card.learner)
-    if card.recipe is not None:
-        yield "Recipe", _code(card.recipe)
-    if card.training_seed is not None:
-        yield "Seed", str(card.training_seed)
-    yield "Cost", str(card.cost)
-    if card.cost.tuning is not None:
-        yield "Tuning of its recipe and its teachers'", str(card.cost.tuning)
-    if card.best_after is not None:
-        yield "Best after", f"{card.best_after:,} steps"
-    if card.shaping is not None:
-        scale = "" if card.shaping_scale is None else f", scale {card.shaping_scale:g}"
-        yield "Reward shaping", f"potential {_code(card.shaping)}{scale}"
-    if card.reward_weights:
-        yield "Weights of reward terms", _values(card.reward_weights)
-    if card.teacher is not None:
-        yield "Teacher", _code(card.teacher)
-    if card.training_options:
-        yield "Options in training only", _values(card.training_options)
-    if card.curriculum:
-        yield "Later stages", str(len(card.curriculum))
-    if card.conversion is not None:
-        yield "Converted from a model of", _code(card.conversion.saved_with)
-    yield "Versions", _values(card.versions, " ")
+    scale = "" if card.shaping_scale is None else f", scale {card.shaping_scale:g}"
+    facts = {
+        "Learner": _code(card.learner),
+        "Recipe": card.recipe is not None and _code(card.recipe),
+        "Seed": card.training_seed is not None and str(card.training_seed),
+        "Cost": str(card.cost),
+        "Tuning of its recipe and its teachers'": card.cost.tuning is not None and str(card.cost.tuning),
+        "Best after": card.best_after is not None and f"{card.best_after:,} steps",
+        "Reward shaping": card.shaping is not None and f"potential {_code(card.shaping)}{scale}",
+        "Weights of reward terms": _values(card.reward_weights),
+        "Teacher": card.teacher is not None and _code(card.teacher),
+        "Options in training only": _values(card.training_options),
+        "Later stages": bool(card.curriculum) and str(len(card.curriculum)),
+        "Converted from a model of": card.conversion is not None and _code(card.conversion.saved_with),
+        "Versions": _values(card.versions, " "),
+    }
+    return [(label, text) for label, text in facts.items() if text]
 
 
 def _list(items: Iterable[tuple[str, str]]) -> str:

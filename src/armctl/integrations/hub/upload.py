@@ -3,13 +3,15 @@
 from pathlib import Path
 
 from armctl import __version__
-from armctl.agents import OnnxPolicy, read_agent
+from armctl.agents import CARD, GRAPH, OnnxPolicy, read_agent
 from armctl.core.errors import AgentFileError, ConfigurationError
-from armctl.integrations.hub.client import CARD, GRAPH, MODEL_CARD, check_repository, hub_api, hub_errors
+from armctl.integrations.hub.client import check_repository, hub_api, hub_errors
 from armctl.integrations.hub.model_card import model_card
 from armctl.policies import agent_cards
 from armctl.study.curves import CURVE, curve_path, read_curve
 from armctl.study.reproduce import card_path
+
+MODEL_CARD = "README.md"
 
 
 def push(

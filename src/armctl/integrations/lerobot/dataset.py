@@ -83,7 +83,6 @@ def write_dataset(
     folder: Path, episodes: Iterable[tuple[Demonstration, Mapping[str, Any]]], metadata: Mapping[str, Any]
 ) -> None:
     """Write `PARTS` to a folder: episodes with their attributes, and metadata. Raises `OSError`."""
-    import pandas as pd
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -127,20 +126,31 @@ def write_dataset(
             start = end
     for key in films:
         _check_video(folder / f"videos/{key}/{FIRST}.mp4", start)
-    pq.write_table(pa.Table.from_pylist(rows), _new(folder / f"meta/episodes/{FIRST}.parquet"))
-    pd.DataFrame({"task_index": [0]}, index=[task]).to_parquet(folder / "meta/tasks.parquet")
     info |= {
         "total_episodes": len(rows),
         "total_frames": start,
         "total_tasks": 1,
         "splits": {"train": f"0:{len(rows)}"},
     }
+    _write_meta(folder, info, rows, stats, task)
+    write_atomically(folder / MANIFEST, sealed({**metadata, "episodes": about}))
+
+
+def _write_meta(
+    folder: Path, info: Mapping[str, Any], rows: list[dict[str, Any]], stats: Mapping[str, list[Stats]], task: str
+) -> None:
+    """Write what LeRobot keeps of a dataset beside its frames, and have all files of it on the disk."""
+    import pandas as pd
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    pq.write_table(pa.Table.from_pylist(rows), _new(folder / f"meta/episodes/{FIRST}.parquet"))
+    pd.DataFrame({"task_index": [0]}, index=[task]).to_parquet(folder / "meta/tasks.parquet")
     together = {key: _lists(aggregated(parts)) for key, parts in stats.items()}
     for part in PARTS:
         _to_disk(folder / part)
     write_atomically(folder / "meta/info.json", json.dumps(info, indent=4))
     write_atomically(folder / "meta/stats.json", json.dumps(together, indent=4))
-    write_atomically(folder / MANIFEST, sealed({**metadata, "episodes": about}))
 
 
 def _frames(episode: Demonstration, metadata: Mapping[str, Any]) -> dict[str, NDArray[Any]]:

@@ -14,17 +14,18 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-from armctl.agents import read_card
+from armctl.agents import CARD, GRAPH, read_card
 from armctl.core.errors import FAILURES, ConfigurationError, ResultsError, described
 from armctl.core.files import bounded_text, inside, write_atomically
 from armctl.integrations.tracking.film import film_agent
 from armctl.integrations.tracking.tracker import Ending, Tracker, load_tracker
 from armctl.study.curves import CURVE, read_curve
 from armctl.training.learners import Recipe
+from armctl.training.run import SETTINGS
 
 FOLDER = "tracking"
 """Folder within a training's folder: what trackers were given, their own files, and the video."""
-SETTINGS, CARD, GRAPH, VIDEO = "settings.json", "agent.json", "agent.onnx", "agent.mp4"
+VIDEO = "agent.mp4"
 PATIENCE = 60.0
 """s to wait for uploads after the training."""
 Event = Ending | Literal["evaluated", "refused"]
