@@ -1,5 +1,9 @@
-"""The layout rules of pyproject.toml, `[tool.importlinter]`, checked on the package as it is installed."""
+"""The layout rules of pyproject.toml, `[tool.importlinter]`, checked on the package as it is installed.
 
+And the length of functions, for which ruff has no rule.
+"""
+
+import ast
 import os
 import shutil
 import subprocess
@@ -66,3 +70,22 @@ def test_no_file_is_long():
         for path in (HOME / folder).rglob("*.py")
     }
     assert {path: length for path, length in lengths.items() if length > 350} == {}
+
+
+MAX_LINES = 60
+STILL_LONGER = {
+    "src/armctl/cli/evaluate.py", "src/armctl/cli/suite.py", "src/armctl/control/drive_nlp.py",
+    "src/armctl/datasets/collect.py", "src/armctl/envs/vector.py", "src/armctl/report/page.py",
+    "src/armctl/study/compare.py", "src/armctl/study/suite.py", "src/armctl/study/sweep.py",
+}  # fmt: skip
+
+
+def long_functions(file):
+    functions = (node for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, ast.FunctionDef))
+    return [node.name for node in functions if node.end_lineno - node.lineno >= MAX_LINES]
+
+
+def test_no_function_is_longer_than_60_lines():
+    files = [file for folder in ("src", "rl", "baselines", "tools") for file in (HOME / folder).rglob("*.py")]
+    longer = {str(file.relative_to(HOME)): names for file in files if (names := long_functions(file))}
+    assert longer.keys() == STILL_LONGER, longer
