@@ -1,7 +1,6 @@
 """Costs of a training: decisions in simulation, a teacher's labels, gradient steps, wall and processor time."""
 
 import json
-import os
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,6 +9,8 @@ from typing import Any
 import gymnasium
 from numpy.typing import ArrayLike
 from stable_baselines3.common.base_class import BaseAlgorithm
+
+from armctl.training.run import processor_seconds
 
 COUNTS = ("decisions", "teacher_queries", "gradient_steps")
 
@@ -25,7 +26,7 @@ class Meter:
         self._counts: dict[str, int | None] = {name: previous.get(name, None if resumed else 0) for name in COUNTS}
         self._seconds = previous.get("seconds", 0.0) - time.perf_counter()
         processor = previous.get("processor_seconds", None if resumed else 0.0)
-        self._processor_seconds = None if processor is None else processor - _processor_seconds()
+        self._processor_seconds = None if processor is None else processor - processor_seconds()
 
     def add(self, **counts: int) -> None:
         """Add to some of `COUNTS`."""
@@ -41,7 +42,7 @@ class Meter:
     def read(self) -> dict[str, Any]:
         """Return everything so far: `COUNTS`, `seconds`, and `processor_seconds` of all threads and child processes."""
         processor = self._processor_seconds
-        seconds = None if processor is None else round(processor + _processor_seconds(), 2)
+        seconds = None if processor is None else round(processor + processor_seconds(), 2)
         return {"seconds": self.seconds, "processor_seconds": seconds, **self._counts}
 
     def watch(self, model: BaseAlgorithm) -> None:
@@ -61,8 +62,3 @@ class Metered(gymnasium.vector.VectorWrapper[Any, Any, Any, Any, Any]):
         """Make one control step in every world."""
         self._meter.add(decisions=self.num_envs)
         return self.env.step(actions)
-
-
-def _processor_seconds() -> float:
-    """Return the processor time of all threads of this process, and of its finished child processes."""
-    return sum(os.times()[:4])

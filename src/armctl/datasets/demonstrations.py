@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armctl.envs import EpisodeVectorEnv, one_of
+from armctl.envs.observations import stacked
 from armctl.episodes.failures import unless_failed
 from armctl.episodes.record import EpisodeResult
 from armctl.policies import Policy
@@ -85,7 +86,7 @@ class Recorder(gymnasium.vector.VectorWrapper[Any, Any, Any, Any, Any]):
         for i in np.flatnonzero((terminated | truncated) & self._open):
             episode_actions, episode_rewards = zip(*self._steps[i], strict=True)
             self.finished[int(self._worlds.episodes[i])] = Demonstration(
-                _stacked(self._observations[i]), np.array(episode_actions), np.array(episode_rewards),
+                stacked(self._observations[i]), np.array(episode_actions), np.array(episode_rewards),
                 bool(terminated[i]), bool(infos["is_success"][i]),
             )  # fmt: skip
             self._open[i] = False
@@ -134,9 +135,3 @@ def _copy(observation: Any) -> Any:
     if isinstance(observation, dict):
         return {name: np.array(value) for name, value in observation.items()}
     return np.array(observation)
-
-
-def _stacked(observations: list[Any]) -> Observations:
-    if isinstance(observations[0], dict):
-        return {name: np.array([observation[name] for observation in observations]) for name in observations[0]}
-    return np.array(observations)

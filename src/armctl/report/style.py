@@ -139,7 +139,6 @@ def add_line(
     style: Style,
     shape: str,
     hover: str,
-    customdata: Sequence[float] | None = None,
     markers: bool = False,
 ) -> None:
     """Add a policy's line. `hover` is the text at a point, in Plotly's template language."""
@@ -150,7 +149,6 @@ def add_line(
         mode="lines+markers" if markers or len(listed(x)) == 1 else "lines",
         marker={"size": 6},
         line={"color": style.colour, "width": 2.5, "dash": style.dash, "shape": shape},
-        customdata=customdata,
         hovertemplate=f"{escaped(style.label)}: {hover}<extra></extra>",
     )
 

@@ -6,6 +6,7 @@ lost, another one begins anew.
 """
 
 import contextlib
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -161,6 +162,11 @@ def train_here(recipe: Recipe, seed: int, folder: Path, resume: bool, on_evaluat
         has_begun = resume and (folder / SETTINGS).exists()
         train = load_learner(recipe.learner)
         return train(recipe, out=folder, seed=seed, resume=has_begun, progress=False, on_evaluation=on_evaluation)
+
+
+def processor_seconds() -> float:
+    """Return the processor time of all threads of this process, and of its finished child processes."""
+    return sum(os.times()[:4])
 
 
 def code_of(recipe: Recipe) -> dict[str, str]:

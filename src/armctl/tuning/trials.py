@@ -1,6 +1,5 @@
 """A trial of a tuning: values are proposed here, and measured by a worker, wherever that is."""
 
-import os
 import statistics
 import warnings
 from collections.abc import Mapping, Sequence
@@ -21,6 +20,7 @@ from optuna.trial import FrozenTrial
 from armctl.core.errors import FAILURES, described
 from armctl.core.search_space import Range, SearchSpace
 from armctl.runtime.workers import check_alike
+from armctl.training.run import processor_seconds
 from armctl.tuning.candidates import Candidate, Pruned
 
 STARTUP_TRIALS = 5
@@ -73,7 +73,7 @@ def measure(
         if judged.should_prune():
             raise Pruned
 
-    start = _processor_seconds()
+    start = processor_seconds()
     scores: list[float] = []
     pruned, failure = False, None
     try:
@@ -82,7 +82,7 @@ def measure(
         pruned = True
     except FAILURES as error:
         failure = described(error)
-    return TrialOutcome(number, tuple(scores), reports, pruned, failure, _processor_seconds() - start)
+    return TrialOutcome(number, tuple(scores), reports, pruned, failure, processor_seconds() - start)
 
 
 def measure_away(sent: tuple[Candidate, Mapping[str, str]], *trial: Any) -> TrialOutcome:
@@ -100,8 +100,3 @@ def _distribution(value_range: Range) -> BaseDistribution:
     if value_range.is_whole:
         return IntDistribution(int(value_range.low), int(value_range.high), log=value_range.log)
     return FloatDistribution(value_range.low, value_range.high, log=value_range.log)
-
-
-def _processor_seconds() -> float:
-    spent = os.times()
-    return spent.user + spent.system + spent.children_user + spent.children_system
