@@ -25,6 +25,7 @@ from armctl.rl.run.training import Training
 from armctl.rl.run.vector import StableBaselinesVectorEnv, vec_env_of
 from armctl.tasks import ReachTask
 from armctl.tasks.reach import OBSERVATION
+from armctl.training.learners import Recipe
 
 NOISE_TIME_CONSTANT = 10
 """Control steps in which the exploration noise decays to about a third."""
@@ -58,15 +59,17 @@ class SacOptions(FrameOptions):
     evaluation_every: Count = 20_000
 
 
-@learner(SacOptions, curriculum=False)
-def train(training: Training, options: SacOptions, progress: bool) -> AgentCard:
-    """Improve a new actor by the rewards of all transitions so far, real ones and relabelled ones."""
-    recipe = training.recipe
+def _check_relabelling(recipe: Recipe, options: SacOptions) -> None:
     if options.relabelled and (recipe.shaping or recipe.reward_weights or "reward" in recipe.options_in_training):
         raise ConfigurationError(
             "relabelled transitions earn the task's plain reward: with shaping, reward_weights or another reward, "
             "set the option relabelled to 0"
         )
+
+
+@learner(SacOptions, curriculum=False, check=_check_relabelling)
+def train(training: Training, options: SacOptions, progress: bool) -> AgentCard:
+    """Improve a new actor by the rewards of all transitions so far, real ones and relabelled ones."""
     vec_env = _make_vec_env(training, options)
     newest = training.newest_checkpoint()
     model = _new_model(vec_env, training, options) if newest is None else _load(newest, vec_env)

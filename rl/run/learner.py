@@ -12,12 +12,17 @@ from armctl.training.learners import Callback, Learner, Recipe
 
 
 def learner(
-    options_type: type[Any], *, rewards: bool = True, curriculum: bool = True
+    options_type: type[Any],
+    *,
+    rewards: bool = True,
+    curriculum: bool = True,
+    check: Callable[[Recipe, Any], None] = lambda recipe, options: None,
 ) -> Callable[[Callable[[Training, Any, bool], AgentCard]], Learner]:
     """Make a learner of a function of a training, its options, and whether to show progress bars: a decorator.
 
     Without `rewards` or `curriculum`, the learner refuses recipes with shaping or reward weights, or with later stages.
-    For all errors that it raises, see `armctl.rl.run.training.Training`.
+    `check` raises an error for a recipe and options that do not fit together, before anything is made of them. For all
+    errors that it raises, see `armctl.rl.run.training.Training`.
     """
 
     def decorate(function: Callable[[Training, Any, bool], AgentCard]) -> Learner:
@@ -38,6 +43,7 @@ def learner(
                 raise ConfigurationError(
                     f"{recipe.learner} takes no curriculum: ppo, cloned_ppo, distil and distilled_ppo do"
                 )
+            check(recipe, options)
             return function(Training(recipe, options, out, seed, resume, on_evaluation), options, progress)
 
         return train
