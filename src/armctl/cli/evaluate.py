@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,7 +10,7 @@ import typer
 
 from armctl import DEFAULT_ENV
 from armctl.cli import completion
-from armctl.cli.app import app, settings
+from armctl.cli.app import app, settings, verb
 from armctl.cli.options import (
     Env,
     EnvOptions,
@@ -36,23 +37,25 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 
-@app.command()
-def compare(
-    policies: Policies = None,
-    env: Env = DEFAULT_ENV,
-    episodes: Annotated[int, typer.Option(min=1, help="Episodes that every policy plays.")] = 200,
-    seed: Seed = 0,
+@dataclass(frozen=True)
+class CompareRequest:
+    """Options of `compare`."""
+
+    policies: Policies = None
+    env: Env = DEFAULT_ENV
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes that every policy plays.")] = 200
+    seed: Seed = 0
     out: Annotated[
         Path | None,
         typer.Option(help="Folder for episodes.csv and summary.json.", show_default="results/<date and time>"),
-    ] = None,
-    overwrite: Overwrite = False,
-    worlds: Worlds = 1,
-    workers: Workers = 1,
-    on: On = "local",
-    env_options: EnvOptions = None,
-    success_return: SuccessReturn = None,
-    return_bounds: ReturnBounds = None,
+    ] = None
+    overwrite: Overwrite = False
+    worlds: Worlds = 1
+    workers: Workers = 1
+    on: On = "local"
+    env_options: EnvOptions = None
+    success_return: SuccessReturn = None
+    return_bounds: ReturnBounds = None
     baseline: Annotated[
         str | None,
         typer.Option(
@@ -60,18 +63,21 @@ def compare(
             help="Hold all other policies against this one.",
             show_default="the best classical against the best learned policy",
         ),
-    ] = None,
+    ] = None
     margin: Annotated[
         float, typer.Option(metavar="POINTS", help="Success that differs by less, in percent, counts as equivalent.")
-    ] = 2.0,
-    real_time: RealTime = None,
+    ] = 2.0
+    real_time: RealTime = None
     slow_down: Annotated[
         float, typer.Option(metavar="FACTOR", help="In real time, decisions take so many times as long.")
-    ] = 1.0,
-    policy_seed: PolicySeed = None,
-    report: Annotated[bool, typer.Option("--report", help="Also write report.html, with figures and videos.")] = False,
-    table_format: Format = TableFormat.TABLE,
-) -> None:
+    ] = 1.0
+    policy_seed: PolicySeed = None
+    report: Annotated[bool, typer.Option("--report", help="Also write report.html, with figures and videos.")] = False
+    table_format: Format = TableFormat.TABLE
+
+
+@verb
+def compare(request: CompareRequest) -> None:
     """Let policies play the same episodes, and print which is better, and by how much.
 
     `"reach_bc[*]"` is all trainings of a recipe as one learner: the shipped one and its other training seeds, or for a
@@ -87,41 +93,41 @@ def compare(
     from armctl.study import compare as run_comparison
     from armctl.study.line_up import default_policies
 
-    names = policies or default_policies(env)
+    names = request.policies or default_policies(request.env)
     players, _ = expanded(named_policies(names))
-    folder = out or new_folder()
-    with connect(on, workers) as engine, progress_bar() as bar:
-        bars = {name: bar.add_task(name, total=episodes) for name in players}
+    folder = request.out or new_folder()
+    with connect(request.on, request.workers) as engine, progress_bar() as bar:
+        bars = {name: bar.add_task(name, total=request.episodes) for name in players}
 
         def progress(result: EpisodeResult) -> None:
             bar.advance(bars[result.policy])
 
         comparison = run_comparison(
             names,
-            env,
-            episodes=episodes,
-            seed=seed,
+            request.env,
+            episodes=request.episodes,
+            seed=request.seed,
             out=folder,
-            overwrite=overwrite,
-            worlds=worlds,
+            overwrite=request.overwrite,
+            worlds=request.worlds,
             workers=engine,
-            env_options=options_of(env_options, success_return=success_return),
-            baseline=baseline,
-            margin=margin / 100,
+            env_options=options_of(request.env_options, success_return=request.success_return),
+            baseline=request.baseline,
+            margin=request.margin / 100,
             progress=progress,
-            real_time=real_time,
-            slow_down=slow_down,
-            return_bounds=return_bounds,
-            policy_seed=policy_seed,
+            real_time=request.real_time,
+            slow_down=request.slow_down,
+            return_bounds=request.return_bounds,
+            policy_seed=request.policy_seed,
         )
-    console = print_document(comparison.document(), table_format)
+    console = print_document(comparison.document(), request.table_format)
     written = "results" not in comparison.failures
     if written:
         console.print(
             f"{folder / 'episodes.csv'} has every episode, {folder / 'summary.json'} the tables.", soft_wrap=True
         )
     exit_if_interrupted(comparison.interrupted, folder, console)
-    if report and written:
+    if request.report and written:
         make_report(folder, None, console)
     print_tracebacks(comparison.tracebacks)
     if comparison.failures:

@@ -1,5 +1,6 @@
 """Verbs that compare in many settings: `sweep` under disturbances, `suite` in all tasks."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -7,7 +8,7 @@ import typer
 
 from armctl import DEFAULT_ENV
 from armctl.cli import completion
-from armctl.cli.app import app
+from armctl.cli.app import verb
 from armctl.cli.evaluate import exit_if_interrupted, make_report, print_tracebacks
 from armctl.cli.options import (
     Env,
@@ -31,10 +32,12 @@ from armctl.cli.options import (
 )
 
 
-@app.command()
-def sweep(
-    policies: Policies = None,
-    env: Env = DEFAULT_ENV,
+@dataclass(frozen=True)
+class SweepRequest:
+    """Options of `sweep`."""
+
+    policies: Policies = None
+    env: Env = DEFAULT_ENV
     disturbances: Annotated[
         list[str] | None,
         typer.Option(
@@ -44,27 +47,27 @@ def sweep(
             show_default="all of the environment's",
             autocompletion=completion.disturbances,
         ),
-    ] = None,
-    episodes: Annotated[int, typer.Option(min=1, help="Episodes that every policy plays at each level.")] = 100,
-    seed: Seed = 0,
+    ] = None
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes that every policy plays at each level.")] = 100
+    seed: Seed = 0
     out: Annotated[
         Path | None,
         typer.Option(help="Folder for sweep.csv and all comparisons.", show_default="results/<date and time>"),
-    ] = None,
-    overwrite: Overwrite = False,
-    worlds: Worlds = 1,
-    workers: Workers = 1,
-    on: On = "local",
-    env_options: EnvOptions = None,
-    success_return: SuccessReturn = None,
-    return_bounds: ReturnBounds = None,
+    ] = None
+    overwrite: Overwrite = False
+    worlds: Worlds = 1
+    workers: Workers = 1
+    on: On = "local"
+    env_options: EnvOptions = None
+    success_return: SuccessReturn = None
+    return_bounds: ReturnBounds = None
     slow_down: Annotated[
         str | None,
         typer.Option(
             metavar="LEVELS",
             help="Slower computers, in real time: `--slow-down 1,2,5,10,30`, short for `--disturbance slow-down=...`.",
         ),
-    ] = None,
+    ] = None
     real_time: Annotated[
         Path | None,
         typer.Option(
@@ -72,10 +75,13 @@ def sweep(
             help="Results folder whose decision times `--slow-down` repeats.",
             show_default="those of the undisturbed comparison, with one world and one worker",
         ),
-    ] = None,
-    policy_seed: PolicySeed = None,
-    table_format: Format = TableFormat.TABLE,
-) -> None:
+    ] = None
+    policy_seed: PolicySeed = None
+    table_format: Format = TableFormat.TABLE
+
+
+@verb
+def sweep(request: SweepRequest) -> None:
     """Let policies play the same episodes under increasing disturbances, and print how robust each is.
 
     Disturbances: `noise` of sensors, `delay` of actions, `payload`, `friction`, `strength` of motors, `pushes`,
@@ -94,35 +100,38 @@ def sweep(
     from armctl.study.levels import sweep_levels
     from armctl.study.line_up import default_policies
 
-    names, options = policies or default_policies(env), options_of(env_options, success_return=success_return)
-    arguments = (disturbances or []) + ([f"{SLOWER}={slow_down}"] if slow_down else [])
+    names, options = (
+        request.policies or default_policies(request.env),
+        options_of(request.env_options, success_return=request.success_return),
+    )
+    arguments = (request.disturbances or []) + ([f"{SLOWER}={request.slow_down}"] if request.slow_down else [])
     requested = levels_of(arguments) if arguments else None
     players, _ = expanded(named_policies(names))
-    settings = 1 + sum(len(levels) - 1 for levels in sweep_levels(env, requested, options).values())
-    folder = out or new_folder()
-    with connect(on, workers) as engine, progress_bar() as bar:
-        task = bar.add_task("", total=settings * len(players) * episodes)
+    settings = 1 + sum(len(levels) - 1 for levels in sweep_levels(request.env, requested, options).values())
+    folder = request.out or new_folder()
+    with connect(request.on, request.workers) as engine, progress_bar() as bar:
+        task = bar.add_task("", total=settings * len(players) * request.episodes)
 
         def progress(setting: str, result: EpisodeResult) -> None:
             bar.update(task, description=setting, advance=1)
 
         sweep_result = run_sweep(
             names,
-            env,
+            request.env,
             disturbances=requested,
-            episodes=episodes,
-            seed=seed,
+            episodes=request.episodes,
+            seed=request.seed,
             out=folder,
-            overwrite=overwrite,
-            worlds=worlds,
+            overwrite=request.overwrite,
+            worlds=request.worlds,
             workers=engine,
-            policy_seed=policy_seed,
+            policy_seed=request.policy_seed,
             env_options=options,
-            real_time=real_time,
-            return_bounds=return_bounds,
+            real_time=request.real_time,
+            return_bounds=request.return_bounds,
             progress=progress,
         )
-    console = print_document(sweep_result.document(), table_format)
+    console = print_document(sweep_result.document(), request.table_format)
     if "results" not in sweep_result.failures:
         console.print(f"{folder / 'sweep.csv'} has the curves.", soft_wrap=True)
     exit_if_interrupted(sweep_result.interrupted, folder, console)
@@ -132,8 +141,10 @@ def sweep(
         raise typer.Exit(1)
 
 
-@app.command()
-def suite(
+@dataclass(frozen=True)
+class SuiteRequest:
+    """Options of `suite`."""
+
     envs: Annotated[
         list[str] | None,
         typer.Option(
@@ -143,27 +154,30 @@ def suite(
             show_default="all",
             autocompletion=completion.environments,
         ),
-    ] = None,
+    ] = None
     quick: Annotated[
         bool, typer.Option("--quick", help="20 episodes, two disturbances: about five minutes with two workers.")
-    ] = False,
+    ] = False
     episodes: Annotated[
         int | None,
         typer.Option(min=1, help="Episodes that every policy plays in each setting.", show_default="50; 20 if quick"),
-    ] = None,
-    seed: Seed = 0,
+    ] = None
+    seed: Seed = 0
     out: Annotated[
         Path | None,
         typer.Option(help="Folder for the report and all sweeps.", show_default="results/<date and time>"),
-    ] = None,
-    overwrite: Overwrite = False,
-    worlds: Worlds = 1,
-    workers: Workers = 1,
-    on: On = "local",
-    video: Annotated[bool, typer.Option("--video", help="Film episodes for the tasks' own reports: minutes.")] = False,
-    policy_seed: PolicySeed = None,
-    table_format: Format = TableFormat.TABLE,
-) -> None:
+    ] = None
+    overwrite: Overwrite = False
+    worlds: Worlds = 1
+    workers: Workers = 1
+    on: On = "local"
+    video: Annotated[bool, typer.Option("--video", help="Film episodes for the tasks' own reports: minutes.")] = False
+    policy_seed: PolicySeed = None
+    table_format: Format = TableFormat.TABLE
+
+
+@verb
+def suite(request: SuiteRequest) -> None:
     """Let all policies of all tasks play, undisturbed and under the main disturbances, and write one report.
 
     For each task, it answers whether a planner or controller is better than a learned agent: by how much, at what cost,
@@ -178,32 +192,32 @@ def suite(
     from armctl.study import suite as run_suite
     from armctl.study.plan import ALL
 
-    folder = out or new_folder()
-    with connect(on, workers) as engine, progress_bar() as bar:
+    folder = request.out or new_folder()
+    with connect(request.on, request.workers) as engine, progress_bar() as bar:
         task = bar.add_task("", total=None)
 
         def progress(setting: str, total: int) -> None:
             bar.update(task, description=setting, total=total, advance=1)
 
         result = run_suite(
-            envs or (ALL,),
-            quick=quick,
-            episodes=episodes,
-            seed=seed,
+            request.envs or (ALL,),
+            quick=request.quick,
+            episodes=request.episodes,
+            seed=request.seed,
             out=folder,
-            overwrite=overwrite,
-            worlds=worlds,
+            overwrite=request.overwrite,
+            worlds=request.worlds,
             workers=engine,
-            policy_seed=policy_seed,
+            policy_seed=request.policy_seed,
             progress=progress,
         )
-    console = print_document(result.document(), table_format)
-    if table_format is TableFormat.CSV:  # has no place for them
+    console = print_document(result.document(), request.table_format)
+    if request.table_format is TableFormat.CSV:  # has no place for them
         for problem in result.problems:
             console.print(problem, soft_wrap=True)
     exit_if_interrupted(result.interrupted, folder, console)
     if result.tasks and "results" not in result.failures:
-        make_report(folder, None, console, video=video)
+        make_report(folder, None, console, video=request.video)
     for sweep_result in result.tasks.values():
         for comparison in sweep_result.comparisons.values():
             print_tracebacks(comparison.tracebacks)
