@@ -28,7 +28,7 @@ MAX_STEPS = 75
 
 @dataclass(frozen=True, kw_only=True)
 class Following:
-    """How arms follow ways."""
+    """Options of arms that follow ways."""
 
     tolerance: float
     """Distance from the target at which an arm has arrived, m."""
