@@ -36,7 +36,7 @@ def main(
     tasks = sorted({card.env for card, _ in agents})
     experts = [(env, name) for env in tasks for name in _untrained(env)]
     success = {
-        (env, name): evaluate(name, env, episodes=episodes, least_lengths=False).success.mean()
+        (env, name): evaluate(name, env, episodes=episodes, lower_bound_steps=False).success.mean()
         for env, name in track(experts, "experts")
     }
     rows = math.ceil(len(tasks) / COLUMNS)

@@ -29,7 +29,13 @@ def main(
         file, tip = robot_data() / BUILTIN_ARMS[name].urdf, BUILTIN_ARMS[name].tip
         options = {"robot": str(file), "tip": tip}
         results = evaluate(
-            policy, OBSTACLES, episodes=episodes, seed=seed, worlds=episodes, env_options=options, least_lengths=False
+            policy,
+            OBSTACLES,
+            episodes=episodes,
+            seed=seed,
+            worlds=episodes,
+            env_options=options,
+            lower_bound_steps=False,
         )
         counts = [int((results.outcome == outcome).sum()) for outcome in ("reached", "collided", "timeout")]
         print(f"| `{Path(file).name}` | {' | '.join(map(str, counts))} | {results.length.mean():.0f} |", flush=True)

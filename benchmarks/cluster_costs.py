@@ -4,7 +4,7 @@ import contextlib
 import operator
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -21,7 +21,6 @@ from armctl.episodes.record import EpisodeResult
 from armctl.episodes.store import Store
 from armctl.episodes.stored import UNDISTURBED
 from armctl.rollout.parallel import ROUNDS, RolloutBatch
-from armctl.runtime import engines
 from armctl.runtime.engines import AHEAD, Cluster, Engine, Local, connect
 
 SHORT, LONG = "armctl/ArmReach-v0", "armctl/BridgeCross-v0"
@@ -160,13 +159,13 @@ def _fetches() -> Iterator[list[float]]:
     """Collect the seconds of each call within the block that fetches finished results."""
     took: list[float] = []
 
-    def timed(fetch: Callable[[list[Any]], list[Any]], finished: list[Any]) -> list[Any]:
+    def timed(cluster: Cluster, finished: list[Any]) -> list[Any]:
         start = time.perf_counter()
-        results = fetch(finished)
+        results = cluster._get(finished)
         took.append(time.perf_counter() - start)
         return results
 
-    with mock.patch.object(engines, "_fetched", timed):
+    with mock.patch.object(Cluster, "_fetched", timed):
         yield took
 
 

@@ -177,7 +177,7 @@ def _zoo(command: str, seed: int, folder: Path) -> int | None:
         is None
     ):
         return None
-    result = armctl.evaluate(folder / "agent.json", env, episodes=EPISODES, worlds=50, least_lengths=False)
+    result = armctl.evaluate(folder / "agent.json", env, episodes=EPISODES, worlds=50, lower_bound_steps=False)
     return int(result.success.sum())
 
 

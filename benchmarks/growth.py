@@ -113,13 +113,13 @@ def fill(folder: Path, env: str, rows: int) -> None:
 def _others(first: EpisodeResult, episodes: int) -> Iterator[EpisodeResult]:
     rng = np.random.default_rng(len(first.policy))
     measured = [
-        name for name, value in vars(first.metrics).items() if isinstance(value, float) and name != "decision_ms_cold"
+        name for name, value in vars(first.metrics).items() if isinstance(value, float) and name != "first_call_ms"
     ]
     for k in range(1, episodes):
         length = int(rng.integers(max(2, first.length // 2), first.length + 1))
         noise = 1 + 0.1 * rng.standard_normal(len(measured) + 1)
         values = [factor * getattr(first.metrics, name) for factor, name in zip(noise, measured, strict=False)]
-        metrics = replace(first.metrics, **dict(zip(measured, values, strict=True)), decision_ms_cold=np.nan)
+        metrics = replace(first.metrics, **dict(zip(measured, values, strict=True)), first_call_ms=np.nan)
         decision_ms = np.round(rng.lognormal(np.log(metrics.decision_ms_p50), 0.5, length), 4)
         won = bool(first.success and rng.random() < 0.95)
         yield replace(

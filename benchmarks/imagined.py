@@ -11,9 +11,9 @@ import armctl
 from armctl.agents import load_agent, read_card
 from armctl.baselines.hybrids.lookahead import lookahead
 from armctl.baselines.hybrids.shooting import ShootingPolicy
+from armctl.core.seeds import TEST_SEED
 from armctl.policies import Policy, sees
 from armctl.rl.agents import AGENTS
-from armctl.rollout.seeds import TEST_SEED
 
 COLUMNS = (
     "network", "seed", "success by itself, %", "with imagination, %", "paired difference, points", "steps by itself",

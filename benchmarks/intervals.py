@@ -22,7 +22,7 @@ from scipy import stats
 
 import armctl
 from armctl.stats import intervals as statistics
-from armctl.stats.intervals import Bounds, Estimate, bounded_mean, mean, success_rate, worst_decile
+from armctl.stats.intervals import Bounds, Estimate, bounded_mean, success_rate, worst_decile
 from armctl.stats.paired import mcnemar, mover
 from armctl.stats.trainings import difference_over_trainings, mean_over_trainings
 
@@ -39,7 +39,7 @@ DRAWS = 1000
 
 def real_steps() -> Array:
     """Return the steps of the wins of `reach_ppo` in 200 episodes."""
-    episodes = armctl.evaluate("reach_ppo", episodes=200, seed=0, worlds=50, least_lengths=False)
+    episodes = armctl.evaluate("reach_ppo", episodes=200, seed=0, worlds=50, lower_bound_steps=False)
     return episodes.length[episodes.success].to_numpy(float)
 
 
@@ -70,7 +70,7 @@ def means(runs: int) -> Iterator[tuple[str, ...]]:
                 truth = failures * LOSS + (1 - failures) * (WIN if kind == "bimodal" else 100 - float(steps.mean()))
                 data = [sample(rng, n) for _ in range(runs if n < 1000 else runs // 2)]
                 bounded = sides([_without_none(bounded_mean(values, BOUNDS)) for values in data], truth)
-                students = sides([_without_none(mean(values)) for values in data], truth)
+                students = sides([students_mean(values) for values in data], truth)
                 worst = np.sort(sample(rng, POPULATION))[: POPULATION // 10].mean()
                 decile = sides(
                     [_without_none(worst_decile(values, BOUNDS)) for values in data[: runs // 2]], float(worst)
@@ -119,7 +119,7 @@ def pairs(runs: int) -> Iterator[tuple[str, ...]]:
             gains = [_gain(a, b, n) for a, b, _ in counts[: runs // 2]]
             spans = (BOUNDS[0] - BOUNDS[1], BOUNDS[1] - BOUNDS[0])
             bounded = [_without_none(bounded_mean(gain, spans)) for gain in gains]
-            students = [_without_none(mean(gain)) for gain in gains]
+            students = [students_mean(gain) for gain in gains]
             yield (
                 f"{n:,}", f"{100 * only_a:g} %", f"{100 * only_b:g} %", *sides(estimates, only_a - only_b),
                 f"{100 * wrong:.1f} %", sides(bounded, truth)[0], _wrong_sign(bounded, truth),
@@ -216,6 +216,12 @@ def _width(estimates: list[Estimate]) -> str:
         estimate.high - estimate.low for estimate in estimates if estimate.low is not None and estimate.high is not None
     ]
     return f"{100 * float(np.median(widths)):.0f}"
+
+
+def students_mean(values: NDArray[np.float64]) -> Estimate:
+    """Return a mean with Student's interval, which is far too narrow where disasters are rare."""
+    value, half = float(values.mean()), float(stats.sem(values) * stats.t.ppf(0.975, len(values) - 1))
+    return Estimate(value, value - half, value + half)
 
 
 def _without_none(estimate: Estimate | None) -> Estimate:

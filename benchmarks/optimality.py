@@ -35,7 +35,7 @@ def main(episodes: int = 10_000, seed: int = 0, policies: str = "reach_ik,reach_
 
 def row(episodes: pd.DataFrame, summary) -> list[str]:
     """Return the cells of one policy."""
-    ahead = (episodes.least_length - episodes.length)[episodes.success]
+    ahead = (episodes.lower_bound_steps - episodes.length)[episodes.success]
     gap = summary.optimality_gap
     return [
         f"{episodes.success.mean():.2%}",

@@ -7,7 +7,7 @@ from typing import Any
 import torch
 
 import armctl
-from armctl.rollout.seeds import TRAINING_SEEDS
+from armctl.core.seeds import TRAINING_SEEDS
 from armctl.stats.intervals import success_rate
 
 MAX_THREADS = 4
@@ -47,7 +47,7 @@ def report(policy: Any, env: str, episodes: int, **options: Any) -> None:
     `options` are those of the environment.
     """
     played = armctl.evaluate(
-        policy, env, episodes=episodes, worlds=min(episodes, 50), env_options=options, least_lengths=False
+        policy, env, episodes=episodes, worlds=min(episodes, 50), env_options=options, lower_bound_steps=False
     )
     success = success_rate(played.success.to_numpy(dtype=bool))
     assert success is not None

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import armctl
-from armctl.rollout.seeds import TRAINING_SEEDS
+from armctl.core.seeds import TRAINING_SEEDS
 
 from . import command_line
 
@@ -62,7 +62,7 @@ def test_the_zoo_trains_what_becomes_an_agent(algorithm, tmp_path):
     [model] = tmp_path.glob(f"logs/{algorithm}/*/armctl-ArmReach-v0.zip")
     export = f"export {model} --env {env} {ZOO[algorithm]} --out agent.onnx --trust"
     command_line.armctl(*export.split(), cwd=tmp_path)
-    played = armctl.evaluate(tmp_path / "agent.json", env, episodes=2, least_lengths=False)
+    played = armctl.evaluate(tmp_path / "agent.json", env, episodes=2, lower_bound_steps=False)
     assert len(played) == 2
 
 

@@ -77,7 +77,7 @@ class Published:
         """Let it play the test's episodes. A card gets the results, and keeps those of development."""
         if self.card is None:
             episodes = armctl.evaluate(
-                self.name, self.env, episodes=EPISODES, seed=seed, worlds=50, least_lengths=False
+                self.name, self.env, episodes=EPISODES, seed=seed, worlds=50, lower_bound_steps=False
             )
             return evaluation_of(episodes, seed)
         again = reproduce(self.card, seed=seed)

@@ -33,6 +33,7 @@ from armctl.disturbances import episode_entropy
 from armctl.kinematics import ArmModel, Workspace
 from armctl.planning import ArmPlanner, ArmPlannerOptions
 from armctl.robot_description import ArmDescription, load_arm
+from armctl.runtime.folder import claim
 from armctl.scene import BOX_NUMBERS
 from armctl.tasks.reach import ReachOptions
 from armctl.tasks.reach.layout_pool import robot_digest
@@ -95,10 +96,7 @@ def make(folder: Path, count: int, seed: int, arm: ArmDescription, tolerance: fl
         "clearances": list(CLEARANCES), "part": PART,
     }  # fmt: skip
     with one_writer(folder):
-        card: dict[str, Any] = _read_card(folder) if (folder / CARD).exists() else {**identity, "parts": {}}
-        for name, value in identity.items():
-            if card.get(name) != value:
-                raise ResultsError(f"{folder} holds layouts with {name} {card.get(name)!r}, not {value!r}")
+        card = claim(folder / CARD, identity, "other layouts", "choose another folder") or {**identity, "parts": {}}
         solver = _Solver(arm, tolerance, seed)
         with Progress(console=PlainConsole(stderr=True), disable=not progress) as bars:
             bar = bars.add_task("layouts", total=count)

@@ -21,6 +21,7 @@ from stable_baselines3.common.logger import configure
 from armctl.agents import CARD, GRAPH, AgentCard, Evaluation, sha256, shapes
 from armctl.core.errors import ConfigurationError
 from armctl.core.files import one_writer, write_atomically
+from armctl.core.seeds import DEVELOPMENT_SEED, TRAINING_SEEDS, VALIDATION_SEED
 from armctl.envs import EpisodeVectorEnv, make_worlds
 from armctl.episodes.failures import unless_failed
 from armctl.rl.networks.actor import Actor
@@ -32,7 +33,6 @@ from armctl.rl.run.options import TrainingOptions
 from armctl.rl.run.threads import bounded_threads
 from armctl.rollout import evaluate
 from armctl.rollout.rollouts import rollouts
-from armctl.rollout.seeds import DEVELOPMENT_SEED, TRAINING_SEEDS, VALIDATION_SEED
 from armctl.runtime.identity import checksums
 from armctl.runtime.provenance import versions
 from armctl.shaping import Shaped
@@ -251,7 +251,7 @@ class Training:
             seed=DEVELOPMENT_SEED,
             worlds=64,
             env_options=self.recipe.env_options,
-            least_lengths=False,
+            lower_bound_steps=False,
         )
         return evaluation_of(episodes, DEVELOPMENT_SEED)
 

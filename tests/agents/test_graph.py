@@ -36,7 +36,7 @@ def saved(model, tmp_path):
     return path
 
 
-def check_alike(graph, arrays):
+def check_same_outputs(graph, arrays):
     """The same rows alone, and in batches of several sizes, bit for bit."""
     together = graph.run(arrays)
     for batch in BATCHES:
@@ -54,7 +54,7 @@ def test_a_shipped_agent_acts_alike_in_any_number_of_worlds(card):
     shapes = (observed if isinstance(observed, dict) else {"observation": observed}) | described.memory
     rng = np.random.default_rng(0)
     arrays = {name: rng.uniform(-3, 3, (N, *shape)).astype(np.float32) for name, shape in shapes.items()}
-    check_alike(
+    check_same_outputs(
         AgentGraph(card.with_suffix(".onnx")), {name: abs(v) if name == "image" else v for name, v in arrays.items()}
     )
 
@@ -119,13 +119,13 @@ NUMERIC |= {
 def test_an_operator_rounds_alike_in_any_number_of_worlds(name, tmp_path):
     nodes, constants, shape = NUMERIC[name]
     graph = AgentGraph(saved(model_of(nodes, constants=constants, shape=shape, result=None), tmp_path))
-    check_alike(graph, {"observation": np.random.default_rng(0).uniform(-3, 3, (N, *shape)).astype(np.float32)})
+    check_same_outputs(graph, {"observation": np.random.default_rng(0).uniform(-3, 3, (N, *shape)).astype(np.float32)})
 
 
 @pytest.mark.parametrize("name", ["Log", "Sqrt"])
 def test_an_operator_of_positive_numbers_rounds_alike(name, tmp_path):
     graph = AgentGraph(saved(model_of([helper.make_node(name, ["observation"], ["action"])]), tmp_path))
-    check_alike(graph, {"observation": np.random.default_rng(0).uniform(0.1, 9, (N, 6)).astype(np.float32)})
+    check_same_outputs(graph, {"observation": np.random.default_rng(0).uniform(0.1, 9, (N, 6)).astype(np.float32)})
 
 
 def test_what_rounds_is_tried():

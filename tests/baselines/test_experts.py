@@ -13,7 +13,7 @@ from armctl.study import compare
 
 
 def test_reach_ik_reaches_every_reachable_target(sized):
-    results = evaluate("reach_ik", episodes=sized(50, 1000), seed=0, worlds=10, least_lengths=False)
+    results = evaluate("reach_ik", episodes=sized(50, 1000), seed=0, worlds=10, lower_bound_steps=False)
     assert results.success.all()
     assert results.length.mean() < 12
 
@@ -27,14 +27,16 @@ def test_reach_ik_works_on_other_arms_and_controls(robot, control):
         seed=1,
         worlds=15,
         env_options={"robot": robot, "control": control},
-        least_lengths=False,
+        lower_bound_steps=False,
     )
     assert results.success.all()
 
 
 @pytest.mark.parametrize("robot", ["z1", "panda", "xarm7"])
 def test_reach_ik_works_on_arms_that_are_no_ur(robot):
-    results = evaluate("reach_ik", episodes=20, seed=2, worlds=20, env_options={"robot": robot}, least_lengths=False)
+    results = evaluate(
+        "reach_ik", episodes=20, seed=2, worlds=20, env_options={"robot": robot}, lower_bound_steps=False
+    )
     assert results.success.mean() >= 0.95
 
 
@@ -51,21 +53,21 @@ def test_reach_ik_refuses_another_observation():
 
 def test_reach_ik_survives_targets_out_of_reach():
     options = {"target": "box", "target_box": ((1.5, 1.5, 1.5), (2, 2, 2))}
-    results = evaluate("reach_ik", episodes=3, env_options=options, least_lengths=False)
+    results = evaluate("reach_ik", episodes=3, env_options=options, lower_bound_steps=False)
     assert not results.feasible.any()
     assert list(results.outcome) == ["timeout"] * 3
 
 
 def test_feasible_box_targets_are_reached():
     options = {"target": "box", "max_episode_steps": 40}
-    results = evaluate("reach_ik", episodes=30, seed=3, worlds=30, env_options=options, least_lengths=False)
+    results = evaluate("reach_ik", episodes=30, seed=3, worlds=30, env_options=options, lower_bound_steps=False)
     assert 8 < results.feasible.sum() < 28
     assert results[results.feasible].success.all()
 
 
 def test_random_is_the_same_in_every_run_and_seldom_lucky():
     first, again = (
-        evaluate("random", episodes=30, seed=0, worlds=worlds, least_lengths=False).drop(columns=list(TIME_COLUMNS))
+        evaluate("random", episodes=30, seed=0, worlds=worlds, lower_bound_steps=False).drop(columns=list(TIME_COLUMNS))
         for worlds in (30, 8)
     )
     assert first.equals(again)
@@ -82,7 +84,7 @@ def test_reach_mpc_reaches_and_keeps_all_limits(sized):
 @pytest.mark.parametrize(("policy", "error"), [("reach_mpc", 0.012), ("reach_ik", 0.02)])
 def test_experts_follow_a_moving_target(policy, error, sized):
     env, n = "armctl/ArmReachMoving-v0", sized(6, 30)
-    results = evaluate(policy, env, episodes=n, seed=5, worlds=n, least_lengths=False)
+    results = evaluate(policy, env, episodes=n, seed=5, worlds=n, lower_bound_steps=False)
     assert results.success.mean() >= 0.8
     assert results.tracking_error.mean() < error
 
@@ -106,7 +108,7 @@ def test_reach_ik_follows_by_what_it_observes_alone():
 def test_reach_ompl_gets_around_obstacles_without_a_touch(robot, sized):
     env, n = "armctl/ArmReachObstacles-v0", sized(6, 25)
     results = evaluate(
-        "reach_ompl", env, episodes=n, seed=6, worlds=n, env_options={"robot": robot}, least_lengths=False
+        "reach_ompl", env, episodes=n, seed=6, worlds=n, env_options={"robot": robot}, lower_bound_steps=False
     )
     assert (results.outcome == "reached").mean() >= 0.9
     assert results.feasible.all()
@@ -118,13 +120,13 @@ def test_reach_mpc_gets_around_boxes_on_arms_given_by_a_file_alone(robot):
     builtin = BUILTIN_ARMS[robot]
     options = {"robot": str(robot_data() / builtin.urdf), "tip": builtin.tip}
     env = "armctl/ArmReachObstacles-v0"
-    results = evaluate("reach_mpc", env, episodes=6, seed=0, worlds=6, env_options=options, least_lengths=False)
+    results = evaluate("reach_mpc", env, episodes=6, seed=0, worlds=6, env_options=options, lower_bound_steps=False)
     assert (results.outcome == "reached").sum() >= 5
 
 
 def test_reach_mpc_gets_around_boxes(sized):
     env, n = "armctl/ArmReachObstacles-v0", sized(4, 50)
-    results = evaluate("reach_mpc", env, episodes=n, seed=1, worlds=n, least_lengths=False)
+    results = evaluate("reach_mpc", env, episodes=n, seed=1, worlds=n, lower_bound_steps=False)
     assert (results.outcome == "reached").mean() >= 0.9
 
 
@@ -143,5 +145,5 @@ def test_no_expert_is_faster_than_possible_by_more_than_a_control_step(sized):
     n = sized(25, 200)
     comparison = compare(["reach_ik", "reach_mpc", "reach_ppo"], episodes=n, seed=7, worlds=40)
     assert not comparison.failures
-    assert (comparison.episodes.length >= comparison.episodes.least_length - 1).all()
+    assert (comparison.episodes.length >= comparison.episodes.lower_bound_steps - 1).all()
     assert comparison.episodes.query("policy == 'reach_ik'").optimality_gap.median() <= 0.1

@@ -144,7 +144,7 @@ def test_mistakes_write_nothing(change, says, tmp_path):
 
 def test_a_dataset_is_not_overwritten_and_a_place_that_cannot_be_written_is_told(dataset):
     before = (dataset[0] / "data" / "metadata.json").read_bytes()
-    with pytest.raises(ResultsError, match="already holds a dataset"):
+    with pytest.raises(ResultsError, match="holds a dataset of another kind"):
         collect("random", episodes=1, out=dataset[0])
     assert (dataset[0] / "data" / "metadata.json").read_bytes() == before
     with pytest.raises(ResultsError, match=r"(cannot|could not) be written"):

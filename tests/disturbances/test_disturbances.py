@@ -56,7 +56,9 @@ def test_an_autoreset_begins_the_disturbances_of_the_next_episode(mode):
 
 def test_all_at_once_are_the_same_with_any_number_of_worlds():
     options = {"disturbances": {name: kind.levels[1] for name, kind in ARM.items()}}
-    one, many = (evaluate("reach_ik", episodes=6, worlds=n, env_options=options, least_lengths=False) for n in (1, 4))
+    one, many = (
+        evaluate("reach_ik", episodes=6, worlds=n, env_options=options, lower_bound_steps=False) for n in (1, 4)
+    )
     left_out = list(TIME_COLUMNS)
     assert one.drop(columns=left_out).equals(many.drop(columns=left_out))
 

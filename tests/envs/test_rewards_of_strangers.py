@@ -94,7 +94,7 @@ def test_a_typo_in_a_reward_is_shown_with_its_place():
     ],
 )
 def test_returns_lie_within_their_bounds(env, bounds):
-    found = armctl.evaluate("random", f"armctl/{env}", episodes=6, worlds=6, least_lengths=False)["return"]
+    found = armctl.evaluate("random", f"armctl/{env}", episodes=6, worlds=6, lower_bound_steps=False)["return"]
     with closing(make_worlds(f"armctl/{env}", 1)) as worlds:
         assert worlds.task.return_bounds(worlds.max_episode_steps) == pytest.approx(bounds)
         assert worlds.task.return_bounds(None) is None

@@ -19,7 +19,7 @@ from armctl.report.formats import FORMATS, as_csv, as_json, latex, markdown
 from armctl.report.reproduction import reproduction_document
 from armctl.report.terminal import UNLIMITED, DocumentView, fitted_table, tables
 from armctl.stats.intervals import Estimate, Superiority
-from armctl.stats.paired import PairedDifference
+from armctl.stats.paired import PairedDifference, Simultaneous
 from armctl.study import Sweep
 from armctl.study.reproduce import Reproduction
 from armctl.study.task_results import COLUMNS
@@ -42,7 +42,8 @@ def summary_of(policy, success):
         "policy": policy, "sees": "observation", "training": TrainingCost(1_503_232, 13.6, 1_503_232), "planned": 200,
         "episodes": 200, "infeasible": 0, "outcomes": {"reached": 199, "timeout": 1}, "success": success,
         "episode_return": Estimate(-1234.5, -2345.6, -123.4), "steps_to_goal": success and Estimate(14.4, 12.4, 16.3),
-        "metrics": {"energy": Estimate(1.0, None, None)}, "decision_ms_p50": 0.054, "decision_ms_p99": 15.854,
+        "metrics": {"energy": Estimate(1.0, None, None)}, "decision_ms_p50": 0.054,
+        "decision_ms_mean": 0.1, "decision_ms_p99": 15.854,
         "decision_ms_max": 20.0, "solver_failures": 0, "worlds": 1, "workers": 1, "spared": (),
     }  # fmt: skip
     return PolicySummary(**values | known)
@@ -51,7 +52,9 @@ def summary_of(policy, success):
 def pair_of(a, b, p):
     gain, chance = Estimate(188.25, 187.1, 189.2), Superiority(Estimate(0.975, 0.955, 0.99), 1e-59)
     won = (0, 0) if p is None else (197, 0)
-    return PairedDifference(a, b, 200, 0, *won, 3, p, gain, chance, p and Estimate(-2.7, -3.9, -1.5))
+    steps = p and Estimate(-2.7, -3.9, -1.5)
+    at_once = Simultaneous(gain, chance.probability, steps)
+    return PairedDifference(a, b, 200, 0, *won, 3, p, gain, chance, steps, at_once)
 
 
 def comparison_of(names, success=SUCCESS, p=3.8e-59):

@@ -7,10 +7,10 @@ from armctl.stats.across_tasks import (
     Choice,
     choose,
     family,
-    heads_to_head,
     improvement,
     leagues,
     mean_over_tasks,
+    pairwise_by_task,
     rank,
     rate_of,
     success_profile,
@@ -65,8 +65,8 @@ def test_who_has_no_rival_is_judged_by_all_episodes():
     alone = choose(success, success, ["b"])
     assert values_of(success, alone).tolist() == [1, 1, 0] * 3
     chosen = choose(success, success, ["a", "b"])
-    assert heads_to_head({"none": success}, "none", alone, chosen)["none"].episodes == 6
-    assert heads_to_head({"none": success}, "none", alone, A)["none"].episodes == 9
+    assert pairwise_by_task({"none": success}, "none", alone, chosen)["none"].episodes == 6
+    assert pairwise_by_task({"none": success}, "none", alone, A)["none"].episodes == 9
 
 
 def test_equal_success_is_decided_by_return_and_then_by_order():
@@ -85,7 +85,7 @@ def test_a_choice_costs_neither_the_test_nor_the_interval_anything(kinds, episod
     for _ in range(runs):
         success = pd.DataFrame(rng.random((episodes, 6)) < 0.8, columns=list("abcdef"), dtype=float)
         choices = [choose(success, success, list(names)) for names in kinds.split()]
-        (found,) = heads_to_head({"none": success}, "none", *choices).values()
+        (found,) = pairwise_by_task({"none": success}, "none", *choices).values()
         errors += found.better != 0
         misses += not found.difference.low <= 0 <= found.difference.high
         gains.append(found.difference.value)
@@ -97,7 +97,7 @@ def test_a_choice_costs_neither_the_test_nor_the_interval_anything(kinds, episod
 
 def test_heads_to_head_are_mirror_images_and_corrected():
     cells = random_tables(1, settings=4)
-    one, other = (heads_to_head(cells, "0", *sides) for sides in ((A, B), (B, A)))
+    one, other = (pairwise_by_task(cells, "0", *sides) for sides in ((A, B), (B, A)))
     for name in cells:
         assert one[name].difference.value == -other[name].difference.value
         assert (one[name].better, one[name].p) == (-other[name].better, other[name].p)
@@ -108,9 +108,9 @@ def test_heads_to_head_are_mirror_images_and_corrected():
 
 def test_an_episode_that_one_did_not_play_does_not_count():
     success = table(a=[1, 1, np.nan, 0], b=[0, np.nan, 1, 0])
-    found = heads_to_head({"none": success}, "none", A, B)["none"]
+    found = pairwise_by_task({"none": success}, "none", A, B)["none"]
     assert (found.episodes, found.only_classical, found.only_learned) == (2, 1, 0)
-    assert heads_to_head({"none": success[1:3]}, "none", A, B) == {}
+    assert pairwise_by_task({"none": success[1:3]}, "none", A, B) == {}
 
 
 def test_improvement_is_symmetric_and_half_for_equals():

@@ -9,7 +9,6 @@ from scipy import stats
 from armctl.episodes.table import table_of
 from armctl.stats.intervals import bounded_difference
 from armctl.stats.paired import (
-    difference_of_groups,
     holm,
     mover,
     paired_difference,
@@ -26,7 +25,7 @@ def test_mcnemar_is_exact_and_counts_pairs():
     b = np.array([False] * 8 + [True] * 2 + [True] * 5 + [False] * 3)
     zeros = np.zeros(18)
     pair = paired_difference("a", "b", (a, b), (zeros + 2, zeros), (zeros + 7, zeros + 4), (0.0, 2.0), 10)
-    assert (pair.both, pair.only_a, pair.only_b, pair.neither) == (5, 8, 2, 3)
+    assert (pair.both_won, pair.only_a, pair.only_b, pair.neither) == (5, 8, 2, 3)
     assert pair.mcnemar_p == pytest.approx(2 * (1 + 10 + 45) / 2**10)
     assert pair.return_difference.value == 2
     assert pair.steps_difference.value == 3
@@ -115,11 +114,11 @@ def test_holm_against_holm():
 
 
 def test_more_claims_take_more_episodes():
-    assert pair_of(0, 0, 200).equivalent(0.02, claims=2)
-    assert not pair_of(0, 0, 200).equivalent(0.02, claims=6)
-    needed = episodes_to_show_equivalence(0.02, 0.0, claims=6)
-    assert pair_of(0, 0, needed).equivalent(0.02, claims=6)
-    assert not pair_of(0, 0, needed - 1).equivalent(0.02, claims=6)
+    assert pair_of(0, 0, 200).equivalent(0.02, num_comparisons=2)
+    assert not pair_of(0, 0, 200).equivalent(0.02, num_comparisons=6)
+    needed = episodes_to_show_equivalence(0.02, 0.0, num_comparisons=6)
+    assert pair_of(0, 0, needed).equivalent(0.02, num_comparisons=6)
+    assert not pair_of(0, 0, needed - 1).equivalent(0.02, num_comparisons=6)
 
 
 @pytest.mark.parametrize("trainings", [1, 2])
@@ -141,29 +140,66 @@ def test_intervals_and_equivalence_are_for_all_pairs_of_a_comparison(trainings):
             a, b = values(score)
             most = bounds[1] - bounds[0]
             found = (
-                difference_over_trainings(a, b, bounds, wide=wide)
+                difference_over_trainings(a, b, bounds, simultaneous=wide)
                 if pair.crossed
                 else bounded_difference(a[0] - b[0], (-most, most), wide)
             )
-            assert getattr(pair.simultaneous, name) == found.wide
+            assert getattr(pair.simultaneous, name) == found.simultaneous
             assert (pair.steps_p if name == "steps" else pair.return_p) == found.p
         if pair.crossed:
             assert pair.crossed == difference_over_trainings(*values("success"), (0.0, 1.0), narrow, wide)
-            assert pair.success_among(3) == pair.crossed.wide != pair.success_difference == pair.crossed.estimate
+            assert (
+                pair.success_among(3) == pair.crossed.simultaneous != pair.success_difference == pair.crossed.estimate
+            )
 
 
 def test_groups_are_compared_in_success_return_and_steps_over_their_trainings():
     rng = np.random.default_rng(0)
     won = (rng.random((3, 40)) < 0.9).astype(float), np.ones((1, 40))
     steps = np.where(won[0] == 1, 20.0, 100.0), np.full((1, 40), 15.0)
-    pair = difference_of_groups("g[*]", "b", won, won, steps, (0.0, 1.0), 100)
+    pair = paired_difference("g[*]", "b", won, won, steps, (0.0, 1.0), 100)
     expected = difference_over_trainings(*steps, (1.0, 100.0))
     assert (pair.steps_difference, pair.steps_p) == (expected.estimate, expected.p)
     assert (pair.return_difference, pair.return_p) == (pair.crossed.estimate, pair.crossed.p)
     for unknown in ((None, 100), (steps, None)):
-        other = difference_of_groups("g[*]", "b", won, won, unknown[0], (0.0, 1.0), unknown[1])
+        other = paired_difference("g[*]", "b", won, won, unknown[0], (0.0, 1.0), unknown[1])
         assert (other.steps_difference, other.steps_p, other.simultaneous.steps) == (None, None, None)
     failed = np.where(np.arange(40) == 7, -np.inf, won[0]), won[1]
-    lost = difference_of_groups("g[*]", "b", won, failed, steps, (0.0, 1.0), 100)
+    lost = paired_difference("g[*]", "b", won, failed, steps, (0.0, 1.0), 100)
     assert np.isnan(lost.return_difference.value)
     assert lost.superiority.probability.value < 0.5
+
+
+@pytest.mark.parametrize("trainings", [1, 3])
+def test_a_reversed_pair_is_that_of_the_second_against_the_first(trainings):
+    rng = np.random.default_rng(0)
+    won = (rng.random((trainings, 60)) < 0.9).astype(float), (rng.random((1, 60)) < 0.6).astype(float)
+    steps = tuple(np.where(success == 1, 20.0, 100.0) for success in won)
+    pair, other = (
+        paired_difference(a, b, won[::turn], won[::turn], steps[::turn], (0.0, 1.0), 100, 3)
+        for a, b, turn in (("a", "b", 1), ("b", "a", -1))
+    )
+    found = pair.reversed()
+    back = found.reversed()
+    assert (back.a, back.crossed, back.return_difference) == (pair.a, pair.crossed, pair.return_difference)
+    for name in ("a", "b", "episodes", "both_won", "only_a", "only_b", "neither"):
+        assert getattr(found, name) == getattr(other, name)
+    for name in ("success_difference", "return_difference", "steps_difference"):
+        assert interval(getattr(found, name)) == pytest.approx(interval(getattr(other, name)), rel=0.05, abs=0.05)
+    for name in ("returns", "superiority", "steps"):
+        expected = interval(getattr(other.simultaneous, name))
+        assert interval(getattr(found.simultaneous, name)) == pytest.approx(expected, rel=0.05, abs=0.05)
+    assert interval(found.superiority.probability) == pytest.approx(interval(other.superiority.probability), abs=0.05)
+    assert found.equivalent(0.5) == other.equivalent(0.5) == pair.equivalent(0.5)
+
+
+def interval(estimate):
+    return estimate.value, estimate.low, estimate.high
+
+
+def test_where_success_is_unknown_nothing_is_known_of_it():
+    scores = np.arange(20.0)
+    pair = paired_difference("a", "b", None, (scores, scores[::-1]), None, None)
+    assert (pair.success_difference, pair.steps_difference, pair.reversed().steps_difference) == (None, None, None)
+    assert (pair.mcnemar_p, pair.return_p, pair.return_difference.low) == (None, None, None)
+    assert not pair.equivalent(0.9)

@@ -36,14 +36,15 @@ def test_the_power_to_detect_is_that_of_mcnemars_exact_test(episodes, difference
 
 @pytest.mark.parametrize("episodes", [5, 7, 24, 41])
 @pytest.mark.parametrize(
-    ("margin", "discordant", "claims"), [(0.2, 0.0, 1), (0.3, 0.1, 1), (0.25, 0.4, 1), (0.4, 1.0, 2), (0.7, 0.4, 1)]
+    ("margin", "discordant", "num_comparisons"),
+    [(0.2, 0.0, 1), (0.3, 0.1, 1), (0.25, 0.4, 1), (0.4, 1.0, 2), (0.7, 0.4, 1)],
 )
-def test_the_power_to_show_equivalence_is_that_of_movers_interval(episodes, margin, discordant, claims):
+def test_the_power_to_show_equivalence_is_that_of_movers_interval(episodes, margin, discordant, num_comparisons):
     exact = added_up(
         episodes, discordant / 2, discordant / 2,
-        lambda a, b: within(mover(a, b, episodes, 1 - 0.1 / claims), margin),
+        lambda a, b: within(mover(a, b, episodes, 1 - 0.1 / num_comparisons), margin),
     )  # fmt: skip
-    assert equivalence_power(episodes, margin, discordant, claims) == pytest.approx(exact, abs=1e-6)
+    assert equivalence_power(episodes, margin, discordant, num_comparisons) == pytest.approx(exact, abs=1e-6)
 
 
 GRID = [
@@ -67,15 +68,15 @@ def test_so_many_episodes_have_the_power_that_was_asked_for_and_one_less_has_not
     assert found == pytest.approx(later[0], abs=3 * 0.5 / 4000**0.5)
 
 
-@pytest.mark.parametrize(("margin", "share", "power", "claims"), GRID)
-def test_so_many_episodes_show_equivalence_as_often_as_was_asked_for(margin, share, power, claims):
-    needed = episodes_to_show_equivalence(margin, share, power, claims)
-    later = [equivalence_power(needed + more, margin, share, claims) for more in range(0, int(4 / margin), 7)]
+@pytest.mark.parametrize(("margin", "share", "power", "num_comparisons"), GRID)
+def test_so_many_episodes_show_equivalence_as_often_as_was_asked_for(margin, share, power, num_comparisons):
+    needed = episodes_to_show_equivalence(margin, share, power, num_comparisons)
+    later = [equivalence_power(needed + more, margin, share, num_comparisons) for more in range(0, int(4 / margin), 7)]
     assert min(later) >= power - 1e-4  # of numbers between those of the grid
-    assert equivalence_power(needed - 1, margin, share, claims) < power
+    assert equivalence_power(needed - 1, margin, share, num_comparisons) < power
     played = np.random.default_rng(0).multinomial(needed, (share / 2, share / 2, 1 - share), 2000)
     told = {
-        (a, b): within(mover(a, b, needed, 1 - 0.1 / claims), margin)
+        (a, b): within(mover(a, b, needed, 1 - 0.1 / num_comparisons), margin)
         for a, b in {(int(a), int(b)) for a, b, _ in played}
     }
     found = np.mean([told[int(a), int(b)] for a, b, _ in played])

@@ -7,10 +7,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from armctl.stats.degradation import Onset, degradations
 from armctl.stats.intervals import success_rate
 from armctl.stats.paired import mcnemar
-from armctl.stats.robustness import NEUTRAL, PairTest, robustness_headline, robustness_rankings
+from armctl.stats.robustness import NEUTRAL, Onset, PairTest, degradations, robustness_headline, robustness_rankings
 
 N = 50
 
@@ -160,25 +159,24 @@ def test_a_spared_policy_is_ranked_and_tested_nowhere():
     table = points({"noise": {"a": (50, 46, 30), "b": (50, 40, 10), "c": (50, 50, 50)}}, spared=("c",))
     (noise,) = ranked(table)
     assert (noise.first, noise.alike, noise.worse, noise.spared) == ("a", [], {"b": Onset(1.0)}, ["c"])
-    assert str(noise).endswith("Spared, and so not ranked: c.")
+    assert str(noise).endswith("Not affected, so not ranked: c.")
     assert "c" not in noise.scores
     without = ranked(table[table.policy != "c"])[0]
     assert (noise.first, noise.alike, noise.worse, noise.better) == (
         without.first, without.alike, without.worse, without.better,
     )  # fmt: skip
-    unknown = table.assign(sees="state").assign(p=lambda rows: rows.p.where(~rows.spared))
+    unknown = table.assign(sees="state", change=-0.1).assign(p=lambda rows: rows.p.where(~rows.spared))
     assert {one.policy for one in degradations(unknown)} == {"a", "b"}
     alone = points({"noise": {"a": (50, 46, 30), "c": (50, 50, 50)}}, spared=("c",))
     assert robustness_headline(ranked(alone)) == (
-        "Under noise, no ranking: fewer than two policies are reached and tested."
+        "Under noise, no ranking: fewer than two policies are affected and tested."
     )
 
 
 def test_without_tests_of_pairs_there_is_no_ranking():
-    """As in sweeps of older versions."""
     (noise,) = robustness_rankings(points({"noise": {"a": (50, 50, 50), "b": (50, 1, 0)}}), {})
     assert (noise.first, noise.worse) == ("", {})
-    assert str(noise) == "Under noise, no ranking: fewer than two policies are reached and tested."
+    assert str(noise) == "Under noise, no ranking: fewer than two policies are affected and tested."
 
 
 RUNS = 60
@@ -198,6 +196,7 @@ def simulated(rng, rates, levels):
             only_a, only_b = int((won[i] & ~won[j]).sum()), int((won[j] & ~won[i]).sum())
             tests[*where, frozenset((a, b))] = PairTest(mcnemar(only_a, only_b), (only_a - only_b) / N)
     table = pd.DataFrame(rows, columns=["disturbance", "level", "policy", "success", "low", "high"])
+    table = table.assign(unit="m", spared=False)
     return robustness_rankings(table, tests)[0]
 
 

@@ -5,14 +5,15 @@ import pytest
 from scipy import stats
 
 from armctl.stats import intervals as statistics
-from armctl.stats.intervals import mean
-from armctl.stats.paired import EQUIVALENCE, difference_of_groups
+from armctl.stats.paired import EQUIVALENCE, paired_difference
 from armctl.stats.trainings import (
     difference_over_trainings,
     interquartile_mean,
     mean_over_trainings,
     superiority_over_trainings,
 )
+
+from .test_intervals import students
 
 SHARES = (0.0, 1.0)
 
@@ -44,7 +45,7 @@ def test_variance_components_against_shrout_and_fleiss():
     # table 3: mean squares 11.24 between targets, 32.49 between judges, 1.02 of the rest.
     ratings = np.array([[9, 6, 8, 7, 10, 6], [2, 1, 4, 1, 5, 2], [5, 3, 6, 2, 6, 4], [8, 2, 8, 6, 9, 7]])
     found = mean_over_trainings(ratings)
-    assert found.between**2 == pytest.approx((32.49 - 1.02) / 6, abs=0.01)
+    assert found.between_seed_std**2 == pytest.approx((32.49 - 1.02) / 6, abs=0.01)
     assert found.episodes**2 == pytest.approx((11.24 - 1.02) / 4, abs=0.01)
     assert found.mean.value == pytest.approx(ratings.mean())
     assert found.trainings == 4
@@ -52,7 +53,7 @@ def test_variance_components_against_shrout_and_fleiss():
 
 def test_one_training_says_nothing_of_others():
     found = mean_over_trainings(np.arange(1000.0)[None])
-    assert (found.mean.value, found.mean.low, found.mean.high, found.between) == (499.5, None, None, None)
+    assert (found.mean.value, found.mean.low, found.mean.high, found.between_seed_std) == (499.5, None, None, None)
     assert (found.if_normal, found.p) == (found.mean, None)
 
 
@@ -117,7 +118,7 @@ def test_intervals_and_p_values_hold_whatever_the_population_of_trainings(traini
             assert max(misses(found, truth)) <= allowed(0.025, runs)
         for found in (differences, against_group):
             assert np.mean([one.p < 0.05 for one in found]) <= allowed(0.05, runs)
-            assert max(misses([one.narrow for one in found], 0)) <= allowed(0.05, runs)
+            assert max(misses([one.ci90 for one in found], 0)) <= allowed(0.05, runs)
 
 
 @pytest.mark.parametrize("failures", [0, 1])
@@ -144,7 +145,7 @@ def test_students_interval_holds_where_trainings_are_normal_and_not_else(sized):
 
 def test_trainings_that_are_alike_are_by_student_as_uncertain_as_their_episodes():
     episodes = np.random.default_rng(0).normal(0, 1, 200)
-    found, flat = mean_over_trainings(np.tile(episodes, (5, 1))).if_normal, mean(episodes)
+    found, flat = mean_over_trainings(np.tile(episodes, (5, 1))).if_normal, students(episodes)
     assert found.high - found.low == pytest.approx((flat.high - flat.low) * 2.776 / 1.972, rel=1e-3)
 
 
@@ -156,7 +157,7 @@ def test_where_nothing_varies_student_says_nothing():
 def test_without_bounds_there_is_neither_an_interval_nor_a_p_value():
     a, b = np.random.default_rng(0).normal(0, 1, (2, 3, 50))
     found = difference_over_trainings(a, b, None)
-    assert (found.estimate.low, found.narrow.high, found.p) == (None, None, None)
+    assert (found.estimate.low, found.ci90.high, found.p) == (None, None, None)
     assert found.if_normal.low < found.estimate.value < found.if_normal.high
     alone = mean_over_trainings(a)
     assert (alone.mean.low, alone.mean.high, alone.p) == (None, None, None)
@@ -201,12 +202,12 @@ def test_a_p_value_is_that_of_the_interval(seed):
     a, b = (successes(rng, rng.uniform(low, 1, k), 50) for low, k in ((0.8, 6), (0.0, 3)))
     found = difference_over_trainings(a, b, SHARES)
     assert 0 < found.p < 1
-    ends = [abs(getattr(difference_over_trainings(a, b, SHARES, 1 - found.p).narrow, end)) for end in ("low", "high")]
+    ends = [abs(getattr(difference_over_trainings(a, b, SHARES, 1 - found.p).ci90, end)) for end in ("low", "high")]
     assert min(ends) < 0.005
     for p in (0.5 * found.p, 2 * found.p):
         other = difference_over_trainings(a, b, SHARES, 1 - p, 1 - p)
-        assert other.wide == other.narrow
-        assert (other.wide.low <= 0 <= other.wide.high) == (p < found.p)
+        assert other.simultaneous == other.ci90
+        assert (other.simultaneous.low <= 0 <= other.simultaneous.high) == (p < found.p)
     assert (found.estimate.low > 0 or found.estimate.high < 0) == (found.p < 0.05)
     mean_found = mean_over_trainings(a - b[0], (-1.0, 1.0))
     assert (mean_found.mean.low > 0 or mean_found.mean.high < 0) == (mean_found.p < 0.05)
@@ -220,15 +221,17 @@ def test_two_groups_have_welchs_degrees_of_freedom():
     assert (found.if_normal.low, found.if_normal.high) == pytest.approx((interval.low, interval.high))
 
 
-@pytest.mark.parametrize("claims", [1, 3, 10])
-def test_equivalence_of_groups_is_corrected_for_the_number_of_claims(claims):
+@pytest.mark.parametrize("num_comparisons", [1, 3, 10])
+def test_equivalence_of_groups_is_corrected_for_the_number_of_claims(num_comparisons):
     won, other = np.ones((4, 300)), np.ones((1, 300))
-    pair = difference_of_groups("a", "b", (won, other), (9 * won, other), None, (0.0, 9.0), claims=claims)
-    # The two tests at 5 % / claims: a training of a that has not been seen fails with a probability of 1 - level^(1/4).
-    level = EQUIVALENCE / claims
-    assert -pair.crossed.narrow.low == pytest.approx(1 - level ** (1 / 4), abs=0.03)
-    assert pair.equivalent(1.04 - level ** (1 / 4), claims)
-    assert not pair.equivalent(0.96 - level ** (1 / 4), claims)
+    pair = paired_difference(
+        "a", "b", (won, other), (9 * won, other), None, (0.0, 9.0), num_comparisons=num_comparisons
+    )
+    # Two tests at 5 % / num_comparisons: one more training of a fails with a probability of 1 - level^(1/4).
+    level = EQUIVALENCE / num_comparisons
+    assert -pair.crossed.ci90.low == pytest.approx(1 - level ** (1 / 4), abs=0.03)
+    assert pair.equivalent(1.04 - level ** (1 / 4), num_comparisons)
+    assert not pair.equivalent(0.96 - level ** (1 / 4), num_comparisons)
     assert pair.crossed.estimate == difference_over_trainings(won, other, SHARES).estimate
     assert (pair.mcnemar_p, pair.crossed.p) == (1, 1)
     earned = difference_over_trainings(9 * won, other, (0.0, 9.0))
@@ -269,7 +272,7 @@ def test_many_episodes_do_not_make_up_for_few_trainings():
     for _ in range(200):
         scores = rng.normal(0, 1, (3, 1)) + rng.normal(0, 1, (1, 100)) + rng.normal(0, 1, (3, 100))
         crossed.append(mean_over_trainings(scores).if_normal)
-        pooled.append(mean(scores.ravel()))
+        pooled.append(students(scores.ravel()))
     assert max(misses(crossed, 0)) <= allowed(0.025, 200)
     assert sum(misses(pooled, 0)) > 0.5
 

@@ -9,7 +9,7 @@ import pytest
 
 from armctl.episodes.stored import UNDISTURBED
 from armctl.report.suite_page import headline, write_suite_page
-from armctl.stats.across_tasks import Choice, HeadToHead, heads_to_head
+from armctl.stats.across_tasks import Choice, TaskPair, pairwise_by_task
 from armctl.stats.intervals import Estimate, bounded_difference
 from armctl.stats.paired import holm, mcnemar
 from armctl.study import Study, sweep
@@ -23,7 +23,7 @@ SETTINGS = ("delay 1", "noise 0.1")
 
 def head(only_classical, only_learned, episodes=50, p=None):
     p = mcnemar(only_classical, only_learned) if p is None else p
-    return HeadToHead(episodes, only_classical, only_learned, p)
+    return TaskPair(episodes, only_classical, only_learned, p)
 
 
 def answer_of(undisturbed, *disturbed, env="armctl/Some-v0", timing=((1, 1), (1, 1))):
@@ -55,7 +55,7 @@ def test_verdicts_and_headline_are_corrected_for_all_tasks_and_for_success_and_s
     tests = holm([*(one.p for one in heads), 0.012])
     assert [one.undisturbed.p for one in found[:-1]] == tests[:4]
     assert found[3].undisturbed.steps_p == tests[4] == pytest.approx(0.048)
-    assert [one.undisturbed.claims for one in found[:-1]] == [4] * 4
+    assert [one.undisturbed.num_comparisons for one in found[:-1]] == [4] * 4
     assert [one.undisturbed.better for one in answers] == [1, -1, 1, 0]
     assert [one.undisturbed.better for one in found[:-1]] == [0, -1, 0, 0]
     assert [one.verdict.partition(":")[0] for one in found[:-1]] == [
@@ -75,7 +75,7 @@ def test_the_answers_of_a_suite_are_corrected_for_all_its_tasks(monkeypatch):
     monkeypatch.setattr(module, "answer", lambda env: answer_of(heads[env], env=env))
     found = module.Study("suite", 0, 50, tasks={env: env for env in heads}).answers
     assert [one.undisturbed.p for one in found] == holm([mcnemar(6, 0)] * 3)
-    assert [(one.undisturbed.better, one.undisturbed.claims) for one in found] == [(0, 3)] * 3
+    assert [(one.undisturbed.better, one.undisturbed.num_comparisons) for one in found] == [(0, 3)] * 3
 
 
 def test_steps_are_told_where_neither_is_better_in_success():
@@ -102,7 +102,7 @@ def test_earlier_looks_are_a_part_of_verdict_and_headline():
 def swept(gains):
     """An answer from differences in success by setting: -1, 0 or 1 for each episode."""
     cells = {name: pd.DataFrame({"c": gain > 0, "l": gain < 0}, dtype=float) for name, gain in gains.items()}
-    heads = heads_to_head(cells, UNDISTURBED, Choice("c"), Choice("l"))
+    heads = pairwise_by_task(cells, UNDISTURBED, Choice("c"), Choice("l"))
     return Answer("armctl/Some-v0", [], cells, {name: name for name in cells}, Choice("c"), Choice("l"), heads)
 
 

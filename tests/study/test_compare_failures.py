@@ -176,4 +176,4 @@ def test_failures_of_solvers_are_reported():
     assert [policy.solver_failures for policy in comparison.policies] == [3, 0]
     console = Console(file=io.StringIO(), width=100)
     console.print(tables(comparison))
-    assert console.file.getvalue().count("solver failed 3 times") == 1
+    assert console.file.getvalue().count("solver failures: 3") == 1

@@ -59,19 +59,20 @@ def test_a_group_is_one_learner_of_several_policies(folder, results):
     assert list(group.trainings.values()) == by_training[MEMBERS].tolist()
     scores = np.array([rows[rows.policy == name].success for name in MEMBERS], dtype=float)
     crossed = mean_over_trainings(scores, (0.0, 1.0))
-    assert (group.success, group.if_normal, group.between) == (crossed.mean, crossed.if_normal, crossed.between)
+    assert (group.success, group.if_normal) == (crossed.mean, crossed.if_normal)
+    assert group.between_seed_std == crossed.between_seed_std
     (pair,) = results.paired
     won = rows[rows.policy == "reach_ik"].success.to_numpy(float)[None]
     assert pair.crossed == difference_over_trainings(won, scores, (0.0, 1.0))
     assert pair.mcnemar_p == pair.crossed.p
-    assert pair.both + pair.only_a + pair.only_b + pair.neither == 12
+    assert pair.both_won + pair.only_a + pair.only_b + pair.neither == 12
     assert expert.trainings == {}
 
 
 def test_a_verdict_tells_a_recipe_from_a_network(results):
-    assert "reach_bc[*] is this recipe, by 3 trainings." in results.verdict
+    assert "for reach_bc[*] as a recipe (3 trainings)." in results.verdict
     alone = armctl.compare(["reach_ik", "reach_bc[1]"], episodes=10, worlds=10)
-    assert "reach_bc[1] is this network." in alone.verdict
+    assert "The result holds for reach_bc[1] as one network." in alone.verdict
 
 
 @pytest.mark.slow

@@ -30,7 +30,7 @@ def agent(tmp_path):
 @functools.cache
 def evaluated(episodes, seed):
     """The items of the evaluation of the shipped `reach_ppo`."""
-    played = evaluate("reach_ppo", episodes=episodes, seed=seed, worlds=episodes, least_lengths=False)
+    played = evaluate("reach_ppo", episodes=episodes, seed=seed, worlds=episodes, lower_bound_steps=False)
     return tuple(evaluation_of(played, seed).model_dump().items())
 
 

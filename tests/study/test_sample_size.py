@@ -36,7 +36,7 @@ def test_a_plan_has_its_power_after_the_corrections_of_the_verdict(tmp_path):
     for record in document.tables[0].records:
         share = record["discordant"]
         assert record["episodes_to_detect"] == episodes_to_detect(0.02, share, tests=18)
-        assert record["episodes_to_show_equivalence"] == episodes_to_show_equivalence(0.02, share, claims=4)
+        assert record["episodes_to_show_equivalence"] == episodes_to_show_equivalence(0.02, share, num_comparisons=4)
 
 
 def test_a_plan_without_a_pilot_is_for_a_single_pair_or_those_that_are_named():

@@ -8,11 +8,12 @@ import armctl
 from armctl.core.errors import ConfigurationError
 from armctl.study import compare
 from armctl.study.results import read_comparison
-from armctl.verdict.sentences import contests, headline, verdict
+from armctl.verdict.sentences import headline, verdict, verdict_pairs
 
 from ..verdict.test_sentences import played
 
 BRIDGE = "armctl/BridgeCross-v0"
+NOT_TESTED = "Not tested, because the disturbance does not affect them: reach_ik (noise)."
 
 
 @pytest.fixture(scope="module")
@@ -33,10 +34,10 @@ def test_who_reads_no_observation_is_spared_its_noise(noisy):
 def test_no_pair_with_a_spared_policy_is_tested_or_told(noisy):
     found, _ = noisy
     assert [{pair.a, pair.b} for pair in found.paired] == [{"bridge_state_ppo", "bridge_ppo"}]
-    assert found.verdict.endswith("Not judged: bridge_mpc (spared noise), random (spared noise).")
+    assert found.verdict.endswith("because the disturbance does not affect them: bridge_mpc (noise), random (noise).")
     table = found.document().tables[0]
     assert [row[0].small.endswith("spared noise") for row in table.rows] == [True, False, False, True]
-    assert "Spared: not reached" in table.caption
+    assert "Spared: not affected" in table.caption
 
 
 @pytest.mark.parametrize("baseline", [None, "reach_ik"])
@@ -46,12 +47,12 @@ def test_a_spared_winner_does_not_win(baseline):
     policies, pairs = played(wins)
     policies = [dataclasses.replace(one, spared=("noise",) if one.policy == "reach_ik" else ()) for one in policies]
     pairs = [pair for pair in pairs if "reach_ik" not in (pair.a, pair.b)]
-    told = contests(policies, pairs, baseline)
+    told = verdict_pairs(policies, pairs, baseline)
     assert [(one.first.policy, one.second.policy) for one in told] == ([] if baseline else [("reach_ppo", "reach_mpc")])
     said = verdict(policies, pairs, baseline)
-    assert said.endswith("Not judged: reach_ik (spared noise).")
-    assert "reach_ik" not in said.removesuffix("Not judged: reach_ik (spared noise).")
-    assert headline(policies, pairs, baseline)[0].startswith("Not judged" if baseline else "reach_ppo beats reach_mpc")
+    assert said.endswith(NOT_TESTED)
+    assert "reach_ik" not in said.removesuffix(NOT_TESTED)
+    assert headline(policies, pairs, baseline)[0].startswith("Not tested" if baseline else "reach_ppo beats reach_mpc")
 
 
 @pytest.mark.parametrize(

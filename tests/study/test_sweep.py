@@ -13,9 +13,8 @@ from armctl.episodes.record import TIME_COLUMNS
 from armctl.episodes.table import EpisodeTable
 from armctl.report import write_report
 from armctl.report.terminal import tables
-from armctl.stats.degradation import Onset, degradations
 from armctl.stats.paired import mcnemar
-from armctl.stats.robustness import NEUTRAL, PairTest
+from armctl.stats.robustness import NEUTRAL, Onset, PairTest, degradations
 from armctl.study import compare, sweep
 from armctl.study.levels import sweep_levels
 from armctl.study.results import read_study
@@ -103,7 +102,7 @@ def test_a_spared_policy_is_told_so_and_in_no_test(finished):
     assert spared[["p", "change"]].isna().all(axis=None)
     noise = next(table for table in found.document().tables if table.title.startswith("noise"))
     assert [[cell.text for cell in row] for row in noise.rows][1][2] == "spared"
-    assert "Spared, and so not ranked: random." in " ".join(printed(found).split())
+    assert "Not affected, so not ranked: random." in " ".join(printed(found).split())
     lines = [one for one in plot_of(write_report(folder, video=False), "level of noise")["data"] if one.get("name")]
     assert [(line["name"], line["line"]["dash"]) for line in lines] == [
         ("reach_ik", "solid"),
@@ -259,7 +258,8 @@ def test_without_any_asked_for_there_are_all_with_their_own_levels():
 def points(**successes):
     rows = [
         {"disturbance": "noise", "level": level, "policy": policy, "success": success, "p": p, "unit": "m",
-         "sees": "observation", "low": success - 0.1, "high": success + 0.1}
+         "sees": "observation", "low": success - 0.1, "high": success + 0.1, "change": success - curve[0][0],
+         "spared": False}
         for policy, curve in successes.items()
         for level, (success, p) in enumerate(curve)
     ]  # fmt: skip
@@ -322,7 +322,7 @@ def test_the_ranking_is_the_verdict(finished):
     found, _ = finished
     *_, last = (part for part in found.document().parts if getattr(part, "kind", "") == "verdict")
     assert last.text == (
-        "Under noise, no ranking: fewer than two policies are reached and tested; "
+        "Under noise, no ranking: fewer than two policies are affected and tested; "
         "under delay, no significant difference between policies."  # four episodes show nothing
     )
     assert last.text in " ".join(printed(found).split())

@@ -6,9 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from armctl.stats.degradation import FALSE_DISCOVERY_RATE, Onset, change_between, change_of_group, degradations
 from armctl.stats.paired import paired_difference
-from armctl.stats.robustness import robustness_rankings
+from armctl.stats.robustness import FALSE_DISCOVERY_RATE, Onset, change_between, degradations, robustness_rankings
 from armctl.stats.trainings import FEWEST_TRAININGS
 from armctl.study.task_results import _test_of
 
@@ -29,6 +28,7 @@ def sweep_of(before, after, p, change):
         {
             "disturbance": "noise", "level": [0.0, 1.0], "policy": "a", "success": math.nan, "sees": "state",
             "return": [before.mean(), after.mean()], "p": [1.0, p], "change": [0.0, change],
+            "spared": False,
         }
     )  # fmt: skip
 
@@ -36,7 +36,9 @@ def sweep_of(before, after, p, change):
 def drops(rng, better, up=1.0):
     """Whether a drop is told."""
     before, after = (up * values for values in returns(rng, better))
-    tables = (pd.DataFrame({"episode": np.arange(EPISODES), "return": values}) for values in (before, after))
+    tables = (
+        pd.DataFrame({"policy": "a", "episode": np.arange(EPISODES), "return": values}) for values in (before, after)
+    )
     (found,) = degradations(sweep_of(before, after, *change_between(*tables, "return")))
     return found.drops is not None
 
@@ -73,7 +75,7 @@ def group(values):
 def test_a_group_of_trainings_goes_by_signs_too():
     rng = np.random.default_rng(2)
     before, after = np.concatenate([returns(rng, 0.95) for _ in range(3)], axis=1)
-    _, change = change_of_group(group(before), group(after), "return")
+    _, change = change_between(group(before), group(after), "return")
     assert change > 0.5
     assert after.mean() < before.mean() - 50
 
@@ -85,7 +87,7 @@ def test_fewer_than_six_trainings_show_no_change_of_their_recipe(trainings, scor
     names = [f"g[{seed}]" for seed in range(trainings)]
     episodes = pd.MultiIndex.from_product([names, range(500)], names=["policy", "episode"])
     before, after = (pd.DataFrame({score: value}, index=episodes).reset_index() for value in (1.0, 0.0))
-    p, change = change_of_group(before, after, score)
+    p, change = change_between(before, after, score)
     assert change == -1
     assert p == pytest.approx(2 * 0.5**trainings, rel=0.2)
     assert (p < 0.05) == (trainings >= FEWEST_TRAININGS)
@@ -96,7 +98,7 @@ def test_nobody_is_behind_who_has_the_higher_return_more_often():
     table = pd.DataFrame(
         {
             "disturbance": "noise", "level": [0.0, 0.0, 1.0, 1.0], "policy": ["a", "b"] * 2, "success": math.nan,
-            "return": [0.0, -99.0] * 2, "return_low": math.nan, "return_high": math.nan,
+            "return": [0.0, -99.0] * 2, "return_low": math.nan, "return_high": math.nan, "unit": "m", "spared": False,
         }
     )  # fmt: skip
     rng = np.random.default_rng(0)

@@ -7,7 +7,7 @@ import pytest
 
 from armctl.envs import ERROR
 from armctl.episodes.table import table_of
-from armctl.stats.degradation import change_between
+from armctl.stats.robustness import change_between
 from armctl.verdict.scores import by_learner, counted_rows
 from armctl.verdict.summary import counted_results, summarise
 

@@ -14,13 +14,14 @@ from armctl.core.errors import ConfigurationError
 from armctl.stats.intervals import Estimate, Superiority, success_rate
 from armctl.stats.paired import (
     PairedDifference,
-    corrected,
+    Simultaneous,
     holm,
+    holm_adjusted,
     mover,
     paired_difference,
 )
 from armctl.stats.power import episodes_to_detect, episodes_to_show_equivalence
-from armctl.verdict.sentences import contests, headline, verdict
+from armctl.verdict.sentences import headline, verdict, verdict_pairs
 from armctl.verdict.summary import PolicySummary
 from armctl.verdict.summary_tables import paired_table
 
@@ -37,7 +38,8 @@ def summary_of(name, won):
     known = {
         "policy": name, "sees": "observation" if name in TRAINED else "model", "training": cost_of(name),
         "planned": len(won), "episodes": len(won),
-        "spared": (), "outcomes": {}, "success": success_rate(won), "decision_ms_p50": 0.25, "decision_ms_p99": 0.5,
+        "spared": (), "outcomes": {}, "success": success_rate(won), "decision_ms_mean": 0.25,
+        "decision_ms_p50": 0.2, "decision_ms_p99": 0.5,
         "worlds": 1, "workers": 1,
     }  # fmt: skip
     return PolicySummary(**values | known)
@@ -75,7 +77,7 @@ def test_it_is_about_the_best_planner_and_the_best_agent():
     assert text.startswith("reach_mpc is better than reach_ppo: success +25.0 points [")
     assert "after Holm's correction for 12 tests" in text  # six pairs, success and return: without steps
     assert "reach_ppo was trained for 1.5 million decisions and 940,000 gradient steps (12.0 minutes)" in text
-    assert "a decision takes reach_mpc 0.25 ms and reach_ppo 0.25 ms" in text
+    assert "reach_mpc: 0.25 ms per decision, reach_ppo: 0.25 ms per decision" in text
     assert "Their privileges differ: reach_mpc (observation + robot model), reach_ppo (observation)." in text
 
 
@@ -91,17 +93,17 @@ def test_the_headline_is_winner_difference_and_cost(ppo, says):
     result, cost = headline(*played({"reach_ik": range(400), "reach_ppo": range(ppo)}))
     assert re.fullmatch(says, result), result
     took = "reach_ppo 0.25 ms after 1.5 million decisions of training"
-    assert cost == f"On average, a decision takes reach_ik 0.25 ms, and {took}."
+    assert cost == f"Mean decision time: reach_ik 0.25 ms, {took}."
     assert len(f"{result} {cost}".split()) <= 32  # read in ten seconds
 
 
 def test_too_few_episodes_have_no_headline_but_that():
     wins = {"reach_ik": range(5), "reach_ppo": range(4)}
-    assert headline(*played(wins, episodes=5)) == ("No verdict from 5 episodes: it takes 10.", "")
+    assert headline(*played(wins, episodes=5)) == ("No verdict from 5 episodes: at least 10 are needed.", "")
     alone = played({"reach_ik": range(400)})
     assert headline(*alone) == (verdict(*alone), "")
     more = played(wins | {"mine.json": range(5)}, episodes=5)
-    assert headline(*more)[0] == "No verdict from 5 episodes: it takes 10."
+    assert headline(*more)[0] == "No verdict from 5 episodes: at least 10 are needed."
 
 
 def test_without_a_learned_policy_it_is_about_the_two_best():
@@ -120,7 +122,7 @@ def test_equivalence_is_a_claim_of_its_own():
     alike = {"reach_ik": range(398), "reach_ppo": range(397)}
     assert said(alike).startswith("reach_ik and reach_ppo are equivalent in success within 2 points: +0.2 points [")
     assert said(alike, margin=0.001).startswith("Undecided between reach_ik and reach_ppo")
-    assert "is better than reach_ppo, though by less than 10 points" in said(
+    assert "is better than reach_ppo, but by less than 10 points" in said(
         {"reach_ik": range(400), "reach_ppo": range(390)}, margin=0.1
     )
 
@@ -131,7 +133,7 @@ def test_an_undecided_verdict_says_how_many_episodes_would_tell():
     share = 3 / 52  # by Laplace's rule
     needed = max(episodes_to_detect(0.02, share, tests=2), episodes_to_show_equivalence(0.02, share)) - 50
     assert needed - 50 > episodes_to_detect(0.02, share)  # success and return are two tests
-    assert f"About {round(needed, 1 - len(str(needed))):,} more episodes would tell 2 points." in text
+    assert f"To resolve a 2-point difference, run about {round(needed, 1 - len(str(needed))):,} more episodes." in text
 
 
 def test_a_baseline_is_held_against_all_others():
@@ -162,7 +164,7 @@ def test_where_success_does_not_differ_the_steps_are_told():
     text = verdict(*quick_and_slow(26.0))
     assert re.match(
         r"reach_mpc and reach_ppo are equivalent in success within 2 points: \+0\.0 points \[-0\.7, 0\.7\]; "
-        r"reach_mpc takes 26\.0 \[25\.\d, 26\.\d\] steps fewer, p = 0\.0015 after Holm's correction for 3 tests\. "
+        r"reach_mpc takes 26\.0 \[25\.\d, 26\.\d\] fewer steps, p = 0\.0015 after Holm's correction for 3 tests\. "
         r"reach_ppo was trained",
         text,
     ), text
@@ -170,7 +172,7 @@ def test_where_success_does_not_differ_the_steps_are_told():
         "reach_mpc and reach_ppo are equivalent within 2 points of success; reach_mpc takes 26.0 ["
     )
     same = verdict(*quick_and_slow(0.0))
-    assert "steps fewer" not in same
+    assert "fewer steps" not in same
     assert same.startswith(
         "reach_mpc and reach_ppo are equivalent in success within 2 points: +0.0 points [-0.7, 0.7]. "
     )
@@ -192,14 +194,15 @@ def test_steps_are_told_of_the_undecided_and_not_of_a_winner():
     )
     assert re.match(
         r"Undecided between reach_ik and reach_ppo: success \+4\.0 points \[-\d\.\d, 13\.\d\], p = 0\.95 after Holm's "
-        r"correction for 3 tests; reach_ik takes 22\.8 \[13\.8, 29\.9\] steps fewer, p = 0\.0015\. About [\d,]+ more",
+        r"correction for 3 tests; reach_ik takes 22\.8 \[13\.8, 29\.9\] fewer steps, p = 0\.0015\. "
+        r"To resolve a 2-point difference, run about [\d,]+ more",
         undecided,
     ), undecided
     better = verdict(
         *played({"reach_ik": range(50), "reach_ppo": range(20)}, 50, {"reach_ik": fast, "reach_ppo": slow})
     )
     assert better.startswith("reach_ik is better than reach_ppo: success +60.0 points [")
-    assert "steps fewer" not in better
+    assert "fewer steps" not in better
 
 
 def test_the_faster_one_may_be_the_one_of_less_success():
@@ -214,12 +217,12 @@ def test_all_that_a_verdict_may_tell_is_corrected_together():
     pace = {"reach_ik": np.full(400, 20.0), "reach_ppo": np.arange(400) % 40, "reach_mpc": np.arange(400) % 38}
     _, pairs = played(wins, steps=pace)
     tests = [p for pair in pairs for p in (pair.mcnemar_p, pair.steps_p, pair.return_p)]
-    found = corrected(pairs)
+    found = holm_adjusted(pairs)
     assert [p for one in found for p in (one.success, one.steps, one.returns)] == holm(tests)
     assert {one.tests for one in found} == {9}
     with_ik = [pair for pair in pairs if "reach_ik" in (pair.a, pair.b)]
-    of_ik = corrected(pairs, "reach_ik")
-    assert [one for one in of_ik if one.tests == 6] == corrected(with_ik)
+    of_ik = holm_adjusted(pairs, "reach_ik")
+    assert [one for one in of_ik if one.tests == 6] == holm_adjusted(with_ik)
     assert [one for one in of_ik if one.tests == 9] == [found[2]]
     assert paired_table(pairs).records[0]["p_corrected"] == found[0].success
 
@@ -233,7 +236,7 @@ def test_of_equally_good_policies_anything_is_told_in_five_of_a_hundred_verdicts
         pace = dict(zip(names, 20.0 * rng.integers(1, 4, (policies, 60)), strict=True))
         earned = dict(zip(names, rng.integers(0, 2, (policies, 60)) * 1.0, strict=True))
         text = verdict(*compared(won, pace, earned)).partition("reach_ppo was trained")[0]
-        wrong += any(claim in text for claim in (" is better than ", " steps fewer", " earns "))
+        wrong += any(claim in text for claim in (" is better than ", " fewer steps", " earns "))
     assert wrong / runs <= 0.05 + 2 * (0.05 * 0.95 / runs) ** 0.5
 
 
@@ -247,9 +250,9 @@ def test_the_interval_of_the_chosen_pair_holds(agents, sized):
         won = dict(zip(names, rng.random((1 + agents, 100)) < 0.8, strict=True))
         trained = {name: TrainingCost() if name == "reach_ik" else TrainingCost(1000) for name in names}
         policies = [dataclasses.replace(summary_of(name, of), training=trained[name]) for name, of in won.items()]
-        (one,) = contests(policies, counted(won), None)
-        assert one.claims == agents
-        held += one.first_ahead.low <= 0 <= one.first_ahead.high
+        (one,) = verdict_pairs(policies, counted(won), None)
+        assert one.num_comparisons == agents
+        held += one.success.low <= 0 <= one.success.high
     assert held / runs >= 0.95 - 2 * (0.05 * 0.95 / runs) ** 0.5
 
 
@@ -259,7 +262,7 @@ def counted(won):
     return [
         PairedDifference(
             a, b, len(won[a]), 0, int((won[a] & ~won[b]).sum()), int((won[b] & ~won[a]).sum()), 0, 1.0, never,
-            Superiority(never, 1.0), None,
+            Superiority(never, 1.0), None, Simultaneous(never, never, None),
         )
         for a, b in itertools.combinations(won, 2)
     ]  # fmt: skip
@@ -270,20 +273,26 @@ def test_intervals_of_the_sentence_hold_for_all_pairs_at_once():
     names = ["reach_ik", "reach_mpc", "reach_ppo", "reach_sac"]
     won = dict(zip(names, rng.random((4, 200)) < 0.9, strict=True))
     policies, pairs = compared(won, {name: rng.integers(10, 60, 200) * 1.0 for name in names})
-    (one,) = contests(policies, pairs, None)
-    assert one.claims == 4  # two classical and two learned ones
-    assert abs(one.first_ahead.value) == abs(one.pair.success_difference.value)
-    counts = (one.pair.only_a, one.pair.only_b, 200)
-    assert one.pair.success_among(4) == mover(*counts, 1 - 0.05 / 4)
-    assert one.pair.success_difference == mover(*counts)
-    spans = ((one.steps_ahead, one.pair.steps_difference), (one.return_ahead, one.pair.return_difference))
+    (one,) = verdict_pairs(policies, pairs, None)
+    assert one.num_comparisons == 4  # two classical and two learned ones
+    assert abs(one.success.value) == abs(one.difference.success_difference.value)
+    counts = (one.difference.only_a, one.difference.only_b, 200)
+    assert one.difference.success_among(4) == mover(*counts, 1 - 0.05 / 4)
+    assert one.difference.success_difference == mover(*counts)
+    spans = (
+        (one.difference.simultaneous.steps, one.difference.steps_difference),
+        (one.difference.simultaneous.returns, one.difference.return_difference),
+    )
     for wide, own in spans:
         assert wide.high - wide.low > 1.2 * (own.high - own.low)
         assert abs(wide.value) == abs(own.value)
-    assert contests(policies, pairs, "reach_ik")[0].claims == 3
+    assert verdict_pairs(policies, pairs, "reach_ik")[0].num_comparisons == 3
     renamed = {name.replace("reach_mpc", "mine.py:pd"): of for name, of in won.items()}
     renamed["mine.py:pd"] = np.zeros(200, dtype=bool)
-    assert [found.claims for found in contests(*compared(renamed), None)] == [6, 6]  # all: one more is told
+    assert [found.num_comparisons for found in verdict_pairs(*compared(renamed), None)] == [
+        6,
+        6,
+    ]  # all: one more is told
 
 
 def test_equivalence_is_for_all_pairs_among_which_the_best_were_chosen():
@@ -324,7 +333,7 @@ def test_without_bounds_of_returns_the_sign_test_speaks():
     ]
     sentence = "bold has the higher return in 71 % [61, 80] of episodes (sign test, p = 3.2e-05; ties count half)"
     for policies, pairs in ((summaries, [unknown]), (summaries[::-1], [unknown])):
-        assert verdict(policies, pairs).startswith(f"{sentence}. On average")
+        assert verdict(policies, pairs).startswith(f"{sentence}. bold: 0.25 ms per decision")
         assert headline(policies, pairs)[0] == f"{sentence}."
         assert verdict(policies, pairs, looks=[50]).startswith(
             f"{sentence}; after an earlier look at 50 episodes, p is"
@@ -361,18 +370,18 @@ def test_whoever_earns_more_is_told_also_if_the_other_wins_more_often():
         text = verdict(*played({name: wins[name] for name in names}, returns={name: returns[name] for name in names}))
         assert "reach_ik and reach_ppo are equivalent in success" in text
         assert " reach_ppo earns 0.3 [0." in text
-        assert " more an episode than reach_ik, p = " in text
+        assert " more return per episode than reach_ik, p = " in text
 
 
 @pytest.mark.parametrize(
     ("worlds", "said"),
-    [((1, 1), "0.25 ms."), ((4, 4), "0.25 ms (shares of a batch of 4 worlds)."),
-     ((1, 4), "0.25 ms (latencies, shares of a batch of 4 worlds).")],
+    [((1, 1), "."), ((4, 4), " (shares of a batch of 4 worlds)."),
+     ((1, 4), " (latencies, shares of a batch of 4 worlds).")],
 )  # fmt: skip
 def test_the_cost_says_what_decision_times_are(worlds, said):
     summaries, pairs = played({"reach_ik": range(400), "reach_ppo": range(300)})
     summaries = [dataclasses.replace(one, worlds=n) for one, n in zip(summaries, worlds, strict=True)]
-    assert f"a decision takes reach_ik 0.25 ms and reach_ppo {said}" in verdict(summaries, pairs)
+    assert f"reach_ik: 0.25 ms per decision, reach_ppo: 0.25 ms per decision{said}" in verdict(summaries, pairs)
 
 
 @pytest.mark.slow
@@ -409,9 +418,9 @@ def test_verdicts_by_return_are_corrected_for_their_number():
         for name, one in returns.items()
     ]
     assert re.match(
-        r"a earns 0\.1 \[0\.0, 0\.2\] more an episode than b, p = 0\.0\d+\.", verdict(summaries[:2], pairs[:1])
+        r"a earns 0\.1 \[0\.0, 0\.2\] more return per episode than b, p = 0\.0\d+\.", verdict(summaries[:2], pairs[:1])
     )
-    assert verdict(summaries, pairs).startswith("The returns of a and b are not shown to differ.")
+    assert verdict(summaries, pairs).startswith("The returns of a and b do not differ significantly.")
 
 
 def test_a_baseline_must_take_part():

@@ -21,6 +21,7 @@ def policy(name, success, cost=None, ms=1.0, **more):
     values = {field.name: None for field in dataclasses.fields(PolicySummary)}
     known = {
         "policy": name, "sees": "observation", "training": cost or TrainingCost(), "decision_ms_p50": ms,
+        "decision_ms_mean": ms,
         "decision_ms_p99": 2 * ms, "success": Estimate(success, success - 0.1, success + 0.1),
         "worlds": 1, "workers": 1,
     }  # fmt: skip
@@ -69,11 +70,11 @@ PPO = TrainingCost(400, None, 400)
     [
         (
             (0.0, 0.5, 0.9, 0.85),
-            "ppo is first measured at or above the 90.0 % of ik after 200 decisions: 90.0 % [80.0, 100.0].",
+            "ppo reaches the 90.0 % of ik after 200 decisions: 90.0 % [80.0, 100.0].",
         ),
         (
             (0.0, 0.5, 0.8, 0.7),
-            "ppo is not seen to reach the 90.0 % of ik: 80.0 % [70.0, 90.0] at best in 300 decisions of training.",
+            "ppo does not reach the 90.0 % of ik: its best in 300 decisions of training is 80.0 % [70.0, 90.0].",
         ),
     ],
 )

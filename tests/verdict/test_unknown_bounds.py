@@ -12,7 +12,7 @@ from armctl.episodes.record import EpisodeResult
 from armctl.episodes.table import EpisodeTable
 from armctl.report.page import _command
 from armctl.stats.intervals import Estimate, bounded_mean, median, worst_decile
-from armctl.stats.paired import corrected, difference_of_groups, paired_difference
+from armctl.stats.paired import paired_difference
 from armctl.study.results import read_comparison
 from armctl.verdict.summary import summarise
 
@@ -82,8 +82,8 @@ def test_without_bounds_nothing_is_concluded_from_a_mean(skewed):
             assert policy.median_return == median(earned[policy.policy])
             assert policy.median_return.low < policy.median_return.high
         assert " earns " not in said_in(found)
-        assert " more an episode" not in said_in(found)
-        assert corrected(found.paired)[0].higher == pair.superiority.p < 0.05  # the sign test is valid, and stays
+        assert " more return per episode" not in said_in(found)
+        assert holm_adjusted(found.paired)[0].higher == pair.superiority.p < 0.05  # the sign test is valid, and stays
         assert "sign test" in found.verdict
 
 
@@ -127,7 +127,7 @@ def test_bounds_decide_whether_a_mean_of_returns_has_an_interval():
 def test_groups_of_trainings_are_no_exception():
     rng = np.random.default_rng(0)
     several, single = np.stack([returns(rng, 1) for _ in range(3)]), returns(rng, 0)[None]
-    pair = difference_of_groups("g[*]", "b", None, (several, single), None, None)
+    pair = paired_difference("g[*]", "b", None, (several, single), None, None)
     assert pair.return_difference == Estimate(pytest.approx(several.mean() - single.mean()), None, None)
     assert pair.return_p is None
     assert pair.superiority.probability.value > 0.5

@@ -17,7 +17,7 @@ def played(stage):
 
 @pytest.mark.parametrize(("policy", "env"), [("reach_ik", "armctl/ArmReach-v0"), ("random", "armctl/BridgeCross-v0")])
 def test_an_episode_on_stage_is_the_one_that_is_evaluated(policy, env):
-    rows = armctl.evaluate(policy, env, episodes=2, seed=3, least_lengths=False)
+    rows = armctl.evaluate(policy, env, episodes=2, seed=3, lower_bound_steps=False)
     status = played(Stage(policy, env, seed=3, episode=1))
     assert (status.outcome, status.steps) == tuple(rows.loc[1, ["outcome", "length"]])
     assert status.total_reward == pytest.approx(rows.loc[1, "return"])

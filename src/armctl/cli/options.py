@@ -34,7 +34,7 @@ PolicyName = Annotated[
 
 def seed_of(text: str) -> int:
     """Return the seed that a command line names: a whole number, or `test`."""
-    from armctl.rollout.seeds import TEST, TEST_SEED
+    from armctl.core.seeds import TEST, TEST_SEED
 
     text = str(text)  # of a default, which is a number
     if text == TEST:

@@ -16,20 +16,21 @@ from typing import Any
 from armctl import DEFAULT_ENV
 from armctl.core.errors import EnvironmentFailed, ResultsError
 from armctl.core.files import LOCK, bounded_text, one_writer, unsealed
+from armctl.core.seeds import check_training_data_seed
 from armctl.datasets.demonstrations import Demonstration, demonstrate
 from armctl.datasets.formats import Format, load_format, load_formats
 from armctl.datasets.minari import UNFINISHED, check_recordable
 from armctl.datasets.parallel import WorldsAsAsked, demonstrate_in_workers
-from armctl.datasets.unfinished import IDENTITY, OTHERWISE, Unfinished, check_same
+from armctl.datasets.unfinished import IDENTITY, OTHER_DATASET, Unfinished
 from armctl.envs import chosen_policy_seed, full_id
 from armctl.episodes.failures import PolicyFailed
 from armctl.episodes.stored import POLICY_SEED
 from armctl.policies import PolicyFactory, policy_name
 from armctl.rollout.parallel import WorkerConfig, check_sendable
 from armctl.rollout.rollouts import build_policy, check_counts
-from armctl.rollout.seeds import check_training_data_seed
 from armctl.runtime.engines import Engine, engine_of
-from armctl.runtime.identity import identity
+from armctl.runtime.folder import OTHERWISE, claim
+from armctl.runtime.identity import identity, reasons_not_to_resume
 from armctl.runtime.provenance import versions
 from armctl.runtime.workers import WorkersFailed
 
@@ -198,7 +199,9 @@ def _finished(folder: Path, kind: Format, local_identity: Mapping[str, Any], epi
             raise ResultsError(f"{folder} already holds a dataset in the format {name}: {OTHERWISE}")
     if not any((folder / part).exists() for part in kind.PARTS):
         return None
-    values = check_same(folder / kind.MANIFEST, local_identity, folder)
+    values = claim(folder / kind.MANIFEST, local_identity, OTHER_DATASET, reasons=reasons_not_to_resume)
+    if values is None:
+        raise ResultsError(f"{folder} already holds a part of a dataset: {OTHERWISE}")
     if (stored_count := values["total_episodes"]) != episodes:
         raise ResultsError(f"{folder} already holds a dataset, of {stored_count} episodes, not {episodes}: {OTHERWISE}")
     return Collection(folder, episodes, values["total_steps"], values["successes"], resumed=episodes)

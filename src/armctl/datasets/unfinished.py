@@ -3,7 +3,6 @@
 Minari rewrites a dataset's files in place, so that a killed process can leave none that is readable.
 """
 
-import json
 import shutil
 import zipfile
 from collections.abc import Mapping
@@ -13,12 +12,13 @@ from typing import Any
 import numpy as np
 
 from armctl.core.errors import ResultsError
-from armctl.core.files import bounded_text, sealed, unsealed, write_atomically
+from armctl.core.files import sealed, write_atomically
 from armctl.datasets.demonstrations import OBSERVATIONS, Demonstration, observations_of, parts_of
+from armctl.runtime.folder import claim
 from armctl.runtime.identity import reasons_not_to_resume
 
-OTHERWISE = "choose another folder, or overwrite it (--overwrite)"
 IDENTITY = "identity.json"
+OTHER_DATASET = "a dataset of another kind"
 
 
 class Unfinished:
@@ -31,8 +31,7 @@ class Unfinished:
         self.folder = folder
         self.outcomes: dict[int, str] = {}
         self.steps = self.successes = 0
-        if (folder / IDENTITY).exists():
-            check_same(folder / IDENTITY, identity, folder)
+        if claim(folder / IDENTITY, identity, OTHER_DATASET, reasons=reasons_not_to_resume) is not None:
             self.count_again()
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -88,19 +87,6 @@ class Unfinished:
 
     def _path(self, number: int) -> Path:
         return self.folder / f"episode_{number}.npz"
-
-
-def check_same(path: Path, identity: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """Return the values of a JSON file with an identity. Raises `ResultsError` unless the identity is this one."""
-    try:
-        values = unsealed(bounded_text(path))
-        stored = values.get("identity", values)
-        differences = "; ".join(reasons_not_to_resume(stored, json.loads(json.dumps(identity))))
-    except (OSError, ValueError, AttributeError) as error:
-        raise ResultsError(f"{folder} already holds a dataset that is damaged ({error}): {OTHERWISE}") from error
-    if differences:
-        raise ResultsError(f"{folder} already holds a dataset of another kind ({differences}): {OTHERWISE}")
-    return values
 
 
 def _read(path: Path) -> tuple[str, Demonstration]:

@@ -1,4 +1,4 @@
-"""What becomes of a policy's failures: an episode in which it fails is a loss, and one that cannot play is refused."""
+"""Failures of policies: an episode in which a policy fails is a loss, and a policy that cannot play is refused."""
 
 from collections.abc import Iterable, Iterator, Sequence
 
@@ -45,7 +45,7 @@ class FirstEpisodes:
         if self._undecided:
             return []
         self._unplayable = True
-        raise failure_of(min(self._held, key=lambda one: one.episode))
+        raise failure_of(min(self._held, key=lambda result: result.episode))
 
 
 def until_unplayable(results: Iterable[EpisodeResult], name: str, episodes: Sequence[int]) -> Iterator[EpisodeResult]:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,11 +39,25 @@ class Metrics:
     """Warm decisions that took longer than the control period, the first one together with the reset before it; None
     if the period or latencies are unknown."""
     decision_ms_p50: float
-    """Of warm decisions, like the next two: of all but the policy's first in its process, unless there is no other."""
+    """Median of warm decisions: all but the policy's first in its process, unless there is no other; like the next two.
+    """
     decision_ms_p99: float
     decision_ms_max: float
-    decision_ms_cold: float
+    first_call_ms: float
     """Time of the policy's first decision in its process; NaN if that was in another episode."""
+
+
+class EpisodeTimes(NamedTuple):
+    """Decision times of an episode."""
+
+    decision_ms: Array
+    """(steps,) NaN in control steps in which no decision began."""
+    reset_ms: float
+    """Time of the reset before the first decision."""
+    first_call: bool
+    """True if the first decision was the policy's first in its process."""
+    time_scale: float | None
+    """Factor by which decisions take longer than they were measured; None if times are not latencies."""
 
 
 def metrics(
@@ -51,57 +65,51 @@ def metrics(
     world: int,
     start: Array,
     motions: Sequence[MotionSample],
-    decision_ms: Array,
+    times: EpisodeTimes,
     solver_failures: int,
-    *,
-    reset_ms: float,
-    cold: bool,
-    slow_down: float | None,
 ) -> Metrics:
-    """Metrics of the episode that has just ended in a world; it may have no step, if the policy failed before.
+    """Return metrics of the episode that has just ended in a world; it may have no step, if the policy failed before.
 
-    `start` (3,) m is the robot's initial position, `motions` and `decision_ms` (steps,) are those of its control steps.
-    `decision_ms` is NaN in steps in which none began; `reset_ms`, before the first, is apart. `cold` says whether the
-    first decision was the policy's first in its process; `slow_down` by how much decisions take longer, None if times
-    are no latencies.
+    `start` (3,) m is the robot's initial position, `motions` are those of its control steps.
     """
     period = task.control_period
-    known = task.motion().contact is not None
+    decision_ms, reset_ms, first_call, time_scale = times
+    reports_contacts = task.motion().contact is not None
     contacts = sum(bool(motion.contact[world]) for motion in motions if motion.contact is not None)
     positions = np.array([start, *(motion.position[world] for motion in motions)])
     configurations = np.array([motion.configuration[world] for motion in motions])
     use = _joint_use(task, world, motions, configurations)
-    warm = warm_times(decision_ms, cold)
-    waits = warm_times(np.concatenate((decision_ms[:1] + reset_ms, decision_ms[1:])), cold)
-    p50, p99, most = np.quantile(warm, (0.5, 0.99, 1.0)) if len(warm) else [math.nan] * 3
+    warm = warm_times(decision_ms, first_call)
+    waits = warm_times(np.concatenate((decision_ms[:1] + reset_ms, decision_ms[1:])), first_call)
+    p50, p99, longest = np.quantile(warm, (0.5, 0.99, 1.0)) if len(warm) else [math.nan] * 3
     return Metrics(
         path_length(positions),
         math.nan if period is None else smoothness(positions, period),
         *use,
         task.least_clearance(world, configurations) if motions else math.nan,
-        contacts if known else None,
+        contacts if reports_contacts else None,
         solver_failures,
-        None if slow_down is None or period is None else int((slow_down * waits > 1e3 * period).sum()),
+        None if time_scale is None or period is None else int((time_scale * waits > 1e3 * period).sum()),
         round(float(p50), 4),
         round(float(p99), 4),
-        round(float(most), 4),
-        float(decision_ms[0]) if cold and motions else math.nan,
+        round(float(longest), 4),
+        float(decision_ms[0]) if first_call and motions else math.nan,
     )
 
 
-def warm_times(decision_ms: Array, cold: bool) -> Array:
-    """The times of an episode's decisions without the first one if that was `cold`, unless it is the only one.
+def warm_times(decision_ms: Array, first_call: bool) -> Array:
+    """Return the times of an episode's decisions, without the first one if that was a `first_call` and has others.
 
     `decision_ms` (steps,) is NaN in steps in which none began.
     """
     times = decision_ms[~np.isnan(decision_ms)]
-    return times[1:] if cold and len(times) > 1 else times
+    return times[1:] if first_call and len(times) > 1 else times
 
 
 def _joint_use(
     task: Any, world: int, motions: Sequence[MotionSample], configurations: Array
 ) -> tuple[float, float, float, float]:
-    """Use of range, speed and torque, and energy; NaN without a step, and if the task does not sample its joints."""
+    """Return use of range, speed and torque, and energy; NaN without a step, and if joints are not sampled."""
     if task.joints is None or not motions:
         return math.nan, math.nan, math.nan, math.nan
     samples = [motion.joints[:, :, world] for motion in motions if motion.joints is not None]
@@ -115,17 +123,17 @@ def _joint_use(
 
 
 def range_use(positions: Array, lowest: Array, highest: Array) -> float:
-    """Largest distance of joint positions (m, k) from the middle of their range: 0 in the middle, 1 at a limit."""
+    """Return the largest distance of joint positions (m, k) from mid-range: 0 in the middle, 1 at a limit."""
     return float(np.abs(2 * (positions - lowest) / (highest - lowest) - 1).max())
 
 
 def path_length(positions: Array) -> float:
-    """Length of the polyline through positions (m, 3), m."""
+    """Return the length of the polyline through positions (m, 3), m."""
     return float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
 
 
 def smoothness(positions: Array, period: float) -> float:
-    """Log dimensionless jerk of a motion through positions (m, 3), one `period` (s) apart.
+    """Return the log dimensionless jerk of a motion through positions (m, 3), one `period` (s) apart.
 
     -ln(duration^3 / peak speed^2 * integral of jerk^2) does not depend on size and duration, and is -ln 204.8 = -5.3
     for the smoothest motion from rest to rest (Balasubramanian, Melendez-Calderon, Roby-Brami and Burdet, "On the

@@ -12,11 +12,11 @@ from armctl.episodes.metrics import Metrics, warm_times
 
 COLUMNS = (
     "policy", "env", "episode", "seed", "outcome", "success", "feasible", "return", "reward_terms", "length",
-    "least_length", "optimality_gap", "tracking_error", *(field.name for field in fields(Metrics)),
+    "lower_bound_steps", "optimality_gap", "tracking_error", *(field.name for field in fields(Metrics)),
     "reset_ms", "worlds", "workers", "run",
 )  # fmt: skip
 TIME_COLUMNS = (
-    "missed_deadlines", "decision_ms_p50", "decision_ms_p99", "decision_ms_max", "decision_ms_cold", "reset_ms",
+    "missed_deadlines", "decision_ms_p50", "decision_ms_p99", "decision_ms_max", "first_call_ms", "reset_ms",
     "worlds", "workers", "run",
 )  # fmt: skip
 """The columns that depend on the machine, and on how it was used. All others are the same whenever and wherever an
@@ -42,15 +42,15 @@ class EpisodeResult:
     reward_terms: dict[str, float]
     """The sum of each reward term; the return is the sum of these."""
     length: int
-    least_length: float
+    lower_bound_steps: float
     """Lower bound on the number of control steps until success; NaN if unknown (see `Task.least_time`)."""
     tracking_error: float
     """m, mean distance to a moving target since it was first reached; NaN in other tasks."""
     metrics: Metrics
     worlds: int
-    """How many worlds shared the policy's calls: decision times are these calls' divided by it."""
+    """Number of worlds that shared the policy's calls: decision times are these calls' divided by it."""
     workers: int
-    """How many processes played at a time."""
+    """Number of processes that played at a time."""
     decision_ms: NDArray[np.float64]
     """(length,) decision times: wall time of each call of the policy, to 0.1 us.
 
@@ -58,25 +58,23 @@ class EpisodeResult:
     run: str = ""
     """Id of the run that played it (see `Run`); empty if that is unknown."""
     reset_ms: float = math.nan
-    """Wall time of the policy's reset at the beginning; of several worlds at once, divided by their number.
-
-    NaN in episodes of older versions, where it is in the first decision time."""
+    """Wall time of the policy's reset at the beginning; of several worlds at once, divided by their number."""
 
     @property
     def optimality_gap(self) -> float:
         """Relative excess of the length over the least possible; NaN unless that is known, and it was a success."""
-        return self.length / self.least_length - 1 if self.success and self.least_length > 0 else math.nan
+        return self.length / self.lower_bound_steps - 1 if self.success and self.lower_bound_steps > 0 else math.nan
 
     @property
     def warm_ms(self) -> NDArray[np.float64]:
         """The decision times without that of the policy's first decision in its process (see `warm_times`)."""
-        return warm_times(self.decision_ms, not math.isnan(self.metrics.decision_ms_cold))
+        return warm_times(self.decision_ms, not math.isnan(self.metrics.first_call_ms))
 
     def row(self) -> dict[str, Any]:
-        """The episode as a row of `episodes.csv`."""
+        """Return the episode as a row of `episodes.csv`."""
         values = (
             self.policy, self.env, self.episode, self.seed, self.outcome, self.success, self.feasible,
-            self.total_reward, json.dumps(self.reward_terms), self.length, self.least_length, self.optimality_gap,
+            self.total_reward, json.dumps(self.reward_terms), self.length, self.lower_bound_steps, self.optimality_gap,
             self.tracking_error,
             *vars(self.metrics).values(), self.reset_ms, self.worlds, self.workers, self.run,
         )  # fmt: skip
@@ -88,5 +86,5 @@ class FailedEpisode(EpisodeResult):
     """An episode with the outcome `ERROR`, in the process that played it: what is written does not say why."""
 
     message: str = ""
-    """What the policy did wrong, and where."""
+    """The policy's error, and its place."""
     traceback: str = ""

@@ -159,7 +159,7 @@ class EpisodeTable(Sequence[EpisodeResult]):
     @property
     def optimality_gap(self) -> Array:
         """As `EpisodeResult.optimality_gap`, of each."""
-        least = np.where(self.column("least_length") > 0, self.column("least_length"), math.nan)
+        least = np.where(self.column("lower_bound_steps") > 0, self.column("lower_bound_steps"), math.nan)
         with np.errstate(over="ignore"):
             return np.where(self.won, self.column("length") / least - 1, math.nan)
 
@@ -195,7 +195,7 @@ class EpisodeTable(Sequence[EpisodeResult]):
 
     def warm_ms(self) -> Array:
         """The times of all warm decisions, of one episode after the other, in an array of its own."""
-        cold = ~np.isnan(self.column("decision_ms_cold"))
+        cold = ~np.isnan(self.column("first_call_ms"))
         (alone,) = np.nonzero(cold)
         bounds = np.unique(np.concatenate((alone, alone + 1, np.arange(0, len(self), AT_ONCE), [len(self)])))
         found, end = np.empty(int(self.column("length").sum())), 0

@@ -88,7 +88,7 @@ def by_seed(recipe: str, paths: Sequence[Path]) -> dict[int, Path]:
     cards = [read_card(path) for path in paths]
     paths_by_seed: dict[int, Path] = {}
     for path, card in zip(paths, cards, strict=True):
-        _check_alike(recipe, cards[0], card, path)
+        _check_same_recipe(recipe, cards[0], card, path)
         if card.training_seed is None:
             raise AgentFileError(f"{path} does not say with which seed it was trained, and so is none of {recipe}[*]")
         if card.training_seed in paths_by_seed:
@@ -147,7 +147,7 @@ def card_of(policy: Any) -> AgentCard | None:
     return None if path is None else read_card(path)
 
 
-def _check_alike(recipe: str, first: AgentCard, card: AgentCard, path: Path) -> None:
+def _check_same_recipe(recipe: str, first: AgentCard, card: AgentCard, path: Path) -> None:
     for name in FIELDS_THAT_MUST_MATCH:
         for field, value, other in _differences(name, getattr(first, name), getattr(card, name)):
             raise ConfigurationError(

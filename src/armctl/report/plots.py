@@ -18,7 +18,7 @@ from armctl.report.colours import TERM_COLOURS
 from armctl.report.profile import profile, profile_start
 from armctl.rollout.decision_times import Machines
 from armctl.stats.intervals import Estimate
-from armctl.stats.paired import Corrected, PairedDifference, corrected
+from armctl.stats.paired import AdjustedP, PairedDifference, holm_adjusted
 from armctl.stats.robustness import RobustnessRanking
 from armctl.study.comparison import Comparison
 from armctl.study.curves import training_curves
@@ -173,7 +173,7 @@ def _profile(comparison: Comparison, styles: style.Styles) -> Plot:
 
 
 def _paired(comparison: Comparison, styles: style.Styles) -> list[Plot]:
-    pairs = list(zip(comparison.paired, corrected(comparison.paired, comparison.facts.baseline), strict=True))
+    pairs = list(zip(comparison.paired, holm_adjusted(comparison.paired, comparison.facts.baseline), strict=True))
     if len(pairs) > MAX_PAIRS:
         reached = [policy for policy in comparison.policies if not policy.spared]
         best = max(reached, key=lambda policy: _score(policy.success or policy.episode_return))
@@ -205,7 +205,7 @@ def _besides_decisions(policies: Sequence[PolicySummary]) -> str:
     return " ".join(sentences)
 
 
-def _difference(pair: PairedDifference, p: Corrected) -> str:
+def _difference(pair: PairedDifference, p: AdjustedP) -> str:
     """Describe a pair's figure in numbers."""
     gain = pair.return_difference
     earns = "Return unknown." if math.isnan(gain.value) else f"Return {gain.value:+.1f} ({spread(gain, sign='+')})."

@@ -1,4 +1,4 @@
-"""Times the construction, the resets and the decisions of a policy, and says what the times are worth."""
+"""Times of the construction, the resets and the decisions of a policy, and remarks on what they are worth."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -18,33 +18,33 @@ from armctl.tasks import Observations
 Errors = dict[int, BaseException]
 """Errors of a policy, by the world in which each arose."""
 DIGITS = 4
-"""Of a time in ms: to 0.1 us."""
+"""Decimals of a time in ms: to 0.1 us."""
 
 
 class TimedPolicy:
     """A policy in n worlds.
 
-    What a call takes is divided by the number of worlds that it is for. `cold` (n,) says in which worlds the first
+    The time of a call is divided by the number of its worlds. `first_call` (n,) marks the worlds in which the first
     decision of the current episode was the policy's very first, in which code is loaded and compiled.
     """
 
-    slow_down = 1.0
-    """By how much a decision takes longer than it was measured."""
+    time_scale = 1.0
+    """Factor by which a decision takes longer than it was measured."""
 
     def __init__(self, policy: Policy, n: int, workers: int = 1) -> None:
         self.policy = policy
         self.setting = (n, workers)
-        """How many worlds share a call, and how many processes play."""
-        self.cold = np.zeros(n, dtype=bool)
+        """Numbers of worlds that share a call, and of processes that play."""
+        self.first_call = np.zeros(n, dtype=bool)
         self.construction_ms: float | None = None
-        """How long it took to make it, if that was measured."""
+        """Time to make it, if that was measured."""
         self.reset_ms = np.zeros(n)
         """(n,) the time of the reset with which each world's current episode began."""
         self._fresh = True
 
     def reset(self, ids: NDArray[np.int32], episodes: Sequence[int]) -> Errors:
-        """Worlds `ids` start these `episodes`."""
-        self.cold[ids] = self._fresh
+        """Start these `episodes` in the worlds `ids`."""
+        self.first_call[ids] = self._fresh
         start, errors = perf_counter(), Errors()
         try:
             self.policy.reset(ids)
@@ -54,19 +54,20 @@ class TimedPolicy:
         return errors
 
     def act(self, observations: Observations) -> tuple[Actions, NDArray[np.float64], Errors]:
-        """Actions (n, ...), and the time of each world's decision, (n,) ms; NaN where none begins."""
+        """Return actions (n, ...), and the time of each world's decision, (n,) ms; NaN where none begins."""
         start, errors = perf_counter(), Errors()
         try:
             actions: Any = self.policy.act(observations)
         except ControllersFailed as failure:
             actions, errors = failure.actions, failure.errors
-        spent = np.full(len(self.cold), 1e3 * (perf_counter() - start) / len(self.cold))
+        n = len(self.first_call)
+        spent = np.full(n, 1e3 * (perf_counter() - start) / n)
         self._fresh = False
         return actions, np.round(spent, DIGITS), errors
 
 
 def timed_construction(make: Callable[[], Policy]) -> tuple[Policy, float]:
-    """Make a policy. Return also how long that took, ms: of a controller, if there is one for each world."""
+    """Make a policy. Return also the time that took, ms: of a controller, if there is one for each world."""
     start = perf_counter()
     policy = make()
     spent = 1e3 * (perf_counter() - start)
@@ -75,7 +76,7 @@ def timed_construction(make: Callable[[], Policy]) -> tuple[Policy, float]:
 
 @dataclass(frozen=True)
 class Machines:
-    """On which machine the episodes of each run were played. Times of different machines are not pooled."""
+    """Machines on which the episodes of each run were played. Times of different machines are not pooled."""
 
     by_run: Mapping[str, str]
     busiest: str = ""
@@ -102,33 +103,33 @@ def comparable_times(results: Sequence[EpisodeResult], machines: Machines = Mach
     table = table_of(results)
     settings = machines.settings(table)
     counts = Counter(settings)
-    best = max(counts, key=lambda one: (one[:2] == (1, 1), one[2] == machines.busiest, counts[one]))
+    best = max(counts, key=lambda setting: (setting[:2] == (1, 1), setting[2] == machines.busiest, counts[setting]))
     return table[np.array([setting == best for setting in settings])]
 
 
 def setting_in_words(worlds: int, workers: int) -> str:
-    """What decision times are if they are not latencies; empty if they are."""
-    said = [f"shares of a batch of {worlds} worlds"] if worlds > 1 else []
+    """Return the kind of decision times if they are not latencies; empty if they are."""
+    parts = [f"shares of a batch of {worlds} worlds"] if worlds > 1 else []
     others = "another worker" if workers == 2 else f"up to {workers - 1} other workers"
-    said += [f"taken while {others} computed"] if workers > 1 else []
-    return ", ".join(said)
+    parts += [f"taken while {others} computed"] if workers > 1 else []
+    return ", ".join(parts)
 
 
-def unjudged(results: EpisodeTable, runs: Iterable[Run]) -> EpisodeTable:
-    """The results, without missed deadlines where other processes kept the machine busy."""
+def without_deadline_verdicts(results: EpisodeTable, runs: Iterable[Run]) -> EpisodeTable:
+    """Return the results, without missed deadlines where other processes kept the machine busy."""
     busy = {run.id for run in runs if run.busy}
-    told = zip(results.column("run").tolist(), results.column("missed_deadlines").tolist(), strict=True)
-    return results.with_column("missed_deadlines", (None if run in busy else missed for run, missed in told))
+    deadlines = zip(results.column("run").tolist(), results.column("missed_deadlines").tolist(), strict=True)
+    return results.with_column("missed_deadlines", (None if run in busy else missed for run, missed in deadlines))
 
 
 def load_notes(results: EpisodeTable, runs: Iterable[Run]) -> list[str]:
-    """A remark if decision times would be held against deadlines, had the machine been idle."""
-    played = Counter(zip(*(results.column(name).tolist() for name in ("run", "worlds", "workers")), strict=True))
-    latencies = {run for run, *setting in played if setting == [1, 1]}
+    """Return a remark if decision times are not held against deadlines because the machine was busy."""
+    counts = Counter(zip(*(results.column(name).tolist() for name in ("run", "worlds", "workers")), strict=True))
+    latencies = {run for run, *setting in counts if setting == [1, 1]}
     busy = {run.id for run in runs if run.busy and run.id in latencies}
     if not busy:
         return []
-    count = sum(found for (run, *_), found in played.items() if run in busy)
+    count = sum(episodes for (run, *_), episodes in counts.items() if run in busy)
     where = "" if count == len(results) else f" in {count} of {len(results)} episodes"
     return [
         f"Deadlines are not judged{where}: other processes kept more than {MAX_BACKGROUND_LOAD:.0%} of the processor's "
@@ -137,7 +138,7 @@ def load_notes(results: EpisodeTable, runs: Iterable[Run]) -> list[str]:
 
 
 def timing_notes(timed: Iterable[tuple[str, Sequence[EpisodeResult]]], machines: Machines = Machines({})) -> list[str]:
-    """Remarks about the decision times of policies: what they are, and which episodes they leave out."""
+    """Return remarks about the decision times of policies: their kind, and the episodes that they leave out."""
     kinds, notes = {}, []
     for policy, results in timed:
         table = table_of(results)
@@ -146,8 +147,8 @@ def timing_notes(timed: Iterable[tuple[str, Sequence[EpisodeResult]]], machines:
         (setting,) = set(machines.settings(alike))
         kinds[policy] = setting_in_words(*setting[:2]), setting[2]
         if len(alike) < len(table):
-            others = ["with other --worlds or --workers"] if any(one[:2] != setting[:2] for one in settings) else []
-            elsewhere = sorted({one[2] or "an unknown machine" for one in settings} - {setting[2]})
+            others = ["with other --worlds or --workers"] if any(other[:2] != setting[:2] for other in settings) else []
+            elsewhere = sorted({other[2] or "an unknown machine" for other in settings} - {setting[2]})
             others += (
                 [f"on {' and '.join(elsewhere)}, not on {setting[2] or 'an unknown machine'}"] if elsewhere else []
             )
@@ -158,8 +159,8 @@ def timing_notes(timed: Iterable[tuple[str, Sequence[EpisodeResult]]], machines:
     if len(set(kinds.values())) > 1:
         where = {policy: f" on {place or 'an unknown machine'}" for policy, (_, place) in kinds.items()}
         where = where if len({place for _, place in kinds.values()}) > 1 else {}
-        said = (f"those of {one} are {words or 'latencies'}{where.get(one, '')}" for one, (words, _) in kinds.items())
-        notes.append(f"Decision times cannot be compared: {'; '.join(said)}.")
+        parts = (f"those of {name} are {kind or 'latencies'}{where.get(name, '')}" for name, (kind, _) in kinds.items())
+        notes.append(f"Decision times cannot be compared: {'; '.join(parts)}.")
     elif kinds and (words := next(iter(kinds.values()))[0]):
         notes.append(f"Decision times are {words}. Only those of one world and one worker are held against deadlines.")
     return notes

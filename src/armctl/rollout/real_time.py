@@ -33,9 +33,9 @@ SLOW_DOWN = DisturbanceSpec(
     Disturbance, "a slower computer, in real time", "times the decision times; 0: the world waits",
     (0, 1, 2, 5, 10, 30), 1e4,
 )  # fmt: skip
-"""The axis of a sweep. Nothing in the simulation changes by it: it is a matter of when decisions take effect."""
+"""Axis of a sweep. It changes nothing in the simulation, but the times at which decisions take effect."""
 TOLERANCE = 1e-9
-"""Of a number of control periods: a decision of exactly two is not one of three."""
+"""Rounding error of a number of control periods: a decision of exactly two is not one of three."""
 
 
 @dataclass(frozen=True)
@@ -43,35 +43,35 @@ class RecordedTimes:
     """The times of an episode's decisions, in their order."""
 
     ms: tuple[float, ...]
-    cold: bool
-    """Whether the first one was the policy's first in its process."""
+    first_call: bool
+    """True if the first one was the policy's first in its process."""
     reset_ms: float = 0.0
-    """That of the reset before the first one."""
+    """Time of the reset before the first one."""
 
     def again(self) -> Iterator[float]:
-        """The times, ms. After the last one they come again, without the first, which may do what others need not."""
+        """Yield the times, ms. After the last one they repeat, without the first, which may include extra work."""
         return itertools.chain(self.ms, itertools.cycle(self.ms[1:] or self.ms))
 
 
 @dataclass(frozen=True)
 class RealTime:
-    """How long decisions take in a world that does not wait."""
+    """Decision times in a world that does not wait."""
 
-    slow_down: float = 1.0
-    """By how much decisions take longer than they were measured."""
+    time_scale: float = 1.0
+    """Factor by which decisions take longer than they were measured."""
     latency: str = MEASURED
-    """`measured`, or where the times were recorded."""
+    """`measured`, or the folder in which the times were recorded."""
     recorded: Mapping[str, Mapping[int, RecordedTimes]] | None = None
-    """By policy and episode; None if they are measured."""
+    """Recorded times by policy and episode; None if they are measured."""
 
     def of(self, policy: str, episodes: Sequence[int]) -> "RealTime":
-        """The same, for some episodes of one policy."""
+        """Return the same for some episodes of one policy."""
         if self.recorded is None:
             return self
         return replace(self, recorded={policy: {episode: self.recorded[policy][episode] for episode in episodes}})
 
-    def lacking(self, policies: Iterable[str], episodes: int) -> dict[str, int]:
-        """The policies without recorded times for all episodes, and the first episode that each lacks."""
+    def missing_recordings(self, policies: Iterable[str], episodes: int) -> dict[str, int]:
+        """Return the policies without recorded times for all episodes, and the first missing episode of each."""
         if self.recorded is None:
             return {}
         missing = {
@@ -80,77 +80,76 @@ class RealTime:
         return {name: episode for name, episode in missing.items() if episode is not None}
 
     def identity(self, policies: Iterable[str]) -> dict[str, Any]:
-        """What determines the episodes. A recording is told by its first episode: it may have been extended since."""
-        if self.recorded is None:
-            return {"latency": MEASURED, "slow_down": self.slow_down}
-        first = {name: self.recorded[name][0] for name in policies}
-        return {
-            "latency": digest({name: [*times.ms, times.cold, times.reset_ms] for name, times in first.items()}),
-            "slow_down": self.slow_down,
-        }
+        """Return what determines the episodes. A recording counts by its first episode: it may be extended later."""
+        latency = MEASURED
+        if self.recorded is not None:
+            first = {name: self.recorded[name][0] for name in policies}
+            latency = digest({name: [*times.ms, times.first_call, times.reset_ms] for name, times in first.items()})
+        return {"latency": latency, "slow_down": self.time_scale}
 
     def in_words(self, period: float) -> str:
-        """A remark about a comparison."""
+        """Return a remark about a comparison."""
         times = "as measured here" if self.recorded is None else f"as recorded in {self.latency}"
-        slower = f", {self.slow_down:g} times as long" if self.slow_down != 1 else ""
+        scale = f", {self.time_scale:g} times as long" if self.time_scale != 1 else ""
         return (
             f"In real time: a decision that takes longer than the control period, {1e3 * period:g} ms, takes effect "
-            f"when it is ready. Decisions take their time {times}{slower}."
+            f"when it is ready. Decisions take their time {times}{scale}."
         )
 
 
 class RealTimePolicy(TimedPolicy):
     """A policy in one world that does not wait for its decisions. Planning at the reset is part of the first one.
 
-    Its first decision in a process is told apart, and takes effect at once.
+    Its first decision in a process is recorded separately, and takes effect at once.
     """
 
     def __init__(self, policy: Policy, worlds: Any, real_time: RealTime, name: str) -> None:
         super().__init__(policy, 1)
-        self.slow_down = real_time.slow_down
+        self.time_scale = real_time.time_scale
         self._recorded = None if real_time.recorded is None else real_time.recorded[name]
         self._period_ms = 1e3 * worlds.control_period
         self._idle = np.array(worlds.idle_action)[None]
-        self._given: Iterator[float] | None = None
-        self._decided: Any = None
-        """The command that is still computed."""
+        self._replayed: Iterator[float] | None = None
+        self._pending: Any = None
+        """Command that is still computed."""
         self._steps_left = 0
         """Control steps until it is ready."""
 
     def reset(self, ids: NDArray[np.int32], episodes: Sequence[int]) -> Errors:
-        """The world starts an episode: what was still computed is dropped."""
+        """Start an episode; a command that was still computed is dropped."""
         errors = super().reset(ids, episodes)
-        self._command, self._decided, self._steps_left = self._idle.copy(), None, 0
+        self._command, self._pending, self._steps_left = self._idle.copy(), None, 0
         self._begins = True
         if self._recorded is not None:
             recorded = self._recorded[episodes[0]]
-            self._given, self.cold[0], self.reset_ms[0] = recorded.again(), recorded.cold, recorded.reset_ms
+            self._replayed, self.first_call[0] = recorded.again(), recorded.first_call
+            self.reset_ms[0] = recorded.reset_ms
         return errors
 
     def act(self, observations: Observations) -> tuple[Actions, NDArray[np.float64], Errors]:
-        """The command of this control step, (1, ...), and the time of the decision that begins, if one does."""
+        """Return the command of this control step, (1, ...), and the time of the decision that begins, if one does."""
         self._steps_left = max(0, self._steps_left - 1)
         if self._steps_left:
             return self._command, np.array([math.nan]), Errors()
-        if self._decided is not None:
-            self._command, self._decided = self._decided, None
+        if self._pending is not None:
+            self._command, self._pending = self._pending, None
         decided, spent, errors = super().act(observations)
         if errors:
             return decided, spent, errors
-        if self._given is not None:
-            spent = np.array([next(self._given)])
+        if self._replayed is not None:
+            spent = np.array([next(self._replayed)])
         waited = spent[0] + (self.reset_ms[0] if self._begins else 0.0)
-        periods = self.slow_down * waited / self._period_ms
-        if periods <= 1 + TOLERANCE or (self._begins and self.cold[0]):
+        periods = self.time_scale * waited / self._period_ms
+        if periods <= 1 + TOLERANCE or (self._begins and self.first_call[0]):
             self._command = _copied(decided)
         else:
-            self._decided, self._steps_left = _copied(decided), math.ceil(periods - TOLERANCE)
+            self._pending, self._steps_left = _copied(decided), math.ceil(periods - TOLERANCE)
         self._begins = False
         return self._command, spent, errors
 
 
 def real_time_of(real_time: str | Path | None, slow_down: float, env: str, seed: int) -> RealTime | None:
-    """What the arguments of `compare` ask for; None for a world that waits.
+    """Return the decision times that the arguments of `compare` request; None for a world that waits.
 
     Raises `ConfigurationError`, and `ResultsError` for a damaged recording.
     """
@@ -166,8 +165,8 @@ def real_time_of(real_time: str | Path | None, slow_down: float, env: str, seed:
     return read_recording(Path(real_time), float(slow_down), env, seed)
 
 
-def read_recording(path: Path, slow_down: float, env: str, seed: int) -> RealTime:
-    """The decision times in the results of a comparison: its folder, or a file in it.
+def read_recording(path: Path, time_scale: float, env: str, seed: int) -> RealTime:
+    """Return the decision times in the results of a comparison: its folder, or a file in it.
 
     Raises `ConfigurationError` for results of another environment or seed, and for times that are no latencies, and
     `ResultsError` for damaged results.
@@ -181,17 +180,20 @@ def read_recording(path: Path, slow_down: float, env: str, seed: int) -> RealTim
     cells = read_store(folder).cells
     undisturbed = [cell for name, cell in cells.items() if name.rpartition("/")[2] == UNDISTURBED]
     stored = next((cell for cell in undisturbed if cell.identity.get("env") == env), undisturbed[0])
-    for name, here in {"env": env, "seed": seed}.items():
-        if (there := stored.identity.get(name)) != here:
+    for name, value in {"env": env, "seed": seed}.items():
+        if (recorded := stored.identity.get(name)) != value:
             raise ConfigurationError(
-                f"the decision times in {folder} are of another comparison: {name} {there} there, {here} here"
+                f"the decision times in {folder} are of another comparison: {name} {recorded} there, {value} here"
             )
-    return RealTime(slow_down, str(folder), recorded_times(stored.episodes))
+    return RealTime(time_scale, str(folder), recorded_times(stored.episodes))
 
 
 def recorded_times(results: Iterable[EpisodeResult]) -> dict[str, dict[int, RecordedTimes]]:
-    """The decision times of episodes, by policy and episode. Raises `ConfigurationError` if they are no latencies."""
-    found: dict[str, dict[int, RecordedTimes]] = {}
+    """Return the decision times of episodes, by policy and episode.
+
+    Raises `ConfigurationError` if they are not latencies.
+    """
+    by_policy: dict[str, dict[int, RecordedTimes]] = {}
     for result in results:
         if (result.worlds, result.workers) != (1, 1):
             raise ConfigurationError(
@@ -200,14 +202,15 @@ def recorded_times(results: Iterable[EpisodeResult]) -> dict[str, dict[int, Reco
             )
         times = result.decision_ms[~np.isnan(result.decision_ms)].tolist()
         reset_ms = 0.0 if math.isnan(result.reset_ms) else result.reset_ms
-        cold = not math.isnan(result.metrics.decision_ms_cold)
-        found.setdefault(result.policy, {})[result.episode] = RecordedTimes(tuple(times) or (0.0,), cold, reset_ms)
-    return found
+        first_call = not math.isnan(result.metrics.first_call_ms)
+        recorded = RecordedTimes(tuple(times) or (0.0,), first_call, reset_ms)
+        by_policy.setdefault(result.policy, {})[result.episode] = recorded
+    return by_policy
 
 
 def check_recorded(real_time: RealTime, policies: Iterable[str], episodes: int) -> None:
     """Raise `ConfigurationError` if a policy has no recorded times in one of the episodes."""
-    for name, episode in real_time.lacking(policies, episodes).items():
+    for name, episode in real_time.missing_recordings(policies, episodes).items():
         raise ConfigurationError(
             f"{real_time.latency} has no decision times of {name} in episode {episode}: record these episodes first"
         )
@@ -236,5 +239,5 @@ def check_real_time(env: str, worlds: EpisodeVectorEnv) -> None:
 
 
 def _copied(actions: Any) -> Any:
-    """Actions that the policy may write over."""
+    """Return a copy of actions that the policy may write over."""
     return np.array(actions) if isinstance(actions, np.ndarray) else actions

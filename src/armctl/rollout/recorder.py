@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from armctl.core.errors import InvalidAction, described, formatted
 from armctl.envs import ERROR, EpisodeVectorEnv
-from armctl.episodes.metrics import metrics
+from armctl.episodes.metrics import EpisodeTimes, metrics
 from armctl.episodes.record import EpisodeResult, FailedEpisode
 from armctl.rollout.decision_times import TimedPolicy
 from armctl.tasks import MotionSample
@@ -24,52 +24,55 @@ class EpisodeRecorder:
         env: EpisodeVectorEnv,
         seed: int,
         name: str,
-        least_lengths: dict[int, float],
+        lower_bound_steps: dict[int, float],
     ) -> None:
         n = env.num_envs
-        self._timed, self._task, self._seed, self._name, self._least = timed, env.task, seed, name, least_lengths
+        self._timed, self._task, self._seed, self._name = timed, env.task, seed, name
+        self._lower_bound_steps = lower_bound_steps
         self._env_id, self._outcomes = env.spec.id if env.spec else type(env).__name__, env.outcomes
         self._numbers, self._first_step = np.zeros((2, n), dtype=np.int64)
         self._starts = np.zeros((n, 3))
         self._feasible = np.ones(n, dtype=bool)
         self._failures_before = np.zeros(n, dtype=np.int64)
-        self._earned: dict[str, NDArray[np.float64]] = {}
+        self._reward_sums: dict[str, NDArray[np.float64]] = {}
         self._returns = np.zeros(n)
         self._decision_ms: list[NDArray[np.float64]] = []
         self._actions: list[Any] = []
         self._motions: list[MotionSample] = []
 
     def begin(self, began: NDArray[np.bool_], numbers: NDArray[np.int64], infos: Mapping[str, Any]) -> None:
-        """The worlds in the mask `began` (n,) have started the episodes `numbers` (n,)."""
+        """Note that the worlds in the mask `began` (n,) have started the episodes `numbers` (n,)."""
         self._numbers[began] = numbers[began]
         self._first_step[began] = len(self._motions)
         self._starts[began] = self._task.motion().position[began]
         self._feasible = infos.get("feasible", self._feasible)
         self._failures_before[began] = self._failures()[began]
-        for sums in (self._returns, *self._earned.values()):
+        for sums in (self._returns, *self._reward_sums.values()):
             sums[began] = 0.0
         for i in np.flatnonzero(began):
-            if (number := int(numbers[i])) not in self._least:
+            if (number := int(numbers[i])) not in self._lower_bound_steps:
                 time = self._task.least_time(int(i))
-                known = math.isfinite(time)
-                self._least[number] = max(1.0, np.ceil(time / self._task.control_period - 1e-9)) if known else math.nan
+                steps = np.ceil(time / self._task.control_period - 1e-9) if math.isfinite(time) else math.nan
+                self._lower_bound_steps[number] = float(np.maximum(1.0, steps))
 
     def step(
         self, actions: Any, decision_ms: NDArray[np.float64], rewards: NDArray[np.float64], infos: Mapping[str, Any]
     ) -> None:
-        """All worlds have made a control step."""
+        """Note a control step of all worlds."""
         self._actions.append(np.array(actions) if isinstance(actions, np.ndarray) else list(actions))
         self._decision_ms.append(decision_ms)
         self._motions.append(self._task.motion())
         self._returns += rewards
-        self._earned = {name: self._earned.get(name, 0.0) + earned for name, earned in infos["reward_terms"].items()}
+        self._reward_sums = {
+            name: self._reward_sums.get(name, 0.0) + values for name, values in infos["reward_terms"].items()
+        }
 
     def steps(self, i: int) -> int:
-        """Control steps of the episode in world i so far."""
+        """Return the number of control steps of the episode in world i so far."""
         return len(self._motions) - int(self._first_step[i])
 
     def actions(self, i: int) -> list[Any]:
-        """The actions in world i's episode so far."""
+        """Return the actions in world i's episode so far."""
         return [actions[i] for actions in self._actions[self._first_step[i] :]]
 
     def result(self, i: int, infos: Mapping[str, Any]) -> EpisodeResult:
@@ -84,7 +87,7 @@ class EpisodeRecorder:
         )
 
     def failed(self, i: int, error: BaseException) -> FailedEpisode:
-        """Return the record of world i's episode, in which the policy has just failed: a loss, whatever it earned."""
+        """Return the record of world i's episode, in which the policy has just failed: a loss, whatever its return."""
         return FailedEpisode(
             **self._record(i),
             outcome=ERROR,
@@ -94,7 +97,7 @@ class EpisodeRecorder:
             traceback=formatted(error),
         )
 
-    def forget_before_all(self, playing: NDArray[np.bool_]) -> None:
+    def discard_old_steps(self, playing: NDArray[np.bool_]) -> None:
         """Drop the steps that precede all current episodes."""
         over = min(self._first_step[playing], default=0)
         del self._decision_ms[:over], self._motions[:over], self._actions[:over]
@@ -112,19 +115,21 @@ class EpisodeRecorder:
             "seed": self._seed,
             "feasible": bool(self._feasible[i]),
             "total_reward": float(self._returns[i]),
-            "reward_terms": {name: float(sums[i]) for name, sums in self._earned.items()} if motions else {},
+            "reward_terms": {name: float(sums[i]) for name, sums in self._reward_sums.items()} if motions else {},
             "length": len(motions),
-            "least_length": self._least[int(self._numbers[i])],
+            "lower_bound_steps": self._lower_bound_steps[int(self._numbers[i])],
             "metrics": metrics(
                 self._task,
                 i,
                 self._starts[i],
                 motions,
-                decision_ms,
+                EpisodeTimes(
+                    decision_ms,
+                    float(self._timed.reset_ms[i]),
+                    bool(self._timed.first_call[i]),
+                    self._timed.time_scale if self._timed.setting == (1, 1) else None,
+                ),
                 int(self._failures()[i] - self._failures_before[i]),
-                reset_ms=float(self._timed.reset_ms[i]),
-                cold=bool(self._timed.cold[i]),
-                slow_down=self._timed.slow_down if self._timed.setting == (1, 1) else None,
             ),
             "worlds": worlds,
             "workers": workers,

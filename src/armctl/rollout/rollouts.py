@@ -23,6 +23,7 @@ from armctl.core.errors import (
     InvalidAction,
     described,
 )
+from armctl.core.seeds import Seed, evaluation_seed
 from armctl.envs import EpisodeVectorEnv, chosen_policy_seed
 from armctl.episodes.failures import PolicyDisqualified, PolicyFailed, until_unplayable
 from armctl.episodes.record import EpisodeResult, FailedEpisode
@@ -30,10 +31,9 @@ from armctl.episodes.table import EpisodeTable
 from armctl.policies import ControllersFailed, Policy, PolicyFactory, WorldsByInterface, make_policy, policy_name
 from armctl.rollout.decision_times import Errors, TimedPolicy, timed_construction
 from armctl.rollout.recorder import EpisodeRecorder
-from armctl.rollout.seeds import Seed, evaluation_seed
 from armctl.runtime.state_guard import StateGuard
 
-MOST = {"episodes": 10_000_000, "worlds": 100_000, "workers": 1_000}
+MAX_COUNTS = {"episodes": 10_000_000, "worlds": 100_000, "workers": 1_000}
 """Larger numbers are mistakes, or a stranger's: they would fill the memory before anything is played."""
 
 
@@ -51,7 +51,7 @@ class _Attempt:
 
     actions: list[Any]
     record: FailedEpisode
-    """What counts if the policy acts otherwise when the episode is played again."""
+    """Result if the policy acts otherwise when the episode is played again."""
 
 
 class _ActedOtherwise(Exception):
@@ -68,21 +68,21 @@ def rollouts(
     episodes: int | Sequence[int],
     seed: int,
     name: str = "policy",
-    least_lengths: dict[int, float] | None = None,
+    lower_bound_steps: dict[int, float] | None = None,
 ) -> Iterator[EpisodeResult]:
     """Play episodes of `seed` in the worlds of `env`, and yield the result of each as it ends.
 
-    `episodes` is how many to play, or their numbers. `least_lengths`, by episode, is read and extended, so that
-    policies can share it. A decision time is the duration of the policy's call divided by the number of worlds.
-    `TimedPolicy` is for a policy that has decided before, or whose decisions come late.
+    `episodes` is their count, or their numbers. `lower_bound_steps`, by episode, is read and extended, so that policies
+    can share it. A decision time is the duration of the policy's call divided by the number of worlds. `TimedPolicy` is
+    for a policy that has decided before, or whose decisions come late.
 
     An episode in which the policy raises an error or returns an invalid action ends as a `FailedEpisode`, a loss, and
-    the next one begins. See `until_unplayable` and `unless_failed` for what to make of these.
+    the next one begins. `until_unplayable` and `unless_failed` handle these.
 
     Raises `PolicyDisqualified` if the policy writes to the world, and `EnvironmentFailed` if the environment fails.
     """
     timed = policy if isinstance(policy, TimedPolicy) else TimedPolicy(policy, env.num_envs)
-    recorder = EpisodeRecorder(timed, env, seed, name, {} if least_lengths is None else least_lengths)
+    recorder = EpisodeRecorder(timed, env, seed, name, {} if lower_bound_steps is None else lower_bound_steps)
     return _Player(timed, env, recorder, seed, name).play(range(episodes) if isinstance(episodes, int) else episodes)
 
 
@@ -114,11 +114,11 @@ class _Player:
         numbers: NDArray[np.int64],
         playing: NDArray[np.bool_],
         waiting: Iterator[int],
-        before: Mapping[int, _Attempt] | None = None,
+        attempts: Mapping[int, _Attempt] | None = None,
     ) -> Iterator[EpisodeResult]:
         """Start the episodes `numbers` (n,), play those of the mask `playing` (n,), and then those that are `waiting`.
 
-        `before` are first attempts, by episode. Raises `_UnknownWorldFailed`.
+        `attempts` are first attempts, by episode. Raises `_UnknownWorldFailed`.
         """
         self._numbers, self._playing = numbers, playing
         starting = np.ones(len(numbers), dtype=bool)
@@ -129,7 +129,7 @@ class _Player:
                 self._begin(starting, seeds)
                 errors, seeds = self._reset(starting), None
             if acts := not errors:
-                actions, decision_ms, errors = self._act(before or {})
+                actions, decision_ms, errors = self._act(attempts or {})
             over = np.isin(np.arange(len(numbers)), list(errors)) & playing
             for i in np.flatnonzero(over):
                 error = errors[int(i)]
@@ -138,42 +138,42 @@ class _Player:
                 )
             if acts and (playing & ~over).any():
                 self._env.unwrapped.abandon(np.flatnonzero(over))
-                infos, ended = self._step(_without(actions, errors, np.flatnonzero(playing & ~over)), decision_ms)
-                ended &= playing & ~over
-                for i in np.flatnonzero(ended):
+                infos, done = self._step(_without(actions, errors, np.flatnonzero(playing & ~over)), decision_ms)
+                done &= playing & ~over
+                for i in np.flatnonzero(done):
                     yield self._recorder.result(int(i), infos)
-                over |= ended
+                over |= done
             for i in np.flatnonzero(over):
                 numbers[i] = next(waiting, -1)
             starting = over & (numbers >= 0)
             playing[over] = starting[over]
-            self._recorder.forget_before_all(playing)
+            self._recorder.discard_old_steps(playing)
 
     def _find_failed(
-        self, error: BaseException, before: Mapping[int, _Attempt] | None = None
+        self, error: BaseException, attempts: Mapping[int, _Attempt] | None = None
     ) -> Iterator[EpisodeResult]:
         """Yield the results of the episodes that were played as the policy failed in an unknown world.
 
-        Halves of them are played again, until those in which it fails are alone. Nothing is gained by it: up to where
-        it failed, it has to act as `before`.
+        Halves of them are played again, until those in which it fails are alone. The policy gains nothing by it: up to
+        where it failed, it has to act as in its first `attempts`.
         """
         worlds, numbers = np.flatnonzero(self._playing), self._numbers.copy()
         if len(np.unique(numbers)) == 1:
             yield self._recorder.failed(int(worlds[0]), error)
             return
-        found, first = False, before is None and self._playing.all()  # else, it may be a world without an episode
-        before = {int(numbers[i]): self._attempt(int(i), error) for i in worlds} | dict(before or {})
+        failed, first = False, attempts is None and self._playing.all()  # else, it may be a world without an episode
+        attempts = {int(numbers[i]): self._attempt(int(i), error) for i in worlds} | dict(attempts or {})
         for half in np.array_split(worlds, min(2, len(worlds))):
             playing = np.isin(np.arange(len(numbers)), half)
             again = np.where(playing, numbers, np.resize(numbers[half], len(numbers)))
             try:
-                for result in self._stream(again, playing, iter(()), before):
-                    found |= isinstance(result, FailedEpisode)
+                for result in self._stream(again, playing, iter(()), attempts):
+                    failed |= isinstance(result, FailedEpisode)
                     yield result
             except _UnknownWorldFailed as failure:
-                found = True
-                yield from self._find_failed(failure.error, before)
-        if first and not found:
+                failed = True
+                yield from self._find_failed(failure.error, attempts)
+        if first and not failed:
             warnings.warn(
                 f"{self._name} failed in {len(worlds)} episodes played at once ({described(error)}), and in none of "
                 "them when they were played again: no episode counts as failed by it",
@@ -182,11 +182,11 @@ class _Player:
 
     def _attempt(self, i: int, error: BaseException) -> _Attempt:
         record = self._recorder.failed(i, error)
-        said = (
+        message = (
             f"a batch with it failed ({record.message}), and when it was played again, the policy acted otherwise: one "
             "that draws random numbers should draw them from env.rng"
         )
-        return _Attempt(self._recorder.actions(i), replace(record, message=said))
+        return _Attempt(self._recorder.actions(i), replace(record, message=message))
 
     def _begin(self, starting: NDArray[np.bool_], seeds: list[int] | None) -> None:
         """Start an episode in the worlds `starting` (n,)."""
@@ -200,14 +200,14 @@ class _Player:
         with self._policy_errors(), self._guard.assert_unchanged(new_episode=True):
             return self._timed.reset(np.flatnonzero(starting).astype(np.int32), self._numbers[starting].tolist())
 
-    def _act(self, before: Mapping[int, _Attempt]) -> tuple[Any, NDArray[np.float64], Errors]:
+    def _act(self, attempts: Mapping[int, _Attempt]) -> tuple[Any, NDArray[np.float64], Errors]:
         """Return actions (n, ...), the time of each world's decision, and errors by world, also for invalid actions."""
         with self._policy_errors():
             with self._guard.assert_unchanged():
                 actions, decision_ms, errors = self._timed.act(self._observations)
             if valid := [i for i in range(self._env.num_envs) if i not in errors]:
                 errors = self._env.unwrapped.invalid_actions(_without(actions, errors, valid)) | errors
-        return actions, decision_ms, self._differing(actions, before) | errors
+        return actions, decision_ms, self._differing(actions, attempts) | errors
 
     def _step(self, actions: Any, decision_ms: NDArray[np.float64]) -> tuple[dict[str, Any], NDArray[np.bool_]]:
         """Make a control step. Return infos, and in which worlds (n,) the episode has ended."""
@@ -216,11 +216,11 @@ class _Player:
             self._recorder.step(actions, decision_ms, rewards, infos)
         return infos, terminated | truncated
 
-    def _differing(self, actions: Any, before: Mapping[int, _Attempt]) -> Errors:
-        """Return errors of worlds whose actions are others than in the first attempt."""
+    def _differing(self, actions: Any, attempts: Mapping[int, _Attempt]) -> Errors:
+        """Return errors of worlds whose actions differ from those of the first attempt."""
         different = Errors()
-        for i in np.flatnonzero(self._playing).tolist() if before else ():
-            step, first = self._recorder.steps(i), before.get(int(self._numbers[i]))
+        for i in np.flatnonzero(self._playing).tolist() if attempts else ():
+            step, first = self._recorder.steps(i), attempts.get(int(self._numbers[i]))
             if first is None or step >= len(first.actions):
                 continue
             if not data_equivalence(actions[i], first.actions[step], exact=True):
@@ -240,7 +240,7 @@ class _Player:
 
 
 def _without(actions: Any, errors: Errors, valid: Sequence[int] | NDArray[np.intp]) -> Any:
-    """Actions with a valid one in place of those of worlds with errors, which make no use of it."""
+    """Replace the actions of worlds with errors, which make no use of them, by a valid one."""
     if not errors:
         return actions
     return [actions[valid[0]] if i in errors else action for i, action in enumerate(actions)]
@@ -255,8 +255,8 @@ def wrap_policy_errors(name: str, episode: int) -> Iterator[None]:
         raise PolicyDisqualified(f"{name} is disqualified: in episode {episode}, {error}") from error
     except FAILURES as error:
         cause = error.first if isinstance(error, ControllersFailed) else error
-        said = str(cause) if isinstance(cause, InvalidAction) else described(cause)
-        raise PolicyFailed(f"{name} failed in episode {episode}: {said}") from cause
+        message = str(cause) if isinstance(cause, InvalidAction) else described(cause)
+        raise PolicyFailed(f"{name} failed in episode {episode}: {message}") from cause
 
 
 @contextmanager
@@ -273,7 +273,7 @@ def wrap_environment_errors(name: str, episode: int) -> Iterator[None]:
 
 
 def build_policy(policy: Any, env: EpisodeVectorEnv, name: str, policy_seed: int) -> Policy:
-    """Make a policy called `name` for the worlds of `env`, which nobody has reset yet: there is no episode to see.
+    """Make a policy called `name` for the worlds of `env`, which were never reset: there is no episode to observe.
 
     Raises what `make_policy` raises, and `PolicyDisqualified` if making it writes to the world.
     """
@@ -281,7 +281,7 @@ def build_policy(policy: Any, env: EpisodeVectorEnv, name: str, policy_seed: int
 
 
 def build_timed(policy: Any, env: EpisodeVectorEnv, name: str, policy_seed: int) -> tuple[Policy, float]:
-    """Do the same, and return also how long it took (see `timed_construction`)."""
+    """Do the same, and return also the time that took (see `timed_construction`)."""
     try:
         with StateGuard(env).assert_unchanged(new_episode=True):
             return timed_construction(lambda: make_policy(policy, env, name=name, policy_seed=policy_seed))
@@ -292,8 +292,8 @@ def build_timed(policy: Any, env: EpisodeVectorEnv, name: str, policy_seed: int)
 def check_counts(**counts: int) -> None:
     """Raise `ConfigurationError` for a number of episodes, worlds or workers that is too small or too large."""
     for name, count in counts.items():
-        if not 1 <= count <= MOST[name]:
-            raise ConfigurationError(f"{name} must be at least 1 and at most {MOST[name]:,}, not {count:,}")
+        if not 1 <= count <= MAX_COUNTS[name]:
+            raise ConfigurationError(f"{name} must be at least 1 and at most {MAX_COUNTS[name]:,}, not {count:,}")
 
 
 def evaluate(
@@ -304,13 +304,14 @@ def evaluate(
     seed: Seed = 0,
     worlds: int = 1,
     env_options: Mapping[str, Any] | None = None,
-    least_lengths: bool = True,
+    lower_bound_steps: bool = True,
     policy_seed: int | None = None,
 ) -> pd.DataFrame:
-    """Play episodes 0 to `episodes` - 1 of `seed` with one policy; one row per episode, with `episodes.csv`'s columns.
+    """Play episodes 0 to `episodes` - 1 of `seed` with one policy; return a row for each, as in `episodes.csv`.
 
-    Without `least_lengths`, which often take longer to compute than the episodes, these and `optimality_gap` are NaN.
-    The policy's own random numbers come from `policy_seed`, of up to 128 bits, or else from a new secret.
+    Without `lower_bound_steps`, which often take longer to compute than the episodes, they and the column
+    `optimality_gap` are NaN. The policy's own random numbers come from `policy_seed`, of up to 128 bits, or else from a
+    new secret.
 
     An episode in which the policy raises an error, or returns an invalid action, has the outcome `error`: it is lost.
 
@@ -320,9 +321,9 @@ def evaluate(
     check_counts(episodes=episodes, worlds=worlds)
     seed = evaluation_seed(seed)
     with closing(WorldsByInterface(env, min(worlds, episodes), env_options)) as interfaces:
-        made_env = interfaces.of(policy)
+        vec_env = interfaces.of(policy)
         name = policy_name(policy)
-        made = build_policy(policy, made_env, name, chosen_policy_seed(policy_seed))
-        known = None if least_lengths else dict.fromkeys(range(episodes), math.nan)
-        played = rollouts(made, made_env, episodes, seed, name, known)
-        return EpisodeTable(until_unplayable(played, name, range(episodes))).sorted([name]).frame()
+        actor = build_policy(policy, vec_env, name, chosen_policy_seed(policy_seed))
+        bounds = None if lower_bound_steps else dict.fromkeys(range(episodes), math.nan)
+        results = rollouts(actor, vec_env, episodes, seed, name, bounds)
+        return EpisodeTable(until_unplayable(results, name, range(episodes))).sorted([name]).frame()

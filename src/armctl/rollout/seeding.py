@@ -1,4 +1,4 @@
-"""Whether an environment obeys its seed, and observes what it declares.
+"""Checks that an environment obeys its seed, and observes what it declares.
 
 If it does not obey its seed, policies do not meet the same episodes.
 """
@@ -16,13 +16,13 @@ from armctl.envs import make_worlds, one_of
 from armctl.rollout.rollouts import wrap_environment_errors
 
 STEPS = 25
-"""Of each trial. Most ways to ignore a seed show at the reset, the others soon after it."""
+"""Number of steps of each trial. Most ways to ignore a seed show at the reset, the others soon after it."""
 Step = tuple[Any, float, bool, bool]
 """Observation, reward, terminated, truncated."""
 
 
 def seed_notes(env: str, env_options: Mapping[str, Any] | None = None) -> list[str]:
-    """Remarks about an environment that plays an episode differently each time, or all episodes alike.
+    """Return remarks about an environment that plays an episode differently each time, or all episodes alike.
 
     Two worlds play episodes 0 and 1 with the same random actions, and then once more with the episodes swapped. So a
     difference shows whether it comes from the global random state, from what was played before, or from the instance.
@@ -35,7 +35,7 @@ def seed_notes(env: str, env_options: Mapping[str, Any] | None = None) -> list[s
             once, again = (_play(worlds, episodes, actions) for episodes in ((0, 1), (1, 0)))
         except EnvironmentFailed as error:
             return [f"Whether {name} obeys its seed is unknown: {error}"]
-    if misfit := _misfit(worlds.single_observation_space, [seen for seen, *_ in once[0]]):
+    if misfit := _misfit(worlds.single_observation_space, [observation for observation, *_ in once[0]]):
         notes.append(f"{name} {misfit}.")
     for episode in (0, 1):
         step = _first_difference(once[episode], again[1 - episode])
@@ -54,20 +54,20 @@ def seed_notes(env: str, env_options: Mapping[str, Any] | None = None) -> list[s
     return notes
 
 
-def _misfit(space: Any, seen: Sequence[Any]) -> str:
-    """How observations differ from what their space says; empty if they do not."""
+def _misfit(space: Any, observations: Sequence[Any]) -> str:
+    """Return how observations differ from the declared space, in words; empty if they do not."""
     if not isinstance(space, gymnasium.spaces.Box):
         return ""
-    shapes = {np.shape(one) for one in seen}
+    shapes = {np.shape(observation) for observation in observations}
     if shapes != {space.shape}:
         return f"declares observations of shape {space.shape}, and observes {' and '.join(map(str, sorted(shapes)))}"
-    if np.isnan(np.array(seen, dtype=float)).any():
+    if np.isnan(np.array(observations, dtype=float)).any():
         return "observes numbers that are not finite"
     return ""
 
 
 def _play(worlds: Any, episodes: Sequence[int], actions: Sequence[Any]) -> list[list[Step]]:
-    """What happens in each world, from the reset to the episode's end, or for as many steps as there are actions."""
+    """Return the steps of each world, from the reset to the episode's end, or as many as there are actions."""
     with wrap_environment_errors("a trial", episodes[0]):
         observations, _ = worlds.reset(seed=[0, 0], options={"episode": list(episodes)})
     trials: list[list[Step]] = [[(one_of(observations, i), 0.0, False, False)] for i in range(2)]
@@ -80,10 +80,11 @@ def _play(worlds: Any, episodes: Sequence[int], actions: Sequence[Any]) -> list[
     return trials
 
 
-def _first_difference(one: list[Step], other: list[Step]) -> int | None:
-    """The first step in which two trials differ, 0 for the reset; None if they are the same."""
-    steps = (i for i, (a, b) in enumerate(zip(one, other, strict=False)) if not (_same(a[0], b[0]) and a[1:] == b[1:]))
-    return next(steps, None if len(one) == len(other) else min(len(one), len(other)))
+def _first_difference(trial: list[Step], other: list[Step]) -> int | None:
+    """Return the first step in which two trials differ, 0 for the reset; None if they are the same."""
+    pairs = enumerate(zip(trial, other, strict=False))
+    steps = (i for i, (a, b) in pairs if not (_same(a[0], b[0]) and a[1:] == b[1:]))
+    return next(steps, None if len(trial) == len(other) else min(len(trial), len(other)))
 
 
 def _same(a: Any, b: Any) -> bool:

@@ -2,10 +2,11 @@
 
 An engine does units of work and yields their results as they come. Units of a worker that is lost are done again by
 another; each unit has one result. Ray and Dask are used directly: joblib's backend for Ray cannot yield results as they
-come.
+come, and futures of Dask's executor fetch one result each, where a call for many takes hardly longer.
 """
 
 import contextlib
+import itertools
 import os
 import re
 from abc import ABC, abstractmethod
@@ -113,16 +114,53 @@ class Cluster(Engine):
         self, work: Work, shared: Any, units: Iterable[tuple[Any, ...]], files: Iterable[Path] = ()
     ) -> Generator[Any, None, None]:
         """Yield results; see `Engine`. `files` are sent along, which `shared` names by relative paths."""
-        bundle = JobBundle.of(shared, files)
-        yield from self._results(run_isolated, (work, bundle, environment_of(work)), units)
+        common = [self._send(item) for item in (work, JobBundle.of(shared, files), environment_of(work))]
+        waiting, running = iter(units), list[Any]()
+        try:
+            while True:
+                for unit in itertools.islice(waiting, AHEAD * self.workers - len(running)):
+                    running.append(self._submit(common, unit))  # after Ctrl-C, all that run are known
+                if not running:
+                    return
+                finished, running = _failing_as_lost(self._wait, running)
+                yield from self._fetched(finished)
+        finally:
+            with contextlib.suppress(Exception):  # of a cluster that was lost
+                self._cancel(running)
+
+    def _fetched(self, finished: list[Any]) -> Iterator[Any]:
+        """Yield results of finished units by one call, since a call takes longer than a result; one each if one failed.
+
+        Results before a failed one are kept. Raises `WorkersFailed` for it.
+        """
+        try:
+            yield from self._get(finished)
+        except Exception:  # whatever a unit raises
+            yield from (_failing_as_lost(self._get, [unit])[0] for unit in finished)
 
     @abstractmethod
     def count(self) -> int:
         """Return the present number of workers."""
 
     @abstractmethod
-    def _results(self, function: Work, first: tuple[Any, ...], units: Iterable[Any]) -> Generator[Any, None, None]:
-        """Yield the results of `function(*first, unit)`."""
+    def _send(self, item: Any) -> Any:
+        """Send an argument that all units share, once for all."""
+
+    @abstractmethod
+    def _submit(self, common: list[Any], unit: Any) -> Any:
+        """Begin `run_isolated(*common, unit)`."""
+
+    @abstractmethod
+    def _wait(self, running: list[Any]) -> tuple[list[Any], list[Any]]:
+        """Return the units that have finished, as soon as one has, and those that still run."""
+
+    @abstractmethod
+    def _get(self, finished: list[Any]) -> list[Any]:
+        """Return the results of units. Raises what a unit has raised."""
+
+    @abstractmethod
+    def _cancel(self, running: list[Any]) -> None:
+        """Cancel units."""
 
 
 class Ray(Cluster):
@@ -134,16 +172,17 @@ class Ray(Cluster):
         except ModuleNotFoundError as error:
             raise missing_extra("--on ray", error, "cluster") from error
         os.environ.setdefault("RAY_IGNORE_UNHANDLED_ERRORS", "1")  # they are raised here
-        self._ray, self._started_here = ray, not ray.is_initialized()
-        if address and not self._started_here:
+        self._ray, self._has_joined = ray, not ray.is_initialized()
+        if address and not self._has_joined:
             raise ConfigurationError(f"this process belongs to a cluster of Ray already: `ray` is that, not {address}")
-        if self._started_here:
+        if self._has_joined:
             try:
                 ray.init(address, log_to_driver=False, logging_level="ERROR", include_dashboard=False)
             except (ConnectionError, ValueError, RuntimeError) as error:
                 raise ConfigurationError(
                     f"no cluster of Ray answers at {address}: {error}. If it asks for a token, set RAY_AUTH_MODE=token"
                 ) from error
+        self._task = ray.remote(num_cpus=1, max_retries=RETRIES)(run_isolated)
         self.workers = max(MIN_CLUSTER_WORKERS, self.count())
 
     def count(self) -> int:
@@ -152,31 +191,26 @@ class Ray(Cluster):
 
     def close(self) -> None:
         """Leave the cluster, if this engine has joined it."""
-        if self._started_here:
+        if self._has_joined:
             self._ray.shutdown()
 
-    def _results(self, function: Work, first: tuple[Any, ...], units: Iterable[Any]) -> Generator[Any, None, None]:
-        ray = self._ray
-        task = ray.remote(num_cpus=1, max_retries=RETRIES)(function)
-        sent, waiting = [ray.put(item) for item in first], iter(units)
-        running: list[Any] = []
-        try:
-            while True:
-                for unit in _some(waiting, AHEAD * self.workers - len(running)):
-                    running.append(task.remote(*sent, unit))  # noqa: PERF401  # after Ctrl-C, all that run are known
-                if not running:
-                    return
-                ray.wait(running)
-                finished, running = ray.wait(running, num_returns=len(running), timeout=0)
-                yield from _fetched(ray.get, finished)
-        except ray.exceptions.RayTaskError as error:
-            raise _as_workers_failed(error.cause) from None
-        except (ray.exceptions.RayError, ConnectionError) as error:
-            raise _lost(error) from error
-        finally:
-            with contextlib.suppress(Exception):  # of a cluster that was lost
-                for item in running:
-                    ray.cancel(item)
+    def _send(self, item: Any) -> Any:
+        return self._ray.put(item)
+
+    def _submit(self, common: list[Any], unit: Any) -> Any:
+        return self._task.remote(*common, unit)
+
+    def _wait(self, running: list[Any]) -> tuple[list[Any], list[Any]]:
+        self._ray.wait(running)
+        finished, others = self._ray.wait(running, num_returns=len(running), timeout=0)
+        return finished, others
+
+    def _get(self, finished: list[Any]) -> list[Any]:
+        return list(self._ray.get(finished))
+
+    def _cancel(self, running: list[Any]) -> None:
+        for unit in running:
+            self._ray.cancel(unit)
 
 
 class Dask(Cluster):
@@ -194,78 +228,49 @@ class Dask(Cluster):
             raise ConfigurationError(f"no scheduler of Dask answers at {address}: {error}") from error
         self.workers = max(MIN_CLUSTER_WORKERS, self.count())
 
+    def count(self) -> int:
+        """Return the present number of the cluster's worker processes."""
+        return len(self._client.scheduler_info(n_workers=-1)["workers"])
+
     def close(self) -> None:
         """Leave the cluster."""
         self._client.close()
 
-    def _results(self, function: Work, first: tuple[Any, ...], units: Iterable[Any]) -> Generator[Any, None, None]:
-        # sent as tasks, which the scheduler keeps: data that is scattered is lost with the workers that hold it
-        sent = [self._client.submit(_itself, item, pure=False) for item in first]
-        waiting = iter(units)
-        running: set[Any] = set()
-        try:
-            while True:
-                for unit in _some(waiting, AHEAD * self.workers - len(running)):
-                    running.add(self._client.submit(function, *sent, unit, pure=False))
-                if not running:
-                    return
-                finished = self._first_of(running)
-                running -= finished
-                yield from _fetched(self._fetch, list(finished))
-        finally:
-            with contextlib.suppress(Exception):  # of a cluster that was lost
-                self._client.cancel(list(running))
+    def _send(self, item: Any) -> Any:  # as a task, which the scheduler keeps: workers that die lose scattered data
+        return self._client.submit(_itself, item, pure=False)
 
-    def _first_of(self, running: set[Any]) -> set[Any]:
-        """Return the units that have finished, as soon as one has. Raises `WorkersFailed` if no worker is left."""
+    def _submit(self, common: list[Any], unit: Any) -> Any:
+        return self._client.submit(run_isolated, *common, unit, pure=False)
+
+    def _wait(self, running: list[Any]) -> tuple[list[Any], list[Any]]:
         while True:
             try:
                 with self._client.as_current():
-                    done: set[Any] = self._dask.wait(list(running), SILENCE, "FIRST_COMPLETED").done
-                return done
+                    finished, others = self._dask.wait(running, SILENCE, "FIRST_COMPLETED")
+                return list(finished), list(others)
             except TimeoutError:
                 if not self.count():
                     raise WorkersFailed(
                         "no worker of the cluster is left: they died, or have no armctl like this one"
                     ) from None
-            except Exception as error:  # whatever becomes of a cluster that was lost
-                raise _lost(error) from error
 
-    def _fetch(self, finished: list[Any]) -> Any:
-        try:
-            return self._client.gather(finished)
-        except WorkersFailed:
-            raise
-        except Exception as error:
-            raise _lost(error) from error
+    def _get(self, finished: list[Any]) -> list[Any]:
+        return list(self._client.gather(finished))
 
-    def count(self) -> int:
-        """Return the present number of the cluster's worker processes."""
-        return len(self._client.scheduler_info(n_workers=-1)["workers"])
+    def _cancel(self, running: list[Any]) -> None:
+        self._client.cancel(running)
 
 
-def _fetched(fetch: Callable[[list[Any]], list[Any]], finished: list[Any]) -> Iterator[Any]:
-    """Yield results of finished units by one call, since a call takes longer than a result; one each if one failed.
-
-    Results before a failed one are kept. Raises what `fetch` raises for it.
-    """
+def _failing_as_lost(call: Callable[[list[Any]], Any], units: list[Any]) -> Any:
+    """Return `call(units)`. Raises `WorkersFailed` for whatever becomes of units, or of a cluster that was lost."""
     try:
-        results: Iterable[Any] = fetch(finished)
-    except Exception:  # whatever a unit raises
-        results = (fetch([unit])[0] for unit in finished)
-    yield from results
-
-
-def _lost(error: Exception) -> WorkersFailed:
-    return WorkersFailed(f"workers died again and again, or the cluster was lost: {error}")
-
-
-def _as_workers_failed(error: BaseException) -> WorkersFailed:
-    return error if isinstance(error, WorkersFailed) else WorkersFailed(described(error))
-
-
-def _some(units: Iterator[Any], count: int) -> Iterator[Any]:
-    return (unit for _, unit in zip(range(count), units, strict=False))
+        return call(units)
+    except Exception as error:
+        cause = getattr(error, "cause", None)  # of Ray, what a unit raised
+        if isinstance(failure := cause or error, WorkersFailed):
+            raise failure from None
+        lost = f"workers died again and again, or the cluster was lost: {error}"
+        raise WorkersFailed(described(cause) if isinstance(cause, BaseException) else lost) from error
 
 
 def _itself(value: Any) -> Any:

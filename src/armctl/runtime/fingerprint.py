@@ -10,7 +10,7 @@ import functools
 import hashlib
 import sys
 import uuid
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import PurePath
@@ -128,36 +128,10 @@ def _in_order(mapping: Mapping[Any, Any]) -> Iterable[tuple[Any, Any]]:
 
 
 def _parts(obj: Any) -> tuple[Any, ...]:
-    """Yield what an object is made of; a name, for what counts by that."""
-    match obj:
-        case CodeType():
-            return _code(obj)
-        case ModuleType():
-            return ("module", obj.__name__, *_source(obj))
-        case FunctionType():
-            return _name_of(obj) or _function(obj)
-        case type():
-            return _name_of(obj) or _class(obj)
-        case BuiltinMethodType() if obj.__self__ is None or isinstance(obj.__self__, ModuleType):
-            return "built-in", obj.__module__, obj.__qualname__
-        case MethodType() | BuiltinMethodType():
-            return "method", getattr(obj, "__func__", obj.__name__), obj.__self__
-        case property():
-            return "property", obj.fget, obj.fset, obj.fdel
-        case staticmethod() | classmethod():
-            return type(obj).__name__, obj.__func__
-        case functools.partial():
-            return "partial", type(obj), obj.func, obj.args, obj.keywords, vars(obj)
-        case functools.cached_property():
-            return "cached property", obj.func
-        case MemberDescriptorType() | GetSetDescriptorType():
-            return "descriptor", obj.__name__
-        case PurePath():
-            return "path", str(in_plugin(obj))
-        case np.dtype():
-            return "dtype", str(obj), obj.descr
-        case np.generic():
-            return "number", obj.dtype.str, obj.tobytes()
+    """Return what an object is made of; a name, for what counts by that."""
+    for kind, parts in _PARTS_OF:
+        if isinstance(obj, kind):
+            return parts(obj)
     if isinstance(function := getattr(obj, "py_func", getattr(obj, "__wrapped__", None)), FunctionType):
         return "compiled or cached", function  # by Numba, or functools.cache
     if type(obj).__module__.partition(".")[0] == "torch" and hasattr(obj, "detach"):
@@ -282,3 +256,30 @@ def _source(module: ModuleType) -> tuple[bytes, ...]:
     """Return the content of the file of a module of one's own."""
     file = file_of(module)
     return (file.read_bytes(),) if file is not None and is_own(module) else ()
+
+
+def _method(method: Any) -> tuple[Any, ...]:
+    if isinstance(method, BuiltinMethodType) and (method.__self__ is None or isinstance(method.__self__, ModuleType)):
+        return "built-in", method.__module__, method.__qualname__
+    return "method", getattr(method, "__func__", method.__name__), method.__self__
+
+
+_PARTS_OF: tuple[tuple[Any, Callable[[Any], tuple[Any, ...]]], ...] = (
+    (CodeType, _code),
+    (ModuleType, lambda module: ("module", module.__name__, *_source(module))),
+    (FunctionType, lambda function: _name_of(function) or _function(function)),
+    (type, lambda cls: _name_of(cls) or _class(cls)),
+    ((MethodType, BuiltinMethodType), _method),
+    (property, lambda descriptor: ("property", descriptor.fget, descriptor.fset, descriptor.fdel)),
+    ((staticmethod, classmethod), lambda method: (type(method).__name__, method.__func__)),
+    (
+        functools.partial,
+        lambda partial: ("partial", type(partial), partial.func, partial.args, partial.keywords, vars(partial)),
+    ),
+    (functools.cached_property, lambda descriptor: ("cached property", descriptor.func)),
+    ((MemberDescriptorType, GetSetDescriptorType), lambda descriptor: ("descriptor", descriptor.__name__)),
+    (PurePath, lambda path: ("path", str(in_plugin(path)))),
+    (np.dtype, lambda dtype: ("dtype", str(dtype), dtype.descr)),
+    (np.generic, lambda number: ("number", number.dtype.str, number.tobytes())),
+)
+"""Kinds of objects, with functions that return what these are made of. The first kind that fits counts."""

@@ -48,7 +48,7 @@ class Run:
     baseline: str | None = None
     """Baseline of the verdict; the next is its margin."""
     margin: float | None = None
-    """None if it was killed before, and in results of older versions."""
+    """None if it was killed before."""
 
     @property
     def busy(self) -> bool:
@@ -96,7 +96,7 @@ def earlier_looks(runs: Sequence[Run]) -> list[int]:
 
 def looks_in_words(looks: Sequence[int]) -> str:
     """Return what earlier looks mean for a verdict, as a part of its sentence; there is at least one."""
-    counts = [f"{update_load:,}" for update_load in looks]
+    counts = [f"{count:,}" for count in looks]
     listed = counts[0] if len(counts) == 1 else f"{', '.join(counts[:-1])} and {counts[-1]}"
     times = f"{len(counts)} earlier looks" if len(counts) > 1 else "an earlier look"
     return f"after {times} at {listed} episodes, p is too small and intervals are too narrow"

@@ -43,7 +43,7 @@ def environment_of(work: Work) -> dict[str, Any]:
 
 def run_isolated(work: Work, bundle: JobBundle, expected: Mapping[str, Any], unit: tuple[Any, ...]) -> Any:
     """Do a unit in a worker of a cluster: in a process of its own, in which nothing is left of other work."""
-    check_alike(expected, environment_of(work))
+    check_same_identity(expected, environment_of(work))
     with _ONE_AT_A_TIME:
         child = _Child.of(bundle)
         try:
@@ -107,8 +107,8 @@ def _work(work: Work, unit: tuple[Any, ...]) -> Any:
         raise WorkersFailed(f"{unit[0]} cannot be done on {platform.node()}: {described(error)}") from None
 
 
-def check_alike(expected: Mapping[str, Any], local: Mapping[str, Any]) -> None:
-    """Raise `WorkersFailed` in a worker for whatever is otherwise than where the work comes from."""
+def check_same_identity(expected: Mapping[str, Any], local: Mapping[str, Any]) -> None:
+    """Raise `WorkersFailed` in a worker for any difference to the process that sent the work."""
     if others := differences(local, expected):
         raise WorkersFailed(
             f"the worker on {platform.node()} differs, and its results must not be mixed with others: "

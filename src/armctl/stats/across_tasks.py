@@ -26,58 +26,58 @@ from armctl.stats.intervals import (
     mean_of_means,
     success_rate,
 )
-from armctl.stats.paired import EQUIVALENCE, SIGNIFICANT, holm, mcnemar, mover, shown, within
+from armctl.stats.paired import EQUIVALENCE, SIGNIFICANT, holm, mcnemar, mover, significant, within
 
 FAMILIES = {
     "ik": "IK", "mpc": "MPC", "ompl": "OMPL", "ppo": "PPO", "sac": "SAC", "bc": "BC", "dagger": "DAgger",
     "distil": "distillation", "imagined": "imagination",
 }  # fmt: skip
-"""By the last word of a policy's name."""
-CHOOSING = 3
-"""Of so many episodes, the last is for choosing, and judges nobody."""
+"""Names of families, by the last word of a policy's name."""
+SELECTION_STRIDE = 3
+"""Distance between two episodes that select a policy, and do not count for it."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """The policy that stands for a kind."""
+    """The policy that represents a kind."""
 
     policy: str
     of_several: bool = False
-    """Whether it was chosen: then the episodes by which it was judge nobody."""
+    """True if it was chosen from several: the episodes that selected it do not count for it."""
 
 
 def family(policy: str) -> str:
-    """The family of a policy by the last word of its name, such as MPC; of any other, its name."""
+    """Return the family of a policy by the last word of its name, such as MPC; its name if that is no family."""
     return FAMILIES.get(policy.rpartition("_")[2], policy)
 
 
 def choose(success: pd.DataFrame, returns: pd.DataFrame, candidates: Sequence[str]) -> Choice:
-    """Which of several policies stands for all: the best in every third episode (numbers 2, 5, 8 and so on).
+    """Return the best of several policies in every third episode (numbers 2, 5, 8 and so on).
 
     The other episodes judge it. The best in the episodes that judge it would flatter the larger kind (the winner's
     curse), and choosing crosswise, each half of the episodes for the other, would make the halves depend on each other:
-    McNemar's test at 5 % erred in up to 9 % of all cases. The best is the one of highest success, then of highest
-    return, then the first.
+    McNemar's test at 5 % erred in up to 9 % of all cases. The best has the highest success, then the highest return,
+    then the first place.
     """
-    rows = success.index[_chooses(success.index)]
+    rows = success.index[_selects(success.index)]
     scores = {name: (success.loc[rows, name].mean(), returns.loc[rows, name].mean()) for name in candidates}
     best = max(candidates, key=lambda name: tuple(np.nan_to_num(scores[name], nan=-np.inf)))
     return Choice(best, len(candidates) > 1)
 
 
 def values_of(table: pd.DataFrame, choice: Choice) -> "pd.Series[float]":
-    """The success, or another value, of a choice in each episode; NaN where it did not play, or was chosen."""
+    """Return the success, or another value, of a choice by episode; NaN where it did not play, or was selected."""
     values = table[choice.policy] if choice.policy in table else pd.Series(math.nan, table.index)
-    return values.mask(_chooses(table.index)) if choice.of_several else values
+    return values.mask(_selects(table.index)) if choice.of_several else values
 
 
-def _chooses(episodes: "pd.Index[int]") -> NDArray[np.bool_]:
-    return np.asarray(episodes % CHOOSING == CHOOSING - 1, dtype=bool)
+def _selects(episodes: "pd.Index[int]") -> NDArray[np.bool_]:
+    return np.asarray(episodes % SELECTION_STRIDE == SELECTION_STRIDE - 1, dtype=bool)
 
 
 @dataclass(frozen=True)
-class HeadToHead:
-    """The choice of classical policies against that of learned ones, on the same episodes of one setting."""
+class TaskPair:
+    """The best classical policy against the best learned one, on the same episodes of one setting."""
 
     episodes: int
     only_classical: int
@@ -87,18 +87,18 @@ class HeadToHead:
     """McNemar's exact p-value; of a disturbed setting after Holm's correction for all of the task.
 
     In `Suite.answers`, the undisturbed one is after Holm's correction for all tasks, and for success and steps."""
-    claims: int = 1
-    """Number of tasks that are told beside it, for which the tests of equivalence are corrected (Bonferroni)."""
+    num_comparisons: int = 1
+    """Number of tasks in one report, for which the tests of equivalence are corrected (Bonferroni)."""
     steps: Estimate | None = None
     """Mean steps to the goal of the classical minus those of the learned policy, a failure counting as the time limit.
 
     None if that is unknown, and in disturbed settings."""
     steps_p: float | None = None
-    """Of equal steps, corrected like `p`."""
+    """p-value for equal steps, corrected like `p`."""
     change: Estimate | None = None
-    """Of the difference in success, against the same episodes without disturbance; None for few common episodes."""
+    """Change of the difference in success by the disturbance, on the same episodes; None for few common episodes."""
     change_p: float | None = None
-    """Of no change, after Holm's correction for all disturbed settings of the task."""
+    """p-value for no change, after Holm's correction for all disturbed settings of the task."""
 
     @property
     def difference(self) -> Estimate:
@@ -108,8 +108,9 @@ class HeadToHead:
     @property
     def better(self) -> int:
         """1 if the classical policy is significantly better, -1 if the learned one is, else 0; 0 for few episodes."""
-        shown = self.p < SIGNIFICANT and self.episodes >= FEWEST
-        return int(np.sign(self.only_classical - self.only_learned)) if shown else 0
+        if self.p >= SIGNIFICANT or self.episodes < FEWEST:
+            return 0
+        return int(np.sign(self.only_classical - self.only_learned))
 
     @property
     def faster(self) -> int:
@@ -117,78 +118,79 @@ class HeadToHead:
 
         0 if one of them is better in success: a failure counts as the time limit.
         """
-        if self.steps is None or self.better or self.episodes < FEWEST or not shown(self.steps, self.steps_p):
+        if self.steps is None or self.better or self.episodes < FEWEST or not significant(self.steps, self.steps_p):
             return 0
         return int(-np.sign(self.steps.value))
 
     @property
     def changed(self) -> int:
         """1 if the disturbance significantly shifts success towards the classical policy, -1 if away, else 0."""
-        return int(np.sign(self.change.value)) if self.change and shown(self.change, self.change_p) else 0
+        return int(np.sign(self.change.value)) if self.change and significant(self.change, self.change_p) else 0
 
     def equivalent(self, margin: float) -> bool:
-        """Whether success differs by less than `margin`: two one-sided tests at 5 % / `claims`."""
-        confidence = 1 - 2 * EQUIVALENCE / self.claims
+        """Return True if success differs by less than `margin`: two one-sided tests at 5 % / `num_comparisons`."""
+        confidence = 1 - 2 * EQUIVALENCE / self.num_comparisons
         return within(mover(self.only_classical, self.only_learned, self.episodes, confidence), margin)
 
 
-def heads_to_head(
+def pairwise_by_task(
     cells: Mapping[str, pd.DataFrame], undisturbed: str, classical: Choice, learned: Choice
-) -> dict[str, HeadToHead]:
-    """Both choices in each setting of a task where both have played."""
-    found: dict[str, HeadToHead] = {}
+) -> dict[str, TaskPair]:
+    """Compare both choices in each setting of a task in which both have played."""
+    pairs: dict[str, TaskPair] = {}
     gains = {name: (values_of(table, classical) - values_of(table, learned)).dropna() for name, table in cells.items()}
     for setting, gain in gains.items():
         if len(gain):
             only_a, only_b = int((gain > 0).sum()), int((gain < 0).sum())
-            found[setting] = HeadToHead(len(gain), only_a, only_b, mcnemar(only_a, only_b))
-    disturbed = [setting for setting in found if setting != undisturbed]
+            pairs[setting] = TaskPair(len(gain), only_a, only_b, mcnemar(only_a, only_b))
+    disturbed = [setting for setting in pairs if setting != undisturbed]
     changes = {
         setting: change
         for setting in disturbed
-        if undisturbed in found and (change := _change(gains[undisturbed], gains[setting])) is not None
+        if undisturbed in pairs and (change := _change(gains[undisturbed], gains[setting])) is not None
     }
     change_p = dict(zip(changes, holm([change.p for change in changes.values()]), strict=True))
-    for setting, p in zip(disturbed, holm([found[setting].p for setting in disturbed]), strict=True):
+    for setting, p in zip(disturbed, holm([pairs[setting].p for setting in disturbed]), strict=True):
         change = changes.get(setting)
-        found[setting] = replace(
-            found[setting], p=p, change=change.estimate if change else None, change_p=change_p.get(setting)
+        pairs[setting] = replace(
+            pairs[setting], p=p, change=change.estimate if change else None, change_p=change_p.get(setting)
         )
-    return found
+    return pairs
 
 
-def _change(before: "pd.Series[float]", after: "pd.Series[float]") -> MeanDifference | None:
-    """Change of a difference in success, episode by episode: both are between -1 and 1."""
-    changes = np.asarray((after - before).dropna(), dtype=np.float64)
+def _change(undisturbed: "pd.Series[float]", disturbed: "pd.Series[float]") -> MeanDifference | None:
+    """Return the change of a difference in success, episode by episode: both are between -1 and 1."""
+    changes = np.asarray((disturbed - undisturbed).dropna(), dtype=np.float64)
     return bounded_difference(changes, (-2.0, 2.0)) if len(changes) >= FEWEST else None
 
 
 def improvement(cells: Mapping[str, pd.DataFrame], classical: Choice, learned: Choice) -> Array:
-    """Whether the classical choice does better in each episode of a task: 1 or 0, and 1/2 for a tie; mean of settings.
+    """Return 1 for each episode of a task in which the classical choice is better, 0 for the others, 1/2 for a tie.
 
-    Its mean is the probability of improvement. An episode is a sample with all its settings, as these begin alike.
+    They are means over settings; their mean is the probability of improvement. An episode is a sample with all its
+    settings, as these begin alike.
     """
     gains = [values_of(success, classical) - values_of(success, learned) for success in cells.values()]
     return _by_episode([0.5 + gain / 2 for gain in gains])
 
 
 def rank(cells: Mapping[str, pd.DataFrame], members: Sequence[str]) -> Array:
-    """The mean rank of some policies in each episode of a task, as a mean of settings: 0 is the last, 1 the first.
+    """Return the mean rank of some policies in each episode of a task, over settings: 0 is the last, 1 the first.
 
-    Who wins comes before who does not, and ties share the middle: it is the share of its rivals that a policy beats,
-    ties counting half. So ranks among few and among many rivals can be averaged.
+    A rank is the share of its rivals that a policy beats, ties counting half. So ranks among few and among many rivals
+    can be averaged.
     """
     ranks = []
     for success in cells.values():
-        played = success.dropna(axis=1, how="all").dropna()
-        ours = [name for name in members if name in played]
-        if ours and len(played.columns) > 1:
-            ranks.append(((played.rank(axis=1) - 1) / (len(played.columns) - 1))[ours].mean(axis=1))
+        common = success.dropna(axis=1, how="all").dropna()
+        ours = [name for name in members if name in common]
+        if ours and len(common.columns) > 1:
+            ranks.append(((common.rank(axis=1) - 1) / (len(common.columns) - 1))[ours].mean(axis=1))
     return _by_episode(ranks)
 
 
 def _by_episode(values: Sequence["pd.Series[float]"]) -> Array:
-    """Mean over settings, of which each has a series by episode, for the episodes of all settings."""
+    """Return means over settings, each of which has a series by episode, for the episodes of all settings."""
     if not values:
         return np.empty(0)
     table = pd.concat(values, axis=1).dropna(axis=1, how="all")
@@ -196,7 +198,7 @@ def _by_episode(values: Sequence["pd.Series[float]"]) -> Array:
 
 
 def mean_over_tasks(tasks: Sequence[Array]) -> Estimate | None:
-    """Mean of shares by episode, one array for each task, with a 95 % interval; None without any."""
+    """Return the mean of shares by episode, one array for each task, with a 95 % interval; None without any."""
     return mean_of_means(tasks, (0.0, 1.0))
 
 
@@ -209,38 +211,37 @@ class League:
 
 
 def leagues(ranks: Mapping[str, Mapping[str, Array]]) -> list[League]:
-    """Ranks of families by task and episode, as leagues: one for each set of tasks that some family has played.
+    """Return leagues from ranks by family, task and episode: one for each set of tasks that some family has played.
 
-    In each are all families that have played all of these tasks, so that nobody is compared over other tasks than his
-    rivals. The league of most tasks is the first.
+    A league has all families that have played all of its tasks, so that rivals are compared over the same tasks. The
+    league of most tasks is the first.
     """
-    found: dict[frozenset[str], League] = {}
+    by_tasks: dict[frozenset[str], League] = {}
     for by_task in sorted(ranks.values(), key=len, reverse=True):
         tasks = tuple(by_task)
-        if tasks and frozenset(tasks) not in found:
-            there = {name: its for name, its in ranks.items() if set(tasks) <= set(its)}
-            means = {name: mean_over_tasks([its[task] for task in tasks]) for name, its in there.items()}
-            known = {name: mean for name, mean in means.items() if mean is not None}
-            best_first = sorted(known.items(), key=lambda item: -item[1].value)
-            found[frozenset(tasks)] = League(tasks, dict(best_first))
-    return list(found.values())
+        if tasks and frozenset(tasks) not in by_tasks:
+            members = {name: shares for name, shares in ranks.items() if set(tasks) <= set(shares)}
+            means = {name: mean_over_tasks([shares[task] for task in tasks]) for name, shares in members.items()}
+            ranked = [(name, mean) for name, mean in means.items() if mean is not None]
+            by_tasks[frozenset(tasks)] = League(tasks, dict(sorted(ranked, key=lambda item: -item[1].value)))
+    return list(by_tasks.values())
 
 
 def success_profile(cells: Sequence[Estimate], thresholds: NDArray[np.float64]) -> list[Estimate]:
-    """Share of cells (task and setting) with a success of at least each threshold (Agarwal et al. 2021).
+    """Return the share of cells (task and setting) with a success of at least each threshold (Agarwal et al. 2021).
 
     The band is the same share of the cells' lower and of their upper limits.
     """
-    values = np.array([(one.value, *one.bounds) for one in cells])
+    values = np.array([(rate.value, *rate.bounds) for rate in cells])
     return [Estimate(*map(float, (values >= threshold).mean(axis=0))) for threshold in thresholds]
 
 
 def cell_rates(cells: Mapping[str, pd.DataFrame], choice: Choice) -> list[Estimate]:
-    """The success rate of a choice in each setting, with Clopper and Pearson's interval."""
+    """Return the success rates of a choice in all settings, with Clopper and Pearson's intervals."""
     rates = [rate_of(success, choice) for success in cells.values()]
     return [rate for rate in rates if rate is not None]
 
 
 def rate_of(success: pd.DataFrame, choice: Choice) -> Estimate | None:
-    """The success rate of a choice in one setting; None if it has not played."""
+    """Return the success rate of a choice in one setting; None if it has not played."""
     return success_rate(values_of(success, choice).dropna().to_numpy() == 1)

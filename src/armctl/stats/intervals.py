@@ -16,13 +16,13 @@ Bounds = tuple[float, float]
 FEWEST = 10
 """Least number of values for a confidence interval of a mean: returns and lengths are skewed."""
 DRAWS = 4000
-"""Of random weights. Where means are normal, a limit's standard error is 2 % of the interval's half width."""
+"""Number of random weights. Where means are normal, a limit's standard error is 2 % of the interval's half width."""
 LARGEST_BATCH = 4_000_000
 """Weights that are drawn at once."""
 MOST_VALUES, GROUPS = 10_000, 2_000
 """Different values that get random weights of their own. More are drawn as so many groups of neighbours."""
 RESAMPLES = 2000
-"""Of a bootstrap. With so many, the error of a 95 % interval's bound is about a tenth of the interval's width."""
+"""Number of resamples of a bootstrap: the error of a 95 % interval's bound is about a tenth of the interval's width."""
 
 
 @dataclass(frozen=True)
@@ -39,9 +39,21 @@ class Estimate:
         """The interval; NaN where it is unknown."""
         return (math.nan if self.low is None else self.low), (math.nan if self.high is None else self.high)
 
+    def __neg__(self) -> "Estimate":
+        return self._subtracted_from(0.0)
+
+    @property
+    def complement(self) -> "Estimate":
+        """1 minus a probability."""
+        return self._subtracted_from(1.0)
+
+    def _subtracted_from(self, whole: float) -> "Estimate":
+        low, high = (None if bound is None else whole - bound for bound in (self.low, self.high))
+        return Estimate(whole - self.value, high, low)
+
 
 def success_rate(successes: NDArray[np.bool_]) -> Estimate | None:
-    """Success rate with the exact interval of Clopper and Pearson (1934); None without episodes."""
+    """Return the success rate with the exact interval of Clopper and Pearson (1934); None without episodes."""
     if not len(successes):
         return None
     interval = stats.binomtest(int(successes.sum()), len(successes)).proportion_ci(method="exact")
@@ -56,26 +68,26 @@ class RandomWeights:
     high: Array
 
     def limits(self, confidence: float = 0.95) -> Bounds:
-        """The confidence interval."""
+        """Return the confidence interval."""
         tail = (1 - confidence) / 2
         return float(np.quantile(self.low, tail)), float(np.quantile(self.high, 1 - tail))
 
     def p(self) -> float:
-        """Two-sided p-value for a value of 0, of at least 2 / (draws + 1)."""
+        """Return the two-sided p-value for a value of 0, of at least 2 / (draws + 1)."""
         beyond = min(int((self.low <= 0).sum()), int((self.high >= 0).sum()))
         return min(1.0, 2 * (beyond + 1) / (len(self.low) + 1))
 
 
 def bounded_mean(values: Array, bounds: Bounds, confidence: float = 0.95) -> Estimate | None:
-    """Mean of values (k,) that cannot lie outside `bounds`; None without values.
+    """Return the mean of values (k,) that cannot lie outside `bounds`; None without values.
 
-    The interval holds for disasters that are too rare to have been seen, which Student's does not know. Its limits are
+    The interval holds for disasters that are too rare to have occurred, which Student's does not know. Its limits are
     those of Gaffke (Mathematical Methods of Statistics 14, 2005; Learned-Miller and Thomas, arXiv:1905.06208): 2.5 and
     97.5 % quantiles of the mean under random weights, with a value at the bound in addition. For values of 0 and 1, it
     is Clopper and Pearson's; for many values and no rare ones, Student's. `benchmarks/intervals.py` simulates it.
     """
-    found = bounded_difference(values, bounds, confidence)
-    return None if found is None else found.wide
+    result = bounded_difference(values, bounds, confidence)
+    return None if result is None else result.simultaneous
 
 
 @dataclass(frozen=True)
@@ -83,19 +95,19 @@ class MeanDifference:
     """Mean of paired differences."""
 
     estimate: Estimate
-    wide: Estimate
-    """With the interval of another confidence."""
+    simultaneous: Estimate
+    """Mean with the interval of another confidence."""
     p: float
     """Two-sided p-value for a mean of 0."""
 
 
 def bounded_difference(values: Array, bounds: Bounds, confidence: float = 0.95) -> MeanDifference | None:
-    """The same for paired differences (k,), with 95 % and another `confidence`, and with its p-value."""
+    """Return the mean of paired differences (k,), with the intervals of 95 % and of `confidence`, and its p-value."""
     return _bounded(values, bounds, lambda ordered, weights: weights @ ordered, confidence)
 
 
 def worst_decile(values: Array, bounds: Bounds | None) -> Estimate | None:
-    """Mean of the worst tenth of values (k,), the conditional value at risk, with the interval of `bounded_mean`.
+    """Return the mean of the worst tenth of values (k,), the conditional value at risk, as `bounded_mean`.
 
     Without bounds, the interval is unknown.
     """
@@ -107,8 +119,8 @@ def worst_decile(values: Array, bounds: Bounds | None) -> Estimate | None:
     if bounds is None:
         equal = np.full((1, len(values)), 1 / max(len(values), 1))
         return Estimate(float(statistic(np.sort(values), equal)[0]), None, None) if len(values) else None
-    found = _bounded(values, bounds, statistic)
-    return None if found is None else found.estimate
+    result = _bounded(values, bounds, statistic)
+    return None if result is None else result.estimate
 
 
 def _bounded(
@@ -116,37 +128,38 @@ def _bounded(
 ) -> MeanDifference | None:
     if not len(values):
         return None
-    found = _random_weights(values, bounds, statistic, np.random.default_rng(0))
+    weighted = _random_weights(values, bounds, statistic, np.random.default_rng(0))
     ordered, counts = np.unique(values, return_counts=True)
     lowest, highest = min(bounds[0], ordered[0]), max(bounds[1], ordered[-1])
     value = float(np.clip(statistic(ordered, counts[None] / counts.sum())[0], ordered[0], ordered[-1]))
 
     def estimate(confidence: float) -> Estimate:
-        low, high = np.clip(found.limits(confidence), (lowest, value), (value, highest))
+        low, high = np.clip(weighted.limits(confidence), (lowest, value), (value, highest))
         return Estimate(value, float(low), float(high))
 
-    return MeanDifference(estimate(0.95), estimate(confidence), found.p())
+    return MeanDifference(estimate(0.95), estimate(confidence), weighted.p())
 
 
 def mean_of_means(samples: Sequence[Array], bounds: Bounds) -> Estimate | None:
-    """Mean of the means of independent samples, (k,) each, which weigh the same however large they are; None without.
+    """Return the mean of the means of independent samples, (k,) each, of the same weight each; None without any.
 
     The interval is that of `bounded_mean`, from the mean of the samples' means under random weights.
     """
-    known, rng = [values for values in samples if len(values)], np.random.default_rng(0)
-    if not known:
+    samples, rng = [values for values in samples if len(values)], np.random.default_rng(0)
+    if not samples:
         return None
-    found = [_random_weights(values, bounds, lambda ordered, weights: weights @ ordered, rng) for values in known]
-    lows, highs = ([getattr(one, end) for one in found] for end in ("low", "high"))
-    low, high = RandomWeights(np.mean(lows, axis=0), np.mean(highs, axis=0)).limits()
-    value = float(np.mean([values.mean() for values in known]))
+    parts = [_random_weights(values, bounds, lambda ordered, weights: weights @ ordered, rng) for values in samples]
+    low, high = RandomWeights(
+        np.mean([part.low for part in parts], axis=0), np.mean([part.high for part in parts], axis=0)
+    ).limits()
+    value = float(np.mean([values.mean() for values in samples]))
     return Estimate(value, min(low, value), max(high, value))
 
 
 def _random_weights(
     values: Array, bounds: Bounds, statistic: Callable[[Array, Array], Array], rng: np.random.Generator
 ) -> RandomWeights:
-    """`statistic` maps ordered values (m,) and weights (r, m), each row of which adds up to 1, to (r,)."""
+    """Draw a `statistic` of ordered values (m,) and weights (r, m), whose rows add up to 1; it returns (r,)."""
     ordered, counts = grouped(*np.unique(values, return_counts=True))
     lowest, highest = min(bounds[0], values.min()), max(bounds[1], values.max())
     draws = [
@@ -160,11 +173,11 @@ def _random_weights(
 
 
 def grouped(ordered: Array, counts: NDArray[np.intp]) -> tuple[Array, NDArray[np.intp]]:
-    """Ordered values (m,) and how often each was seen; if they are too many, means of neighbours and sums of counts.
+    """Return ordered values (m,) and their counts; of too many, means of neighbours and sums of counts.
 
-    A group spans at most 1 / 1,000 of the values' range, and several values at most 1 / 1,000 of what was seen. Random
-    weights of a group add up to those of its values, so that an interval loses only what varies within groups: some
-    millionths of its width.
+    A group spans at most 1 / 1,000 of the values' range, and several values have at most 1 / 1,000 of the counts.
+    Random weights of a group add up to those of its values, so that an interval loses only what varies within groups:
+    some millionths of its width.
     """
     if len(ordered) <= MOST_VALUES:
         return ordered, counts
@@ -175,7 +188,7 @@ def grouped(ordered: Array, counts: NDArray[np.intp]) -> tuple[Array, NDArray[np
 
 
 def random_weights(counts: NDArray[np.intp], rng: np.random.Generator) -> Iterator[tuple[Array, Array]]:
-    """Weights (r, m) of m values that were seen so often, and (r, 1) of one at the bound, in batches; `DRAWS` rows.
+    """Yield weights (r, m) of m values with these counts, and (r, 1) of one at the bound, in batches; `DRAWS` rows.
 
     Each row adds up to 1.
     """
@@ -187,23 +200,11 @@ def random_weights(counts: NDArray[np.intp], rng: np.random.Generator) -> Iterat
         yield weights / total, at_bound / total
 
 
-def mean(values: Array) -> Estimate | None:
-    """Mean with Student's t interval (1908), unknown for fewer than `FEWEST` values; None without values.
-
-    No figure of a comparison has it: it is far too narrow where disasters are rare, as `benchmarks/intervals.py` shows
-    next to `bounded_mean`.
-    """
-    if not len(values):
-        return None
-    value = float(np.mean(values))
-    if len(values) < FEWEST:
-        return Estimate(value, None, None)
-    half = float(stats.sem(values) * stats.t.ppf(0.975, len(values) - 1))
-    return Estimate(value, value - half, value + half)
-
-
 def median(values: Array) -> Estimate | None:
-    """Median with the interval of its order statistics (Conover 1999, section 3.2); otherwise as `mean`."""
+    """Return the median with the interval of its order statistics (Conover 1999, section 3.2); None without values.
+
+    The interval is unknown for fewer than `FEWEST` values.
+    """
     if not len(values):
         return None
     value = float(np.median(values))
@@ -228,7 +229,7 @@ class Superiority:
 
 
 def superiority(a: Array, b: Array) -> Superiority:
-    """Superiority of scores a (k,) over b (m,) of *other* episodes: Mann and Whitney (1947), bootstrap interval."""
+    """Return the superiority of a (k,) over b (m,) of *other* episodes: Mann and Whitney (1947), bootstrap interval."""
 
     def statistic(a: Array, b: Array, axis: int = -1) -> Any:
         wins: Any = stats.mannwhitneyu(a, b, axis=axis, method="asymptotic").statistic
@@ -240,7 +241,7 @@ def superiority(a: Array, b: Array) -> Superiority:
 
 
 def paired_superiority(a: Array, b: Array) -> Superiority:
-    """Superiority of scores a (k,) over scores b (k,) of the *same* episodes, with the interval of `bounded_mean`.
+    """Return the superiority of scores a (k,) over b (k,) of the *same* episodes, as `bounded_mean`.
 
     The p-value is that of the sign test, which leaves out ties (Conover 1999, section 3.4).
     """
@@ -253,7 +254,7 @@ def paired_superiority(a: Array, b: Array) -> Superiority:
 
 
 def bootstrapped(value: float, samples: Sequence[Array], statistic: Any) -> Estimate:
-    """Percentile interval of samples that are resampled separately; unknown for few or identical values."""
+    """Return the percentile interval of samples that are resampled separately; unknown for few or identical values."""
     if sum(map(len, samples)) < FEWEST or min(map(len, samples)) < 2:
         return Estimate(value, None, None)
     rows = max(1, 2_000_000 // sum(map(len, samples)))
@@ -265,7 +266,7 @@ def bootstrapped(value: float, samples: Sequence[Array], statistic: Any) -> Esti
 
 
 def performance_profile(scores: Array, thresholds: Array) -> list[Estimate]:
-    """Share of episodes with a score above each threshold, with an exact interval at each (Agarwal et al. 2021).
+    """Return the share of episodes with a score above each threshold, with an exact interval (Agarwal et al. 2021).
 
     The profiles of Dolan and More (2002) are those of negated `performance_ratios`, at negated ratios.
     """
@@ -274,12 +275,12 @@ def performance_profile(scores: Array, thresholds: Array) -> list[Estimate]:
 
 
 def performance_ratios(costs: Mapping[str, Array]) -> dict[str, Array]:
-    """Each policy's cost, (k,) and above 0, divided by the least of all policies' costs in that episode.
+    """Return each policy's cost, (k,) and above 0, divided by the least of all policies' costs in that episode.
 
     After Dolan and More (2002). The cost of a failure is infinite, and so is its ratio.
     """
-    least = np.min(list(costs.values()), axis=0)
+    lowest = np.min(list(costs.values()), axis=0)
     return {
-        policy: np.divide(cost, least, out=np.full(len(cost), np.inf), where=np.isfinite(cost))
+        policy: np.divide(cost, lowest, out=np.full(len(cost), np.inf), where=np.isfinite(cost))
         for policy, cost in costs.items()
     }

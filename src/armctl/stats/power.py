@@ -1,4 +1,4 @@
-"""How many episodes show a difference in success, or equivalence: by the exact power of the tests of a verdict."""
+"""Numbers of episodes that show a difference in success, or equivalence, by the exact power of a verdict's tests."""
 
 from collections.abc import Callable
 from functools import lru_cache
@@ -13,8 +13,8 @@ from armctl.stats.paired import EQUIVALENCE, SIGNIFICANT
 NEGLIGIBLE = 1e-8
 """Probability of the counts that are left out at either end."""
 TEETH, STEPS = 4, 20
-"""Periods of the saw-tooth that are looked at, before and after a number of episodes with enough power, and numbers in
-each."""
+"""Periods of the saw-tooth that are examined, before and after a number of episodes with enough power, and numbers of
+episodes in each."""
 COARSEST = 500
 """Part of a number of episodes that makes no difference to a plan."""
 
@@ -28,29 +28,30 @@ def episodes_to_detect(difference: float, discordant: float, power: float = 0.8,
     discordant episodes show, or within 1 / 500 of that.
     """
     discordant = max(discordant, difference)
-    return _least(lambda n: detection_power(n, difference, discordant, tests), power, 2 / discordant)
+    return _min_episodes(lambda n: detection_power(n, difference, discordant, tests), power, 2 / discordant)
 
 
-def episodes_to_show_equivalence(margin: float, discordant: float, power: float = 0.8, claims: int = 1) -> int:
+def episodes_to_show_equivalence(margin: float, discordant: float, power: float = 0.8, num_comparisons: int = 1) -> int:
     """Return how many episodes show that two equally good policies differ by less than `margin`.
 
-    With the two one-sided tests of the verdict at 5 % / `claims`, by `mover`'s interval. As in `episodes_to_detect`,
-    the number is the least one from which on the power is enough, as far as the next 4 / `margin` episodes show.
+    With the two one-sided tests of the verdict at 5 % / `num_comparisons`, by `mover`'s interval. As in
+    `episodes_to_detect`, the number is the least one from which on the power is enough, as far as the next 4 / `margin`
+    episodes show.
     """
-    return _least(lambda n: equivalence_power(n, margin, discordant, claims), power, 1 / margin)
+    return _min_episodes(lambda n: equivalence_power(n, margin, discordant, num_comparisons), power, 1 / margin)
 
 
 def detection_power(episodes: int, difference: float, discordant: float, tests: int = 1) -> float:
     """Return the probability that McNemar's exact test at 5 % / `tests` shows the better policy to be better."""
     counts = _likely(episodes, discordant)
-    least_wins = stats.binom.isf(SIGNIFICANT / tests / 2, counts, 0.5) + 1
-    shown = stats.binom.sf(least_wins - 1, counts, min(1.0, (discordant + difference) / (2 * discordant)))
-    return float(stats.binom.pmf(counts, episodes, discordant) @ shown)
+    min_wins = stats.binom.isf(SIGNIFICANT / tests / 2, counts, 0.5) + 1
+    power = stats.binom.sf(min_wins - 1, counts, min(1.0, (discordant + difference) / (2 * discordant)))
+    return float(stats.binom.pmf(counts, episodes, discordant) @ power)
 
 
-def equivalence_power(episodes: int, margin: float, discordant: float, claims: int = 1) -> float:
+def equivalence_power(episodes: int, margin: float, discordant: float, num_comparisons: int = 1) -> float:
     """Return the probability that equally good policies are shown to differ by less than `margin`."""
-    share, level = discordant / 2, EQUIVALENCE / claims
+    share, level = discordant / 2, EQUIVALENCE / num_comparisons
     counts = _likely(episodes, share)
     rates, rest = counts / episodes, episodes - counts
     beneath = rates - np.where(counts > 0, stats.beta.ppf(level, np.maximum(counts, 1), rest + 1), 0.0)
@@ -58,40 +59,40 @@ def equivalence_power(episodes: int, margin: float, discordant: float, claims: i
     odds = np.sqrt(rates / np.maximum(1 - rates, 1e-300))
 
     def within(a: NDArray[np.intp], b: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Whether `mover`'s upper limit is below the margin, for wins of a alone and of b alone."""
+        """Return True where `mover`'s upper limit is below the margin, for wins of a alone and of b alone."""
         covariance = odds[a] * odds[b] * above[a] * beneath[b]
         distance = np.sqrt(above[a] ** 2 + 2 * covariance + beneath[b] ** 2)
         return np.asarray(rates[a] - rates[b] + distance < margin)
 
     first = _first(within, len(counts))  # of b's wins, for each number of a's
     last = np.searchsorted(first, np.arange(len(counts)), side="right") - 1  # the same limit with a and b exchanged
-    shown = first <= last
-    a, low, high = counts[shown], counts[first[shown]], counts[last[shown]]
+    equivalent = first <= last
+    a, low, high = counts[equivalent], counts[first[equivalent]], counts[last[equivalent]]
     given_a = share / (1 - share)
     inside = stats.binom.cdf(high, episodes - a, given_a) - stats.binom.cdf(low - 1, episodes - a, given_a)
     return float(stats.binom.pmf(a, episodes, share) @ inside)
 
 
 def _first(holds: Callable[[NDArray[np.intp], NDArray[np.intp]], NDArray[np.bool_]], n: int) -> NDArray[np.intp]:
-    """For each of n rows, the first of n columns for which something holds that holds for all later ones; n: none."""
+    """Return, for each of n rows, the first of n columns from which on something holds; n if there is none."""
     rows = np.arange(n)
     low, high = np.zeros(n, dtype=np.intp), np.full(n, n, dtype=np.intp)
     while (open_ := low < high).any():
         middle = (low + high) // 2
-        found = holds(rows, np.minimum(middle, n - 1))
-        high = np.where(open_ & found, middle, high)
-        low = np.where(open_ & ~found, middle + 1, low)
+        holding = holds(rows, np.minimum(middle, n - 1))
+        high = np.where(open_ & holding, middle, high)
+        low = np.where(open_ & ~holding, middle + 1, low)
     return low
 
 
 def _likely(episodes: int, share: float) -> Array:
-    """Counts of successes that are not negligible."""
+    """Return the counts of successes whose probability is not negligible."""
     low, high = stats.binom.ppf(NEGLIGIBLE, episodes, share), stats.binom.isf(NEGLIGIBLE, episodes, share)
     return np.arange(max(low, 0.0), high + 1)
 
 
-def _least(power_at: Callable[[int], float], power: float, period: float) -> int:
-    """The least number of episodes from which on the power is enough, as far as some periods of the saw-tooth show.
+def _min_episodes(power_at: Callable[[int], float], power: float, period: float) -> int:
+    """Return the least number of episodes from which on the power is enough, over some periods of the saw-tooth.
 
     A crossing is found by bisection. Around it, the last number that is not enough is looked for on a grid, and then
     between two of its numbers.

@@ -1,7 +1,7 @@
-"""The robustness ranking: the policies of a sweep, compared with each other at each level of each disturbance."""
+"""Degradation of policies by disturbances, level by level, and their robustness ranking."""
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -9,11 +9,15 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from armctl.stats.degradation import FALSE_DISCOVERY_RATE, Onset, onsets, spares
+from armctl.stats.intervals import paired_superiority, sign_of_difference
+from armctl.stats.paired import mcnemar
+from armctl.stats.trainings import mean_over_trainings
 
+FALSE_DISCOVERY_RATE = 0.05
+"""False discovery rate of the significant drops in success of a sweep (Benjamini and Hochberg 1995)."""
 SUCCESS, RETURN = ("success", "low", "high"), ("return", "return_low", "return_high")
 """Columns of `sweep.csv`: a score, and its 95 % interval."""
-Pair = tuple[str, float, frozenset[str]]
+PairKey = tuple[str, float, frozenset[str]]
 """A disturbance, a level, and two policies."""
 
 
@@ -29,7 +33,96 @@ class PairTest(NamedTuple):
 NEUTRAL = ("none", 0.0)
 """The disturbance and level of a pair without any: all disturbances share these episodes."""
 GROUP = "[*]"
-"""Ends the name of several trainings."""
+"""End of the name of several trainings."""
+
+
+@dataclass(frozen=True)
+class Onset:
+    """A level at which a change is significant."""
+
+    level: float
+    lasts: bool = True
+    """True if the figures agree at all later levels."""
+
+    def __str__(self) -> str:
+        return f"from {self.level:g} on" if self.lasts else f"at {self.level:g}"
+
+
+@dataclass(frozen=True)
+class Degradation:
+    """The effect of one disturbance on one policy."""
+
+    disturbance: str
+    policy: str
+    sees: str
+    drops: Onset | None
+    """The first significant drop in success, or if it is unknown, in the chance of the higher return.
+
+    It lasts until figures are as before."""
+    below_half: Onset | None
+    """The first level with a success rate below one half; None if there is none."""
+
+
+def degradations(points: pd.DataFrame) -> list[Degradation]:
+    """Return the effect of each disturbance on each policy that it reaches, from the rows of `sweep.csv`.
+
+    The direction of a change is that of the statistic that `p` tests (the column `change`).
+    """
+    points = points[~spares(points)]
+    points = points.assign(neutral=~points.duplicated(["disturbance", "policy"]))
+    levels = points[~points.neutral]
+    significant = pd.Series(False, index=points.index)
+    if len(levels):
+        significant[levels.index] = stats.false_discovery_control(levels.p) < FALSE_DISCOVERY_RATE
+    fell = pd.to_numeric(points["change"], errors="coerce") < 0
+    points = points.assign(fell=fell, drops=significant & fell, below_half=points.success < 0.5)
+    return [
+        Degradation(
+            str(disturbance),
+            str(policy),
+            str(rows.sees.iloc[0]),
+            next(iter(onsets(rows.level, rows.drops, rows.fell)), None),
+            next(iter(onsets(rows.level, rows.below_half, rows.below_half)), None),
+        )
+        for (disturbance, policy), rows in points.groupby(["disturbance", "policy"], sort=False)
+    ]
+
+
+def spares(points: pd.DataFrame) -> "pd.Series[bool]":
+    """Return which rows of `sweep.csv` are of a disturbance and of a policy that it does not reach at some level."""
+    spared = points.spared.astype(str) == "True"
+    return spared.groupby([points.disturbance, points.policy]).transform("any")
+
+
+def onsets(levels: Iterable[float], significant: Iterable[bool], holds: Iterable[bool]) -> list[Onset]:
+    """Return the levels of significant changes. A change lasts if it `holds`, significant or not, at all later ones."""
+    later = list(holds)
+    return [
+        Onset(float(level), all(later[i + 1 :]))
+        for i, (level, is_significant) in enumerate(zip(levels, significant, strict=True))
+        if is_significant
+    ]
+
+
+def change_between(undisturbed: pd.DataFrame, disturbed: pd.DataFrame, score: str) -> tuple[float, float]:
+    """Return the p-value for no change in the `score` of a policy, from its rows of `episodes.csv`, and the change.
+
+    (1, 0) if there is nothing to compare.
+    """
+    tables = (rows.pivot(index="policy", columns="episode", values=score) for rows in (undisturbed, disturbed))
+    finished = [table.astype(float).dropna(axis=1) for table in tables]
+    episodes = finished[0].columns.intersection(finished[1].columns)
+    first, second = (table[episodes].to_numpy() for table in finished)
+    if 0 in first.shape:
+        return 1.0, 0.0
+    if len(first) > 1:  # a group: over its trainings and episodes
+        change = mean_over_trainings(sign_of_difference(second, first), (-1.0, 1.0))
+        return 1.0 if change.p is None else change.p, change.mean.value
+    if score == "return":
+        higher = paired_superiority(second[0], first[0])
+        return higher.p, 2 * higher.probability.value - 1
+    lost, gained = int((first > second).sum()), int((first < second).sum())
+    return mcnemar(lost, gained), (gained - lost) / first.shape[1]
 
 
 @dataclass(frozen=True)
@@ -40,13 +133,13 @@ class RobustnessRanking:
     first: str
     """The policy with the largest mean lead over all others and disturbed levels; empty without a test."""
     alike: Sequence[str]
-    """Those that are at no level shown to be worse than the first."""
+    """Policies that are at no level significantly worse than the first."""
     worse: Mapping[str, Onset]
-    """Where others are shown to be worse than the first. It lasts if they are not better at any later level."""
+    """Onsets of significantly worse policies. An onset lasts if the policy is not better at any later level."""
     better: Mapping[str, Onset]
-    """Where any is shown to be better than the first, which was chosen by its mean."""
+    """Onsets of policies that are significantly better than the first, which was chosen by its mean."""
     spared: Sequence[str]
-    """Those that the disturbance does not reach: they are not ranked."""
+    """Policies that the disturbance does not reach: they are not ranked."""
     neutral: float
     """The level that changes nothing."""
     strongest: str
@@ -54,18 +147,18 @@ class RobustnessRanking:
     scores: Mapping[str, str]
     """Success or return of each ranked policy there, with its 95 % interval."""
     score: str
-    """What is highest in the first one's mean."""
+    """Name of the score whose mean is highest for the first."""
 
     @property
     def leads(self) -> bool:
-        """Whether the first is shown to be better than all others ranked, and never to be worse."""
+        """True if the first is significantly better than all others ranked, and at no level worse."""
         return bool(self.worse) and not self.alike and not self.better
 
     @property
     def claim(self) -> str:
-        """What is shown, without the levels at which others are worse."""
+        """The result, without the levels at which others are worse."""
         if not self.first:
-            return "no ranking: fewer than two policies are reached and tested"
+            return "no ranking: fewer than two policies are affected and tested"
         if self.leads:
             return f"{self.first} leads"
         if not self.worse and not self.better:
@@ -75,61 +168,61 @@ class RobustnessRanking:
         return f"highest mean {self.score}: {self.first} ({'; '.join(beside)})"
 
     def __str__(self) -> str:
-        shown = dict.fromkeys((self.first, *self.alike, *self.worse, *self.better))
-        said = [f"Under {self.disturbance}, {self.claim}"]
+        names = dict.fromkeys((self.first, *self.alike, *self.worse, *self.better))
+        sentences = [f"Under {self.disturbance}, {self.claim}"]
         if self.worse:
-            said[0] += f"; worse: {_where(self.worse, self.neutral)}"
-        if at := ", ".join(f"{name} {self.scores[name]}" for name in shown if name in self.scores):
-            said.append(f"At {self.strongest}: {at}")
+            sentences[0] += f"; worse: {_where(self.worse, self.neutral)}"
+        if at := ", ".join(f"{name} {self.scores[name]}" for name in names if name in self.scores):
+            sentences.append(f"At {self.strongest}: {at}")
         if self.spared:
-            said.append(f"Spared, and so not ranked: {', '.join(self.spared)}")
-        return f"{'. '.join(said)}."
+            sentences.append(f"Not affected, so not ranked: {', '.join(self.spared)}")
+        return f"{'. '.join(sentences)}."
 
 
-def robustness_rankings(points: pd.DataFrame, pairs: Mapping[Pair, PairTest]) -> list[RobustnessRanking]:
+def robustness_rankings(points: pd.DataFrame, pairs: Mapping[PairKey, PairTest]) -> list[RobustnessRanking]:
     """Return the ranking under each disturbance, from the rows of `sweep.csv`.
 
-    `pairs` are the tests of each two policies in the same episodes (`Sweep.pairs`). They differ at a level if that
-    shows it at a false discovery rate of 5 % over all pairs, levels and disturbances, in the direction of the statistic
-    that was tested. Policies that a disturbance does not reach are in none of these tests.
+    `pairs` are the tests of each two policies in the same episodes (`Sweep.pairs`). Two policies differ at a level if
+    their test is significant at a false discovery rate of 5 % over all pairs, levels and disturbances, in the direction
+    of the statistic that was tested. Policies that a disturbance does not reach are in none of these tests.
     """
     score, low, high = SUCCESS if points.success.notna().any() else RETURN
     if not {score, low, high} <= set(points):
         return []
-    known = points[points[score].notna() & points.groupby("disturbance")["level"].transform("nunique").gt(1)]
-    if known.empty:
+    scored = points[points[score].notna() & points.groupby("disturbance")["level"].transform("nunique").gt(1)]
+    if scored.empty:
         return []
-    ranked = known[~spares(known)]
+    ranked = scored[~spares(scored)]
     tests = {pair: pairs[pair] for pair in _pairs_of(ranked) if pair in pairs}
-    corrected: Any = stats.false_discovery_control([test.p for test in tests.values()]) if tests else []
-    apart = {pair for pair, p in zip(tests, corrected, strict=True) if p < FALSE_DISCOVERY_RATE}
+    adjusted: Any = stats.false_discovery_control([test.p for test in tests.values()]) if tests else []
+    significant = {pair for pair, p in zip(tests, adjusted, strict=True) if p < FALSE_DISCOVERY_RATE}
     return [
-        _ranking(str(name), rows, ranked[ranked.disturbance == name], (score, low, high), tests, apart)
-        for name, rows in known.groupby("disturbance", sort=False)
+        _ranking(str(name), rows, ranked[ranked.disturbance == name], (score, low, high), tests, significant)
+        for name, rows in scored.groupby("disturbance", sort=False)
     ]
 
 
 def robustness_headline(rankings: Sequence[RobustnessRanking]) -> str:
-    """Return what is shown under which disturbances, in a sentence; empty without any disturbance."""
+    """Return the results under all disturbances in a sentence; empty without any disturbance."""
     under: dict[str, list[str]] = {}
     for ranking in rankings:
         under.setdefault(ranking.claim, []).append(ranking.disturbance)
     claims = sorted(under.items(), key=lambda item: (item[0].startswith("no "), -len(item[1])))
-    said = "; ".join(f"under {_listed(names)}, {claim}" for claim, names in claims)
-    return f"{said[0].upper()}{said[1:]}." if said else ""
+    sentence = "; ".join(f"under {_listed(names)}, {claim}" for claim, names in claims)
+    return f"{sentence[0].upper()}{sentence[1:]}." if sentence else ""
 
 
-def _pairs_of(ranked: pd.DataFrame) -> list[Pair]:
-    """Each two policies at each level of each disturbance; the undisturbed level, which all share, once."""
+def _pairs_of(ranked: pd.DataFrame) -> list[PairKey]:
+    """Return each two policies at each level of each disturbance; the undisturbed level, which all share, once."""
     neutral = ranked.groupby("disturbance")["level"].transform("first")
-    pairs: dict[Pair, None] = {}
+    pairs: dict[PairKey, None] = {}
     for (disturbance, level, first), rows in ranked.groupby(["disturbance", "level", neutral.rename("neutral")]):
-        for both in itertools.combinations(rows.policy.astype(str).unique(), 2):
-            pairs[_pair(str(disturbance), float(str(level)), float(str(first)), *both)] = None
+        for policies in itertools.combinations(rows.policy.astype(str).unique(), 2):
+            pairs[_pair(str(disturbance), float(str(level)), float(str(first)), *policies)] = None
     return list(pairs)
 
 
-def _pair(disturbance: str, level: float, neutral: float, *policies: str) -> Pair:
+def _pair(disturbance: str, level: float, neutral: float, *policies: str) -> PairKey:
     where = NEUTRAL if level == neutral else (disturbance, level)
     return (*where, frozenset(policies))
 
@@ -139,22 +232,22 @@ def _ranking(
     rows: pd.DataFrame,
     ranked: pd.DataFrame,
     columns: tuple[str, str, str],
-    tests: Mapping[Pair, PairTest],
-    apart: set[Pair],
+    tests: Mapping[PairKey, PairTest],
+    significant: set[PairKey],
 ) -> RobustnessRanking:
     levels = [float(level) for level in rows.level.unique()]
     names = list(dict.fromkeys(ranked.policy.astype(str)))
 
     def gains(name: str, other: str) -> dict[float, float]:
-        """The lead of a policy over another one, by level, as far as it is tested."""
-        found = {level: tests.get(_pair(disturbance, level, levels[0], name, other)) for level in levels}
-        return {level: test.lead if name < other else -test.lead for level, test in found.items() if test}
+        """Return the lead of a policy over another one, by level, as far as it is tested."""
+        by_level = {level: tests.get(_pair(disturbance, level, levels[0], name, other)) for level in levels}
+        return {level: test.lead if name < other else -test.lead for level, test in by_level.items() if test}
 
     def mean_lead(name: str) -> float:
         leads = [gains(name, other) for other in names if other != name]
         disturbed = [gain for by_level in leads for level, gain in by_level.items() if level != levels[0]]
-        played = set(ranked.level[ranked.policy.astype(str) == name].astype(float))
-        return float(np.mean(disturbed)) if disturbed and played >= set(levels) else -np.inf
+        own_levels = set(ranked.level[ranked.policy.astype(str) == name].astype(float))
+        return float(np.mean(disturbed)) if disturbed and own_levels >= set(levels) else -np.inf
 
     first = max(names, key=mean_lead, default="")
     if not first or mean_lead(first) == -np.inf:
@@ -162,15 +255,15 @@ def _ranking(
     alike, worse, better = [], {}, {}
     for name in names:
         gain = gains(name, first) if name != first else {}
-        shown = {level for level in gain if _pair(disturbance, level, levels[0], name, first) in apart}
-        if behind := onsets(gain, [gain[x] < 0 and x in shown for x in gain], [gain[x] <= 0 for x in gain]):
+        tested = {x for x in gain if _pair(disturbance, x, levels[0], name, first) in significant}
+        if behind := onsets(gain, [gain[x] < 0 and x in tested for x in gain], [gain[x] <= 0 for x in gain]):
             worse[name] = next((onset for onset in behind if onset.lasts), behind[0])
         elif name != first:
             alike.append(name)
         above = {x: value for x, value in gain.items() if x != levels[0]}
-        if ahead := onsets(above, [above[x] > 0 and x in shown for x in above], [above[x] >= 0 for x in above]):
+        if ahead := onsets(above, [above[x] > 0 and x in tested for x in above], [above[x] >= 0 for x in above]):
             better[name] = next((onset for onset in ahead if onset.lasts), ahead[0])
-    unit = rows["unit"].iloc[0] if "unit" in rows else None
+    unit = rows["unit"].iloc[0]
     return RobustnessRanking(
         disturbance,
         first,
@@ -193,7 +286,7 @@ def _score(row: Mapping[Any, Any], columns: tuple[str, str, str]) -> str:
 
 
 def _where(onset_of: Mapping[str, Onset], neutral: float | None = None) -> str:
-    """Policies and the levels from which something is shown of them."""
+    """Return policies with the levels of their onsets."""
     undisturbed = Onset(neutral) if neutral is not None else None
     return ", ".join(
         f"{name} {'also undisturbed' if onset == undisturbed else onset}" for name, onset in onset_of.items()

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from armctl.stats.intervals import (
+    Array,
     Bounds,
     Estimate,
     RandomWeights,
@@ -28,11 +28,9 @@ from armctl.stats.intervals import (
     sign_of_difference,
 )
 
-Array = NDArray[np.float64]
-
 FEWEST_TRAININGS = 6
-"""With fewer, no change of a recipe is significant: if one half of its trainings got better, it would still be seen in
-none of five with a probability of 3 %, on either side."""
+"""Least number of trainings that can show a change of a recipe: if one half of all trainings got better, it would still
+occur in none of five with a probability of 3 %, on either side."""
 
 
 @dataclass(frozen=True)
@@ -42,11 +40,11 @@ class TrainingMean:
     mean: Estimate
     """Mean over all trainings and episodes; no interval for a single training, or without bounds."""
     if_normal: Estimate
-    """With Student's interval, which holds if trainings and episodes vary normally; without one if nothing varies."""
+    """Mean with Student's interval, valid if trainings and episodes vary normally; without one if nothing varies."""
     p: float | None
     """Two-sided p-value for a mean of 0; None where there is no interval."""
     trainings: int
-    between: float | None
+    between_seed_std: float | None
     """Standard deviation between trainings, without the part due to their episodes; None for a single one."""
     episodes: float | None
     """Standard deviation between episodes that is common to all trainings; None for a single one."""
@@ -57,21 +55,23 @@ class CrossedDifference:
     """A mean of one learner minus that of another, at least one of which is several trainings."""
 
     estimate: Estimate
-    """Without an interval if scores have no bounds, like `narrow`."""
-    narrow: Estimate
-    """With the narrower interval, which lies within the margin of equivalent learners."""
+    """Difference with its 95 % interval; like the next two, without an interval if scores have no bounds."""
+    ci90: Estimate
+    """Difference with the 90 % interval, which lies within the margin of equivalent learners; narrower of several."""
     p: float | None
     """Two-sided p-value for no difference; None if scores have no bounds."""
-    wide: Estimate | None = None
-    """With the interval that holds at once for all pairs of a comparison; None in results of older versions."""
-    if_normal: Estimate | None = None
-    """With Student's interval, which holds if trainings and episodes vary normally; without one if nothing varies.
+    simultaneous: Estimate
+    """Difference with the interval that holds at once for all pairs of a comparison."""
+    if_normal: Estimate
+    """Difference with Student's interval, valid if trainings and episodes vary normally; without one if nothing varies.
+    """
 
-    None in results of older versions."""
+    def __neg__(self) -> "CrossedDifference":
+        return CrossedDifference(-self.estimate, -self.ci90, self.p, -self.simultaneous, -self.if_normal)
 
 
 def mean_over_trainings(scores: Array, bounds: Bounds | None = None) -> TrainingMean:
-    """Mean of scores (trainings, episodes), whose columns are the same episodes, for other trainings and episodes.
+    """Return the mean of scores (trainings, episodes), whose columns are the same episodes, as for other trainings.
 
     `bounds` are the least and largest possible score. Without them only Student's interval is known.
     """
@@ -85,17 +85,17 @@ def mean_over_trainings(scores: Array, bounds: Bounds | None = None) -> Training
     weighted = None if bounds is None else _random_weights(scores, None, bounds)
     return TrainingMean(
         _estimate(weighted, value, bounds), student.estimate(bounds), None if weighted is None else weighted.p(), k,
-        student.between, student.episodes,
+        student.between_seed_std, student.episodes,
     )  # fmt: skip
 
 
 def difference_over_trainings(
-    a: Array, b: Array, bounds: Bounds | None, narrow: float = 0.90, wide: float = 0.95
+    a: Array, b: Array, bounds: Bounds | None, narrow: float = 0.90, simultaneous: float = 0.95
 ) -> CrossedDifference:
-    """Mean of scores a (trainings, episodes) minus that of b, whose columns are the same episodes.
+    """Return the mean of scores a (trainings, episodes) minus that of b, whose columns are the same episodes.
 
-    A learner of a single training counts as it is: what is said holds for that network. `bounds` are those of each
-    score, if they are known, `narrow` and `wide` the confidences of the narrower and of the wider interval. Student's
+    A learner of a single training counts as it is: the result holds for that network. `bounds` are those of each score,
+    if they are known, `narrow` and `simultaneous` the confidences of `ci90` and of the wider interval. Student's
     interval of two groups has Welch's degrees of freedom.
     """
     a, b = _table(a), _table(b)
@@ -108,24 +108,24 @@ def difference_over_trainings(
         _estimate(weighted, student.value, possible),
         _estimate(weighted, student.value, possible, narrow),
         None if weighted is None else weighted.p(),
-        _estimate(weighted, student.value, possible, wide),
+        _estimate(weighted, student.value, possible, simultaneous),
         student.estimate(possible),
     )
 
 
-def superiority_over_trainings(a: Array, b: Array, wide: float = 0.95) -> tuple[Superiority, Estimate]:
-    """Superiority of scores a (trainings, episodes) over b (trainings, episodes), whose columns are the same episodes.
+def superiority_over_trainings(a: Array, b: Array, confidence: float = 0.95) -> tuple[Superiority, Estimate]:
+    """Return the superiority of scores a (trainings, episodes) over b, whose columns are the same episodes.
 
     It is that of one training of a over one of b; a learner of a single training counts as it is. The second estimate
-    is the same probability with the interval of the confidence `wide`.
+    is the same probability with the interval of another `confidence`.
     """
     a, b = _table(a), _table(b)
     ahead = (sign_of_difference(a[:, None], b) + 1) / 2
     rng, draws = np.random.default_rng(0), []
-    for means, seen in _weighted_episodes(ahead.reshape(-1, ahead.shape[-1]), rng):
+    for means, total in _weighted_episodes(ahead.reshape(-1, ahead.shape[-1]), rng):
         of_a, of_b = (_training_weights(len(means), len(learner), rng) for learner in (a, b))
         inside = np.einsum("ri,rj,rij->r", of_a, of_b, means.reshape(-1, len(a), len(b)))
-        at_bound = 1 - of_a.sum(axis=1) * of_b.sum(axis=1) * seen
+        at_bound = 1 - of_a.sum(axis=1) * of_b.sum(axis=1) * total
         draws.append((inside - 0.5, inside + at_bound - 0.5))
     weighted = RandomWeights(*np.concatenate(draws, axis=1))
     value = float(ahead.mean())
@@ -134,7 +134,7 @@ def superiority_over_trainings(a: Array, b: Array, wide: float = 0.95) -> tuple[
         low, high = weighted.limits(confidence)
         return _within(value, (low + 0.5, high + 0.5), (0.0, 1.0))
 
-    return Superiority(estimate(0.95), weighted.p()), estimate(wide)
+    return Superiority(estimate(0.95), weighted.p()), estimate(confidence)
 
 
 @dataclass(frozen=True)
@@ -144,13 +144,13 @@ class _Student:
     value: float
     error: float
     freedom: float
-    between: float
+    between_seed_std: float
     """Standard deviation between the trainings of the first learner."""
     episodes: float
     """Standard deviation that is common to all trainings."""
 
     def estimate(self, possible: Bounds | None) -> Estimate:
-        """With the 95 % interval, as far as it is possible."""
+        """Return the mean with the 95 % interval, as far as it is possible."""
         if self.error == 0:
             return Estimate(self.value, None, None)
         half = self.error * float(stats.t.ppf(0.975, self.freedom))
@@ -175,9 +175,9 @@ def _student(a: Array, b: Array | None = None) -> _Student:
     episodes = max(0.0, float(np.var(columns, ddof=1)) - sum(rests)) if n > 1 else 0.0
     freedoms = [len(scores) - 1 for scores in learners]
     if sum(parts) > 0:
-        freedom = sum(parts) ** 2 / sum(part**2 / max(one, 1) for part, one in zip(parts, freedoms, strict=True))
+        freedom = sum(parts) ** 2 / sum(part**2 / max(k, 1) for part, k in zip(parts, freedoms, strict=True))
     else:
-        freedom = float(min(one for one in freedoms if one))
+        freedom = float(min(filter(None, freedoms)))
     return _Student(float(columns.mean()), (sum(parts) + episodes / n) ** 0.5, freedom, between[0], episodes**0.5)
 
 
@@ -185,34 +185,34 @@ def _random_weights(a: Array, b: Array | None, bounds: Bounds) -> RandomWeights:
     together = a if b is None else np.vstack((a, b))
     lowest, highest = min(bounds[0], together.min()), max(bounds[1], together.max())
     rng, draws = np.random.default_rng(0), []
-    for means, seen in _weighted_episodes(together, rng):
-        low, high = _limits(means[:, : len(a)], seen, lowest, highest, rng)
+    for means, total in _weighted_episodes(together, rng):
+        low, high = _limits(means[:, : len(a)], total, lowest, highest, rng)
         if b is not None:
-            other_low, other_high = _limits(means[:, len(a) :], seen, lowest, highest, rng)
+            other_low, other_high = _limits(means[:, len(a) :], total, lowest, highest, rng)
             low, high = low - other_high, high - other_low
         draws.append((low, high))
     return RandomWeights(*np.concatenate(draws, axis=1))
 
 
 def _weighted_episodes(scores: Array, rng: np.random.Generator) -> Iterator[tuple[Array, Array]]:
-    """Sums (r, k) of scores (k, n) times random weights of episodes, and the sums (r,) of these weights, in batches."""
+    """Yield sums (r, k) of scores (k, n) times random weights of episodes, and sums (r,) of the weights, in batches."""
     columns, counts = np.unique(scores, axis=1, return_counts=True)
     for weights, _ in random_weights(counts, rng):
         yield weights @ columns.T, weights.sum(axis=1)
 
 
 def _training_weights(rows: int, trainings: int, rng: np.random.Generator) -> Array:
-    """Random weights (rows, trainings), which leave the rest to one more training; a single one counts as it is."""
+    """Draw weights (rows, trainings), which leave the rest to one more training; a single one counts as it is."""
     if trainings == 1:
         return np.ones((rows, 1))
     weights = rng.standard_exponential((rows, trainings + 1))
     return np.asarray(weights[:, :-1] / weights.sum(axis=1, keepdims=True))
 
 
-def _limits(means: Array, seen: Array, lowest: float, highest: float, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Mean of a learner, lowest and highest (r,): what was not seen, in trainings or episodes, is at the bound."""
+def _limits(means: Array, total: Array, lowest: float, highest: float, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Return the lowest and highest means (r,) of a learner: one more training, and one more episode, at the bound."""
     weights = _training_weights(len(means), means.shape[1], rng)
-    inside, at_bound = (weights * means).sum(axis=1), 1 - weights.sum(axis=1) * seen
+    inside, at_bound = (weights * means).sum(axis=1), 1 - weights.sum(axis=1) * total
     return inside + at_bound * lowest, inside + at_bound * highest
 
 
@@ -225,7 +225,7 @@ def _estimate(
 
 
 def _within(value: float, limits: Bounds, possible: Bounds | None) -> Estimate:
-    """With limits between which the value lies, as far as they are possible."""
+    """Return a value with limits that enclose it, as far as they are possible."""
     lowest, highest = possible or (-np.inf, np.inf)
     return Estimate(value, min(value, max(limits[0], lowest)), max(value, min(limits[1], highest)))
 
@@ -238,12 +238,12 @@ def _table(scores: Array) -> Array:
 
 
 def interquartile_mean(scores: Sequence[Array]) -> Estimate | None:
-    """Mean of the middle half of all scores (Agarwal et al. 2021), for scores over trainings.
+    """Return the mean of the middle half of all scores (Agarwal et al. 2021), for scores over trainings.
 
     Over episodes it would hide failures: with a quarter of them lost, it is still the mean of wins. `scores` are those
     of each training, (k,) each. The percentile bootstrap resamples each separately.
     """
-    strata = [np.asarray(one, dtype=float) for one in scores if len(one)]
+    strata = [np.asarray(values, dtype=float) for values in scores if len(values)]
     if not strata:
         return None
 

@@ -10,7 +10,7 @@ from armctl.core.registration import bare_id
 from armctl.episodes.stored import UNDISTURBED
 from armctl.policies import privileges
 from armctl.runtime.provenance import looks_in_words
-from armctl.stats.across_tasks import Choice, HeadToHead, choose, heads_to_head, rate_of, values_of
+from armctl.stats.across_tasks import Choice, TaskPair, choose, pairwise_by_task, rate_of, values_of
 from armctl.stats.intervals import FEWEST, Estimate, bounded_difference
 from armctl.stats.paired import MARGIN, holm
 from armctl.study.comparison import Comparison
@@ -41,7 +41,7 @@ class Answer:
     classical: Choice | None = None
     """Who stands for the best classical policy; None without any."""
     learned: Choice | None = None
-    heads: dict[str, HeadToHead] = field(default_factory=dict)
+    heads: dict[str, TaskPair] = field(default_factory=dict)
     """Classical against learned, by setting."""
     looks: Sequence[int] = ()
     """The numbers of episodes after which a verdict was told before."""
@@ -54,7 +54,7 @@ class Answer:
         return bare_id(self.env)
 
     @property
-    def undisturbed(self) -> HeadToHead | None:
+    def undisturbed(self) -> TaskPair | None:
         """Classical against learned without disturbance; None unless both have played."""
         return self.heads.get(UNDISTURBED)
 
@@ -180,13 +180,13 @@ def answer(swept: Sweep) -> Answer:
         kinds.append(choose(tables[UNDISTURBED], returns, names) if names else None)
     classical, trained = kinds
     found = Answer(swept.env, plain.policies, tables, labels, classical, trained, {}, swept.looks, spared)
-    heads = heads_to_head(found.shared_cells, UNDISTURBED, classical, trained) if classical and trained else {}
+    heads = pairwise_by_task(found.shared_cells, UNDISTURBED, classical, trained) if classical and trained else {}
     if UNDISTURBED in heads:
         heads[UNDISTURBED] = _with_steps(heads[UNDISTURBED], plain, classical, trained)
     return replace(found, heads=heads)
 
 
-def _with_steps(head: HeadToHead, plain: Comparison, classical: Choice | None, learned: Choice | None) -> HeadToHead:
+def _with_steps(head: TaskPair, plain: Comparison, classical: Choice | None, learned: Choice | None) -> TaskPair:
     """The same with the difference in steps to the goal, a failure counting as the time limit, if that is known."""
     if plain.facts.time_limit is None or classical is None or learned is None:
         return head
@@ -208,7 +208,7 @@ def corrected(answers: Sequence[Answer]) -> list[Answer]:
              if (p := getattr(head, name)) is not None}  # fmt: skip
     adjusted = dict(zip(tests, holm(list(tests.values())), strict=True))
     told = {
-        env: replace(head, p=adjusted[env, "p"], steps_p=adjusted.get((env, "steps_p")), claims=len(heads))
+        env: replace(head, p=adjusted[env, "p"], steps_p=adjusted.get((env, "steps_p")), num_comparisons=len(heads))
         for env, head in heads.items()
     }
     return [
@@ -253,7 +253,7 @@ def _nothing(found: Answer) -> str:
 
 def _times(policies: Sequence[PolicySummary]) -> str:
     """How long each decides; what these times are stands behind each, or once at the end if it is the same for all."""
-    times = [f"{one.policy} {one.decision_ms:.2g} ms" for one in policies]
+    times = [f"{one.policy} {one.decision_ms_mean:.2g} ms" for one in policies]
     kinds = [one.timing for one in policies]
     if len(set(kinds)) == 1:
         return ", ".join(times) + (f" ({kinds[0]})" if kinds[0] else "")

@@ -46,7 +46,7 @@ NOT_AN_ARMCTL_TASK = (
 class Task:
     """What the cells of a task share while they are played."""
 
-    least_lengths: dict[int, float] = field(default_factory=dict)
+    lower_bound_steps: dict[int, float] = field(default_factory=dict)
     """Of each episode, as in `rollouts`."""
     seed_notes: list[str] | None = None
     """Remarks of `seed_notes`; None before the first cell is played."""
@@ -138,21 +138,21 @@ class _Line:
         own = identity(cell.env, cell.env_options, self.plan.seed, cell.players, self.made, self.env, late)
         return {**own, POLICY_SEED: str(self.policy_seed)}
 
-    def play(self, kept: EpisodeTable, least_lengths: dict[int, float]) -> Iterator[RolloutBatch]:
+    def play(self, kept: EpisodeTable, lower_bound_steps: dict[int, float]) -> Iterator[RolloutBatch]:
         """Play the episodes that are not among those that were `kept`."""
         cell, plan, engine = self.cell, self.plan, self.plan.engine
         finished = {name: its.column("episode") for name, its in kept.by_policy().items()}
         waiting = {name: np.setdiff1d(np.arange(plan.episodes), finished.get(name, [])).tolist() for name in self.made}
-        lengths = (kept.column(name).tolist() for name in ("episode", "least_length"))
-        least_lengths.update(zip(*lengths, strict=True))
+        lengths = (kept.column(name).tolist() for name in ("episode", "lower_bound_steps"))
+        lower_bound_steps.update(zip(*lengths, strict=True))
         if engine.is_local:
             worlds = {name: self.interfaces.of(policy) for name, policy in self.playing.items()}
-            return play_here(self.made, worlds, plan.seed, waiting, least_lengths, cell.real_time, set(finished))
+            return play_here(self.made, worlds, plan.seed, waiting, lower_bound_steps, cell.real_time, set(finished))
         options = dict(cell.env_options)
         config = WorkerConfig(cell.env, self.worlds, options, plan.seed, self.policy_seed, engine.workers)
         setting = Setting(config, self.playing)
         return play_in_workers(
-            setting, self.made, self.interfaces, waiting, least_lengths, engine, cell.real_time, set(finished)
+            setting, self.made, self.interfaces, waiting, lower_bound_steps, engine, cell.real_time, set(finished)
         )
 
     def facts(self, events: _Events, notes: list[str], resumed: int) -> Facts:
@@ -181,7 +181,7 @@ class _Line:
             failures=events.failures,
             baseline=plan.baseline,
             margin=plan.margin,
-            real_time=None if late is None else {"latency": late.latency, "slow_down": late.slow_down},
+            real_time=None if late is None else {"latency": late.latency, "slow_down": late.time_scale},
             groups=cell.groups,
             disqualified=events.disqualified,
             interrupted=events.interrupted,
@@ -217,7 +217,7 @@ def play_cell(cell: Cell, session: Session, task: Task) -> Comparison:
         session.on_first_cell()
         for result in writer.kept:
             progress(result)
-        _play(line, writer, task.least_lengths, meter, events, progress)
+        _play(line, writer, task.lower_bound_steps, meter, events, progress)
         results = writer.episodes()
         results = results[~np.isin(results.column("policy"), events.disqualified)].sorted(list(line.made))
         events.note_crashes(results)
@@ -264,7 +264,7 @@ def _notes(line: _Line, task: Task) -> list[str]:
 def _play(
     line: _Line,
     writer: CellWriter,
-    least_lengths: dict[int, float],
+    lower_bound_steps: dict[int, float],
     meter: RunMeter,
     events: _Events,
     progress: Callable[[EpisodeResult], None],
@@ -272,7 +272,7 @@ def _play(
     """Write episodes until all are played, the workers are lost, or somebody interrupts."""
     here, in_workers = dict(events.construction_ms), dict[str, float]()
     try:
-        with closing(line.play(writer.kept, least_lengths)) as stream:  # type: ignore[type-var]
+        with closing(line.play(writer.kept, lower_bound_steps)) as stream:  # type: ignore[type-var]
             for played in stream:
                 events.note(played)
                 if (spent := played.construction_ms) is not None:

@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Any, Unpack
 
 from armctl import DEFAULT_ENV
+from armctl.core.seeds import Seed
 from armctl.episodes.record import EpisodeResult
 from armctl.episodes.stored import UNDISTURBED
-from armctl.rollout.seeds import Seed
 from armctl.study.comparison import Comparison
 from armctl.study.options import ComparisonOptions
 from armctl.study.plan import comparison_plan
@@ -40,7 +40,7 @@ def compare(
     with more worlds, each is a batch's time divided by the number of worlds. The policy's construction, its resets and
     its first decision in a process have times of their own.
 
-    Raises `ConfigurationError` (also for a seed of training, see `armctl.rollout.seeds`, and for a return that is
+    Raises `ConfigurationError` (also for a seed of training, see `armctl.core.seeds`, and for a return that is
     outside the `return_bounds`), `AgentFileError`, and `ResultsError` if `out` cannot be written, is damaged, or holds
     the results of another comparison (unless `overwrite`).
     """

@@ -11,15 +11,16 @@ import pandas as pd
 from armctl.core.registration import bare_id
 from armctl.episodes.table import EpisodeTable
 from armctl.policies import learners
-from armctl.rollout.decision_times import Machines, load_notes, timing_notes, unjudged
+from armctl.rollout.decision_times import Machines, load_notes, timing_notes, without_deadline_verdicts
 from armctl.rollout.real_time import MEASURED
 from armctl.runtime.provenance import Run, argument_notes, earlier_looks
 from armctl.stats.paired import PairedDifference
 from armctl.study.facts import Facts
 from armctl.verdict.notebook import Displayed
+from armctl.verdict.notes import certificate_notes, motion_notes
 from armctl.verdict.scores import by_learner
 from armctl.verdict.sentences import headline, verdict
-from armctl.verdict.summary import PolicySummary, certificate_notes, counted_results, motion_notes, summarise
+from armctl.verdict.summary import PolicySummary, counted_results, summarise
 from armctl.verdict.summary_tables import details, paired_table, policy_table
 from armctl.verdict.tables import Document, Remark, Table
 
@@ -154,7 +155,7 @@ def concluded(
 ) -> Comparison:
     """The result of a cell from what is stored of it: its identity, facts, episodes and runs."""
     latencies = facts.real_time is None or facts.real_time["latency"] == MEASURED
-    results = unjudged(results, runs) if latencies and len(results) else results
+    results = without_deadline_verdicts(results, runs) if latencies and len(results) else results
     found = Comparison(identity, env_options, facts, results, runs, notes=[*facts.notes])
     found.tracebacks = tracebacks or {}
     if not len(results):

@@ -10,6 +10,7 @@ from typing import Any
 from armctl.core.errors import ArmctlError, ConfigurationError, unknown_name
 from armctl.core.files import checked_name
 from armctl.core.registration import bare_id, environment_names, remember_named
+from armctl.core.seeds import Seed, evaluation_seed
 from armctl.envs import full_id, make_worlds
 from armctl.episodes.stored import UNDISTURBED
 from armctl.policies import expanded, is_seed_group, learners, named_policies
@@ -23,7 +24,6 @@ from armctl.rollout.real_time import (
     real_time_of,
 )
 from armctl.rollout.rollouts import check_counts
-from armctl.rollout.seeds import Seed, evaluation_seed
 from armctl.runtime.engines import Engine, engine_of
 from armctl.stats.paired import MARGIN
 from armctl.study.levels import Disturbances, checked_levels, disturbance_specs, setting_name
@@ -226,7 +226,7 @@ def _task_plan(
     for name, at in levels.items():
         for level in at[1:]:
             if name == SLOWER:
-                late = replace(recorded or RealTime(latency=source), slow_down=level)
+                late = replace(recorded or RealTime(latency=source), time_scale=level)
                 changed = replace(undisturbed, real_time=late, repeats=None if recorded else undisturbed.name)
             else:
                 changed = replace(undisturbed, env_options=options | {"disturbances": constant | {name: level}})

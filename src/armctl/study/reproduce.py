@@ -13,10 +13,10 @@ from scipy import stats
 from armctl.agents import AgentCard, Evaluation, read_card
 from armctl.core.errors import AgentFileError, ConfigurationError, unknown_name
 from armctl.core.registration import installed, remember_named
+from armctl.core.seeds import Seed, evaluation_seed
 from armctl.envs import check_from_file, full_id
 from armctl.policies import GROUP, agent_cards, training_card
 from armctl.rollout.rollouts import evaluate
-from armctl.rollout.seeds import Seed, evaluation_seed
 from armctl.stats.intervals import success_rate
 from armctl.stats.paired import holm
 
@@ -148,7 +148,7 @@ def reproduce(agent: str | Path, *, seed: Seed | None = None, worlds: int = 64, 
         seed=seed,
         worlds=worlds,
         env_options=card.env_options,
-        least_lengths=False,
+        lower_bound_steps=False,
     )
     return Reproduction(card, claimed, evaluation_of(episodes, seed))
 

@@ -104,7 +104,7 @@ def _with_times(cell: Cell, swept: Sweep, episodes: int) -> Cell:
     assert cell.real_time is not None
     assert swept.undisturbed is not None
     times = replace(cell.real_time, recorded=recorded_times(swept.undisturbed.results))
-    lacking = times.lacking(cell.players, episodes)
+    lacking = times.missing_recordings(cell.players, episodes)
     swept.failures |= {
         f"{cell.setting}: {policy}": f"no decision times of episode {k}" for policy, k in lacking.items()
     }

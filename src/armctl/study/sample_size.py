@@ -7,7 +7,7 @@ from armctl.core.errors import ConfigurationError, ResultsError
 from armctl.stats.paired import LEVELS
 from armctl.stats.power import episodes_to_detect, episodes_to_show_equivalence
 from armctl.study.results import read_comparison
-from armctl.verdict.sentences import contests
+from armctl.verdict.sentences import verdict_pairs
 from armctl.verdict.tables import AGAINST, Cell, Column, Document, Remark, Table
 
 SHARES = (0.01, 0.02, 0.05, 0.1, 0.2, 0.4)
@@ -23,7 +23,7 @@ class _Planned:
     """Of discordant episodes, by the name of a row."""
     tests: int = LEVELS
     """For how many the verdict corrects a difference."""
-    claims: int = 1
+    num_comparisons: int = 1
     """For how many pairs it corrects equivalence."""
     left_out: list[str] = field(default_factory=list)
     """Pairs that more episodes alone do not decide."""
@@ -48,13 +48,13 @@ def plan_comparison(
     if pairs is not None and pairs < 1:
         raise ConfigurationError(f"a comparison has at least one pair, not {pairs}")
     plan = _Planned({Cell(f"{100 * share:g} %"): share for share in SHARES}) if pilot is None else _planned(pilot)
-    tests, claims = LEVELS * pairs if pairs else plan.tests, pairs or plan.claims
+    tests, num_comparisons = LEVELS * pairs if pairs else plan.tests, pairs or plan.num_comparisons
     records = [
         {
             "pair": f"{name.text} {name.small}".strip(),
             "discordant": share,
             "episodes_to_detect": episodes_to_detect(difference, share, power, tests),
-            "episodes_to_show_equivalence": episodes_to_show_equivalence(difference, share, power, claims),
+            "episodes_to_show_equivalence": episodes_to_show_equivalence(difference, share, power, num_comparisons),
         }
         for name, share in plan.shares.items()
     ]
@@ -74,14 +74,14 @@ def plan_comparison(
     ]
     if plan.left_out:
         remarks.append(f"Left out: {', '.join(plan.left_out)}. {TRAININGS}.")
-    table = Table("plan", title, columns, rows, records, _caption(tests, claims))
+    table = Table("plan", title, columns, rows, records, _caption(tests, num_comparisons))
     return Document([table, *map(Remark, remarks)], {"difference": difference, "power": power})
 
 
-def _caption(tests: int, claims: int) -> str:
+def _caption(tests: int, num_comparisons: int) -> str:
     """How the tests are corrected."""
     corrections = f"to detect, for {tests} test{'s' * (tests > 1)} of success, steps and return; "
-    corrections += f"to show equivalence, for {claims} pair{'s' * (claims > 1)}"
+    corrections += f"to show equivalence, for {num_comparisons} pair{'s' * (num_comparisons > 1)}"
     return f"Tests at 5 % after Bonferroni's correction ({corrections}), on the same episodes for both policies."
 
 
@@ -96,5 +96,5 @@ def _planned(pilot: Path) -> _Planned:
         why = f": {TRAININGS}" if left_out else ""
         raise ResultsError(f"{pilot} has no pair of policies whose success is known, and so nothing to plan by{why}")
     shares = {name: (pair.only_a + pair.only_b + 1) / (pair.episodes + 2) for name, pair in alone.items()}
-    told = contests(found.policies, found.paired, found.facts.baseline)[0]
-    return _Planned(shares, told.p.tests, told.claims, left_out)
+    pair = verdict_pairs(found.policies, found.paired, found.facts.baseline)[0]
+    return _Planned(shares, pair.p.tests, pair.num_comparisons, left_out)

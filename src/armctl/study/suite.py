@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Unpack
 
-from armctl.rollout.seeds import Seed
+from armctl.core.seeds import Seed
 from armctl.study.options import StudyOptions
 from armctl.study.plan import ALL, suite_plan
 from armctl.study.run import play

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any, Unpack
 
 from armctl import DEFAULT_ENV
+from armctl.core.seeds import Seed
 from armctl.episodes.record import EpisodeResult
-from armctl.rollout.seeds import Seed
 from armctl.study.levels import Disturbances
 from armctl.study.options import TaskOptions
 from armctl.study.plan import sweep_plan

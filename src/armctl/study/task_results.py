@@ -10,10 +10,9 @@ import pandas as pd
 
 from armctl.episodes.stored import UNDISTURBED
 from armctl.rollout.real_time import SLOWER
-from armctl.stats.degradation import change_between, change_of_group
 from armctl.stats.intervals import Estimate
 from armctl.stats.paired import PairedDifference
-from armctl.stats.robustness import NEUTRAL, Pair, PairTest
+from armctl.stats.robustness import NEUTRAL, PairKey, PairTest, change_between
 from armctl.study.comparison import Comparison
 from armctl.study.levels import setting_name
 from armctl.verdict.notebook import Displayed
@@ -101,7 +100,7 @@ class Sweep(Displayed):
         return pd.DataFrame(rows, columns=list(COLUMNS))
 
     @property
-    def pairs(self) -> dict[Pair, PairTest]:
+    def pairs(self) -> dict[PairKey, PairTest]:
         """The test of each two policies in the same episodes: for equal success, or the sign test if it is unknown."""
         where = self.settings | {UNDISTURBED: NEUTRAL}
         return {
@@ -144,4 +143,4 @@ def _change(before: pd.DataFrame, after: pd.DataFrame, policy: PolicySummary) ->
         return math.nan, math.nan
     first, second = (rows[rows.policy.isin(policy.trainings or [policy.policy])] for rows in (before, after))
     score = "return" if policy.success is None else "success"
-    return (change_of_group if policy.trainings else change_between)(first, second, score)
+    return change_between(first, second, score)

@@ -19,7 +19,7 @@ from armctl.envs import task_of
 from armctl.runtime.engines import Cluster, Engine
 from armctl.runtime.identity import checksums_of_code
 from armctl.runtime.sending import relative
-from armctl.runtime.workers import check_alike
+from armctl.runtime.workers import check_same_identity
 from armctl.simulation.threads import one_thread
 from armctl.training.learners import Callback, Recipe, load_learner
 from armctl.training.trials import TRIALS, add_trial, progress_of, read_trials, results_of, trial_row
@@ -122,7 +122,7 @@ def train_seeds(job: TrainingJob, folders: Mapping[int, Path], engine: Engine) -
 def _train(job: TrainingJob, seed: int, folder: Path, brings: bool) -> TrainingOutcome:
     """Train in a worker."""
     if brings:
-        check_alike(job.code, code_of(job.recipe))
+        check_same_identity(job.code, code_of(job.recipe))
     card, failure = None, None
     try:
         with log_trial(job, seed, folder):

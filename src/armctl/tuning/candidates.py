@@ -13,6 +13,7 @@ import numpy as np
 from armctl.core.errors import ConfigurationError, unknown_name
 from armctl.core.files import read_toml
 from armctl.core.search_space import Range, SearchSpace, search_space, value_at, with_values
+from armctl.core.seeds import VALIDATION_SEED
 from armctl.envs import full_id, new_policy_seed, task_of
 from armctl.episodes.failures import unless_failed
 from armctl.policies import (
@@ -23,7 +24,6 @@ from armctl.policies import (
     read_configuration,
 )
 from armctl.rollout.rollouts import build_policy, rollouts
-from armctl.rollout.seeds import VALIDATION_SEED
 from armctl.runtime.identity import checksums_of_code
 from armctl.study.curves import CURVE, read_curve
 from armctl.training.learners import Recipe, load_recipe, recipe_names

@@ -20,8 +20,9 @@ from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
 
 from armctl.core.errors import ResultsError
-from armctl.core.files import LOCK, bounded_text, inside, open_without_links, sealed, unsealed, write_atomically
-from armctl.runtime.identity import checksum_of_core, differences
+from armctl.core.files import LOCK, inside, open_without_links, sealed, write_atomically
+from armctl.runtime.folder import claim
+from armctl.runtime.identity import checksum_of_core
 from armctl.runtime.provenance import versions
 from armctl.tuning.candidates import Candidate
 
@@ -44,7 +45,9 @@ def joined(candidate: Candidate, folder: Path, seed: int) -> Iterator[tuple[optu
             others = inside(folder, PROCESSES)
             others.mkdir(parents=True, exist_ok=True)
             with filelock.FileLock(folder / LOCK, timeout=PATIENCE):
-                _check_same(folder / TUNING, _identity(candidate))
+                identity = _identity(candidate)
+                if claim(folder / TUNING, identity, "another tuning", "choose another folder") is None:
+                    write_atomically(folder / TUNING, sealed(identity))
                 is_alone = not _living(others)
                 if is_alone:
                     _mend(folder / JOURNAL)
@@ -85,18 +88,6 @@ def _identity(candidate: Candidate) -> dict[str, Any]:
         "versions": versions() | {"optuna": optuna.__version__},
         "source": checksum_of_core(),
     }
-
-
-def _check_same(file: Path, identity: dict[str, Any]) -> None:
-    if not file.exists():
-        write_atomically(file, sealed(identity))
-        return
-    try:
-        stored = unsealed(bounded_text(file))
-    except (OSError, ValueError, RecursionError) as error:
-        raise ResultsError(f"{file} cannot be read ({error}): choose another folder") from error
-    if changes := "; ".join(differences(stored, identity)):
-        raise ResultsError(f"{file.parent} holds another tuning ({changes}): choose another folder")
 
 
 def _living(folder: Path) -> set[str]:

@@ -19,7 +19,7 @@ from optuna.trial import FrozenTrial
 
 from armctl.core.errors import FAILURES, described
 from armctl.core.search_space import Range, SearchSpace
-from armctl.runtime.workers import check_alike
+from armctl.runtime.workers import check_same_identity
 from armctl.training.run import processor_seconds
 from armctl.tuning.candidates import Candidate, Pruned
 
@@ -88,7 +88,7 @@ def measure(
 def measure_away(sent: tuple[Candidate, Mapping[str, str]], *trial: Any) -> TrialOutcome:
     """Measure a trial in a cluster's worker, with the same code as where it was proposed. Raises `WorkersFailed`."""
     candidate, code = sent
-    check_alike(code, candidate.code)
+    check_same_identity(code, candidate.code)
     return measure(candidate, *trial)
 
 

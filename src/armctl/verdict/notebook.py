@@ -1,4 +1,4 @@
-"""How results look in a notebook: small HTML tables, in the notebook's own colours, light or dark."""
+"""Results in notebooks: small HTML tables in the notebook's colours, light or dark."""
 
 import html
 from abc import ABC, abstractmethod
@@ -20,19 +20,19 @@ KINDS = {
 
 
 class Displayed(ABC):
-    """What has a document, and shows it in notebooks."""
+    """Base of results that notebooks display as a document."""
 
     @abstractmethod
     def document(self) -> Document:
-        """The tables and remarks."""
+        """Return the tables and remarks."""
 
     def _repr_html_(self) -> str:
-        """The document, as Jupyter asks for it."""
+        """Return the document as HTML, for Jupyter."""
         return html_of(self.document())
 
 
 def html_of(document: Document) -> str:
-    """A document as HTML without scripts, style sheets and links."""
+    """Return a document as HTML without scripts, style sheets and links."""
     parts = [_table(part) if isinstance(part, Table) else _remark(part) for part in document.parts]
     return f'<div class="armctl" style="line-height: 1.4; overflow-x: auto;">{"".join(parts)}</div>'
 

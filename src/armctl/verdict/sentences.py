@@ -13,10 +13,10 @@ from armctl.stats.intervals import FEWEST, Estimate
 from armctl.stats.paired import (
     MARGIN,
     SIGNIFICANT,
-    Corrected,
+    AdjustedP,
     PairedDifference,
-    corrected,
-    shown,
+    holm_adjusted,
+    significant,
     within,
 )
 from armctl.stats.power import episodes_to_detect, episodes_to_show_equivalence
@@ -25,47 +25,21 @@ from armctl.verdict.tables import UNKNOWN, p_value, points, size
 
 
 @dataclass(frozen=True)
-class Contest:
-    """Two policies on the same episodes, the first being the one that does better."""
+class Pair:
+    """Two policies on the same episodes, the better one first."""
 
     first: PolicySummary
     second: PolicySummary
-    pair: PairedDifference
-    p: Corrected
-    claims: int
-    """Number of pairs from which this one was chosen after they had been seen, or which are told beside it."""
+    difference: PairedDifference
+    """The first minus the second."""
+    p: AdjustedP
+    num_comparisons: int
+    """Number of pairs from which this one was chosen by their results, or which are in the same verdict."""
 
     @property
-    def first_ahead(self) -> Estimate | None:
-        """Success of the first minus that of the second; None if it is unknown.
-
-        The interval holds for the chosen pair: at once for all `claims`.
-        """
-        return self._of_first(self.pair.success_among(self.claims))
-
-    @property
-    def steps_ahead(self) -> Estimate | None:
-        """Steps to the goal of the first minus those of the second, with an interval that holds for all pairs."""
-        wide = self.pair.simultaneous
-        return self._of_first(wide.steps if wide else self.pair.steps_difference)
-
-    @property
-    def return_ahead(self) -> Estimate:
-        """Return of the first minus that of the second, with an interval that holds for all pairs."""
-        wide = self.pair.simultaneous
-        found = self._of_first(wide.returns if wide else self.pair.return_difference)
-        assert found is not None
-        return found
-
-    @property
-    def higher(self) -> Estimate:
-        """Share of episodes in which the first has the higher return, with an interval that holds for all pairs."""
-        wide = self.pair.simultaneous
-        found = wide.superiority if wide else self.pair.superiority.probability
-        return found if self.first.policy == self.pair.a else _negated(found, 1.0)
-
-    def _of_first(self, found: Estimate | None) -> Estimate | None:
-        return found if found is None or self.first.policy == self.pair.a else _negated(found)
+    def success(self) -> Estimate | None:
+        """Difference in success; None if it is unknown. The interval holds at once for all `num_comparisons`."""
+        return self.difference.success_among(self.num_comparisons)
 
 
 def verdict(
@@ -75,21 +49,21 @@ def verdict(
     margin: float = MARGIN,
     looks: Sequence[int] = (),
 ) -> str:
-    """A sentence about the best classical and the best learned policy, or about the two best, and about costs.
+    """Return the verdict on the best classical and the best learned policy, or on the two best, with their costs.
 
-    With `baseline`, every other policy is held against it instead. Policies that did not come with armctl are always
-    named. The best are those of the highest success rate, or return where success is unknown. `margin` is the
-    difference in success below which policies count as equivalent. `looks` are the numbers of episodes after which a
-    verdict was told before. Policies that a disturbance does not reach are in no pair, and named at the end.
+    With `baseline`, every other policy is compared with it instead. Policies that did not come with armctl are always
+    named. The best have the highest success rate, or return where success is unknown. `margin` is the difference in
+    success below which policies count as equivalent. `looks` are the numbers of episodes after which a verdict was
+    printed before. Policies that a disturbance does not affect are in no pair, and named at the end.
     """
     fewest = min((pair.episodes for pair in paired), default=FEWEST)
     if fewest < FEWEST:
-        said = [f"No verdict from {fewest} episode{'s' if fewest > 1 else ''}: it takes {FEWEST}."]
+        sentences = [f"No verdict from {fewest} episode{'s' if fewest > 1 else ''}: at least {FEWEST} are needed."]
     else:
-        told = contests(policies, paired, baseline)
-        said = [_sentence(contest, margin, looks) for contest in told]
-        said += [_cost(told[0]), _privileges(told[0]), _networks(told)] if told else []
-    return " ".join(filter(None, (*said, *map(_physics_failed, policies), _not_judged(policies))))
+        pairs = verdict_pairs(policies, paired, baseline)
+        sentences = [_sentence(pair, margin, looks) for pair in pairs]
+        sentences += [_cost(pairs[0]), _privileges(pairs[0]), _scope(pairs)] if pairs else []
+    return " ".join(filter(None, (*sentences, *map(_physics_failed, policies), _not_tested(policies))))
 
 
 def headline(
@@ -99,48 +73,59 @@ def headline(
     margin: float = MARGIN,
     looks: Sequence[int] = (),
 ) -> tuple[str, str]:
-    """The verdict's first pair in two short sentences: who wins by how much, and at what cost (empty without one)."""
-    told = contests(policies, paired, baseline)
-    if not told:
+    """Return the verdict's first pair in two short sentences: which is better by how much, and at what cost, if any."""
+    pairs = verdict_pairs(policies, paired, baseline)
+    if not pairs:
         return verdict(policies, paired, baseline, margin), ""
     if min(pair.episodes for pair in paired) < FEWEST:
         return verdict(policies, paired, baseline, margin).partition(". ")[0].rstrip(".") + ".", ""
-    contest = told[0]
-    first, second = contest.first, contest.second
-    names = f"{first.policy} and {second.policy}"
-    if contest.p.success is None:
-        said = [_by_return(contest, looks)]
-    elif contest.p.success < SIGNIFICANT:
-        gain, _, interval = _difference(contest).removeprefix("+").partition(" [")
-        said = [f"{first.policy} beats {second.policy} by {gain} of success [{interval}"]
-    elif contest.pair.equivalent(margin, contest.claims):
-        said = [f"{names} are equivalent within {100 * margin:g} points of success", _by_steps(contest)]
+    pair = pairs[0]
+    names = f"{pair.first.policy} and {pair.second.policy}"
+    if pair.p.success is None:
+        parts = [_by_return(pair, looks)]
+    elif pair.p.success < SIGNIFICANT:
+        gain, _, interval = _points(pair).removeprefix("+").partition(" [")
+        parts = [f"{pair.first.policy} beats {pair.second.policy} by {gain} of success [{interval}"]
+    elif pair.difference.equivalent(margin, pair.num_comparisons):
+        parts = [f"{names} are equivalent within {100 * margin:g} points of success", _by_steps(pair)]
     else:
-        said = [f"Undecided between {names}: success {_difference(contest)}", _by_steps(contest)]
-    if contest.p.success is not None and looks:
-        said.append(looks_in_words(looks))
-    times = [f"{one.policy} {one.decision_ms:.2g} ms{one.training.brief}" for one in (first, second)]
-    cost = f"On average, a decision takes {', and '.join(times)}{_timing(contest)}."
-    return f"{'; '.join(filter(None, said))}.", cost
+        parts = [f"Undecided between {names}: success {_points(pair)}", _by_steps(pair)]
+    if pair.p.success is not None and looks:
+        parts.append(looks_in_words(looks))
+    times = [
+        f"{policy.policy} {policy.decision_ms_mean:.2g} ms{policy.training.brief}"
+        for policy in (pair.first, pair.second)
+    ]
+    return f"{'; '.join(filter(None, parts))}.", f"Mean decision time: {', '.join(times)}{_timing(pair)}."
 
 
-def contests(
+def verdict_pairs(
     policies: Sequence[PolicySummary], paired: Sequence[PairedDifference], baseline: str | None
-) -> list[Contest]:
-    """The pairs that a verdict tells, the most important one first. A `baseline` that has not played is none.
+) -> list[Pair]:
+    """Return the pairs of a verdict, the most important one first. A `baseline` that has not played is none.
 
-    There is no pair with a policy that a disturbance does not reach: none at all if it is the baseline.
+    There is no pair with a policy that a disturbance does not affect: none at all if it is the baseline.
     """
-    baseline = next((one.policy for one in policies if one.policy == baseline), None)
-    policies = [one for one in policies if not one.spared]
-    if len(policies) < 2 or baseline not in (None, *(one.policy for one in policies)):
+    baseline = next((policy.policy for policy in policies if policy.policy == baseline), None)
+    policies = [policy for policy in policies if not policy.spared]
+    if len(policies) < 2 or baseline not in (None, *(policy.policy for policy in policies)):
         return []
-    told = _pairs_to_tell(policies, baseline)
-    claims = _claims(policies, len(told), baseline)
-    return [_contest(policies, paired, names, baseline, claims) for names in told]
+    chosen = _chosen_pairs(policies, baseline)
+    num_comparisons = _num_comparisons(policies, len(chosen), baseline)
+    by_name = {policy.policy: policy for policy in policies}
+    adjusted = holm_adjusted(paired, baseline)
+    pairs = []
+    for names in chosen:
+        i = next(i for i, pair in enumerate(paired) if {pair.a, pair.b} == set(names))
+        difference, gain = paired[i], _gain(paired[i])
+        if gain < 0 or (not gain > 0 and difference.a != names[0]):
+            difference = difference.reversed()
+        first, second = by_name[difference.a], by_name[difference.b]
+        pairs.append(Pair(first, second, difference, adjusted[i], num_comparisons))
+    return pairs
 
 
-def _pairs_to_tell(policies: Sequence[PolicySummary], baseline: str | None) -> list[tuple[str, str]]:
+def _chosen_pairs(policies: Sequence[PolicySummary], baseline: str | None) -> list[tuple[str, str]]:
     ranked = sorted(policies, key=lambda policy: _rank(policy.success, policy.episode_return), reverse=True)
     names = [policy.policy for policy in ranked]
     if baseline:
@@ -148,38 +133,21 @@ def _pairs_to_tell(policies: Sequence[PolicySummary], baseline: str | None) -> l
     classical = [policy.policy for policy in ranked if not policy.learned]
     learned = [policy.policy for policy in ranked if policy.learned]
     best = (classical[0], learned[0]) if classical and learned else (names[0], names[1])
-    own = [name for name in names if name not in policy_names() and name not in best]
-    return [best, *((name, best[names.index(best[1]) < names.index(best[0])]) for name in own)]
+    foreign = [name for name in names if name not in policy_names() and name not in best]
+    return [best, *((name, best[names.index(best[1]) < names.index(best[0])]) for name in foreign)]
 
 
-def _claims(policies: Sequence[PolicySummary], told: int, baseline: str | None) -> int:
-    """The number of pairs among which the best two were chosen; all pairs if further ones are told beside them."""
+def _num_comparisons(policies: Sequence[PolicySummary], num_chosen: int, baseline: str | None) -> int:
+    """Return the number of pairs among which the best two were chosen; all pairs if a verdict has further ones."""
     learned = sum(policy.learned for policy in policies)
-    between = learned * (len(policies) - learned)
+    mixed = learned * (len(policies) - learned)
     if baseline:
-        return told
-    return between if between and told == 1 else math.comb(len(policies), 2)
-
-
-def _contest(
-    policies: Sequence[PolicySummary],
-    paired: Sequence[PairedDifference],
-    names: tuple[str, str],
-    baseline: str | None,
-    claims: int,
-) -> Contest:
-    by_name = {policy.policy: policy for policy in policies}
-    pair = next(pair for pair in paired if {pair.a, pair.b} == set(names))
-    p = corrected(paired, baseline)[paired.index(pair)]
-    first, second = sorted((by_name[pair.a], by_name[pair.b]), key=lambda one: names.index(one.policy))
-    gain = _gain(pair)
-    if gain and (first.policy == pair.a) != (gain > 0):
-        first, second = second, first
-    return Contest(first, second, pair, p, claims)
+        return num_chosen
+    return mixed if mixed and num_chosen == 1 else math.comb(len(policies), 2)
 
 
 def _gain(pair: PairedDifference) -> float:
-    """By how much a does better than b, by the first figure in which they differ at all; 0 if there is none."""
+    """Return by how much a is better than b, by the first figure in which they differ at all; 0 if there is none."""
     success, steps = pair.success_difference, pair.steps_difference
     if success is None and pair.return_p is None:
         return pair.superiority.probability.value - 0.5
@@ -187,141 +155,137 @@ def _gain(pair: PairedDifference) -> float:
     return next(filter(None, gains), 0.0)
 
 
-def _sentence(contest: Contest, margin: float, looks: Sequence[int]) -> str:
-    """The difference in success, and if that is not significant, in steps; then that in return."""
-    first, second, p = contest.first.policy, contest.second.policy, contest.p.success
+def _sentence(pair: Pair, margin: float, looks: Sequence[int]) -> str:
+    """Return the difference in success, and if that is not significant, in steps; then that in return."""
+    first, second, p = pair.first.policy, pair.second.policy, pair.p.success
     if p is None:
-        return f"{_by_return(contest, looks)}."
-    difference, least = _difference(contest), f"{100 * margin:g} points"
-    equivalent = contest.pair.equivalent(margin, contest.claims)
-    steps, more = _by_steps(contest), ""
+        return f"{_by_return(pair, looks)}."
+    limit = f"{100 * margin:g} points"
+    equivalent = pair.difference.equivalent(margin, pair.num_comparisons)
+    steps, plan = _by_steps(pair), ""
     if p < SIGNIFICANT:
-        though = f", though by less than {least}" if equivalent else ""
-        said = f"{first} is better than {second}{though}: success {difference}, {_p(contest, p)}"
+        but = f", but by less than {limit}" if equivalent else ""
+        sentence = f"{first} is better than {second}{but}: success {_points(pair)}, {_p(pair, p)}"
         steps = ""
     elif equivalent:
-        ahead = contest.first_ahead
-        tests = "" if ahead and within(ahead, margin) else " (two one-sided tests at 5 %)"
-        said = f"{first} and {second} are equivalent in success within {least}{tests}: {difference}"
+        tests = "" if pair.success and within(pair.success, margin) else " (two one-sided tests at 5 %)"
+        sentence = f"{first} and {second} are equivalent in success within {limit}{tests}: {_points(pair)}"
     else:
-        said = f"Undecided between {first} and {second}: success {difference}, {_p(contest, p)}"
-        more = f" {_more(contest, margin, least)}."
+        sentence = f"Undecided between {first} and {second}: success {_points(pair)}, {_p(pair, p)}"
+        plan = f" {_plan(pair, margin)}."
     if steps:
-        said += f"; {steps}, p = {p_value(contest.p.steps)}{'' if _p(contest, p) in said else _family(contest)}"
+        sentence += f"; {steps}, p = {p_value(pair.p.steps)}{'' if _p(pair, p) in sentence else _family(pair)}"
     caution = f"; {looks_in_words(looks)}" if looks else ""
-    earns = _earns_more(contest)
-    return f"{said}{caution}.{more}{f' {earns}.' if earns else ''}"
+    earns = _earns_more(pair)
+    return f"{sentence}{caution}.{plan}{f' {earns}.' if earns else ''}"
 
 
-def _p(contest: Contest, p: float | None) -> str:
-    return f"p = {p_value(p)}{_family(contest)}"
+def _p(pair: Pair, p: float | None) -> str:
+    return f"p = {p_value(p)}{_family(pair)}"
 
 
-def _family(contest: Contest) -> str:
-    return f" after Holm's correction for {contest.p.tests} tests" if contest.p.tests > 1 else ""
+def _family(pair: Pair) -> str:
+    return f" after Holm's correction for {pair.p.tests} tests" if pair.p.tests > 1 else ""
 
 
-def _difference(contest: Contest) -> str:
-    """In points, of the first over the second, with its interval."""
-    found = contest.first_ahead
-    return UNKNOWN if found is None else points(found)
+def _points(pair: Pair) -> str:
+    """Return the difference in success in points, with its interval."""
+    return UNKNOWN if pair.success is None else points(pair.success)
 
 
-def _more(contest: Contest, margin: float, least: str) -> str:
-    pair = contest.pair
-    if pair.crossed is not None:
-        return "More trainings would tell more than more episodes"
-    discordant = (pair.only_a + pair.only_b + 1) / (pair.episodes + 2)
+def _plan(pair: Pair, margin: float) -> str:
+    """Return what it takes to resolve a difference of the margin."""
+    difference = pair.difference
+    if difference.crossed is not None:
+        return "To resolve it, add training seeds rather than episodes"
+    discordant = (difference.only_a + difference.only_b + 1) / (difference.episodes + 2)
     needed = max(
-        episodes_to_detect(margin, discordant, tests=contest.p.tests),
-        episodes_to_show_equivalence(margin, discordant, claims=contest.claims),
+        episodes_to_detect(margin, discordant, tests=pair.p.tests),
+        episodes_to_show_equivalence(margin, discordant, num_comparisons=pair.num_comparisons),
     )
-    more = max(needed - pair.episodes, pair.episodes // 2)
+    more = max(needed - difference.episodes, difference.episodes // 2)
     rounded = round(more, 1 - len(str(more)))
-    return f"About {rounded:,} more episodes would tell {least}"
+    return f"To resolve a {100 * margin:g}-point difference, run about {rounded:,} more episodes"
 
 
-def _cost(contest: Contest) -> str:
-    """What the two policies need: training, and time for a decision."""
-    both = (contest.first, contest.second)
-    trained = [words for policy in both for words in policy.effort]
-    times = " and ".join(f"{one.policy} {one.decision_ms:.2g} ms" for one in both) + _timing(contest)
-    said = "; ".join((*trained, f"on average, a decision takes {times}"))
-    return f"{said[0].upper() if not trained else said[0]}{said[1:]}."
+def _cost(pair: Pair) -> str:
+    """Return the effort of training both policies, and their decision times."""
+    policies = (pair.first, pair.second)
+    training = "; ".join(words for policy in policies for words in policy.effort)
+    times = ", ".join(f"{policy.policy}: {policy.decision_ms_mean:.2g} ms per decision" for policy in policies)
+    return f"{training}. {times}{_timing(pair)}." if training else f"{times}{_timing(pair)}."
 
 
-def _timing(contest: Contest) -> str:
-    """What these times are, unless they are latencies."""
-    kinds = dict.fromkeys(one.timing for one in (contest.first, contest.second))
+def _timing(pair: Pair) -> str:
+    """Return the kind of these times, unless they are latencies."""
+    kinds = dict.fromkeys(policy.timing for policy in (pair.first, pair.second))
     return f" ({', '.join(kind or 'latencies' for kind in kinds)})" if any(kinds) else ""
 
 
-def _privileges(contest: Contest) -> str:
-    return privileges({one.policy: one.sees for one in (contest.first, contest.second)})
+def _privileges(pair: Pair) -> str:
+    return privileges({policy.policy: policy.sees for policy in (pair.first, pair.second)})
 
 
-def _networks(contests: Sequence[Contest]) -> str:
-    """Which learned policies are one network, and which are a recipe."""
-    told = {one.policy: one for contest in contests for one in (contest.first, contest.second) if one.learned}
-    said = [
-        f"{name} is this recipe, by {len(one.trainings)} trainings" if one.trainings else f"{name} is this network"
-        for name, one in told.items()
+def _scope(pairs: Sequence[Pair]) -> str:
+    """Return for which learned policies the result holds for one network, and for which it holds for a recipe."""
+    learned = {policy.policy: policy for pair in pairs for policy in (pair.first, pair.second) if policy.learned}
+    parts = [
+        f"for {name} as a recipe ({len(policy.trainings)} trainings)"
+        if policy.trainings
+        else f"for {name} as one network"
+        for name, policy in learned.items()
     ]
-    return f"{'; '.join(said)}." if said else ""
+    return f"The result holds {', '.join(parts)}." if parts else ""
 
 
-def _by_steps(contest: Contest) -> str:
-    """Which of two policies takes fewer steps to the goal; empty if that is not significant."""
-    lead = contest.steps_ahead
-    if lead is None or not shown(lead, contest.p.steps):
+def _by_steps(pair: Pair) -> str:
+    """Return which of two policies takes fewer steps to the goal; empty if that is not significant."""
+    steps = pair.difference.simultaneous.steps
+    if steps is None or not significant(steps, pair.p.steps):
         return ""
-    faster = contest.first if lead.value < 0 else contest.second
-    return f"{faster.policy} takes {size(lead)} steps fewer"
+    faster = pair.first if steps.value < 0 else pair.second
+    return f"{faster.policy} takes {size(steps)} fewer steps"
 
 
-def _earns_more(contest: Contest) -> str:
-    """Which of two policies earns more in the mean; empty if that is not significant, or unknown."""
-    gain, p = contest.return_ahead, contest.p.returns
-    if not shown(gain, p):
+def _earns_more(pair: Pair) -> str:
+    """Return which of two policies has the higher mean return; empty if that is not significant, or unknown."""
+    gain, p = pair.difference.simultaneous.returns, pair.p.returns
+    if not significant(gain, p):
         return ""
-    better, other = (contest.first, contest.second)[:: 1 if gain.value > 0 else -1]
-    return f"{better.policy} earns {size(gain)} more an episode than {other.policy}, p = {p_value(p)}"
+    better, other = (pair.first, pair.second)[:: 1 if gain.value > 0 else -1]
+    return f"{better.policy} earns {size(gain)} more return per episode than {other.policy}, p = {p_value(p)}"
 
 
-def _by_return(contest: Contest, looks: Sequence[int]) -> str:
-    """Which of two policies does better where success is unknown: by its mean return, or else by the sign test."""
-    first, second = contest.first.policy, contest.second.policy
-    if contest.p.returns is not None:
-        earns = _earns_more(contest)
-        said = f"{earns}{_family(contest)}" if earns else f"The returns of {first} and {second} are not shown to differ"
+def _by_return(pair: Pair, looks: Sequence[int]) -> str:
+    """Return which of two policies is better where success is unknown: by mean return, or else by the sign test."""
+    first, second = pair.first.policy, pair.second.policy
+    if pair.p.returns is not None:
+        earns = _earns_more(pair)
+        sentence = (
+            f"{earns}{_family(pair)}" if earns else f"The returns of {first} and {second} do not differ significantly"
+        )
     else:
-        value, *bounds = (100 * one for one in (contest.higher.value, *contest.higher.bounds))
-        share = f"in {value:.0f} % [{bounds[0]:.0f}, {bounds[1]:.0f}] of episodes"
-        family = f" after Holm's correction for {contest.p.pairs} pairs" if contest.p.pairs > 1 else ""
-        test = f"sign test, p = {p_value(contest.p.higher)}{family}; ties count half"
-        apart = contest.p.higher < SIGNIFICANT and not bounds[0] <= 50 <= bounds[1]
-        than = f"{first} has the higher return {share}"
-        said = f"{than} ({test})" if apart else f"Undecided between {first} and {second}: {than} ({test})"
-    return f"{said}; {looks_in_words(looks)}" if looks else said
-
-
-def _negated(found: Estimate, whole: float = 0.0) -> Estimate:
-    """`whole` minus a value, with its interval."""
-    low, high = (None if bound is None else whole - bound for bound in (found.low, found.high))
-    return Estimate(whole - found.value, high, low)
+        higher = pair.difference.simultaneous.superiority
+        value, low, high = (100 * share for share in (higher.value, *higher.bounds))
+        family = f" after Holm's correction for {pair.p.pairs} pairs" if pair.p.pairs > 1 else ""
+        test = f"sign test, p = {p_value(pair.p.higher)}{family}; ties count half"
+        sentence = f"{first} has the higher return in {value:.0f} % [{low:.0f}, {high:.0f}] of episodes ({test})"
+        if pair.p.higher >= SIGNIFICANT or low <= 50 <= high:
+            sentence = f"Undecided between {first} and {second}: {sentence}"
+    return f"{sentence}; {looks_in_words(looks)}" if looks else sentence
 
 
 def _physics_failed(policy: PolicySummary) -> str:
     if not policy.unstable:
         return ""
     share = f"{policy.unstable} of {sum(policy.outcomes.values())} episodes"
-    return f"{policy.policy} counts {share} as failures because their physics became unstable."
+    return f"{share} of {policy.policy} count as failures, because their physics became unstable."
 
 
-def _not_judged(policies: Sequence[PolicySummary]) -> str:
-    """Which policies are in no pair, and which disturbances do not reach them."""
-    spared = [f"{one.policy} (spared {', '.join(one.spared)})" for one in policies if one.spared]
-    return f"Not judged: {', '.join(spared)}." if spared else ""
+def _not_tested(policies: Sequence[PolicySummary]) -> str:
+    """Return which policies are in no pair, and which disturbances do not affect them."""
+    parts = [f"{policy.policy} ({', '.join(policy.spared)})" for policy in policies if policy.spared]
+    return f"Not tested, because the disturbance does not affect them: {', '.join(parts)}." if parts else ""
 
 
 def _rank(success: Estimate | None, episode_return: Estimate | None) -> tuple[float, float]:

@@ -29,82 +29,96 @@ METRICS = (
 """The fields of `armctl.episodes.metrics.Metrics` whose means are in the summary."""
 
 
-STUCK_PATH, STUCK_SECONDS = 0.01, 1.0
-"""m and s: who moves the end-effector or the rover by less than this in an episode of at least so long, and does not
-win, commands next to nothing. Targets are farther than 1 cm, and even a slow motion covers that in 1 s."""
-
-
-@dataclass(frozen=True)
-class PolicySummary:
-    """One policy over all its episodes."""
+@dataclass(frozen=True, kw_only=True)
+class PlayedEpisodes:
+    """A policy, and the episodes that it played."""
 
     policy: str
     sees: str
     training: TrainingCost
     planned: int
-    """Number of episodes asked for."""
+    """Number of requested episodes."""
     episodes: int
     """Number of episodes that count: feasible ones, up to the first that was not finished; of each training."""
     infeasible: int
     """Number of episodes that are labelled infeasible: they are left out of all figures, whoever won them."""
     outcomes: dict[str, int]
-    """How the episodes ended, most frequent first."""
+    """Numbers of episodes by outcome, most frequent first."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Performance:
+    """Figures of how well a policy did."""
+
     success: Estimate | None
     """None if the environment does not say what a success is."""
     episode_return: Estimate | None
-    """None if a policy failed in an episode, and nobody knows the least possible return."""
+    """None if a policy failed in an episode, and the least possible return is unknown."""
     steps_to_goal: Estimate | None
-    """Mean over successful episodes, which flatters whoever wins only the easy ones: see `restricted_steps`."""
+    """Mean over successful episodes, which flatters a policy that wins only the easy ones: see `restricted_steps`."""
     optimality_gap: Estimate | None
     """Median relative excess of successful episodes' lengths over the least possible, where that is known."""
     tracking_error: Estimate | None
     """m, mean distance to a moving target after it was first reached."""
     metrics: dict[str, Estimate | None]
-    """Means of `METRICS` over successful episodes, or over all if success is unknown; without intervals but for
-    `contacts`, since the others have no bounds."""
-    decision_ms_p50: float
-    """Of warm decisions, like the next two, in the episodes that `worlds` and `workers` tell."""
-    decision_ms_p99: float
-    decision_ms_max: float
-    missed_deadlines: float | None
-    """Share of warm decisions whose time exceeded the control period; None if that is unknown (see `timing`)."""
+    """Means of `METRICS` over successful episodes, or over all if success is unknown. Only `contacts` has an interval,
+    since the others have no bounds."""
     solver_failures: int
     """Number of control steps in which the controller's solver failed, if it counts them."""
     length: Estimate | None = None
-    """Mean number of control steps, over all episodes; None in results of older versions."""
+    """Mean number of control steps, over all episodes."""
     clean_success: Estimate | None = None
     """Rate of `clean` successes; None if contacts are unknown."""
     worst_decile: Estimate | None = None
     """Mean of the worst tenth of the returns: the conditional value at risk."""
     median_return: Estimate | None = None
-    """Where the possible returns are unknown: it has an interval all the same, unlike their mean and worst tenth."""
+    """Median of the returns where the possible ones are unknown: it has an interval, unlike their mean."""
     restricted_steps: Estimate | None = None
     """Mean steps to the goal over all episodes, a failure counting as the time limit; None without a limit."""
     efficiency: Estimate | None = None
     """Mean of success times least possible length over length (SPL, Anderson et al. 2018, arXiv:1807.06757)."""
-    decision_ms_cold: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class DecisionTimes:
+    """Times of decisions, in the episodes that were played with `worlds` and `workers`.
+
+    Decisions are warm, all but the policy's first in its process, unless a field says otherwise.
+    """
+
+    decision_ms_p50: float
+    decision_ms_p99: float
+    decision_ms_max: float
+    decision_ms_mean: float
+    """Mean with the resets spread over the decisions: to plan at the reset is not faster than at the first step."""
+    missed_deadlines: float | None
+    """Share of decisions whose time exceeded the control period; None if that is unknown (see `timing`)."""
+    first_call_ms: float | None = None
     """The longest first decision of the policy in a process; None if that was in none of the episodes."""
     worlds: int = 1
-    """How many worlds shared the policy's calls in the episodes from which the decision times are."""
+    """Number of worlds that shared the policy's calls."""
     workers: int = 1
-    """How many processes played at a time in these."""
-    decision_ms_mean: float | None = None
-    """Of warm decisions, with the resets spread over them: who plans at the reset is not quicker than who plans at the
-    first step. None in results of older versions, like the next one."""
+    """Number of processes that played at a time."""
     decision_seconds: Estimate | None = None
-    """Mean over episodes of the time of the reset and all decisions, the cold one included."""
+    """Mean over episodes of the time of the reset and all decisions, the first one included."""
     reset_ms: float | None = None
-    """Median over episodes; None in results of older versions, in which it is part of the first decision."""
+    """Median over episodes; None if unknown."""
     construction_ms: float | None = None
-    """How long it took to make the policy in the process that played, of several the longest; divided by the number of
-    controllers, if there is one for each world. None in results of older versions."""
+    """Time to make the policy in the process that played, of several the longest; divided by the number of
+    controllers, if there is one for each world. None if unknown."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PolicySummary(DecisionTimes, Performance, PlayedEpisodes):
+    """One policy over all its episodes."""
+
     trainings: dict[str, float] = field(default_factory=dict)
-    """Of a group: each training's success rate, or return if success is unknown, by its name in `episodes.csv`.
+    """Success rate, or return if success is unknown, of each training of a group, by its name in `episodes.csv`.
 
     The group's means have intervals over trainings and episodes, its other figures are of all episodes together."""
     spared: tuple[str, ...] = ()
-    """The disturbances that do not reach it: it reads nothing that they change. No pair with it is tested or ranked."""
-    between: float | None = None
+    """Disturbances that do not affect it: it reads nothing that they change. No pair with it is tested or ranked."""
+    between_seed_std: float | None = None
     """Standard deviation of these between trainings, without the part due to their episodes."""
     if_normal: Estimate | None = None
     """Mean of these with Student's interval, which holds if trainings vary normally; nothing is concluded from it.
@@ -113,29 +127,24 @@ class PolicySummary:
 
     @property
     def learned(self) -> bool:
-        """Whether it was trained."""
+        """True if it was trained."""
         return self.training.steps > 0
 
     @property
     def effort(self) -> list[str]:
-        """What its training and tuning took, in words; empty for a policy without either, as far as is recorded."""
+        """Effort of its training and tuning, in words; empty for a policy without either, as far as is recorded."""
         trained = f"{self.policy} was trained for {self.training}{' each' * bool(self.trainings)}"
         tuned = f"{self.policy} was tuned in {self.training.tuning}"
         return [trained] * self.learned + [tuned] * (self.training.tuning is not None)
 
     @property
-    def decision_ms(self) -> float:
-        """Mean time of a warm decision, planning at resets included, or the median in results of older versions."""
-        return self.decision_ms_p50 if self.decision_ms_mean is None else self.decision_ms_mean
-
-    @property
     def timing(self) -> str:
-        """What the decision times are, in words; empty for latencies, by which deadlines can be judged."""
+        """Kind of the decision times, in words; empty for latencies, by which deadlines can be judged."""
         return setting_in_words(self.worlds, self.workers)
 
     @property
     def knowledge(self) -> tuple[str, str]:
-        """What it sees, as tables say it: on two lines, of which the second may be empty."""
+        """Privilege, as tables write it: on two lines, of which the second may be empty."""
         first, plus, more = SEES.get(self.sees, self.sees).partition(" + ")
         return first, plus.lstrip() + more
 
@@ -155,141 +164,110 @@ def summarise(
     spared: Mapping[str, tuple[str, ...]] | None = None,
     runs: Iterable[Run] = (),
 ) -> tuple[list[PolicySummary], list[PairedDifference]]:
-    """Summaries of policies and of pairs. `results` are sorted by policy and episode.
+    """Return summaries of policies and of pairs. `results` are sorted by policy and episode.
 
     Each of the `groups`, several trainings by their names, counts as one policy; a group of which one has not finished
     an episode has no figures. `return_bounds` are the least and largest possible return. If they are unknown, means of
     returns have neither intervals nor tests: no number of episodes tells what a disaster costs that none of them had.
-    `time_limit` is the largest number of control steps of an episode. `spared` are the disturbances that do not reach a
-    policy, by its name: pairs with such a policy are left out. Times of `runs` on different machines are not pooled.
+    `time_limit` is the largest number of control steps of an episode. `spared` are the disturbances that do not affect
+    a policy, by its name: pairs with such a policy are left out. Times of `runs` on different machines are not pooled.
     """
     table = table_of(results)
     counted, infeasible = counted_results(table)
     success = table.column("success")[table.column("outcome") != ERROR].tolist()
-    scored = any(known is not None for known in success or table.column("success").tolist())
+    scored = any(value is not None for value in success or table.column("success").tolist())
     limits, machines = Limits(return_bounds, time_limit), Machines.of(runs, table)
     trained = by_learner(counted, policies, groups or {})
-    found = []
+    summaries = []
     for name, trainings in trained.items():
         policy = policies[name if name in policies else next(iter(trainings))]
         together = functools.reduce(EpisodeTable.together, trainings.values())
-        summary = _summary(name, policy, planned, infeasible, together, scored, limits, machines)
+        summary = PolicySummary(
+            policy=name,
+            sees=policy.sees,
+            training=training_cost_of(policy),
+            planned=planned,
+            episodes=len(together),
+            infeasible=infeasible,
+            outcomes=dict(Counter(together.column("outcome").tolist()).most_common()),
+            spared=(spared or {}).get(next(iter(trainings)), ()),
+            **vars(_performance(together, scored, limits)),
+            **vars(_decision_times(comparable_times(together, machines))),
+        )
         if len(trainings) > 1:
             summary = _of_group(summary, trainings, scored, limits)
-            summary = replace(summary, training=mean_cost([training_cost_of(policies[one]) for one in trainings]))
-        found.append(replace(summary, spared=(spared or {}).get(next(iter(trainings)), ())))
-    reached = {one.policy: list(trained[one.policy].values()) for one in found if not one.spared}
-    return found, pairs_of(reached, scored, limits)
+            summary = replace(summary, training=mean_cost([training_cost_of(policies[member]) for member in trainings]))
+        summaries.append(summary)
+    affected = {summary.policy: list(trained[summary.policy].values()) for summary in summaries if not summary.spared}
+    return summaries, pairs_of(affected, scored, limits)
 
 
 def counted_results(results: EpisodeTable) -> tuple[dict[str, EpisodeTable], int]:
-    """The results that count, by policy and episode, and the number of infeasible episodes, which do not.
+    """Return the results that count, by policy and episode, and the number of infeasible episodes, which do not.
 
     Of a policy that was cut short, only the episodes before the first unfinished one count: with many worlds, short
     episodes end first, so that all finished ones would be a biased sample.
     """
     infeasible = np.unique(results.column("episode")[~results.column("feasible").astype(bool)])
     counted = {}
-    for name, played in results.by_policy().items():
-        episodes = played.column("episode")
+    for name, table in results.by_policy().items():
+        episodes = table.column("episode")
         unbroken = episodes == np.arange(len(episodes))  # one that is missing shifts all later ones
-        counted[name] = played[unbroken & ~np.isin(episodes, infeasible)]
+        counted[name] = table[unbroken & ~np.isin(episodes, infeasible)]
     return counted, len(infeasible)
 
 
-def certificate_notes(results: Sequence[EpisodeResult]) -> list[str]:
-    """A remark if policies won episodes that are labelled infeasible, which do not count for them."""
-    table = table_of(results)
-    won = table[table.won & ~table.column("feasible")]
-    if not won:
-        return []
-    by = ", ".join(f"{len(its)} by {name}" for name, its in won.by_policy().items())
-    episodes = len(np.unique(won.column("episode")))
-    return [f"Episodes labelled infeasible that were won, so that the certificate was too strict: {episodes} ({by})."]
-
-
-def motion_notes(results: EpisodeTable, control_period: float | None) -> list[str]:
-    """Remarks about policies that hardly moved the robot in episodes that they did not win."""
-    if control_period is None:
-        return []
-    length = results.column("length")
-    lost = ~results.won & (results.column("outcome") != ERROR) & (length * control_period >= STUCK_SECONDS)
-    stuck = results[lost & (results.column("path_length") < STUCK_PATH)]
-    notes = []
-    for name, played in results.by_policy().items():
-        if count := int((stuck.column("policy") == name).sum()):
-            notes.append(
-                f"{name} hardly moved in {count} of {len(played)} episodes (a path below {100 * STUCK_PATH:g} cm in at "
-                f"least {STUCK_SECONDS:g} s, and no success): it may be stuck."
-            )
-    return notes
-
-
-def _summary(
-    name: str,
-    policy: Policy,
-    planned: int,
-    infeasible: int,
-    results: EpisodeTable,
-    scored: bool,
-    limits: Limits,
-    machines: Machines,
-) -> PolicySummary:
+def _performance(results: EpisodeTable, scored: bool, limits: Limits) -> Performance:
     def scores(score: str) -> NDArray[np.float64]:
-        found: NDArray[np.float64] = scores_of(score, [results], limits)[0]
-        return found
+        return np.asarray(scores_of(score, [results], limits)[0])
 
-    timed = comparable_times(results, machines)
-    decisions = timed.warm_ms() if timed.column("length").any() else np.array([math.nan])
-    resets = _known(timed.column("reset_ms"))
-    mean_ms, most_ms = float(decisions.mean() + resets.sum() / len(decisions)), float(decisions.max())
-    p50, p99 = np.quantile(decisions, (0.5, 0.99), overwrite_input=True).tolist()
-    cold = _known(timed.column("decision_ms_cold"))
     won = results[results.won]
-    missed = timed.column("missed_deadlines").tolist()
     returns = scores("episode_return")
     finite = bool(np.isfinite(returns).all())
     steps = (1.0, float(limits.steps)) if limits.steps else None
-    unknown_contacts = None in results.column("contacts").tolist()
+    has_contacts = None not in results.column("contacts").tolist()
     efficiency = scores("efficiency")
-    return PolicySummary(
-        name,
-        policy.sees,
-        training_cost_of(policy),
-        planned,
-        len(results),
-        infeasible,
-        dict(Counter(results.column("outcome").tolist()).most_common()),
-        success_rate(scores("success") == 1) if scored else None,
-        _mean(returns, limits.returns) if finite else None,
-        _mean(won.column("length"), steps),
-        median(_known(results.optimality_gap)),
-        _mean(_known(results.column("tracking_error"))),
-        {name: _mean_metric(name, won if scored else results, limits.steps) for name in METRICS},
-        p50,
-        p99,
-        most_ms,
-        None if None in missed else sum(one for one in missed if one) / len(decisions),
-        sum(results.column("solver_failures").tolist()),
-        _mean(scores("length"), steps),
-        success_rate(scores("clean_success") == 1) if scored and not unknown_contacts else None,
-        worst_decile(returns, limits.returns) if finite else None,
-        median(returns) if limits.returns is None else None,
-        _mean(scores("restricted_steps"), steps) if scored and limits.steps else None,
-        bounded_mean(efficiency, (0.0, 1.0)) if scored and np.isfinite(efficiency).all() else None,
-        float(cold.max()) if len(cold) else None,
-        timed[0].worlds,
-        timed[0].workers,
-        mean_ms,
-        _mean(timed.decision_seconds()),
-        float(np.median(resets)) if len(resets) else None,
+    return Performance(
+        success=success_rate(scores("success") == 1) if scored else None,
+        episode_return=_mean(returns, limits.returns) if finite else None,
+        steps_to_goal=_mean(won.column("length"), steps),
+        optimality_gap=median(_finite(results.optimality_gap)),
+        tracking_error=_mean(_finite(results.column("tracking_error"))),
+        metrics={name: _mean_metric(name, won if scored else results, limits.steps) for name in METRICS},
+        solver_failures=sum(results.column("solver_failures").tolist()),
+        length=_mean(scores("length"), steps),
+        clean_success=success_rate(scores("clean_success") == 1) if scored and has_contacts else None,
+        worst_decile=worst_decile(returns, limits.returns) if finite else None,
+        median_return=median(returns) if limits.returns is None else None,
+        restricted_steps=_mean(scores("restricted_steps"), steps) if scored and limits.steps else None,
+        efficiency=bounded_mean(efficiency, (0.0, 1.0)) if scored and np.isfinite(efficiency).all() else None,
+    )
+
+
+def _decision_times(timed: EpisodeTable) -> DecisionTimes:
+    decisions = timed.warm_ms() if timed.column("length").any() else np.array([math.nan])
+    resets, first_calls = _finite(timed.column("reset_ms")), _finite(timed.column("first_call_ms"))
+    mean, longest = float(decisions.mean() + resets.sum() / len(decisions)), float(decisions.max())
+    p50, p99 = np.quantile(decisions, (0.5, 0.99), overwrite_input=True).tolist()
+    missed = timed.column("missed_deadlines").tolist()
+    return DecisionTimes(
+        decision_ms_p50=p50,
+        decision_ms_p99=p99,
+        decision_ms_max=longest,
+        decision_ms_mean=mean,
+        missed_deadlines=None if None in missed else sum(missed) / len(decisions),
+        first_call_ms=float(first_calls.max()) if len(first_calls) else None,
+        worlds=timed[0].worlds,
+        workers=timed[0].workers,
+        decision_seconds=_mean(timed.decision_seconds()),
+        reset_ms=float(np.median(resets)) if len(resets) else None,
     )
 
 
 def _of_group(
     pooled: PolicySummary, trainings: Mapping[str, EpisodeTable], scored: bool, limits: Limits
 ) -> PolicySummary:
-    """The summary of several trainings, from that of all their episodes: intervals are over trainings as well."""
+    """Return the summary of several trainings from that of all their episodes: intervals are over trainings as well."""
     steps = float(limits.steps or 1)
     bounds: dict[str, Bounds | None] = {
         "success": (0.0, 1.0),
@@ -311,33 +289,33 @@ def _of_group(
         changes[name] = crossed.mean
         if name == main:
             rates = dict(zip(trainings, values.mean(axis=1).tolist(), strict=True))
-            changes |= {"trainings": rates, "between": crossed.between, "episodes": values.shape[1]}
+            changes |= {"trainings": rates, "between_seed_std": crossed.between_seed_std, "episodes": values.shape[1]}
             changes["if_normal"] = crossed.if_normal if possible else None
     metrics = {name: value and replace(value, low=None, high=None) for name, value in pooled.metrics.items()}
     return replace(pooled, metrics=metrics, **changes)
 
 
 def training_cost_of(policy: Policy) -> TrainingCost:
-    """What a policy's training took: the steps that it tells are decisions, unless its card knows better."""
+    """Return the cost of a policy's training: its steps are decisions, unless its card says otherwise."""
     steps, minutes = policy.training_steps, getattr(policy, "training_minutes", None)
-    known = getattr(policy, "training_cost", None)
-    return known if isinstance(known, TrainingCost) else TrainingCost(steps, minutes, steps or None)
+    cost = getattr(policy, "training_cost", None)
+    return cost if isinstance(cost, TrainingCost) else TrainingCost(steps, minutes, steps or None)
 
 
 def _mean_metric(name: str, results: EpisodeTable, steps: int | None) -> Estimate | None:
     bounds = (0.0, float(steps)) if name == "contacts" and steps else None
-    return _mean(_known(results.column(name)), bounds)
+    return _mean(_finite(results.column(name)), bounds)
 
 
 def _mean(values: ArrayLike, bounds: Bounds | None = None) -> Estimate | None:
-    """A mean, without an interval if the values have no bounds: nobody knows what was too rare to be seen."""
+    """Return a mean, without an interval if the values have no bounds: rare values may not have occurred."""
     values = np.asarray(values, dtype=float)
     if bounds is not None:
         return bounded_mean(values, bounds)
     return Estimate(float(values.mean()), None, None) if len(values) else None
 
 
-def _known(values: NDArray[Any]) -> NDArray[np.float64]:
-    """Those that are neither None nor NaN."""
+def _finite(values: NDArray[Any]) -> NDArray[np.float64]:
+    """Return the values that are neither None nor NaN."""
     numbers: NDArray[np.float64] = values.astype(float)
     return numbers[~np.isnan(numbers)]

@@ -8,10 +8,18 @@ import pandas as pd
 
 from armctl.agents.costs import TrainingCost
 from armctl.runtime.provenance import with_looks
-from armctl.stats.degradation import FALSE_DISCOVERY_RATE, Degradation, degradations
 from armctl.stats.intervals import Estimate
-from armctl.stats.paired import PairedDifference, corrected
-from armctl.stats.robustness import GROUP, Pair, PairTest, robustness_headline, robustness_rankings
+from armctl.stats.paired import PairedDifference, holm_adjusted
+from armctl.stats.robustness import (
+    FALSE_DISCOVERY_RATE,
+    GROUP,
+    Degradation,
+    PairKey,
+    PairTest,
+    degradations,
+    robustness_headline,
+    robustness_rankings,
+)
 from armctl.stats.trainings import FEWEST_TRAININGS
 from armctl.verdict.summary import PolicySummary
 from armctl.verdict.tables import AGAINST, UNKNOWN, Cell, Column, Remark, Table, p_value, percent, plain
@@ -20,7 +28,7 @@ DISQUALIFIED, SPARED = "disqualified", "spared"
 
 
 def policy_table(env: str, seed: int, policies: Sequence[PolicySummary], disqualified: Sequence[str] = ()) -> Table:
-    """A row for each policy. An environment that knows no success has no columns of it."""
+    """Return a row for each policy. Environments without a success signal have no columns of it."""
     by_success = any(policy.success for policy in policies)
     unbounded = any(policy.median_return for policy in policies)
     columns = [Column("policy"), Column("success"), Column("return"), Column("median return", optional=by_success)]
@@ -48,7 +56,7 @@ def policy_table(env: str, seed: int, policies: Sequence[PolicySummary], disqual
     if any(policy.trainings for policy in policies):
         caption += " [*]: the intervals of means are for other trainings and other episodes."
     if any(policy.spared for policy in policies):
-        caption += " Spared: not reached by that disturbance, and so in no pair and no verdict."
+        caption += " Spared: not affected by that disturbance, so in no pair and no verdict."
     if disqualified:
         caption += " Disqualified: wrote to the world."
     if by_success:
@@ -71,7 +79,7 @@ def _training(policy: PolicySummary) -> str:
 
 
 def trained(cost: TrainingCost) -> str:
-    """What a policy's training and those of its teachers took, in a few characters."""
+    """Return the cost of a policy's training and of its teachers', in a few characters."""
     if not cost.steps:
         return "untrained"
     cost = cost.total
@@ -81,49 +89,46 @@ def trained(cost: TrainingCost) -> str:
 
 
 def details(policy: PolicySummary) -> Remark:
-    """How a policy's episodes ended, and what else there is to know of them."""
+    """Return the outcomes of a policy's episodes, and further figures."""
     ends = ", ".join(f"{count} {outcome}" for outcome, count in policy.outcomes.items())
-    said = [f"{policy.policy}: {ends}"]
+    facts = [f"{policy.policy}: {ends}"]
     if policy.trainings:
-        said.append(trainings_in_words(policy))
+        facts.append(trainings_in_words(policy))
     if policy.unstable:
-        said.append(f"the physics failed in {policy.unstable}, which count as failures")
+        facts.append(f"physics failures: {policy.unstable}, counted as failures")
     if gap := policy.optimality_gap:
-        said.append(f"{100 * gap.value:.0f}{_bracketed(gap, 100, 0)} % over the least time (median)")
+        facts.append(f"{100 * gap.value:.0f}{_bracketed(gap, 100, 0)} % over the least time (median)")
     if error := policy.tracking_error:
-        said.append(f"tracking error {1e3 * error.value:.1f}{_bracketed(error, 1e3, 1)} mm")
+        facts.append(f"tracking error {1e3 * error.value:.1f}{_bracketed(error, 1e3, 1)} mm")
     if seconds := policy.decision_seconds:
-        said.append(f"decisions take {seconds.value:.2g} s an episode{_beside_decisions(policy)}")
+        resets = "" if policy.reset_ms is None else f", of which {policy.reset_ms:.3g} ms at the reset (median)"
+        facts.append(f"decisions {seconds.value:.2g} s per episode{resets}")
+        if policy.construction_ms is not None:
+            facts.append(f"construction {policy.construction_ms:.3g} ms")
     if policy.solver_failures:
-        said.append(f"its solver failed {policy.solver_failures} times")
+        facts.append(f"solver failures: {policy.solver_failures}")
     if policy.missed_deadlines:
-        said.append(f"{100 * policy.missed_deadlines:.2g} % of its deadlines missed")
-    return Remark("; ".join(said))
-
-
-def _beside_decisions(policy: PolicySummary) -> str:
-    """The times of what a policy computes besides its decisions."""
-    resets = "" if policy.reset_ms is None else f", of it {policy.reset_ms:.3g} ms at the reset (median)"
-    return resets + ("" if policy.construction_ms is None else f"; it was made in {policy.construction_ms:.3g} ms")
+        facts.append(f"deadlines missed: {100 * policy.missed_deadlines:.2g} %")
+    return Remark("; ".join(facts))
 
 
 def trainings_in_words(policy: PolicySummary) -> str:
-    """The scores of a group's trainings, their standard deviation without the part due to episodes, and Student's t."""
+    """Return the scores of a group's trainings, their standard deviation without that of episodes, and Student's t."""
     scale, unit, points = (100, " %", " points") if policy.success else (1, "", "")
     each = ", ".join(f"{scale * score:.1f}" for score in policy.trainings.values())
-    what = "success" if policy.success else "return"
-    spread = f"standard deviation {scale * (policy.between or 0):.1f}{points}"
+    name = "success" if policy.success else "return"
+    spread = f"standard deviation {scale * (policy.between_seed_std or 0):.1f}{points}"
     interval = _bracketed(policy.if_normal, scale, 1) if policy.if_normal else ""
     student = f", mean within{interval}{unit} if trainings vary normally (Student's t, 95 %)" if interval else ""
-    return f"{what} by training {each}{unit}, {spread}{student}"
+    return f"{name} by training {each}{unit}, {spread}{student}"
 
 
 def paired_table(pairs: Sequence[PairedDifference], baseline: str | None = None) -> Table:
-    """A row for each pair of policies. If success is unknown, the probability of a higher return takes its place."""
+    """Return a row for each pair of policies: by success, or by the higher return if success is unknown."""
     by_success = any(pair.mcnemar_p is not None for pair in pairs)
     name, gain = Column("a - b"), Column("return")
     columns = [name, Column("success"), Column("only a / only b", optional=True), Column("p"), gain, Column("steps")]
-    p_values = corrected(pairs, baseline)
+    p_values = holm_adjusted(pairs, baseline)
     family = f"the pairs of {baseline}, and of all others for all pairs" if baseline else "all pairs"
     rows = []
     for pair, p in zip(pairs, p_values, strict=True):
@@ -155,35 +160,34 @@ def paired_table(pairs: Sequence[PairedDifference], baseline: str | None = None)
 
 
 def _if_normal(pairs: Sequence[PairedDifference]) -> str:
-    """Student's interval of each pair of which one is several trainings, and what it takes for granted."""
-    known = [(pair, pair.crossed.if_normal) for pair in pairs if pair.crossed and pair.crossed.if_normal]
-    said = [
-        f"{pair.a} - {pair.b} {100 * found.value:+.1f}{interval} points"
-        for pair, found in known
-        if (interval := _bracketed(found, 100, 1))
+    """Return Student's intervals of pairs with several trainings, and their assumption."""
+    differences = [
+        f"{pair.a} - {pair.b} {100 * pair.crossed.if_normal.value:+.1f}{interval} points"
+        for pair in pairs
+        if pair.crossed and (interval := _bracketed(pair.crossed.if_normal, 100, 1))
     ]
-    return f" Only if trainings vary normally (Student's t): success {', '.join(said)}." if said else ""
+    return f" Only if trainings vary normally (Student's t): success {', '.join(differences)}." if differences else ""
 
 
 def sweep_parts(
-    points: pd.DataFrame, pairs: Mapping[Pair, PairTest], looks: Sequence[int] = ()
+    points: pd.DataFrame, pairs: Mapping[PairKey, PairTest], looks: Sequence[int] = ()
 ) -> list[Table | Remark]:
-    """A table for each disturbance, of all policies at all levels, and from which level each policy gets worse.
+    """Return a table for each disturbance, of all policies at all levels, and from which level each gets worse.
 
     `pairs` are the tests of each two policies, as `Sweep.pairs` has them, `looks` the earlier ones of `Sweep.looks`.
     """
     parts: list[Table | Remark] = []
     by_success, policies = bool(points.success.notna().any()), points.policy.nunique()
-    found, rankings = degradations(points), robustness_rankings(points, pairs)
+    effects, rankings = degradations(points), robustness_rankings(points, pairs)
     for name, rows in points.groupby("disturbance", sort=False):
         levels = list(dict.fromkeys(rows.level))
         if len(levels) == 1:  # the undisturbed one: cut short
             continue
-        what, column = ("success, %", "success") if by_success else ("return", "return")
+        heading, column = ("success, %", "success") if by_success else ("return", "return")
         table_rows = []
-        for policy, its in rows.groupby("policy", sort=False):
-            values = its.set_index("level")[column]
-            spared = set(its.level[its.spared]) if "spared" in its else set()
+        for policy, own_rows in rows.groupby("policy", sort=False):
+            values = own_rows.set_index("level")[column]
+            spared = set(own_rows.level[own_rows.spared])
             cells = [
                 Cell(SPARED)
                 if x in spared
@@ -197,12 +201,12 @@ def sweep_parts(
             Table(
                 "points",
                 f"{name}, {rows.unit.iloc[0]}",
-                [Column(what), *(Column(f"{level:g}") for level in levels)],
+                [Column(heading), *(Column(f"{level:g}") for level in levels)],
                 table_rows,
                 [dict(zip(rows.columns, row, strict=True)) for row in rows.itertuples(index=False)],
             )
         )
-        parts.append(Remark(_degradation_text([one for one in found if one.disturbance == name])))
+        parts.append(Remark(_degradation_text([effect for effect in effects if effect.disturbance == name])))
         parts += [Remark(str(ranking)) for ranking in rankings if ranking.disturbance == name and policies > 1]
     test, rate = "McNemar's exact test" if by_success else "sign test", f"{100 * FALSE_DISCOVERY_RATE:g} %"
     if points.policy.str.endswith(GROUP).any():
@@ -222,13 +226,13 @@ def _at_level(value: float, by_success: bool) -> Cell:
     return Cell(f"{100 * value:.1f}" if by_success else plain(Estimate(value, None, None)).text)
 
 
-def _degradation_text(found: Sequence[Degradation]) -> str:
-    """The effect of one disturbance: a sentence for each policy that gets significantly worse."""
+def _degradation_text(effects: Sequence[Degradation]) -> str:
+    """Return a sentence for each policy that gets significantly worse, and one for the others."""
     sentences, unharmed = [], []
-    for one in found:
-        name = f"{one.policy} (sees the state)" if one.sees == "state" else one.policy
-        steps = [] if one.drops is None else [f"worse {one.drops}"]
-        steps += [] if one.below_half is None else [f"below half {one.below_half}"]
+    for effect in effects:
+        name = f"{effect.policy} (sees the state)" if effect.sees == "state" else effect.policy
+        steps = [] if effect.drops is None else [f"worse {effect.drops}"]
+        steps += [] if effect.below_half is None else [f"below half {effect.below_half}"]
         if steps:
             sentences.append(f"{name}: {', '.join(steps)}.")
         else:

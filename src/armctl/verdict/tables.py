@@ -15,7 +15,7 @@ from armctl.stats.intervals import Estimate
 UNKNOWN = "-"
 """Text of a cell without a value."""
 AGAINST = "- "
-"""Before the second policy's name in the name of a difference."""
+"""Text before the second policy's name in the name of a difference."""
 LEAST_P = 1e-300
 """About the smallest p-value that a floating-point number can hold."""
 _LINE_ENDS = re.compile(r"[\n\r\v\f\x1c-\x1e\x85\u2028\u2029]")
@@ -45,7 +45,7 @@ class Column(_InLines):
 
     heading: str
     optional: bool = False
-    """Whether it may be left out where there is no room for all columns."""
+    """True if it may be left out where there is no room for all columns."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Document:
 
     parts: Sequence[Table | Remark]
     head: Mapping[str, Any] = field(default_factory=dict)
-    """What was done, by name, for programs."""
+    """Settings by name, for programs."""
 
     @property
     def tables(self) -> list[Table]:
@@ -85,7 +85,7 @@ class Document:
 
 
 def plain(estimate: Estimate | None, sign: str = "") -> Cell:
-    """A value above its interval; `sign` is "+" for differences."""
+    """Return a value above its interval; `sign` is "+" for differences."""
     if estimate is None or math.isnan(estimate.value):
         return Cell(UNKNOWN)
     decimals = _decimals(value for value in (estimate.value, estimate.low, estimate.high) if value is not None)
@@ -93,7 +93,7 @@ def plain(estimate: Estimate | None, sign: str = "") -> Cell:
 
 
 def percent(estimate: Estimate | None, sign: str = "") -> Cell:
-    """A share above its interval, both in percent; `sign` is "+" for differences."""
+    """Return a share above its interval, both in percent; `sign` is "+" for differences."""
     if estimate is None:
         return Cell(UNKNOWN)
     low, high = (None if bound is None else 100 * bound for bound in (estimate.low, estimate.high))
@@ -101,19 +101,19 @@ def percent(estimate: Estimate | None, sign: str = "") -> Cell:
 
 
 def points(difference: Estimate) -> str:
-    """A difference in success in points, with its interval."""
-    value, low, high = (100 * one + 0.0 for one in (difference.value, *difference.bounds))
+    """Return a difference in success in points, with its interval."""
+    value, low, high = (100 * share + 0.0 for share in (difference.value, *difference.bounds))
     return f"{value:+.1f} points [{low:.1f}, {high:.1f}]"
 
 
 def size(difference: Estimate) -> str:
-    """How large a difference is, whatever its sign, with its interval, which does not hold 0."""
+    """Return the size of a difference, whatever its sign, with its interval, which does not contain 0."""
     low, high = sorted(map(abs, difference.bounds))
     return f"{abs(difference.value):.1f} [{low:.1f}, {high:.1f}]"
 
 
 def p_value(p: float | None) -> str:
-    """A p-value with two digits, and as many leading zeros as it takes in its exponent."""
+    """Return a p-value with two digits, in exponential form if it is small."""
     if p is None:
         return UNKNOWN
     return f"{p:.2g}" if p > LEAST_P else f"< {LEAST_P:g}"

@@ -16,7 +16,7 @@ SHORTEST_MS = 1e-4
 
 @dataclass(frozen=True)
 class Point:
-    """What a policy achieves, and the time that its decisions take."""
+    """Success or return of a policy, and the time of its decisions."""
 
     label: str
     score: Estimate
@@ -28,22 +28,22 @@ class Point:
 
 
 def points(policies: Sequence[PolicySummary]) -> list[Point]:
-    """A point for each policy that no disturbance spares; none if decision times were taken in different ways."""
+    """Return a point for each policy that all disturbances affect; none if decision times are not comparable."""
     policies = [policy for policy in policies if not policy.spared]
     by_success = any(policy.success for policy in policies)
     if len({policy.timing for policy in policies}) > 1:
         return []
     return [
-        Point(policy.policy, score, max(policy.decision_ms, SHORTEST_MS), max(policy.decision_ms_p99, SHORTEST_MS))
+        Point(policy.policy, score, max(policy.decision_ms_mean, SHORTEST_MS), max(policy.decision_ms_p99, SHORTEST_MS))
         for policy in policies
         if (score := policy.success if by_success else policy.episode_return)
     ]
 
 
-def pareto_front(found: Sequence[Point]) -> list[Point]:
-    """The points that no other one beats: none is as fast and better, or as good and faster. The fastest is first."""
+def pareto_front(candidates: Sequence[Point]) -> list[Point]:
+    """Return the points that no other one dominates, as fast and better, or as good and faster; the fastest first."""
     front: list[Point] = []
-    for point in sorted(found, key=lambda one: (one.decision_ms, -one.score.value)):
+    for point in sorted(candidates, key=lambda point: (point.decision_ms, -point.score.value)):
         if not front or point.score.value > front[-1].score.value:
             front.append(point)
     return front
@@ -51,7 +51,7 @@ def pareto_front(found: Sequence[Point]) -> list[Point]:
 
 @dataclass(frozen=True)
 class BreakEven:
-    """Where an agent's training catches up with the best policy that was not trained."""
+    """Point at which an agent's training reaches the success of the best policy that was not trained."""
 
     agent: str
     expert: str
@@ -60,7 +60,7 @@ class BreakEven:
     decisions: float | None
     """The first decisions of the learning curve after which the agent is as successful; None if it never is."""
     success: Estimate
-    """Of the agent, there, or after its whole training if it never gets there."""
+    """Success of the agent at that point; its best if it never gets there."""
     trained: float
     """Decisions of the whole training."""
 
@@ -70,14 +70,13 @@ class BreakEven:
             share += f" [{100 * self.success.low:.1f}, {100 * self.success.high:.1f}]"
         target = f"the {100 * self.target:.1f} % of {self.expert}"
         if self.decisions is None:
-            best = f"{share} at best in {rounded(int(self.trained))} decisions of training"
-            return f"{self.agent} is not seen to reach {target}: {best}."
-        after = f"after {rounded(int(self.decisions))} decisions"
-        return f"{self.agent} is first measured at or above {target} {after}: {share}."
+            best = f"its best in {rounded(int(self.trained))} decisions of training is {share}"
+            return f"{self.agent} does not reach {target}: {best}."
+        return f"{self.agent} reaches {target} after {rounded(int(self.decisions))} decisions: {share}."
 
 
 def break_evens(policies: Sequence[PolicySummary], curves: Mapping[str, pd.DataFrame]) -> list[BreakEven]:
-    """Where each agent's success on held-out episodes reaches the best expert's in the comparison.
+    """Return where each agent's success on held-out episodes reaches the best expert's in the comparison.
 
     `curves` have the columns `decisions`, `success`, `low` and `high`; an agent without one is judged by its success in
     the comparison, after its whole training. Agents are left out if their decisions are unknown, and all are if there
@@ -87,23 +86,23 @@ def break_evens(policies: Sequence[PolicySummary], curves: Mapping[str, pd.DataF
     if not experts:
         return []
     best = max(experts, key=_success)
-    found = []
+    crossings = []
     for policy in policies:
         curve = cost_curve(policy, curves.get(policy.policy))
         if not policy.learned or curve.empty:
             continue
         rows = curve.to_dict("records")
         reached = next((row for row in rows if row["success"] >= _success(best)), None)
-        there = reached or max(rows, key=lambda row: row["success"])
-        success = Estimate(there["success"], there["low"], there["high"])
+        row = reached or max(rows, key=lambda row: row["success"])
+        success = Estimate(row["success"], row["low"], row["high"])
         first = None if reached is None else float(reached["decisions"])
         trained = float(rows[-1]["decisions"])
-        found.append(BreakEven(policy.policy, best.policy, _success(best), first, success, trained))
-    return found
+        crossings.append(BreakEven(policy.policy, best.policy, _success(best), first, success, trained))
+    return crossings
 
 
 def cost_curve(policy: PolicySummary, curve: pd.DataFrame | None) -> pd.DataFrame:
-    """Success against decisions of training: the learning curve, or the result of the comparison if there is none.
+    """Return success by decisions of training: the learning curve, or else the result of the comparison.
 
     Empty if the decisions are unknown. The curve has a row for each number of decisions above 0.
     """
@@ -112,9 +111,9 @@ def cost_curve(policy: PolicySummary, curve: pd.DataFrame | None) -> pd.DataFram
     if curve is not None:
         if cost.decisions is not None and cost.decisions == cost.steps:  # the learner counts decisions
             curve = curve.assign(decisions=curve.decisions.fillna(curve.steps))
-        known = curve[columns][(curve.decisions > 0) & (curve.decisions < math.inf)]
-        if known.decisions.nunique() > 1:
-            return known.sort_values("decisions", kind="stable").reset_index(drop=True)
+        finite = curve[columns][(curve.decisions > 0) & (curve.decisions < math.inf)]
+        if finite.decisions.nunique() > 1:
+            return finite.sort_values("decisions", kind="stable").reset_index(drop=True)
     if not cost.decisions or success is None:
         return pd.DataFrame(columns=columns)
     return pd.DataFrame([(cost.decisions, success.value, success.low, success.high)], columns=columns)

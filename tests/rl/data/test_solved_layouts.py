@@ -70,7 +70,7 @@ def test_after_an_interrupt_the_rest_is_made(tmp_path, model, monkeypatch):
 @pytest.mark.parametrize(("count", "seed"), [(15, 0), (10, 1)])
 def test_layouts_of_another_kind_are_not_mixed_in(tmp_path, model, count, seed):
     made(tmp_path, model)
-    with pytest.raises(ResultsError, match="holds layouts with"):
+    with pytest.raises(ResultsError, match="holds other layouts"):
         made(tmp_path, model, count, seed)
 
 

@@ -11,6 +11,7 @@ import torch
 
 from armctl.agents import load_agent
 from armctl.core.errors import ConfigurationError
+from armctl.core.seeds import VALIDATION_SEED
 from armctl.envs import TaskVectorEnv, make_worlds
 from armctl.rl.algorithms.ppo import PpoOptions
 from armctl.rl.networks.actor import Actor
@@ -19,7 +20,6 @@ from armctl.rl.run.options import TrainingOptions
 from armctl.rl.run.threads import MAX_THREADS
 from armctl.rl.run.training import Training, bar_fits
 from armctl.rollout.rollouts import rollouts
-from armctl.rollout.seeds import VALIDATION_SEED
 from armctl.tasks import ReachTask
 from armctl.training.learners import load_recipe
 
@@ -54,7 +54,7 @@ def constant_actor(training, value):
 def graded(monkeypatch):
     """Held-out episodes, of which an actor wins the share that its network says, with return 10 if that is below 0."""
 
-    def play(actor, worlds, episodes, seed, name, least_lengths):
+    def play(actor, worlds, episodes, seed, name, lower_bound_steps):
         value = actor.network.value.item()
         for k in range(episodes):
             yield SimpleNamespace(success=k < value * episodes, total_reward=10.0 if value < 0 else 1.0)

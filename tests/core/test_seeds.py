@@ -7,13 +7,13 @@ from typer.testing import CliRunner
 
 import armctl
 from armctl.cli import app
+from armctl.core import seeds
 from armctl.core.errors import ConfigurationError
+from armctl.core.seeds import TEST_SEED, TRAINING_SEEDS, VALIDATION_SEED, evaluation_seed
 from armctl.datasets.collect import collect
 from armctl.disturbances import episode_entropy, episode_rng
 from armctl.envs import TaskVectorEnv, episode_seed
 from armctl.rl.run.training import Training
-from armctl.rollout import seeds
-from armctl.rollout.seeds import TEST_SEED, TRAINING_SEEDS, VALIDATION_SEED, evaluation_seed
 from armctl.study import compare, sweep
 from armctl.study.reproduce import reproduce
 from armctl.tasks import ReachTask

@@ -1,0 +1,44 @@
+"""Folders of one identity: nothing of another identity is mixed into them.
+
+A folder has one writer at a time (`armctl.core.files.one_writer`), and a sealed file with the identity of what is made
+in it. So what another program, another configuration or another code has made there is neither continued nor replaced.
+"""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from armctl.core.errors import ResultsError
+from armctl.core.files import bounded_text, unsealed
+from armctl.runtime.identity import differences
+
+OTHERWISE = "choose another folder, or overwrite it (--overwrite)"
+
+Reasons = Callable[[Mapping[str, Any], Mapping[str, Any]], Sequence[str]]
+"""Function that returns why what a stored identity names cannot be continued with another one, in words."""
+
+
+def claim(
+    file: Path, identity: Mapping[str, Any], kind: str, otherwise: str = OTHERWISE, reasons: Reasons = differences
+) -> dict[str, Any] | None:
+    """Return the values of a sealed file that holds this identity, by itself or as `identity`; None if there is none.
+
+    Raises `ResultsError` if it is damaged or holds another identity. The message says what `kind` of thing that is, the
+    differences, and what to do `otherwise`.
+    """
+    if not file.exists():
+        return None
+    try:
+        values = unsealed(bounded_text(file))
+        changes = reasons(values.get("identity", values), json.loads(json.dumps(identity)))
+    except (OSError, ValueError, AttributeError, RecursionError) as error:
+        raise ResultsError(f"{file} cannot be read, or is damaged ({error}): {otherwise}") from error
+    refuse_changes(file.parent, changes, kind, otherwise)
+    return values
+
+
+def refuse_changes(folder: Path, changes: Sequence[str], kind: str, otherwise: str = OTHERWISE) -> None:
+    """Raise `ResultsError` if anything about what a folder holds has changed: then it is of another `kind`."""
+    if changes:
+        raise ResultsError(f"{folder} holds {kind} ({'; '.join(changes)}): {otherwise}")
