@@ -15,7 +15,10 @@ CORE = HOME / "src" / "armctl"
 PACKAGES = [
     *(CORE / name for name in ("kernels", "kinematics", "planning", "control", "robots", "robot_description", "scene")),
     *(CORE / name for name in ("simulation", "tasks", "disturbances", "shaping", "envs", "policies", "agents")),
-    *(CORE / name for name in ("core", "rollout", "runtime", "stats", "verdict", "environments.py", "__init__.py")),
+    *(
+        CORE / name
+        for name in ("core", "episodes", "rollout", "runtime", "stats", "verdict", "environments.py", "__init__.py")
+    ),
     *(CORE / name for name in ("cli", "datasets", "integrations", "report", "training", "tuning", "viewer")),
     *(HOME / "baselines", HOME / "benchmarks", HOME / "rl", HOME / "tools"),
 ]

@@ -60,7 +60,7 @@ def test_columns_are_those_of_the_results(results):
     np.testing.assert_array_equal(part.optimality_gap, [one.optimality_gap for one in results[6:]])
     seconds = [float(np.nansum(one.decision_ms)) / 1e3 for one in results]
     np.testing.assert_allclose(table.decision_seconds(), seconds, rtol=1e-12)
-    earned = part.earned()
+    earned = part.reward_sums()
     for term in ("step", "goal"):
         assert sorted(earned[term]) == sorted(one.reward_terms[term] for one in results[6:] if term in one.reward_terms)
     changed = part.with_column("missed_deadlines", [None] * len(part))

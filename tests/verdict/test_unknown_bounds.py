@@ -12,7 +12,7 @@ from armctl.episodes.record import EpisodeResult
 from armctl.episodes.table import EpisodeTable
 from armctl.report.page import _command
 from armctl.stats.intervals import Estimate, bounded_mean, median, worst_decile
-from armctl.stats.paired import paired_difference
+from armctl.stats.paired import holm_adjusted, paired_difference
 from armctl.study.results import read_comparison
 from armctl.verdict.summary import summarise
 

@@ -14,9 +14,9 @@ from armctl.episodes.rows import definition
 LARGEST_FILE, LARGEST_VALUE = 4 * 2**30, 2**28
 """Bytes of a store, and of a text or the decision times of an episode in it."""
 FORMAT = 1
-"""In the file's header: of which layout it is."""
+"""Number of the layout, in the file's header."""
 APPLICATION = 0x61726D63
-"""In the file's header: "armc"."""
+"""The letters "armc", in the file's header."""
 _TABLES = {
     "study": "record TEXT NOT NULL",
     "cell": "id INTEGER PRIMARY KEY, name TEXT NOT NULL UNIQUE, identity TEXT NOT NULL, facts TEXT",
@@ -30,7 +30,10 @@ SCHEMA = {name: f"CREATE TABLE {name} ({columns}) STRICT" for name, columns in _
 
 @contextlib.contextmanager
 def connected(path: Path | None, mode: str) -> Iterator[sqlite3.Connection]:
-    """A database, in memory if there is no path. Raises `OSError`, `ValueError`, `ResultsError` or `sqlite3.Error`."""
+    """Open a database, in memory if there is no path.
+
+    Raises `OSError`, `ValueError`, `ResultsError` or `sqlite3.Error`.
+    """
     name = ":memory:"
     if path is not None:
         for part in files(path):
@@ -79,7 +82,7 @@ def check_file(file: sqlite3.Connection, whole: bool = True) -> None:
 
 
 def files(path: Path) -> list[Path]:
-    """The database, and what may stand beside it while it is written."""
+    """Return the database's path, and those of the files beside it while it is written."""
     return [path.with_name(path.name + end) for end in ("", "-wal", "-journal", "-shm")]
 
 

@@ -29,11 +29,11 @@ def write_csv(folder: Path, results: Cells) -> list[Path]:
 
     Names of cells are in a first column `cell`.
     """
-    cells, shown = _named(results)
+    cells, selection = _named(results)
 
     def written(path: Path, columns: Sequence[str], values: Callable[[EpisodeResult], Iterable[Any]]) -> Path:
-        rows = ((name, *values(result))[shown] for name, table in cells.items() for result in table)
-        return _written(path, (CELL, *columns)[shown], rows)
+        rows = ((name, *values(result))[selection] for name, table in cells.items() for result in table)
+        return _written(path, (CELL, *columns)[selection], rows)
 
     def times(result: EpisodeResult) -> tuple[Any, ...]:
         return result.policy, result.episode, " ".join(map(str, result.decision_ms.tolist()))
@@ -49,10 +49,10 @@ def write_parquet(folder: Path, results: Cells) -> list[Path]:
 
     Names of cells are in a first column `cell`.
     """
-    cells, shown = _named(results)
+    cells, selection = _named(results)
     pa, pq = _pyarrow()
     schema = _schema()
-    fields = [pa.field(CELL, pa.string(), nullable=False), *schema][shown]
+    fields = [pa.field(CELL, pa.string(), nullable=False), *schema][selection]
 
     def write(unfinished: Path) -> None:
         with pq.ParquetWriter(unfinished, pa.schema(fields), compression="zstd") as writer:
@@ -60,7 +60,7 @@ def write_parquet(folder: Path, results: Cells) -> list[Path]:
                 for first in range(0, len(table), AT_ONCE):
                     part = table[first : first + AT_ONCE]
                     names = pa.array([name] * len(part), pa.string())
-                    arrays = [names, *_arrays(part, schema)][shown]
+                    arrays = [names, *_arrays(part, schema)][selection]
                     writer.write_table(pa.table(arrays, schema=pa.schema(fields)))
 
     write_atomically(folder / EPISODES_PARQUET, write)
@@ -82,7 +82,7 @@ def _written(path: Path, columns: Sequence[str], rows: Iterable[Iterable[Any]]) 
 
 
 def _schema() -> Any:
-    """The columns of a Parquet file, those of `episodes.csv` and `decision_ms`, with their types."""
+    """Return the columns of a Parquet file, those of `episodes.csv` and `decision_ms`, with their types."""
     pa, _ = _pyarrow()
     plain = {str: pa.string(), int: pa.int64(), bool: pa.bool_(), float: pa.float64()}
     number = pa.field("value", pa.float64(), nullable=False)
@@ -102,7 +102,7 @@ def _schema() -> Any:
 
 
 def _arrays(results: EpisodeTable, schema: Any) -> list[Any]:
-    """The results as Arrow's arrays."""
+    """Return the results as Arrow's arrays."""
     pa, _ = _pyarrow()
     names, rewards = results.reward_terms()
     starts = np.concatenate(([0], np.cumsum([*map(len, names)], dtype=int)))

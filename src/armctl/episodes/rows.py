@@ -25,13 +25,13 @@ TEXTS = ("policy", "outcome", "run", "terms")
 INTEGERS = tuple(name for name, kinds in TYPES.items() if kinds & {int, bool} and name != "seed")
 NUMBERS = tuple(name for name, kinds in TYPES.items() if float in kinds)
 COLUMNS = (*TEXTS, *INTEGERS, *NUMBERS, "reward_terms", "decision_ms", "checksum")
-"""Of the table `episode`. Environment and seed of an episode are in its cell's identity."""
+"""Columns of the table `episode`. Environment and seed of an episode are in its cell's identity."""
 _UNKNOWN = -(2**63)
-"""In a checksum, in place of None."""
+"""Number in place of None in a checksum."""
 _TICKS = 1e4
-"""In a ms."""
+"""Number of ticks in 1 ms."""
 _WIDTHS = {2: ("<u2", 2**16 - 1), 4: ("<i4", -1)}
-"""Of decision times in ticks, by bytes: the type, and the number in place of NaN."""
+"""Types of decision times in ticks, by their bytes, with the number in place of NaN."""
 _PACKED = struct.Struct(f"<{len(TEXTS) + len(INTEGERS)}q{len(NUMBERS)}d")
 
 
@@ -64,12 +64,12 @@ def row_of(result: EpisodeResult, texts: dict[str, int], cell_checksum: int) -> 
 
 
 class Sizes(NamedTuple):
-    """How much memory a table takes."""
+    """Sizes of a table, which say how much memory it takes."""
 
     rows: int
     rewards: int
     decisions: int
-    """As many as there are, or more."""
+    """Number of decisions, or a larger one."""
 
 
 def sizes_of(rows: Sequence[Sequence[Any]]) -> Sizes:
@@ -151,7 +151,7 @@ def _batches(rows: Iterable[Sequence[Any]]) -> Iterator[list[Sequence[Any]]]:
 def _checked(
     batch: list[Sequence[Any]], text_checksums: NDArray[np.int64], cell_checksum: int
 ) -> dict[str, NDArray[Any]]:
-    """The columns of some rows, the ragged ones one list after the other."""
+    """Return the columns of some rows, the ragged ones one list after the other."""
     columns: dict[str, Any] = dict(zip(COLUMNS, zip(*batch, strict=True), strict=True))
     arrays: dict[str, NDArray[Any]] = {name: np.array(columns[name], np.int64) for name in TEXTS}
     if min(int(numbers.min()) for numbers in arrays.values()) < 0:

@@ -246,11 +246,11 @@ class CellWriter:
     def _write_runs(self, runs: Iterable[Run]) -> list[Run]:
         """Replace the runs by those that have played episodes, or told a verdict by other arguments than all before."""
         ids = "SELECT text FROM text WHERE id IN (SELECT run FROM episode WHERE cell = ?)"
-        played = {text for (text,) in self._store.file.execute(ids, (self._number,))}
+        runs_with_episodes = {text for (text,) in self._store.file.execute(ids, (self._number,))}
         counted: list[Run] = []
         for run in runs:
             verdicts = {(other.baseline, other.margin) for other in counted if other.judged}
-            if run.id in played or (run.judged and (run.baseline, run.margin) not in verdicts):
+            if run.id in runs_with_episodes or (run.judged and (run.baseline, run.margin) not in verdicts):
                 counted.append(run)
         self._store.file.execute("DELETE FROM run WHERE cell = ?", (self._number,))
         self._add_runs(counted)

@@ -24,7 +24,7 @@ STORE = "results.sqlite"
 UNDISTURBED = "none"
 """Name, or its last part, of a cell without a disturbance."""
 POLICY_SEED = "policy_seed"
-"""In a cell's identity: the secret of its policies' random numbers, in decimal digits."""
+"""Key, in a cell's identity, of the secret of its policies' random numbers, in decimal digits."""
 _RUNS = TypeAdapter(list[Run])
 
 
@@ -41,21 +41,21 @@ KEYS = TypeAdapter(CellKeys)
 
 
 class StoredCell(NamedTuple):
-    """What a store holds of a cell."""
+    """Content of a store for one cell."""
 
     identity: dict[str, Any]
     facts: dict[str, Any] | None
-    """What is known besides the episodes; None while it is unfinished."""
+    """Facts besides the episodes; None while it is unfinished."""
     runs: list[Run]
     """Those that have played episodes, or told another verdict."""
     episodes: EpisodeTable
 
 
 class StoredStudy(NamedTuple):
-    """What a store holds."""
+    """Content of a store."""
 
     record: dict[str, Any]
-    """What was played, and what came of it besides the cells; empty before the first cell."""
+    """Record of the study besides its cells; empty before the first cell."""
     cells: dict[str, StoredCell]
 
 
@@ -85,7 +85,7 @@ def read_identities(folder: Path) -> list[dict[str, Any]]:
 
 
 def stored_policy_seed(folder: Path) -> int | None:
-    """The policy seed in a folder's store; None if there is none that can be read."""
+    """Return the policy seed in a folder's store; None if there is none that can be read."""
     try:
         return int(read_identities(folder)[0][POLICY_SEED])
     except (ResultsError, LookupError, TypeError, ValueError):
@@ -94,7 +94,7 @@ def stored_policy_seed(folder: Path) -> int | None:
 
 @contextlib.contextmanager
 def _read(folder: Path, whole: bool = True) -> Iterator[sqlite3.Connection]:
-    """A folder's store, opened to be read: by itself, unless a run that was killed has left a log to recover from."""
+    """Open a folder's store to be read: by itself, unless a run that was killed has left a log to recover from."""
     path = folder / STORE
     if not os.path.lexists(path):
         raise ResultsError(f"{folder} holds no results: armctl compare --out {folder} writes some")
@@ -110,13 +110,13 @@ def cells_in(file: sqlite3.Connection) -> list[tuple[int, str, str, str | None]]
 
 
 def runs_of(file: sqlite3.Connection, cell: int) -> list[Run]:
-    """The runs of a cell. Raises `ValueError`."""
+    """Return the runs of a cell. Raises `ValueError`."""
     records = file.execute("SELECT record FROM run WHERE cell = ?", (cell,))
     return _RUNS.validate_python([unsealed(record) for (record,) in records])
 
 
 def texts_in(file: sqlite3.Connection) -> list[str]:
-    """The texts that rows refer to by number. Raises `ValueError`."""
+    """Return the texts that rows refer to by number. Raises `ValueError`."""
     numbers, texts = [], []
     for number, text in file.execute("SELECT id, text FROM text ORDER BY id"):
         numbers.append(number)
@@ -127,7 +127,7 @@ def texts_in(file: sqlite3.Connection) -> list[str]:
 
 
 def episodes_of(file: sqlite3.Connection, cell: int, identity: Mapping[str, Any], texts: Sequence[str]) -> EpisodeTable:
-    """The episodes of a cell in a file that anybody may have written."""
+    """Return the episodes of a cell in a file that may come from a stranger. Raises `ValueError`."""
     policies = KEYS.validate_python(identity).policies
     table = table_from(file.execute(select(file), (cell,)), sizes_in(file, cell), texts, identity, policies)
     if any(len(np.unique(part.column("episode"))) < len(part) for part in table.by_policy().values()):
@@ -136,13 +136,13 @@ def episodes_of(file: sqlite3.Connection, cell: int, identity: Mapping[str, Any]
 
 
 def select(file: sqlite3.Connection) -> str:
-    """The rows of a cell: in the order of the file if that holds no others, else by the index."""
-    alone = file.execute("SELECT count(*) FROM cell").fetchone()[0] == 1
-    return f"SELECT {', '.join(COLUMNS)} FROM episode {'NOT INDEXED' if alone else ''} WHERE cell = ?"
+    """Return the query for the rows of a cell: in the order of the file if that holds no others, else by the index."""
+    is_single = file.execute("SELECT count(*) FROM cell").fetchone()[0] == 1
+    return f"SELECT {', '.join(COLUMNS)} FROM episode {'NOT INDEXED' if is_single else ''} WHERE cell = ?"
 
 
 def sizes_in(file: sqlite3.Connection, cell: int) -> Sizes:
-    """How much memory the episodes of a cell take as a table."""
+    """Return the sizes of the episodes of a cell as a table."""
     count = "count(*), coalesce(sum(length(reward_terms)), 0) / 8, coalesce(sum(length(decision_ms)), 0) / 2"
     return Sizes(*file.execute(f"SELECT {count} FROM episode WHERE cell = ?", (cell,)).fetchone())
 
@@ -154,11 +154,11 @@ def table_from(
     identity: Mapping[str, Any],
     policies: Sequence[str] | None = None,
 ) -> EpisodeTable:
-    """The episodes of a cell in rows of it. Raises `ValueError`."""
+    """Return the episodes of a cell from its rows. Raises `ValueError`."""
     keys = KEYS.validate_python(identity)
     return table_of_rows(rows, sizes, texts, checksum_of(identity), bare_id(keys.env), keys.seed, policies)
 
 
 def checksum_of(identity: Mapping[str, Any]) -> int:
-    """The part of a row's checksum that says to which cell it belongs."""
+    """Return the part of a row's checksum that says to which cell it belongs."""
     return crc32(digest(identity).encode())

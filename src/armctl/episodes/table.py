@@ -22,8 +22,8 @@ from armctl.episodes.record import COLUMNS, EpisodeResult
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 _APART = ("reward_terms", "metrics", "decision_ms")
-_PLAIN = [one.name for one in fields(EpisodeResult) if one.name not in _APART]
-_METRICS = [one.name for one in fields(Metrics)]
+_PLAIN = [field.name for field in fields(EpisodeResult) if field.name not in _APART]
+_METRICS = [field.name for field in fields(Metrics)]
 _HINTS = get_type_hints(EpisodeResult) | get_type_hints(Metrics)
 TYPES: dict[str, set[type]] = {name: set(get_args(_HINTS[name])) or {_HINTS[name]} for name in (*_PLAIN, *_METRICS)}
 """Types of a field of the results or of their metrics, `NoneType` among them where it may be unknown."""
@@ -67,13 +67,13 @@ class EpisodeTable(Sequence[EpisodeResult]):
 
     def __init__(self, results: Iterable[EpisodeResult] = ()) -> None:
         listed = list(results)
-        values = [vars(one) | vars(one.metrics) for one in listed]
+        values = [vars(result) | vars(result.metrics) for result in listed]
         places: dict[tuple[str, ...], int] = {}
-        codes = [places.setdefault(tuple(one.reward_terms), len(places)) for one in listed]
-        rewards = [list(one.reward_terms.values()) for one in listed]
-        times = [one.decision_ms for one in listed]
+        codes = [places.setdefault(tuple(result.reward_terms), len(places)) for result in listed]
+        rewards = [list(result.reward_terms.values()) for result in listed]
+        times = [result.decision_ms for result in listed]
         self._fill(
-            {name: column(name, [one[name] for one in values]) for name in TYPES},
+            {name: column(name, [fields[name] for fields in values]) for name in TYPES},
             list(places),
             np.array(codes, np.intp),
             Ragged.of(np.array([*itertools.chain.from_iterable(rewards)], float), [*map(len, rewards)]),
@@ -125,61 +125,61 @@ class EpisodeTable(Sequence[EpisodeResult]):
         return map(self._result, self._rows.tolist())
 
     def column(self, name: str) -> NDArray[Any]:
-        """A field of the results or of their metrics, (len(self),); of objects if it is a text, or None in some."""
+        """Return a field of the results or of their metrics, (len(self),); of objects for texts and unknown values."""
         return np.asarray(self._columns[name][self._rows])
 
     def with_column(self, name: str, values: Iterable[Any]) -> "EpisodeTable":
-        """The same episodes with other values of a field."""
+        """Return the same episodes with other values of a field."""
         changed, new = self._sharing(self._rows), self._columns[name].astype(object)
         new[self._rows] = list(values)
         changed._columns = {**self._columns, name: column(name, new.tolist())}
         return changed
 
     def together(self, other: "EpisodeTable") -> "EpisodeTable":
-        """The episodes of this part of a table, and then those of another part of the same one."""
+        """Return the episodes of this part of a table, and then those of another part of the same one."""
         assert self._decision_ms is other._decision_ms
         return self._sharing(np.concatenate((self._rows, other._rows)))
 
     def by_policy(self) -> dict[str, "EpisodeTable"]:
-        """The episodes of each policy."""
+        """Return the episodes of each policy."""
         policies = self.column("policy")
         return {name: self[policies == name] for name in dict.fromkeys(policies.tolist())}
 
     def sorted(self, policies: Sequence[str]) -> "EpisodeTable":
-        """The same, by policy in the given order, and then by episode."""
+        """Return the same, by policy in the given order, and then by episode."""
         places = {name: place for place, name in enumerate(policies)}
         order = np.array([places[name] for name in self.column("policy").tolist()])
         return self[np.lexsort((self.column("episode"), order))]
 
     @property
     def won(self) -> NDArray[np.bool_]:
-        """Whether each was a success; False where that is unknown."""
+        """True for each success; False where that is unknown."""
         return self.column("success").astype(bool)
 
     @property
     def optimality_gap(self) -> Array:
-        """As `EpisodeResult.optimality_gap`, of each."""
-        least = np.where(self.column("lower_bound_steps") > 0, self.column("lower_bound_steps"), math.nan)
+        """Optimality gap of each (see `EpisodeResult`)."""
+        bound = np.where(self.column("lower_bound_steps") > 0, self.column("lower_bound_steps"), math.nan)
         with np.errstate(over="ignore"):
-            return np.where(self.won, self.column("length") / least - 1, math.nan)
+            return np.where(self.won, self.column("length") / bound - 1, math.nan)
 
-    def earned(self) -> dict[str, Array]:
-        """The sums of each reward term, by its name, in the episodes that have it."""
-        found = dict[str, list[Array]]()
+    def reward_sums(self) -> dict[str, Array]:
+        """Return the sums of each reward term, by its name, in the episodes that have it."""
+        sums = dict[str, list[Array]]()
         rewards, codes = self._rewards.take(self._rows), self._term_codes[self._rows]
         for code in dict.fromkeys(codes.tolist()):
             starts = rewards.ends[:-1][codes == code]
             for i, name in enumerate(self._term_names[code]):
-                found.setdefault(name, []).append(rewards.values[starts + i])
-        return {name: np.concatenate(parts) for name, parts in found.items()}
+                sums.setdefault(name, []).append(rewards.values[starts + i])
+        return {name: np.concatenate(parts) for name, parts in sums.items()}
 
     def reward_terms(self) -> tuple[list[tuple[str, ...]], Array]:
-        """The names of each episode's reward terms, and the sums of these, of one episode after the other."""
+        """Return the names of each episode's reward terms, and the sums of these, of one episode after the other."""
         names = [self._term_names[code] for code in self._term_codes[self._rows].tolist()]
         return names, self._rewards.take(self._rows).values
 
     def decision_ms(self) -> Ragged:
-        """The decision times of each episode."""
+        """Return the decision times of each episode."""
         return self._decision_ms.take(self._rows)
 
     def decision_seconds(self) -> Array:
@@ -194,18 +194,18 @@ class EpisodeTable(Sequence[EpisodeResult]):
         return np.asarray(spent / 1e3)
 
     def warm_ms(self) -> Array:
-        """The times of all warm decisions, of one episode after the other, in an array of its own."""
-        cold = ~np.isnan(self.column("first_call_ms"))
-        (alone,) = np.nonzero(cold)
-        bounds = np.unique(np.concatenate((alone, alone + 1, np.arange(0, len(self), AT_ONCE), [len(self)])))
-        found, end = np.empty(int(self.column("length").sum())), 0
+        """Return the times of all warm decisions, of one episode after the other, in an array of its own."""
+        has_first_call = ~np.isnan(self.column("first_call_ms"))
+        (rows,) = np.nonzero(has_first_call)
+        bounds = np.unique(np.concatenate((rows, rows + 1, np.arange(0, len(self), AT_ONCE), [len(self)])))
+        warm, end = np.empty(int(self.column("length").sum())), 0
         for first, last in itertools.pairwise(bounds.tolist()):
-            times = warm_times(self[first:last].decision_ms().values, bool(cold[first]))
-            found[end : (end := end + len(times))] = times
-        return found[:end]
+            times = warm_times(self[first:last].decision_ms().values, bool(has_first_call[first]))
+            warm[end : (end := end + len(times))] = times
+        return warm[:end]
 
     def frame(self) -> pd.DataFrame:
-        """A row for each, with the columns of `episodes.csv`, as a DataFrame of `EpisodeResult.row` would have them."""
+        """Return a row for each, with the columns of `episodes.csv`, as a DataFrame of `EpisodeResult.row` has them."""
         if not len(self):
             return pd.DataFrame(columns=list(COLUMNS))
         values: dict[str, Any] = {}
@@ -238,7 +238,7 @@ class EpisodeTable(Sequence[EpisodeResult]):
 
 
 def table_of(results: Iterable[EpisodeResult]) -> EpisodeTable:
-    """The results as a table, unless they are one."""
+    """Return the results as a table, unless they are one."""
     return results if isinstance(results, EpisodeTable) else EpisodeTable(results)
 
 

@@ -208,6 +208,6 @@ def decision_times(
 def term_means(episodes: Mapping[str, Sequence[EpisodeResult]]) -> dict[str, dict[str, float]]:
     """Mean of each reward term over each policy's episodes."""
     return {
-        name: {term: math.fsum(rewards) / len(results) for term, rewards in table_of(results).earned().items()}
+        name: {term: math.fsum(rewards) / len(results) for term, rewards in table_of(results).reward_sums().items()}
         for name, results in episodes.items()
     }
