@@ -204,7 +204,7 @@ def _costs(answers: Sequence[Answer], styles: style.Styles) -> list[Plot]:
             and (known_cost := cost(policy)) is not None
         ]  # fmt: skip
 
-    timed, trained = points(attrgetter("decision_ms")), points(_decisions)
+    timed, trained = points(attrgetter("decision_ms_mean")), points(_decisions)
     if not timed:
         return []
     ms, min_decisions = suite_figures.MIN_MS, suite_figures.MIN_DECISIONS
