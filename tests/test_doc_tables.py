@@ -45,7 +45,7 @@ def test_tables_are_what_a_comparison_prints():
     once = renewed(f"Before\n<!-- {command} -->\nold\n<!-- end -->\nAfter\n")
     assert "| reach\\_ik, untrained | 100.0 % " in once
     assert "random: 3 timeout" in once
-    assert "**No verdict from 3 episodes: it takes 10.**" in once
+    assert "**No verdict from 3 episodes: at least 10 are needed.**" in once
     assert f"\n\n`{command}`, 20" in once
     assert "old" not in once
     assert "reach\\_ik - random" not in once
@@ -55,7 +55,7 @@ def test_tables_are_what_a_comparison_prints():
     assert brief.startswith(
         f"<!-- in short: {command} -->\n\n| policy | success | return | steps | decision ms | sees |\n"
     )
-    assert "> No verdict from 3 episodes: it takes 10.\n\n`armctl" in brief
+    assert "> No verdict from 3 episodes: at least 10 are needed.\n\n`armctl" in brief
     assert "3 reached" not in brief
     printed = renewed(f"<!-- as printed: {command} -->\n<!-- end -->\n")
     assert "-->\n\n```text\narmctl/ArmReach-v0: 3 episodes of seed 0\n" in printed
@@ -71,7 +71,7 @@ def test_tables_are_what_a_sweep_prints():
     assert once.count(heading) == 2
     assert f"{heading}| `reach_ik` | 100 | 100 | 100 | 100 |\n| `random` | 0 | spared | spared | 0 |\n\n95 %" in once
     assert "| `random` | 0 to 84 |  |  | 0 to 84 |" in once
-    assert "\n\n> Under noise, no ranking: fewer than two policies are reached and tested; under delay, " in once
+    assert "\n\n> Under noise, no ranking: fewer than two policies are affected and tested; under delay, " in once
     assert f"\n\n`{command}`, 20" in once
     assert "<!-- shows random " in once
 
