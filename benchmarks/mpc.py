@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import typer
 from numpy.typing import NDArray
+from reach_reference import ReachReference
 from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import track
@@ -24,7 +25,6 @@ from rich.table import Table
 from armctl.control.reach_mpc import ReachMpc, ReachMpcOptions
 from armctl.control.reach_problem import MpcResult
 from armctl.control.reach_qp import ReachQp
-from armctl.control.reach_reference import ReachReference
 from armctl.kinematics import ArmModel, Ik
 from armctl.scene import Boxes
 

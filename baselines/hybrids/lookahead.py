@@ -30,7 +30,7 @@ from armctl.tasks import BridgeTask
 from armctl.tasks.bridge import CONTROL_PERIOD
 from armctl.tasks.bridge.observation import BLOCK, ROVER, WALKER
 from armctl.tasks.bridge.options import MOVES
-from armctl.tasks.bridge.planar import ACCELERATION, Geometry, block_rows
+from armctl.tasks.bridge.planar import Geometry, block_rows
 
 Array = NDArray[np.float64]
 Velocities = Annotated[tuple[float, ...], Field(min_length=1)]
@@ -137,9 +137,10 @@ class ImaginedRovers:
     def __init__(self, geometry: Geometry, states: NDArray[np.float32], steps: int) -> None:
         n = len(states)
         x, y, cos, sin, *_ = states.T.astype(float)
-        self.poses, self.velocities = np.column_stack((x, y, np.arctan2(sin, cos))), states[:, 4:ROVER].astype(float)
-        self._steps, self._step = steps, 0
-        self._geometry, self._contacts = geometry, np.zeros(n, dtype=np.int64)
+        self.poses, self.velocities, self._contacts = self._rovers = planar.Rovers(
+            np.column_stack((x, y, np.arctan2(sin, cos))), states[:, 4:ROVER].astype(float), np.zeros(n, dtype=np.int64)
+        )
+        self._geometry, self._steps, self._step = geometry, steps, 0
         self._blocks = states[:, ROVER : ROVER + BLOCK * geometry.blocks]
         self._people = self._predict(states[:, ROVER + BLOCK * geometry.blocks :].reshape(n, -1, WALKER))
         self._scenes = planar.Scenes(
@@ -176,10 +177,7 @@ class ImaginedRovers:
 
     def _drive(self, ids: NDArray[np.intp], people: Array, commands: Array, period: float) -> None:
         sizes = self._geometry
-        planar.drive(
-            ids, sizes.deck, self._scenes, ACCELERATION, sizes.outline, people, period,
-            commands, self.poses, self.velocities, self._contacts,
-        )  # fmt: skip
+        planar.drive(ids, sizes.deck, self._scenes, sizes.rover, people, period, commands, self._rovers)
 
     def _predict(self, people: NDArray[np.float32]) -> Array:
         """Return where people (n, w, 4) will be in each tick, from the present on, (ticks, n, w, 2) m."""

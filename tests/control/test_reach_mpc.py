@@ -1,3 +1,5 @@
+import runpy
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -5,8 +7,7 @@ import osqp
 import pytest
 
 from armctl.control.reach_mpc import ReachMpc, ReachMpcOptions
-from armctl.control.reach_problem import OcpParameters, ReachProblem, braking, reach_cost
-from armctl.control.reach_reference import ReachReference, symbolic_position
+from armctl.control.reach_problem import OcpParameters, ReachProblem, braking
 from armctl.control.streaming import CommandStream
 from armctl.core.errors import ConfigurationError
 from armctl.kinematics import ArmModel, Ik
@@ -15,6 +16,8 @@ from armctl.scene import Boxes
 
 from ..kernels.joint_profiles import TICK, limited, towards
 
+REFERENCE = runpy.run_path(str(Path(__file__).parents[2] / "benchmarks" / "reach_reference.py"))
+ReachReference, reach_cost = REFERENCE["ReachReference"], REFERENCE["reach_cost"]
 PERIOD, N = ReachProblem().period, ReachProblem().horizon
 MODEL = ArmModel("ur5")
 LIMITS = MODEL.limits
@@ -128,7 +131,7 @@ def test_symbolic_kinematics_are_the_models(robot):
         robot = load_arm(path, tip="panda_hand_tcp")
     model = ArmModel(robot)
     q = casadi.SX.sym("q", model.dof)
-    position = casadi.Function("position", [q], [symbolic_position(model, q)])
+    position = casadi.Function("position", [q], [REFERENCE["symbolic_position"](model, q)])
     for sample in np.random.default_rng(0).uniform(-3, 3, (20, model.dof)):
         np.testing.assert_allclose(position(sample).full().ravel(), model.position(sample), atol=1e-12)
 

@@ -11,14 +11,15 @@ from armctl.core.errors import ConfigurationError, ResultsError
 from armctl.episodes.failures import PolicyFailed
 from armctl.integrations.rerun import rerun_opener
 from armctl.viewer.stage import Stage
-from armctl.viewer.terminal import run_episodes
+from armctl.viewer.terminal import Outputs, run_episodes
 
 ARM, BRIDGE = "armctl/ArmReachObstacles-v0", "armctl/BridgeCrossMoving-v0"
 STEPS = 8
 
 
 def record(file, policy, env, episodes=1, steps=STEPS, **options):
-    return run_episodes(policy, env, episodes, steps, 2, None, False, options, log=rerun_opener(file))
+    outputs = Outputs(log=rerun_opener(file))
+    return run_episodes(policy, env, range(episodes), 2, steps=steps, env_options=options, outputs=outputs)
 
 
 class Recording:

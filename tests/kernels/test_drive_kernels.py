@@ -12,7 +12,7 @@ from armctl.scene import BridgeMap
 from . import drive_reference as reference
 
 CLOSE = {"rtol": 0, "atol": 1e-12}
-OPTIONS, SMOOTHING = DriveMpcOptions(), 0.3
+OPTIONS, SMOOTHING = DriveMpcOptions(), kernel.SMOOTHING
 NUMBERS = np.array(tuple(getattr(OPTIONS, name) for name in kernel.NAMES), kernel.OPTIONS)[()]
 STEPS = OPTIONS.steps
 
@@ -41,7 +41,7 @@ def test_paths(rng):
             arc_path.nearest(segments, points, low, high, 0.025, nearest)
             np.testing.assert_allclose(nearest, path.nearest(points, low, high, 0.025), **CLOSE)
         rows = np.empty((80, 4))
-        kernel.follow_path(segments, arcs, SMOOTHING, rows)
+        kernel.follow_path(segments, arcs, rows)
         np.testing.assert_allclose(rows, np.hstack(path.rounded(arcs, SMOOTHING)), **CLOSE)
 
 
@@ -72,14 +72,14 @@ def test_obstacles_and_people(rng, blocks):
 
 @pytest.mark.parametrize(("blocks", "walkers"), [(0, 0), (3, 2)])
 def test_drives(rng, blocks, walkers):
-    speeds, offsets, sidestep = np.array((2.0, 1.0, 0.0)), np.array((0.0, -0.7, 0.7)), 0.5
+    speeds, offsets = np.array((2.0, 1.0, 0.0)), np.array((0.0, -0.7, 0.7))
     points, costs = np.empty((3, 3, STEPS + 2, 2)), np.empty((3, 3))
     for path, segments in paths(rng, 20):
         start = np.concatenate((path.points[0] + rng.normal(size=2), rng.uniform(-9, 9, 1), rng.uniform(-0.5, 2, 2)))
         progress, deck = rng.uniform(0, 1), bridge(rng, blocks)
-        kernel.drive_beside(NUMBERS, segments, SMOOTHING, start, progress, speeds, offsets, sidestep, points, costs)
+        kernel.drive_beside(NUMBERS, segments, start, progress, speeds, offsets, points, costs)
         places, speed, ahead, expected = reference.drives(
-            OPTIONS, path, SMOOTHING, start, progress, speeds, offsets, sidestep
+            OPTIONS, path, SMOOTHING, start, progress, speeds, offsets, kernel.SIDESTEP
         )
         drives, prices = points.reshape(9, -1, 2), costs.reshape(-1)
         np.testing.assert_allclose(drives[:, :-1], places, **CLOSE)

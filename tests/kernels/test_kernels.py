@@ -5,6 +5,7 @@ import pinocchio
 import pytest
 
 from armctl.kernels import arm, capsules, control_step, drives, ik, reach, reach_mpc
+from armctl.kernels.clearance import ScaledScene
 from armctl.kernels.edges import PAIR
 from armctl.kinematics import ArmModel
 from armctl.kinematics.records import box_records
@@ -89,7 +90,7 @@ def test_motion_into_a_sphere(model, rng):
     for one in zip(q, starts, centres, velocities, strict=True):
         at, start, centre, velocity = one
         time, distance = reach.step_into_sphere(
-            model.joints, at, start, centre, 0.05, velocity, 0.1, arm.workspace(model.joints), step
+            model.joints, at, reach.Start(start, velocity), centre, 0.05, 0.1, arm.workspace(model.joints), step
         )
         expected, *others = reference.step_into_sphere(model, at, start, centre, 0.05, velocity, 0.1)
         np.testing.assert_allclose(step, expected, **CLOSE)
@@ -122,11 +123,11 @@ def test_least_times_into_spheres(model, rng):
     centres[0] = model.position(q[0])
     velocities = rng.uniform(-1, 1, q.shape) * model.limits.velocity
     goals, excess = configurations(model, rng, m * g).reshape(m, g, -1), rng.uniform(0, 0.1, (m, g))
-    effort = 0.05, 1.0, 0.9, 3, np.array((0.2, 0.05, 0.0))
-    times = np.empty(m)
-    reach.least_times_into_spheres(model.joints, q, velocities, centres, goals, excess, *effort, times)
+    times, max_steps = np.empty(m), np.array((0.2, 0.05, 0.0))
+    spheres = reach.Spheres(centres, goals, excess)
+    reach.least_times_into_spheres(model.joints, q, velocities, spheres, 0.05, 3, max_steps, times)
     expected = [
-        reference.least_time_into_sphere(model, *one, *effort)
+        reference.least_time_into_sphere(model, *one, 0.05, reach.TIP_SPEED, reach.AIM, 3, max_steps)
         for one in zip(q, velocities, centres, goals, excess, strict=True)
     ]
     assert times[0] == 0
@@ -201,17 +202,20 @@ def test_motions_of_the_controller(model, rng):
 @pytest.mark.parametrize("exact", [True, False])
 def test_quadratic_models(model, rng, exact):
     q, dof = configurations(model, rng, HORIZON), model.dof
-    targets, errors, least = rng.normal(size=(HORIZON, 3)), np.empty((HORIZON, 3)), np.full(HORIZON, np.inf)
-    axes, gradients = np.empty((2, HORIZON, dof, 3))
+    targets, least = rng.normal(size=(HORIZON, 3)), np.full(HORIZON, np.inf)
+    knots = reach_mpc.Knots(q, np.empty((HORIZON, 3)), *np.empty((2, HORIZON, dof, 3)))
+    _, errors, axes, gradients = knots
     samples = np.ones(len(model.links), dtype=int)
-    scene = model.links, np.zeros(0, dtype=PAIR), box_records(model.boxes), samples, np.ones(0)
-    reach_mpc.evaluate_knots(model.joints, *scene, q, targets, errors, axes, gradients, least)
+    scene = ScaledScene(
+        model.joints, model.links, np.zeros(0, dtype=PAIR), box_records(model.boxes), samples, np.ones(0)
+    )
+    reach_mpc.evaluate_knots(scene, targets, knots, least)
     np.testing.assert_allclose(errors, [model.position(at) - one for at, one in zip(q, targets, strict=True)], **CLOSE)
     jacobians = np.array([model.jacobian(at) for at in q])
     np.testing.assert_allclose(gradients.swapaxes(1, 2), jacobians[:, :3], **CLOSE)
     np.testing.assert_allclose(axes.swapaxes(1, 2), jacobians[:, 3:], **CLOSE)
     hessians, slopes = np.empty((HORIZON, dof, dof)), np.empty((HORIZON, dof))
-    reach_mpc.quadratic_model(q, errors, axes, gradients, exact, 1e-3, model.home, hessians, slopes)
+    reach_mpc.quadratic_model(knots, exact, 1e-3, model.home, hessians, slopes)
     expected = reference.quadratic_model(q, errors, axes, gradients, exact, 1e-3, model.home)
     np.testing.assert_allclose(hessians, expected[0], rtol=1e-10, atol=1e-11)
     np.testing.assert_allclose(slopes, expected[1], rtol=1e-10, atol=1e-10)

@@ -73,7 +73,8 @@ def test_rays_end_where_the_map_says_that_something_is(pose, block, walker):
     ranges = np.empty((1, len(directions)))
     scenes = scenes_of(blocks_at((*block, 0.3, 0.7)), [walker])
     endless = DECK._replace(length=1e3)
-    planar.scan(np.array([0]), endless, scenes, 1.4, 0.0, directions, 10.0, 2.5, np.array([pose]), ranges)
+    sensor = planar.RangeSensor(0.0, directions, 1.4, 10.0, 2.5)
+    planar.scan(np.array([0]), endless, scenes, sensor, np.array([pose]), ranges)
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     turned = directions @ np.array([[cos, sin], [-sin, cos]])
     bridge = BridgeMap(endless.length, 1.4, np.array([[*block, 0.3, 0.7]]))
@@ -95,12 +96,14 @@ def test_rays_end_where_the_map_says_that_something_is(pose, block, walker):
 
 
 def test_a_rover_keeps_its_limits_and_stops_at_a_contact():
-    limits = planar.Drive(linear=6.0, angular=12.0)
+    rover = planar.Rover(6.0, 12.0, OUTLINE)
     scenes = scenes_of(blocks_at((4.0, 0.0, 0.0, 0.3, 0.7)), np.zeros((0, 2)))
-    poses, velocities, contacts = np.array([[1.0, 0, 0]]), np.zeros((1, 2)), np.zeros(1, dtype=np.int64)
+    poses, velocities, contacts = rovers = planar.Rovers(
+        np.array([[1.0, 0, 0]]), np.zeros((1, 2)), np.zeros(1, dtype=np.int64)
+    )
     places, speeds, full_speed = np.zeros((5, 1, 0, 2)), [], np.array([[2.0, 0.0]])
     while not contacts[0]:
-        planar.drive(np.array([0]), DECK, scenes, limits, OUTLINE, places, 0.1, full_speed, poses, velocities, contacts)
+        planar.drive(np.array([0]), DECK, scenes, rover, places, 0.1, full_speed, rovers)
         speeds.append(velocities[0, 0])
     assert np.diff([0.0, *speeds]).max() == pytest.approx(0.6)
     assert max(speeds) == pytest.approx(2.0)

@@ -1,6 +1,6 @@
 import numpy as np
 
-from armctl.kernels.time_to_go import spread
+from armctl.kernels.time_to_go import Grid, Moves, People, spread
 
 MOVES = np.array([(0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (-1, 2)])
 DURATIONS = np.array([0.1, 0.1, 0.13, 0.13, 0.17, 0.24], dtype=np.float32)
@@ -40,7 +40,8 @@ def test_times_are_those_of_the_dynamic_programme():
         people = rng.uniform(0, (7, 4), (9, 2, 2))
         times = np.full((9, 5 + 2 * PAD, 8 + 2 * PAD), BLOCKED, dtype=np.float32)
         times[-1, PAD:-PAD, PAD:-PAD] = last
-        spread(times, goal, wall, people, REACH, y, x, SLOWER, WAIT, MOVES, DURATIONS, SHARES, LAYERS, PAD)
+        moves = Moves(WAIT, MOVES, DURATIONS, LAYERS, SHARES)
+        spread(times, goal, wall, People(people, REACH, SLOWER), Grid(y, x, PAD), moves)
         expected = reference(last, goal, wall, people, y, x)
         open_ = expected < BLOCKED / 2
         np.testing.assert_allclose(times[:, PAD:-PAD, PAD:-PAD][open_], expected[open_], rtol=1e-4)

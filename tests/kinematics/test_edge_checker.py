@@ -214,12 +214,12 @@ def test_there_is_no_goal_from_within_a_box_nor_on_no_path(model, shapes):
 def test_relaxed_pairs_keep_their_share_and_no_others_change(model, shapes):
     rng = np.random.default_rng(9)
     checker = EdgeChecker(shapes, random_boxes(rng, model), 0.02, model.home)
-    wanted, near = checker._margins.copy(), 0
+    wanted, near = checker._bounds.margins.copy(), 0
     for q in configurations(model, rng, 300):
         distances = checker._measured(q)
         too_near = checker.relax(q, 0.7)
         assert too_near == (distances < wanted).any()
-        np.testing.assert_allclose(checker._margins, np.minimum(wanted, 0.7 * np.maximum(distances, 0)))
+        np.testing.assert_allclose(checker._bounds.margins, np.minimum(wanted, 0.7 * np.maximum(distances, 0)))
         near += too_near and (distances > 0).all() and checker.is_free(q)
     assert near > 0  # what is too near, but touches nothing, may move
 

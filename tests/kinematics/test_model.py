@@ -93,21 +93,10 @@ def test_local_jacobian_integrates_to_the_pose(model):
 @pytest.mark.parametrize("shape", [(), (1,), (7,), (3, 4), (0,)])
 def test_batches_equal_single_configurations(model, shape):
     q = configurations(model, int(np.prod(shape))).reshape(*shape, model.dof)
-    positions, jacobians = model.positions_and_jacobians(q)
+    positions = model.positions(q)
     assert positions.shape == (*shape, 3)
-    assert jacobians.shape == (*shape, 3, model.dof)
     for i in np.ndindex(shape):
         np.testing.assert_allclose(positions[i], model.position(q[i]), atol=1e-12)
-        np.testing.assert_allclose(jacobians[i], model.jacobian(q[i])[:3], atol=1e-12)
-    np.testing.assert_array_equal(model.positions(q), positions)
-
-
-def test_batched_jacobians_are_the_derivative_of_batched_positions(model):
-    q = configurations(model, 200)
-    jacobians = model.positions_and_jacobians(q)[1]
-    for joint, step in enumerate(STEP * np.eye(model.dof)):
-        derivative = (model.positions(q + step) - model.positions(q - step)) / (2 * STEP)
-        np.testing.assert_allclose(jacobians[..., joint], derivative, atol=1e-8)
 
 
 def test_is_free_where_mujoco_has_no_contact(model, world):

@@ -5,7 +5,7 @@ import numpy as np
 
 from armctl.kernels.control_step import ROUNDING
 from armctl.kernels.drives import drive_joints
-from armctl.simulation.control_step import NO_CONTACTS, NO_DRIVES, NO_POSES, NO_SAMPLES, NO_TARGETS
+from armctl.simulation.control_step import NO_PARTS
 
 CURRENT = int(mujoco.mjtStage.mjSTAGE_VEL)
 
@@ -30,11 +30,9 @@ class BatchSteps:
     def add_output(self, field, values):
         """The batch fills its own arrays."""
 
-    def step(
-        self, ids, ticks, substeps, drives=NO_DRIVES, samples=NO_SAMPLES, target_query=NO_TARGETS, contacts=NO_CONTACTS,
-        poses=NO_POSES,
-    ):  # fmt: skip
+    def step(self, ids, ticks, substeps, parts=NO_PARTS):
         """As `Stepper.step`."""
+        drives, samples, target_query, contacts, poses = parts
         worlds, fields, refined = self._worlds, self._fields, np.zeros(len(self._worlds.refined), dtype=int)
         standing = np.ones(len(refined), dtype=bool)
         standing[ids] = False

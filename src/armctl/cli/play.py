@@ -48,7 +48,7 @@ class RunRequest:
 @verb
 def run(request: RunRequest) -> None:
     """Play episodes with one policy, and print its states, actions and rewards."""
-    from armctl.viewer.terminal import run_episodes
+    from armctl.viewer.terminal import Outputs, run_episodes
 
     log = None
     if request.rerun:
@@ -58,15 +58,12 @@ def run(request: RunRequest) -> None:
     finished = run_episodes(
         request.policy,
         request.env,
-        request.episodes,
-        request.steps,
+        range(request.episode, request.episode + request.episodes),
         request.seed,
-        request.video,
-        request.watch,
-        options_of(request.env_options),
-        request.episode,
-        log,
-        request.policy_seed,
+        steps=request.steps,
+        env_options=options_of(request.env_options),
+        outputs=Outputs(request.video, request.watch, log),
+        policy_seed=request.policy_seed,
     )
     if not finished:
         raise typer.Exit(130)

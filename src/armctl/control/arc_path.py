@@ -1,12 +1,11 @@
 """A polyline parametrised by arc length, for path followers."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
 from armctl.kernels import arc_path as kernel
-
-Array = NDArray[np.float64]
 
 SPACING = 0.025
 """m: resolution of the search for the nearest point."""

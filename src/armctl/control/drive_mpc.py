@@ -13,26 +13,22 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from armctl.control.arc_path import ArcPath
 from armctl.control.drive_nlp import CONTROLS, STATES, DriveMpcOptions, DriveSolver, Solution, drive_nlp
+from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
 from armctl.kernels import drive_mpc as kernel
 
 __all__ = ["DriveMpc", "DriveMpcOptions", "DriveMpcResult"]
 
-Array = NDArray[np.float64]
 Nearest = Callable[[Array], Array]
 
-SMOOTHING = 0.3
-"""m: corners of the path are rounded over this length in both directions."""
 SHARES = np.array((1.0, 0.7, 0.4, 0.15, 0.0))
 """Fractions of the maximum speed for guesses."""
 OFFSETS = np.array((0.0, -0.7, 0.7))
 """m: lateral offsets from the path for guesses."""
-SIDESTEP = 0.5
-"""s: time constant with which guesses approach their offsets."""
 SEARCH = 1.5
 """m: how far ahead of the last nearest point of the path the next is searched."""
 APART = 0.2
@@ -165,7 +161,7 @@ class DriveMpc:
         solver, points, options = self._solvers[near, brief], knots[:, :2].copy(), self.options
         reach = options.steps * options.period * options.max_speed
         arcs = self.path.nearest(points, self.progress - SEARCH, self.progress + SEARCH + reach)
-        kernel.follow_path(self.path.segments, arcs, SMOOTHING, solver.reference)
+        kernel.follow_path(self.path.segments, arcs, solver.reference)
         kernel.choose_people(points, people, solver.people)
         obstacles = self._obstacles(points)
         if kernel.leave_obstacles(points, obstacles, solver.reference):
@@ -180,9 +176,7 @@ class DriveMpc:
         numbers, steps, speeds = self._numbers, self.options.steps, SHARES * self.options.max_speed
         points = np.empty((len(speeds), len(OFFSETS), steps + 2, 2))
         costs, knots = np.empty(points.shape[:2]), np.empty((steps + 1, STATES + CONTROLS))
-        kernel.drive_beside(
-            numbers, self.path.segments, SMOOTHING, start, self.progress, speeds, OFFSETS, SIDESTEP, points, costs
-        )
+        kernel.drive_beside(numbers, self.path.segments, start, self.progress, speeds, OFFSETS, points, costs)
         drives = points.reshape(-1, steps + 2, 2)
         obstacles = self._obstacles(points.reshape(-1, 2)).reshape(*drives.shape[:2], -1, 2)
         kernel.intrude(numbers, drives, obstacles, people, costs.reshape(-1))

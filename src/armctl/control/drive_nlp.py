@@ -22,14 +22,13 @@ from typing import Annotated, Any
 
 import casadi
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from armctl.core.options import options
+from armctl.core.arrays import Array
+from armctl.core.options import NonNegative, Positive, options
 
-Array = NDArray[np.float64]
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
+Constraint = tuple[Any, float, float]
+"""Expression and its lower and upper bound."""
 
 STATES, CONTROLS = 5, 3
 """x, y (m), yaw (rad), linear (m/s) and angular velocity (rad/s); their accelerations, and the slack (m)."""
@@ -112,15 +111,7 @@ class DriveNlp:
         variables: list[Any] = []
         low: list[float] = []
         high: list[float] = []
-        constraints, lower_bounds, upper_bounds, structure = [], [], [], []
-
-        def constrain(expression: Any, lower: float, upper: float) -> None:
-            constraints.append(expression)
-            count = expression.numel()
-            lower_bounds.extend([lower] * count)
-            upper_bounds.extend([upper] * count)
-            structure.extend([lower == upper] * count)
-
+        constraints: list[Constraint] = []
         for k, state in enumerate(states):
             cost += _stage_cost(options, state, reference[:, k])
             variables.append(state)
@@ -134,32 +125,24 @@ class DriveNlp:
             variables.append(control)
             low.extend((-max_accelerations[0], -max_accelerations[1], 0.0))
             high.extend((*max_accelerations, math.inf))
-            constrain(states[k + 1] - _next_state(state, control, options.period), 0.0, 0.0)
+            constraints.append((states[k + 1] - _next_state(state, control, options.period), 0.0, 0.0))
             if k == 0:
-                constrain(state - start, 0.0, 0.0)
-                continue
-            for i in range(PLANES):
-                normal, level = planes[3 * i : 3 * i + 2, k], planes[3 * i + 2, k]
-                constrain(casadi.dot(normal, state[:2]) - level - options.clearance + control[2], 0.0, math.inf)
-            for i in range(PEOPLE if options.distance else 0):
-                offset = state[:2] - people[2 * i : 2 * i + 2, k]
-                excess = (casadi.dot(offset, offset) / options.distance - options.distance) / 2  # m, to first order
-                constrain(excess + control[2], 0.0, math.inf)
-            if options.max_rim_speed < math.inf:
-                for side in (-options.half_track, options.half_track):
-                    constrain(state[3] + side * state[4], -options.max_rim_speed, options.max_rim_speed)
+                constraints.append((state - start, 0.0, 0.0))
+            else:
+                constraints += _state_constraints(options, state, control[2], planes[:, k], people[:, k])
 
+        expressions, *constraint_bounds = zip(*constraints, strict=True)
+        sizes = [expression.numel() for expression in expressions]
+        lower, upper = (np.repeat(bound, sizes) for bound in constraint_bounds)
         self.problem = {
             "x": casadi.vertcat(*variables),
             "p": casadi.vertcat(start, *(casadi.vec(values) for values in (reference, planes, people))),
             "f": cost,
-            "g": casadi.vertcat(*constraints),
+            "g": casadi.vertcat(*expressions),
         }
         """For `casadi.nlpsol`."""
-        self.bounds = {
-            name: np.array(bound, dtype=float)
-            for name, bound in (("lbx", low), ("ubx", high), ("lbg", lower_bounds), ("ubg", upper_bounds))
-        }
+        self.bounds = {"lbx": np.array(low), "ubx": np.array(high), "lbg": lower, "ubg": upper}
+        structure = (lower == upper).tolist()
         self.functions: dict[tuple[bool, bool], Any] = {
             (near, brief): self._function(near, brief, structure)
             for near, brief in itertools.product((True, False), repeat=2)
@@ -266,6 +249,22 @@ def _next_state(state: Any, control: Any, period: float) -> Any:
     distance = period * (state[3] + period / 2 * control[0])
     turn = period * (state[4] + period / 2 * control[1])
     return state + casadi.vertcat(distance * casadi.cos(yaw), distance * casadi.sin(yaw), turn, period * control[:2])
+
+
+def _state_constraints(
+    options: DriveMpcOptions, state: Any, slack: Any, planes: Any, people: Any
+) -> Iterator[Constraint]:
+    """Yield what keeps a state clear of obstacles and people, up to the slack, and its wheels within their speed."""
+    for i in range(PLANES):
+        normal, level = planes[3 * i : 3 * i + 2], planes[3 * i + 2]
+        yield casadi.dot(normal, state[:2]) - level - options.clearance + slack, 0.0, math.inf
+    for i in range(PEOPLE if options.distance else 0):
+        offset = state[:2] - people[2 * i : 2 * i + 2]
+        excess = (casadi.dot(offset, offset) / options.distance - options.distance) / 2  # m, to first order
+        yield excess + slack, 0.0, math.inf
+    if options.max_rim_speed < math.inf:
+        for side in (-options.half_track, options.half_track):
+            yield state[3] + side * state[4], -options.max_rim_speed, options.max_rim_speed
 
 
 def _stage_cost(options: DriveMpcOptions, state: Any, reference: Any) -> Any:

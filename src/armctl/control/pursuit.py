@@ -5,17 +5,13 @@ down in a curve. A fast skid-steer robot has to slow down before it, so the path
 """
 
 import math
-from typing import Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from pydantic import Field
+from numpy.typing import ArrayLike
 
 from armctl.control.arc_path import ArcPath
-from armctl.core.options import options
-
-Array = NDArray[np.float64]
-Positive = Annotated[float, Field(gt=0)]
+from armctl.core.arrays import Array
+from armctl.core.options import NonNegative, Positive, options
 
 PROFILE_STEP = 0.05
 """m: resolution of the speed profile"""
@@ -31,7 +27,7 @@ class PursuitOptions:
     """m/s."""
     max_turn_rate: Positive = 2.5
     """rad/s."""
-    look_ahead_time: Annotated[float, Field(ge=0)] = 0.25
+    look_ahead_time: NonNegative = 0.25
     """s: look-ahead distance per speed."""
     look_ahead: tuple[Positive, Positive] = (0.3, 0.5)
     """Shortest and longest look-ahead, m."""

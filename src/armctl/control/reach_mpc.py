@@ -17,7 +17,7 @@ from typing import Annotated
 
 import numpy as np
 import osqp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import Field
 
 from armctl.control.reach_problem import (
@@ -31,14 +31,13 @@ from armctl.control.reach_problem import (
     straight_to,
 )
 from armctl.control.reach_qp import ReachQp
-from armctl.core.options import options
+from armctl.core.arrays import Array
+from armctl.core.options import Count, Positive, options
 from armctl.kernels import reach_mpc as kernel
+from armctl.kernels.clearance import ScaledScene
 from armctl.kinematics import ArmModel
-from armctl.kinematics.clearance import Clearance, Scene
+from armctl.kinematics.clearance import Clearance
 from armctl.scene import Boxes
-
-Array = NDArray[np.float64]
-Positive = Annotated[float, Field(gt=0)]
 
 RELAXATION = 1.8
 """OSQP's alpha: near 2, as Stellato et al. advise"""
@@ -59,7 +58,7 @@ class ReachMpcOptions:
     """Options of `ReachMpc`."""
 
     problem: ReachProblem = field(default_factory=ReachProblem)
-    max_iterations: Annotated[int, Field(ge=1)] = 15
+    max_iterations: Count = 15
     """Solver iterations of a plan."""
     tolerance: Positive = 1e-4
     """Absolute and relative tolerance of the solver."""
@@ -102,9 +101,9 @@ class ReachMpc:
         """Keep no farther away from anything than a way (n, dof) does, until it is surrounded by other boxes."""
         self._keep_clear_of(self.clearance.along(way))
 
-    def _keep_clear_of(self, scene: Scene) -> None:
-        self.clearance.scene = links, pairs, *others = scene
-        self.scene = links, pairs if self.options.pairs else pairs[:0], *others
+    def _keep_clear_of(self, scene: ScaledScene) -> None:
+        self.clearance.scene = scene
+        self.scene = scene if self.options.pairs else scene._replace(pairs=scene.pairs[:0])
         """What to keep clear of, for `armctl.kernels.reach_mpc`."""
 
     def reset(self) -> None:
@@ -251,16 +250,11 @@ class _Linearisation:
 
     def __init__(self, controller: ReachMpc, parameters: OcpParameters, motion: JointTrajectory) -> None:
         self.problem, self.parameters, self.motion = controller.problem, parameters, motion
-        model, options, q = controller.model, controller.options, motion.positions[1:]
-        knots, dof = q.shape
-        self.errors, distances = np.empty((knots, 3)), np.full(knots, np.inf)
-        self.axes, self.gradients = np.empty((knots, dof, 3)), np.empty((knots, dof, 3))
-        """(N, dof, 3): the joints' axes, and derivatives of the tip's position by each joint, m/rad"""
-        kernel.evaluate_knots(
-            model.joints, *controller.scene, q, parameters.targets,
-            self.errors, self.axes, self.gradients, distances,
-        )  # fmt: skip
-        self.cost = self.merit = cost(self.problem, parameters, motion, self.errors)
+        options, q = controller.options, motion.positions[1:]
+        distances = np.full(len(q), np.inf)
+        self.knots = kernel.Knots(q, np.empty((len(q), 3)), np.empty((*q.shape, 3)), np.empty((*q.shape, 3)))
+        kernel.evaluate_knots(controller.scene, parameters.targets, self.knots, distances)
+        self.cost = self.merit = cost(self.problem, parameters, motion, self.knots.errors)
         """m^2; the merit has the penalty for violated margins too"""
         self.min_distance = float(distances.min())
         """m: least distance"""
@@ -269,9 +263,9 @@ class _Linearisation:
 
     def quadratic_model(self) -> tuple[Array, Array]:
         """Return convex Hessians (N, dof, dof) and gradients (N, dof), at q = 0, of the cost of the knots' places."""
-        q = self.motion.positions[1:]
-        hessians, slopes = np.empty((*q.shape, q.shape[1])), np.empty(q.shape)
+        shape = self.knots.q.shape
+        hessians, slopes = np.empty((*shape, shape[1])), np.empty(shape)
         posture, weight = self.parameters.preference(self.problem)
-        exact = bool(np.abs(self.errors).max() >= NEARBY)
-        kernel.quadratic_model(q, self.errors, self.axes, self.gradients, exact, weight, posture, hessians, slopes)
+        exact = bool(np.abs(self.knots.errors).max() >= NEARBY)
+        kernel.quadratic_model(self.knots, exact, weight, posture, hessians, slopes)
         return hessians, slopes

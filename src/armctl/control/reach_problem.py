@@ -11,17 +11,16 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import Field
 
+from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
-from armctl.core.options import options
+from armctl.core.options import NonNegative, Positive, options
 from armctl.kernels import reach_mpc
-from armctl.kinematics import ArmModel
 from armctl.robot_description import JointLimits
 
-Array = NDArray[np.float64]
-Weight = Annotated[float, Field(ge=0)]
+Weight = NonNegative
 
 
 @options
@@ -30,7 +29,7 @@ class ReachProblem:
 
     horizon: Annotated[int, Field(ge=2)] = 20
     """N, periods"""
-    period: Annotated[float, Field(gt=0)] = 0.04
+    period: Positive = 0.04
     """T, s"""
     posture: Weight = 5e-4
     """Weight of a joint's distance from the posture, m^2/rad^2: 0.4 rad count as 1 cm of the tip."""
@@ -106,11 +105,6 @@ def cost(problem: ReachProblem, parameters: OcpParameters, motion: JointTrajecto
     posture, weight = parameters.preference(problem)
     weights = weight, problem.velocity, problem.acceleration
     return float(reach_mpc.cost_of(weights, posture, motion.positions, motion.velocities, motion.accelerations, errors))
-
-
-def reach_cost(model: ArmModel, problem: ReachProblem, parameters: OcpParameters, motion: JointTrajectory) -> float:
-    """Return the cost of a motion, m^2."""
-    return cost(problem, parameters, motion, model.positions(motion.positions[1:]) - parameters.targets)
 
 
 def stopping_times(limits: JointLimits) -> Array:

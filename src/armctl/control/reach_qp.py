@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from armctl.control.reach_problem import JointTrajectory, OcpParameters, ReachProblem, stopping_times
+from armctl.core.arrays import Array
 from armctl.kernels import reach_mpc as kernel
 from armctl.robot_description import JointLimits
 
-Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 SLACK_CURVATURE = 10.0
@@ -40,7 +40,7 @@ class ReachQp:
         self.dof = len(limits.lower)
         self.states = problem.horizon * self.dof
         self.hessian, self._blocks = self._hessian_pattern()
-        self.matrix, self._normals = self._matrix_pattern()
+        self.matrix, self._obstacles = self._matrix_pattern()
         self.gradient = np.zeros(self.hessian.shape[0])
         self.gradient[2 * self.states :] = slack_penalty
         self._bounds = self._constant_bounds()
@@ -71,10 +71,7 @@ class ReachQp:
 
     def write_obstacles(self, q: Array, distances: Array, normals: Array, margin: float) -> None:
         """Write the constraints distances (N, rows) + normals (N, rows, dof) @ (q_k - q) >= margin, m."""
-        begin = 4 * self.states + self.dof
-        kernel.write_obstacles(
-            distances, normals, q, margin, CLEARANCE, *self._normals, self.matrix.data, self.lower, begin
-        )
+        kernel.write_obstacles(distances, normals, q, margin, CLEARANCE, self._obstacles, self.matrix.data, self.lower)
 
     def first_duals(self) -> Array:
         """Return initial multipliers of all rows: zero except for those of the slacks."""
@@ -85,7 +82,7 @@ class ReachQp:
 
     def shift(self, duals: Array) -> None:
         """Shift multipliers by a period, in place: each knot takes over those of the next."""
-        knots, begin = self.problem.horizon, 4 * self.states + self.dof
+        knots, begin = self.problem.horizon, self._obstacles.begin
         parts = [duals[: 4 * self.states].reshape(4, knots, -1)]
         if self.rows:
             parts += [duals[begin:-knots].reshape(1, knots, -1), duals[-knots:].reshape(1, knots, -1)]
@@ -111,8 +108,8 @@ class ReachQp:
         hessian.data[marked] = row == column
         return hessian, (marked, row // dof, row % dof, column % dof)
 
-    def _matrix_pattern(self) -> tuple[Any, tuple[Integers, Integers]]:
-        """Return A, and the indices that map the normals' entries to its data."""
+    def _matrix_pattern(self) -> tuple[Any, kernel.Entries]:
+        """Return A, and the places of the obstacles' constraints in it."""
         dof, knots, rows = self.dof, self.problem.horizon, self.rows
         eye = sparse.eye_array(self.states)
         previous = sparse.eye_array(self.states, k=-dof)
@@ -140,7 +137,7 @@ class ReachQp:
         marked = np.flatnonzero(matrix.data >= _MARK)
         order = np.rint(matrix.data[marked] / _MARK).astype(int) - 1
         matrix.data[marked] = 0.0
-        return matrix, (marked, order)
+        return matrix, kernel.Entries(marked, order, 4 * self.states + self.dof)
 
     def _constant_bounds(self) -> tuple[Array, Array]:
         limits, knots, period = self.limits, self.problem.horizon, self.problem.period

@@ -4,18 +4,14 @@ The drives (`armctl.robot_description.joint_profiles`) move to a commanded posit
 simulated here, so a controller knows where its command is without feedback, and inverted by a search for the command.
 """
 
-import math
-
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from armctl.control.reach_problem import JointTrajectory
-from armctl.control.trajectory import Trajectory
+from armctl.core.arrays import Array
 from armctl.kernels import drives
 from armctl.robot_description import JointLimits
 from armctl.robot_description.joint_profiles import TICK
-
-Array = NDArray[np.float64]
 
 SHARES = np.linspace(-1.2, 1.2, 49)
 """Candidate goals: where a joint stops after it has gained this fraction of its largest speed change per period."""
@@ -65,16 +61,3 @@ class CommandStream:
         self.position, self._drives = follow(self.limits, self.position, self._drives, goal, self.period)
         self.velocity = self._drives
         return goal
-
-
-def commanded(limits: JointLimits, motion: Trajectory, period: float) -> Array:
-    """Return positions (ticks, dof) rad of drives that are commanded to follow a `motion`."""
-    stream = CommandStream(limits, period, motion.positions[0])
-    positions = [stream.position]
-    for step in range(1, 2 + math.ceil(motion.duration / period)):
-        position, velocity = stream.position, stream._drives
-        goal = stream.goal_towards(motion.at(step * period))
-        for _ in range(round(period / TICK)):
-            position, velocity = follow(limits, position, velocity, goal, TICK)
-            positions.append(position)
-    return np.array(positions)

@@ -12,15 +12,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from ruckig import InputParameter, Ruckig, Synchronization
 from ruckig import Trajectory as RuckigTrajectory
 from scipy.ndimage import uniform_filter1d
 
+from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
 from armctl.robot_description import JointLimits
-
-Array = NDArray[np.float64]
 
 SAMPLE = 0.002
 """s: time between two points of a trajectory"""

@@ -9,12 +9,12 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
+from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError, InvalidAction
 from armctl.disturbances import Disturbance, begin_episodes
 from armctl.envs.observations import action_numbers
 from armctl.tasks import Observations
 
-Array = NDArray[np.float64]
 Infos = dict[str, Any]
 RUNNING = -1
 """`outcome_id` while an episode runs: the last of `outcomes`."""

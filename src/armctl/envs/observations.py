@@ -6,10 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from armctl.core.arrays import Array
 from armctl.core.errors import InvalidAction
 from armctl.tasks import Observations
-
-Array = NDArray[np.float64]
 
 
 def one_of(observations: Observations, world: int) -> Any:

@@ -15,9 +15,10 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
+from armctl.core.arrays import Array
 from armctl.core.errors import FAILURES, ConfigurationError, EnvironmentFailed, InvalidAction, defined_at, described
 from armctl.disturbances import GENERIC, DisturbanceSpec, disturb, episode_entropy
-from armctl.envs.episodes import LARGEST_REWARD, RUNNING, Array, EpisodeVectorEnv, Infos
+from armctl.envs.episodes import LARGEST_REWARD, RUNNING, EpisodeVectorEnv, Infos
 from armctl.envs.observations import stacked
 from armctl.tasks import MotionSample, Observations
 from armctl.tasks.task import TaskFacts

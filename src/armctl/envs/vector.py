@@ -4,8 +4,6 @@ Environment id, options, seed and episode number determine an episode. World i o
 with `seed` plays the episodes of a single environment that was reset with `seed + i`, bit for bit.
 """
 
-from collections.abc import Mapping, Sequence
-from types import MappingProxyType
 from typing import Any, Protocol
 
 import gymnasium
@@ -14,11 +12,13 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
+from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError, EnvironmentFailed, unknown_name
 from armctl.core.options import make_options
 from armctl.core.registration import load_task
 from armctl.disturbances import disturb, episode_entropy
-from armctl.envs.episodes import ERROR, LARGEST_REWARD, RUNNING, Array, EpisodeVectorEnv, Infos
+from armctl.envs.environment_options import NAMES, check_at_least_one, split_options
+from armctl.envs.episodes import ERROR, LARGEST_REWARD, RUNNING, EpisodeVectorEnv, Infos
 from armctl.envs.observations import with_replaced
 from armctl.envs.pickling import MadeAgain
 from armctl.simulation.rendering import Camera, Window
@@ -27,13 +27,8 @@ from armctl.tasks import Observations, RewardTerms, Task
 RENDER_MODES = ("rgb_array", "human")
 TIMEOUT = 0
 """The value of every task's `TIMEOUT` outcome."""
-ACTIONS = ("physical", "normalized")
 GOAL_METHODS = ("compute_reward", "compute_terminated", "compute_truncated")
 """Methods that goal-conditioned learners ask for: functions of achieved goals, desired goals and infos."""
-ENVIRONMENT_OPTIONS = (
-    "actions", "disturbances", "flat_infos", "max_episode_steps", "reward_scale", "reward_weights",
-)  # fmt: skip
-"""Options of every environment, besides its task's."""
 UNSTABLE = "unstable"
 """The outcome of an episode whose physics has failed (see `armctl.simulation.Simulation.unstable`)."""
 
@@ -57,19 +52,13 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
     Args:
         num_envs: number of worlds.
         task: subclass of `armctl.tasks.Task`, or its `module:Class`.
-        max_episode_steps: control steps until an episode is truncated; None: never.
         render_mode: `rgb_array` (images of all worlds), `human` (a window on the first), or None.
         autoreset_mode: after an episode, a new one starts on the next step (`next_step`), on the same step
             (`same_step`, with `infos["final_obs"]` and `infos["final_info"]`), or not at all (`disabled`: the world
             stands still until a `reset` whose `options["reset_mask"]` includes it).
         threads: threads to step the worlds on; 0 for all cores.
-        disturbances: levels by name, such as `{"noise": 0.01, "payload": 2.0}`; see `armctl.disturbances`. A pair such
-            as `(0.0, 0.02)` is a range, from which each episode draws its own level.
-        actions: `physical`, in the task's units, or `normalized`: -1 and 1 stand for the task's `action_range`.
-        flat_infos: no dicts within infos: `reward_terms/goal` in place of `goal` in `reward_terms`.
-        reward_scale: factor of the rewards that `step` returns, for learners; `infos["reward_terms"]` are without it.
-        reward_weights: factors of single terms in these rewards, such as `{"collision": 0.2}`; 1 for others.
-        **options: the task's options; those of `armctl/ArmReach-v0` are `armctl.tasks.ReachOptions`.
+        **options: those of every environment (`EnvironmentOptions`), and the task's; those of `armctl/ArmReach-v0` are
+            `armctl.tasks.ReachOptions`.
 
     """
 
@@ -85,27 +74,17 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
         num_envs: int = 1,
         *,
         task: str | type[Task],
-        max_episode_steps: int | None = None,
         render_mode: str | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         threads: int = 0,
-        disturbances: Mapping[str, float | Sequence[float]] = MappingProxyType({}),
-        actions: str = "physical",
-        flat_infos: bool = False,
-        reward_scale: float = 1.0,
-        reward_weights: Mapping[str, float] = MappingProxyType({}),
         **options: Any,
     ) -> None:
-        super().__init__(_at_least_one("num_envs", num_envs))
-        if actions not in ACTIONS:
-            raise unknown_name("actions", actions, ACTIONS)
-        if not (isinstance(reward_scale, (int, float)) and 0 < reward_scale < LARGEST_REWARD):
-            raise ConfigurationError(f"reward_scale is a number above 0, not {reward_scale!r}")
-        self.reward_scale, self.reward_weights = reward_scale, _checked_weights(reward_weights)
-        self.flat_infos = flat_infos
-        self.max_episode_steps = (
-            None if max_episode_steps is None else _at_least_one("max_episode_steps", max_episode_steps)
-        )
+        check_at_least_one("num_envs", num_envs)
+        super().__init__(int(num_envs))
+        general, task_values = split_options(options)
+        self.reward_scale, self.reward_weights = general.reward_scale, dict(general.reward_weights)
+        self.flat_infos, steps = general.flat_infos, general.max_episode_steps
+        self.max_episode_steps = None if steps is None else int(steps)
         if render_mode not in (None, *RENDER_MODES):
             raise unknown_name("render_mode", render_mode, RENDER_MODES)
         if not isinstance(threads, int) or threads < 0:
@@ -116,14 +95,14 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
         _check_complete(task_type)
         self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode, "render_fps": task_type.render_fps}
         make_task: Any = task_type
-        task_options = make_options(task_type.options_type, options, others=ENVIRONMENT_OPTIONS)
+        task_options = make_options(task_type.options_type, task_values, others=sorted(NAMES))
         self.task = make_task(self.num_envs, task_options, threads)
         self.outcomes = (*(outcome.label for outcome in task_type.outcomes), UNSTABLE, "running")
         self._successes = np.array([*(outcome.success for outcome in task_type.outcomes), False, False])
-        self.disturbances = disturb(self.task, task_type.disturbances, disturbances)
+        self.disturbances = disturb(self.task, task_type.disturbances, general.disturbances)
         self.single_observation_space = self.task.observation_space
         self.single_action_space = self.task.action_space
-        self.normalized = actions == "normalized"
+        self.normalized = general.actions == "normalized"
         if self.normalized:
             self._lowest, self._highest = (np.asarray(bound, dtype=float) for bound in self.task.action_range)
             if not (np.isfinite(self._lowest).all() and np.isfinite(self._highest).all()):
@@ -307,21 +286,6 @@ def _flat(infos: Infos, prefix: str = "") -> Infos:
     for name, value in infos.items():
         flat |= _flat(value, f"{prefix}{name}/") if isinstance(value, dict) else {f"{prefix}{name}": value}
     return flat
-
-
-def _checked_weights(weights: Mapping[str, float]) -> dict[str, float]:
-    if not isinstance(weights, Mapping):
-        raise ConfigurationError(f"reward_weights are numbers by the names of reward terms, not {weights!r}")
-    for name, weight in weights.items():
-        if not (isinstance(weight, (int, float)) and abs(weight) < LARGEST_REWARD):
-            raise ConfigurationError(f"the weight of the reward term {name!r} is a finite number, not {weight!r}")
-    return dict(weights)
-
-
-def _at_least_one(name: str, value: int) -> int:
-    if not isinstance(value, (int, np.integer)) or value < 1:
-        raise ConfigurationError(f"{name} is a whole number from 1 on, not {value!r}")
-    return int(value)
 
 
 def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from armctl.kernels.compiling import compiled, copy_to
+from armctl.kernels.compiling import compiled
 
 MATRIX, VECTOR = (float, (3, 3)), (float, 3)
 JOINT = np.dtype(
@@ -118,14 +118,3 @@ def tips(joints, q, out):
     for row in range(len(q)):
         forward(joints, q[row], rotations, origins)
         tip_of(joints, rotations, origins, out[row])
-
-
-@compiled
-def tips_and_gradients(joints, q, positions, gradients):
-    """Compute the end-effector positions of q (n, dof), and how the joints move them, (n, dof, 3) m/rad."""
-    memory = workspace(joints)
-    for row in range(len(q)):
-        tip, rates = linearise(joints, q[row], memory)
-        copy_to(tip, positions[row])
-        for k in range(len(joints)):
-            copy_to(rates[k], gradients[row, k])

@@ -33,6 +33,16 @@ def place(links, rotations, origins, ends):
 
 
 @compiled
+def ends_at(joints, links, q):
+    """Return the ends of all links' segments, (links, 2, 3), at q (dof,)."""
+    rotations, origins = np.empty((len(joints), 3, 3)), np.empty((len(joints), 3))
+    ends = np.empty((len(links), 2, 3))
+    forward(joints, q, rotations, origins)
+    place(links, rotations, origins, ends)
+    return ends
+
+
+@compiled
 def place_all(joints, links, q, ends):
     """Compute the ends of all links' segments, (n, links, 2, 3), at each of q (n, dof)."""
     rotations, origins = np.empty((len(joints), 3, 3)), np.empty((len(joints), 3))
@@ -160,10 +170,7 @@ def are_free(joints, links, pairs, on_floor, boxes, q, free):
 @compiled
 def box_distances(joints, links, boxes, q, distances):
     """Lower `distances` (k,) m to the distance of each box from the arm at q (dof,)."""
-    rotations, origins = np.empty((len(joints), 3, 3)), np.empty((len(joints), 3))
-    ends = np.empty((len(links), 2, 3))
-    forward(joints, q, rotations, origins)
-    place(links, rotations, origins, ends)
+    ends = ends_at(joints, links, q)
     for i in range(len(boxes)):
         for link in range(len(links)):
             distances[i] = min(distances[i], segment_box_distance(ends[link], boxes[i]) - links[link].radius)

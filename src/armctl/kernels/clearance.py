@@ -1,17 +1,32 @@
 """Distances of an arm's links and their gradients, for controllers: see `armctl.kinematics.clearance`.
 
-Pairs are an array of `PAIR`. Distances of a link and a box are those of `samples[link]` points along the link, and
-negative inside the box, so that they have a gradient everywhere. All distances are multiplied by `scales` (pairs,).
+Distances of a link and a box are those of points along the link, and negative inside the box, so that they have a
+gradient everywhere.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from armctl.kernels.arm import axes_of, cross, forward
-from armctl.kernels.capsules import place, segments_distance, shares_on_segments
+from armctl.kernels.capsules import ends_at, place, segments_distance, shares_on_segments
 from armctl.kernels.compiling import compiled, copy_to
 from armctl.kernels.edges import FLOOR_END, LINKS
+
+
+class ScaledScene(NamedTuple):
+    """An arm among boxes: records of its joints and links, of the pairs that may touch, and of the boxes."""
+
+    joints: NDArray[np.void]
+    links: NDArray[np.void]
+    pairs: NDArray[np.void]
+    boxes: NDArray[np.void]
+    samples: NDArray[np.int64]
+    """(links,) number of points along each link."""
+    scales: NDArray[np.float64]
+    """(pairs,) factors of all distances."""
 
 
 @compiled
@@ -73,8 +88,9 @@ def nearest_sample(segment, samples, box):
 
 
 @compiled
-def measure(links, pairs, boxes, samples, scales, ends, out):
+def measure(scene, ends, out):
     """Compute the distances (pairs,) of all pairs, m; return the least."""
+    _, links, pairs, boxes, samples, scales = scene
     min_distance = np.inf
     for i in range(len(pairs)):
         kind, link, other = pairs[i].kind, pairs[i].link, pairs[i].other
@@ -101,8 +117,9 @@ def add_motion(axes, origins, joint, point, normal, sign, row):
 
 
 @compiled
-def gradient(links, pair, boxes, samples, ends, axes, origins, row):
-    """Compute the gradient (dof,) of a pair's distance, m/rad."""
+def gradient(scene, pair, ends, axes, origins, row):
+    """Compute the gradient (dof,) of a pair's distance without its scale, m/rad."""
+    links, boxes = scene.links, scene.boxes
     point, foot, normal = np.empty(3), np.empty(3), np.zeros(3)
     row[:] = 0.0
     if pair.kind == LINKS:
@@ -120,43 +137,41 @@ def gradient(links, pair, boxes, samples, ends, axes, origins, row):
         copy_to(ends[pair.link, pair.other], point)
         normal[2] = 1.0
     else:
-        point_on(ends[pair.link], nearest_sample(ends[pair.link], samples[pair.link], boxes[pair.other])[0], point)
+        samples = scene.samples[pair.link]
+        point_on(ends[pair.link], nearest_sample(ends[pair.link], samples, boxes[pair.other])[0], point)
         box_normal(point, boxes[pair.other], normal)
     add_motion(axes, origins, links[pair.link].joint, point, normal, 1.0, row)
 
 
 @compiled
-def clearances(joints, links, pairs, boxes, samples, scales, q, min_distances):
+def clearances(scene, q, min_distances):
     """Compute the least distance of all pairs, (n,) m, at each of q (n, dof)."""
-    rotations, origins = np.empty((len(joints), 3, 3)), np.empty((len(joints), 3))
-    ends, distances = np.empty((len(links), 2, 3)), np.empty(len(pairs))
+    distances = np.empty(len(scene.pairs))
     for row in range(len(q)):
-        forward(joints, q[row], rotations, origins)
-        place(links, rotations, origins, ends)
-        min_distances[row] = measure(links, pairs, boxes, samples, scales, ends, distances)
+        min_distances[row] = measure(scene, ends_at(scene.joints, scene.links, q[row]), distances)
 
 
 @compiled
-def nearest_pairs(joints, links, pairs, boxes, samples, scales, q, distances, gradients):
+def nearest_pairs(scene, q, distances, gradients):
     """Compute `distances` (n, m) of the m nearest pairs at each of q (n, dof), in the order of pairs, and `gradients`.
 
     Distances of pairs that are missing are infinite, and gradients zero.
     """
-    dof, count = len(joints), distances.shape[1]
+    joints, links, pairs, dof, count = scene.joints, scene.links, scene.pairs, q.shape[1], distances.shape[1]
     rotations, origins, axes = np.empty((dof, 3, 3)), np.empty((dof, 3)), np.empty((dof, 3))
     ends, pair_distances = np.empty((len(links), 2, 3)), np.empty(len(pairs))
     for row in range(len(q)):
         forward(joints, q[row], rotations, origins)
         axes_of(joints, rotations, axes)
         place(links, rotations, origins, ends)
-        measure(links, pairs, boxes, samples, scales, ends, pair_distances)
+        measure(scene, ends, pair_distances)
         distances[row], gradients[row] = np.inf, 0.0
         furthest = np.sort(pair_distances)[count - 1] if count <= len(pairs) else np.inf
         column = 0
         for i in range(len(pairs)):
             if pair_distances[i] <= furthest and column < count:
                 distances[row, column] = pair_distances[i]
-                gradient(links, pairs[i], boxes, samples, ends, axes, origins, gradients[row, column])
+                gradient(scene, pairs[i], ends, axes, origins, gradients[row, column])
                 for k in range(dof):
-                    gradients[row, column, k] *= scales[i]
+                    gradients[row, column, k] *= scene.scales[i]
                 column += 1

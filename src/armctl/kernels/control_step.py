@@ -13,13 +13,13 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
+from armctl.core.arrays import Array
 from armctl.kernels.compiling import compiled
 from armctl.kernels.drives import drive_joints
 
 STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 ROUNDING = 1e-9
 """s."""
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 
@@ -123,6 +123,26 @@ class PoseInput(NamedTuple):
     bodies: Indices
     positions: Array
     body_positions: Array
+
+
+class Parts(NamedTuple):
+    """What is set and recorded in each tick."""
+
+    drives: Drives
+    samples: Samples
+    target_query: TargetQuery
+    contacts: ContactOutput
+    poses: PoseInput
+
+
+class Clock(NamedTuple):
+    """Time in a control step: `ticks` of so many `substeps` of `timestep` s each."""
+
+    ticks: int
+    substeps: int
+    timestep: float
+    column: int
+    """Column of the state with the time."""
 
 
 def _load_mujoco() -> None:
@@ -258,10 +278,9 @@ def sample(buffers, samples, target_query, world, tick_number):
 
 
 @compiled
-def control_steps(
-    ids, ticks, substeps, buffers, worlds, impact, drives, samples, target_query, contacts, poses, time_column, timestep
-):
-    """Advance worlds `ids` by `ticks` of `substeps` physics steps (s) each: all arguments are in this module."""
+def control_steps(ids, clock, buffers, worlds, impact, parts):
+    """Advance worlds `ids` by a control step: all other arguments are in this module."""
+    drives, samples, target_query, contacts, poses = parts
     state_before = np.empty(worlds.state.shape[1])
     for world in ids:
         row, good = worlds.state[world], worlds.good[world]
@@ -271,16 +290,16 @@ def control_steps(
             _copy(finer_field, first + world * size, size)
         _set_state(buffers.model, buffers.data, row.ctypes.data, STATE)
         worlds.refined[world], standing, moving = 0, False, len(poses.bodies) > 0
-        for k in range(ticks):
+        for k in range(clock.ticks):
             if not standing:
                 if moving:
                     move(buffers, poses, world, k)
-                start = row[time_column]
+                start = row[clock.column]
                 drive_joints(
                     drives.joints, drives.setpoints[world], drives.to_positions, buffers.qpos, buffers.act,
-                    buffers.ctrl, drives.following_error, timestep * substeps,
+                    buffers.ctrl, drives.following_error, clock.timestep * clock.substeps,
                 )  # fmt: skip
-                hit, stable = tick(buffers, impact, row, state_before, good, substeps, k > 0 and not moving)
+                hit, stable = tick(buffers, impact, row, state_before, good, clock.substeps, k > 0 and not moving)
                 worlds.refined[world] += hit
                 worlds.unstable[world] = standing = not stable
                 if hit and stable:

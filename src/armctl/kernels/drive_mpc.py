@@ -16,13 +16,17 @@ NAMES = "max_turn_rate", "max_acceleration", "clearance", "distance", "period", 
 OPTIONS = np.dtype([(name, float) for name in NAMES])
 NOWHERE = 100.0
 """m: offset at which missing obstacles and pedestrians are placed."""
+SMOOTHING = 0.3
+"""m: corners of the path are rounded over this length in both directions."""
+SIDESTEP = 0.5
+"""s: time constant with which guesses approach their offsets."""
 
 
 @compiled
-def follow_path(segments, arcs, smoothing, reference):
+def follow_path(segments, arcs, reference):
     """Compute points of the path and its directions at arc lengths (m,): rows (m, 4)."""
     for k in range(len(arcs)):
-        copy_to(rounded(segments, arcs[k], smoothing), reference[k])
+        copy_to(rounded(segments, arcs[k], SMOOTHING), reference[k])
 
 
 @compiled
@@ -91,13 +95,13 @@ def speed_after(start, target, change):
 
 
 @compiled
-def drive_beside(options, segments, smoothing, start, progress, speeds, offsets, sidestep, points, costs):
+def drive_beside(options, segments, start, progress, speeds, offsets, points, costs):
     """Compute drives from a state (5,) at arc length `progress`, at each of `speeds` and `offsets` from the path.
 
-    They reach their offsets with time constant `sidestep`. `points` (speeds, offsets, N + 2, 2) are where they are
-    after each period, and then a metre ahead; `costs` (speeds, offsets) are those of their offsets and progress.
+    `points` (speeds, offsets, N + 2, 2) are where they are after each period, and then a metre ahead; `costs` (speeds,
+    offsets) are those of their offsets and progress.
     """
-    x, y, ahead_x, ahead_y = rounded(segments, progress, smoothing)
+    x, y, ahead_x, ahead_y = rounded(segments, progress, SMOOTHING)
     beginning = ahead_x * (start[1] - y) - ahead_y * (start[0] - x)
     costs[:] = 0.0
     for i in range(len(speeds)):
@@ -106,9 +110,9 @@ def drive_beside(options, segments, smoothing, start, progress, speeds, offsets,
             previous_speed, time = speed, k * options.period
             speed = speed_after(start[3], speeds[i], options.max_acceleration * time)
             arc += options.period * (previous_speed + speed) / 2 if k > 0 else 0.0
-            x, y, ahead_x, ahead_y = rounded(segments, arc, smoothing)
+            x, y, ahead_x, ahead_y = rounded(segments, arc, SMOOTHING)
             for j in range(len(offsets)):
-                offset = offsets[j] + (beginning - offsets[j]) * math.exp(-time / sidestep)
+                offset = offsets[j] + (beginning - offsets[j]) * math.exp(-time / SIDESTEP)
                 beside_x, beside_y = x - offset * ahead_y, y + offset * ahead_x
                 copy_to((beside_x, beside_y), points[i, j, k])
                 copy_to((beside_x + ahead_x, beside_y + ahead_y), points[i, j, k + 1])

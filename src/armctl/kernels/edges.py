@@ -3,17 +3,45 @@
 Pairs are an array of `PAIR`: two links; a link's end and the floor; or a link and a box.
 """
 
-import numpy as np
+from typing import NamedTuple
 
-from armctl.kernels.arm import forward
-from armctl.kernels.capsules import place, segment_box_distance, segments_distance
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.kernels.capsules import ends_at, segment_box_distance, segments_distance
 from armctl.kernels.compiling import compiled, copy_to
 from armctl.kernels.drives import follow_all
 
 PAIR = np.dtype([("kind", int), ("link", int), ("other", int)])
 LINKS, FLOOR_END, LINK_AND_BOX = range(3)
+SLACK = 1.5
+"""Factor on distances at checked configurations, so that the distances themselves are kept in between."""
+NEAR_START = 0.5
+"""Fraction of their distance at the start that a pair must keep if it starts nearer than the clearance."""
+FINEST = 2**-12
+"""Finest fraction of an edge: an edge still undecided there counts as blocked, which bounds the effort."""
 AT_REST = 1e-5
 """rad: joints that move less in a tick, and are so near to their goal, are at rest there."""
+
+
+class Scene(NamedTuple):
+    """An arm among boxes: records of its joints and links, of the pairs that may touch, and of the boxes."""
+
+    joints: NDArray[np.void]
+    links: NDArray[np.void]
+    pairs: NDArray[np.void]
+    boxes: NDArray[np.void]
+
+
+class Bounds(NamedTuple):
+    """Distances that edges keep."""
+
+    margins: NDArray[np.float64]
+    """(pairs,) m at checked configurations; `SLACK` times what is kept in between."""
+    motion: NDArray[np.float64]
+    """(pairs, dof) m/rad: bound on how far each joint moves a pair."""
+    distances: NDArray[np.float64]
+    """(checks, pairs) memory: an edge counts as blocked if it does not suffice."""
 
 
 @compiled
@@ -28,15 +56,22 @@ def distance(links, boxes, ends, pair):
 
 
 @compiled
-def measure(joints, links, pairs, boxes, q, margins, distances):
+def measure_all(scene, q, distances):
+    """Measure the `distances` (pairs,) of all pairs at q (dof,), m."""
+    joints, links, pairs, boxes = scene
+    ends = ends_at(joints, links, q)
+    for i in range(len(pairs)):
+        distances[i] = distance(links, boxes, ends, pairs[i])
+
+
+@compiled
+def measure(scene, q, margins, distances):
     """Measure `distances` (pairs,) m at q (dof,) until one is below its margin; return True if none is.
 
     Pairs whose distance is infinite beforehand are not measured.
     """
-    rotations, origins = np.empty((len(joints), 3, 3)), np.empty((len(joints), 3))
-    ends = np.empty((len(links), 2, 3))
-    forward(joints, q, rotations, origins)
-    place(links, rotations, origins, ends)
+    joints, links, pairs, boxes = scene
+    ends = ends_at(joints, links, q)
     for i in range(len(pairs)):
         if distances[i] < np.inf:
             distances[i] = distance(links, boxes, ends, pairs[i])
@@ -46,23 +81,46 @@ def measure(joints, links, pairs, boxes, q, margins, distances):
 
 
 @compiled
-def check_edge(joints, links, pairs, boxes, a, b, margins, kept, motion, finest, distances):
-    """Return whether the motion from `a` to `b` (dof,) keeps distances `kept`, and the number of checks.
+def interpolate(a, b, share, q):
+    """Compute the configuration q (dof,) at a share of the way from a to b."""
+    for k in range(len(q)):
+        q[k] = a[k] + share * (b[k] - a[k])
 
-    At these, distances are at least `margins`. `motion` (pairs, dof) bounds how far each joint moves a pair, m/rad.
-    `distances` (m, pairs) is memory; the motion counts as blocked if it does not suffice, or if spans become shorter
-    than `finest`. In between, pairs that keep their margins for certain are not measured again.
+
+@compiled
+def is_kept(first, second, margins, moved):
+    """Return True if pairs with distances `first` and `second` at the ends keep theirs while they move by `moved`."""
+    for i in range(len(moved)):  # noqa: SIM110 (generators cannot be compiled)
+        if first[i] + second[i] < 2 * (margins[i] / SLACK) + moved[i]:
+            return False
+    return True
+
+
+@compiled
+def largest_motions(motion, num_pairs, a, b):
+    """Return bounds (pairs,) m on how far the first pairs move from a to b (dof,)."""
+    reach = np.zeros(num_pairs)
+    for i in range(num_pairs):
+        for j in range(len(a)):
+            reach[i] += motion[i, j] * abs(b[j] - a[j])
+    return reach
+
+
+@compiled
+def check_edge(scene, a, b, bounds):
+    """Return whether the motion from `a` to `b` (dof,) keeps the distances of `bounds`, and the number of checks.
+
+    It counts as blocked if spans become shorter than `FINEST`. In between, pairs that keep their margins for certain
+    are not measured again.
     """
-    dof = len(joints)
+    margins, motion, distances = bounds
+    num_pairs = len(scene.pairs)
     distances[:2] = 0.0
-    if not measure(joints, links, pairs, boxes, b, margins, distances[1]):
+    if not measure(scene, b, margins, distances[1]):
         return False, 1
-    if not measure(joints, links, pairs, boxes, a, margins, distances[0]):
+    if not measure(scene, a, margins, distances[0]):
         return False, 2
-    moved, q = np.zeros(len(pairs)), np.empty(dof)
-    for i in range(len(pairs)):
-        for j in range(dof):
-            moved[i] += motion[i, j] * abs(b[j] - a[j])
+    reach, moved, q = largest_motions(motion, num_pairs, a, b), np.empty(num_pairs), np.empty(len(a))
     spans, rows = np.empty((2 * len(distances), 2)), np.empty((2 * len(distances), 2), np.int64)
     spans[0, 0], spans[0, 1], rows[0, 0], rows[0, 1] = 0.0, 1.0, 0, 1
     first, last, checks = 0, 1, 2
@@ -70,23 +128,19 @@ def check_edge(joints, links, pairs, boxes, a, b, margins, kept, motion, finest,
         low, high = spans[first]
         at_low, at_high = rows[first]
         first += 1
-        enough = True
-        for i in range(len(pairs)):
-            if distances[at_low, i] + distances[at_high, i] < 2 * kept[i] + moved[i] * (high - low):
-                enough = False
-                break
-        if enough:
+        for i in range(num_pairs):
+            moved[i] = reach[i] * (high - low)
+        if is_kept(distances[at_low], distances[at_high], margins, moved):
             continue
-        if high - low < finest or checks == len(distances):
+        if high - low < FINEST or checks == len(distances):
             return False, checks
         middle = (low + high) / 2
-        for j in range(dof):
-            q[j] = a[j] + middle * (b[j] - a[j])
-        for i in range(len(pairs)):
-            certain = distances[at_low, i] + distances[at_high, i] >= 2 * margins[i] + moved[i] * (high - low)
+        interpolate(a, b, middle, q)
+        for i in range(num_pairs):
+            certain = distances[at_low, i] + distances[at_high, i] >= 2 * margins[i] + moved[i]
             distances[checks, i] = np.inf if certain else 0.0
         checks += 1
-        if not measure(joints, links, pairs, boxes, q, margins, distances[checks - 1]):
+        if not measure(scene, q, margins, distances[checks - 1]):
             return False, checks
         spans[last, 0], spans[last, 1], rows[last, 0], rows[last, 1] = low, middle, at_low, checks - 1
         spans[last + 1, 0], spans[last + 1, 1] = middle, high
@@ -101,10 +155,9 @@ def shortcut(scene, path, corners, draws, faster, bounds):
 
     `path` (corners + draws, dof) begins with that many `corners`. Each of `draws` (k, 2) is two shares of its time at
     the velocity limits. A motion that takes less than the share `faster` of the time between its ends is taken, if it
-    is free. Returns the number of corners, and the number of configurations checked. `scene` and `bounds` are the
-    first and the last arguments of `check_edge`.
+    is free. Returns the number of corners, and the number of configurations checked.
     """
-    joints = scene[0]
+    joints = scene.joints
     times, ends, checks = np.zeros(len(path)), np.empty((2, len(joints))), 0
     for draw in draws:
         for i in range(1, corners):
@@ -117,11 +170,10 @@ def shortcut(scene, path, corners, draws, faster, bounds):
             continue
         for end, at, time in ((0, first, low), (1, last, high)):
             share = (time - times[at - 1]) / (times[at] - times[at - 1])
-            for k in range(len(joints)):
-                ends[end, k] = path[at - 1, k] + share * (path[at, k] - path[at - 1, k])
+            interpolate(path[at - 1], path[at], share, ends[end])
         if cruise_time(joints, ends[0], ends[1]) >= faster * (high - low):
             continue
-        free, looks = check_edge(*scene, ends[0], ends[1], *bounds)
+        free, looks = check_edge(scene, ends[0], ends[1], bounds)
         checks += looks
         if free:
             rest = path[last:corners].copy()
@@ -142,7 +194,7 @@ def farthest_goal(scene, path, q, halvings, places, bounds, goal):
     """
     checks, last, tried = 0, len(path) - 1, np.empty(len(q))
     for corner in range(last, -1, -1):
-        free, looks = check_edge(*scene, q, path[corner], *bounds)
+        free, looks = check_edge(scene, q, path[corner], bounds)
         checks += looks
         if not free:
             continue
@@ -150,9 +202,8 @@ def farthest_goal(scene, path, q, halvings, places, bounds, goal):
         low, high = 0.0, 1.0
         for _ in range(halvings if corner < last else 0):
             middle = (low + high) / 2
-            for k in range(len(q)):
-                tried[k] = path[corner, k] + middle * (path[corner + 1, k] - path[corner, k])
-            free, looks = check_edge(*scene, q, tried, *bounds)
+            interpolate(path[corner], path[corner + 1], middle, tried)
+            free, looks = check_edge(scene, q, tried, bounds)
             checks += looks
             if free:
                 low = middle
@@ -162,9 +213,8 @@ def farthest_goal(scene, path, q, halvings, places, bounds, goal):
         return True, checks
     for point in range(last * places - 1, 0, -1):
         corner, share = point // places, (point % places) / places
-        for k in range(len(q)):
-            tried[k] = path[corner, k] + share * (path[corner + 1, k] - path[corner, k])
-        free, looks = check_edge(*scene, q, tried, *bounds)
+        interpolate(path[corner], path[corner + 1], share, tried)
+        free, looks = check_edge(scene, q, tried, bounds)
         checks += looks
         if free:
             copy_to(tried, goal)
@@ -181,8 +231,8 @@ def stops_freely(scene, position, velocity, goal, ticks, tick, max_edges, bounds
     """
     start, current, speed, checks = position.copy(), position.copy(), velocity.copy(), 0
     for _ in range(max_edges):
-        follow_all(scene[0], goal, current, speed, ticks, tick)
-        free, looks = check_edge(*scene, start, current, *bounds)
+        follow_all(scene.joints, goal, current, speed, ticks, tick)
+        free, looks = check_edge(scene, start, current, bounds)
         checks += looks
         if not free:
             return False, checks

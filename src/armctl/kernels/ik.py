@@ -1,12 +1,24 @@
 """Checks of the configurations that a closed form gives for a pose: see `armctl.kinematics.ik`."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from armctl.kernels.arm import forward, tip_of
 from armctl.kernels.compiling import compiled, copy_to
 from armctl.kernels.reach import nearest_turn
+
+
+class Tolerances(NamedTuple):
+    """Bounds on residuals and differences."""
+
+    exact: float
+    """Residual (m and rad) of each candidate at most."""
+    near: float
+    """Residual of the seed at least."""
+    distinct: float
+    """rad: solutions nearer to each other count once."""
 
 
 @compiled
@@ -79,19 +91,28 @@ def tip_pose(joints, q, rotations, origins, rotation, position):
 
 
 @compiled
-def choose(joints, pose, candidates, approximate, seed, exact, near, distinct, solutions, residuals):
+def largest_difference(first, second):
+    """Return the largest difference of a joint (rad) between two configurations (dof,)."""
+    difference = 0.0
+    for i in range(len(first)):
+        difference = max(difference, abs(first[i] - second[i]))
+    return difference
+
+
+@compiled
+def choose(joints, pose, candidates, approximate, seed, tolerances, solutions, residuals):
     """Choose the `candidates` (k, dof) for a `pose` (4, 4) that are within the limits, the nearest to `seed` first.
 
     They are written to `solutions` (k + 1, dof), with their `residuals` (k + 1,), and the one of least residual to
-    the last rows. Returns their number. It is -1 if that does not suffice: none is exact, a residual is above `exact`,
-    or that of `seed` (dof,) below `near`. Solutions nearer to each other than `distinct` count once.
+    the last rows. Returns their number. It is -1 if that does not suffice: none is exact, a residual is above
+    `tolerances.exact`, or that of `seed` (dof,) below `tolerances.near`.
     """
     dof, last = len(joints), len(candidates)
     rotations, origins = np.empty((dof, 3, 3)), np.empty((dof, 3))
     rotation, position, q = np.empty((3, 3)), np.empty(3), np.empty(dof)
     distances = np.empty(last)
     tip_pose(joints, seed, rotations, origins, rotation, position)
-    if twist_length(rotation, position, pose) < near:
+    if twist_length(rotation, position, pose) < tolerances.near:
         return -1
     count, residuals[last] = 0, np.inf
     for row in range(last):
@@ -99,23 +120,18 @@ def choose(joints, pose, candidates, approximate, seed, exact, near, distinct, s
             continue
         tip_pose(joints, candidates[row], rotations, origins, rotation, position)
         residual = twist_length(rotation, position, pose)
-        if not residual < exact:
+        if not residual < tolerances.exact:
             return -1
         nearest_turn(joints, candidates[row], seed, q)
         if residual < residuals[last]:
             residuals[last] = residual
             copy_to(q, solutions[last])
-        within, distance = True, 0.0
+        chosen, distance, at = True, largest_difference(q, seed), count
         for i in range(dof):
-            within = within and joints[i].lower <= q[i] <= joints[i].upper
-            distance = max(distance, abs(q[i] - seed[i]))
-        at = count
+            chosen = chosen and joints[i].lower <= q[i] <= joints[i].upper
         for other in range(count):
-            gap = 0.0
-            for i in range(dof):
-                gap = max(gap, abs(q[i] - solutions[other, i]))
-            within = within and gap > distinct
-        if not within:
+            chosen = chosen and largest_difference(q, solutions[other]) > tolerances.distinct
+        if not chosen:
             continue
         while at > 0 and distances[at - 1] > distance:
             distances[at], residuals[at] = distances[at - 1], residuals[at - 1]

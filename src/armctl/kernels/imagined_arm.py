@@ -1,54 +1,94 @@
-"""Arms that move among boxes as their drives are commanded, without physics: see `armctl.kinematics.imagined`.
+"""Arms that move among boxes as their drives are commanded, without physics: see `armctl.kinematics.imagined`."""
 
-Arm i of n has the first `counts[i]` boxes of `boxes` (n, most). Its pairs are the first of `pairs`: `own` of links and
-floor, then `each` for every box.
-"""
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from armctl.kernels.arm import forward, tip_of
 from armctl.kernels.capsules import place
-from armctl.kernels.compiling import compiled, copy_to
+from armctl.kernels.compiling import compiled
 from armctl.kernels.drives import follow_all
-from armctl.kernels.edges import check_edge, distance
+from armctl.kernels.edges import NEAR_START, Bounds, Scene, check_edge, distance, measure_all
 
 MOVING, ARRIVED, TOUCHED = range(3)
 """States of an arm's episode."""
 
 
-@compiled
-def number_of_pairs(shape, counts, arm):
-    """Return the number of pairs of an arm; `shape` is `own` and `each`."""
-    return shape[0] + shape[1] * counts[arm]
+class Arms(NamedTuple):
+    """n arms of one kind, each among the first `counts[i]` of its `boxes`."""
+
+    joints: NDArray[np.void]
+    links: NDArray[np.void]
+    pairs: NDArray[np.void]
+    """Pairs of links and floor, then those of the links and each box: an arm has as many as its boxes need."""
+    motion: NDArray[np.float64]
+    """(pairs, dof) m/rad: bound on how far each joint moves a pair."""
+    num_own_pairs: int
+    pairs_per_box: int
+    boxes: NDArray[np.void]
+    """(n, most)."""
+    counts: NDArray[np.int64]
+    positions: NDArray[np.float64]
+    """(n, dof) rad."""
+    velocities: NDArray[np.float64]
+    """(n, dof) rad/s."""
+    targets: NDArray[np.float64]
+    """(n, 3) m."""
+    states: NDArray[np.int64]
+    margins: NDArray[np.float64]
+    """(n, pairs) m that an arm has to keep."""
+    slack: NDArray[np.float64]
+    """(n, pairs) m by which a pair exceeds its margin at least."""
 
 
 @compiled
-def begin(robot, shape, boxes, counts, ids, positions, margin, share, margins, slack):
-    """Set the `margins` (n, pairs) m that arms `ids` have to keep: `margin`, or a `share` of less at the start."""
-    joints, links, pairs = robot
-    rotations, origins = np.empty((len(joints), 3, 3)), np.empty((len(joints), 3))
-    ends = np.empty((len(links), 2, 3))
+def number_of_pairs(arms, arm):
+    """Return the number of pairs of an arm."""
+    return arms.num_own_pairs + arms.pairs_per_box * arms.counts[arm]
+
+
+@compiled
+def scene_of(arms, arm):
+    """Return an arm among its boxes."""
+    return Scene(arms.joints, arms.links, arms.pairs[: number_of_pairs(arms, arm)], arms.boxes[arm])
+
+
+@compiled
+def begin(arms, ids, margin):
+    """Set the margins that arms `ids` have to keep: `margin` (m), or a share of less at the start."""
     for arm in ids:
-        forward(joints, positions[arm], rotations, origins)
-        place(links, rotations, origins, ends)
-        for k in range(number_of_pairs(shape, counts, arm)):
-            away = distance(links, boxes[arm], ends, pairs[k])
-            margins[arm, k] = min(margin, share * max(away, 0.0))
-            slack[arm, k] = away - margins[arm, k]
+        margins, slack = arms.margins[arm], arms.slack[arm]
+        measure_all(scene_of(arms, arm), arms.positions[arm], slack)
+        for k in range(number_of_pairs(arms, arm)):
+            margins[k] = min(margin, NEAR_START * max(slack[k], 0.0))
+            slack[k] -= margins[k]
 
 
 @compiled
-def move(
-    robot, motion, shape, boxes, counts, targets, tolerance, goals, ticks, tick, positions, velocities, margins, slack,
-    states,
-):  # fmt: skip
+def keeps_margins(arms, arm, ends, moved):
+    """Return True if no pair of an arm with segments' `ends` is below its margin after joints have `moved` (dof,) rad.
+
+    A pair is measured only after its links may have used up the slack that they had when it was measured last.
+    """
+    margins, slack = arms.margins[arm], arms.slack[arm]
+    for k in range(number_of_pairs(arms, arm)):
+        for i in range(len(moved)):
+            slack[k] -= arms.motion[k, i] * moved[i]
+        if slack[k] < 0:
+            slack[k] = distance(arms.links, arms.boxes[arm], ends, arms.pairs[k]) - margins[k]
+            if slack[k] < 0:
+                return False
+    return True
+
+
+@compiled
+def move(arms, tolerance, goals, ticks, tick):
     """Move the arms (n,) that are `MOVING` on by some ticks (s) towards `goals` (n, dof), by the law of their drives.
 
-    After each tick, an arm that is below a margin becomes `TOUCHED`, or else one in its sphere `ARRIVED`. A pair is
-    measured only after its links may have used up the `slack` (n, pairs) m that they had when it was measured last:
-    `motion` (pairs, dof) bounds how far each joint moves a pair, m/rad.
+    After each tick, an arm that is below a margin becomes `TOUCHED`, or else one within `tolerance` (m) `ARRIVED`.
     """
-    joints, links, pairs = robot
+    joints, links, states = arms.joints, arms.links, arms.states
     dof = len(joints)
     rotations, origins, moved = np.empty((dof, 3, 3)), np.empty((dof, 3)), np.empty(dof)
     ends, tip = np.empty((len(links), 2, 3)), np.empty(3)
@@ -56,55 +96,40 @@ def move(
         for _ in range(ticks):
             if states[arm] != MOVING:
                 break
-            follow_all(joints, goals[arm], positions[arm], velocities[arm], 1, tick)
+            follow_all(joints, goals[arm], arms.positions[arm], arms.velocities[arm], 1, tick)
             for i in range(dof):
-                moved[i] = abs(velocities[arm, i] * tick)
-            forward(joints, positions[arm], rotations, origins)
+                moved[i] = abs(arms.velocities[arm, i] * tick)
+            forward(joints, arms.positions[arm], rotations, origins)
             place(links, rotations, origins, ends)
-            for k in range(number_of_pairs(shape, counts, arm)):
-                for i in range(dof):
-                    slack[arm, k] -= motion[k, i] * moved[i]
-                if slack[arm, k] < 0:
-                    slack[arm, k] = distance(links, boxes[arm], ends, pairs[k]) - margins[arm, k]
-                    if slack[arm, k] < 0:
-                        states[arm] = TOUCHED
-                        break
+            if not keeps_margins(arms, arm, ends, moved):
+                states[arm] = TOUCHED
+                break
             tip_of(joints, rotations, origins, tip)
             square = 0.0
             for i in range(3):
-                square += (tip[i] - targets[arm, i]) ** 2
-            if states[arm] == MOVING and square <= tolerance * tolerance:
+                square += (tip[i] - arms.targets[arm, i]) ** 2
+            if square <= tolerance * tolerance:
                 states[arm] = ARRIVED
 
 
 @compiled
-def farthest_waypoints(
-    robot, motion, shape, boxes, counts, states, positions, ways, lengths, margin, share, slack_factor, finest,
-    distances, farthest,
-):  # fmt: skip
+def farthest_waypoints(arms, ways, lengths, margin, distances, farthest):
     """Raise `farthest` (n,) to the farthest of `ways` (n, most, dof) with a free straight motion, of `MOVING` arms.
 
-    Way i has `lengths[i]` corners. Pairs keep `margin`, or a `share` of what is less at the start, at checked
-    configurations, and these by `slack_factor` in between. `finest` and `distances` are those of `check_edge`.
+    Way i has `lengths[i]` corners. Pairs keep `margin` (m), or a share of what is less at the start, as in
+    `check_edge`, whose memory `distances` is.
     """
-    joints, links, pairs = robot
-    rotations, origins = np.empty((len(joints), 3, 3)), np.empty((len(joints), 3))
-    ends, margins, kept = np.empty((len(links), 2, 3)), np.empty(len(pairs)), np.empty(len(pairs))
-    start = np.empty(len(joints))
-    for arm in range(len(states)):
-        if states[arm] != MOVING:
+    margins = np.empty(len(arms.pairs))
+    for arm in range(len(arms.states)):
+        if arms.states[arm] != MOVING:
             continue
-        count = number_of_pairs(shape, counts, arm)
-        copy_to(positions[arm], start)
-        forward(joints, start, rotations, origins)
-        place(links, rotations, origins, ends)
-        for k in range(count):
-            margins[k] = min(margin, share * max(distance(links, boxes[arm], ends, pairs[k]), 0.0))
-            kept[k] = margins[k] / slack_factor
+        scene, start = scene_of(arms, arm), arms.positions[arm]
+        measure_all(scene, start, margins)
+        for k in range(len(scene.pairs)):
+            margins[k] = min(margin, NEAR_START * max(margins[k], 0.0))
+        bounds = Bounds(margins, arms.motion, distances)
         for k in range(lengths[arm] - 1, farthest[arm], -1):
-            free, _ = check_edge(
-                joints, links, pairs[:count], boxes[arm], start, ways[arm, k], margins, kept, motion, finest, distances
-            )
+            free, _ = check_edge(scene, start, ways[arm, k], bounds)
             if free:
                 farthest[arm] = k
                 break

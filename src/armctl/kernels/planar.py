@@ -1,8 +1,7 @@
 """A rover on a bridge as a drawing from above, without physics: see `armctl.tasks.bridge.planar`.
 
-Blocks are rows (k, 6): centre x and y, cosine and sine of the yaw, half length and half width, m. The rover's outline
-is made of rectangles (m, 2), half lengths and half widths, m. `barriers` (2, s) says of each segment of the left and
-the right side whether a barrier stands there.
+Blocks are rows (k, 6): centre x and y, cosine and sine of the yaw, half length and half width, m. `barriers` (2, s)
+says of each segment of the left and the right side whether a barrier stands there.
 """
 
 import math
@@ -11,9 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.core.arrays import Array
 from armctl.kernels.compiling import compiled
-
-Array = NDArray[np.float64]
 
 FREE, BARRIER, OBSTACLE = 0, 1, 2
 
@@ -40,11 +38,40 @@ class Scenes(NamedTuple):
     """(n, w, 2) m."""
 
 
-class Drive(NamedTuple):
-    """Limits of rovers that follow commands: linear (m/s^2) and angular acceleration (rad/s^2)."""
+class Rover(NamedTuple):
+    """A rover that follows commands."""
 
     linear: float
+    """m/s^2: limit of acceleration."""
     angular: float
+    """rad/s^2: limit of acceleration."""
+    outline: Array
+    """(k, 2) m: half lengths and half widths of the rectangles that make its outline."""
+
+
+class Rovers(NamedTuple):
+    """States of n rovers, each on its bridge."""
+
+    poses: Array
+    """(n, 3) x, y (m) and yaw (rad)."""
+    velocities: Array
+    """(n, 2) m/s and rad/s."""
+    contacts: NDArray[np.int64]
+    """(n,) what each touches: `FREE`, `BARRIER` or `OBSTACLE`."""
+
+
+class RangeSensor(NamedTuple):
+    """A sensor of distances, in lengths of its rays' directions."""
+
+    ahead: float
+    """m before the rover's centre."""
+    directions: Array
+    """(columns, 2) m ahead and to the left."""
+    barriers: float
+    """m from the middle of the deck at which barriers are seen."""
+    farthest: float
+    farthest_hole: float
+    """Distance up to which the deck's edge is seen where a barrier is missing."""
 
 
 @compiled
@@ -100,26 +127,26 @@ def touched(deck, blocks, barriers, walkers, x, y, yaw, outline):
 
 
 @compiled
-def drive(ids, deck, scenes, limits, outline, places, period, commands, poses, velocities, contacts):
-    """Drive rovers at `poses` (n, 3) with `velocities` (n, 2) for one control step of `period` s.
+def drive(ids, deck, scenes, rover, places, period, commands, rovers):
+    """Drive rovers `ids` by `commands` (n, 2) for one control step of `period` s.
 
-    `places` (ticks, n, w, 2) are the walkers' in the ticks. A rover stops where it touches something, which `contacts`
-    (n,) tell.
+    `places` (ticks, n, w, 2) are the walkers' in the ticks. A rover stops where it touches something.
     """
+    poses, velocities, contacts = rovers
     ticks = len(places)
     tick = period / ticks
     for i in ids:
         contacts[i] = FREE
         for k in range(ticks):
-            linear = towards(velocities[i, 0], commands[i, 0], limits.linear * tick)
-            angular = towards(velocities[i, 1], commands[i, 1], limits.angular * tick)
+            linear = towards(velocities[i, 0], commands[i, 0], rover.linear * tick)
+            angular = towards(velocities[i, 1], commands[i, 1], rover.angular * tick)
             yaw = poses[i, 2] + angular * tick / 2
             poses[i, 0] += linear * math.cos(yaw) * tick
             poses[i, 1] += linear * math.sin(yaw) * tick
             poses[i, 2] = (poses[i, 2] + angular * tick + math.pi) % (2 * math.pi) - math.pi
             velocities[i, 0], velocities[i, 1] = linear, angular
             x, y, yaw = poses[i, 0], poses[i, 1], poses[i, 2]
-            contacts[i] = touched(deck, scenes.blocks[i], scenes.barriers[i], places[k, i], x, y, yaw, outline)
+            contacts[i] = touched(deck, scenes.blocks[i], scenes.barriers[i], places[k, i], x, y, yaw, rover.outline)
             if contacts[i] != FREE:
                 break
 
@@ -171,20 +198,17 @@ def to_side(deck, barriers, x, y, dx, dy, half_width, farthest_hole):
 
 
 @compiled
-def scan(ids, deck, scenes, half_width, mount, directions, farthest, farthest_hole, poses, out):
-    """Compute ranges from `mount` m before the rovers' centres, in lengths of `directions` (columns, 2).
-
-    Directions are m ahead and to the left. Barriers are at `half_width` m from the middle of the deck; without one, its
-    edge is seen up to `farthest_hole`.
-    """
+def scan(ids, deck, scenes, sensor, poses, out):
+    """Compute the ranges (k, columns) that a sensor measures on rovers `ids` (k,) at `poses` (n, 3)."""
     for j in range(len(ids)):
         i = ids[j]
         cos, sin = math.cos(poses[i, 2]), math.sin(poses[i, 2])
-        x, y = poses[i, 0] + mount * cos, poses[i, 1] + mount * sin
-        for c in range(len(directions)):
-            ahead, left = directions[c]
+        x, y = poses[i, 0] + sensor.ahead * cos, poses[i, 1] + sensor.ahead * sin
+        for c in range(len(sensor.directions)):
+            ahead, left = sensor.directions[c]
             dx, dy = ahead * cos - left * sin, ahead * sin + left * cos
-            nearest = min(farthest, to_side(deck, scenes.barriers[i], x, y, dx, dy, half_width, farthest_hole))
+            to_barrier = to_side(deck, scenes.barriers[i], x, y, dx, dy, sensor.barriers, sensor.farthest_hole)
+            nearest = min(sensor.farthest, to_barrier)
             for k in range(scenes.blocks.shape[1]):
                 nearest = min(nearest, to_block(x, y, dx, dy, scenes.blocks[i, k]))
             for k in range(scenes.walkers.shape[1]):

@@ -5,15 +5,53 @@ the far side, as MuJoCo's do.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from armctl.core.arrays import Array
 from armctl.kernels.compiling import compiled
 
 PLANE, SPHERE, CYLINDER, CAPSULE, BOX, POLYTOPE = range(6)
 NONE = np.inf
 NEAR = 1e-6
 """m: what is nearer to the camera along its axis is not looked for."""
+
+
+class Shapes(NamedTuple):
+    """What a camera can see."""
+
+    rows: NDArray[np.int64]
+    """(k, 4) kind, geom, first face and last face plus one."""
+    faces: Array
+    """(f, 4) outward normals and offsets of all polytopes' faces."""
+
+
+class Geoms(NamedTuple):
+    """All geoms of n worlds, as MuJoCo has them; sizes and bounding boxes may be one for all worlds."""
+
+    sizes: Array
+    """(n or 1, g, 3)."""
+    aabbs: Array
+    """(n or 1, g, 6)."""
+    positions: Array
+    """(n, g, 3)."""
+    rotations: Array
+    """(n, g, 9)."""
+
+
+class Cameras(NamedTuple):
+    """The cameras of n worlds."""
+
+    positions: Array
+    """(n, 3)."""
+    rotations: Array
+    """(n, 9)."""
+    rays: Array
+    """(rows, columns, 3) in the camera's frame."""
+    pixel: float
+    """Distance between two rays, at depth 1."""
 
 
 @compiled
@@ -132,14 +170,11 @@ def hit(kind, size, faces, origin, direction):
 
 
 @compiled
-def seen_rectangle(kind, aabb, turn, origin, pixel, rows, columns, corners):
-    """Return rows and columns of the pixels whose rays can hit a shape, first and last plus one, by its bounding box.
+def place_corners(aabb, turn, origin, corners):
+    """Compute the `corners` (8, 3) of a bounding box in the camera's frame.
 
-    `turn` (3, 3) leads from the camera's frame to the shape's, and `origin` (3,) is the camera in the latter. There is
-    room for `corners` (8, 3).
+    `turn` (3, 3) leads from there to the shape's frame, and `origin` (3,) is the camera in the latter.
     """
-    if kind == PLANE:
-        return 0, rows, 0, columns
     for corner in range(8):
         for j in range(3):
             corners[corner, j] = 0.0
@@ -148,6 +183,11 @@ def seen_rectangle(kind, aabb, turn, origin, pixel, rows, columns, corners):
             place = aabb[i] + sign * aabb[3 + i] - origin[i]
             for j in range(3):
                 corners[corner, j] += turn[i, j] * place
+
+
+@compiled
+def seen_rectangle(corners, pixel, rows, columns):
+    """Return rows and columns, first and last plus one, of the pixels that see anything between `corners` (8, 3)."""
     left = bottom = np.inf
     right = top = -np.inf
     for corner in range(8):
@@ -173,16 +213,16 @@ def seen_rectangle(kind, aabb, turn, origin, pixel, rows, columns, corners):
 
 
 @compiled
-def cast(shapes, sizes, aabbs, faces, positions, rotations, camera, camera_rotation, rays, pixel, depths, hits):
-    """Compute depths (rows, columns) of the nearest hits of one world's `rays` (rows, columns, 3), and the shapes hit.
-
-    `shapes` (k, 4) are rows of kind, geom, first face and last face plus one. `sizes` (g, 3), `aabbs` (g, 6),
-    `positions` (g, 3) and `rotations` (g, 9) of all geoms are as MuJoCo has them. Misses are infinite, and -1.
-    """
+def cast(shapes, geoms, cameras, world, depths, hits):
+    """Compute depths (rows, columns) of one world's nearest hits, and the geoms hit; misses are infinite, and -1."""
     rows, columns = depths.shape
     depths[:], hits[:] = np.inf, -1
+    sizes = geoms.sizes[world if len(geoms.sizes) > 1 else 0]
+    aabbs = geoms.aabbs[world if len(geoms.aabbs) > 1 else 0]
+    positions, rotations = geoms.positions[world], geoms.rotations[world]
+    camera, camera_rotation = cameras.positions[world], cameras.rotations[world]
     turn, origin, direction, corners = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty((8, 3))
-    for kind, geom, first, last in shapes:
+    for kind, geom, first, last in shapes.rows:
         for i in range(3):
             origin[i] = 0.0
             for j in range(3):
@@ -190,26 +230,22 @@ def cast(shapes, sizes, aabbs, faces, positions, rotations, camera, camera_rotat
                 turn[i, j] = 0.0
                 for k in range(3):
                     turn[i, j] += rotations[geom, 3 * k + i] * camera_rotation[3 * k + j]
-        top, bottom, left, right = seen_rectangle(kind, aabbs[geom], turn, origin, pixel, rows, columns, corners)
+        top, bottom, left, right = 0, rows, 0, columns
+        if kind != PLANE:
+            place_corners(aabbs[geom], turn, origin, corners)
+            top, bottom, left, right = seen_rectangle(corners, cameras.pixel, rows, columns)
         for row in range(top, bottom):
             for column in range(left, right):
-                ray = rays[row, column]
+                ray = cameras.rays[row, column]
                 for i in range(3):
                     direction[i] = turn[i, 0] * ray[0] + turn[i, 1] * ray[1] + turn[i, 2] * ray[2]
-                depth = hit(kind, sizes[geom], faces[first:last], origin, direction)
+                depth = hit(kind, sizes[geom], shapes.faces[first:last], origin, direction)
                 if depth < depths[row, column]:
                     depths[row, column], hits[row, column] = depth, geom
 
 
 @compiled
-def cast_all(
-    worlds, shapes, sizes, aabbs, faces, positions, rotations, cameras, camera_rotations, rays, pixel, depths, hits
-):
-    """Cast the rays of some worlds: `sizes` and `aabbs` are of each world, or one for all."""
+def cast_all(worlds, shapes, geoms, cameras, depths, hits):
+    """Cast the rays of some worlds."""
     for i in range(len(worlds)):
-        world = worlds[i]
-        own_size, own_box = world if len(sizes) > 1 else 0, world if len(aabbs) > 1 else 0
-        cast(
-            shapes, sizes[own_size], aabbs[own_box], faces, positions[world], rotations[world], cameras[world],
-            camera_rotations[world], rays, pixel, depths[i], hits[i],
-        )  # fmt: skip
+        cast(shapes, geoms, cameras, worlds[i], depths[i], hits[i])

@@ -1,9 +1,11 @@
 """Moving an arm's end-effector into a sphere in minimum time: see `armctl.kinematics.minimum_time_reach`."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
+from armctl.core.arrays import Array
 from armctl.kernels.arm import linearise, tips, workspace
 from armctl.kernels.compiling import compiled, copy_to
 from armctl.kernels.drives import least_time
@@ -18,6 +20,30 @@ MAX_TIME_CHANGE = 0.1
 """s: limit on one change of the time estimate."""
 NO_GAIN = 1e-9
 """m/rad: a joint that brings the end-effector nearer by less only turns it on the spot, and goes back to its start."""
+AIM = 0.9
+"""Fraction of the radius: a straight move aims at the sphere's nearest point at this distance from its centre."""
+TIP_SPEED = 1.0
+"""m/s: speed at which the end-effector is assumed to cover the remaining distance to a sphere."""
+
+
+class Start(NamedTuple):
+    """State in which an arm sets off."""
+
+    position: Array
+    """(dof,) rad."""
+    velocity: Array
+    """(dof,) rad/s."""
+
+
+class Spheres(NamedTuple):
+    """m target spheres, each with configurations that have the end-effector in it."""
+
+    centres: Array
+    """(m, 3) m."""
+    goals: Array
+    """(m, goals, dof) rad."""
+    excess: Array
+    """(m, goals) s: added time for goals whose end-effector is still outside."""
 
 
 @compiled
@@ -73,12 +99,11 @@ def approach(joints, q, centres, iterations):
 
 
 @compiled
-def step_into_sphere(joints, q, start, centre, radius, velocity, max_step, memory, step):
+def step_into_sphere(joints, q, start, centre, radius, max_step, memory, step):
     """Solve one linear program at q (dof,): the step (dof,) into the sphere that takes the least time.
 
-    All arrays are of one arm that moves from `start` with `velocity`, (dof,) each. Returns the time (s) from there to
-    q, and the distance (m) at q from the sphere's centre. Newton's method improves the time. Two of its steps are
-    enough: programs solved to convergence overshoot, since they are valid only nearby.
+    Returns the time (s) from `start` to q, and the distance (m) at q from the sphere's centre. Newton's method improves
+    the time. Two of its steps are enough: programs solved to convergence overshoot, since they are valid only nearby.
     """
     dof = len(joints)
     tip, gradients = linearise(joints, q, memory)
@@ -87,21 +112,21 @@ def step_into_sphere(joints, q, start, centre, radius, velocity, max_step, memor
     gain = np.empty(dof)
     for k in range(dof):
         gain[k] = (gradients[k, 0] * x + gradients[k, 1] * y + gradients[k, 2] * z) / distance
-    arrival = least_time(joints, start, velocity, q)
+    arrival = least_time(joints, start.position, start.velocity, q)
     needed, time = distance - radius + INSIDE, arrival
     for _ in range(2):
         missing, slope = needed, 0.0
         for k in range(dof):
             if abs(gain[k]) < NO_GAIN:
-                step[k] = min(max(start[k] - q[k], -max_step), max_step)
+                step[k] = min(max(start.position[k] - q[k], -max_step), max_step)
                 continue
             joint, sign = joints[k], 1.0 if gain[k] > 0 else -1.0
-            ahead = sign * velocity[k]
+            ahead = sign * start.velocity[k]
             ramp = min(time, (joint.top - ahead) / joint.acceleration)
             speed = ahead + joint.acceleration * ramp
             reach = (ahead + speed) / 2 * ramp + joint.top * (time - ramp)
             room = joint.upper - q[k] if gain[k] > 0 else q[k] - joint.lower
-            length = min(min(reach - sign * (q[k] - start[k]), room), max_step)
+            length = min(min(reach - sign * (q[k] - start.position[k]), room), max_step)
             missing -= abs(gain[k]) * length
             if length < max_step:
                 slope += abs(gain[k]) * speed
@@ -125,9 +150,8 @@ def refine(joints, q, starts, centres, radius, velocities, max_steps, times):
         for k in range(dof):
             at[k] = min(max(q[row, k], joints[k].lower), joints[k].upper)
         for max_step in max_steps:
-            time, distance = step_into_sphere(
-                joints, at, starts[row], centres[row], radius, velocities[row], max_step, memory, step
-            )
+            start = Start(starts[row], velocities[row])
+            time, distance = step_into_sphere(joints, at, start, centres[row], radius, max_step, memory, step)
             if distance <= radius and time < times[row]:
                 times[row] = time
                 copy_to(at, q[row])
@@ -145,10 +169,10 @@ def nearest_turn(joints, q, seed, out):
 
 
 @compiled
-def move_to(joints, q, positions, centres, radius, tip_speed, iterations, excess):
+def move_to(joints, q, positions, centres, radius, iterations, excess):
     """Move q (n, dof), in place, towards end-effector `positions` (n, 3), m, within the limits.
 
-    `excess` (n,) becomes the time (s) to the sphere around `centres` (n, 3) at `tip_speed` (m/s), for tips outside it.
+    `excess` (n,) becomes the time (s) to the sphere around `centres` (n, 3), for tips outside it.
     """
     tip_positions = np.empty((len(q), 3))
     approach(joints, q, positions, iterations)
@@ -157,52 +181,51 @@ def move_to(joints, q, positions, centres, radius, tip_speed, iterations, excess
             q[row, k] = min(max(q[row, k], joints[k].lower), joints[k].upper)
     tips(joints, q, tip_positions)
     for row in range(len(q)):
-        excess[row] = late(tip_positions[row], centres[row], radius, tip_speed)
+        excess[row] = late(distance_between(tip_positions[row], centres[row]), radius)
 
 
 @compiled
-def late(tip, centre, radius, tip_speed):
-    """Time (s) to a sphere from `tip` (3,) at `tip_speed` (m/s); 0 inside."""
+def distance_between(first, second):
+    """Return the distance of two points (3,), m."""
     square = 0.0
     for i in range(3):
-        square += (tip[i] - centre[i]) ** 2
-    return max(math.sqrt(square) - radius, 0.0) / tip_speed
+        square += (first[i] - second[i]) ** 2
+    return math.sqrt(square)
 
 
 @compiled
-def least_times_into_spheres(
-    joints, q, velocities, centres, goals, excess, radius, tip_speed, inside, iterations, max_steps, times
-):
-    """Compute `times` (m,) of `armctl.kinematics.ReachTimes`, s, from q (m, dof) with `velocities`, each into a sphere.
+def late(distance, radius):
+    """Return the time (s) to a sphere from a `distance` (m) from its centre; 0 inside."""
+    return max(distance - radius, 0.0) / TIP_SPEED
 
-    Sphere i is around `centres[i]`. `goals[i]` (g, dof) lead into it, `excess[i]` (g,) s later than they are reached.
-    The straight move aims at the fraction `inside` of the radius.
-    """
+
+@compiled
+def least_times_into_spheres(joints, q, velocities, spheres, radius, iterations, max_steps, times):
+    """Compute the `times` (m,) of `armctl.kinematics.ReachTimes`, s, from q (m, dof) with `velocities` into spheres."""
     dof = len(joints)
     memory, goal, turned, step = workspace(joints), np.empty((1, dof)), np.empty(dof), np.empty(dof)
     tip, aim, late_by = np.empty((1, 3)), np.empty((1, 3)), np.empty(1)
     for i in range(len(q)):
+        centre, start = spheres.centres[i], Start(q[i], velocities[i])
         tips(joints, q[i : i + 1], tip)
-        distance = late(tip[0], centres[i], 0.0, 1.0)
+        distance = distance_between(tip[0], centre)
         if distance <= radius:
             times[i] = 0.0
             continue
         for axis in range(3):
-            aim[0, axis] = centres[i, axis] + (tip[0, axis] - centres[i, axis]) * (inside * radius / distance)
+            aim[0, axis] = centre[axis] + (tip[0, axis] - centre[axis]) * (AIM * radius / distance)
         copy_to(q[i], goal[0])
-        move_to(joints, goal, aim, centres[i : i + 1], radius, tip_speed, iterations, late_by)
+        move_to(joints, goal, aim, spheres.centres[i : i + 1], radius, iterations, late_by)
         min_time = least_time(joints, q[i], velocities[i], goal[0]) + late_by[0]
-        for g in range(len(goals[i])):
-            nearest_turn(joints, goals[i, g], q[i], turned)
-            time = least_time(joints, q[i], velocities[i], turned) + excess[i, g]
+        for g in range(spheres.goals.shape[1]):
+            nearest_turn(joints, spheres.goals[i, g], q[i], turned)
+            time = least_time(joints, q[i], velocities[i], turned) + spheres.excess[i, g]
             if time <= min_time:
                 min_time = time
                 copy_to(turned, goal[0])
         for max_step in max_steps:
-            time, at = step_into_sphere(
-                joints, goal[0], q[i], centres[i], radius, velocities[i], max_step, memory, step
-            )
-            min_time = min(min_time, time + max(at - radius, 0.0) / tip_speed)
+            time, at = step_into_sphere(joints, goal[0], start, centre, radius, max_step, memory, step)
+            min_time = min(min_time, time + late(at, radius))
             for k in range(dof):
                 goal[0, k] += step[k]
         times[i] = min_time

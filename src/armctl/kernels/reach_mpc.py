@@ -1,13 +1,40 @@
 """The arithmetic of `armctl.control.reach_mpc`, for a horizon of N periods: see `armctl.control.reach_problem`."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from armctl.core.arrays import Array
 from armctl.kernels.arm import axes_of, cross, forward, gradients_of, tip_of
 from armctl.kernels.capsules import place
 from armctl.kernels.clearance import measure
 from armctl.kernels.compiling import compiled
+
+
+class Knots(NamedTuple):
+    """Kinematics at the knots of a motion."""
+
+    q: Array
+    """(N, dof) rad."""
+    errors: Array
+    """(N, 3) m: of the tips from their targets."""
+    axes: Array
+    """(N, dof, 3): of the joints."""
+    gradients: Array
+    """(N, dof, 3) m/rad: derivatives of the tip's position by each joint."""
+
+
+class Entries(NamedTuple):
+    """Places of the obstacles' constraints in a quadratic program."""
+
+    marked: NDArray[np.int64]
+    """Entries of the sparse matrix's data."""
+    order: NDArray[np.int64]
+    """Numbers of the normals that belong there."""
+    begin: int
+    """First of the constraints' rows."""
 
 
 @compiled
@@ -103,12 +130,10 @@ def cost_of(weights, posture, positions, velocities, accelerations, errors):
 
 
 @compiled
-def evaluate_knots(joints, links, pairs, boxes, samples, scales, q, targets, errors, axes, gradients, min_distances):
-    """Compute the kinematics at the knots q (N, dof).
-
-    These are the `errors` of the tips from their `targets`, (N, 3) m; the joints' `axes` and the tips' `gradients`,
-    (N, dof, 3); and the `min_distances` of the pairs, (N,) m.
-    """
+def evaluate_knots(scene, targets, knots, min_distances):
+    """Compute errors from `targets` (N, 3) m, axes and gradients of `knots`, and `min_distances` of pairs (N,) m."""
+    joints, links, pairs = scene.joints, scene.links, scene.pairs
+    q, errors, axes, gradients = knots
     dof = len(joints)
     rotations, origins, tip = np.empty((dof, 3, 3)), np.empty((dof, 3)), np.empty(3)
     ends, distances = np.empty((len(links), 2, 3)), np.empty(len(pairs))
@@ -121,38 +146,53 @@ def evaluate_knots(joints, links, pairs, boxes, samples, scales, q, targets, err
             errors[k, i] = tip[i] - targets[k, i]
         if len(pairs):
             place(links, rotations, origins, ends)
-            min_distances[k] = measure(links, pairs, boxes, samples, scales, ends, distances)
+            min_distances[k] = measure(scene, ends, distances)
 
 
 @compiled
-def quadratic_model(q, errors, axes, gradients, exact, weight, posture, hessians, slopes):
-    """Compute convex `hessians` (N, dof, dof) and `slopes` (N, dof), at q = 0, of the cost of the knots q (N, dof).
+def squared_error_hessian(gradients, axes, error, exact, hessian):
+    """Compute half the `hessian` (dof, dof) of the tip's squared error, or without `exact`, Gauss and Newton's part.
 
-    Without `exact`, they are Gauss and Newton's. The tip's second derivative by joints i <= j is
-    axis_i x (its first by j). `weight` is that of the distance from `posture` (dof,).
+    The tip's second derivative by joints i <= j is axis_i x (its first by j).
     """
-    dof = q.shape[1]
     bent = np.empty(3)
+    for j in range(len(gradients)):
+        gradient = gradients[j]
+        cross(gradient, error, bent)
+        for i in range(j + 1):
+            value = 0.0
+            for axis in range(3):
+                value += gradients[i, axis] * gradient[axis]
+                if exact:
+                    value += axes[i, axis] * bent[axis]
+            hessian[i, j] = hessian[j, i] = value
+
+
+@compiled
+def convexify(hessian):
+    """Replace a symmetric matrix by its nearest positive semidefinite one: negative eigenvalues become 0."""
+    values, vectors = np.linalg.eigh(hessian)
+    hessian[:] = 0.0
+    for which in range(len(values)):
+        if values[which] > 0:
+            for i in range(len(values)):
+                for j in range(len(values)):
+                    hessian[i, j] += values[which] * vectors[i, which] * vectors[j, which]
+
+
+@compiled
+def quadratic_model(knots, exact, weight, posture, hessians, slopes):
+    """Compute convex `hessians` (N, dof, dof) and `slopes` (N, dof), at q = 0, of the cost of the knots' places.
+
+    Without `exact`, they are Gauss and Newton's. `weight` is that of the distance from `posture` (dof,).
+    """
+    q, errors, axes, gradients = knots
+    dof = q.shape[1]
     for k in range(len(q)):
         hessian = hessians[k]
-        for j in range(dof):
-            gradient = gradients[k, j]
-            cross(gradient, errors[k], bent)
-            for i in range(j + 1):
-                value = 0.0
-                for axis in range(3):
-                    value += gradients[k, i, axis] * gradient[axis]
-                    if exact:
-                        value += axes[k, i, axis] * bent[axis]
-                hessian[i, j] = hessian[j, i] = value
+        squared_error_hessian(gradients[k], axes[k], errors[k], exact, hessian)
         if exact:
-            values, vectors = np.linalg.eigh(hessian)
-            hessian[:] = 0.0
-            for which in range(dof):
-                if values[which] > 0:
-                    for i in range(dof):
-                        for j in range(dof):
-                            hessian[i, j] += values[which] * vectors[i, which] * vectors[j, which]
+            convexify(hessian)
         for i in range(dof):
             slope = -2 * weight * posture[i]
             for axis in range(3):
@@ -179,12 +219,12 @@ def write_positions_cost(hessians, slopes, entries, knots, rows, columns, data, 
 
 
 @compiled
-def write_obstacles(distances, normals, q, margin, scale, marked, order, data, lower, begin):
+def write_obstacles(distances, normals, q, margin, scale, entries, data, lower):
     """Write the constraints scale normals q_k >= scale (margin - distances + normals q) of `distances` (N, m) at q.
 
-    `normals` are (N, m, dof), q is (N, dof). Entry `marked[i]` of a sparse matrix's `data` is the normals' `order[i]`,
-    and the bounds `lower` begin at `begin`.
+    `normals` are (N, m, dof), q is (N, dof). `data` is that of the sparse matrix, `lower` are its lower bounds.
     """
+    marked, order, begin = entries
     horizon, count = distances.shape
     flat = normals.reshape(-1)
     for i in range(len(marked)):

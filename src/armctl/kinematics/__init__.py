@@ -1,5 +1,6 @@
 """Kinematics of an arm: forward and inverse kinematics, Jacobians, limits, collisions, minimum-time reaching."""
 
+from armctl.kernels.reach import Spheres
 from armctl.kinematics.edge_checker import ArmShapes, EdgeChecker
 from armctl.kinematics.ik import Ik, IkOptions, IkResult
 from armctl.kinematics.imagined import ImaginedArms
@@ -11,7 +12,7 @@ from armctl.kinematics.minimum_time_reach import (
     approach,
 )
 from armctl.kinematics.model import ArmModel
-from armctl.kinematics.reach_times import ReachTimes, ReachTimesOptions, Spheres
+from armctl.kinematics.reach_times import ReachTimes, ReachTimesOptions
 from armctl.kinematics.reachability_map import ReachabilityMap
 from armctl.kinematics.workspace import Workspace
 

@@ -8,15 +8,12 @@ taken at its ends, and those between links in closed form (Ericson, "Real-time c
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.core.arrays import Array
 from armctl.kernels import capsules, clearance, edges
+from armctl.kernels.clearance import ScaledScene
 from armctl.kinematics.model import ArmModel
-from armctl.kinematics.records import Records, box_records
+from armctl.kinematics.records import box_records
 from armctl.scene import NO_BOXES, Boxes
-
-Array = NDArray[np.float64]
-Scene = tuple[Records, Records, Records, NDArray[np.int64], Array]
-"""Links, pairs, boxes, the number of sample points along each link, and the scale of each pair's distances, for
-`armctl.kernels.clearance`."""
 
 SPACING = 0.06
 """m: largest spacing of sample points. A link of 5 cm radius may be nearer to an edge by 8 mm than they show."""
@@ -48,24 +45,24 @@ class Clearance:
         self._scales = np.maximum(1.0, margin / (OF_HOME * at_home))
         self.scene = self.among(model.boxes)
 
-    def among(self, boxes: Boxes) -> Scene:
+    def among(self, boxes: Boxes) -> ScaledScene:
         """Return the scene among boxes. The first link only turns on the spot, and is not checked against them."""
         moving = np.flatnonzero(self.model.links["joint"] > 1)
         with_boxes = [(edges.LINK_AND_BOX, link, box) for link in moving for box in range(len(boxes))]
         pairs = np.array([*self._pairs, *with_boxes], dtype=edges.PAIR)
         scales = np.concatenate((self._scales, np.ones(len(with_boxes))))
-        return self.model.links, pairs, box_records(boxes), self._samples, scales
+        return ScaledScene(self.model.joints, self.model.links, pairs, box_records(boxes), self._samples, scales)
 
-    def along(self, way: Array) -> Scene:
+    def along(self, way: Array) -> ScaledScene:
         """Return the same scene for a controller that is to follow a `way` (n, dof)."""
-        links, pairs, boxes, samples, scales = self.scene
-        distances = self.nearest(way, len(pairs))[0].min(axis=0) / scales
-        return links, pairs, boxes, samples, np.maximum(scales, self._margin / np.maximum(distances, NARROWEST))
+        scales = self.scene.scales
+        distances = self.nearest(way, len(scales))[0].min(axis=0) / scales
+        return self.scene._replace(scales=np.maximum(scales, self._margin / np.maximum(distances, NARROWEST)))
 
-    def min_distances(self, q: Array, scene: Scene | None = None) -> Array:
+    def min_distances(self, q: Array, scene: ScaledScene | None = None) -> Array:
         """Return the least distance of all pairs, (n,) m, at each of q (n, dof)."""
         min_distances = np.empty(len(q))
-        clearance.clearances(self.model.joints, *(scene or self.scene), np.ascontiguousarray(q), min_distances)
+        clearance.clearances(scene or self.scene, np.ascontiguousarray(q), min_distances)
         return min_distances
 
     def nearest(self, q: Array, count: int) -> tuple[Array, Array]:
@@ -75,7 +72,7 @@ class Clearance:
         fewer pairs.
         """
         distances, gradients = np.empty((len(q), count)), np.empty((len(q), count, self.model.dof))
-        clearance.nearest_pairs(self.model.joints, *self.scene, np.ascontiguousarray(q), distances, gradients)
+        clearance.nearest_pairs(self.scene, np.ascontiguousarray(q), distances, gradients)
         return distances, gradients
 
     def _ends_over_floor(self) -> NDArray[np.int64]:

@@ -15,9 +15,9 @@ import numpy as np
 import pinocchio
 from numpy.typing import NDArray
 
+from armctl.core.arrays import Array
 from armctl.kinematics.model import ArmModel
 
-Array = NDArray[np.float64]
 ClosedForm = Callable[[Array], tuple[Array, NDArray[np.bool_]]]
 """Function of a pose (4, 4) that gives configurations (k, dof), and whether each is an approximation, (k,)."""
 

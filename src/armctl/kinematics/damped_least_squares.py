@@ -5,9 +5,8 @@ Trans. Systems, Man, and Cybernetics 16, 1986. The dual form inverts a matrix of
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from armctl.core.arrays import Array
 
 
 def damped_step(jacobian: Array, error: Array, damping: Array | float) -> Array:

@@ -9,6 +9,7 @@ checking for single and multiple robots in complex environments", IEEE Trans. Ro
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
 from armctl.kernels import edges
 from armctl.kinematics.model import ArmModel
@@ -16,20 +17,12 @@ from armctl.kinematics.records import Records, box_records
 from armctl.robot_description.joint_profiles import TICK
 from armctl.scene import Boxes
 
-Array = NDArray[np.float64]
-
 UPRIGHT = 1e-9
 """Tolerance on the cosine of a vertical axis, for rounding."""
 FAR = 0.1
 """m: boxes farther than this from a link's reach are not checked against it."""
-SLACK = 1.5
-"""Factor on the clearance at checked configurations, so that the clearance itself is kept in between."""
 MAX_CLEARANCE = 0.05
 """m: limit on the clearance, which needs distances of up to twice as much, and boxes as far out of reach."""
-NEAR_START = 0.5
-"""Fraction of their distance at the start that a pair must keep if it starts nearer than the clearance."""
-FINEST = 2**-12
-"""Finest fraction of an edge: an edge still undecided there counts as blocked, which bounds the effort."""
 HALVINGS, PLACES = 6, 8
 """Number of halvings, and of places tried, to find the farthest point that is reached on an edge of a path."""
 TICKS_CHECKED, MOST_CHECKED = 3, 40
@@ -126,13 +119,13 @@ class EdgeChecker:
             raise ConfigurationError(f"clearance should be above 0 and at most {MAX_CLEARANCE} m, not {clearance!r}")
         pairs, motion = shapes.with_boxes(boxes)
         self._self_pairs = shapes.self_pairs
-        self._scene = shapes.model.joints, shapes.model.links, pairs, box_records(boxes)
-        self._distances, self._no_margins = np.empty((MOST_CHECKS, len(pairs))), np.full(len(pairs), -np.inf)
+        self._scene = edges.Scene(shapes.model.joints, shapes.model.links, pairs, box_records(boxes))
+        self._distances = np.empty((MOST_CHECKS, len(pairs)))
         self.checks = 0
         """Configurations checked."""
         distances = self._measured(start)
         self.start_is_free = bool((distances > 0).all())
-        self._full_margins = np.minimum(SLACK * clearance, NEAR_START * np.maximum(distances, 0.0))
+        self._full_margins = np.minimum(edges.SLACK * clearance, edges.NEAR_START * np.maximum(distances, 0.0))
         self._motion = motion
         self._set_margins(self._full_margins)
 
@@ -140,11 +133,11 @@ class EdgeChecker:
         """Return True if a configuration (dof,) keeps the clearance, with the margin that edges need."""
         self.checks += 1
         self._distances[0] = 0.0
-        return bool(edges.measure(*self._scene, q, self._margins, self._distances[0]))
+        return bool(edges.measure(self._scene, q, self._bounds.margins, self._distances[0]))
 
     def is_edge_free(self, a: Array, b: Array) -> bool:
         """Return True if the straight motion from `a` to `b`, (dof,) each, keeps the clearance throughout."""
-        free, checks = edges.check_edge(*self._scene, a, b, *self._bounds)
+        free, checks = edges.check_edge(self._scene, a, b, self._bounds)
         self.checks += checks
         return bool(free)
 
@@ -190,14 +183,13 @@ class EdgeChecker:
         return min((float(distances.min(initial=FAR)) for distances in corners), default=np.nan)
 
     def _set_margins(self, margins: Array) -> None:
-        self._margins = margins
-        self._bounds = margins, margins / SLACK, self._motion, FINEST, self._distances
+        self._bounds = edges.Bounds(margins, self._motion, self._distances)
 
     def _measured(self, q: Array) -> Array:
         """Return the distance of each pair, (pairs,) m: 0 or below in contact."""
         self.checks += 1
-        distances = np.zeros(len(self._no_margins))
-        edges.measure(*self._scene, q, self._no_margins, distances)
+        distances = np.empty(len(self._scene.pairs))
+        edges.measure_all(self._scene, q, distances)
         return distances
 
 

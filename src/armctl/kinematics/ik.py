@@ -17,14 +17,13 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial.transform import Rotation
 
+from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError, UnreachableTarget
-from armctl.core.options import options
+from armctl.core.options import Count, NonNegative, Positive, options
 from armctl.kernels import ik as kernel
 from armctl.kinematics.closed_forms import ClosedForm, seven_joints, six_joints
 from armctl.kinematics.damped_least_squares import damped_step
 from armctl.kinematics.model import ArmModel
-
-Array = NDArray[np.float64]
 
 RIGID = 1e-6
 """Tolerance on the entries of a rotation times its transpose."""
@@ -36,19 +35,19 @@ EXACT = 0.01
 class IkOptions:
     """Bounds of a search."""
 
-    tolerance: Annotated[float, Field(gt=0)] = 1e-6
+    tolerance: Positive = 1e-6
     """Largest residual of a solution: norm of the position error (m), or of the pose's twist (m and rad)."""
-    max_iterations: Annotated[int, Field(ge=1)] = 60
+    max_iterations: Count = 60
     """Levenberg-Marquardt steps from one start."""
-    starts: Annotated[int, Field(ge=1)] = 24
+    starts: Count = 24
     """Random starts of a numeric search, after the seed and home."""
-    damping: Annotated[float, Field(ge=0)] = 0.02
+    damping: NonNegative = 0.02
     """Levenberg-Marquardt damping per squared unit of residual."""
     rng_seed: Annotated[int, Field(ge=0)] = 0
     """Seed of the random starts: a search depends only on its arguments."""
-    near: Annotated[float, Field(ge=0)] = 0.1
+    near: NonNegative = 0.1
     """Residual below which the seed is polished too: singular poses have more solutions than a closed form gives."""
-    distinct: Annotated[float, Field(ge=0)] = 1e-3
+    distinct: NonNegative = 1e-3
     """Configurations closer than this in every joint (rad) count as one solution."""
 
 
@@ -118,10 +117,8 @@ class Ik:
         """Return the closed form's solutions; None if one of them needs to be polished, or there is none."""
         options = self.options
         solutions, residuals = np.empty((len(q) + 1, self.model.dof)), np.empty(len(q) + 1)
-        number = kernel.choose(
-            self.model.joints, target, q, approximate, seed, EXACT * options.tolerance, options.near, options.distinct,
-            solutions, residuals,
-        )  # fmt: skip
+        tolerances = kernel.Tolerances(EXACT * options.tolerance, options.near, options.distinct)
+        number = kernel.choose(self.model.joints, target, q, approximate, seed, tolerances, solutions, residuals)
         if number < 0:
             return None
         if count is not None:

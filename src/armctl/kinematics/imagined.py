@@ -8,15 +8,14 @@ nothing is touched.
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
 from armctl.kernels import imagined_arm
 from armctl.kernels.capsules import BOX
 from armctl.kernels.imagined_arm import ARRIVED, MOVING, TOUCHED
-from armctl.kinematics.edge_checker import FINEST, NEAR_START, SLACK, ArmShapes
+from armctl.kinematics.edge_checker import ArmShapes
 from armctl.robot_description.joint_profiles import TICK
 from armctl.scene.boxes import BOX_NUMBERS, rotations_about_vertical
-
-Array = NDArray[np.float64]
 
 MOST_CHECKS = 64
 """Configurations on a straight motion after which it counts as blocked."""
@@ -40,9 +39,7 @@ class ImaginedArms:
         model = shapes.model
         self.model, self.tolerance, self.margin, self.max_boxes = model, tolerance, margin, max_boxes
         self._ticks = max(1, round(period / TICK))
-        pairs, self._motion, num_own_pairs = shapes.with_any_boxes(max_boxes)
-        self._robot = model.joints, model.links, pairs
-        self._shape = num_own_pairs, (len(pairs) - num_own_pairs) // max(max_boxes, 1)
+        pairs, motion, num_own_pairs = shapes.with_any_boxes(max_boxes)
         self.positions: Array = np.tile(model.home, (n, 1))
         """(n, dof) rad: of the commands, which the joints follow."""
         self.velocities: Array = np.zeros((n, model.dof))
@@ -51,8 +48,11 @@ class ImaginedArms:
         """(n, 3) m."""
         self.states = np.full(n, TOUCHED)
         """(n,) `MOVING`, `ARRIVED` or `TOUCHED`: arms that do not move stand still."""
-        self._boxes, self._counts = np.zeros((n, max_boxes), BOX), np.zeros(n, int)
-        self._margins, self._slack = np.zeros((n, len(pairs))), np.zeros((n, len(pairs)))
+        self._arms = imagined_arm.Arms(
+            model.joints, model.links, pairs, motion, num_own_pairs, (len(pairs) - num_own_pairs) // max(max_boxes, 1),
+            np.zeros((n, max_boxes), BOX), np.zeros(n, int), self.positions, self.velocities, self.targets, self.states,
+            *np.zeros((2, n, len(pairs))),
+        )  # fmt: skip
         self._distances = np.empty((MOST_CHECKS, len(pairs)))
 
     @property
@@ -68,24 +68,18 @@ class ImaginedArms:
         rows = np.asarray(ids, dtype=int)
         numbers = np.asarray(boxes, dtype=float).reshape(len(rows), self.max_boxes, BOX_NUMBERS)
         self.positions[rows], self.velocities[rows], self.targets[rows] = positions, velocities, targets
-        self._counts[rows] = (numbers[..., 3:6] > 0).all(axis=-1).sum(axis=-1)
+        self._arms.counts[rows] = (numbers[..., 3:6] > 0).all(axis=-1).sum(axis=-1)
         records = np.zeros(numbers.shape[:2], BOX)
         records["rotation"] = rotations_about_vertical(numbers[..., 6])
         records["centre"], records["half_size"] = numbers[..., :3], numbers[..., 3:6]
-        self._boxes[rows], self.states[rows] = records, MOVING
-        imagined_arm.begin(
-            self._robot, self._shape, self._boxes, self._counts, rows, self.positions, self.margin, NEAR_START,
-            self._margins, self._slack,
-        )  # fmt: skip
+        self._arms.boxes[rows], self.states[rows] = records, MOVING
+        imagined_arm.begin(self._arms, rows, self.margin)
 
     def move(self, commands: Array) -> None:
         """Make one control step with `commands` (n, dof): joint positions (rad) to move to and stop at."""
         limits = self.model.limits
         goals = np.clip(np.asarray(commands, dtype=float), limits.lower, limits.upper)
-        imagined_arm.move(
-            self._robot, self._motion, self._shape, self._boxes, self._counts, self.targets, self.tolerance, goals,
-            self._ticks, TICK, self.positions, self.velocities, self._margins, self._slack, self.states,
-        )  # fmt: skip
+        imagined_arm.move(self._arms, self.tolerance, goals, self._ticks, TICK)
 
     def next_waypoints(self, ways: Array, lengths: NDArray[np.int64], margin: float, best: NDArray[np.int64]) -> None:
         """Raise `best` (n,) to the farthest corner of each arm's way to which a straight joint motion is free.
@@ -94,7 +88,4 @@ class ImaginedArms:
         or half of its start's distance if that is less, at configurations so near to each other that two thirds of it
         are kept in between. Arms that do not move keep what was found before.
         """
-        imagined_arm.farthest_waypoints(
-            self._robot, self._motion, self._shape, self._boxes, self._counts, self.states, self.positions, ways,
-            lengths, margin, NEAR_START, SLACK, FINEST, self._distances, best,
-        )  # fmt: skip
+        imagined_arm.farthest_waypoints(self._arms, ways, lengths, margin, self._distances, best)

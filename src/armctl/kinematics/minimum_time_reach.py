@@ -14,16 +14,14 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from armctl.core.options import options
+from armctl.core.arrays import Array
+from armctl.core.options import Count, Positive, options
 from armctl.kernels import reach
 from armctl.kinematics.ik import Ik
 from armctl.kinematics.model import ArmModel
 from armctl.robot_description.joint_profiles import fly_by_setpoint, trapezoidal_displacement
-
-Array = NDArray[np.float64]
 
 FIRST_STEP, LAST_STEP = 0.2, 0.0005
 """rad: joint step limits of the first and the last linear program, which is valid only nearby."""
@@ -35,13 +33,13 @@ class MinimumTimeReachOptions:
 
     starts: Annotated[int, Field(ge=0)] = 48
     """Start configurations besides the current one: half of them around it, half anywhere."""
-    spread: Annotated[float, Field(gt=0)] = 1.5
+    spread: Positive = 1.5
     """rad: range of the start configurations around the current one."""
     approach_iterations: Annotated[int, Field(ge=0)] = 10
     """Levenberg-Marquardt iterations from a start into the sphere."""
-    refine_iterations: Annotated[int, Field(ge=1)] = 20
+    refine_iterations: Count = 20
     """Linear programs that reduce the time."""
-    path_spacing: Annotated[float, Field(gt=0)] = 0.05
+    path_spacing: Positive = 0.05
     """rad: distance between the configurations at which a path is checked for collisions."""
     rng_seed: Annotated[int, Field(ge=0)] = 0
 

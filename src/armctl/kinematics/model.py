@@ -10,13 +10,12 @@ import numpy as np
 import pinocchio
 from numpy.typing import ArrayLike, NDArray
 
+from armctl.core.arrays import Array
 from armctl.kernels import arm, capsules, drives
 from armctl.kinematics.records import Records, box_records, joint_records, link_records
 from armctl.robot_description import ArmDescription, load_arm
 from armctl.robot_description.collision_pairs import FLOOR, link_frame
 from armctl.scene import NO_BOXES, Boxes
-
-Array = NDArray[np.float64]
 
 
 class ArmModel:
@@ -86,13 +85,6 @@ class ArmModel:
         positions = np.empty((len(flat), 3))
         arm.tips(self.joints, flat, positions)
         return positions.reshape(*np.shape(q)[:-1], 3)
-
-    def positions_and_jacobians(self, q: ArrayLike) -> tuple[Array, Array]:
-        """Return positions (..., 3) m and linear Jacobians (..., 3, dof) m/rad of a batch (..., dof)."""
-        flat, batch = self._rows(q), np.shape(q)[:-1]
-        positions, gradients = np.empty((len(flat), 3)), np.empty((len(flat), self.dof, 3))
-        arm.tips_and_gradients(self.joints, flat, positions, gradients)
-        return positions.reshape(*batch, 3), gradients.swapaxes(-1, -2).reshape(*batch, 3, self.dof)
 
     def is_free(self, q: ArrayLike) -> bool:
         """Return True if q (dof,) is collision-free: the capsules touch no other capsule, floor or box."""

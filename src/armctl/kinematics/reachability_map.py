@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from armctl.core.arrays import Array
+from armctl.kernels.reach import TIP_SPEED
 from armctl.kinematics.edge_checker import ArmShapes, EdgeChecker
 from armctl.kinematics.ik import Ik
 from armctl.kinematics.minimum_time_reach import approach
 from armctl.kinematics.model import ArmModel
 from armctl.scene import Boxes
-
-Array = NDArray[np.float64]
 
 CONFIGURATIONS = 4096
 MAX_DRAWS = 50
@@ -25,8 +25,6 @@ CLEARANCE = 0.01
 """m, of such motions from boxes, floor and the arm itself."""
 ITERATIONS = 4
 """Levenberg-Marquardt iterations from a candidate to the target."""
-TIP_SPEED = 1.0
-"""m/s: speed at which the end-effector is assumed to cover the remaining distance to the target."""
 ON_TARGET, MISS_PENALTY = 0.01, 10.0
 """m: largest final error of a refined candidate; s: what a larger error adds to its time."""
 

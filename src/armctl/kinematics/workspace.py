@@ -1,13 +1,11 @@
 """Positions that an arm's end-effector can reach."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
 from armctl.kinematics.ik import Ik
 from armctl.kinematics.model import ArmModel
-
-Array = NDArray[np.float64]
 
 
 class Workspace:

@@ -13,18 +13,17 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from ompl import geometric
 from pydantic import Field
 
+from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
-from armctl.core.options import options
+from armctl.core.options import Count, Positive, options
 from armctl.kinematics import ArmModel, ArmShapes, EdgeChecker, MinimumTimeReach
 from armctl.kinematics.edge_checker import MAX_CLEARANCE
 from armctl.planning.arm_search import ArmSearch
 from armctl.scene import Boxes
-
-Array = NDArray[np.float64]
 
 DETOUR = 2.0
 """rad: margin of the search space beyond start and goals."""
@@ -42,15 +41,15 @@ class ArmPlannerOptions:
     """m: distance from boxes, floor and the arm itself along the whole path."""
     direct: Annotated[int, Field(ge=0)] = 12
     """Number of goals, the earliest first, to which a straight motion is tried before any search."""
-    goals: Annotated[int, Field(ge=1)] = 32
+    goals: Count = 32
     """Number of goals, the earliest first, from which a search grows trees."""
     checks: Annotated[int, Field(ge=0)] = 6000
     """Collision checks after which a search gives up."""
-    stride: Annotated[float, Field(gt=0)] = 1.0
+    stride: Positive = 1.0
     """rad: longest edge of a tree."""
     shortcuts: Annotated[int, Field(ge=0)] = 100
     """Number of shortcuts tried."""
-    seed: Annotated[int, Field(ge=1)] = 1
+    seed: Count = 1
     """Random seed of a search."""
 
 

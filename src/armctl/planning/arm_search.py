@@ -4,14 +4,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from ompl import base, util
 
+from armctl.core.arrays import Array
 from armctl.kinematics import EdgeChecker
 from armctl.planning.ompl_setup import OmplProblem
 from armctl.robot_description import JointLimits
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

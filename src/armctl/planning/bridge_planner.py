@@ -13,16 +13,15 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from ompl import base, geometric
 from pydantic import Field
 
+from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
-from armctl.core.options import options
+from armctl.core.options import Positive, options
 from armctl.planning.ompl_setup import OmplProblem
 from armctl.scene import BridgeMap
-
-Array = NDArray[np.float64]
 
 ARC = np.radians((0.0, 30.0, 60.0, 90.0))
 """Angles of the points around a block's corner; chords between them keep clear of it."""
@@ -46,7 +45,7 @@ JITTER, ROUNDING = 1e-8, 1e-7
 class PathPlannerOptions:
     """Options of `plan_path`."""
 
-    clearance: Annotated[float, Field(gt=0)] = 0.4
+    clearance: Positive = 0.4
     """m: distance from the path to the nearest block or side."""
     searches: tuple[Annotated[int, Field(ge=0)], ...] = (0, 100, 400, 1600)
     """Points all over the deck in each search. Further searches follow until there is a path."""

@@ -13,9 +13,8 @@ from scipy.ndimage import distance_transform_edt
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
+from armctl.core.arrays import Array
 from armctl.scene import BridgeMap
-
-Array = NDArray[np.float64]
 
 STEPS = ((1, 0), (0, 1), (1, 1), (1, -1), (2, 1), (1, 2), (2, -1), (1, -2))
 """Offsets from a point to its neighbours, in spacings; edges run both ways."""

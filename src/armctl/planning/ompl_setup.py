@@ -4,10 +4,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from ompl import base, util
 
-Array = NDArray[np.float64]
+from armctl.core.arrays import Array
 
 util.noOutputHandler()  # results report failures
 

@@ -9,17 +9,15 @@ import itertools
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from ompl import geometric
 from pydantic import Field
 
-from armctl.core.options import options
+from armctl.core.arrays import Array
+from armctl.core.options import Count, Positive, options
 from armctl.kinematics import ArmModel, ArmShapes, EdgeChecker, Ik
 from armctl.kinematics.edge_checker import MAX_CLEARANCE
 from armctl.planning.arm_search import ArmSearch
 from armctl.scene import Boxes
-
-Array = NDArray[np.float64]
 
 SEED = 2
 """Random seed of each search: not the one of `ArmPlanner`."""
@@ -33,11 +31,11 @@ class PathCertificateOptions:
 
     clearance: Annotated[float, Field(gt=0, le=MAX_CLEARANCE)] = 0.005
     """m: distance from boxes, floor and the arm itself along the whole path."""
-    goals: Annotated[int, Field(ge=1)] = 64
+    goals: Count = 64
     """Number of configurations at the target from which the search starts."""
     checks: Annotated[int, Field(ge=0)] = 30_000
     """Collision checks after which the search gives up."""
-    stride: Annotated[float, Field(gt=0)] = 1.0
+    stride: Positive = 1.0
     """rad: longest edge of a tree."""
 
 

@@ -12,12 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.core.arrays import Array
 from armctl.kernels import time_to_go as kernel
 from armctl.planning.cost_to_go import OFF_CLEARANCE, STEPS, Lattice
 from armctl.scene import BridgeMap
 from armctl.scene.pedestrians import NO_PEDESTRIANS
-
-Array = NDArray[np.float64]
 
 SLOWER = 20.0
 """Factor by which everything takes longer near a person: it is quicker to wait than to run through him."""
@@ -82,8 +81,9 @@ class SpaceTime:
         inside[-1] = unhindered.T
         kernel.spread(
             times, np.ascontiguousarray((unhindered == 0).T), np.where(reachable.T, 0.0, BLOCKED).astype(np.float32),
-            people.positions(self.step * np.arange(len(times))), people.radius + clearance, y, x, SLOWER, self.step,
-            moves, durations.astype(np.float32), shares.astype(np.float32), layers, PAD,
+            kernel.People(people.positions(self.step * np.arange(len(times))), people.radius + clearance, SLOWER),
+            kernel.Grid(y, x, PAD),
+            kernel.Moves(self.step, moves, durations.astype(np.float32), layers, shares.astype(np.float32)),
         )  # fmt: skip
         i, j = (index[::EVERY, ::EVERY] for index in nearest)
         extra = inside[::EVERY_LAYER, j, i] - unhindered[i, j].astype(np.float32)

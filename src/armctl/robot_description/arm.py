@@ -14,14 +14,13 @@ import numpy as np
 import pinocchio
 from numpy.typing import NDArray
 
+from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError, unknown_name
 from armctl.kernels.drives import DRIVE
 from armctl.robot_description.capsules import Capsule, enclosing_capsule
 from armctl.robot_description.collision_pairs import Pair, pairs_worth_testing
 from armctl.robot_description.urdf import Shape, Urdf
 from armctl.robot_description.xml_file import impossible_pairs
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,8 @@ A capsule (all points within `radius` of a segment) fits an arm's link closely, 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from armctl.core.arrays import Array
 
 
 @dataclass(frozen=True)

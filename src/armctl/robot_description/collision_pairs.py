@@ -6,11 +6,10 @@ from collections.abc import Iterable
 import coal
 import numpy as np
 import pinocchio
-from numpy.typing import NDArray
 
+from armctl.core.arrays import Array
 from armctl.robot_description.capsules import Capsule
 
-Array = NDArray[np.float64]
 Pair = tuple[str, str]
 
 FLOOR = "(floor)"

@@ -7,12 +7,11 @@ formulas.
 """
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from armctl.core.arrays import Array
 from armctl.kernels import drives
 from armctl.robot_description.arm import JointLimits
-
-Array = NDArray[np.float64]
 
 TICK = 0.008
 """s: the drives of a UR5 take commands at 125 Hz."""

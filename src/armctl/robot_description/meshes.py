@@ -9,7 +9,7 @@ import coal
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from armctl.core.arrays import Array
 
 FORMATS = (".stl", ".dae", ".obj", ".ply")
 """Formats that hold all of a mesh in one file."""

@@ -17,12 +17,11 @@ import numpy as np
 import pinocchio
 from numpy.typing import NDArray
 
+from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError, unknown_name
 from armctl.robot_description.collision_pairs import FLOOR
 from armctl.robot_description.meshes import MeshError, Meshes
 from armctl.robot_description.xml_file import Element, read_xml
-
-Array = NDArray[np.float64]
 
 FULL_TURN = 2 * math.pi
 
@@ -129,7 +128,6 @@ class Urdf:
         for kind in ("link", "joint"):
             if (count := len(self._robot.findall(kind))) > MAX_LINKS:
                 raise self._error(f"it has {count} {kind}s; at most {MAX_LINKS} are allowed")
-        for kind in ("link", "joint"):
             names = Counter(element.get("name", "") for element in self._robot.findall(kind))
             if repeated := [name for name, count in names.items() if count > 1 or not name]:
                 raise self._error(f"it has several {kind}s, or one without a name, called {short(repeated[0])}")

@@ -7,8 +7,8 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from armctl.core.arrays import Array
 from armctl.core.errors import unknown_name
 from armctl.kernels.control_step import Drives
 from armctl.robot_description import ArmDescription
@@ -19,8 +19,6 @@ from armctl.robots.joints import ActuatorLimits, JointSamples
 from armctl.simulation import Simulation
 from armctl.simulation.impacts import add_impact_sensors
 from armctl.simulation.worlds import world_path
-
-Array = NDArray[np.float64]
 
 CONTROLS = ("position", "relative", "delta", "velocity", "torque")
 

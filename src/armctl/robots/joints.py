@@ -3,12 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armctl.core.arrays import Array
 from armctl.kernels.control_step import Samples
 from armctl.simulation import Simulation
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -4,13 +4,11 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from armctl.core.arrays import Array
 from armctl.robots.joints import ActuatorLimits, JointSamples
 from armctl.simulation import Simulation
 from armctl.simulation.worlds import world_path
-
-Array = NDArray[np.float64]
 
 PREFIX = "rover/"
 """Prefix of the rover's names in a world's model."""

@@ -3,11 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
-
-Array = NDArray[np.float64]
 
 BOX_NUMBERS = 7
 """Numbers of a box: centre (3) and half sizes (3), m, and yaw, rad. Half sizes of 0: there is none."""

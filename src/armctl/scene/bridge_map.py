@@ -10,13 +10,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
 from armctl.kernels import bridge as kernel
 from armctl.scene.pedestrians import NO_PEDESTRIANS, PedestrianTrajectories
 
-Array = NDArray[np.float64]
 EdgeTest = Callable[[float, float, float, float], bool]
 
 

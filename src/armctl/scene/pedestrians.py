@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
-
-Array = NDArray[np.float64]
 
 
 def turned_back(y: Any, turn: float) -> Any:

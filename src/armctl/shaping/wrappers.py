@@ -15,11 +15,10 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
+from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
 from armctl.envs import TaskEnv, TaskVectorEnv
 from armctl.shaping.potentials import PotentialFactory, make_potential
-
-Array = NDArray[np.float64]
 
 TERM = "shaping"
 """Name of the reward term."""

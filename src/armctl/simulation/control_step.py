@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 
 from armctl.kernels import control_step as kernel
 from armctl.kernels.control_step import (
+    Clock,
     ContactOutput,
     Drives,
     HardImpact,
+    Parts,
     PoseInput,
     Samples,
     StepBuffers,
@@ -35,12 +37,14 @@ _BAD = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN
 _NONE = np.zeros(0, dtype=np.intp)
 SHARES = 4
 """Shares of the worlds for each thread: threads that finish sooner take more."""
-NO_DRIVES = Drives(np.zeros(0, dtype=DRIVE), np.zeros((0, 0)), False, 0.0)
-NO_SAMPLES = Samples(_NONE, np.zeros((0, 0, 0)), np.zeros((0, 0, 0)))
-NO_TARGETS = TargetQuery(0, np.zeros((0, 0, 3)), -1.0, np.zeros((0, 0)))
-NO_CONTACTS = ContactOutput(_NONE.reshape(0, 0), _NONE.reshape(0, 0), np.zeros((0, 0), dtype=bool))
-NO_POSES = PoseInput(_NONE, np.zeros((0, 0, 0, 2)), np.zeros((0, 0, 3)))
-"""Defaults for worlds without drives, samples, targets, contacts, or bodies that move by themselves."""
+NO_PARTS = Parts(
+    Drives(np.zeros(0, dtype=DRIVE), np.zeros((0, 0)), False, 0.0),
+    Samples(_NONE, np.zeros((0, 0, 0)), np.zeros((0, 0, 0))),
+    TargetQuery(0, np.zeros((0, 0, 3)), -1.0, np.zeros((0, 0))),
+    ContactOutput(_NONE.reshape(0, 0), _NONE.reshape(0, 0), np.zeros((0, 0), dtype=bool)),
+    PoseInput(_NONE, np.zeros((0, 0, 0, 2)), np.zeros((0, 0, 3))),
+)
+"""Parts of worlds without drives, samples, targets, contacts, or bodies that move by themselves."""
 
 
 class Stepper:
@@ -59,31 +63,21 @@ class Stepper:
         self._made_for: tuple[int, int] | None = None
         self._time = state_column(batch.model, mujoco.mjtState.mjSTATE_TIME)
 
-    def step(
-        self,
-        ids: NDArray[np.int32],
-        ticks: int,
-        substeps: int,
-        drives: Drives = NO_DRIVES,
-        samples: Samples = NO_SAMPLES,
-        target_query: TargetQuery = NO_TARGETS,
-        contacts: ContactOutput = NO_CONTACTS,
-        poses: PoseInput = NO_POSES,
-    ) -> None:
+    def step(self, ids: NDArray[np.int32], ticks: int, substeps: int, parts: Parts = NO_PARTS) -> None:
         """Advance worlds `ids` by `ticks` of `substeps` physics steps each, with outputs of the new state."""
-        worlds, timestep = self._worlds, self._batch.model.opt.timestep
-        worlds.refined[:] = 0
+        clock = Clock(ticks, substeps, self._batch.model.opt.timestep, self._time)
+        self._worlds.refined[:] = 0
         run: Callable[..., None] = kernel.control_steps
-        parts = worlds, self._impact, drives, samples, target_query, contacts, poses, self._time, timestep
+        rest = self._worlds, self._impact, parts
         first, *others = self._current_buffers()[: max(1, len(ids))]
         if not others:
-            run(ids, ticks, substeps, first, *parts)
+            run(ids, clock, first, *rest)
             return
         shares = iter(np.array_split(ids, SHARES * (1 + len(others))))
 
         def work(buffers: StepBuffers) -> None:
             for share in shares:
-                run(share, ticks, substeps, buffers, *parts)
+                run(share, clock, buffers, *rest)
 
         working = [self._threads_of_process().submit(work, buffers) for buffers in others]
         try:

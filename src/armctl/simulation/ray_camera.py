@@ -12,9 +12,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.core.arrays import Array
 from armctl.kernels import rays
 from armctl.simulation.ray_shapes import ray_shapes
-from armctl.simulation.simulation import Array, Simulation, WorldIds
+from armctl.simulation.simulation import Simulation, WorldIds
 
 LEAST_WORLDS = 16
 """A thread is worth its while from so many worlds on."""
@@ -59,16 +60,14 @@ class RayCamera:
         shape = (len(worlds), *self._rays.shape[:2])
         if self._shapes is None:
             return self._cast_by_mujoco(worlds, shape)
-        shapes, faces = self._shapes
-        depths, hits = np.empty(shape), np.empty(shape, dtype=np.int32)
-        pixel = self._rays[0, 1, 0] - self._rays[0, 0, 0]
+        shapes, depths, hits = self._shapes, np.empty(shape), np.empty(shape, dtype=np.int32)
         sizes, boxes = (self._simulation.field(name) for name in ("geom_size", "geom_aabb"))
+        geoms = rays.Geoms(sizes, boxes, *self._geoms)
+        pixel = self._rays[0, 1, 0] - self._rays[0, 0, 0]
+        cameras = rays.Cameras(self._positions, self._rotations, self._rays, pixel)
 
         def cast(part: slice) -> None:
-            rays.cast_all(
-                worlds[part], shapes, sizes, boxes, faces, *self._geoms,
-                self._positions, self._rotations, self._rays, pixel, depths[part], hits[part],
-            )  # fmt: skip
+            rays.cast_all(worlds[part], shapes, geoms, cameras, depths[part], hits[part])
 
         parts = min(self._simulation.threads, max(1, len(worlds) // LEAST_WORLDS))
         ends = np.linspace(0, len(worlds), parts + 1).astype(int).tolist()

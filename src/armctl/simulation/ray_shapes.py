@@ -4,11 +4,9 @@ from collections.abc import Iterable
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from armctl.core.arrays import Array
 from armctl.kernels import rays
-
-Array = NDArray[np.float64]
 
 KINDS = {
     mujoco.mjtGeom.mjGEOM_PLANE: rays.PLANE,
@@ -22,11 +20,8 @@ FLAT = 1e-6
 """m: a mesh is convex if no vertex is farther than this beyond the plane of any of its faces."""
 
 
-def ray_shapes(model: mujoco.MjModel, geoms: Iterable[int]) -> tuple[NDArray[np.int64], Array] | None:
-    """Return rows (k, 4) of kind, geom, first face and last face plus one, and the faces (f, 4) of all meshes.
-
-    None if there is a shape of another kind, or a mesh that is not convex.
-    """
+def ray_shapes(model: mujoco.MjModel, geoms: Iterable[int]) -> rays.Shapes | None:
+    """Return geoms as shapes; None if there is one of another kind, or a mesh that is not convex."""
     shapes, faces, spans = [], [np.zeros((0, 4))], {}
     for geom in geoms:
         kind = KINDS.get(mujoco.mjtGeom(model.geom_type[geom]))
@@ -40,7 +35,7 @@ def ray_shapes(model: mujoco.MjModel, geoms: Iterable[int]) -> tuple[NDArray[np.
         if kind is None or span is None:
             return None
         shapes.append((kind, geom, *span))
-    return np.array(shapes, dtype=np.int64).reshape(-1, 4), np.concatenate(faces)
+    return rays.Shapes(np.array(shapes, dtype=np.int64).reshape(-1, 4), np.concatenate(faces))
 
 
 def _planes(model: mujoco.MjModel, mesh: int) -> Array | None:

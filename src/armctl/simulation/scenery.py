@@ -9,11 +9,10 @@ import itertools
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from armctl.core.arrays import Array
 from armctl.simulation.simulation import Simulation
-
-Array = NDArray[np.float64]
 
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 MOST_GEOMS = 2000

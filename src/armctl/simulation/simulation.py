@@ -12,13 +12,13 @@ import numpy as np
 from mujoco.batch import MODEL_FIELDS, Batch
 from numpy.typing import NDArray
 
+from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
 from armctl.kernels.control_step import Worlds
-from armctl.simulation.control_step import Stepper
+from armctl.simulation.control_step import NO_PARTS, Stepper
 from armctl.simulation.impacts import hard_impact
 from armctl.simulation.threads import usable_threads
 
-Array = NDArray[np.float64]
 WorldIds = NDArray[np.int32]
 
 CURRENT = int(mujoco.mjtStage.mjSTAGE_VEL)
@@ -121,13 +121,12 @@ class Simulation:
     def control_step(self, ticks: int, substeps: int, ids: WorldIds | None = None, **parts: Any) -> None:
         """Advance worlds with `speed_limits` by `ticks` of `substeps` time steps each, as `step` does for one tick.
 
-        Parts are the `drives`, `samples`, `target_query`, `contacts` and `poses` of
-        `armctl.simulation.control_step.Stepper`.
+        `parts` are those of `armctl.kernels.control_step.Parts`.
         """
         if self._stepper is None:
             raise ConfigurationError("control_step is for simulations with speed_limits of joints")
         stable = self._stable(ids)
-        self._stepper.step(self._everywhere if stable is None else stable, ticks, substeps, **parts)
+        self._stepper.step(self._everywhere if stable is None else stable, ticks, substeps, NO_PARTS._replace(**parts))
         self.any_unstable = bool(self.unstable.any())
 
     def _stable(self, ids: WorldIds | None) -> WorldIds | None:

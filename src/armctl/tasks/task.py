@@ -12,13 +12,13 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
 from armctl.core.options import options
 from armctl.disturbances import GENERIC, DisturbanceSpec
 from armctl.robots.joints import JointSamples
 from armctl.simulation import Simulation
 
-Array = NDArray[np.float64]
 Ids = NDArray[np.int32]
 """Indices of worlds."""
 RewardTerms = dict[str, Array]

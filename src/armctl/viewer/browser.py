@@ -19,7 +19,6 @@ import mujoco
 import numpy as np
 from mujoco.studio import launch_thread, messages, plugin, sim, ux, viewer_protocol, web_viewer
 from mujoco.studio.dear_imgui import dear_imgui as imgui
-from numpy.typing import NDArray
 
 from armctl.core.errors import ArmctlError, ConfigurationError
 from armctl.envs import ThirdPartyVectorEnv
@@ -27,8 +26,6 @@ from armctl.policies import policy_names
 from armctl.simulation.scenery import STATE, Scenery, polyline
 from armctl.viewer.guard import Guard, OwnProcessListener, guarded, unguarded
 from armctl.viewer.stage import Stage, Status
-
-Array = NDArray[np.float64]
 
 LOOPBACK = "127.0.0.1"
 FIRST_PORT = 8080

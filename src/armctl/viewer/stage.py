@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.core.arrays import Array
 from armctl.envs import chosen_policy_seed
 from armctl.policies import Plans, Policy, WorldsByInterface, make_policy
 from armctl.rollout.rollouts import wrap_environment_errors, wrap_policy_errors
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -34,6 +33,8 @@ class Status:
     """Objects touched since the last control step, and by which parts of the robot, if these are distinguished."""
     outcome: str | None = None
     """None until the episode has ended."""
+    truncated: bool = False
+    """True if it has ended by the time limit alone."""
 
     @property
     def total_reward(self) -> float:
@@ -72,7 +73,7 @@ class Stage:
         """Start an episode. If it raises `ConfigurationError` or `AgentFileError`, the current episode continues."""
         if policy != self.status.policy:
             self._cast(policy)
-        self._observations, infos = self.worlds.reset(seed=[seed], options={"episode": [episode]})
+        self.observations, infos = self.worlds.reset(seed=[seed], options={"episode": [episode]})
         with wrap_policy_errors(policy, episode):
             self._actor.reset(np.zeros(1, dtype=np.int32))
         self.status = Status(policy, seed, episode, distance=self._distance(), contacts=_touched(infos))
@@ -94,26 +95,37 @@ class Stage:
         status = self.status
         if status.outcome is not None:
             return
-        with wrap_policy_errors(status.policy, status.episode):
+        self.execute(self.decide())
+
+    def decide(self) -> NDArray[Any]:
+        """Return the policy's action, (1, ...). Raises `PolicyFailed`."""
+        with wrap_policy_errors(self.status.policy, self.status.episode):
             began = time.perf_counter()
-            actions = self._actor.act(self._observations)
-            decision_ms = 1e3 * (time.perf_counter() - began)
+            actions = self._actor.act(self.observations)
+            self.status = replace(self.status, decision_ms=1e3 * (time.perf_counter() - began))
+        return actions
+
+    def execute(self, actions: NDArray[Any]) -> tuple[dict[str, float], float]:
+        """Make one control step with an action; return the reward terms and the reward. Raises `EnvironmentFailed`."""
+        status = self.status
         with wrap_environment_errors(status.policy, status.episode):
-            self._observations, _, terminated, truncated, infos = self.worlds.step(actions)
-        rewards = {name: status.rewards.get(name, 0.0) + float(term[0]) for name, term in infos["reward_terms"].items()}
+            self.observations, rewards, terminated, truncated, infos = self.worlds.step(actions)
+        terms = {name: float(term[0]) for name, term in infos["reward_terms"].items()}
         self.status = replace(
             status,
             steps=status.steps + 1,
-            decision_ms=decision_ms,
             distance=self._distance(),
-            rewards=rewards,
+            rewards={name: status.rewards.get(name, 0.0) + term for name, term in terms.items()},
             contacts=_touched(infos),
             outcome=self.worlds.outcomes[infos["outcome_id"][0]] if terminated[0] or truncated[0] else None,
+            truncated=bool(truncated[0] and not terminated[0]),
         )
+        return terms, float(rewards[0])
 
     def plans(self) -> Mapping[str, Array]:
         """Return the policy's plans: polylines by name, (m, 3) m each; none for policies that do not show any."""
-        return self._actor.plans(0) if isinstance(self._actor, Plans) else {}
+        with wrap_policy_errors(self.status.policy, self.status.episode):
+            return self._actor.plans(0) if isinstance(self._actor, Plans) else {}
 
     def close(self) -> None:
         """Close the environment."""

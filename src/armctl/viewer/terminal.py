@@ -2,7 +2,8 @@
 
 import time
 from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, closing, nullcontext
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -13,10 +14,9 @@ from rich.text import Text
 from armctl.core.console import PlainConsole
 from armctl.core.errors import ConfigurationError
 from armctl.envs import EpisodeVectorEnv
-from armctl.policies import Plans, Policy, WorldsByInterface, make_policy
-from armctl.rollout.rollouts import wrap_environment_errors, wrap_policy_errors
 from armctl.tasks import Observations
 from armctl.viewer.recording import Film, check_video, recording
+from armctl.viewer.stage import Stage
 
 
 class StepLog(Protocol):
@@ -39,105 +39,114 @@ MAX_NUMBERS = 200
 """Largest size of an array whose numbers are printed."""
 
 
+@dataclass(frozen=True)
+class Outputs:
+    """Where episodes are shown and recorded besides the terminal."""
+
+    video: Path | None = None
+    watch: bool = False
+    """Show them in a window, in real time."""
+    log: LogOpener | None = None
+
+    def __post_init__(self) -> None:
+        if self.watch and self.video:
+            raise ConfigurationError("--watch and --video exclude each other: choose one")
+        if self.video:
+            check_video(self.video)
+
+    @property
+    def render_mode(self) -> str | None:
+        """Render mode of the environment."""
+        return "human" if self.watch else "rgb_array" if self.video else None
+
+    def open_video(self, fps: int, console: PlainConsole) -> AbstractContextManager[Film | None]:
+        """Return a function that appends frames to the video; None without one."""
+        if (video := self.video) is None:
+            return nullcontext()
+        return recording(video, fps, lambda frames: console.print(f"{video}: {frames} frames", soft_wrap=True))
+
+    def open_log(self, worlds: EpisodeVectorEnv, console: PlainConsole) -> AbstractContextManager[StepLog | None]:
+        """Return a log of control steps; None if none is asked for."""
+        if self.log is None:
+            return nullcontext()
+        return self.log(worlds, lambda file, steps: console.print(f"{file}: {_steps(steps)}", soft_wrap=True))
+
+
 def run_episodes(
     policy: str,
     env: str,
-    episodes: int,
-    steps: int | None,
+    episodes: range,
     seed: int,
-    video: Path | None,
-    watch: bool,
-    env_options: Mapping[str, Any],
-    first: int = 0,
-    log: LogOpener | None = None,
+    *,
+    steps: int | None = None,
+    env_options: Mapping[str, Any] | None = None,
+    outputs: Outputs | None = None,
     policy_seed: int | None = None,
 ) -> bool:
-    """Play episodes with one policy, from number `first` on, and print each step. Returns False if interrupted.
+    """Play episodes with one policy, of at most so many steps, and print each step. Returns False if interrupted.
 
     The policy's own random numbers come from `policy_seed`, or else from a new secret.
 
     Raises `ConfigurationError`, `AgentFileError`, `PolicyFailed`, and `ResultsError` if the video or
     the log cannot be written.
     """
-    if watch and video:
-        raise ConfigurationError("--watch and --video exclude each other: choose one")
-    if video:
-        check_video(video)
-    console = PlainConsole()
-    interfaces = _make(env, steps, "human" if watch else "rgb_array" if video else None, env_options)
+    console, outputs = PlainConsole(), outputs or Outputs()
+    options = {**(env_options or {}), **({} if steps is None else {"max_episode_steps": steps})}
     try:
-        worlds = interfaces.of(policy)
-        actor = make_policy(policy, worlds, policy_seed=policy_seed)
-        with _film(video, worlds.metadata["render_fps"], console) as film, _log(log, worlds, console) as step_log:
-            for episode in range(first, first + episodes):
+        stage = Stage(policy, env, seed, episodes[0], options, outputs.render_mode, policy_seed)
+        fps: int = stage.worlds.metadata["render_fps"]
+        with (
+            closing(stage),
+            outputs.open_video(fps, console) as film,
+            outputs.open_log(stage.worlds, console) as log,
+        ):
+
+            def show() -> None:
+                if film:
+                    film(stage.worlds.render()[0])
+                if outputs.watch:
+                    stage.worlds.render()
+                    time.sleep(1 / fps)
+
+            for episode in episodes:
                 console.rule(f"{policy}, episode {episode} of seed {seed}", align="left")
-                _play(console, policy, actor, worlds, seed, episode, film, step_log, watch, steps)
+                if episode != episodes[0]:
+                    stage.play(policy, seed, episode)
+                _play(console, stage, show, log, steps)
+                for _ in range(fps // 2 if film else 0):
+                    show()
     except KeyboardInterrupt:
         console.print("Interrupted.")
         return False
-    finally:
-        interfaces.close()
     return True
 
 
 def _play(
-    console: PlainConsole,
-    name: str,
-    actor: Policy,
-    worlds: Any,
-    seed: int,
-    episode: int,
-    film: Film | None,
-    log: StepLog | None,
-    watch: bool,
-    max_steps: int | None,
+    console: PlainConsole, stage: Stage, show: Callable[[], None], log: StepLog | None, max_steps: int | None
 ) -> None:
-    """Play and print one episode, of at most `max_steps`."""
-
-    def show() -> None:
-        if film:
-            film(worlds.render()[0])
-        if watch:
-            worlds.render()
-            time.sleep(1 / worlds.metadata["render_fps"])
-
-    observations, _ = worlds.reset(seed=[seed], options={"episode": [episode]})
-    total, step, terminated, truncated = 0.0, 0, [False], [False]
-    with wrap_policy_errors(name, episode):
-        actor.reset(np.zeros(1, dtype=np.int32))
-    while not (terminated[0] or truncated[0]):
+    """Play and print the episode that has begun, of at most `max_steps`."""
+    total = 0.0
+    while stage.status.outcome is None:
         show()
-        state = {part: np.array(values[0]) for part, values in worlds.task.observation_parts().items()}
-        with wrap_policy_errors(name, episode):
-            actions = actor.act(observations)
-            plans = actor.plans(0) if log and isinstance(actor, Plans) else {}
+        state = {part: np.array(values[0]) for part, values in stage.task.observation_parts().items()}
+        actions = stage.decide()
         if log:
-            log.decision(observations, actions, plans)
-        with wrap_environment_errors(name, episode):
-            observations, rewards, terminated, truncated, infos = worlds.step(actions)
-        terms = {term: float(rewards_of_term[0]) for term, rewards_of_term in infos["reward_terms"].items()}
+            log.decision(stage.observations, actions, stage.plans())
+        terms, reward = stage.execute(actions)
         if log:
-            log.rewards(terms, float(rewards[0]))
-        _print_step(console, step, state | {"action": actions[0]}, terms, float(rewards[0]))
-        total, step = total + float(rewards[0]), step + 1
-    if film:
-        for _ in range(worlds.metadata["render_fps"] // 2):
-            show()
-    stopped = truncated[0] and not terminated[0] and step == max_steps  # the environment itself would have gone on
-    ending = worlds.outcomes[infos["outcome_id"][0]]
-    ending = f"stopped after {_steps(step)}, as asked" if stopped else f"{ending} after {_steps(step)}"
+            log.rewards(terms, reward)
+        _print_step(console, stage.status.steps - 1, state | {"action": actions[0]}, terms, reward)
+        total += reward
+    status = stage.status
+    stopped = status.truncated and status.steps == max_steps  # the environment itself would have gone on
+    ending = f"{'stopped' if stopped else status.outcome} after {_steps(status.steps)}{', as asked' if stopped else ''}"
     if log:
-        log.end(observations, f"{name}, episode {episode} of seed {seed}: {ending}")
+        log.end(stage.observations, f"{status.policy}, episode {status.episode} of seed {status.seed}: {ending}")
     console.print(Text(f"{ending}, return {total:g}", "bold"), end="\n\n")
 
 
 def _steps(count: int) -> str:
     return "1 step" if count == 1 else f"{count} steps"
-
-
-def _make(env: str, steps: int | None, render_mode: str | None, env_options: Mapping[str, Any]) -> WorldsByInterface:
-    options: dict[str, Any] = {**env_options, **({} if steps is None else {"max_episode_steps": steps})}
-    return WorldsByInterface(env, 1, options, render_mode=render_mode)
 
 
 def _print_step(
@@ -155,17 +164,3 @@ def _numbers(value: Any) -> str:
     if array.size > MAX_NUMBERS:
         return f"{array.dtype} array of shape {array.shape}"
     return " ".join(f"{number:8.4f}" if array.dtype.kind == "f" else f"{number!s:>8}" for number in array.ravel())
-
-
-def _film(video: Path | None, fps: int, console: PlainConsole) -> AbstractContextManager[Film | None]:
-    """Return a function that appends frames to a video file; None without a file."""
-    if video is None:
-        return nullcontext()
-    return recording(video, fps, lambda frames: console.print(f"{video}: {frames} frames", soft_wrap=True))
-
-
-def _log(log: LogOpener | None, worlds: Any, console: PlainConsole) -> AbstractContextManager[StepLog | None]:
-    """Open a log of control steps; None if none is asked for."""
-    if log is None:
-        return nullcontext()
-    return log(worlds, lambda file, steps: console.print(f"{file}: {_steps(steps)}", soft_wrap=True))

@@ -32,7 +32,8 @@ def test_scans_are_those_of_the_map_and_of_people_who_walk_on():
         ranges = np.empty((n, BEAMS))
         scenes = planar.Scenes(blocks, everywhere, walkers)
         ids = np.arange(n)
-        planar.scan(ids, deck, scenes, half_width, 0.0, directions, 1e3, 0.0, task.state.poses, ranges)
+        sensor = planar.RangeSensor(0.0, directions, half_width, 1e3, 0.0)
+        planar.scan(ids, deck, scenes, sensor, task.state.poses, ranges)
         return NEAR / (NEAR + ranges)
 
     turn = deck.half_width - TURNING_MARGIN

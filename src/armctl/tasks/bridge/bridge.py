@@ -10,6 +10,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.core.arrays import Array
 from armctl.disturbances import ROVER
 from armctl.robots.rover import MAX_VELOCITY, PARTS, PREFIX, RADIUS, SPEED_LIMITS, WHEEL_RADIUS
 from armctl.scene import BridgeMap, PedestrianTrajectories
@@ -44,8 +45,6 @@ from armctl.tasks.task import (
     Task,
     check_reward_terms,
 )
-
-Array = NDArray[np.float64]
 
 LEARNER_VELOCITY = np.array([[-0.3, -2.0], [1.6, 2.0]], dtype=np.float32)
 """Lowest and highest linear (m/s) and angular velocity (rad/s) of a learner's actions."""

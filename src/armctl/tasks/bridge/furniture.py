@@ -3,15 +3,13 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armctl.core.arrays import Array
 from armctl.kernels.control_step import PoseInput
 from armctl.simulation import Simulation
 from armctl.tasks.bridge.layout import Layout
 from armctl.tasks.bridge.world import HIDDEN, block_names, segment_names, walker_names
 from armctl.tasks.task import Ids
-
-Array = NDArray[np.float64]
 
 
 class Furniture:

@@ -21,8 +21,6 @@ from armctl.tasks.bridge.world import (
     segment_names,
 )
 
-Array = NDArray[np.float64]
-
 CLEARANCE = RADIUS + 0.14
 """m from the rover's centre to anything it must not touch, along a path that exists in every layout."""
 RUN_UP, RUN_OUT = 1.5, 1.0

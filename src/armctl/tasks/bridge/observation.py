@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
 from armctl.robots.rover import CAMERA, GEOM_GROUP
 from armctl.scene import PedestrianTrajectories
@@ -17,8 +18,6 @@ from armctl.tasks.bridge.options import BridgeOptions
 from armctl.tasks.bridge.state import BridgeState
 from armctl.tasks.bridge.world import BLOCK_SIZES, CONTACT_CLASSES, LOOKS
 from armctl.tasks.task import Ids
-
-Array = NDArray[np.float64]
 
 PIXEL_CLASSES = ("sky", *CONTACT_CLASSES)
 """Pixels of the camera `classes` are indices into these."""

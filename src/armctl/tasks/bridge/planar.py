@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.core.arrays import Array
 from armctl.kernels import planar as kernel
 from armctl.robots.rover import CAMERA, MAX_VELOCITY, PARTS, PREFIX, WHEEL_RADIUS, WHEELS, Rover
 from armctl.simulation import Simulation
@@ -20,9 +21,7 @@ from armctl.tasks.bridge.options import CONTROL_PERIOD, BridgeOptions
 from armctl.tasks.bridge.world import CONTACT_CLASSES, GOAL_MARGIN, WALKER_RADIUS, free_half_width, segment_names
 from armctl.tasks.task import Ids
 
-Array = NDArray[np.float64]
-
-ACCELERATION = kernel.Drive(linear=6.0, angular=12.0)
+LINEAR_ACCELERATION, ANGULAR_ACCELERATION = 6.0, 12.0
 """m/s^2 and rad/s^2: what MuJoCo's rover does on the asphalt, rounded."""
 MARGIN = 0.02
 """m: by so much more than in physics, rovers keep away from everything: wheels that skid take them a little farther."""
@@ -47,8 +46,8 @@ class Geometry:
     """m: a rover has crossed when one of its wheels is there."""
     wheels: Array
     """(4, 2) m from the rover's middle: ahead and to the left."""
-    outline: Array
-    """(2, 2) m: half lengths and half widths of the rectangles of base and wheels, with `MARGIN`."""
+    rover: kernel.Rover
+    """With an outline of base and wheels, and `MARGIN`."""
 
     @classmethod
     def of(cls, options: BridgeOptions, model: mujoco.MjModel) -> "Geometry":
@@ -63,7 +62,9 @@ class Geometry:
             turning_y(half_width),
             options.deck_length - GOAL_MARGIN - model.geom("goal_line").size[0],
             wheels,
-            np.array([base, wheels.max(axis=0) + wheel]) + MARGIN,
+            kernel.Rover(
+                LINEAR_ACCELERATION, ANGULAR_ACCELERATION, np.array([base, wheels.max(axis=0) + wheel]) + MARGIN
+            ),
         )
 
     def wheel_positions(self, poses: Array) -> Array:
@@ -93,15 +94,19 @@ class PlanarRover(Rover):
         super().__init__(simulation)
         n, self._furniture, self._options = simulation.n, furniture, options
         self._walkers = walkers = furniture.poses.positions
-        self._poses, self._velocities, self._commands = np.zeros((n, 3)), np.zeros((n, 2)), np.zeros((n, 2))
+        self._rovers = kernel.Rovers(np.zeros((n, 3)), np.zeros((n, 2)), np.zeros(n, dtype=np.int64))
+        self._poses, self._velocities, self._touched = self._rovers
+        self._commands = np.zeros((n, 2))
         self._geometry = geometry = Geometry.of(options, simulation.model)
         self._scenes = kernel.Scenes(
             np.zeros((n, options.blocks, 6)), np.ones((n, 2, geometry.segments), dtype=bool), walkers[-1]
         )
         model = simulation.model
-        self._camera_ahead = model.camera(CAMERA).pos[0]
-        self._directions = column_directions(options, camera_pitch(model))
-        self._touched = np.zeros(n, dtype=np.int64)
+        deck = geometry.deck
+        self._sensor = kernel.RangeSensor(
+            model.camera(CAMERA).pos[0], column_directions(options, camera_pitch(model)),
+            deck.half_width + SEEN_BEHIND_FOOT, options.camera_range, FARTHEST_HOLE,
+        )  # fmt: skip
         self._worlds = np.arange(n, dtype=np.int32)
 
     def place(self, ids: Ids, layouts: list[Layout]) -> None:
@@ -125,9 +130,8 @@ class PlanarRover(Rover):
         """Drive for one control step, in worlds `ids` or in all."""
         ids, sizes = self._worlds if ids is None else ids, self._geometry
         kernel.drive(
-            ids, sizes.deck, self._scenes, ACCELERATION, sizes.outline, self._walkers, CONTROL_PERIOD,
-            self._commands, self._poses, self._velocities, self._touched,
-        )  # fmt: skip
+            ids, sizes.deck, self._scenes, sizes.rover, self._walkers, CONTROL_PERIOD, self._commands, self._rovers
+        )
         self._furniture.move_walkers(self._worlds, self._walkers[-1])
         x, y, yaw = self._poses.T
         first = self._pose_columns.start
@@ -137,12 +141,8 @@ class PlanarRover(Rover):
     def scan(self, ids: Ids | None) -> NDArray[np.float32]:
         """Return ranges (n, columns) from the camera, m, in the directions of its image's columns at the horizon."""
         ids = self._worlds if ids is None else ids
-        ranges = np.empty((len(ids), len(self._directions)), dtype=np.float32)
-        deck, farthest = self._geometry.deck, self._options.camera_range
-        kernel.scan(
-            ids, deck, self._scenes, deck.half_width + SEEN_BEHIND_FOOT, self._camera_ahead, self._directions, farthest,
-            FARTHEST_HOLE, self._poses, ranges,
-        )  # fmt: skip
+        ranges = np.empty((len(ids), len(self._sensor.directions)), dtype=np.float32)
+        kernel.scan(ids, self._geometry.deck, self._scenes, self._sensor, self._poses, ranges)
         return ranges
 
     def contacts(self) -> NDArray[np.bool_]:

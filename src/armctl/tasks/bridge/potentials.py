@@ -3,12 +3,10 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armctl.core.arrays import Array
 from armctl.planning import Lattice, SpaceTime
 from armctl.tasks.task import Ids, Potential
-
-Array = NDArray[np.float64]
 
 CLEARANCE = 0.36
 """m around the blocks: somewhat less than the planner keeps, so that gaps just wide enough for it stay open."""

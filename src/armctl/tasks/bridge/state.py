@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.core.arrays import Array
 from armctl.tasks.task import EachStep, OneTimeTerm
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

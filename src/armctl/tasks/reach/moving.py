@@ -5,14 +5,14 @@ The target moves along a smooth curve within reach of the arm: a sum of slow sin
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
+from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
-from armctl.core.options import options
+from armctl.core.options import NonNegative, Positive, options
 from armctl.robot_description.joint_profiles import TICK
 from armctl.tasks.reach.observation import FEATURES, HIDDEN, OBSERVATION, Bounds, rotated
 from armctl.tasks.reach.options import ReachOptions, Terms
@@ -20,8 +20,6 @@ from armctl.tasks.reach.potentials import MinimumTimeToMovingTarget
 from armctl.tasks.reach.reach import CONTROL_PERIOD, TICKS, ReachOutcome, ReachTask
 from armctl.tasks.reach.state import GOAL_REWARD, STEP_REWARD, ReachState, Term
 from armctl.tasks.task import EachStep, Ids, OneTimeTerm, Potential
-
-Array = NDArray[np.float64]
 
 WAVES = 2
 """Sines in each axis."""
@@ -67,9 +65,9 @@ class MovingReachState(ReachState):
 class ReachMovingOptions(ReachOptions):
     """Options of `armctl/ArmReachMoving-v0`. Raises `ConfigurationError` for invalid values."""
 
-    hold_time: Annotated[float, Field(gt=0)] = 4.0
+    hold_time: Positive = 4.0
     """s: the episode is a success after so long within the tolerance, without interruption."""
-    amplitude: Annotated[float, Field(ge=0)] = 0.12
+    amplitude: NonNegative = 0.12
     """m, largest amplitude of a sine."""
     target: Literal["reachable"] = "reachable"
     """A moving target is always sampled within reach."""

@@ -11,12 +11,11 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armctl.core.arrays import Array
 from armctl.robot_description import ArmDescription
 from armctl.tasks.reach.state import ReachState, Term
 
-Array = NDArray[np.float64]
 Bounds = Any
 """The least and the largest of each number of a part: a pair of numbers or arrays."""
 

@@ -9,14 +9,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
 from armctl.kinematics import Workspace
 from armctl.planning import PathCertificate
 from armctl.scene import Boxes
 
-Array = NDArray[np.float64]
 Box = tuple[Array, Array, float]
 """Centre (3,), half sizes (3,) and yaw."""
 

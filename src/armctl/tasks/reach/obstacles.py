@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.core.arrays import Array
 from armctl.core.options import options
 from armctl.disturbances import episode_of
 from armctl.kinematics import ArmModel
@@ -38,8 +39,6 @@ from armctl.tasks.reach.potentials import PathCostToGo
 from armctl.tasks.reach.reach import CONTROL_PERIOD, ReachOutcome, ReachTask
 from armctl.tasks.reach.state import GOAL_REWARD, REWARD, STEP_REWARD, ReachState, Term
 from armctl.tasks.task import FeatureSpec, Ids, LearnerView, OneTimeTerm, Potential
-
-Array = NDArray[np.float64]
 
 TOUCHED = ("floor", "obstacle", "itself")
 """Names of what the arm can touch."""
@@ -263,11 +262,6 @@ def read_boxes(numbers: NDArray[np.floating[Any]]) -> Boxes:
     rows = np.asarray(numbers, dtype=float).reshape(-1, BOX_NUMBERS)
     rows = rows[(rows[:, 3:6] > 0).all(axis=1)]
     return Boxes(rows[:, :3], rows[:, 3:6], rows[:, 6])
-
-
-def _as_observed(numbers: Array) -> Array:
-    """Round numbers as in an observation, so that a policy plans on exactly the problem that was certified."""
-    return numbers.astype(np.float32).astype(float)
 
 
 def _name(box: int) -> str:

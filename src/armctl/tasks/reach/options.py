@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import AfterValidator, Field, Strict
 
 from armctl.core.errors import ConfigurationError
-from armctl.core.options import options
+from armctl.core.options import Positive, options
 from armctl.robot_description import ArmDescription
 from armctl.tasks.reach.observation import OBSERVATIONS, WITHOUT_GOAL
 from armctl.tasks.reach.state import GOAL_REWARD, REWARD, Term
@@ -36,7 +36,7 @@ class ReachOptions:
     """The end-effector's link, for a URDF file in which several links could be it."""
     control: Literal["position", "relative", "delta", "velocity", "torque"] = "position"
     """Control mode: the meaning of an action (see `armctl.robots.Arm`)."""
-    tolerance: Annotated[float, Field(gt=0)] = 0.05
+    tolerance: Positive = 0.05
     """Radius of the target sphere, m: within it, the target is reached."""
     target: Literal["reachable", "box"] = "reachable"
     """`reachable`: uniform over the arm's workspace. `box`: uniform in `target_box`, possibly out of reach (see

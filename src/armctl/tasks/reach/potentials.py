@@ -3,14 +3,12 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armctl.control.reach_mpc import ReachMpc
-from armctl.kinematics import ArmModel, ReachabilityMap, ReachTimes, ReachTimesOptions
+from armctl.core.arrays import Array
+from armctl.kinematics import ArmModel, ReachabilityMap, ReachTimes, ReachTimesOptions, Spheres
 from armctl.planning import ArmPlanner
 from armctl.tasks.task import Ids, Potential
-
-Array = NDArray[np.float64]
 
 QUICK = ReachTimesOptions(nearby=64, goals=8, iterations=1)
 """Options for moving targets, which are looked up at every control step."""
@@ -36,7 +34,8 @@ class MinimumTime(Potential):
 
     def begin(self, ids: Ids) -> None:
         """Look up configurations with the end-effector in the targets' spheres."""
-        self._spheres.put(ids, self._times.spheres(self.task.state.target_position[ids]))
+        for values, new in zip(self._spheres, self._times.spheres(self.task.state.target_position[ids]), strict=True):
+            values[ids] = new
 
     def potentials(self, ids: Ids) -> Array:
         """Return (len(ids),) s."""
@@ -44,7 +43,8 @@ class MinimumTime(Potential):
         moved = ids[(self._spheres.centres[ids] != state.target_position[ids]).any(axis=1)]
         if len(moved):
             self.begin(moved)
-        return -self._times.min_times(state.joint_positions[ids], state.joint_velocities[ids], self._spheres.only(ids))
+        spheres = Spheres(*(values[ids] for values in self._spheres))
+        return -self._times.min_times(state.joint_positions[ids], state.joint_velocities[ids], spheres)
 
 
 class MinimumTimeToMovingTarget(MinimumTime):

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
 from armctl.disturbances import ARM
 from armctl.kernels.control_step import TargetQuery, distances_as_observed
@@ -19,7 +20,7 @@ from armctl.robots import Arm, build_arm_world
 from armctl.robots.arm import LARGEST_RELATIVE_MOVE, PREFIX, speed_limits
 from armctl.robots.joints import JointSamples
 from armctl.simulation import Simulation
-from armctl.simulation.control_step import NO_CONTACTS
+from armctl.simulation.control_step import NO_PARTS
 from armctl.simulation.impacts import DEPTH
 from armctl.tasks.reach.observation import (
     HIDDEN,
@@ -44,8 +45,6 @@ from armctl.tasks.task import (
     Task,
     check_reward_terms,
 )
-
-Array = NDArray[np.float64]
 
 CONTROL_PERIOD = 0.04
 TICKS = round(CONTROL_PERIOD / TICK)
@@ -99,7 +98,7 @@ class ReachTask(Task):
         tip = model.body(PREFIX + description.tip).id
         stop_within = options.tolerance if self.stops_at_target else -1.0
         self._target_query = TargetQuery(tip, np.zeros((1, n, 3)), stop_within, np.full((TICKS, n), np.inf))
-        self._contacts_part = NO_CONTACTS
+        self._contacts_part = NO_PARTS.contacts
         self._bind_arrays()
         self.simulation.reset()
         self.simulation.refresh()

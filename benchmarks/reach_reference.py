@@ -1,4 +1,4 @@
-"""The `ReachProblem` solved to convergence: the reference for `ReachMpc`, without a time limit.
+"""A `ReachProblem` solved to convergence: the reference for `ReachMpc`, without a time limit.
 
 CasADi writes the nonlinear program with its exact derivatives (Andersson et al., "CasADi: a software framework for
 nonlinear optimization and optimal control", Mathematical Programming Computation 11, 2019), with the forward kinematics
@@ -8,8 +8,9 @@ from the same URDF. IPOPT solves it (Waechter and Biegler, Mathematical Programm
 import time
 from typing import Any
 
+import casadi
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from armctl.control.reach_problem import (
     JointTrajectory,
@@ -17,13 +18,12 @@ from armctl.control.reach_problem import (
     OcpParameters,
     ReachProblem,
     braking,
+    cost,
     project_onto_limits,
-    reach_cost,
     stopping_times,
 )
+from armctl.core.arrays import Array
 from armctl.kinematics import ArmModel
-
-Array = NDArray[np.float64]
 
 TOLERANCE = 1e-9
 """IPOPT's tolerance, relative to the problem's scale."""
@@ -80,8 +80,6 @@ class ReachReference:
         )
 
     def _built(self) -> Any:
-        import casadi  # a third of a second, which only users of the reference should spend
-
         problem, dof, knots = self.problem, self.model.dof, self.problem.horizon
         q, v = casadi.SX.sym("q", dof, knots), casadi.SX.sym("v", dof, knots)
         position, velocity, posture = (casadi.SX.sym(name, dof) for name in ("now", "velocity", "posture"))
@@ -89,25 +87,28 @@ class ReachReference:
         previous, speed_before = casadi.horzcat(position, q[:, :-1]), casadi.horzcat(velocity, v[:, :-1])
         acceleration = (v - speed_before) / problem.period
         tips = casadi.horzcat(*(symbolic_position(self.model, q[:, k]) for k in range(knots)))
-        cost = casadi.sumsqr(tips - targets) + problem.velocity * casadi.sumsqr(v)
-        cost += problem.acceleration * casadi.sumsqr(acceleration)
-        cost += weight * casadi.sumsqr(q - casadi.repmat(posture, 1, knots))
+        total = casadi.sumsqr(tips - targets) + problem.velocity * casadi.sumsqr(v)
+        total += problem.acceleration * casadi.sumsqr(acceleration)
+        total += weight * casadi.sumsqr(q - casadi.repmat(posture, 1, knots))
         last = q[:, -1] + stopping_times(self.model.limits) * v[:, -1]
         dynamics = q - previous - (v + speed_before) * (problem.period / 2)
         program = {
             "x": casadi.vertcat(casadi.vec(q), casadi.vec(v)),
             "p": casadi.vertcat(position, velocity, posture, weight, casadi.vec(targets)),
-            "f": cost,
+            "f": total,
             "g": casadi.vertcat(casadi.vec(dynamics), casadi.vec(acceleration), last),
         }
         quiet: Any = {"print_level": 0, "sb": "yes", "tol": TOLERANCE, "max_iter": MAX_ITERATIONS}
         return casadi.nlpsol("reach", "ipopt", program, {"print_time": False, "ipopt": quiet})
 
 
+def reach_cost(model: ArmModel, problem: ReachProblem, parameters: OcpParameters, motion: JointTrajectory) -> float:
+    """Return the cost of a motion, m^2."""
+    return cost(problem, parameters, motion, model.positions(motion.positions[1:]) - parameters.targets)
+
+
 def symbolic_position(model: ArmModel, q: Any) -> Any:
     """Return the symbolic end-effector position (3,) m at CasADi's symbols q (dof,)."""
-    import casadi
-
     rotation, position = casadi.SX.eye(3), casadi.SX.zeros(3)
     for i, (placement, axis) in enumerate(zip(model.pinocchio.jointPlacements[1:], model.axes, strict=True)):
         cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
