@@ -10,15 +10,13 @@ plan is the command.
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.control.arc_path import ArcPath
 from armctl.control.drive_nlp import CONTROLS, STATES, DriveMpcOptions, DriveSolver, Solution, drive_nlp
-from armctl.core.arrays import Array
-from armctl.core.errors import ConfigurationError
+from armctl.core.arrays import Array, checked_array
 from armctl.kernels import drive_mpc as kernel
 
 __all__ = ["DriveMpc", "DriveMpcOptions", "DriveMpcResult"]
@@ -95,10 +93,10 @@ class DriveMpc:
         `ConfigurationError` for arrays of another shape, and for numbers that are not finite or exceed `MAX_INPUT`.
         """
         begin, options = time.perf_counter(), self.options
-        x, y, yaw = _checked("pose", pose, (3,))
-        velocity = _checked("velocity", velocity, (2,))
+        x, y, yaw = checked_array("pose", pose, (3,), MAX_INPUT)
+        velocity = checked_array("velocity", velocity, (2,), MAX_INPUT)
         people = np.zeros((options.steps + 1, 0, 2)) if people is None else people
-        people = _checked("people", people, (options.steps + 1, *np.shape(people)[1:2], 2))
+        people = checked_array("people", people, (options.steps + 1, *np.shape(people)[1:2], 2), MAX_INPUT)
         fastest = np.array((options.max_speed, options.max_turn_rate))
         start = np.array((x, y, yaw, *np.clip(velocity, (-options.max_reverse, -fastest[1]), fastest)))
         self.progress = float(self.path.nearest((x, y), self.progress, self.progress + SEARCH))
@@ -204,13 +202,3 @@ class DriveMpc:
 
 def _alike(first: Array, second: Array) -> bool:
     return bool(kernel.farthest_apart(first, second) <= APART)
-
-
-def _checked(name: str, value: Any, shape: tuple[int, ...]) -> Array:
-    try:
-        array = np.ascontiguousarray(value, dtype=float)
-    except (TypeError, ValueError):
-        array = np.empty(0)
-    if array.shape != shape or not (np.abs(array) <= MAX_INPUT).all():
-        raise ConfigurationError(f"{name} should be an array {shape} of numbers within +-{MAX_INPUT:g}, not {value!r}")
-    return array

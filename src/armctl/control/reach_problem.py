@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from armctl.core.arrays import Array
-from armctl.core.errors import ConfigurationError
+from armctl.core.arrays import Array, checked_array
 from armctl.core.options import NonNegative, Positive, options
 from armctl.kernels import reach_mpc
 from armctl.robot_description import JointLimits
@@ -65,10 +64,10 @@ class OcpParameters:
         if np.shape(targets) == (3,):
             targets = np.tile(targets, (problem.horizon, 1))
         return cls(
-            _array("position", position, (dof,)),
-            _array("velocity", velocity, (dof,)),
-            _array("targets", targets, (problem.horizon, 3)),
-            None if posture is None else _array("posture", posture, (dof,)),
+            checked_array("position", position, (dof,)),
+            checked_array("velocity", velocity, (dof,)),
+            checked_array("targets", targets, (problem.horizon, 3)),
+            None if posture is None else checked_array("posture", posture, (dof,)),
         )
 
 
@@ -147,13 +146,3 @@ def _empty(problem: ReachProblem, parameters: OcpParameters) -> JointTrajectory:
     """Return memory for a motion."""
     knots, dof = problem.horizon, len(parameters.position)
     return JointTrajectory(np.empty((knots + 1, dof)), np.empty((knots + 1, dof)), np.empty((knots, dof)))
-
-
-def _array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
-    try:
-        array = np.asarray(value, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise ConfigurationError(f"{name} should be an array {shape} of numbers, not {value!r}") from error
-    if array.shape != shape or not np.isfinite(array).all():
-        raise ConfigurationError(f"{name} should be an array {shape} of finite numbers, not {array}")
-    return array

@@ -33,11 +33,8 @@ def add_impact_sensors(spec: Any, joints: Iterable[str], memory: int, body: str 
     It takes joint names, and the name of the body that is hit; without one, all contacts are meant.
     """
     deepest = spec.add_sensor(name=DEPTH, type=mujoco.mjtSensor.mjSENS_CONTACT, nsample=memory)
-    deepest.intprm = [
-        1 << int(mujoco.mjtConDataField.mjCONDATA_DIST),
-        1,
-        1,
-    ]  # of one contact: the one of least distance
+    # of one contact: the one of least distance
+    deepest.intprm = [1 << int(mujoco.mjtConDataField.mjCONDATA_DIST), 1, 1]
     if body is not None:
         deepest.objtype, deepest.objname = mujoco.mjtObj.mjOBJ_BODY, body
     for joint in joints:

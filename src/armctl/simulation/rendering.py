@@ -17,6 +17,11 @@ _NO_GRAPHICS = (
 )
 
 
+def has_screen() -> bool:
+    """Return False on a Linux machine without a display."""
+    return sys.platform != "linux" or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
+
+
 class Camera:
     """Off-screen images of worlds of one model; raises `ConfigurationError` without OpenGL."""
 
@@ -44,7 +49,7 @@ class Window:
     """MuJoCo's native viewer, following one world."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
-        if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        if not has_screen():
             raise ConfigurationError(
                 "render_mode='human' opens a window, but there is no display. Use render_mode='rgb_array', "
                 "or `armctl run POLICY --video FILE.mp4`"

@@ -159,9 +159,8 @@ class Simulation:
     def data(self, world: int) -> mujoco.MjData:
         """Return a copy of one world's data. As a side effect, `model` takes that world's own fields."""
         for field, values in self._fields.items():
-            getattr(self.model, field)[: len(values[world])] = values[
-                world
-            ]  # bvh_aabb: only the bodies' part is separate
+            # bvh_aabb: only the bodies' part is separate
+            getattr(self.model, field)[: len(values[world])] = values[world]
         data = self._batch.get_data(world)
         mujoco.mj_forward(self.model, data)
         return data

@@ -4,9 +4,7 @@ The main thread plays episodes in real time (`Player`), and Studio's thread show
 steps, the drawn state is interpolated, together with the plan that led from one to the other.
 """
 
-import os
 import socket
-import sys
 import threading
 import time
 import webbrowser
@@ -23,6 +21,7 @@ from mujoco.studio.dear_imgui import dear_imgui as imgui
 from armctl.core.errors import ArmctlError, ConfigurationError
 from armctl.envs import ThirdPartyVectorEnv
 from armctl.policies import policy_names
+from armctl.simulation.rendering import has_screen
 from armctl.simulation.scenery import STATE, Scenery, polyline
 from armctl.viewer.guard import Guard, OwnProcessListener, guarded, unguarded
 from armctl.viewer.stage import Stage, Status
@@ -280,7 +279,7 @@ class LoopbackViewer(web_viewer.WebViewer):
         with _silence():
             super().__init__(replace(config, open_browser=False), *args, **kwargs)
         print(f"The page, for this machine only: {self.guard.address}\nCtrl-C ends the program.", flush=True)
-        if config.open_browser and _has_screen():
+        if config.open_browser and has_screen():
             threading.Thread(target=webbrowser.open, args=(self.guard.address, 2), daemon=True).start()
 
     def _start_server(self) -> None:
@@ -291,10 +290,6 @@ class LoopbackViewer(web_viewer.WebViewer):
         self.guard = Guard(port)
         with guarded(self.guard):
             super()._start_server()
-
-
-def _has_screen() -> bool:
-    return not sys.platform.startswith("linux") or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
 
 
 @contextmanager

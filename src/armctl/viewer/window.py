@@ -1,13 +1,12 @@
 """The live viewer in MuJoCo's own window, with keys instead of a panel (Studio's window needs Python 3.12)."""
 
-import os
 import queue
-import sys
 
 import mujoco
 from mujoco.studio import messages, sim
 
 from armctl.core.errors import ConfigurationError
+from armctl.simulation.rendering import has_screen
 from armctl.viewer.browser import Frame, Play, Player, rows_of
 
 SPACE, RIGHT, AGAIN, NEXT = 32, 262, ord("R"), ord("N")
@@ -17,7 +16,7 @@ COPIED = ("type", "dataid", "objtype", "objid", "category", "matid", "emission",
 
 def check_screen() -> None:
     """Raise `ConfigurationError` on a machine without a screen."""
-    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+    if not has_screen():
         raise ConfigurationError("--native needs a display, and there is none: without it, the viewer uses a browser")
 
 
