@@ -123,7 +123,7 @@ def test_the_camera_is_what_the_policy_saw(bridge):
     stage = Stage("random", BRIDGE, seed=2)
     for step in range(3):
         seen = depths[step].astype(np.uint8).tobytes()
-        np.testing.assert_array_equal(np.frombuffer(seen, np.float32), stage._observations["image"].ravel())
+        np.testing.assert_array_equal(np.frombuffer(seen, np.float32), stage.observations["image"].ravel())
         stage.step()
 
 

@@ -19,8 +19,6 @@ from armctl.core.options import NonNegative, Positive, options
 from armctl.kernels import reach_mpc
 from armctl.robot_description import JointLimits
 
-Weight = NonNegative
-
 
 @options
 class ReachProblem:
@@ -30,11 +28,11 @@ class ReachProblem:
     """N, periods"""
     period: Positive = 0.04
     """T, s"""
-    posture: Weight = 5e-4
+    posture: NonNegative = 5e-4
     """Weight of a joint's distance from the posture, m^2/rad^2: 0.4 rad count as 1 cm of the tip."""
-    velocity: Weight = 1e-4
+    velocity: NonNegative = 1e-4
     """Weight of joint velocity, m^2 s^2/rad^2: 1 rad/s counts as 1 cm."""
-    acceleration: Weight = 1e-5
+    acceleration: NonNegative = 1e-5
     """Weight of joint acceleration, m^2 s^4/rad^2: 3 rad/s^2 count as 1 cm."""
 
 

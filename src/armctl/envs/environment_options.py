@@ -14,7 +14,7 @@ ACTIONS = ("physical", "normalized")
 
 @dataclass(frozen=True)
 class EnvironmentOptions:
-    """How n worlds of any task are disturbed, commanded, rewarded and truncated."""
+    """Disturbances, actions, rewards and time limit in n worlds of any task."""
 
     max_episode_steps: int | None = None
     """Control steps until an episode is truncated; None: never."""

@@ -126,7 +126,7 @@ class PoseInput(NamedTuple):
 
 
 class Parts(NamedTuple):
-    """What is set and recorded in each tick."""
+    """Inputs and recordings of each tick."""
 
     drives: Drives
     samples: Samples

@@ -10,6 +10,7 @@ import numpy as np
 
 from armctl.kernels.arc_path import rounded
 from armctl.kernels.compiling import compiled, copy_to
+from armctl.kernels.planar import towards
 
 NAMES = "max_turn_rate", "max_acceleration", "clearance", "distance", "period", "off_path", "intrusion"
 """Fields of `DriveMpcOptions` needed here, as records `OPTIONS`."""
@@ -89,12 +90,6 @@ def choose_people(points, people, chosen):
 
 
 @compiled
-def speed_after(start, target, change):
-    """Return the speed nearest to `target` that differs from `start` by at most `change`."""
-    return start + min(max(target - start, -change), change)
-
-
-@compiled
 def drive_beside(options, segments, start, progress, speeds, offsets, points, costs):
     """Compute drives from a state (5,) at arc length `progress`, at each of `speeds` and `offsets` from the path.
 
@@ -108,7 +103,7 @@ def drive_beside(options, segments, start, progress, speeds, offsets, points, co
         arc, speed = progress, start[3]
         for k in range(points.shape[2] - 1):
             previous_speed, time = speed, k * options.period
-            speed = speed_after(start[3], speeds[i], options.max_acceleration * time)
+            speed = towards(start[3], speeds[i], options.max_acceleration * time)
             arc += options.period * (previous_speed + speed) / 2 if k > 0 else 0.0
             x, y, ahead_x, ahead_y = rounded(segments, arc, SMOOTHING)
             for j in range(len(offsets)):
@@ -148,7 +143,7 @@ def drive_through(options, start, target_speed, points, knots):
         turn = raw - previous_yaw
         knots[k, 2] = knots[k - 1, 2] + turn - 2 * math.pi * round(turn / (2 * math.pi))
         knots[k, 0], knots[k, 1] = points[k, 0], points[k, 1]
-        knots[k, 3] = speed_after(start[3], target_speed, options.max_acceleration * options.period * k)
+        knots[k, 3] = towards(start[3], target_speed, options.max_acceleration * options.period * k)
     for k in range(1, last + 1):
         following = min(k + 1, last)
         rate = (knots[following, 2] - knots[k - 1, 2]) / ((following - k + 1) * options.period)

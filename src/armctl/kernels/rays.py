@@ -20,7 +20,7 @@ NEAR = 1e-6
 
 
 class Shapes(NamedTuple):
-    """What a camera can see."""
+    """Shapes that a camera can see."""
 
     rows: NDArray[np.int64]
     """(k, 4) kind, geom, first face and last face plus one."""

@@ -12,7 +12,7 @@ from armctl.kernels.compiling import compiled
 
 
 class Moves(NamedTuple):
-    """What can be done at each point: wait, or go to another one."""
+    """Actions at each point: to wait, or to go to another one."""
 
     wait: float
     """s between two layers."""

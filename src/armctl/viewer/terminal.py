@@ -41,7 +41,7 @@ MAX_NUMBERS = 200
 
 @dataclass(frozen=True)
 class Outputs:
-    """Where episodes are shown and recorded besides the terminal."""
+    """Window and files that show episodes besides the terminal."""
 
     video: Path | None = None
     watch: bool = False
