@@ -47,7 +47,7 @@ class Geometry:
     wheels: Array
     """(4, 2) m from the rover's middle: ahead and to the left."""
     rover: kernel.Rover
-    """With an outline of base and wheels, and `MARGIN`."""
+    """Rover with an outline of base and wheels, and `MARGIN` around them."""
 
     @classmethod
     def of(cls, options: BridgeOptions, model: mujoco.MjModel) -> "Geometry":
