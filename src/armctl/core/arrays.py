@@ -8,13 +8,16 @@ from armctl.core.errors import ConfigurationError
 Array = NDArray[np.float64]
 
 
-def checked_array(name: str, value: ArrayLike, shape: tuple[int, ...], largest: float = np.inf) -> Array:
+LARGEST = float(np.finfo(float).max)
+
+
+def checked_array(name: str, value: ArrayLike, shape: tuple[int, ...], largest: float = LARGEST) -> Array:
     """Return an array of finite numbers up to `largest`; raises `ConfigurationError` for anything else."""
     try:
-        array = np.ascontiguousarray(value, dtype=float).reshape(np.shape(value))
+        array = np.ascontiguousarray(value, dtype=float)
     except (TypeError, ValueError):
         array = np.empty((0,) * (1 + len(shape)))
-    if array.shape != shape or not (np.isfinite(array) & (np.abs(array) <= largest)).all():
-        numbers = "finite numbers" if largest == np.inf else f"numbers within +-{largest:g}"
+    if array.shape != shape or not (np.abs(array) <= largest).all():
+        numbers = "finite numbers" if largest == LARGEST else f"numbers within +-{largest:g}"
         raise ConfigurationError(f"{name} should be an array {shape} of {numbers}, not {value!r}")
     return array

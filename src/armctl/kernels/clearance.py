@@ -88,9 +88,8 @@ def nearest_sample(segment, samples, box):
 
 
 @compiled
-def measure(scene, ends, out):
+def measure(links, pairs, boxes, samples, scales, ends, out):
     """Compute the distances (pairs,) of all pairs, m; return the least."""
-    _, links, pairs, boxes, samples, scales = scene
     min_distance = np.inf
     for i in range(len(pairs)):
         kind, link, other = pairs[i].kind, pairs[i].link, pairs[i].other
@@ -117,9 +116,8 @@ def add_motion(axes, origins, joint, point, normal, sign, row):
 
 
 @compiled
-def gradient(scene, pair, ends, axes, origins, row):
+def gradient(links, pair, boxes, samples, ends, axes, origins, row):
     """Compute the gradient (dof,) of a pair's distance without its scale, m/rad."""
-    links, boxes = scene.links, scene.boxes
     point, foot, normal = np.empty(3), np.empty(3), np.zeros(3)
     row[:] = 0.0
     if pair.kind == LINKS:
@@ -137,8 +135,7 @@ def gradient(scene, pair, ends, axes, origins, row):
         copy_to(ends[pair.link, pair.other], point)
         normal[2] = 1.0
     else:
-        samples = scene.samples[pair.link]
-        point_on(ends[pair.link], nearest_sample(ends[pair.link], samples, boxes[pair.other])[0], point)
+        point_on(ends[pair.link], nearest_sample(ends[pair.link], samples[pair.link], boxes[pair.other])[0], point)
         box_normal(point, boxes[pair.other], normal)
     add_motion(axes, origins, links[pair.link].joint, point, normal, 1.0, row)
 
@@ -146,9 +143,11 @@ def gradient(scene, pair, ends, axes, origins, row):
 @compiled
 def clearances(scene, q, min_distances):
     """Compute the least distance of all pairs, (n,) m, at each of q (n, dof)."""
-    distances = np.empty(len(scene.pairs))
+    joints, links, pairs, boxes, samples, scales = scene
+    distances = np.empty(len(pairs))
     for row in range(len(q)):
-        min_distances[row] = measure(scene, ends_at(scene.joints, scene.links, q[row]), distances)
+        ends = ends_at(joints, links, q[row])
+        min_distances[row] = measure(links, pairs, boxes, samples, scales, ends, distances)
 
 
 @compiled
@@ -157,21 +156,22 @@ def nearest_pairs(scene, q, distances, gradients):
 
     Distances of pairs that are missing are infinite, and gradients zero.
     """
-    joints, links, pairs, dof, count = scene.joints, scene.links, scene.pairs, q.shape[1], distances.shape[1]
+    joints, links, pairs, boxes, samples, scales = scene
+    dof, count = len(joints), distances.shape[1]
     rotations, origins, axes = np.empty((dof, 3, 3)), np.empty((dof, 3)), np.empty((dof, 3))
     ends, pair_distances = np.empty((len(links), 2, 3)), np.empty(len(pairs))
     for row in range(len(q)):
         forward(joints, q[row], rotations, origins)
         axes_of(joints, rotations, axes)
         place(links, rotations, origins, ends)
-        measure(scene, ends, pair_distances)
+        measure(links, pairs, boxes, samples, scales, ends, pair_distances)
         distances[row], gradients[row] = np.inf, 0.0
         furthest = np.sort(pair_distances)[count - 1] if count <= len(pairs) else np.inf
         column = 0
         for i in range(len(pairs)):
             if pair_distances[i] <= furthest and column < count:
                 distances[row, column] = pair_distances[i]
-                gradient(scene, pairs[i], ends, axes, origins, gradients[row, column])
+                gradient(links, pairs[i], boxes, samples, ends, axes, origins, gradients[row, column])
                 for k in range(dof):
-                    gradients[row, column, k] *= scene.scales[i]
+                    gradients[row, column, k] *= scales[i]
                 column += 1

@@ -65,12 +65,11 @@ def measure_all(scene, q, distances):
 
 
 @compiled
-def measure(scene, q, margins, distances):
+def measure(joints, links, pairs, boxes, q, margins, distances):
     """Measure `distances` (pairs,) m at q (dof,) until one is below its margin; return True if none is.
 
     Pairs whose distance is infinite beforehand are not measured.
     """
-    joints, links, pairs, boxes = scene
     ends = ends_at(joints, links, q)
     for i in range(len(pairs)):
         if distances[i] < np.inf:
@@ -113,12 +112,13 @@ def check_edge(scene, a, b, bounds):
     It counts as blocked if spans become shorter than `FINEST`. In between, pairs that keep their margins for certain
     are not measured again.
     """
+    joints, links, pairs, boxes = scene
     margins, motion, distances = bounds
-    num_pairs = len(scene.pairs)
+    num_pairs = len(pairs)
     distances[:2] = 0.0
-    if not measure(scene, b, margins, distances[1]):
+    if not measure(joints, links, pairs, boxes, b, margins, distances[1]):
         return False, 1
-    if not measure(scene, a, margins, distances[0]):
+    if not measure(joints, links, pairs, boxes, a, margins, distances[0]):
         return False, 2
     reach, moved, q = largest_motions(motion, num_pairs, a, b), np.empty(num_pairs), np.empty(len(a))
     spans, rows = np.empty((2 * len(distances), 2)), np.empty((2 * len(distances), 2), np.int64)
@@ -140,7 +140,7 @@ def check_edge(scene, a, b, bounds):
             certain = distances[at_low, i] + distances[at_high, i] >= 2 * margins[i] + moved[i]
             distances[checks, i] = np.inf if certain else 0.0
         checks += 1
-        if not measure(scene, q, margins, distances[checks - 1]):
+        if not measure(joints, links, pairs, boxes, q, margins, distances[checks - 1]):
             return False, checks
         spans[last, 0], spans[last, 1], rows[last, 0], rows[last, 1] = low, middle, at_low, checks - 1
         spans[last + 1, 0], spans[last + 1, 1] = middle, high

@@ -1,24 +1,12 @@
 """Checks of the configurations that a closed form gives for a pose: see `armctl.kinematics.ik`."""
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from armctl.kernels.arm import forward, tip_of
 from armctl.kernels.compiling import compiled, copy_to
 from armctl.kernels.reach import nearest_turn
-
-
-class Tolerances(NamedTuple):
-    """Bounds on residuals and differences."""
-
-    exact: float
-    """Residual (m and rad) of each candidate at most."""
-    near: float
-    """Residual of the seed at least."""
-    distinct: float
-    """rad: solutions nearer to each other count once."""
 
 
 @compiled
@@ -91,12 +79,15 @@ def tip_pose(joints, q, rotations, origins, rotation, position):
 
 
 @compiled
-def largest_difference(first, second):
-    """Return the largest difference of a joint (rad) between two configurations (dof,)."""
-    difference = 0.0
-    for i in range(len(first)):
-        difference = max(difference, abs(first[i] - second[i]))
-    return difference
+def is_distinct(q, solutions, count, distinct):
+    """Return True if q (dof,) differs from each of the first solutions by more than `distinct` (rad) in some joint."""
+    for other in range(count):
+        gap = 0.0
+        for i in range(len(q)):
+            gap = max(gap, abs(q[i] - solutions[other, i]))
+        if not gap > distinct:
+            return False
+    return True
 
 
 @compiled
@@ -104,15 +95,17 @@ def choose(joints, pose, candidates, approximate, seed, tolerances, solutions, r
     """Choose the `candidates` (k, dof) for a `pose` (4, 4) that are within the limits, the nearest to `seed` first.
 
     They are written to `solutions` (k + 1, dof), with their `residuals` (k + 1,), and the one of least residual to
-    the last rows. Returns their number. It is -1 if that does not suffice: none is exact, a residual is above
-    `tolerances.exact`, or that of `seed` (dof,) below `tolerances.near`.
+    the last rows. Returns their number. It is -1 if that does not suffice: none is exact, a residual is above `exact`,
+    or that of `seed` (dof,) below `near`. Solutions nearer to each other than `distinct` count once. `tolerances` are
+    these three.
     """
+    exact, near, distinct = tolerances
     dof, last = len(joints), len(candidates)
     rotations, origins = np.empty((dof, 3, 3)), np.empty((dof, 3))
     rotation, position, q = np.empty((3, 3)), np.empty(3), np.empty(dof)
     distances = np.empty(last)
     tip_pose(joints, seed, rotations, origins, rotation, position)
-    if twist_length(rotation, position, pose) < tolerances.near:
+    if twist_length(rotation, position, pose) < near:
         return -1
     count, residuals[last] = 0, np.inf
     for row in range(last):
@@ -120,18 +113,17 @@ def choose(joints, pose, candidates, approximate, seed, tolerances, solutions, r
             continue
         tip_pose(joints, candidates[row], rotations, origins, rotation, position)
         residual = twist_length(rotation, position, pose)
-        if not residual < tolerances.exact:
+        if not residual < exact:
             return -1
         nearest_turn(joints, candidates[row], seed, q)
         if residual < residuals[last]:
             residuals[last] = residual
             copy_to(q, solutions[last])
-        chosen, distance, at = True, largest_difference(q, seed), count
+        within, distance, at = True, 0.0, count
         for i in range(dof):
-            chosen = chosen and joints[i].lower <= q[i] <= joints[i].upper
-        for other in range(count):
-            chosen = chosen and largest_difference(q, solutions[other]) > tolerances.distinct
-        if not chosen:
+            within = within and joints[i].lower <= q[i] <= joints[i].upper
+            distance = max(distance, abs(q[i] - seed[i]))
+        if not within or not is_distinct(q, solutions, count, distinct):
             continue
         while at > 0 and distances[at - 1] > distance:
             distances[at], residuals[at] = distances[at - 1], residuals[at - 1]

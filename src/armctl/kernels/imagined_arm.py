@@ -66,17 +66,17 @@ def begin(arms, ids, margin):
 
 
 @compiled
-def keeps_margins(arms, arm, ends, moved):
+def keeps_margins(scene, motion, margins, slack, ends, moved):
     """Return True if no pair of an arm with segments' `ends` is below its margin after joints have `moved` (dof,) rad.
 
     A pair is measured only after its links may have used up the slack that they had when it was measured last.
     """
-    margins, slack = arms.margins[arm], arms.slack[arm]
-    for k in range(number_of_pairs(arms, arm)):
+    _, links, pairs, boxes = scene
+    for k in range(len(pairs)):
         for i in range(len(moved)):
-            slack[k] -= arms.motion[k, i] * moved[i]
+            slack[k] -= motion[k, i] * moved[i]
         if slack[k] < 0:
-            slack[k] = distance(arms.links, arms.boxes[arm], ends, arms.pairs[k]) - margins[k]
+            slack[k] = distance(links, boxes, ends, pairs[k]) - margins[k]
             if slack[k] < 0:
                 return False
     return True
@@ -88,26 +88,28 @@ def move(arms, tolerance, goals, ticks, tick):
 
     After each tick, an arm that is below a margin becomes `TOUCHED`, or else one within `tolerance` (m) `ARRIVED`.
     """
-    joints, links, states = arms.joints, arms.links, arms.states
+    joints, links, motion, states = arms.joints, arms.links, arms.motion, arms.states
     dof = len(joints)
     rotations, origins, moved = np.empty((dof, 3, 3)), np.empty((dof, 3)), np.empty(dof)
     ends, tip = np.empty((len(links), 2, 3)), np.empty(3)
     for arm in range(len(states)):
+        scene, margins, slack = scene_of(arms, arm), arms.margins[arm], arms.slack[arm]
+        position, velocity, target = arms.positions[arm], arms.velocities[arm], arms.targets[arm]
         for _ in range(ticks):
             if states[arm] != MOVING:
                 break
-            follow_all(joints, goals[arm], arms.positions[arm], arms.velocities[arm], 1, tick)
+            follow_all(joints, goals[arm], position, velocity, 1, tick)
             for i in range(dof):
-                moved[i] = abs(arms.velocities[arm, i] * tick)
-            forward(joints, arms.positions[arm], rotations, origins)
+                moved[i] = abs(velocity[i] * tick)
+            forward(joints, position, rotations, origins)
             place(links, rotations, origins, ends)
-            if not keeps_margins(arms, arm, ends, moved):
+            if not keeps_margins(scene, motion, margins, slack, ends, moved):
                 states[arm] = TOUCHED
                 break
             tip_of(joints, rotations, origins, tip)
             square = 0.0
             for i in range(3):
-                square += (tip[i] - arms.targets[arm, i]) ** 2
+                square += (tip[i] - target[i]) ** 2
             if square <= tolerance * tolerance:
                 states[arm] = ARRIVED
 

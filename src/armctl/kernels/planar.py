@@ -133,7 +133,8 @@ def drive(ids, deck, scenes, rover, places, period, commands, rovers):
     `places` (ticks, n, w, 2) are the walkers' in the ticks. A rover stops where it touches something.
     """
     poses, velocities, contacts = rovers
-    ticks = len(places)
+    blocks, barriers, _ = scenes
+    ticks, outline = len(places), rover.outline
     tick = period / ticks
     for i in ids:
         contacts[i] = FREE
@@ -146,7 +147,7 @@ def drive(ids, deck, scenes, rover, places, period, commands, rovers):
             poses[i, 2] = (poses[i, 2] + angular * tick + math.pi) % (2 * math.pi) - math.pi
             velocities[i, 0], velocities[i, 1] = linear, angular
             x, y, yaw = poses[i, 0], poses[i, 1], poses[i, 2]
-            contacts[i] = touched(deck, scenes.blocks[i], scenes.barriers[i], places[k, i], x, y, yaw, rover.outline)
+            contacts[i] = touched(deck, blocks[i], barriers[i], places[k, i], x, y, yaw, outline)
             if contacts[i] != FREE:
                 break
 
@@ -200,17 +201,19 @@ def to_side(deck, barriers, x, y, dx, dy, half_width, farthest_hole):
 @compiled
 def scan(ids, deck, scenes, sensor, poses, out):
     """Compute the ranges (k, columns) that a sensor measures on rovers `ids` (k,) at `poses` (n, 3)."""
+    blocks, barriers, walkers = scenes
+    directions = sensor.directions
     for j in range(len(ids)):
         i = ids[j]
         cos, sin = math.cos(poses[i, 2]), math.sin(poses[i, 2])
         x, y = poses[i, 0] + sensor.ahead * cos, poses[i, 1] + sensor.ahead * sin
-        for c in range(len(sensor.directions)):
-            ahead, left = sensor.directions[c]
+        for c in range(len(directions)):
+            ahead, left = directions[c]
             dx, dy = ahead * cos - left * sin, ahead * sin + left * cos
-            to_barrier = to_side(deck, scenes.barriers[i], x, y, dx, dy, sensor.barriers, sensor.farthest_hole)
+            to_barrier = to_side(deck, barriers[i], x, y, dx, dy, sensor.barriers, sensor.farthest_hole)
             nearest = min(sensor.farthest, to_barrier)
-            for k in range(scenes.blocks.shape[1]):
-                nearest = min(nearest, to_block(x, y, dx, dy, scenes.blocks[i, k]))
-            for k in range(scenes.walkers.shape[1]):
-                nearest = min(nearest, to_disc(x, y, dx, dy, scenes.walkers[i, k], deck.walker_radius))
+            for k in range(blocks.shape[1]):
+                nearest = min(nearest, to_block(x, y, dx, dy, blocks[i, k]))
+            for k in range(walkers.shape[1]):
+                nearest = min(nearest, to_disc(x, y, dx, dy, walkers[i, k], deck.walker_radius))
             out[j, c] = nearest

@@ -220,7 +220,12 @@ def cast(shapes, geoms, cameras, world, depths, hits):
     sizes = geoms.sizes[world if len(geoms.sizes) > 1 else 0]
     aabbs = geoms.aabbs[world if len(geoms.aabbs) > 1 else 0]
     positions, rotations = geoms.positions[world], geoms.rotations[world]
-    camera, camera_rotation = cameras.positions[world], cameras.rotations[world]
+    camera, camera_rotation, rays, faces = (
+        cameras.positions[world],
+        cameras.rotations[world],
+        cameras.rays,
+        shapes.faces,
+    )
     turn, origin, direction, corners = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty((8, 3))
     for kind, geom, first, last in shapes.rows:
         for i in range(3):
@@ -236,10 +241,10 @@ def cast(shapes, geoms, cameras, world, depths, hits):
             top, bottom, left, right = seen_rectangle(corners, cameras.pixel, rows, columns)
         for row in range(top, bottom):
             for column in range(left, right):
-                ray = cameras.rays[row, column]
+                ray = rays[row, column]
                 for i in range(3):
                     direction[i] = turn[i, 0] * ray[0] + turn[i, 1] * ray[1] + turn[i, 2] * ray[2]
-                depth = hit(kind, sizes[geom], shapes.faces[first:last], origin, direction)
+                depth = hit(kind, sizes[geom], faces[first:last], origin, direction)
                 if depth < depths[row, column]:
                     depths[row, column], hits[row, column] = depth, geom
 

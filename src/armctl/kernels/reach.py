@@ -106,27 +106,28 @@ def step_into_sphere(joints, q, start, centre, radius, max_step, memory, step):
     the time. Two of its steps are enough: programs solved to convergence overshoot, since they are valid only nearby.
     """
     dof = len(joints)
+    position, velocity = start
     tip, gradients = linearise(joints, q, memory)
     x, y, z = centre[0] - tip[0], centre[1] - tip[1], centre[2] - tip[2]
     distance = math.sqrt(x * x + y * y + z * z) + 1e-12
     gain = np.empty(dof)
     for k in range(dof):
         gain[k] = (gradients[k, 0] * x + gradients[k, 1] * y + gradients[k, 2] * z) / distance
-    arrival = least_time(joints, start.position, start.velocity, q)
+    arrival = least_time(joints, position, velocity, q)
     needed, time = distance - radius + INSIDE, arrival
     for _ in range(2):
         missing, slope = needed, 0.0
         for k in range(dof):
             if abs(gain[k]) < NO_GAIN:
-                step[k] = min(max(start.position[k] - q[k], -max_step), max_step)
+                step[k] = min(max(position[k] - q[k], -max_step), max_step)
                 continue
             joint, sign = joints[k], 1.0 if gain[k] > 0 else -1.0
-            ahead = sign * start.velocity[k]
+            ahead = sign * velocity[k]
             ramp = min(time, (joint.top - ahead) / joint.acceleration)
             speed = ahead + joint.acceleration * ramp
             reach = (ahead + speed) / 2 * ramp + joint.top * (time - ramp)
             room = joint.upper - q[k] if gain[k] > 0 else q[k] - joint.lower
-            length = min(min(reach - sign * (q[k] - start.position[k]), room), max_step)
+            length = min(min(reach - sign * (q[k] - position[k]), room), max_step)
             missing -= abs(gain[k]) * length
             if length < max_step:
                 slope += abs(gain[k]) * speed
@@ -203,10 +204,11 @@ def late(distance, radius):
 def least_times_into_spheres(joints, q, velocities, spheres, radius, iterations, max_steps, times):
     """Compute the `times` (m,) of `armctl.kinematics.ReachTimes`, s, from q (m, dof) with `velocities` into spheres."""
     dof = len(joints)
+    centres, goals, excess = spheres
     memory, goal, turned, step = workspace(joints), np.empty((1, dof)), np.empty(dof), np.empty(dof)
     tip, aim, late_by = np.empty((1, 3)), np.empty((1, 3)), np.empty(1)
     for i in range(len(q)):
-        centre, start = spheres.centres[i], Start(q[i], velocities[i])
+        centre, start = centres[i], Start(q[i], velocities[i])
         tips(joints, q[i : i + 1], tip)
         distance = distance_between(tip[0], centre)
         if distance <= radius:
@@ -215,11 +217,11 @@ def least_times_into_spheres(joints, q, velocities, spheres, radius, iterations,
         for axis in range(3):
             aim[0, axis] = centre[axis] + (tip[0, axis] - centre[axis]) * (AIM * radius / distance)
         copy_to(q[i], goal[0])
-        move_to(joints, goal, aim, spheres.centres[i : i + 1], radius, iterations, late_by)
+        move_to(joints, goal, aim, centres[i : i + 1], radius, iterations, late_by)
         min_time = least_time(joints, q[i], velocities[i], goal[0]) + late_by[0]
-        for g in range(spheres.goals.shape[1]):
-            nearest_turn(joints, spheres.goals[i, g], q[i], turned)
-            time = least_time(joints, q[i], velocities[i], turned) + spheres.excess[i, g]
+        for g in range(goals.shape[1]):
+            nearest_turn(joints, goals[i, g], q[i], turned)
+            time = least_time(joints, q[i], velocities[i], turned) + excess[i, g]
             if time <= min_time:
                 min_time = time
                 copy_to(turned, goal[0])

@@ -132,7 +132,7 @@ def cost_of(weights, posture, positions, velocities, accelerations, errors):
 @compiled
 def evaluate_knots(scene, targets, knots, min_distances):
     """Compute errors from `targets` (N, 3) m, axes and gradients of `knots`, and `min_distances` of pairs (N,) m."""
-    joints, links, pairs = scene.joints, scene.links, scene.pairs
+    joints, links, pairs, boxes, samples, scales = scene
     q, errors, axes, gradients = knots
     dof = len(joints)
     rotations, origins, tip = np.empty((dof, 3, 3)), np.empty((dof, 3)), np.empty(3)
@@ -146,7 +146,7 @@ def evaluate_knots(scene, targets, knots, min_distances):
             errors[k, i] = tip[i] - targets[k, i]
         if len(pairs):
             place(links, rotations, origins, ends)
-            min_distances[k] = measure(scene, ends, distances)
+            min_distances[k] = measure(links, pairs, boxes, samples, scales, ends, distances)
 
 
 @compiled

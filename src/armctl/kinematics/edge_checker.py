@@ -133,7 +133,7 @@ class EdgeChecker:
         """Return True if a configuration (dof,) keeps the clearance, with the margin that edges need."""
         self.checks += 1
         self._distances[0] = 0.0
-        return bool(edges.measure(self._scene, q, self._bounds.margins, self._distances[0]))
+        return bool(edges.measure(*self._scene, q, self._bounds.margins, self._distances[0]))
 
     def is_edge_free(self, a: Array, b: Array) -> bool:
         """Return True if the straight motion from `a` to `b`, (dof,) each, keeps the clearance throughout."""

@@ -117,7 +117,7 @@ class Ik:
         """Return the closed form's solutions; None if one of them needs to be polished, or there is none."""
         options = self.options
         solutions, residuals = np.empty((len(q) + 1, self.model.dof)), np.empty(len(q) + 1)
-        tolerances = kernel.Tolerances(EXACT * options.tolerance, options.near, options.distinct)
+        tolerances = EXACT * options.tolerance, options.near, options.distinct
         number = kernel.choose(self.model.joints, target, q, approximate, seed, tolerances, solutions, residuals)
         if number < 0:
             return None
