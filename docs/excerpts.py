@@ -1,4 +1,4 @@
-"""Excerpts of code in the pages are copies: `python docs/excerpts.py` makes them anew after the code has changed.
+"""Excerpts of code in the pages: `python docs/excerpts.py` updates these copies after the code has changed.
 
 A fence names a file and what to show of it, such as `python docs/examples/hover.py HoverTask.reset`: a class, a
 function, a method, a variable, a call, or all from one to another (`HoverTask.options_type..HoverTask.render_fps`).
@@ -14,12 +14,12 @@ FENCE = re.compile(r"^```python (\S+/\S+\.py) (\S+)\n(.*?)^```$", re.MULTILINE |
 
 
 def renewed(page: str) -> str:
-    """A page with its excerpts as the code is now."""
+    """Return a page with updated excerpts."""
     return FENCE.sub(lambda fence: f"```python {fence[1]} {fence[2]}\n{excerpt(fence[1], fence[2])}\n```", page)
 
 
 def excerpt(file: str, names: str) -> str:
-    """The lines of a file from the first of the names to the end of the last, names joined by `..`."""
+    """Return the lines of a file from the first of the names, which are joined by `..`, to the end of the last."""
     source = (FOLDER.parent / file).read_text()
     first, last = ((names.split("..") * 2)[i] for i in (0, 1 if ".." in names else 0))
     start, end = _lines(source, first)[0], _lines(source, last)[1]
@@ -27,7 +27,7 @@ def excerpt(file: str, names: str) -> str:
 
 
 def _lines(source: str, name: str) -> tuple[int, int]:
-    """First and last line of a statement, with its decorators, its constant's docstring and what belongs to it."""
+    """Return the first and the last line of a statement, with its decorators."""
     body: list[ast.stmt] = ast.parse(source).body
     for part in name.split("."):
         node = next((node for node in body if part in _names(node)), None)
@@ -40,7 +40,7 @@ def _lines(source: str, name: str) -> tuple[int, int]:
 
 
 def _names(node: ast.stmt) -> set[str]:
-    """What a statement defines, or the function that it calls."""
+    """Return the names that a statement defines, or the function that it calls."""
     if isinstance(node, ast.ClassDef | ast.FunctionDef):
         return {node.name}
     if isinstance(node, ast.Expr) and isinstance(node.value, ast.Call) and isinstance(node.value.func, ast.Name):

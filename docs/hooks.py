@@ -1,4 +1,4 @@
-"""What MkDocs does for armctl: fences and links that make sense on GitHub too, and pages from other folders."""
+"""MkDocs hooks of armctl: fences and links that also work on GitHub, and pages from other folders."""
 
 import os
 import re
@@ -17,16 +17,16 @@ GUESTS = {
     "security.md": "SECURITY.md",
     "zoo.md": "rl/README.md",
 }
-"""Pages of the site that lie elsewhere in the repository."""
+"""Pages of the site from other folders of the repository."""
 NOTEBOOKS = {f"notebooks/{path.stem}.md": f"notebooks/{path.name}" for path in (ROOT / "notebooks").glob("*.ipynb")}
 
 NOTE = re.compile(r"^```(\w+) (?:not run: .*|([^\s=]+)( \S+)?)$", re.MULTILINE)
-"""What follows a fence's language: why it is not run, its file, or the file and the names of an excerpt."""
+"""Text after a fence's language: why it is not run, its file, or the file and the names of an excerpt."""
 LINK = re.compile(r"(?<=\]\()([^):#\s]+)(?=[#)])")
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add the pages that lie elsewhere, and the notebooks with their pictures."""
+    """Add the pages from other folders, and the notebooks with their pictures."""
     for page, source in GUESTS.items():
         files.append(File.generated(config, page, abs_src_path=str(ROOT / source)))
     for page, source in NOTEBOOKS.items():
@@ -38,19 +38,19 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Fences with a title instead of a note, and links as the site has them."""
+    """Return a page with titles instead of notes on fences, and with the links of the site."""
     source = source_of(page.file.src_uri)
     page.edit_url = f"{GITHUB}/edit/main/{source}"
     return LINK.sub(lambda link: as_in_site(link[0], page.file.src_uri, files), NOTE.sub(titled, markdown))
 
 
 def source_of(page: str) -> str:
-    """Where a page of the site lies in the repository."""
+    """Return the path of a page's source in the repository."""
     return GUESTS.get(page) or NOTEBOOKS.get(page) or f"docs/{page}"
 
 
 def as_in_site(link: str, page: str, files: Files) -> str:
-    """A relative link of the repository: to the page in the site, or else to the file on GitHub."""
+    """Return a link of the repository as a link to the page in the site, or else to the file on GitHub."""
     target = os.path.normpath(PurePosixPath(source_of(page)).parent / link)
     pages = {source: one for one, source in (GUESTS | NOTEBOOKS).items()}
     in_site = pages.get(target, target.removeprefix("docs/"))
@@ -60,6 +60,6 @@ def as_in_site(link: str, page: str, files: Files) -> str:
 
 
 def titled(fence: re.Match[str]) -> str:
-    """A fence as the site's highlighter takes it."""
+    """Return a fence for the site's highlighter."""
     language, file, _ = fence.groups()
     return f'```{language} title="{file}"' if file else f"```{language}"

@@ -24,7 +24,7 @@ CLASS_COLOURS = np.array(
     [(178, 208, 235), (80, 80, 84), (120, 110, 100), (205, 200, 190), (40, 80, 160), (245, 245, 245), (55, 105, 125)],
     dtype=np.uint8,
 )
-"""Of sky, floor, deck, barrier, obstacle, goal and ground."""
+"""Colours of sky, floor, deck, barrier, obstacle, goal and ground."""
 
 for env_id, name, seed, steps, picture in (
     ("armctl/ArmReach-v0", "reach_ik", 3, 4, "arm_reach.png"),
@@ -63,7 +63,7 @@ FRAMES_PER_SECOND = 10
 def film(
     env_id: str, name: str, seed: int, seconds: int, distance: float, azimuth: float, look_at: LookAt
 ) -> list[Array]:
-    """Pictures of an episode, the last one repeated until the film is over."""
+    """Return the pictures of an episode, the last one repeated until the film ends."""
     import mujoco  # after armctl, which chooses its graphics
 
     env = gymnasium.make(env_id)
@@ -85,7 +85,7 @@ def film(
 
 
 def first_failure(env_id: str, name: str, seconds: int) -> int:
-    """The first seed of an episode that a policy fails at a second before this time, or earlier."""
+    """Return the first seed of an episode in which a policy fails at least a second before this time."""
     env = gymnasium.make(env_id)
     policy = armctl.make_policy(name, env)
     for seed in itertools.count():
@@ -115,7 +115,7 @@ def save(picture: str, left: list[Array], right: list[Array]) -> None:
 
 
 def ahead_of_rover(task: Any) -> tuple[float, float, float]:
-    """A place on the bridge that moves with the rover."""
+    """Return a position on the bridge that moves with the rover."""
     return min(float(task.state.poses[0, 0]) + 1.5, 18.0), 0.0, 0.3
 
 

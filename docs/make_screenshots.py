@@ -15,9 +15,9 @@ from playwright.sync_api import sync_playwright
 
 WIDTH = 1280
 COLOURS = 128
-"""Of the picture, which makes it a third as large."""
-PATIENCE = 120_000
-"""ms"""
+"""Number of colours of the picture, which reduces its size to a third."""
+TIMEOUT_MS = 120_000
+"""Time limit of a page."""
 
 
 def main(
@@ -29,12 +29,12 @@ def main(
     """Render a page, and write the picture of its head or of one section."""
     with sync_playwright() as playwright:
         chromium = shutil.which("chromium") or shutil.which("chromium-browser")
-        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"], timeout=PATIENCE)
+        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"], timeout=TIMEOUT_MS)
         page = browser.new_page(viewport={"width": WIDTH, "height": height})
-        page.goto(report.resolve().as_uri(), timeout=PATIENCE)
-        page.wait_for_selector(".js-plotly-plot", timeout=PATIENCE)
+        page.goto(report.resolve().as_uri(), timeout=TIMEOUT_MS)
+        page.wait_for_selector(".js-plotly-plot", timeout=TIMEOUT_MS)
         shown = page.locator("section", has=page.get_by_role("heading", name=section)).first if section else page
-        shown.screenshot(path=picture, timeout=PATIENCE)
+        shown.screenshot(path=picture, timeout=TIMEOUT_MS)
         browser.close()
     with Image.open(picture) as image:
         image.convert("RGB").quantize(COLOURS).save(picture, optimize=True)

@@ -1,4 +1,4 @@
-"""A notebook as a page of Markdown, with the outputs it holds: nothing is executed."""
+"""Notebooks as pages of Markdown, with their stored outputs: nothing is executed."""
 
 import base64
 import io
@@ -14,7 +14,7 @@ FORMULA = re.compile(r"\$\$(.+?)\$\$|\$(.+?)\$", re.DOTALL)
 
 
 def as_markdown(notebook: Path) -> tuple[str, dict[str, bytes]]:
-    """The page, and its pictures by file name."""
+    """Return the page, and its pictures by file name."""
     parts: list[str] = []
     pictures: dict[str, bytes] = {}
     for cell in json.loads(notebook.read_text())["cells"]:
@@ -41,12 +41,12 @@ def _text(output: dict[str, Any]) -> str:
 
 
 def _table(html: str) -> str:
-    """A table of pandas without its own style."""
+    """Return a table of pandas without its own style."""
     return re.sub(r"<style.*?</style>|\n\s*", "", html, flags=re.DOTALL)
 
 
 def _drawn(formula: re.Match[str]) -> str:
-    """A formula as an SVG, which needs no script to be read."""
+    """Return a formula as an SVG, which needs no script."""
     block, inline = formula.groups()
     tex = (block or inline).replace(r"\top", "T").strip()
     svg = io.StringIO()

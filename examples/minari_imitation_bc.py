@@ -1,12 +1,12 @@
 """Behaviour cloning by imitation's `BC`, from a Minari dataset of 500 episodes of the IK expert.
 
-Library: minari and imitation. imitation asks for Gymnasium 0.29, but its `BC` works with this one:
+Library: minari and imitation. imitation requires Gymnasium 0.29, but its `BC` works with the installed version:
 `pip install --no-deps imitation==1.0.1`.
 Autoreset: none; `--steps` are gradient steps.
-Options: actions relative to where the joints are; the observation is the task's default, which the expert reads, and
-behind it the features, from which networks learn more easily.
+Options: actions relative to the current joint positions; the observation is the task's default, which the expert
+reads, followed by the features, from which networks learn more easily.
 
-`minari.DataCollector(gymnasium.make(ID), record_infos=True)` records a policy of your own.
+`minari.DataCollector(gymnasium.make(ID), record_infos=True)` records your own policy.
 
 EXPECTED: 64.5% of 200 episodes after 10,000 steps, in 2 minutes of one core
 

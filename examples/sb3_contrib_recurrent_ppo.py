@@ -1,8 +1,8 @@
-"""RecurrentPPO of sb3-contrib: an LSTM that remembers what the default observation hides, which is velocity.
+"""RecurrentPPO of sb3-contrib: an LSTM, whose memory replaces the velocity that the default observation hides.
 
 Library: sb3-contrib, through `armctl.integrations.sb3.VecEnv`.
 Autoreset: `same_step`, as Stable-Baselines3 expects.
-Options: normalized actions, relative to where the joints are; the observation is the task's default (`paper`).
+Options: normalized actions, relative to the current joint positions; the observation is the task's default (`paper`).
 
 EXPECTED: 4.5% of 200 episodes after 150,000 steps, in 10 minutes of one core
 
