@@ -1,12 +1,12 @@
 """CleanRL's own `ppo_continuous_action.py`, unmodified, on the reach task.
 
-Library: cleanrl, `pip install --no-deps --ignore-requires-python cleanrl==1.2.0`. The file was written for
-Gymnasium 0.28, so this script restores the former interfaces while it runs; all hyperparameters are CleanRL's defaults.
-Autoreset: `same_step`, as everywhere in Gymnasium 0.28; with today's default, CleanRL would learn from the steps
-that only reset.
-Options: normalized actions, relative to the current joint positions; features. `ShapedEnv` adds the minimum
-time to the target as a potential. CleanRL takes an id without options, so this script registers the environment with
-its options under a new id.
+Library: cleanrl, `pip install --no-deps --ignore-requires-python cleanrl==1.2.0`. The file was written for Gymnasium
+0.28, so this script restores the former interfaces while it runs; all hyperparameters are CleanRL's defaults.
+Autoreset: `same_step`, as everywhere in Gymnasium 0.28; with today's default, CleanRL would learn from the steps that
+only reset.
+Options: normalized actions, relative to the current joint positions; features. `ShapedEnv` adds the minimum time to the
+target as a potential. CleanRL takes an id without options, so this script registers the environment with its options
+under a new id.
 
 EXPECTED: 52.5% of 200 episodes after 40,960 steps (`--steps 40960`), in 1 minute of one core
 

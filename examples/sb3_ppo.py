@@ -2,9 +2,8 @@
 
 Library: stable-baselines3, through `armctl.integrations.sb3.VecEnv`.
 Autoreset: `same_step`, as Stable-Baselines3 expects.
-Options: normalized actions, each a motion until the next control step; features instead of raw positions; rewards scaled
-to the order of one. `Shaped` adds the minimum time to the target as a potential, and
-changes no optimal policy.
+Options: normalized actions, each a motion until the next control step; features instead of raw positions; rewards
+scaled to the order of one. `Shaped` adds the minimum time to the target as a potential, and changes no optimal policy.
 
 EXPECTED: 100.0%, 100.0%, 99.5% of 200 episodes after 150,000 steps, in 2 minutes of one core
 

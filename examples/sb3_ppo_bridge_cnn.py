@@ -2,10 +2,10 @@
 
 Library: stable-baselines3, through `armctl.integrations.sb3.VecEnv`.
 Autoreset: `same_step`, as Stable-Baselines3 expects.
-Options: `observation="features"` shows depths as nearness; `image_format="uint8"` makes them images (36, 48, 1) from 0 to 255,
-which `MultiInputPolicy` recognises and passes to its `NatureCNN`. The penalty of collisions is a fifth in training:
-with the task's penalty, the agent first learns to stand still. `Shaped` adds the length of the planner's shortest path
-to the goal line as a potential.
+Options: `observation="features"` shows depths as nearness; `image_format="uint8"` makes them images (36, 48, 1) from 0
+to 255, which `MultiInputPolicy` recognises and passes to its `NatureCNN`. The penalty of collisions is a fifth in
+training: with the task's penalty, the agent first learns to stand still. `Shaped` adds the length of the planner's
+shortest path to the goal line as a potential.
 
 EXPECTED: 89.0%, 89.0%, 87.0% of 200 episodes after 300,000 steps, in 13 minutes of one core
 

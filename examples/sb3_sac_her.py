@@ -2,12 +2,12 @@
 
 Library: stable-baselines3, through `armctl.integrations.sb3.VecEnv`.
 Autoreset: `same_step`, as Stable-Baselines3 expects.
-Options: normalized actions, relative to the current joint positions. `goal=True` observes `achieved_goal` and `desired_goal`
-too, and offers `compute_reward`, so that a reached position can replace the goal. Because the goal may change later,
-the network's first layer, `GoalFeatures`, computes the offset to it. Hindsight does not model that success ends an
-episode, and with `goal_reward=1` it need not: the step of success has reward 0, every other step -1. The agent must
-then learn to stay at a goal, for which these features include joint velocities. The exploration noise is correlated in
-time, so that it moves the arm around. No shaping.
+Options: normalized actions, relative to the current joint positions. `goal=True` observes `achieved_goal` and
+`desired_goal` too, and offers `compute_reward`, so that a reached position can replace the goal. Because the goal may
+change later, the network's first layer, `GoalFeatures`, computes the offset to it. Hindsight does not model that
+success ends an episode, and with `goal_reward=1` it need not: the step of success has reward 0, every other step -1.
+The agent must then learn to stay at a goal, for which these features include joint velocities. The exploration noise is
+correlated in time, so that it moves the arm around. No shaping.
 
 EXPECTED: 99.0%, 99.0%, 98.5% of 200 episodes after 100,000 steps, in 6 minutes of one core
 

@@ -2,8 +2,8 @@
 
 Library: sbx-rl, through `armctl.integrations.sb3.VecEnv`: SBX takes the same environments as Stable-Baselines3.
 Autoreset: `same_step`, as Stable-Baselines3 expects.
-Options: normalized actions, relative to the current joint positions; features; rewards scaled to the order of one. `Shaped`
-adds the minimum time to the target, by the joints' speed limits, as a potential.
+Options: normalized actions, relative to the current joint positions; features; rewards scaled to the order of one.
+`Shaped` adds the minimum time to the target, by the joints' speed limits, as a potential.
 
 EXPECTED: 78.5% of 200 episodes after 150,000 steps, in 2 minutes of one core
 

@@ -3,8 +3,8 @@
 Library: skrl, by `wrap_env`, which takes armctl's vector environments as they are.
 Autoreset: `same_step`. skrl learns from every step, so with `next_step` it would learn from those that only reset.
 It bootstraps truncated episodes from the first observation of the next one, which `Agent` corrects.
-Options: normalized actions, relative to the current joint positions; features; rewards scaled to the order of one. `Shaped`
-adds the minimum time to the target, by the joints' speed limits, as a potential.
+Options: normalized actions, relative to the current joint positions; features; rewards scaled to the order of one.
+`Shaped` adds the minimum time to the target, by the joints' speed limits, as a potential.
 
 EXPECTED: 100.0% of 200 episodes after 150,000 steps, in 2 minutes of one core
 

@@ -2,8 +2,8 @@
 
 Library: torchrl, by `GymWrapper`.
 Autoreset: `disabled`, which TorchRL prefers: it resets worlds itself. `same_step` works too, with `flat_infos=True`.
-Options: normalized actions, relative to the current joint positions; features; rewards scaled to the order of one. `Shaped`
-adds the minimum time to the target, by the joints' speed limits, as a potential.
+Options: normalized actions, relative to the current joint positions; features; rewards scaled to the order of one.
+`Shaped` adds the minimum time to the target, by the joints' speed limits, as a potential.
 
 EXPECTED: 100.0% of 200 episodes after 300,000 steps, in 5 minutes of one core
 
