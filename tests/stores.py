@@ -1,6 +1,7 @@
 """Stores with one cell, as most tests have them."""
 
 import contextlib
+import time
 
 from armctl.episodes.store import Store
 from armctl.episodes.stored import UNDISTURBED, read_store
@@ -18,3 +19,11 @@ def read_cell(folder):
     """What a folder's only cell holds."""
     (cell,) = read_store(folder).cells.values()
     return cell
+
+
+def wait_for_episodes(folder, pages=20, seconds=60):
+    """Wait until a run has written some episodes: at least a page of the log each."""
+    log, end = folder / f"{STORE}-wal", time.monotonic() + seconds
+    while not (log.exists() and log.stat().st_size > pages * 4_096):
+        assert time.monotonic() < end
+        time.sleep(0.02)

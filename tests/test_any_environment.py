@@ -4,7 +4,6 @@ import json
 import shutil
 import signal
 import subprocess
-import time
 from pathlib import Path
 
 import gymnasium
@@ -12,11 +11,10 @@ import pandas as pd
 import pytest
 
 from armctl.episodes.record import TIME_COLUMNS
-from armctl.episodes.stored import STORE
 
 from .command_line import ARMCTL, armctl, program
 from .forgery import rewrite
-from .stores import read_cell
+from .stores import read_cell, wait_for_episodes
 
 HERE = Path(__file__).parent
 POLICIES = """
@@ -164,10 +162,7 @@ def test_what_an_interrupt_leaves_is_resumed(home):
         "r",
     ]
     running = subprocess.Popen([ARMCTL, *command], cwd=home, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    log = home / "r" / f"{STORE}-wal"
-    deadline = time.monotonic() + 60
-    while not (log.exists() and log.stat().st_size > 20 * 4_096) and time.monotonic() < deadline:
-        time.sleep(0.05)
+    wait_for_episodes(home / "r")
     running.send_signal(signal.SIGINT)
     out, _ = running.communicate(timeout=60)
     assert running.returncode == 130, out

@@ -18,6 +18,8 @@ from armctl.rollout.parallel import _blocks
 from armctl.runtime.engines import Local
 from armctl.study import compare
 
+from ..stores import wait_for_episodes
+
 MINE = """
 import os
 import armctl
@@ -114,16 +116,13 @@ def test_ctrl_c_keeps_what_workers_have_finished_and_the_same_command_goes_on(tm
     with subprocess.Popen(
         command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     ) as process:
-        csv = tmp_path / "here" / "episodes.csv"
-        for _ in range(1200):
-            time.sleep(0.1)
-            if csv.exists() and csv.read_text().count("\n") > 5:
-                break
+        wait_for_episodes(tmp_path / "here", seconds=120)
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to all processes
         output, errors = process.communicate(timeout=120)
     assert process.returncode == 130
     assert "resumes from there" in output
     assert "Traceback" not in errors
+    csv = tmp_path / "here" / "episodes.csv"
     kept = pd.read_csv(csv)
     assert len(kept) >= 5
     assert kept.episode.is_monotonic_increasing

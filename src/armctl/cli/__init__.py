@@ -4,11 +4,11 @@ import os
 import sys
 from typing import NoReturn
 
-from armctl.cli import catalogue, evaluate, export, learn, play, share, suite, tune
+from armctl.cli import catalogue, compare, evaluate, export, learn, play, share, tune
 from armctl.cli.app import app, settings
 from armctl.core.errors import ArmctlError, format_cause
 
-__all__ = ["app", "catalogue", "evaluate", "export", "learn", "main", "play", "share", "suite", "tune"]
+__all__ = ["app", "catalogue", "compare", "evaluate", "export", "learn", "main", "play", "share", "tune"]
 
 TRACEBACK = "--traceback"
 

@@ -58,8 +58,11 @@ def verb(function: Callable[[Request], None]) -> Callable[[Request], None]:
     """Add a verb to the command line: a function of a request, a dataclass whose fields are the verb's options.
 
     A field's type is Annotated with its `typer.Option` or `typer.Argument`; the function's docstring is the help text.
+    What a request inherits comes after its own options.
     """
     (request,) = (kind for name, kind in inspect.get_annotations(function).items() if name != "return")
+
+    order = [name for kind in request.__mro__ for name in vars(kind).get("__annotations__", ())]
 
     @functools.wraps(function)
     def command(**options: Any) -> None:
@@ -73,7 +76,7 @@ def verb(function: Callable[[Request], None]) -> Callable[[Request], None]:
                 default=inspect.Parameter.empty if field.default is MISSING else field.default,
                 annotation=field.type,
             )
-            for field in fields(request)
+            for field in sorted(fields(request), key=lambda field: order.index(field.name))
         ]
     )
     app.command()(command)

@@ -1,137 +1,16 @@
-"""Verbs that compare: `compare`, `plan`, `report`, `reproduce`."""
+"""Verbs around comparisons: `plan`, `report`, `episodes`, `reproduce`."""
 
-import sys
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from armctl import DEFAULT_ENV
 from armctl.cli import completion
-from armctl.cli.app import app, settings, verb
-from armctl.cli.options import (
-    Env,
-    EnvOptions,
-    Format,
-    On,
-    Overwrite,
-    Policies,
-    PolicySeed,
-    RealTime,
-    ReturnBounds,
-    Seed,
-    SuccessReturn,
-    TableFormat,
-    Workers,
-    Worlds,
-    new_folder,
-    options_of,
-    print_document,
-    progress_bar,
-    seed_of,
-)
+from armctl.cli.app import app
+from armctl.cli.options import Format, TableFormat, make_report, print_document, seed_of
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
-
-@dataclass(frozen=True)
-class CompareRequest:
-    """Options of `compare`."""
-
-    policies: Policies = None
-    env: Env = DEFAULT_ENV
-    episodes: Annotated[int, typer.Option(min=1, help="Episodes that every policy plays.")] = 200
-    seed: Seed = 0
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Folder for episodes.csv and summary.json.", show_default="results/<date and time>"),
-    ] = None
-    overwrite: Overwrite = False
-    worlds: Worlds = 1
-    workers: Workers = 1
-    on: On = "local"
-    env_options: EnvOptions = None
-    success_return: SuccessReturn = None
-    return_bounds: ReturnBounds = None
-    baseline: Annotated[
-        str | None,
-        typer.Option(
-            metavar="POLICY",
-            help="Hold all other policies against this one.",
-            show_default="the best classical against the best learned policy",
-        ),
-    ] = None
-    margin: Annotated[
-        float, typer.Option(metavar="POINTS", help="Success that differs by less, in percent, counts as equivalent.")
-    ] = 2.0
-    real_time: RealTime = None
-    slow_down: Annotated[
-        float, typer.Option(metavar="FACTOR", help="In real time, decisions take so many times as long.")
-    ] = 1.0
-    policy_seed: PolicySeed = None
-    report: Annotated[bool, typer.Option("--report", help="Also write report.html, with figures and videos.")] = False
-    table_format: Format = TableFormat.TABLE
-
-
-@verb
-def compare(request: CompareRequest) -> None:
-    """Let policies play the same episodes, and print which is better, and by how much.
-
-    `"reach_bc[*]"` is all trainings of a recipe as one learner: the shipped one and its other training seeds, or for a
-    path, `"runs/reach_ppo[*]"`, those that `armctl train` has made. `"reach_bc[1]"` is the one of training seed 1.
-
-    Every episode is written as it ends. After Ctrl-C, the same command with the same `--out` resumes the comparison.
-    A policy that raises an error, or returns an invalid action, loses that episode (`error`) and plays on; the exit
-    status is then 1. One that fails before its first action in each of its first 3 episodes stops.
-    """
-    from armctl.episodes import EpisodeResult
-    from armctl.policies import expanded, named_policies
-    from armctl.runtime.engines import connect
-    from armctl.study import compare as run_comparison
-    from armctl.study.line_up import default_policies
-
-    names = request.policies or default_policies(request.env)
-    players, _ = expanded(named_policies(names))
-    folder = request.out or new_folder()
-    with connect(request.on, request.workers) as engine, progress_bar() as bar:
-        bars = {name: bar.add_task(name, total=request.episodes) for name in players}
-
-        def progress(result: EpisodeResult) -> None:
-            bar.advance(bars[result.policy])
-
-        comparison = run_comparison(
-            names,
-            request.env,
-            episodes=request.episodes,
-            seed=request.seed,
-            out=folder,
-            overwrite=request.overwrite,
-            worlds=request.worlds,
-            workers=engine,
-            env_options=options_of(request.env_options, success_return=request.success_return),
-            baseline=request.baseline,
-            margin=request.margin / 100,
-            progress=progress,
-            real_time=request.real_time,
-            slow_down=request.slow_down,
-            return_bounds=request.return_bounds,
-            policy_seed=request.policy_seed,
-        )
-    console = print_document(comparison.document(), request.table_format)
-    written = "results" not in comparison.failures
-    if written:
-        console.print(
-            f"{folder / 'episodes.csv'} has every episode, {folder / 'summary.json'} the tables.", soft_wrap=True
-        )
-    exit_if_interrupted(comparison.interrupted, folder, console)
-    if request.report and written:
-        make_report(folder, None, console)
-    print_tracebacks(comparison.tracebacks)
-    if comparison.failures:
-        raise typer.Exit(1)
+    pass
 
 
 @app.command()
@@ -188,49 +67,6 @@ def report(
     from armctl.core.console import PlainConsole
 
     make_report(folder, out, PlainConsole(), video=video, env=env, policies=policies or ())
-
-
-def print_tracebacks(tracebacks: Mapping[str, str]) -> None:
-    """Print tracebacks on standard error, if asked for."""
-    from armctl.core.console import printable
-
-    if settings.traceback:
-        for name, text in tracebacks.items():
-            print(printable(f"{name}:\n{text}"), file=sys.stderr)
-
-
-def exit_if_interrupted(interrupted: bool, folder: Path, console: "Console") -> None:
-    """After an interrupt, say how to resume, and exit with status 130."""
-    if interrupted:
-        console.print(f"The same command with --out {folder} resumes from there.", soft_wrap=True)
-        raise typer.Exit(130)
-
-
-def make_report(
-    folder: Path,
-    out: Path | None,
-    console: "Console",
-    *,
-    video: bool | None = None,
-    env: str | None = None,
-    policies: Sequence[str] = (),
-) -> None:
-    """Write a report, and say where it is."""
-    from rich.text import Text
-
-    from armctl.core.console import PlainConsole
-    from armctl.report import write_report
-
-    with PlainConsole(stderr=True).status("report") as status:
-        path = write_report(
-            folder,
-            out,
-            video=video,
-            env=env,
-            policies=policies,
-            progress=lambda doing: status.update(Text(f"report: {doing}")),
-        )
-    console.print(f"{path} is the report: open it in a browser.", soft_wrap=True)
 
 
 @app.command()

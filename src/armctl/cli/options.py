@@ -1,6 +1,8 @@
-"""Options that several verbs share, and parsers for their text."""
+"""Options that several verbs share, parsers of their text, and functions that print results."""
 
 import itertools
+import sys
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -8,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from armctl.cli import completion
+from armctl.cli.app import settings
 from armctl.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -196,6 +199,49 @@ def progress_bar() -> Any:
     )
     console = PlainConsole(stderr=True)
     return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+
+
+def print_tracebacks(tracebacks: Mapping[str, str]) -> None:
+    """Print tracebacks on standard error, if asked for."""
+    from armctl.core.console import printable
+
+    if settings.traceback:
+        for name, text in tracebacks.items():
+            print(printable(f"{name}:\n{text}"), file=sys.stderr)
+
+
+def exit_if_interrupted(interrupted: bool, folder: Path, console: "Console") -> None:
+    """After an interrupt, say how to resume, and exit with status 130."""
+    if interrupted:
+        console.print(f"The same command with --out {folder} resumes from there.", soft_wrap=True)
+        raise typer.Exit(130)
+
+
+def make_report(
+    folder: Path,
+    out: Path | None,
+    console: "Console",
+    *,
+    video: bool | None = None,
+    env: str | None = None,
+    policies: Sequence[str] = (),
+) -> None:
+    """Write a report, and say where it is."""
+    from rich.text import Text
+
+    from armctl.core.console import PlainConsole
+    from armctl.report import write_report
+
+    with PlainConsole(stderr=True).status("report") as status:
+        path = write_report(
+            folder,
+            out,
+            video=video,
+            env=env,
+            policies=policies,
+            progress=lambda doing: status.update(Text(f"report: {doing}")),
+        )
+    console.print(f"{path} is the report: open it in a browser.", soft_wrap=True)
 
 
 def levels_of(arguments: list[str]) -> dict[str, Any]:

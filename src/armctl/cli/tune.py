@@ -8,8 +8,7 @@ import typer
 
 from armctl.cli import completion
 from armctl.cli.app import verb
-from armctl.cli.evaluate import exit_if_interrupted
-from armctl.cli.options import Format, On, TableFormat, Workers, print_document, progress_bar
+from armctl.cli.options import Format, On, TableFormat, Workers, exit_if_interrupted, print_document, progress_bar
 
 if TYPE_CHECKING:
     from armctl.tuning import TuningOutcome

@@ -1,0 +1,276 @@
+"""Verbs that compare: `compare` on one task, `sweep` under disturbances, `suite` in all tasks."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from armctl import DEFAULT_ENV
+from armctl.cli import completion
+from armctl.cli.app import verb
+from armctl.cli.options import (
+    Env,
+    EnvOptions,
+    Format,
+    On,
+    Overwrite,
+    Policies,
+    PolicySeed,
+    RealTime,
+    ReturnBounds,
+    Seed,
+    SuccessReturn,
+    TableFormat,
+    Workers,
+    Worlds,
+    exit_if_interrupted,
+    levels_of,
+    make_report,
+    new_folder,
+    options_of,
+    print_document,
+    print_tracebacks,
+    progress_bar,
+)
+
+if TYPE_CHECKING:
+    from armctl.study.plan import Plan
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudyRequest:
+    """Options of every study."""
+
+    seed: Seed = 0
+    overwrite: Overwrite = False
+    worlds: Worlds = 1
+    workers: Workers = 1
+    on: On = "local"
+    policy_seed: PolicySeed = None
+    table_format: Format = TableFormat.TABLE
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskRequest(StudyRequest):
+    """Options of a study of one environment."""
+
+    policies: Policies = None
+    env: Env = DEFAULT_ENV
+    env_options: EnvOptions = None
+    success_return: SuccessReturn = None
+    return_bounds: ReturnBounds = None
+
+    @property
+    def task_options(self) -> dict[str, Any]:
+        """The options that `armctl.study.options.TaskOptions` has."""
+        options = options_of(self.env_options, success_return=self.success_return)
+        return {"env_options": options, "return_bounds": self.return_bounds}
+
+
+@dataclass(frozen=True, kw_only=True)
+class CompareRequest(TaskRequest):
+    """Options of `compare`."""
+
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes that every policy plays.")] = 200
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for episodes.csv and summary.json.", show_default="results/<date and time>"),
+    ] = None
+    baseline: Annotated[
+        str | None,
+        typer.Option(
+            metavar="POLICY",
+            help="Hold all other policies against this one.",
+            show_default="the best classical against the best learned policy",
+        ),
+    ] = None
+    margin: Annotated[
+        float, typer.Option(metavar="POINTS", help="Success that differs by less, in percent, counts as equivalent.")
+    ] = 2.0
+    real_time: RealTime = None
+    slow_down: Annotated[
+        float, typer.Option(metavar="FACTOR", help="In real time, decisions take so many times as long.")
+    ] = 1.0
+    report: Annotated[bool, typer.Option("--report", help="Also write report.html, with figures and videos.")] = False
+
+
+@verb
+def compare(request: CompareRequest) -> None:
+    """Let policies play the same episodes, and print which is better, and by how much.
+
+    `"reach_bc[*]"` is all trainings of a recipe as one learner: the shipped one and its other training seeds, or for a
+    path, `"runs/reach_ppo[*]"`, those that `armctl train` has made. `"reach_bc[1]"` is the one of training seed 1.
+
+    Every episode is written as it ends. After Ctrl-C, the same command with the same `--out` resumes the comparison.
+    A policy that raises an error, or returns an invalid action, loses that episode (`error`) and plays on; the exit
+    status is then 1. One that fails before its first action in each of its first 3 episodes stops.
+    """
+    from armctl.study.plan import comparison_plan
+
+    def plan(options: Any) -> "Plan":
+        options |= request.task_options | {
+            "baseline": request.baseline,
+            "margin": request.margin / 100,
+            "real_time": request.real_time,
+            "slow_down": request.slow_down,
+        }
+        return comparison_plan(request.policies, request.env, request.episodes, request.seed, options)
+
+    _play(
+        request, request.out, plan, "{0}/episodes.csv has every episode, {0}/summary.json the tables.", request.report
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SweepRequest(TaskRequest):
+    """Options of `sweep`."""
+
+    disturbances: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--disturbance",
+            metavar="NAME[=LEVELS]",
+            help="Disturbance; can be repeated: `--disturbance noise --disturbance payload=0,1,2,4`.",
+            show_default="all of the environment's",
+            autocompletion=completion.disturbances,
+        ),
+    ] = None
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes that every policy plays at each level.")] = 100
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for episodes.csv and sweep.csv.", show_default="results/<date and time>")
+    ] = None
+    slow_down: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LEVELS",
+            help="Slower computers, in real time: `--slow-down 1,2,5,10,30`, short for `--disturbance slow-down=...`.",
+        ),
+    ] = None
+    real_time: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Results folder whose decision times `--slow-down` repeats.",
+            show_default="those of the undisturbed comparison, with one world and one worker",
+        ),
+    ] = None
+
+
+@verb
+def sweep(request: SweepRequest) -> None:
+    """Let policies play the same episodes under increasing disturbances, and print how robust each is.
+
+    Disturbances: `noise` of sensors, `delay` of actions, `payload`, `friction`, `strength` of motors, `pushes`,
+    `mismatch` between the robot and the controllers' model of it, and `dropout` of camera images. Noise and dropout
+    spare policies that see the state, which are then not ranked; `noise_on_state` reaches them. `armctl list` shows the
+    levels. With `--slow-down`, success is against the
+    slowness of the computer, in a world that does not wait.
+
+    Every episode is written as it ends. After Ctrl-C, the same command with the same `--out` resumes the sweep.
+    """
+    from armctl.rollout.real_time import SLOWER
+    from armctl.study.plan import sweep_plan
+
+    arguments = (request.disturbances or []) + ([f"{SLOWER}={request.slow_down}"] if request.slow_down else [])
+    levels = levels_of(arguments) if arguments else None
+
+    def plan(options: Any) -> "Plan":
+        options |= request.task_options | {"real_time": request.real_time}
+        return sweep_plan(request.policies, request.env, levels, request.episodes, request.seed, options)
+
+    _play(request, request.out, plan, "{0}/sweep.csv has the curves.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SuiteRequest(StudyRequest):
+    """Options of `suite`."""
+
+    envs: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--env",
+            help="Environment, also one of your own; can be repeated. `all` stands for all installed ones: "
+            "`--env all --env mine.py:Maze`.",
+            show_default="all",
+            autocompletion=completion.environments,
+        ),
+    ] = None
+    quick: Annotated[
+        bool, typer.Option("--quick", help="20 episodes, two disturbances: about five minutes with two workers.")
+    ] = False
+    episodes: Annotated[
+        int | None,
+        typer.Option(min=1, help="Episodes that every policy plays in each setting.", show_default="50; 20 if quick"),
+    ] = None
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the results and reports.", show_default="results/<date and time>")
+    ] = None
+    video: Annotated[bool, typer.Option("--video", help="Film episodes for the tasks' own reports: minutes.")] = False
+
+
+@verb
+def suite(request: SuiteRequest) -> None:
+    """Let all policies of all tasks play, undisturbed and under the main disturbances, and write one report.
+
+    For each task, it answers whether a planner or controller is better than a learned agent: by how much, at what cost,
+    and under which disturbance the order turns. The main disturbances are `noise` (or `noise_on_state`), `delay`,
+    `payload`, `friction`, `pushes` and `mismatch`, at the middle and the strongest of their levels; `--quick` has
+    `delay` and `mismatch`.
+
+    With `--workers 2`, that takes less than an hour. Every episode is written as it ends. After Ctrl-C, the same
+    command with the same `--out` resumes the suite. A task that fails is told, and does not stop the others.
+    """
+    from armctl.study.plan import ALL, suite_plan
+
+    def plan(options: Any) -> "Plan":
+        return suite_plan(request.envs or (ALL,), request.quick, request.episodes, request.seed, options)
+
+    _play(request, request.out, plan, "", report=True, video=request.video)
+
+
+def _play(
+    request: StudyRequest,
+    out: Path | None,
+    make_plan: Callable[[Any], "Plan"],
+    files: str,
+    report: bool = False,
+    video: bool | None = None,
+) -> None:
+    """Play a study, and print its result, which `files` have what, and what failed."""
+    from armctl.runtime.engines import connect
+    from armctl.study.run import play
+
+    folder = out or new_folder()
+    with connect(request.on, request.workers) as engine, progress_bar() as bar:
+        options = {
+            "overwrite": request.overwrite,
+            "worlds": request.worlds,
+            "workers": engine,
+            "policy_seed": request.policy_seed,
+        }
+        plan = make_plan(options)
+        task = bar.add_task("", total=plan.total)
+        study = play(
+            plan,
+            folder,
+            options,  # type: ignore[arg-type]  # with those of the plan
+            lambda cell, result: bar.update(
+                task, description=cell.name if len(plan.cells) > 1 else result.policy, advance=1
+            ),
+        )
+    console = print_document(study.result.document(), request.table_format)
+    written = "results" not in study.storage_failures
+    if written and files:
+        console.print(files.format(folder), soft_wrap=True)
+    if request.table_format is TableFormat.CSV:  # has no place for them
+        for problem in study.problems:
+            console.print(problem, soft_wrap=True)
+    exit_if_interrupted(study.interrupted, folder, console)
+    if report and written and study.tasks:
+        make_report(folder, None, console, video=video)
+    for comparison in study.cells.values():
+        print_tracebacks(comparison.tracebacks)
+    if study.problems:
+        raise typer.Exit(1)
