@@ -4,7 +4,7 @@ import contextlib
 import time
 
 from armctl.episodes.store import Store
-from armctl.episodes.stored import UNDISTURBED, read_store
+from armctl.episodes.stored import STORE, UNDISTURBED, read_store
 
 
 @contextlib.contextmanager

@@ -14,6 +14,7 @@ from armctl.core.registration import environment_names
 from armctl.envs.describe import describe_options
 
 from .command_line import ARMCTL, armctl, program
+from .stores import wait_for_episodes
 
 
 @pytest.mark.parametrize("verb", ["list", "compare", "sweep", "suite", "run", "view", "collect", "train"])
@@ -49,7 +50,6 @@ class NoTorch:
             raise ModuleNotFoundError("No module named 'torch'", name=name)
 sys.meta_path.insert(0, NoTorch)
 from armctl.cli import main
-from .stores import wait_for_episodes
 main()
 """
     command = [sys.executable, "-c", code, "train", "ppo"]

@@ -26,7 +26,7 @@ def test_a_sweep_has_a_cell_for_each_level_and_the_undisturbed_one_first():
     none, first, _, slow = plan.cells
     assert none.env_options == slow.env_options == options["env_options"]
     assert first.env_options == {"tolerance": 0.03, "disturbances": {"strength": 0.9, "delay": 1.0}}
-    assert (slow.repeats, slow.real_time) == ("none", RealTime(slow_down=5.0, latency=FROM_UNDISTURBED))
+    assert (slow.repeats, slow.real_time) == ("none", RealTime(time_scale=5.0, latency=FROM_UNDISTURBED))
     assert plan.tasks[0].recorded == FROM_UNDISTURBED
 
 
