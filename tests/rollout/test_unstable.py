@@ -49,7 +49,7 @@ def test_unstable_episodes_are_failures_and_are_told(tmp_path):
     broken, whole = comparison.policies
     assert broken.outcomes == {"reached": 3, "unstable": 3}
     assert (broken.success.value, whole.success.value) == (0.5, 1.0)
-    assert "exploding: 3 reached, 3 unstable; the physics failed in 3, which count as failures" in words(comparison)
+    assert "exploding: 3 reached, 3 unstable; physics failures: 3, counted as failures" in words(comparison)
     assert "3 of 6 episodes of exploding count as failures, because their physics became unstable." in words(comparison)
     numbers = comparison.episodes.query("policy == 'exploding'")[["return", "path_length", "energy", "speed_use"]]
     assert np.isfinite(numbers.to_numpy(dtype=float)).all()
