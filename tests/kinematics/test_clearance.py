@@ -127,7 +127,7 @@ def test_no_pair_has_to_keep_more_than_it_has_at_home(name):
     builtin, margin = BUILTIN_ARMS[name], 0.03
     model = ArmModel(load_arm(robot_data() / builtin.urdf, tip=builtin.tip))
     true, scaled = Clearance(model), Clearance(model, margin)
-    pairs = len(true.scene[1])
+    pairs = len(true.scene.pairs)
     at_home = true.nearest(model.home[None], pairs)[0][0]
     kept = margin * at_home / scaled.nearest(model.home[None], pairs)[0][0]
     assert (kept <= at_home).all()
@@ -137,8 +137,8 @@ def test_no_pair_has_to_keep_more_than_it_has_at_home(name):
 
 def test_no_pair_has_to_keep_more_than_it_has_on_a_way(model):
     clearance, way = Clearance(model, 0.03), np.linspace(model.home, model.home + 0.3, 10)
-    unscaled = Clearance(model).nearest(way, len(clearance.scene[1]))[0].min(axis=0)
+    unscaled = Clearance(model).nearest(way, len(clearance.scene.pairs))[0].min(axis=0)
     clearance.scene = clearance.along(way)
-    scaled = clearance.nearest(way, len(clearance.scene[1]))[0].min(axis=0)
+    scaled = clearance.nearest(way, len(clearance.scene.pairs))[0].min(axis=0)
     wide_enough = unscaled >= NARROWEST
     assert (scaled[wide_enough] >= 0.03 - 1e-9).all()

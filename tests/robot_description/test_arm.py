@@ -272,8 +272,8 @@ def test_pairs_of_a_file_alone_get_apart_and_do_not_forbid_most_configurations(n
     model = ArmModel(load_arm(arms.robot_data() / builtin.urdf, tip=builtin.tip))
     postures = model.random_configurations(np.random.default_rng(1), 500)
     links, clearance = model.links, Clearance(model)
-    distances = clearance.nearest(postures, len(clearance.scene[1]))[0].max(axis=0)
-    for (kind, first, second), most in zip(clearance.scene[1].tolist(), distances, strict=True):
+    distances = clearance.nearest(postures, len(clearance.scene.pairs))[0].max(axis=0)
+    for (kind, first, second), most in zip(clearance.scene.pairs.tolist(), distances, strict=True):
         assert kind != LINKS or most > 0.25 * (links[first]["radius"] + links[second]["radius"])
     assert model.are_free(postures).mean() > 0.25
 
