@@ -11,6 +11,7 @@ from types import SimpleNamespace
 
 import hypothesis
 import pytest
+from _pytest.runner import runtestprotocol
 
 import armctl  # noqa: F401 - before any test imports MuJoCo, which chooses its OpenGL then
 from armctl.envs import policy_seed
@@ -29,7 +30,15 @@ hypothesis.settings.load_profile("armctl")
 MARKERS = {"slow": "--all", "thorough": "--thorough"}
 """What runs with which option."""
 
+QUICK_S = 2.0
+"""Processor time that an unmarked test may use, in seconds: its call and its own fixtures, with child processes."""
+
+QUICK_ON_A_BUSY_MACHINE_S = 3.0
+"""The same where other processes run beside it, which share caches and floating-point units."""
+
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+
+processor_seconds = pytest.StashKey[float]()
 
 
 def pytest_addoption(parser):
@@ -79,6 +88,51 @@ def pytest_collection_modifyitems(config, items):
         (kept if is_asked_for and not missing else left_out).append(item)
     items[:] = kept
     config.hook.pytest_deselected(items=left_out)
+
+
+def processor_time():
+    """Return what this process and the children that it has waited for have used, in seconds."""
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item):
+    start = processor_time()
+    try:
+        return (yield)
+    finally:
+        item.stash[processor_seconds] += processor_time() - start
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_fixture_setup(fixturedef, request):
+    start = processor_time()
+    try:
+        return (yield)
+    finally:
+        if fixturedef.scope == "function":
+            request.node.stash[processor_seconds] += processor_time() - start
+
+
+def pytest_runtest_protocol(item, nextitem):
+    """Fail a test of the quick run that is not quick; the second time counts, as the first may import and compile."""
+    item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
+    limit = QUICK_ON_A_BUSY_MACHINE_S if os.getloadavg()[0] > os.cpu_count() / 2 else QUICK_S
+    for _ in range(2):
+        item.stash[processor_seconds] = 0.0
+        reports = runtestprotocol(item, log=False, nextitem=nextitem)
+        seconds = item.stash[processor_seconds]
+        if item.config.getoption("--all") or seconds <= limit or not all(report.passed for report in reports):
+            break
+    else:
+        call = reports[1]
+        call.outcome = "failed"
+        call.longrepr = f"{seconds:.1f} s of processor time: a test without the mark `slow` takes at most {limit} s"
+    for report in reports:
+        item.ihook.pytest_runtest_logreport(report=report)
+    item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
+    return True
 
 
 @pytest.fixture(autouse=True)

@@ -224,7 +224,10 @@ def outcomes(run, verb, port, count):
     return outcomes_of(run, lambda run, rng: run(words_of(verb, port, rng)), count)
 
 
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize(
+    "verb",
+    [pytest.param(verb, marks=pytest.mark.slow) if verb in ("compare", "sweep", "suite") else verb for verb in VERBS],
+)
 def test_a_random_command_line_works_or_is_refused(run, taken_port, verb):
     assert "refused" in outcomes(run, verb, taken_port, 12)
 
