@@ -69,6 +69,7 @@ def test_the_default_line_up_is_the_tasks_own_also_in_a_program(folder):
     assert "random" in text
 
 
+@pytest.mark.slow
 def test_sweep_disturbs_it_in_its_own_ways(folder, run):
     disturbances = ["--disturbance", "payload=0.3", "--disturbance", "delay=2", "--disturbance", "pushes=1"]
     text = run("sweep", "hover:Expert", "--episodes", "2", "--out", "swept", *disturbances)

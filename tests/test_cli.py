@@ -41,6 +41,7 @@ def test_comparing_needs_no_torch():
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
 
 
+@pytest.mark.slow
 def test_training_without_the_extra_says_what_to_install(tmp_path):
     code = """
 import sys

@@ -19,6 +19,7 @@ def test_one_worker_takes_the_sum_of_all_times():
     assert found.seconds == pytest.approx(7.0 + sum(DURATIONS) + 0.5 * len(DURATIONS))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", [2, 10, 100])
 def test_without_costs_all_workers_are_busy_to_the_end(workers):
     found = simulated(DURATIONS, 1, workers, Costs())

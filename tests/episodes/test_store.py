@@ -409,6 +409,7 @@ def test_edited_code_is_another_comparison(tmp_path, edited):
     program(*command, "--overwrite", cwd=tmp_path)
 
 
+@pytest.mark.slow
 def test_an_edited_robot_is_another_comparison(tmp_path):
     urdf = tmp_path / "arm.urdf"
     urdf.write_text(load_arm("ur5").urdf)

@@ -13,6 +13,7 @@ NEEDS = {"sb3": {"torch", "stable_baselines3"}}
 """Libraries that the module subclasses, so that its import needs them."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["hub", "lerobot", "lerobot.dataset", "rerun", "sb3", "tracking"])
 def test_importing_one_loads_no_other_and_no_library_of_others(name):
     program = f"import json, sys, armctl.integrations.{name}; print(json.dumps(list(sys.modules)))"

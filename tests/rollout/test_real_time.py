@@ -116,6 +116,7 @@ def wandering(clock):
     return {"wandering": Wandering, "random": "random"}
 
 
+@pytest.mark.slow
 def test_recorded_times_repeat_a_measured_run_exactly_in_any_number_of_worlds(clock, tmp_path):
     arguments = {"policies": wandering(clock), "env": BRIDGE, "episodes": 7, "env_options": SHORT}
     late = compare(**arguments, real_time="measured", slow_down=2, out=tmp_path / "late")

@@ -282,6 +282,7 @@ def test_nothing_is_written_through_a_link(tmp_path):
     assert (tmp_path / "elsewhere").read_text() == ""
 
 
+@pytest.mark.slow
 def test_this_process_may_use_its_threads_again(recipe, tmp_path, monkeypatch):
     monkeypatch.delenv(THREADS_ENV_VAR, raising=False)
     tune(candidate_of(recipe, training_seeds=1), tmp_path, trials=1)

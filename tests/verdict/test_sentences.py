@@ -227,6 +227,7 @@ def test_all_that_a_verdict_may_tell_is_corrected_together():
     assert paired_table(pairs).records[0]["p_corrected"] == found[0].success
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("policies", [2, 3])
 def test_of_equally_good_policies_anything_is_told_in_five_of_a_hundred_verdicts_at_most(policies, sized):
     rng, runs = np.random.default_rng(policies), sized(60, 300)
