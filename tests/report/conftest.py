@@ -18,7 +18,7 @@ def finished(tmp_path_factory):
 def finished_sweep(tmp_path_factory):
     folder = tmp_path_factory.mktemp("swept")
     levels = {"noise": [0.05, 0.1], "delay": [1, 3]}
-    sweep(["reach_ik", "reach_bc"], disturbances=levels, episodes=6, worlds=6, out=folder, env_options=OPTIONS)
+    sweep(POLICIES, disturbances=levels, episodes=12, worlds=4, out=folder, env_options=OPTIONS)
     return folder
 
 

@@ -52,7 +52,7 @@ def test_the_page_in_a_browser(chromium, swept, width):
     tab.goto(report.as_uri(), timeout=120_000)
     drawn = "() => [...document.querySelectorAll('.canvas')].every(canvas => canvas.querySelector('.trace, .point'))"
     tab.wait_for_function(drawn, timeout=120_000)
-    assert tab.locator(".canvas").count() == len(plots_of(report)) == 8
+    assert tab.locator(".canvas").count() == len(plots_of(report)) == 11
     assert tab.evaluate("document.documentElement.scrollWidth") <= width
     beyond = "[...document.querySelectorAll('section, .wide')].filter(one => one.scrollWidth > one.clientWidth).length"
     assert tab.evaluate(beyond) == 0

@@ -124,14 +124,14 @@ def test_a_sweep_has_its_disturbances_first(swept):
     html, drawn = report.read_text(), plots_of(report)
     assert [f"Success against the level of {kind}" for kind in ("noise", "delay")] == list(drawn)[:2]
     lines = [one for one in plot_of(report, "delay")["data"] if one.get("name")]
-    assert [line["name"] for line in lines] == ["reach_ik", "reach_bc"]
+    assert [line["name"] for line in lines] == POLICIES
     points = pd.read_csv(swept / "sweep.csv")
-    bc = points[(points.disturbance == "delay") & (points.policy == "reach_bc")]
+    bc = points[(points.disturbance == "delay") & (points.policy == "reach_ppo")]
     np.testing.assert_allclose(lines[1]["y"], bc.success)
     assert lines[1]["x"] == ["0", "1", "3"]
     assert "--disturbance noise=0,0.05,0.1 --disturbance delay=0,1,3" in html
     heading = re.search(r"<h1>(.*)</h1>", html)[1]
-    assert heading == "Under noise and delay, no significant difference between policies."
+    assert heading == "Under noise and delay, reach_ik leads."
     assert html.index("<h2>Under disturbances</h2>") < html.index("<h2>Undisturbed</h2>") < html.index("<h2>Results")
 
 
