@@ -82,7 +82,7 @@ class CompareRequest(TaskRequest):
         str | None,
         typer.Option(
             metavar="POLICY",
-            help="Hold all other policies against this one.",
+            help="Compare all other policies with this one.",
             show_default="the best classical against the best learned policy",
         ),
     ] = None
@@ -90,15 +90,15 @@ class CompareRequest(TaskRequest):
         float, typer.Option(metavar="POINTS", help="Success that differs by less, in percent, counts as equivalent.")
     ] = 2.0
     real_time: RealTime = None
-    slow_down: Annotated[
-        float, typer.Option(metavar="FACTOR", help="In real time, decisions take so many times as long.")
-    ] = 1.0
+    slow_down: Annotated[float, typer.Option(metavar="FACTOR", help="Factor of the decision times, in real time.")] = (
+        1.0
+    )
     report: Annotated[bool, typer.Option("--report", help="Also write report.html, with figures and videos.")] = False
 
 
 @verb
 def compare(request: CompareRequest) -> None:
-    """Let policies play the same episodes, and print which is better, and by how much.
+    """Compare policies on the same episodes, and print which is better, and by how much.
 
     `"reach_bc[*]"` is all trainings of a recipe as one learner: the shipped one and its other training seeds, or for a
     path, `"runs/reach_ppo[*]"`, those that `armctl train` has made. `"reach_bc[1]"` is the one of training seed 1.
@@ -160,7 +160,7 @@ class SweepRequest(TaskRequest):
 
 @verb
 def sweep(request: SweepRequest) -> None:
-    """Let policies play the same episodes under increasing disturbances, and print how robust each is.
+    """Compare policies on the same episodes under increasing disturbances, and print how robust each is.
 
     Disturbances: `noise` of sensors, `delay` of actions, `payload`, `friction`, `strength` of motors, `pushes`,
     `mismatch` between the robot and the controllers' model of it, and `dropout` of camera images. Noise and dropout
@@ -212,7 +212,7 @@ class SuiteRequest(StudyRequest):
 
 @verb
 def suite(request: SuiteRequest) -> None:
-    """Let all policies of all tasks play, undisturbed and under the main disturbances, and write one report.
+    """Compare all policies on all tasks, undisturbed and under the main disturbances, and write one report.
 
     For each task, it answers whether a planner or controller is better than a learned agent: by how much, at what cost,
     and under which disturbance the order turns. The main disturbances are `noise` (or `noise_on_state`), `delay`,
@@ -220,7 +220,7 @@ def suite(request: SuiteRequest) -> None:
     `delay` and `mismatch`.
 
     With `--workers 2`, that takes less than an hour. Every episode is written as it ends. After Ctrl-C, the same
-    command with the same `--out` resumes the suite. A task that fails is told, and does not stop the others.
+    command with the same `--out` resumes the suite. A task that fails is reported, and does not stop the others.
     """
     from armctl.study.plan import ALL, suite_plan
 

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 @app.command()
 def plan(
-    detect: Annotated[float, typer.Option(metavar="POINTS", help="Difference in success to tell, in percent.")] = 2.0,
-    power: Annotated[float, typer.Option(help="Probability of telling it, if it is there.")] = 0.8,
+    detect: Annotated[float, typer.Option(metavar="POINTS", help="Difference in success to detect, in percent.")] = 2.0,
+    power: Annotated[float, typer.Option(help="Power: the probability of detecting it.")] = 0.8,
     pilot: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Results of an earlier comparison, whose pairs are planned for.")
     ] = None,
@@ -26,7 +26,7 @@ def plan(
     ] = None,
     table_format: Format = TableFormat.TABLE,
 ) -> None:
-    """Tell how many episodes a comparison needs to show a difference in success, or that there is none.
+    """Compute how many episodes a comparison needs to show a difference in success, or equivalence.
 
     That depends on the episodes that exactly one of two policies wins. A pilot, such as 50 episodes with
     `armctl compare --out pilot`, gives their share for each pair; without one, the table has common shares. With
@@ -128,7 +128,7 @@ def reproduce(
 ) -> None:
     """Evaluate learned agents again, and compare the results with their cards.
 
-    On the card's own episodes, all of its figures have to come out the same; on those of another --seed, tests of
+    On the card's own episodes, all of its figures must be equal; on those of another --seed, tests of
     success, return and steps must not tell both apart (5 %). Otherwise the exit status is 1.
     """
     from rich.text import Text

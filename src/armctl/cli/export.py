@@ -44,7 +44,7 @@ class ExportRequest:
 
 @verb
 def export(request: ExportRequest) -> None:
-    """Make an agent of a model of Stable-Baselines3 (A2C, DDPG, DQN, PPO, RecurrentPPO, SAC, TD3, TQC).
+    """Convert a model into an agent: Stable-Baselines3 (A2C, DDPG, DQN, PPO, RecurrentPPO, SAC, TD3, TQC).
 
     `armctl export model.zip --env Pendulum-v1 --out agent.onnx --trust` writes `agent.onnx`, a graph that acts as
     `model.predict(observation, deterministic=True)` does, and `agent.json`, its card. The graph holds the statistics

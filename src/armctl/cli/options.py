@@ -85,7 +85,7 @@ On = Annotated[
     typer.Option(
         "--on",
         metavar="ENGINE",
-        help="Where the work is done: `local`, in so many workers, or on a cluster: `ray://HOST:PORT`, "
+        help="Where to run: `local`, with `--workers`, or on a cluster: `ray://HOST:PORT`, "
         "`dask://HOST:PORT`, or `ray` for the one that this machine belongs to; needs the extra `cluster`.",
     ),
 ]
@@ -122,7 +122,7 @@ class TableFormat(StrEnum):
 Format = Annotated[
     TableFormat,
     typer.Option(
-        "--format", help="How results are printed. But for `table`, all else that is said goes to standard error."
+        "--format", help="How results are printed. With any other than `table`, standard output has nothing else."
     ),
 ]
 SuccessReturn = Annotated[

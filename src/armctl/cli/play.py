@@ -136,7 +136,7 @@ class CollectRequest:
 def collect(request: CollectRequest) -> None:
     """Write a policy's episodes to a dataset for learners, in the format of Minari or LeRobot.
 
-    Ctrl-C keeps the finished episodes, and the same command resumes. So it does after a full disk or a crash. The
+    Ctrl-C keeps the finished episodes, and the same command resumes. The same holds after a full disk or a crash. The
     dataset is the same wherever its episodes are played; workers play blocks of 4 episodes per world.
     """
     from armctl.core.console import PlainConsole

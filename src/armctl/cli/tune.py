@@ -26,7 +26,7 @@ class TuneRequest:
         ),
     ]
     trials: Annotated[
-        int | None, typer.Option(min=1, help="Trials in all.", show_default="50, unless hours are given")
+        int | None, typer.Option(min=1, help="Total number of trials.", show_default="50, unless hours are given")
     ] = None
     hours: Annotated[
         float | None, typer.Option(help="Processor hours of all trials together: ends at whichever comes first.")
@@ -58,13 +58,13 @@ def tune(request: TuneRequest) -> None:
     (`hidden_units = { choices = [64, 128] }`, `gamma = { low = 0.9, high = 0.999 }`), or in a file like it beside an
     expert.
 
-    The first trial is the present values. Neither side sees the test episodes: agents are judged by the held-out
+    The first trial uses the present values. Neither side sees the test episodes: agents are judged by the held-out
     episodes by which the best one of a training is chosen, experts by the same. A trial that is worse than the median
     of the others at the same point is pruned.
 
     The folder has the journal, which other processes may join by the same command, also from other machines; a row for
     each trial in `trials.csv`; `tuning.html` with Optuna's plots; and the best values as a file, for `armctl train` or
-    `armctl compare`. After Ctrl-C, or anything worse, the same command resumes.
+    `armctl compare`. After Ctrl-C or a crash, the same command resumes.
     """
     from armctl.core.errors import missing_extra
 
