@@ -3,6 +3,7 @@
 import os
 import shutil
 import signal
+import sys
 import tomllib
 from functools import cache
 from importlib.metadata import distribution
@@ -119,11 +120,13 @@ def pytest_runtest_protocol(item, nextitem):
     """Fail a test of the quick run that is not quick; the second time counts, as the first may import and compile."""
     item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
     limit = QUICK_ON_A_BUSY_MACHINE_S if os.getloadavg()[0] > os.cpu_count() / 2 else QUICK_S
+    # Full samples, coverage and debuggers take longer.
+    is_timed = not (item.config.getoption("--all") or sys.gettrace())
     for _ in range(2):
         item.stash[processor_seconds] = 0.0
         reports = runtestprotocol(item, log=False, nextitem=nextitem)
         seconds = item.stash[processor_seconds]
-        if item.config.getoption("--all") or seconds <= limit or not all(report.passed for report in reports):
+        if not is_timed or seconds <= limit or not all(report.passed for report in reports):
             break
     else:
         call = reports[1]
