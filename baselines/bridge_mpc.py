@@ -35,7 +35,7 @@ REPLAN_DISTANCE = 1.0
 """m: distance from the path at which a new one is planned."""
 
 
-@sees("state")
+@sees("state", family="MPC")
 def make(env: TaskVectorEnv, options: Mapping[str, Any] = MappingProxyType({})) -> BridgePolicy:
     """OMPL path on the true map, and nonlinear MPC along it, around the predicted pedestrians."""
     return BridgePolicy("bridge_mpc", env, functools.partial(BridgeMpc, options=options))

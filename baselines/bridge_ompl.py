@@ -31,7 +31,7 @@ REPLAN_DISTANCE = 0.4
 """m: distance from the path at which a new one is planned."""
 
 
-@sees("state")
+@sees("state", family="OMPL")
 def make(env: TaskVectorEnv) -> BridgePolicy:
     """OMPL path on the true map, and pure pursuit; waits for pedestrians who cross the path."""
     return BridgePolicy("bridge_ompl", env, BridgeOmpl)

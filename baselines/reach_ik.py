@@ -37,7 +37,7 @@ REPLAN_STEPS = 5
 """Control steps after the planned arrival until it plans again."""
 
 
-@sees("model")
+@sees("model", family="IK")
 def make(env: ModelInterface) -> PerWorld:
     """Pinocchio IK: the minimum-time collision-free configuration that reaches the target."""
     controls = ("position", "relative", "delta", "velocity")

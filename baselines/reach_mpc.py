@@ -40,7 +40,7 @@ WITHOUT_BOXES = ReachMpcOptions(margin=0.01, influence_distance=0.06)
 """Nearer to the floor and to itself than an arm goes to boxes."""
 
 
-@sees("model")
+@sees("model", family="MPC")
 def make(env: ModelInterface, options: Mapping[str, Any] = MappingProxyType({})) -> PerWorld:
     """MPC with OSQP on Pinocchio's kinematics: keeps joint limits and predicts the target's motion."""
     task = checked_options("reach_mpc", env, ReachOptions, "armctl/ArmReach-v0", OBSERVATION, ["position"])

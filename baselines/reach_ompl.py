@@ -43,7 +43,7 @@ REPLAN_STEPS = 5
 """Control steps after a plan until the next; none while there are clearances left."""
 
 
-@sees("model")
+@sees("model", family="OMPL")
 def make(env: ModelInterface) -> PerWorld:
     """OMPL path around the obstacles, towards its farthest point in sight of the observed joints."""
     env_id = "armctl/ArmReachObstacles-v0"

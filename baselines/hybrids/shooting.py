@@ -28,7 +28,7 @@ from armctl.tasks.reach.obstacles import obstacles_observation
 Array = NDArray[np.float64]
 
 
-@sees("model")
+@sees("model", family="imagination")
 def make(env: ModelInterface) -> "ShootingPolicy":
     """`obstacles_plan_bc`, which plays its episodes in imagination first, by kinematics, and executes the best."""
     agent = make_policy("obstacles_plan_bc", env)

@@ -30,6 +30,7 @@ RECORD = "rounds.pt"
 class DaggerOptions(CloningOptions):
     """Options of DAgger."""
 
+    family = "DAgger"
     rounds: Count = 10
     mixed_rounds: Count = 3
     """Rounds until the student acts alone. Until then, each action is the teacher's with a probability that decays

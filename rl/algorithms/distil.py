@@ -40,6 +40,7 @@ Steps = Annotated[int, Field(ge=0)]
 class DistilOptions(TrainingOptions):
     """Options of distillation, whose steps are environment steps."""
 
+    family = "distillation"
     steps: Count = 2_000_000
     layers: Count = 1
     """Layers between the memory and the actions."""

@@ -28,6 +28,7 @@ LAYOUTS = "layouts"
 class PlanBcOptions(TrainingOptions):
     """Options of behaviour cloning from plans."""
 
+    family = "BC"
     steps: Count = 6_000
     """Number of gradient steps."""
     worlds: Count = 1

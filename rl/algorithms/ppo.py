@@ -29,6 +29,7 @@ ACTIVATIONS = {"elu": torch.nn.ELU, "relu": torch.nn.ReLU}
 class PpoOptions(FrameOptions):
     """Options of PPO. The learning rate decays linearly to a twentieth."""
 
+    family = "PPO"
     rollout_length: Count = 32
     """Control steps of each world between two updates."""
     batch_size: Count = 2048

@@ -35,6 +35,7 @@ NOISE_TIME_CONSTANT = 10
 class SacOptions(FrameOptions):
     """Options of SAC. The learning rate decays linearly to a twentieth."""
 
+    family = "SAC"
     steps: Count = 200_000
     worlds: Count = 64
     gradient_steps: Count = 8

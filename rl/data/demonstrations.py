@@ -32,6 +32,7 @@ LOOK_BACK = 10
 class CloningOptions(TrainingOptions):
     """Options that all learners from demonstrations share."""
 
+    family = "BC"
     steps: Count = 12_000
     """Number of gradient steps."""
     worlds: Count = 50

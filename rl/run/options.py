@@ -1,5 +1,7 @@
 """Options that learners share."""
 
+from typing import ClassVar
+
 from armctl.core.errors import ConfigurationError
 from armctl.core.options import Count, Positive, Share, options
 from armctl.rl.networks.view import Features
@@ -9,6 +11,8 @@ from armctl.rl.networks.view import Features
 class TrainingOptions:
     """Options that all learners share."""
 
+    family: ClassVar[str | None] = None
+    """Kind of learning, for the agent's card."""
     steps: Count = 3_000_000
     """Environment steps, over all worlds."""
     worlds: Count = 256

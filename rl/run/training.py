@@ -184,6 +184,7 @@ class Training:
         recipe, envs, costs, plain = self.recipe, self.held_out, self.meter.read(), _plain(self.recipe)
         card = AgentCard(
             name=self.out.name,
+            family=self.options.family,
             recipe=recipe.name,
             shaping_scale=recipe.shaping_scale if recipe.shaping else None,
             **{name: plain[name] for name in RECIPE_ON_CARD},

@@ -103,6 +103,8 @@ class AgentCard(BaseModel):
     format: Literal["armctl-agent-1"] = "armctl-agent-1"
     name: str
     learner: str
+    family: str | None = None
+    """Kind of learning by which a suite ranks agents of several tasks together, such as `PPO`; None: unknown."""
     recipe: str | None = None
     env: str
     env_options: dict[str, Any]
@@ -191,7 +193,7 @@ class OnnxPolicy:
     def __init__(self, graph: Path, card: AgentCard) -> None:
         from armctl.agents.graph import AgentGraph  # onnx takes longer to import than the rest, and few need it
 
-        self.card, self.sees = card, card.sees
+        self.card, self.sees, self.family = card, card.sees, card.family
         self.training_steps, self.training_cost = card.training_steps, card.cost
         self._graph = AgentGraph(graph)
         observed = list(card.observation_shape) if isinstance(card.observation_shape, dict) else [INPUT]

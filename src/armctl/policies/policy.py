@@ -17,10 +17,11 @@ Actions = NDArray[np.floating[Any]]
 class Policy(Protocol):
     """Acts in n worlds at once.
 
-    Three attributes are optional, and go into the results: `failures` (n,), the number of times that its solver has
-    failed in each world, `training_minutes`, and `training_cost`, an `armctl.agents.costs.TrainingCost`. A fourth,
-    `reads`, names which of `observation` and `state` its actions depend on, if that is not what it declares to see: a
-    disturbance of what it does not read spares it.
+    Four attributes are optional, and go into the results: `failures` (n,), the number of times that its solver has
+    failed in each world, `training_minutes`, `training_cost`, an `armctl.agents.costs.TrainingCost`, and `family`, the
+    kind of method by which a suite ranks policies of several tasks together, such as `MPC`. A fifth, `reads`, names
+    which of `observation` and `state` its actions depend on, if that is not what it declares to see: a disturbance of
+    what it does not read spares it.
     """
 
     sees: Sees

@@ -12,8 +12,10 @@ PERCEIVED = ("observation", "state")
 """Through which of a disturbance's channels policies perceive their worlds."""
 
 
-def sees(privilege: Sees) -> Callable[[Factory], Factory]:
+def sees(privilege: Sees, *, family: str | None = None) -> Callable[[Factory], Factory]:
     """Declare what a policy sees: a decorator of the function or class that makes it, or of a plain policy.
+
+    `family` is the kind of method, such as `MPC`, by which a suite ranks policies of several tasks together.
 
     - `observation`: only what the environment gives to every policy; this is the default;
     - `model`: the robot's description and the task's options as well;
@@ -26,6 +28,8 @@ def sees(privilege: Sees) -> Callable[[Factory], Factory]:
 
     def declare(factory: Factory) -> Factory:
         factory.sees = privilege  # type: ignore[attr-defined]
+        if family is not None:
+            factory.family = family  # type: ignore[attr-defined]
         return factory
 
     return declare
@@ -39,13 +43,19 @@ def check_sees(privilege: object) -> None:
 
 def declared(source: Any) -> str:
     """Return what a policy, or its maker, declares to see. Raises `ConfigurationError`."""
-    while isinstance(source, functools.partial) and "sees" not in vars(source):
-        source = source.func
+    source = _unwrapped(source)
     privilege = getattr(source, "sees", "observation")
     if isinstance(source, type) and isinstance(privilege, property):  # its instances know
         return "observation"
     check_sees(privilege)
     return str(privilege)
+
+
+def _unwrapped(source: Any) -> Any:
+    """Return the function of a partial one, unless this declares something itself."""
+    while isinstance(source, functools.partial) and "sees" not in vars(source):
+        source = source.func
+    return source
 
 
 def knowledge_for(
@@ -63,7 +73,7 @@ def knowledge_for(
 
 
 def as_declared(policy: Any, privilege: str, name: str, source: Any) -> Any:
-    """Return a policy that was made with a declared privilege, and says so itself.
+    """Return a policy that was made with a declared privilege, and says so itself, and its family if one was declared.
 
     Raises `ConfigurationError` if it says that it sees more.
     """
@@ -75,6 +85,8 @@ def as_declared(policy: Any, privilege: str, name: str, source: Any) -> Any:
         )
     if declaration != privilege:
         policy.sees = privilege
+    if (family := getattr(_unwrapped(source), "family", None)) is not None:
+        policy.family = family
     return policy
 
 
