@@ -104,9 +104,7 @@ class Teacher:
     """
 
     def __init__(self, recipe: Recipe, num_envs: int, policy_seed: int) -> None:
-        if recipe.teacher is None:
-            raise ConfigurationError(f"{recipe.learner} learns from a policy: name it, --teacher POLICY")
-        self.name = recipe.teacher
+        self.name = _teacher_of(recipe)
         self.envs = make_worlds(recipe.env, num_envs, recipe.options_in_training)
         try:
             self.policy = make_policy(self.name, self.envs, policy_seed=policy_seed)
@@ -129,13 +127,18 @@ def teacher_in(envs: TaskVectorEnv, recipe: Recipe, policy_seed: int) -> Policy:
 
     Raises `ConfigurationError` for a recipe without a teacher, and what `armctl.make_policy` raises.
     """
+    teacher = _teacher_of(recipe)
+    card = card_of(teacher)
+    if card is None or card.sees != "state" or envs.task.state_space is None:
+        return make_policy(teacher, envs, policy_seed=policy_seed)
+    with state_observing_env(envs) as single_env:
+        return StateObservingAgent(make_policy(teacher, single_env, policy_seed=policy_seed), envs)
+
+
+def _teacher_of(recipe: Recipe) -> str:
     if recipe.teacher is None:
         raise ConfigurationError(f"{recipe.learner} learns from a policy: name it, --teacher POLICY")
-    card = card_of(recipe.teacher)
-    if card is None or card.sees != "state" or envs.task.state_space is None:
-        return make_policy(recipe.teacher, envs, policy_seed=policy_seed)
-    with state_observing_env(envs) as single_env:
-        return StateObservingAgent(make_policy(recipe.teacher, single_env, policy_seed=policy_seed), envs)
+    return recipe.teacher
 
 
 def demonstrations(

@@ -3,6 +3,9 @@
 Features are computed from the observation inside the exported graph: an agent sees what any policy sees.
 """
 
+from collections.abc import Mapping
+from typing import Any
+
 import gymnasium
 import torch
 from gymnasium import spaces
@@ -95,11 +98,7 @@ PREPARATIONS: dict[str, type[torch.nn.Module]] = {"column_ranges": ColumnRanges}
 
 def preparation_by_name(name: str) -> type[torch.nn.Module]:
     """Return what makes an observation smaller, by name or `module:Class`. Raises `ConfigurationError`."""
-    if ":" in name:
-        return import_attribute(name, "preparation")
-    if name not in PREPARATIONS:
-        raise unknown_name("preparation", name, [*PREPARATIONS, "module:Class"])
-    return PREPARATIONS[name]
+    return _by_name("preparation", name, PREPARATIONS)
 
 
 def features_by_name(name: str | None, observation_space: gymnasium.Space[object]) -> type[BaseFeaturesExtractor]:
@@ -109,8 +108,12 @@ def features_by_name(name: str | None, observation_space: gymnasium.Space[object
     """
     if name is None:
         return CombinedExtractor if isinstance(observation_space, gymnasium.spaces.Dict) else FlattenExtractor
+    return _by_name("features", name, FEATURES)
+
+
+def _by_name(kind: str, name: str, known: Mapping[str, Any]) -> Any:
     if ":" in name:
-        return import_attribute(name, "features")
-    if name not in FEATURES:
-        raise unknown_name("features", name, [*FEATURES, "module:Class"])
-    return FEATURES[name]
+        return import_attribute(name, kind)
+    if name not in known:
+        raise unknown_name(kind, name, [*known, "module:Class"])
+    return known[name]

@@ -82,14 +82,14 @@ class Candidate(ABC):
         """Criterion by which a trial is judged, in words."""
 
     @property
-    @abstractmethod
     def env(self) -> str:
         """Id of the environment."""
+        return str(self.content["env"])
 
     @property
     def learner(self) -> str:
         """Name of the learner; empty if nothing learns."""
-        return ""
+        return str(self.content.get("learner", ""))
 
     @property
     @abstractmethod
@@ -132,11 +132,6 @@ class RecipeCandidate(Candidate):
             train_here(recipe, seed, home, resume=True, on_evaluation=lambda row: report(row[self.score]))
 
     @property
-    def learner(self) -> str:
-        """Name of the learner."""
-        return self.recipe.learner
-
-    @property
     def code(self) -> dict[str, str]:
         """Checksums of the learner's and the task's code."""
         return code_of(self.recipe)
@@ -145,11 +140,6 @@ class RecipeCandidate(Candidate):
         """Return the candidate as another machine can use it, and its teacher's files."""
         recipe, files = for_sending(self.recipe)
         return replace(self, recipe=recipe), files
-
-    @property
-    def env(self) -> str:
-        """Id of the environment."""
-        return self.recipe.env
 
     @property
     def judged_by(self) -> str:
@@ -189,11 +179,6 @@ class PolicyCandidate(Candidate):
                     scores.append(result.total_reward if self.score == "return" else float(bool(result.success)))
                 report(step, float(np.mean(scores)))
         return [float(np.mean(scores))]
-
-    @property
-    def env(self) -> str:
-        """Id of the environment."""
-        return self.configuration.env
 
     @property
     def code(self) -> dict[str, str]:
