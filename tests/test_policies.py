@@ -1,13 +1,17 @@
+import contextlib
 from pathlib import Path
 
 import gymnasium
 import numpy as np
 import pytest
 
+import armctl
 from armctl.agents import read_card
 from armctl.core.errors import ArmctlError, ConfigurationError
-from armctl.core.registration import environment_names
+from armctl.core.registration import environment_names, installed
+from armctl.envs import make_worlds
 from armctl.policies import Policy, make_policy, policy_names
+from armctl.policies.trainings import card_of
 from armctl.study.line_up import default_policies
 from armctl.study.reproduce import card_path
 
@@ -122,3 +126,24 @@ def test_baselines_and_agents_are_plugins_that_the_core_does_not_name():
         text = file.read_text()
         assert "armctl.baselines" not in text, file
         assert "armctl.rl" not in text, file
+
+
+def test_every_policy_that_comes_with_armctl_declares_its_family():
+    families = {
+        "ik": "IK", "mpc": "MPC", "ompl": "OMPL", "ppo": "PPO", "sac": "SAC", "bc": "BC", "dagger": "DAgger",
+        "distil": "distillation", "imagined": "imagination", "random": None,
+    }  # fmt: skip
+    for name in policy_names():
+        card = card_of(name)
+        declared = card.family if card else getattr(installed("armctl.policies")[name].load(), "family", None)
+        assert declared == families[name.rpartition("_")[2]], name
+
+
+def test_a_policy_has_the_family_that_its_maker_declares():
+    @armctl.sees("observation", family="PD")
+    def still(observation):
+        return observation[3:9]
+
+    with contextlib.closing(make_worlds("armctl/ArmReach-v0", 1)) as worlds:
+        assert make_policy(still, worlds).family == "PD"
+        assert not hasattr(make_policy(lambda observation: observation[3:9], worlds), "family")

@@ -6,7 +6,6 @@ from armctl.stats import intervals as statistics
 from armctl.stats.across_tasks import (
     Choice,
     choose,
-    family,
     improvement,
     leagues,
     mean_over_tasks,
@@ -37,19 +36,6 @@ def random_tables(seed, settings=3, episodes=20, policies="abcd"):
 
 def values(estimate):
     return estimate.value, estimate.low, estimate.high
-
-
-@pytest.mark.parametrize(
-    ("policy", "found"),
-    [
-        ("reach_ik", "IK"),
-        ("bridge_moving_state_ppo", "PPO"),
-        ("reach_dagger", "DAgger"),
-        ("hover:Expert", "hover:Expert"),
-    ],
-)
-def test_families_are_told_by_the_last_word(policy, found):
-    assert family(policy) == found
 
 
 def test_nobody_is_judged_by_the_episodes_that_he_was_chosen_for():

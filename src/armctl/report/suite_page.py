@@ -19,7 +19,6 @@ from armctl.stats.across_tasks import (
     Choice,
     League,
     cell_rates,
-    family,
     improvement,
     mean_over_tasks,
     success_profile,
@@ -42,7 +41,7 @@ def write_suite_page(suite: Study, folder: Path, out: Path, reports: Mapping[str
     Raises `ResultsError` if the page cannot be written.
     """
     answers = suite.answers
-    names = list(dict.fromkeys(family(policy.policy) for answer in answers for policy in answer.policies))
+    names = list(dict.fromkeys(policy.family for answer in answers for policy in answer.policies))
     styles, heads = suite_figures.family_styles(names), _heads(suite)
     page: dict[str, Any] = {
         "headline": headline(answers),
@@ -134,7 +133,7 @@ def _families(answers: Sequence[Answer], names: Sequence[str]) -> list[tuple[str
 
 
 def _members(answer: Answer, name: str) -> list[str]:
-    return [policy.policy for policy in answer.policies if family(policy.policy) == name]
+    return [policy.policy for policy in answer.policies if policy.family == name]
 
 
 def _mean_success(answer: Answer, policies: Sequence[str]) -> float | None:
@@ -195,7 +194,7 @@ def _costs(answers: Sequence[Answer], styles: style.Styles) -> list[Plot]:
     def points(cost: Any) -> list[CostPoint]:
         return [
             CostPoint(
-                policy.policy, task_name(answer.env), styles[family(policy.policy)], symbols[answer.env], success / 100,
+                policy.policy, task_name(answer.env), styles[policy.family], symbols[answer.env], success / 100,
                 float(known_cost),
             )
             for answer in answers

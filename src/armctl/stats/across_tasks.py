@@ -28,11 +28,6 @@ from armctl.stats.intervals import (
 )
 from armctl.stats.paired import EQUIVALENCE, SIGNIFICANT, holm, mcnemar, mover, significant, within
 
-FAMILIES = {
-    "ik": "IK", "mpc": "MPC", "ompl": "OMPL", "ppo": "PPO", "sac": "SAC", "bc": "BC", "dagger": "DAgger",
-    "distil": "distillation", "imagined": "imagination",
-}  # fmt: skip
-"""Names of families, by the last word of a policy's name."""
 SELECTION_STRIDE = 3
 """Distance between two episodes that select a policy, and do not count for it."""
 
@@ -44,11 +39,6 @@ class Choice:
     policy: str
     of_several: bool = False
     """True if it was chosen from several: the episodes that selected it do not count for it."""
-
-
-def family(policy: str) -> str:
-    """Return the family of a policy by the last word of its name, such as MPC; its name if that is no family."""
-    return FAMILIES.get(policy.rpartition("_")[2], policy)
 
 
 def choose(success: pd.DataFrame, returns: pd.DataFrame, candidates: Sequence[str]) -> Choice:

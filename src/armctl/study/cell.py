@@ -169,6 +169,7 @@ class _Line:
                     training_cost_of(policy),
                     events.construction_ms[name],
                     tuple(self.interfaces.spared(self.playing[name], policy)),
+                    getattr(policy, "family", None),
                 )
                 for name, policy in self.made.items()
             },

@@ -164,7 +164,7 @@ def concluded(
     summaries, found.paired = summarise(
         results, policies, facts.planned, facts.return_bounds, facts.time_limit, facts.groups, facts.spared, runs
     )
-    found.policies = [_with_construction(one, facts) for one in summaries]
+    found.policies = [_with_facts(one, facts) for one in summaries]
     counted, _ = counted_results(results)
     found.notes += [
         *([] if facts.return_bounds else [UNBOUNDED]),
@@ -178,7 +178,8 @@ def concluded(
     return found
 
 
-def _with_construction(one: PolicySummary, facts: Facts) -> PolicySummary:
-    """The summary with the time that it took to make the policy; of a group's trainings, the longest."""
-    construction_ms = max(facts.policies[name].construction_ms for name in one.trainings or [one.policy])
-    return dataclasses.replace(one, construction_ms=construction_ms)
+def _with_facts(one: PolicySummary, facts: Facts) -> PolicySummary:
+    """The summary with the policy's family, and the time that it took to make it; of a group, the longest."""
+    members = [facts.policies[name] for name in one.trainings or [one.policy]]
+    construction_ms = max(member.construction_ms for member in members)
+    return dataclasses.replace(one, construction_ms=construction_ms, family=members[0].family or one.policy)

@@ -27,6 +27,8 @@ class PolicyFacts:
     construction_ms: Finite
     spared: tuple[str, ...]
     """The disturbances that do not reach it."""
+    family: str | None = None
+    """Kind of method, such as `MPC`; None: it declares none."""
 
     @property
     def training_steps(self) -> int:

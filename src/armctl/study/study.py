@@ -6,7 +6,7 @@ from typing import Any
 
 from armctl.core.registration import bare_id
 from armctl.episodes.stored import UNDISTURBED
-from armctl.stats.across_tasks import League, family, leagues, rank
+from armctl.stats.across_tasks import League, leagues, rank
 from armctl.stats.intervals import Array
 from armctl.study.answers import Answer, answer, corrected
 from armctl.study.comparison import Comparison
@@ -77,7 +77,7 @@ class Study(Displayed):
         for one in self.answers:
             members: dict[str, list[str]] = {}
             for policy in one.policies:
-                members.setdefault(family(policy.policy), []).append(policy.policy)
+                members.setdefault(policy.family, []).append(policy.policy)
             for name, policies in members.items():
                 if len(its := rank(one.cells, policies)):
                     found.setdefault(name, {})[one.task] = its

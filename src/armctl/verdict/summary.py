@@ -125,6 +125,9 @@ class PolicySummary(DecisionTimes, Performance, PlayedEpisodes):
 
     None if the score has no bounds."""
 
+    family: str = ""
+    """Kind of method that the policy declares, such as `MPC`; of another, its name."""
+
     @property
     def learned(self) -> bool:
         """True if it was trained."""
