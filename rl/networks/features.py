@@ -111,9 +111,9 @@ def features_by_name(name: str | None, observation_space: gymnasium.Space[object
     return _by_name("features", name, FEATURES)
 
 
-def _by_name(kind: str, name: str, known: Mapping[str, Any]) -> Any:
+def _by_name(kind: str, name: str, classes: Mapping[str, Any]) -> Any:
     if ":" in name:
         return import_attribute(name, kind)
-    if name not in known:
-        raise unknown_name(kind, name, [*known, "module:Class"])
-    return known[name]
+    if name not in classes:
+        raise unclasses_name(kind, name, [*classes, "module:Class"])
+    return classes[name]
