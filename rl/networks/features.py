@@ -115,5 +115,5 @@ def _by_name(kind: str, name: str, classes: Mapping[str, Any]) -> Any:
     if ":" in name:
         return import_attribute(name, kind)
     if name not in classes:
-        raise unclasses_name(kind, name, [*classes, "module:Class"])
+        raise unknown_name(kind, name, [*classes, "module:Class"])
     return classes[name]
