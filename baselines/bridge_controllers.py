@@ -7,13 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.control.arc_path import ArcPath
+from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
 from armctl.envs import Sees, TaskVectorEnv
 from armctl.planning import plan_path
 from armctl.scene import BridgeMap
 from armctl.tasks import BridgeTask
-
-Array = NDArray[np.float64]
 
 SHOWN_HEIGHT = 0.05
 """m: height above the deck at which plans are drawn."""

@@ -11,18 +11,16 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armctl.baselines.bridge_controllers import BridgePolicy, distance_from_path, path_from
 from armctl.control.drive_mpc import DriveMpc, DriveMpcOptions
+from armctl.core.arrays import Array
 from armctl.core.options import changed_options
 from armctl.envs import TaskVectorEnv
 from armctl.policies import sees
 from armctl.robots.rover import MAX_VELOCITY, MAX_WHEEL_SPEED, RADIUS, TRACK, WHEEL_RADIUS, WHEEL_SEPARATION_MULTIPLIER
 from armctl.scene import BridgeMap
 from armctl.tasks.bridge import CONTROL_PERIOD
-
-Array = NDArray[np.float64]
 
 MARGIN = 0.04
 """m: distance between the rover and static obstacles."""

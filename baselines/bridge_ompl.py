@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 
 from armctl.baselines.bridge_controllers import BridgePolicy, distance_from_path, path_from
 from armctl.control import RegulatedPurePursuit
+from armctl.core.arrays import Array
 from armctl.envs import TaskVectorEnv
 from armctl.policies import sees
 from armctl.robots.rover import RADIUS
 from armctl.scene import BridgeMap
 from armctl.tasks.bridge import CONTROL_PERIOD
-
-Array = NDArray[np.float64]
 
 MARGIN = 0.2
 """m: distance between the rover and pedestrians."""

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.baselines.reach_task import checked_options
+from armctl.core.arrays import Array
 from armctl.envs import ModelInterface
 from armctl.kinematics import ArmModel, MinimumTimeReach
 from armctl.kinematics.damped_least_squares import damped_step
@@ -19,8 +20,6 @@ from armctl.policies import PerWorld, sees
 from armctl.robot_description.joint_profiles import towards
 from armctl.tasks import OBSERVATION, ReachMovingOptions, ReachOptions
 from armctl.tasks.reach import CONTROL_PERIOD
-
-Array = NDArray[np.float64]
 
 MARGIN = 0.9
 """Fraction of the tolerance to aim at, as a reserve for servo errors."""

@@ -17,14 +17,13 @@ from armctl.baselines.reach_task import checked_options
 from armctl.control.reach_mpc import ReachMpc, ReachMpcOptions
 from armctl.control.reach_problem import JointTrajectory
 from armctl.control.streaming import CommandStream
+from armctl.core.arrays import Array
 from armctl.core.options import changed_options
 from armctl.envs import ModelInterface
 from armctl.kinematics import ArmModel, ReachabilityMap
 from armctl.policies import PerWorld, sees
 from armctl.tasks import OBSERVATION, ReachOptions
 from armctl.tasks.reach import read_boxes
-
-Array = NDArray[np.float64]
 
 STUCK_STEPS, MIN_PROGRESS = 12, 0.005
 """Control steps in which the tip came less than so many m nearer to the target, after which another posture is looked

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from armctl.baselines.reach_task import checked_options
 from armctl.control.streaming import follow
+from armctl.core.arrays import Array
 from armctl.envs import ModelInterface
 from armctl.kinematics import ArmModel, ArmShapes, EdgeChecker
 from armctl.planning import ArmPlanner, ArmPlannerOptions
@@ -20,8 +21,6 @@ from armctl.scene import Boxes
 from armctl.tasks import ReachObstaclesOptions
 from armctl.tasks.reach import CONTROL_PERIOD, read_boxes
 from armctl.tasks.reach.obstacles import OBSTACLES_OBSERVATION
-
-Array = NDArray[np.float64]
 
 CLEARANCES = (0.01, 0.0075, 0.005)
 """m, of the path: of the first plan, and of the next ones if it fails. Layouts are certified with the last."""

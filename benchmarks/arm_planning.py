@@ -15,18 +15,17 @@ from typing import Any
 
 import numpy as np
 import typer
-from numpy.typing import NDArray
 from ompl import base, geometric, util
 from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from armctl.core.arrays import Array
 from armctl.kinematics import ArmModel, ArmShapes, EdgeChecker, Ik, Workspace
 from armctl.planning import ArmPlanner, ArmPlannerOptions
 from armctl.tasks.reach.obstacle_layout import ReachLayout, sample_layout
 
-Array = NDArray[np.float64]
 Planner = Callable[[ReachLayout], tuple[float, Array]]
 """Function of a layout: the length of a path before shortening, and the path; it is empty for a failure."""
 

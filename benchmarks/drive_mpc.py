@@ -15,7 +15,6 @@ import casadi
 import gymnasium
 import numpy as np
 import typer
-from numpy.typing import NDArray
 from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import track
@@ -25,8 +24,6 @@ from armctl.baselines import bridge_mpc
 from armctl.control.drive_mpc import DriveMpc, DriveMpcResult
 from armctl.control.drive_nlp import CONTROLS, DriveSolver, drive_nlp
 from armctl.policies import make_policy
-
-Array = NDArray[np.float64]
 
 ENVIRONMENTS = "armctl/BridgeCross-v0", "armctl/BridgeCrossMoving-v0"
 MAX_STEPS = 200

@@ -22,19 +22,17 @@ import numpy as np
 import pink
 import pinocchio
 import typer
-from numpy.typing import NDArray
 from pink.limits import ConfigurationLimit
 from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import track
 from rich.table import Column, Table
 
+from armctl.core.arrays import Array
 from armctl.kinematics import ArmModel, Ik, IkOptions
 from armctl.kinematics.ik import _PoseProblem
 from armctl.robots import build_arm_world
 from armctl.robots.arm import PREFIX
-
-Array = NDArray[np.float64]
 
 TOLERANCE = 1e-6  # m and rad
 PATIENCE = 8  # steps in a row that may fail to take a tenth off the error before a start is given up, as in `Ik`

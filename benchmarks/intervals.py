@@ -14,19 +14,17 @@ from typing import Any
 
 import numpy as np
 import typer
-from numpy.typing import NDArray
 from rich.box import MARKDOWN
 from rich.console import Console
 from rich.table import Table
 from scipy import stats
 
 import armctl
+from armctl.core.arrays import Array
 from armctl.stats import intervals as statistics
 from armctl.stats.intervals import Bounds, Estimate, bounded_mean, success_rate, worst_decile
 from armctl.stats.paired import mcnemar, mover
 from armctl.stats.trainings import difference_over_trainings, mean_over_trainings
-
-Array = NDArray[np.float64]
 
 EPISODES = (20, 50, 200, 1000)
 FAILURES = (0.0, 0.001, 0.005, 0.01, 0.05, 0.2, 0.5)
@@ -218,7 +216,7 @@ def _width(estimates: list[Estimate]) -> str:
     return f"{100 * float(np.median(widths)):.0f}"
 
 
-def students_mean(values: NDArray[np.float64]) -> Estimate:
+def students_mean(values: Array) -> Estimate:
     """Return a mean with Student's interval, which is far too narrow where disasters are rare."""
     value, half = float(values.mean()), float(stats.sem(values) * stats.t.ppf(0.975, len(values) - 1))
     return Estimate(value, value - half, value + half)

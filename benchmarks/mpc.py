@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import typer
-from numpy.typing import NDArray
 from reach_reference import ReachReference
 from rich.box import MARKDOWN
 from rich.console import Console
@@ -25,10 +24,9 @@ from rich.table import Table
 from armctl.control.reach_mpc import ReachMpc, ReachMpcOptions
 from armctl.control.reach_problem import MpcResult
 from armctl.control.reach_qp import ReachQp
+from armctl.core.arrays import Array
 from armctl.kinematics import ArmModel, Ik
 from armctl.scene import Boxes
-
-Array = NDArray[np.float64]
 
 DECISIONS = 25
 """Decisions in an episode: most are there after 15."""

@@ -13,7 +13,6 @@ from collections.abc import Callable
 import numpy as np
 import shapely
 import typer
-from numpy.typing import NDArray
 from ompl import base, geometric, util
 from rich.box import MARKDOWN
 from rich.console import Console
@@ -22,11 +21,10 @@ from rich.table import Table
 from scipy.sparse.csgraph import dijkstra
 from shapely import affinity
 
+from armctl.core.arrays import Array
 from armctl.planning import PathPlannerOptions, plan_path
 from armctl.scene import BridgeMap
 from armctl.tasks.bridge.layout import sample_layout
-
-Array = NDArray[np.float64]
 
 START, GOAL_X = (1.0, 0.0), 19.0
 CLEARANCE = PathPlannerOptions().clearance

@@ -27,6 +27,7 @@ from rich.console import Console
 from rich.table import Table
 
 import armctl
+from armctl.core.arrays import Array
 from armctl.disturbances import available
 from armctl.envs.vector import TaskVectorEnv
 from armctl.simulation.impacts import DEPTH
@@ -42,7 +43,6 @@ from armctl.tasks import (
 
 TESTS = Path(__file__).parents[1] / "tests"
 BatchSteps = runpy.run_path(str(TESTS / "simulation" / "batch_steps.py"))["BatchSteps"]
-Array = NDArray[np.float64]
 
 ACTIONS = ("uniform", "bang-bang", "held", "walk", "push")
 HOLD = 25

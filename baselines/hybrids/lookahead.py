@@ -19,6 +19,7 @@ from pydantic import Field
 
 from armctl.agents import OnnxPolicy
 from armctl.agents.costs import TuningCost, total_tuning
+from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
 from armctl.core.options import Count, options
 from armctl.envs import Sees, TaskVectorEnv
@@ -32,7 +33,6 @@ from armctl.tasks.bridge.observation import BLOCK, ROVER, WALKER
 from armctl.tasks.bridge.options import MOVES
 from armctl.tasks.bridge.planar import Geometry, block_rows
 
-Array = NDArray[np.float64]
 Velocities = Annotated[tuple[float, ...], Field(min_length=1)]
 
 TUNING = TuningCost(trials=3)

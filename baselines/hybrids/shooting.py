@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.agents import OnnxPolicy
+from armctl.core.arrays import Array
 from armctl.core.options import Count, NonNegative, options
 from armctl.envs import ModelInterface, Sees
 from armctl.kinematics import ArmModel, ArmShapes, ImaginedArms
@@ -24,8 +25,6 @@ from armctl.scene import BOX_NUMBERS
 from armctl.tasks.reach import CONTROL_PERIOD, observation_slices
 from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES
 from armctl.tasks.reach.obstacles import obstacles_observation
-
-Array = NDArray[np.float64]
 
 
 @sees("model", family="imagination")
@@ -88,7 +87,7 @@ class ShootingPolicy:
         ahead = self._plans[world, self._steps[world] : self._lengths[world]]
         return {"path": self._shapes.model.positions(ahead)} if len(ahead) else {}
 
-    def act(self, observations: Any) -> NDArray[np.float64]:
+    def act(self, observations: Any) -> Array:
         """Return joint positions (n, dof), rad, to move to, for observations (n, k)."""
         parts = {name: np.asarray(observations[:, part], float) for name, part in self._slices.items()}
         positions, expected = parts["joint_positions"], self._expected

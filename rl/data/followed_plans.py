@@ -11,14 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.core.arrays import Array
 from armctl.kinematics import ArmShapes, ImaginedArms
 from armctl.kinematics.imagined import MOVING
 from armctl.rl.data.solved_layouts import SolvedLayouts
 from armctl.tasks.reach import CONTROL_PERIOD
 from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES
 from armctl.tasks.reach.obstacles import obstacles_observation
-
-Array = NDArray[np.float64]
 
 WAYPOINTS_APART = 0.3
 """Largest joint motion between waypoints, of which a way's corners are some, rad."""

@@ -3,9 +3,8 @@
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from armctl.core.arrays import Array
 
 TICK = 0.008
 """s: the drives of a UR5 take commands at 125 Hz."""

@@ -6,11 +6,9 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armctl.core.arrays import Array
 from armctl.tasks import MotionSample
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

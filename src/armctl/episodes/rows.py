@@ -16,9 +16,10 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.core.arrays import Array
 from armctl.envs import ERROR
 from armctl.episodes.record import LARGEST_RETURN, EpisodeResult
-from armctl.episodes.table import AT_ONCE, TYPES, Array, EpisodeTable, Ragged, column
+from armctl.episodes.table import AT_ONCE, TYPES, EpisodeTable, Ragged, column
 
 TEXTS = ("policy", "outcome", "run", "terms")
 """Columns of numbers of texts; `terms` is the names of the reward terms, a JSON list."""

@@ -16,10 +16,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
+from armctl.core.arrays import Array
 from armctl.episodes.metrics import Metrics, warm_times
 from armctl.episodes.record import COLUMNS, EpisodeResult
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 _APART = ("reward_terms", "metrics", "decision_ms")
 _PLAIN = [field.name for field in fields(EpisodeResult) if field.name not in _APART]

@@ -17,9 +17,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from armctl.core.arrays import Array
 from armctl.stats.intervals import (
     FEWEST,
-    Array,
     Estimate,
     MeanDifference,
     bounded_difference,
@@ -217,7 +217,7 @@ def leagues(ranks: Mapping[str, Mapping[str, Array]]) -> list[League]:
     return list(by_tasks.values())
 
 
-def success_profile(cells: Sequence[Estimate], thresholds: NDArray[np.float64]) -> list[Estimate]:
+def success_profile(cells: Sequence[Estimate], thresholds: Array) -> list[Estimate]:
     """Return the share of cells (task and setting) with a success of at least each threshold (Agarwal et al. 2021).
 
     The band is the same share of the cells' lower and of their upper limits.

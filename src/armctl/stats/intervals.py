@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-Array = NDArray[np.float64]
+from armctl.core.arrays import Array
+
 Bounds = tuple[float, float]
 """Least and largest value that is possible."""
 

@@ -8,8 +8,8 @@ from functools import lru_cache
 import numpy as np
 from scipy import stats
 
+from armctl.core.arrays import Array
 from armctl.stats.intervals import (
-    Array,
     Bounds,
     Estimate,
     Superiority,

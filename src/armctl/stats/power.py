@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from armctl.stats.intervals import Array
+from armctl.core.arrays import Array
 from armctl.stats.paired import EQUIVALENCE, SIGNIFICANT
 
 NEGLIGIBLE = 1e-8

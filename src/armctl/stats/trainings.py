@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
+from armctl.core.arrays import Array
 from armctl.stats.intervals import (
-    Array,
     Bounds,
     Estimate,
     RandomWeights,

@@ -4,10 +4,10 @@ import functools
 from dataclasses import dataclass, field
 from typing import Any
 
+from armctl.core.arrays import Array
 from armctl.core.registration import bare_id
 from armctl.episodes.stored import UNDISTURBED
 from armctl.stats.across_tasks import League, leagues, rank
-from armctl.stats.intervals import Array
 from armctl.study.answers import Answer, answer, corrected
 from armctl.study.comparison import Comparison
 from armctl.study.plan import SUITE, SWEEP, Plan, task_name

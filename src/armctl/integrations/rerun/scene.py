@@ -8,9 +8,8 @@ import rerun as rr
 from numpy.typing import NDArray
 from rerun import blueprint as rrb
 
+from armctl.core.arrays import Array
 from armctl.simulation import Simulation
-
-Array = NDArray[np.float64]
 
 NUM_VISIBLE_GROUPS = 3
 """MuJoCo's viewers show the groups below it."""
