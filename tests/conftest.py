@@ -118,20 +118,23 @@ def pytest_fixture_setup(fixturedef, request):
 
 def pytest_runtest_protocol(item, nextitem):
     """Fail a test of the quick run that is not quick; the second time counts, as the first may import and compile."""
-    item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
-    limit = QUICK_ON_A_BUSY_MACHINE_S if os.getloadavg()[0] > os.cpu_count() / 2 else QUICK_S
-    # Full samples, coverage and debuggers take longer.
-    is_timed = not (item.config.getoption("--all") or sys.gettrace())
-    for _ in range(2):
+
+    def run():
         item.stash[processor_seconds] = 0.0
         reports = runtestprotocol(item, log=False, nextitem=nextitem)
-        seconds = item.stash[processor_seconds]
-        if not is_timed or seconds <= limit or not all(report.passed for report in reports):
-            break
-    else:
-        call = reports[1]
-        call.outcome = "failed"
-        call.longrepr = f"{seconds:.1f} s of processor time: a test without the mark `slow` takes at most {limit} s"
+        return reports, item.stash[processor_seconds], all(report.passed for report in reports)
+
+    item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
+    limit = QUICK_ON_A_BUSY_MACHINE_S if os.getloadavg()[0] > os.cpu_count() / 2 else QUICK_S
+    reports, seconds, has_passed = run()
+    # Full samples, coverage and debuggers take longer.
+    is_timed = not (item.config.getoption("--all") or sys.gettrace())
+    if is_timed and has_passed and seconds > limit:
+        _, seconds, has_passed = run()
+        if has_passed and seconds > limit:
+            _, call, _ = reports
+            call.outcome = "failed"
+            call.longrepr = f"{seconds:.1f} s of processor time: a test without the mark `slow` takes at most {limit} s"
     for report in reports:
         item.ihook.pytest_runtest_logreport(report=report)
     item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
