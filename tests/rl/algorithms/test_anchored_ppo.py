@@ -34,6 +34,7 @@ def fitted(model, steps, learning_rate=1e-3):
     return list(model.fit_critic(steps, torch.optim.Adam(model.critic_parameters(), learning_rate)))
 
 
+@pytest.mark.slow
 def test_fitting_the_critic_leaves_the_actor_and_explains_returns_better(model):
     before = weights(model)
     explained = fitted(model, 12 * 256)

@@ -32,6 +32,7 @@ def untrained(chosen, out):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "memory"),
     [({}, {}), ({"frames": 3, "frame_gap": 2}, {"past_image": [4, 6, 8], "past_motion": [4, 3], "begun": [1]})],
@@ -108,6 +109,7 @@ def test_the_state_shown_is_that_of_the_worlds_and_in_the_end_the_last_one(tmp_p
             assert not np.array_equal(truths["final_obs"][i], states[i])
 
 
+@pytest.mark.slow
 def test_a_clone_may_go_on_with_a_privileged_critic(tmp_path):
     small = {**SMALL, "cloning_steps": 3, "critic_steps": 16, "demonstrations": 2, "hidden_units": 8}
     chosen = load_recipe("cloned_ppo", BRIDGE).changed(

@@ -113,6 +113,7 @@ def test_a_training_resumes_where_it_was(tmp_path):
         train(recipe(steps=768, evaluation_every=256, memory_units=8), out=tmp_path / "run", seed=0, resume=True)
 
 
+@pytest.mark.slow
 def test_an_interrupt_leaves_a_checkpoint(tmp_path, monkeypatch):
     step = DistillationBatch._step
 
@@ -174,6 +175,7 @@ def test_the_teacher_acts_at_first(mixed_steps, share, tmp_path, monkeypatch):
     assert np.isin(taken, (0.5, -0.5)).mean() == share
 
 
+@pytest.mark.slow
 def test_an_agent_of_the_state_teaches_a_student_who_sees_the_camera(state_agent, tmp_path):
     """It labels the states of the very worlds that the student is in."""
     options = {"env": "armctl/BridgeCross-v0", "env_options": CAMERA, "teacher": str(state_agent)}

@@ -59,6 +59,7 @@ def weights(path, part):
     return {name: values for name, values in numbers.items() if part in name}
 
 
+@pytest.mark.slow
 def test_ppo_starts_from_what_the_agent_does(student, tmp_path, monkeypatch):
     monkeypatch.setattr(distilled_ppo.AnchoredPpo, "train", lambda model: None)
     card = trained(recipe(student), tmp_path / "run")
@@ -71,6 +72,7 @@ def test_ppo_starts_from_what_the_agent_does(student, tmp_path, monkeypatch):
     assert before.std(axis=0).max() > 1e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("privileged", [False, True])
 def test_only_the_layers_from_memory_to_actions_change(student, privileged, tmp_path):
     card = trained(recipe(student, privileged_critic=privileged, learning_rate=1e-2), tmp_path / "run")
