@@ -135,6 +135,7 @@ def test_a_sweep_has_its_disturbances_first(swept):
     assert html.index("<h2>Under disturbances</h2>") < html.index("<h2>Undisturbed</h2>") < html.index("<h2>Results")
 
 
+@pytest.mark.slow
 def test_the_commands_write_it_and_say_where(tmp_path):
     done = armctl("compare", "reach_ik", "--episodes", "1", "--out", "here", "--report", cwd=tmp_path)
     assert "here/report.html is the report" in done.stdout

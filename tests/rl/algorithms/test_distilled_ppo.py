@@ -97,6 +97,7 @@ def test_a_training_resumes(student, tmp_path):
     assert trained(more, tmp_path / "run", resume=True).training_steps == 192
 
 
+@pytest.mark.slow
 def test_stages_that_show_ranges_and_the_camera(student, tmp_path):
     chosen = recipe(student).changed(
         training_options={"dynamics": "kinematic", "observation": "ranges"}, curriculum=[{"after": 0.5}]
