@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 import pandas as pd
+import pytest
 
 from armctl.agents import read_card
 from armctl.policies import sees
