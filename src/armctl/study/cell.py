@@ -117,11 +117,6 @@ class _Line:
     made: Mapping[str, Policy]
 
     @property
-    def worlds(self) -> int:
-        """How many worlds share a policy's calls."""
-        return 1 if self.cell.real_time else min(self.plan.worlds, self.plan.episodes)
-
-    @property
     def playing(self) -> dict[str, Any]:
         """The policies as they were asked for, by name, without those that cannot play."""
         return {name: policy for name, policy in self.cell.players.items() if name in self.made}
@@ -149,7 +144,7 @@ class _Line:
             worlds = {name: self.interfaces.of(policy) for name, policy in self.playing.items()}
             return play_here(self.made, worlds, plan.seed, waiting, lower_bound_steps, cell.real_time, set(finished))
         options = dict(cell.env_options)
-        config = WorkerConfig(cell.env, self.worlds, options, plan.seed, self.policy_seed, engine.workers)
+        config = WorkerConfig(cell.env, plan.worlds_in(cell), options, plan.seed, self.policy_seed, engine.workers)
         setting = Setting(config, self.playing)
         return play_in_workers(
             setting, self.made, self.interfaces, waiting, lower_bound_steps, engine, cell.real_time, set(finished)
@@ -204,7 +199,7 @@ def play_cell(cell: Cell, session: Session, task: Task) -> Comparison:
         session.progress(cell, result)
 
     with ExitStack() as stack:
-        worlds = 1 if cell.real_time else min(plan.worlds, plan.episodes)
+        worlds = plan.worlds_in(cell)
         interfaces = WorldsByInterface(cell.env, worlds if plan.engine.is_local else 1, cell.env_options)
         stack.callback(interfaces.close)
         events = _Events()
@@ -213,7 +208,7 @@ def play_cell(cell: Cell, session: Session, task: Task) -> Comparison:
         notes = _notes(line, task)
         store.open(plan.seed, [other.name for other in plan.cells])
         own = line.identity() if store.folder else {"env": cell.env, "seed": plan.seed, "policies": [*cell.players]}
-        meter = RunMeter(own, line.worlds, plan.engine.workers)
+        meter = RunMeter(own, worlds, plan.engine.workers)
         writer = store.cell(cell.name, own, plan.episodes, meter.run)
         session.on_first_cell()
         for result in writer.kept:

@@ -124,6 +124,10 @@ class Plan:
         """Those of all tasks."""
         return [cell for task in self.tasks for cell in task.cells]
 
+    def worlds_in(self, cell: Cell) -> int:
+        """How many worlds share a policy's calls: one if the world does not wait for decisions."""
+        return 1 if cell.real_time else min(self.worlds, self.episodes)
+
     @property
     def total(self) -> int:
         """Number of episodes of all policies in all cells."""
