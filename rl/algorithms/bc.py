@@ -10,6 +10,7 @@ from armctl.rl.algorithms.cloning import fit_and_export, new_actor
 from armctl.rl.data.demonstrations import CloningOptions, demonstrations, examples_for
 from armctl.rl.run.learner import learner
 from armctl.rl.run.training import Training
+from armctl.training.learners import Recipe
 
 
 @options
@@ -20,11 +21,14 @@ class BcOptions(CloningOptions):
     """Minari dataset to learn from, instead of the teacher: a folder (see `armctl collect`), or an id."""
 
 
-@learner(BcOptions, rewards=False, curriculum=False)
+def _check(recipe: Recipe, options: BcOptions) -> None:
+    if recipe.training_options and options.dataset is not None:
+        raise ConfigurationError("a dataset shows what it shows: training_options are for a teacher's episodes")
+
+
+@learner(BcOptions, rewards=False, curriculum=False, check=_check)
 def train(training: Training, options: BcOptions, progress: bool) -> AgentCard:
     """Fit an actor to the demonstrations."""
-    if training.recipe.training_options and options.dataset is not None:
-        raise ConfigurationError("a dataset shows what it shows: training_options are for a teacher's episodes")
     examples = examples_for(training, options)
     examples.add(demonstrations(training, options, options.dataset, progress))
     with training:
