@@ -17,7 +17,17 @@ PACKAGES = [
     *(CORE / name for name in ("simulation", "tasks", "disturbances", "shaping", "envs", "policies", "agents")),
     *(
         CORE / name
-        for name in ("core", "episodes", "rollout", "runtime", "stats", "verdict", "environments.py", "__init__.py")
+        for name in (
+            "core",
+            "episodes",
+            "rollout",
+            "runtime",
+            "stats",
+            "study",
+            "verdict",
+            "environments.py",
+            "__init__.py",
+        )
     ),
     *(CORE / name for name in ("cli", "datasets", "integrations", "report", "training", "tuning", "viewer")),
     *(HOME / "baselines", HOME / "benchmarks", HOME / "rl", HOME / "tools"),

@@ -81,11 +81,11 @@ class Published:
             )
             return evaluation_of(episodes, seed)
         again = reproduce(self.card, seed=seed)
-        changes: dict[str, Any] = {"evaluation": again.found}
+        changes: dict[str, Any] = {"evaluation": again.measured}
         if again.card.development is None and again.claimed.seed != seed:
             changes["development"] = again.claimed
         write_atomically(self.card, again.card.model_copy(update=changes).model_dump_json(indent=2) + "\n")
-        return again.found
+        return again.measured
 
 
 def published() -> Iterator[Published]:

@@ -94,7 +94,7 @@ def test_a_task_that_knows_no_disturbance_is_reported_undisturbed(tmp_path):
 
 def test_the_headline_counts_tasks(finished):
     assert headline([]) == "No task has both classical and learned results"
-    assert headline(read_study(finished).answers * 3) == (
+    assert headline(read_study(finished).verdicts * 3) == (
         "Of 3 tasks, by success, classical is better in 0, learned in 0, neither is shown to be in 3"
     )
 

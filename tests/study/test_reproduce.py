@@ -44,11 +44,11 @@ def edit(path, **changes):
 def test_a_shipped_agent_does_as_its_card_says(agent):
     again = reproduce(agent)
     assert (again.agrees, again.differences) == (True, [])
-    assert again.found == again.claimed == read_card(agent).evaluation
-    assert reproduce(agent.with_suffix(".onnx"), worlds=7).found == again.found
+    assert again.measured == again.claimed == read_card(agent).evaluation
+    assert reproduce(agent.with_suffix(".onnx"), worlds=7).measured == again.measured
     other = reproduce(agent, seed=77)
-    assert (other.found.seed, other.agrees) == (77, True)
-    assert other.found.mean_steps_to_goal != again.found.mean_steps_to_goal
+    assert (other.measured.seed, other.agrees) == (77, True)
+    assert other.measured.mean_steps_to_goal != again.measured.mean_steps_to_goal
 
 
 @pytest.mark.parametrize(
@@ -110,7 +110,7 @@ def test_every_shipped_agent_does_about_what_its_card_says(card, tmp_path, sized
     for suffix in (".json", ".onnx"):
         shutil.copy(card.with_suffix(suffix), tmp_path / f"agent{suffix}")
     edit(tmp_path / "agent.json", episodes=n)
-    found = reproduce(tmp_path / "agent.json").found
+    found = reproduce(tmp_path / "agent.json").measured
     claimed = read_card(card).evaluation
     assert binomtest(round(n * found.success_rate), n, claimed.success_rate).pvalue > 1e-3
 

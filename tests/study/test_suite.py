@@ -83,9 +83,9 @@ def test_the_result_is_that_of_sweeps(finished):
 def test_what_is_read_back_is_what_was_found(finished):
     found, folder = finished
     again = read_study(folder)
-    assert [one.sentence for one in again.answers] == [one.sentence for one in found.answers]
-    assert [one.heads for one in again.answers] == [one.heads for one in found.answers]
-    for one in again.answers:
+    assert [one.sentence for one in again.verdicts] == [one.sentence for one in found.verdicts]
+    assert [one.pairs for one in again.verdicts] == [one.pairs for one in found.verdicts]
+    for one in again.verdicts:
         policies = {policy.policy: policy.restricted_steps.value for policy in one.policies}
         expert, agent = (policies[choice.policy] for choice in (one.classical, one.learned))
         assert one.undisturbed.steps.value == pytest.approx(expert - agent)
@@ -126,8 +126,8 @@ def test_a_suite_that_grew_was_looked_at_before(folder):
     found = suite([REACH, MOVING], episodes=3, out=folder)
     words = "after an earlier look at 2 episodes, p is too small and intervals are too narrow"
     for told in (found, read_study(folder)):
-        assert [one.looks for one in told.answers] == [[2], [2]]
-        assert suite_headline(told.answers).endswith(f"; {words}")
+        assert [one.looks for one in told.verdicts] == [[2], [2]]
+        assert suite_headline(told.verdicts).endswith(f"; {words}")
     remarks = [part for part in found.tasks[REACH].document().parts if isinstance(part, Remark)]
     assert [one for one in remarks if one.text.endswith(f"false discovery rate 5 %); {words}.")]
     assert [one.text.endswith(f"; {words}.") for one in remarks if one.kind == "verdict"] == [True]
@@ -215,6 +215,6 @@ def test_a_task_that_was_killed_is_unfinished(folder):
 
 def test_without_success_a_task_is_no_part_of_the_comparison(tmp_path):
     found = suite(["Pendulum-v1"], episodes=2, out=tmp_path)
-    assert [one.sentence for one in found.answers] == ["Pendulum-v1: the environment does not say what a success is."]
+    assert [one.sentence for one in found.verdicts] == ["Pendulum-v1: the environment does not say what a success is."]
     assert found.leagues == []
-    assert read_study(tmp_path).answers[0].cells == {}
+    assert read_study(tmp_path).verdicts[0].cells == {}

@@ -215,7 +215,7 @@ def suite(request: SuiteRequest) -> None:
     """Compare all policies on all tasks, undisturbed and under the main disturbances, and write one report.
 
     For each task, it answers whether a planner or controller is better than a learned agent: by how much, at what cost,
-    and under which disturbance the order turns. The main disturbances are `noise` (or `noise_on_state`), `delay`,
+    and under which disturbance the order reverses. The main disturbances are `noise` (or `noise_on_state`), `delay`,
     `payload`, `friction`, `pushes` and `mismatch`, at the middle and the strongest of their levels; `--quick` has
     `delay` and `mismatch`.
 

@@ -46,11 +46,11 @@ def _row(again: Reproduction) -> list[Cell]:
     return [
         Cell(again.card.name),
         Cell(f"{100 * again.claimed.success_rate:.1f} %", f"{100 * low:.1f} to {100 * high:.1f}"),
-        Cell(f"{100 * again.found.success_rate:.1f} %"),
+        Cell(f"{100 * again.measured.success_rate:.1f} %"),
         Cell("yes" if again.agrees else "no"),
-        Cell(f"{again.found.episodes}", f"of seed {again.found.seed}"),
+        Cell(f"{again.measured.episodes}", f"of seed {again.measured.seed}"),
         _steps(again.claimed),
-        _steps(again.found),
+        _steps(again.measured),
     ]
 
 
@@ -66,5 +66,5 @@ def _record(again: Reproduction) -> dict[str, object]:
         "agrees": again.agrees,
         "differences": [str(difference) for difference in again.differences],
         "card": again.claimed.model_dump(),
-        "now": again.found.model_dump(),
+        "now": again.measured.model_dump(),
     }

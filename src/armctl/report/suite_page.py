@@ -1,4 +1,4 @@
-"""The page of a suite: the answer for each task, heat map, ranks, profiles, costs."""
+"""The page of a suite: the verdict on each task, heat map, ranks, profiles, costs."""
 
 import shlex
 from collections.abc import Mapping, Sequence
@@ -24,10 +24,10 @@ from armctl.stats.across_tasks import (
     success_profile,
 )
 from armctl.stats.intervals import Estimate
-from armctl.study.answers import CHOSEN, Answer
 from armctl.study.levels import setting_name
 from armctl.study.plan import task_name
 from armctl.study.study import Study
+from armctl.study.task_verdict import CHOSEN, TaskVerdict
 from armctl.verdict.summary import PolicySummary
 from armctl.verdict.summary_tables import SPARED
 
@@ -40,38 +40,38 @@ def write_suite_page(suite: Study, folder: Path, out: Path, reports: Mapping[str
 
     Raises `ResultsError` if the page cannot be written.
     """
-    answers = suite.answers
-    names = list(dict.fromkeys(policy.family for answer in answers for policy in answer.policies))
+    verdicts = suite.verdicts
+    names = list(dict.fromkeys(policy.family for verdict in verdicts for policy in verdict.policies))
     styles, heads = suite_figures.family_styles(names), _heads(suite)
     page: dict[str, Any] = {
-        "headline": headline(answers),
+        "headline": headline(verdicts),
         "suite": suite,
         "chosen": CHOSEN,
         "folder": folder.resolve().name,
         "command": _command(suite),
-        "tasks": [{"answer": task, "short": task_name(task.env), "link": reports.get(task.env)} for task in answers],
+        "tasks": [{"verdict": task, "short": task_name(task.env), "link": reports.get(task.env)} for task in verdicts],
         "heads": heads,
-        "heat": [_heat(suite, answer, heads, reports.get(answer.env)) for answer in answers if answer.cells],
-        "families": _families(answers, names),
-        "improvement": _improvement(answers),
+        "heat": [_heat(suite, verdict, heads, reports.get(verdict.env)) for verdict in verdicts if verdict.cells],
+        "families": _families(verdicts, names),
+        "improvement": _improvement(verdicts),
         "ranks": [_ranks(league, styles) for league in suite.leagues],
-        "profile": _profile(answers),
+        "profile": _profile(verdicts),
         "profile_styles": [CLASSICAL, LEARNED],
-        "costs": _costs(answers, styles),
+        "costs": _costs(verdicts, styles),
         "styles": list(styles.values()),
         "symbols": dict(
-            zip((task_name(task.env) for task in answers), _symbols(answers, SYMBOLS.values()), strict=True)
+            zip((task_name(task.env) for task in verdicts), _symbols(verdicts, SYMBOLS.values()), strict=True)
         ),
     }
     write_page(out, "suite.html.j2", page)
 
 
-def headline(answers: Sequence[Answer]) -> str:
+def headline(verdicts: Sequence[TaskVerdict]) -> str:
     """Return a sentence: in how many tasks each kind is better in success, and in how many others in steps.
 
-    `answers` are corrected for all tasks, as `Study.answers` is.
+    `verdicts` are corrected for all tasks, as `Study.verdicts` is.
     """
-    heads = [head for answer in answers if (head := answer.undisturbed)]
+    heads = [head for verdict in verdicts if (head := verdict.undisturbed)]
     if not heads:
         return "No task has both classical and learned results"
     classical, learned = (sum(head.better == sign for head in heads) for sign in (1, -1))
@@ -80,7 +80,7 @@ def headline(answers: Sequence[Answer]) -> str:
     faster = [sum(head.faster == sign for head in heads) for sign in (1, -1)]
     sentences = [f"Of {len(heads)} task{'s' * (len(heads) > 1)}, by success, {', '.join(parts)}"]
     sentences += [f"there, classical takes fewer steps in {faster[0]}, learned in {faster[1]}"] if any(faster) else []
-    looks = sorted({episodes for answer in answers for episodes in answer.looks})
+    looks = sorted({episodes for verdict in verdicts for episodes in verdict.looks})
     return "; ".join([*sentences, looks_in_words(looks)] if looks else sentences)
 
 
@@ -98,62 +98,62 @@ def _heads(suite: Study) -> list[tuple[str, int]]:
     return [(name, i) for name, count in columns.items() for i in range(1, count + 1)]
 
 
-def _heat(suite: Study, answer: Answer, heads: Sequence[tuple[str, int]], link: str | None) -> dict[str, Any]:
+def _heat(suite: Study, verdict: TaskVerdict, heads: Sequence[tuple[str, int]], link: str | None) -> dict[str, Any]:
     """Return a task's rows of the heat map: for each policy, its success in percent in each column, None where unknown.
 
     It is `spared` where the disturbance does not reach the policy.
     """
-    levels = suite.tasks[answer.env].levels
+    levels = suite.tasks[verdict.env].levels
     settings: list[tuple[str, str] | None] = [(UNDISTURBED, "")]
     for name, i in heads:
         has_level = i < len(levels.get(name, ()))
         settings.append((setting_name(name, levels[name][i]), f"{levels[name][i]:g}") if has_level else None)
     rows = [
-        (policy.policy, [None if at is None else _cell_value(answer, policy.policy, at[0]) for at in settings])
-        for policy in sorted(answer.policies, key=lambda policy: policy.learned)
+        (policy.policy, [None if at is None else _cell_value(verdict, policy.policy, at[0]) for at in settings])
+        for policy in sorted(verdict.policies, key=lambda policy: policy.learned)
     ]
     levels_shown = [None if at is None else at[1] for at in settings]
-    return {"task": task_name(answer.env), "link": link, "levels": levels_shown[1:], "rows": rows}
+    return {"task": task_name(verdict.env), "link": link, "levels": levels_shown[1:], "rows": rows}
 
 
-def _cell_value(answer: Answer, policy: str, setting: str) -> float | str | None:
-    return SPARED if policy in answer.spared.get(setting, ()) else _percent(answer, policy, setting)
+def _cell_value(verdict: TaskVerdict, policy: str, setting: str) -> float | str | None:
+    return SPARED if policy in verdict.spared.get(setting, ()) else _percent(verdict, policy, setting)
 
 
-def _percent(answer: Answer, policy: str, setting: str) -> float | None:
-    table = answer.cells.get(setting)
+def _percent(verdict: TaskVerdict, policy: str, setting: str) -> float | None:
+    table = verdict.cells.get(setting)
     if table is None or policy not in table or table[policy].isna().all():
         return None
     return 100 * float(table[policy].mean())
 
 
-def _families(answers: Sequence[Answer], names: Sequence[str]) -> list[tuple[str, list[float | None]]]:
+def _families(verdicts: Sequence[TaskVerdict], names: Sequence[str]) -> list[tuple[str, list[float | None]]]:
     """Return each family's mean success in percent in each task, over all settings and members."""
-    return [(name, [_mean_success(answer, _members(answer, name)) for answer in answers]) for name in names]
+    return [(name, [_mean_success(verdict, _members(verdict, name)) for verdict in verdicts]) for name in names]
 
 
-def _members(answer: Answer, name: str) -> list[str]:
-    return [policy.policy for policy in answer.policies if policy.family == name]
+def _members(verdict: TaskVerdict, name: str) -> list[str]:
+    return [policy.policy for policy in verdict.policies if policy.family == name]
 
 
-def _mean_success(answer: Answer, policies: Sequence[str]) -> float | None:
-    cells = [_percent(answer, policy, setting) for setting in answer.cells for policy in policies]
+def _mean_success(verdict: TaskVerdict, policies: Sequence[str]) -> float | None:
+    cells = [_percent(verdict, policy, setting) for setting in verdict.cells for policy in policies]
     values = [cell for cell in cells if cell is not None]
     return sum(values) / len(values) if values else None
 
 
-def _pairs(answers: Sequence[Answer]) -> list[tuple[Answer, Choice, Choice]]:
+def _pairs(verdicts: Sequence[TaskVerdict]) -> list[tuple[TaskVerdict, Choice, Choice]]:
     return [
-        (answer, answer.classical, answer.learned)
-        for answer in answers
-        if answer.heads and answer.classical and answer.learned
+        (verdict, verdict.classical, verdict.learned)
+        for verdict in verdicts
+        if verdict.pairs and verdict.classical and verdict.learned
     ]
 
 
-def _improvement(answers: Sequence[Answer]) -> Plot | None:
+def _improvement(verdicts: Sequence[TaskVerdict]) -> Plot | None:
     improvements = {
-        task_name(answer.env): improvement(answer.shared_cells, classical, learned)
-        for answer, classical, learned in _pairs(answers)
+        task_name(verdict.env): improvement(verdict.shared_cells, classical, learned)
+        for verdict, classical, learned in _pairs(verdicts)
     }
     means = {task: mean_over_tasks([values]) for task, values in improvements.items()}
     means[ALL_TASKS] = mean_over_tasks(list(improvements.values()))
@@ -174,32 +174,32 @@ def _alt_text(rows: Mapping[str, Estimate], label: str) -> str:
     return f"{label}: " + "; ".join(f"{name} {estimate.value:.1%}" for name, estimate in rows.items())
 
 
-def _profile(answers: Sequence[Answer]) -> Plot | None:
-    pairs = _pairs(answers)
+def _profile(verdicts: Sequence[TaskVerdict]) -> Plot | None:
+    pairs = _pairs(verdicts)
     if not pairs:
         return None
     lines = [
-        (CLASSICAL, [rate for answer, classical, _ in pairs for rate in cell_rates(answer.shared_cells, classical)]),
-        (LEARNED, [rate for answer, _, learned in pairs for rate in cell_rates(answer.shared_cells, learned)]),
+        (CLASSICAL, [rate for verdict, classical, _ in pairs for rate in cell_rates(verdict.shared_cells, classical)]),
+        (LEARNED, [rate for verdict, _, learned in pairs for rate in cell_rates(verdict.shared_cells, learned)]),
     ]
     profiles = [(style, success_profile(rates, THRESHOLDS)) for style, rates in lines]
     figure = suite_figures.profiles(profiles, THRESHOLDS)
     return Plot(figure, "Share of tasks and settings with at least some success")
 
 
-def _costs(answers: Sequence[Answer], styles: style.Styles) -> list[Plot]:
+def _costs(verdicts: Sequence[TaskVerdict], styles: style.Styles) -> list[Plot]:
     """Success against decision time, and against the decisions of training, where these are known."""
-    symbols = dict(zip((answer.env for answer in answers), _symbols(answers, SYMBOLS), strict=True))
+    symbols = dict(zip((verdict.env for verdict in verdicts), _symbols(verdicts, SYMBOLS), strict=True))
 
     def points(cost: Any) -> list[CostPoint]:
         return [
             CostPoint(
-                policy.policy, task_name(answer.env), styles[policy.family], symbols[answer.env], success / 100,
+                policy.policy, task_name(verdict.env), styles[policy.family], symbols[verdict.env], success / 100,
                 float(known_cost),
             )
-            for answer in answers
-            for policy in answer.policies
-            if (success := _mean_success(answer, [policy.policy])) is not None
+            for verdict in verdicts
+            for policy in verdict.policies
+            if (success := _mean_success(verdict, [policy.policy])) is not None
             and (known_cost := cost(policy)) is not None
         ]  # fmt: skip
 
@@ -207,7 +207,7 @@ def _costs(answers: Sequence[Answer], styles: style.Styles) -> list[Plot]:
     if not timed:
         return []
     ms, min_decisions = suite_figures.MIN_MS, suite_figures.MIN_DECISIONS
-    unknown = {policy.policy for answer in answers for policy in answer.policies if _decisions(policy) is None}
+    unknown = {policy.policy for verdict in verdicts for policy in verdict.policies if _decisions(policy) is None}
     left_out = f" Unknown: {', '.join(sorted(unknown))}." if unknown else ""
     return [
         Plot(suite_figures.cost_plane(timed, "mean decision, ms", "ms", ms), "Success against decision time",
@@ -221,7 +221,7 @@ def _decisions(policy: PolicySummary) -> int | None:
     return policy.training.total.decisions if policy.learned else 0
 
 
-def _symbols(answers: Sequence[Answer], symbols: Any) -> list[str]:
+def _symbols(verdicts: Sequence[TaskVerdict], symbols: Any) -> list[str]:
     """Return a symbol for each task; further ones begin anew."""
     listed = list(symbols)
-    return [listed[i % len(listed)] for i in range(len(answers))]
+    return [listed[i % len(listed)] for i in range(len(verdicts))]

@@ -76,7 +76,7 @@ class TaskPair:
     p: float
     """McNemar's exact p-value; of a disturbed setting after Holm's correction for all of the task.
 
-    In `Suite.answers`, the undisturbed one is after Holm's correction for all tasks, and for success and steps."""
+    In `Study.verdicts`, the undisturbed one is after Holm's correction for all tasks, and for success and steps."""
     num_comparisons: int = 1
     """Number of tasks in one report, for which the tests of equivalence are corrected (Bonferroni)."""
     steps: Estimate | None = None

@@ -44,17 +44,17 @@ NOT_AN_ARMCTL_TASK = (
 
 @dataclass
 class Task:
-    """What the cells of a task share while they are played."""
+    """Values that the cells of a task share while they are played."""
 
     lower_bound_steps: dict[int, float] = field(default_factory=dict)
-    """Of each episode, as in `rollouts`."""
+    """Lower bounds by episode, as in `rollouts`."""
     seed_notes: list[str] | None = None
     """Remarks of `seed_notes`; None before the first cell is played."""
 
 
 @dataclass(frozen=True)
 class Session:
-    """What all cells of a study share while they are played."""
+    """Values that all cells of a study share while they are played."""
 
     plan: Plan
     store: Store
@@ -67,7 +67,7 @@ class Session:
 
 @dataclass
 class _Events:
-    """What happened in a cell besides its episodes."""
+    """Failures, crashes and other events of a cell besides its episodes."""
 
     failures: dict[str, str] = field(default_factory=dict)
     tracebacks: dict[str, str] = field(default_factory=dict)
@@ -77,21 +77,21 @@ class _Events:
     construction_ms: dict[str, float] = field(default_factory=dict)
     interrupted: bool = False
 
-    def note(self, played: RolloutBatch) -> None:
+    def note(self, batch: RolloutBatch) -> None:
         """Keep what a batch tells."""
-        if played.failure:
-            self.failures[played.policy] = played.failure
-            self.tracebacks[played.policy] = played.traceback
-        if played.disqualified:
-            self.disqualified.append(played.policy)
-        for crash in (one for one in played.results if isinstance(one, FailedEpisode)):
+        if batch.failure:
+            self.failures[batch.policy] = batch.failure
+            self.tracebacks[batch.policy] = batch.traceback
+        if batch.disqualified:
+            self.disqualified.append(batch.policy)
+        for crash in (result for result in batch.results if isinstance(result, FailedEpisode)):
             first = self.crashes.setdefault(crash.policy, crash)
-            self.crashes[crash.policy] = min(first, crash, key=lambda one: one.episode)
+            self.crashes[crash.policy] = min(first, crash, key=lambda crash: crash.episode)
 
     def note_crashes(self, results: EpisodeTable) -> None:
         """Say in how many episodes each policy failed, and why in the first that was played now."""
-        for name, played in results.by_policy().items():
-            episodes = played.column("episode")[played.column("outcome") == ERROR]
+        for name, batch in results.by_policy().items():
+            episodes = batch.column("episode")[batch.column("outcome") == ERROR]
             if not len(episodes):
                 continue
             crash = self.crashes.get(name)
@@ -99,27 +99,27 @@ class _Events:
             if crash is not None:
                 first = f"episode {crash.episode}: {crash.message}"
                 self.tracebacks.setdefault(name, crash.traceback)
-            said = (
-                f"{name} raised an error, or returned an invalid action, in {len(episodes)} of {len(played)} episodes, "
+            message = (
+                f"{name} raised an error, or returned an invalid action, in {len(episodes)} of {len(batch)} episodes, "
                 f"which count as failures; {first}"
             )
-            self.failures[name] = "; ".join(filter(None, (self.failures.get(name), said)))
+            self.failures[name] = "; ".join(filter(None, (self.failures.get(name), message)))
 
 
 @dataclass(frozen=True)
 class _Line:
-    """The policies of a cell, made here, and their worlds."""
+    """Policies of a cell, as built in this process, and their worlds."""
 
     cell: Cell
     plan: Plan
     policy_seed: int
     interfaces: WorldsByInterface
-    made: Mapping[str, Policy]
+    policies: Mapping[str, Policy]
 
     @property
     def playing(self) -> dict[str, Any]:
         """The policies as they were asked for, by name, without those that cannot play."""
-        return {name: policy for name, policy in self.cell.players.items() if name in self.made}
+        return {name: policy for name, policy in self.cell.players.items() if name in self.policies}
 
     @property
     def env(self) -> EpisodeVectorEnv:
@@ -127,31 +127,34 @@ class _Line:
         return self.interfaces.requested
 
     def identity(self) -> dict[str, Any]:
-        """What determines the episodes."""
+        """Return everything that determines the episodes."""
         cell = self.cell
         late = None if cell.real_time is None else cell.real_time.identity(cell.players)
-        own = identity(cell.env, cell.env_options, self.plan.seed, cell.players, self.made, self.env, late)
-        return {**own, POLICY_SEED: str(self.policy_seed)}
+        about = identity(cell.env, cell.env_options, self.plan.seed, cell.players, self.policies, self.env, late)
+        return {**about, POLICY_SEED: str(self.policy_seed)}
 
     def play(self, kept: EpisodeTable, lower_bound_steps: dict[int, float]) -> Iterator[RolloutBatch]:
         """Play the episodes that are not among those that were `kept`."""
         cell, plan, engine = self.cell, self.plan, self.plan.engine
-        finished = {name: its.column("episode") for name, its in kept.by_policy().items()}
-        waiting = {name: np.setdiff1d(np.arange(plan.episodes), finished.get(name, [])).tolist() for name in self.made}
+        finished = {name: episodes.column("episode") for name, episodes in kept.by_policy().items()}
+        numbers = np.arange(plan.episodes)
+        waiting = {name: np.setdiff1d(numbers, finished.get(name, [])).tolist() for name in self.policies}
         lengths = (kept.column(name).tolist() for name in ("episode", "lower_bound_steps"))
         lower_bound_steps.update(zip(*lengths, strict=True))
         if engine.is_local:
             worlds = {name: self.interfaces.of(policy) for name, policy in self.playing.items()}
-            return play_here(self.made, worlds, plan.seed, waiting, lower_bound_steps, cell.real_time, set(finished))
+            return play_here(
+                self.policies, worlds, plan.seed, waiting, lower_bound_steps, cell.real_time, set(finished)
+            )
         options = dict(cell.env_options)
         config = WorkerConfig(cell.env, plan.worlds_in(cell), options, plan.seed, self.policy_seed, engine.workers)
         setting = Setting(config, self.playing)
         return play_in_workers(
-            setting, self.made, self.interfaces, waiting, lower_bound_steps, engine, cell.real_time, set(finished)
+            setting, self.policies, self.interfaces, waiting, lower_bound_steps, engine, cell.real_time, set(finished)
         )
 
     def facts(self, events: _Events, notes: list[str], resumed: int) -> Facts:
-        """All that is stored besides the episodes."""
+        """Return everything that is stored besides the episodes and runs."""
         cell, plan, env = self.cell, self.plan, self.env
         late = cell.real_time
         return Facts(
@@ -166,7 +169,7 @@ class _Line:
                     tuple(self.interfaces.spared(self.playing[name], policy)),
                     getattr(policy, "family", None),
                 )
-                for name, policy in self.made.items()
+                for name, policy in self.policies.items()
             },
             return_bounds=env.return_bounds,
             time_limit=env.max_episode_steps,
@@ -203,19 +206,20 @@ def play_cell(cell: Cell, session: Session, task: Task) -> Comparison:
         interfaces = WorldsByInterface(cell.env, worlds if plan.engine.is_local else 1, cell.env_options)
         stack.callback(interfaces.close)
         events = _Events()
-        made = _made(cell, interfaces, session.policy_seed, events)
-        line = _Line(cell, plan, session.policy_seed, interfaces, made)
+        policies = _policies(cell, interfaces, session.policy_seed, events)
+        line = _Line(cell, plan, session.policy_seed, interfaces, policies)
         notes = _notes(line, task)
         store.open(plan.seed, [other.name for other in plan.cells])
-        own = line.identity() if store.folder else {"env": cell.env, "seed": plan.seed, "policies": [*cell.players]}
-        meter = RunMeter(own, worlds, plan.engine.workers)
-        writer = store.cell(cell.name, own, plan.episodes, meter.run)
+        keys = {"env": cell.env, "seed": plan.seed, "policies": [*cell.players]}
+        cell_identity = line.identity() if store.folder else keys
+        meter = RunMeter(cell_identity, worlds, plan.engine.workers)
+        writer = store.cell(cell.name, cell_identity, plan.episodes, meter.run)
         session.on_first_cell()
         for result in writer.kept:
             progress(result)
         _play(line, writer, task.lower_bound_steps, meter, events, progress)
         results = writer.episodes()
-        results = results[~np.isin(results.column("policy"), events.disqualified)].sorted(list(line.made))
+        results = results[~np.isin(results.column("policy"), events.disqualified)].sorted(list(line.policies))
         events.note_crashes(results)
         judged = min(map(len, results.by_policy().values()), default=0)
         runs = [*writer.runs, meter.finished(judged, plan.baseline, plan.margin)]
@@ -227,19 +231,19 @@ def play_cell(cell: Cell, session: Session, task: Task) -> Comparison:
         return concluded(writer.identity, cell.env_options, facts, results, runs, events.tracebacks)
 
 
-def _made(cell: Cell, interfaces: WorldsByInterface, policy_seed: int, events: _Events) -> dict[str, Policy]:
-    """The policies, made before anything is reset; without any that write to the world."""
-    made = dict[str, Policy]()
+def _policies(cell: Cell, interfaces: WorldsByInterface, policy_seed: int, events: _Events) -> dict[str, Policy]:
+    """Return the policies, built before anything is reset; without any that write to the world."""
+    policies = dict[str, Policy]()
     for name, policy in cell.players.items():
         try:
-            made[name], events.construction_ms[name] = build_timed(policy, interfaces.of(policy), name, policy_seed)
+            policies[name], events.construction_ms[name] = build_timed(policy, interfaces.of(policy), name, policy_seed)
         except PolicyDisqualified as failure:
             events.note(failed(name, [], failure))
-    return made
+    return policies
 
 
 def _notes(line: _Line, task: Task) -> list[str]:
-    """Remarks about an environment, before anything is played in it. Raises `ConfigurationError`."""
+    """Return remarks about an environment, before anything is played in it. Raise `ConfigurationError`."""
     cell, env = line.cell, line.env
     with wrap_environment_errors("a trial", 0):
         env.reset(seed=line.plan.seed)  # raises for an invalid seed
@@ -266,15 +270,15 @@ def _play(
     progress: Callable[[EpisodeResult], None],
 ) -> None:
     """Write episodes until all are played, the workers are lost, or somebody interrupts."""
-    here, in_workers = dict(events.construction_ms), dict[str, float]()
+    in_workers = dict[str, float]()
     try:
         with closing(line.play(writer.kept, lower_bound_steps)) as stream:  # type: ignore[type-var]
-            for played in stream:
-                events.note(played)
-                if (spent := played.construction_ms) is not None:
-                    in_workers[played.policy] = max(spent, in_workers.get(played.policy, 0.0))
+            for batch in stream:
+                events.note(batch)
+                if (spent := batch.construction_ms) is not None:
+                    in_workers[batch.policy] = max(spent, in_workers.get(batch.policy, 0.0))
                 meter.update_load()
-                for result in (replace(one, run=meter.run.id) for one in played.results):
+                for result in (replace(result, run=meter.run.id) for result in batch.results):
                     _check_return(result, line.env.stated_return_bounds)
                     writer.write(result)
                     progress(result)
@@ -282,7 +286,7 @@ def _play(
         events.failures["workers"] = str(failure)
     except KeyboardInterrupt:
         events.interrupted = True
-    events.construction_ms = here | in_workers
+    events.construction_ms |= in_workers
 
 
 def _check_return(result: EpisodeResult, bounds: Bounds | None) -> None:

@@ -45,6 +45,6 @@ def compare(
     the results of another comparison (unless `overwrite`).
     """
     plan = comparison_plan(policies, env, episodes, seed, options)
-    found = play(plan, out, options, lambda cell, result: progress(result) if progress else None)
-    (task,) = found.tasks.values()
+    study = play(plan, out, options, lambda cell, result: progress(result) if progress else None)
+    (task,) = study.tasks.values()
     return task.comparisons[UNDISTURBED]

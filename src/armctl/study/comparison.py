@@ -38,7 +38,7 @@ class Comparison(Displayed):
     """The result of a comparison. After an interrupt or a failure, it covers the finished episodes."""
 
     identity: Mapping[str, Any]
-    """What determines the episodes."""
+    """Everything that determines the episodes."""
     env_options: Mapping[str, Any]
     facts: Facts
     results: EpisodeTable
@@ -69,7 +69,7 @@ class Comparison(Displayed):
 
     @property
     def interrupted(self) -> bool:
-        """Whether it was ended by Ctrl-C."""
+        """True if Ctrl-C ended it."""
         return self.facts.interrupted
 
     @property
@@ -97,11 +97,12 @@ class Comparison(Displayed):
         """The episodes that count, by policy; policies without any are left out. Those of a group: of all trainings."""
         counted, _ = counted_results(self.results)
         trained = by_learner(counted, self.identity["policies"], self.facts.groups)
-        return {one.policy: reduce(EpisodeTable.together, trained[one.policy].values()) for one in self.policies}
+        names = [policy.policy for policy in self.policies]
+        return {name: reduce(EpisodeTable.together, trained[name].values()) for name in names}
 
     @property
     def verdict(self) -> str:
-        """Which policy is better, by how much, at what cost; empty for a single policy."""
+        """Sentence on the better policy, by how much and at what cost; empty for a single policy."""
         return verdict(*self._judged) if len(self.policies) > 1 else ""
 
     @property
@@ -114,7 +115,7 @@ class Comparison(Displayed):
         return self.policies, self.paired, self.facts.baseline, self.facts.margin, self.looks
 
     def document(self) -> Document:
-        """The tables, the verdict, and what else there is to say."""
+        """Return the tables, the verdict and all remarks."""
         parts: list[Table | Remark] = []
         if self.policies:
             parts.append(policy_table(self.env, self.seed, self.policies, self.facts.disqualified))
@@ -124,8 +125,8 @@ class Comparison(Displayed):
         if sentence := self.verdict:
             parts.append(Remark(sentence, "verdict"))
         if self.policies and (infeasible := self.policies[0].infeasible):
-            what = f"{infeasible} episodes are labelled infeasible"
-            parts.append(Remark(f"{what}; they are left out of all figures, whoever wins them."))
+            count = f"{infeasible} episodes are labelled infeasible"
+            parts.append(Remark(f"{count}; they are left out of all figures, whoever wins them."))
         parts += [Remark(note, "note") for note in self.notes]
         parts += [Remark(message, "problem") for message in self.failures.values()]
         if self.resumed:
@@ -140,9 +141,9 @@ class Comparison(Displayed):
 
     def __repr__(self) -> str:
         names = ", ".join(policy.policy for policy in self.policies) or "no policy"
-        said = f": {sentence}" if (sentence := self.verdict) else ""
+        conclusion = f": {sentence}" if (sentence := self.verdict) else ""
         failed = "".join(f"; {failure}" for failure in self.failures.values())
-        return f"<Comparison of {names} in {self.env}, seed {self.seed}{said}{failed}>"
+        return f"<Comparison of {names} in {self.env}, seed {self.seed}{conclusion}{failed}>"
 
 
 def concluded(
@@ -153,33 +154,34 @@ def concluded(
     runs: Sequence[Run],
     tracebacks: dict[str, str] | None = None,
 ) -> Comparison:
-    """The result of a cell from what is stored of it: its identity, facts, episodes and runs."""
+    """Return the result of a cell from its identity, facts, episodes and runs."""
     latencies = facts.real_time is None or facts.real_time["latency"] == MEASURED
     results = without_deadline_verdicts(results, runs) if latencies and len(results) else results
-    found = Comparison(identity, env_options, facts, results, runs, notes=[*facts.notes])
-    found.tracebacks = tracebacks or {}
+    comparison = Comparison(identity, env_options, facts, results, runs, notes=[*facts.notes])
+    comparison.tracebacks = tracebacks or {}
     if not len(results):
-        return found
+        return comparison
     policies: Any = facts.policies
-    summaries, found.paired = summarise(
+    summaries, comparison.paired = summarise(
         results, policies, facts.planned, facts.return_bounds, facts.time_limit, facts.groups, facts.spared, runs
     )
-    found.policies = [_with_facts(one, facts) for one in summaries]
+    comparison.policies = [_with_facts(summary, facts) for summary in summaries]
     counted, _ = counted_results(results)
-    found.notes += [
+    by_return = bool(summaries) and summaries[0].success is None
+    comparison.notes += [
         *([] if facts.return_bounds else [UNBOUNDED]),
         *certificate_notes(results),
         *motion_notes(results, facts.control_period),
-        *timing_notes(((name, played) for name, played in counted.items() if played), Machines.of(runs, results)),
-        *([NO_SUCCESS_SIGNAL.format(env=bare_id(found.env))] if summaries and summaries[0].success is None else []),
+        *timing_notes(((name, table) for name, table in counted.items() if table), Machines.of(runs, results)),
+        *([NO_SUCCESS_SIGNAL.format(env=bare_id(comparison.env))] if by_return else []),
         *(load_notes(results, runs) if latencies else []),
-        *(argument_notes(runs, facts.baseline, facts.margin) if found.paired else []),
+        *(argument_notes(runs, facts.baseline, facts.margin) if comparison.paired else []),
     ]
-    return found
+    return comparison
 
 
-def _with_facts(one: PolicySummary, facts: Facts) -> PolicySummary:
-    """The summary with the policy's family, and the time that it took to make it; of a group, the longest."""
-    members = [facts.policies[name] for name in one.trainings or [one.policy]]
+def _with_facts(summary: PolicySummary, facts: Facts) -> PolicySummary:
+    """Add the policy's family, and its construction time; of a group, the longest."""
+    members = [facts.policies[name] for name in summary.trainings or [summary.policy]]
     construction_ms = max(member.construction_ms for member in members)
-    return dataclasses.replace(one, construction_ms=construction_ms, family=members[0].family or one.policy)
+    return dataclasses.replace(summary, construction_ms=construction_ms, family=members[0].family or summary.policy)

@@ -16,7 +16,7 @@ from armctl.study.reproduce import card_path
 
 CURVE = "curve.csv"
 CURVE_COLUMNS = ("steps", "minutes", "success", "low", "high", "return")
-"""Of held-out episodes: after how many steps and minutes of training, success with its 95 % interval, mean return."""
+"""Columns: steps and minutes of training, success in held-out episodes with its 95 % interval, mean return."""
 COSTS = ("decisions", "processor_seconds")
 """Control steps in simulation and processor time so far; NaN in curves of older versions."""
 
@@ -24,7 +24,7 @@ COSTS = ("decisions", "processor_seconds")
 def training_curves(
     policies: Sequence[str], env: str, env_options: Mapping[str, Any]
 ) -> tuple[dict[str, pd.DataFrame], list[str]]:
-    """The learning curve of each agent that has one beside its card, and error messages for unreadable curves.
+    """Return the learning curve of each agent that has one beside its card, and error messages for unreadable curves.
 
     It is of the card's environment and options: where these are others than `env` and `env_options`, it is left out.
     """
@@ -46,18 +46,18 @@ def training_curves(
 
 
 def curve_path(card: Path) -> Path:
-    """Where an agent's learning curve is, if it has one: `curve.csv` beside `agent.json`, `name.csv` by `name.json`."""
+    """Return the path of an agent's learning curve: `curve.csv` beside `agent.json`, `name.csv` by `name.json`."""
     return card.with_name(CURVE) if card.name == "agent.json" else card.with_suffix(".csv")
 
 
 def read_curve(path: Path) -> pd.DataFrame:
-    """A learning curve: a row per evaluation, with `CURVE_COLUMNS` and `COSTS`. Raises `ResultsError`."""
+    """Read a learning curve: a row per evaluation, with `CURVE_COLUMNS` and `COSTS`. Raise `ResultsError`."""
     table = _table(path, CURVE_COLUMNS, (*CURVE_COLUMNS, *COSTS))
     return table.assign(**dict.fromkeys(set(COSTS) - set(table), math.nan))
 
 
 def _table(path: Path, columns: Sequence[str], numbers: Sequence[str]) -> pd.DataFrame:
-    """A CSV file with these `columns` and at least one row; the `numbers` columns as floats. Raises `ResultsError`."""
+    """Read a CSV file with these `columns`, the `numbers` as floats, and at least one row. Raise `ResultsError`."""
     try:
         table = pd.read_csv(io.StringIO(bounded_text(path)), dtype=dict.fromkeys(numbers, float))
         if missing := [column for column in columns if column not in table]:

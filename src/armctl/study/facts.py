@@ -1,4 +1,4 @@
-"""What is known of a cell besides its episodes and runs: it is stored, and all else follows from the three."""
+"""Facts about a cell besides its episodes and runs. They are stored, and all else follows from the three."""
 
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -12,7 +12,7 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class RealTimeFacts(TypedDict):
-    """How a world did not wait: the `latency` is `measured`, or where the times were recorded."""
+    """Real time of a cell: the `latency` is `measured`, or the folder of the recorded times."""
 
     latency: str
     slow_down: Finite
@@ -20,7 +20,7 @@ class RealTimeFacts(TypedDict):
 
 @dataclass(frozen=True)
 class PolicyFacts:
-    """What is known of a policy besides its episodes."""
+    """Facts about a policy besides its episodes."""
 
     sees: str
     training_cost: TrainingCost
@@ -32,13 +32,13 @@ class PolicyFacts:
 
     @property
     def training_steps(self) -> int:
-        """As `Policy.training_steps`."""
+        """Training steps, as `Policy.training_steps`."""
         return self.training_cost.steps
 
 
 @dataclass(frozen=True, kw_only=True)
 class Facts:
-    """What is known of a cell besides its episodes and runs."""
+    """Facts about a cell besides its episodes and runs."""
 
     env_options: dict[str, str]
     policy_seed: Annotated[int, Field(ge=0, lt=2**128)]
@@ -73,4 +73,4 @@ class Facts:
     @property
     def spared(self) -> dict[str, tuple[str, ...]]:
         """The disturbances that do not reach a policy, by its name in the episodes."""
-        return {name: one.spared for name, one in self.policies.items()}
+        return {name: facts.spared for name, facts in self.policies.items()}

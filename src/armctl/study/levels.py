@@ -15,14 +15,14 @@ Disturbances = Mapping[str, Sequence[float] | None] | Sequence[str] | None
 
 
 def setting_name(disturbance: str, level: float) -> str:
-    """The name, or its last part, of the cell at a level."""
+    """Return the name, or its last part, of the cell at a level."""
     return f"{disturbance}-{level}"
 
 
 def sweep_levels(
     env: str, disturbances: Disturbances = None, env_options: Mapping[str, Any] | None = None
 ) -> dict[str, list[float]]:
-    """The levels of a sweep's disturbances without repeats, ordered by their distance from the one without effect.
+    """Return the levels of a sweep's disturbances without repeats, ordered by distance from the one without effect.
 
     Raises `ConfigurationError`.
     """
@@ -30,28 +30,28 @@ def sweep_levels(
 
 
 def disturbance_specs(env: str, options: Mapping[str, Any]) -> dict[str, DisturbanceSpec]:
-    """What can be swept in an environment: what is not constant in its options. Raises `ConfigurationError`."""
-    with closing(make_worlds(env, 1, options)) as made:
-        specs = available(made.task.disturbances, made.task)
+    """Return the disturbances of an environment that are not constant in its options. Raise `ConfigurationError`."""
+    with closing(make_worlds(env, 1, options)) as vec_env:
+        specs = available(vec_env.task.disturbances, vec_env.task)
     constant = options.get("disturbances", {})
     return {name: spec for name, spec in specs.items() if name not in constant} | {SLOWER: SLOW_DOWN}
 
 
 def checked_levels(specs: Mapping[str, DisturbanceSpec], disturbances: Disturbances) -> dict[str, list[float]]:
-    """The levels of each disturbance, the one without effect first. Raises `ConfigurationError`."""
+    """Return the levels of each disturbance, the one without effect first. Raise `ConfigurationError`."""
     if disturbances is None:
         disturbances = [name for name in specs if name != SLOWER]
-    given = [disturbances] if isinstance(disturbances, str) else disturbances
-    asked: Mapping[str, Any] = given if isinstance(given, Mapping) else dict.fromkeys(given)
+    requested = [disturbances] if isinstance(disturbances, str) else disturbances
+    by_name: Mapping[str, Any] = requested if isinstance(requested, Mapping) else dict.fromkeys(requested)
     levels = {}
-    for name, wanted in asked.items():
+    for name, values in by_name.items():
         if name not in specs:
             raise unknown_name("disturbance to sweep here", name, specs)
         spec = specs[name]
-        wanted = spec.levels if wanted is None else wanted
-        if isinstance(wanted, str) or not isinstance(wanted, Sequence):
-            raise ConfigurationError(f"the levels of {name} are numbers, such as {list(spec.levels)}, not {wanted!r}")
-        others = {spec.checked(name, level) for level in wanted} - {spec.neutral}
+        values = spec.levels if values is None else values
+        if isinstance(values, str) or not isinstance(values, Sequence):
+            raise ConfigurationError(f"the levels of {name} are numbers, such as {list(spec.levels)}, not {values!r}")
+        others = {spec.checked(name, level) for level in values} - {spec.neutral}
         if not others:
             raise ConfigurationError(f"{name} needs a level besides {spec.neutral:g}, which changes nothing")
         levels[name] = [spec.neutral, *sorted(others, key=functools.partial(_away, spec.neutral))]

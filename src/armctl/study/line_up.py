@@ -1,4 +1,4 @@
-"""Who plays in a suite's tasks, and under which disturbances."""
+"""Line-up of a suite: the policies of each task, and its disturbances."""
 
 from collections.abc import Sequence
 from contextlib import closing
@@ -17,24 +17,24 @@ UNSKILLED = {"random"}
 
 @dataclass(frozen=True)
 class SuiteSize:
-    """How much a suite plays."""
+    """Number of episodes, disturbances and levels of a suite."""
 
     episodes: int
-    """Of each policy in each cell."""
+    """Episodes of each policy in each cell."""
     disturbances: tuple[str, ...]
     """Those that a task has of these, or all of its own if it has none of these."""
     levels: tuple[float, ...]
-    """Which of a disturbance's default levels: 0 is the one without effect, 1 the strongest."""
+    """Shares of the range of default levels: 0 is the level without effect, 1 the strongest."""
 
 
 FULL = SuiteSize(50, ("noise", "noise_on_state", "delay", "payload", "friction", "pushes", "mismatch"), (0.5, 1.0))
-"""Two levels of each: on two cores, less than an hour."""
+"""Full suite, two levels of each disturbance: less than an hour on two cores."""
 QUICK = SuiteSize(20, ("delay", "mismatch"), (0.75,))
-"""On two cores, about five minutes."""
+"""Quick suite: about five minutes on two cores."""
 
 
 def main_disturbances(env: str, size: SuiteSize) -> dict[str, list[float]]:
-    """The levels of a task's disturbances in a suite. Raises `ConfigurationError`."""
+    """Return the levels of a task's disturbances in a suite. Raise `ConfigurationError`."""
     possible = sweep_levels(env)
     main = {name: levels for name, levels in possible.items() if name in size.disturbances} or possible
     if "noise_on_state" in main:  # the same noise, which spares nobody
@@ -43,12 +43,12 @@ def main_disturbances(env: str, size: SuiteSize) -> dict[str, list[float]]:
 
 
 def _level(levels: Sequence[float], share: float) -> float:
-    """The level at a share of the way from the first, which has no effect, to the last; never the first."""
+    """Return the level at a share of the way from the first, which has no effect, to the last; never the first."""
     return levels[max(1, round(share * (len(levels) - 1)))]
 
 
 def line_up(env: str) -> tuple[str, ...]:
-    """The policies of a task's suite: its default ones, experts that fit, and agents made for it.
+    """Return the policies of a task's suite: its default ones, experts that fit, and agents made for it.
 
     Raises `ConfigurationError`.
     """
@@ -58,7 +58,7 @@ def line_up(env: str) -> tuple[str, ...]:
 
 
 def _fits(name: str, env: str, worlds: WorldsByInterface) -> bool:
-    """Whether an installed policy can act in an environment and, if it is an agent, was made for it."""
+    """Return True if an installed policy can act in an environment and, if it is an agent, was made for it."""
     try:
         card = getattr(make_policy(name, worlds.of(name)), "card", None)
     except ArmctlError:
@@ -67,19 +67,19 @@ def _fits(name: str, env: str, worlds: WorldsByInterface) -> bool:
 
 
 def unusable_agents(env: str) -> dict[str, str]:
-    """Why installed agents cannot play the task that they were made for, by name; also those of unreadable cards."""
-    told = {}
+    """Return why installed agents cannot play the task that they were made for, by name; unreadable cards included."""
+    reasons = {}
     with closing(WorldsByInterface(env, 1)) as worlds:
         for name, card in agent_cards().items():
             try:
                 if bare_id(read_card(card).env) == bare_id(env):
                     make_policy(name, worlds.of(name))
             except ArmctlError as error:
-                told[name] = str(error)
-    return told
+                reasons[name] = str(error)
+    return reasons
 
 
 def default_policies(env: str) -> tuple[str, ...]:
-    """The default line-up of an environment, which its task declares."""
+    """Return the default line-up of an environment, which its task declares."""
     policies: tuple[str, ...] = task_of(env).default_policies
     return policies

@@ -34,7 +34,7 @@ class TaskOptions(StudyOptions, total=False):
     """Least and largest possible return of an episode, for an environment that does not tell them: means of returns
     have intervals and tests with such bounds only."""
     real_time: str | Path | None
-    """With it, the world does not wait: a decision that takes longer than the control period takes effect when it is
+    """Real time: the world does not wait, and a decision longer than the control period takes effect when it is
     ready (see `armctl.rollout.real_time`). It is `measured`, which needs one world and one worker, or the folder of a
     comparison with one world and one worker, whose decision times are repeated: then the episodes are the same whenever
     and wherever they are played. Each process plays one world at a time. In a sweep, it is the folder for the levels of
@@ -50,18 +50,18 @@ class ComparisonOptions(TaskOptions, total=False):
     margin: float
     """Difference in success, as a share, below which policies count as equivalent; 0.02 by default."""
     slow_down: float
-    """In real time, decisions take so many times as long as they were measured."""
+    """Factor of the decision times, in real time."""
 
 
-def checked_options(given: Mapping[str, Any], kind: type) -> None:
+def checked_options(options: Mapping[str, Any], kind: type) -> None:
     """Raise `ConfigurationError` for an option that a kind of study does not have."""
     allowed = kind.__annotations__
-    for name in given:
+    for name in options:
         if name not in allowed:
             raise unknown_name("option", name, [*allowed])
 
 
 def environment_options(options: TaskOptions) -> dict[str, Any]:
-    """The options of the environment, with the bounds of its returns if they are stated."""
+    """Return the options of the environment, with the bounds of its returns if they are stated."""
     bounds = options.get("return_bounds")
     return dict(options.get("env_options") or {}) | ({} if bounds is None else {RETURN_BOUNDS: bounds})

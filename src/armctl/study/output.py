@@ -1,4 +1,4 @@
-"""What a study leaves for other programs: tables and a summary. armctl does not read them back."""
+"""Output of a study for other programs: tables and a summary. armctl does not read them back."""
 
 import json
 from dataclasses import asdict
@@ -19,17 +19,17 @@ from armctl.study.task_results import COLUMNS
 SUMMARY, POINTS = "summary.json", "sweep.csv"
 
 
-def write_output(folder: Path, found: Study) -> None:
+def write_output(folder: Path, study: Study) -> None:
     """Write the tables `episodes.csv`, `decisions.csv` and `sweep.csv`, and `summary.json`. Raises `ResultsError`."""
-    summaries = {name: summary(comparison) for name, comparison in found.cells.items()}
-    results = {name: comparison.results for name, comparison in found.cells.items()}
-    alone = found.kind == COMPARISON
-    about = summaries[UNDISTURBED] if alone else {**found.record(), "cells": summaries}
+    summaries = {name: summary(comparison) for name, comparison in study.cells.items()}
+    results = {name: comparison.results for name, comparison in study.cells.items()}
+    is_comparison = study.kind == COMPARISON
+    about = summaries[UNDISTURBED] if is_comparison else {**study.record(), "cells": summaries}
     try:
-        write_csv(folder, results[UNDISTURBED] if alone else results)
+        write_csv(folder, results[UNDISTURBED] if is_comparison else results)
         write_atomically(folder / SUMMARY, json.dumps(about, indent=2) + "\n")
-        if not alone:
-            write_atomically(folder / POINTS, _points(found).to_csv(index=False))
+        if not is_comparison:
+            write_atomically(folder / POINTS, _points(study).to_csv(index=False))
     except OSError as error:
         raise ResultsError(f"tables could not be written to {folder}: {error.strerror}") from error
 
@@ -43,16 +43,16 @@ def remove_output(folder: Path) -> None:
         raise ResultsError(f"results cannot be written to {folder}: {error.strerror}") from error
 
 
-def _points(found: Study) -> pd.DataFrame:
-    """The rows of `sweep.csv`; those of a suite begin with the environment."""
-    tables = [swept.points for swept in found.tasks.values()]
-    if found.kind == SUITE:
-        tables = [table.assign(env=env)[["env", *COLUMNS]] for env, table in zip(found.tasks, tables, strict=True)]
+def _points(study: Study) -> pd.DataFrame:
+    """Return the rows of `sweep.csv`; those of a suite begin with the environment."""
+    tables = [swept.points for swept in study.tasks.values()]
+    if study.kind == SUITE:
+        tables = [table.assign(env=env)[["env", *COLUMNS]] for env, table in zip(study.tasks, tables, strict=True)]
     return pd.concat(tables) if len(tables) > 1 else tables[0]
 
 
 def summary(comparison: Comparison) -> dict[str, Any]:
-    """A comparison as JSON values: settings, results, versions and machine."""
+    """Return a comparison as JSON values: settings, results, versions and machine."""
     facts = {name: value for name, value in vars(comparison.facts).items() if name != "policies"}
     return {
         "env": comparison.env,

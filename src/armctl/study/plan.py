@@ -1,4 +1,4 @@
-"""What a study plays: policies times cells, checked before anything is played."""
+"""Plan of a study: policies times cells, checked before anything is played."""
 
 import functools
 from collections.abc import Mapping, Sequence
@@ -39,11 +39,11 @@ from armctl.study.options import (
 COMPARISON, SWEEP, SUITE = "comparison", "sweep", "suite"
 """Kinds of studies: one cell; one task's cells; the cells of several tasks."""
 ALL = "all"
-"""As an environment: those of all installed packages."""
+"""Name that stands for the environments of all installed packages."""
 HOME = "armctl/"
 """The namespace that is left out of the names of a suite's cells."""
 FROM_UNDISTURBED = "the undisturbed comparison"
-"""Where the decision times of a sweep come from, unless a folder has them."""
+"""Source of a sweep's decision times, unless a folder has them."""
 ONE_TRAINING = "{group} is a single training, which says nothing of others by the same recipe."
 
 
@@ -55,7 +55,7 @@ class Cell:
     env: str
     env_options: Mapping[str, Any]
     policies: Mapping[str, Any]
-    """As they were asked for, by name; a group of trainings is one of these."""
+    """Policies as requested, by name; a group of trainings is one of these."""
     real_time: RealTime | None = None
     """None if the world waits for decisions."""
     repeats: str | None = None
@@ -93,31 +93,31 @@ class TaskPlan:
     env: str
     cells: Sequence[Cell]
     levels: Mapping[str, Sequence[float]] = field(default_factory=dict)
-    """Of each disturbance, beginning with the one that changes nothing."""
+    """Levels of each disturbance, beginning with the one that changes nothing."""
     units: Mapping[str, str] = field(default_factory=dict)
-    """Of each disturbance's levels."""
+    """Units of each disturbance's levels."""
     recorded: str = ""
-    """Where the decision times of the slow-down levels come from; empty without such levels."""
+    """Source of the decision times of the slow-down levels; empty without such levels."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What a study plays."""
+    """Cells of a study, and how much is played in each."""
 
     kind: str
     tasks: Sequence[TaskPlan]
     seed: int
     episodes: int
-    """Of each policy in each cell."""
+    """Number of episodes of each policy in each cell."""
     worlds: int = 1
     engine: Engine = field(default_factory=lambda: engine_of(1))
     baseline: str | None = None
     margin: float = MARGIN
     quick: bool = False
     envs: Sequence[str] = ()
-    """All environments that were asked for."""
+    """All environments that were requested."""
     failures: Mapping[str, str] = field(default_factory=dict)
-    """By environment: why it cannot be played, or not by all of its agents."""
+    """Reasons why environments cannot be played, or not by all of their agents, by environment."""
 
     @property
     def cells(self) -> list[Cell]:
@@ -125,7 +125,7 @@ class Plan:
         return [cell for task in self.tasks for cell in task.cells]
 
     def worlds_in(self, cell: Cell) -> int:
-        """How many worlds share a policy's calls: one if the world does not wait for decisions."""
+        """Return the number of worlds that share a policy's calls: one if the world does not wait for decisions."""
         return 1 if cell.real_time else min(self.worlds, self.episodes)
 
     @property
@@ -135,7 +135,7 @@ class Plan:
 
 
 def comparison_plan(policies: Any, env: str, episodes: int, seed: Seed, options: ComparisonOptions) -> Plan:
-    """One cell. Raises `ConfigurationError`, and `ResultsError` for a damaged recording of decision times."""
+    """Plan one cell. Raise `ConfigurationError`, and `ResultsError` for a damaged recording of decision times."""
     checked_options(options, ComparisonOptions)
     cell, shared = _undisturbed(policies, env, options), _extent(episodes, seed, options)
     baseline, margin = options.get("baseline"), options.get("margin", MARGIN)
@@ -155,7 +155,7 @@ def comparison_plan(policies: Any, env: str, episodes: int, seed: Seed, options:
 def sweep_plan(
     policies: Any, env: str, disturbances: Disturbances, episodes: int, seed: Seed, options: TaskOptions
 ) -> Plan:
-    """An undisturbed cell, and one for each level of each disturbance. Raises as `comparison_plan` does."""
+    """Plan an undisturbed cell, and one for each level of each disturbance. Raise as `comparison_plan` does."""
     checked_options(options, TaskOptions)
     shared = _extent(episodes, seed, options)
     task = _task_plan(_undisturbed(policies, env, options), disturbances, options.get("real_time"), "", shared)
@@ -163,17 +163,20 @@ def sweep_plan(
 
 
 def suite_plan(envs: Sequence[str], quick: bool, episodes: int | None, seed: Seed, options: StudyOptions) -> Plan:
-    """The cells of several tasks. A task that cannot be played is among the failures. Raises `ConfigurationError`."""
+    """Plan the cells of several tasks. A task that cannot be played is among the failures.
+
+    Raises `ConfigurationError`.
+    """
     checked_options(options, StudyOptions)
     size = QUICK if quick else FULL
     shared = _extent(size.episodes if episodes is None else episodes, seed, options)
-    asked = [name for env in envs for name in (environment_names() if env == ALL else [env])]
-    wanted = {task_name(env): env for env in dict.fromkeys(map(full_id, asked))}
-    if not wanted or len(wanted) < len(set(map(full_id, asked))):
-        raise ConfigurationError(f"a suite needs environments of different names, not {', '.join(asked) or 'none'}")
+    requested = [name for env in envs for name in (environment_names() if env == ALL else [env])]
+    by_name = {task_name(env): env for env in dict.fromkeys(map(full_id, requested))}
+    if not by_name or len(by_name) < len(set(map(full_id, requested))):
+        raise ConfigurationError(f"a suite needs environments of different names, not {', '.join(requested) or 'none'}")
     tasks: list[TaskPlan] = []
     failures: dict[str, str] = {}
-    for name, env in wanted.items():
+    for name, env in by_name.items():
         try:
             undisturbed = _undisturbed(line_up(env), env, {})
             tasks.append(_task_plan(undisturbed, main_disturbances(env, size), None, f"{name}/", shared))
@@ -183,11 +186,11 @@ def suite_plan(envs: Sequence[str], quick: bool, episodes: int | None, seed: See
             continue
         if unusable:
             failures[env] = "; ".join(f"{agent} was left out: {why}" for agent, why in unusable.items())
-    return Plan(SUITE, tasks, **shared, quick=quick, envs=[*wanted.values()], failures=failures)
+    return Plan(SUITE, tasks, **shared, quick=quick, envs=[*by_name.values()], failures=failures)
 
 
 def _extent(episodes: int, seed: Seed, options: StudyOptions) -> dict[str, Any]:
-    """How much is played, by whom. Raises `ConfigurationError`."""
+    """Return the arguments of `Plan` that all kinds share. Raise `ConfigurationError`."""
     worlds, workers = options.get("worlds", 1), options.get("workers", 1)
     check_counts(episodes=episodes, worlds=worlds, **({"workers": workers} if isinstance(workers, int) else {}))
     return {"episodes": episodes, "seed": evaluation_seed(seed), "worlds": worlds, "engine": engine_of(workers)}
@@ -207,7 +210,7 @@ def _undisturbed(policies: Any, env: str, options: TaskOptions) -> Cell:
 def _task_plan(
     undisturbed: Cell, disturbances: Disturbances, real_time: str | Path | None, prefix: str, shared: Mapping[str, Any]
 ) -> TaskPlan:
-    """The undisturbed cell, and those of the disturbances, whose names begin with the `prefix`."""
+    """Plan the undisturbed cell, and those of the disturbances; their names begin with the `prefix`."""
     env, options = undisturbed.env, dict(undisturbed.env_options)
     specs = disturbance_specs(env, options)
     levels = checked_levels(specs, disturbances)
@@ -215,8 +218,8 @@ def _task_plan(
     recorded = None if real_time is None else read_recording(Path(real_time), 1.0, env, shared["seed"])
     source = ""
     if SLOWER in levels:
-        with closing(make_worlds(env, 1, options)) as made:
-            check_real_time(bare_id(env), made)
+        with closing(make_worlds(env, 1, options)) as vec_env:
+            check_real_time(bare_id(env), vec_env)
         if recorded is None:
             check_measurable(shared["worlds"], shared["engine"].workers)
             source = FROM_UNDISTURBED
@@ -239,7 +242,7 @@ def _task_plan(
 
 
 def task_name(env: str) -> str:
-    """The first part of the names of a task's cells in a suite, which is also its page's name.
+    """Return the first part of the names of a task's cells in a suite, which is also its page's name.
 
     Raises `ConfigurationError` for an id that no file should be called by.
     """

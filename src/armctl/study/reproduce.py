@@ -31,23 +31,23 @@ SIGNIFICANT = 0.05
 
 @dataclass(frozen=True)
 class Difference:
-    """A figure on a card that is not what was found."""
+    """A figure on a card that is not what was measured."""
 
     figure: str
     """One of `FIGURES`."""
     claimed: Any
-    found: Any
+    measured: Any
     p: float | None = None
-    """Of a test between other episodes, after Holm's correction for all figures; None: the episodes are the same."""
+    """p-value of a test between other episodes, after Holm's correction for all figures; None for the same episodes."""
 
     def __str__(self) -> str:
         name = FIGURES[self.figure]
         if self.figure == "digest":
             return f"{name} differ"
-        if isinstance(self.claimed, float) and isinstance(self.found, float):
-            size = f"{name} {self.claimed:g} on the card, {self.found:g} now ({self.found - self.claimed:+.3g})"
+        if isinstance(self.claimed, float) and isinstance(self.measured, float):
+            size = f"{name} {self.claimed:g} on the card, {self.measured:g} now ({self.measured - self.claimed:+.3g})"
             return size if self.p is None else f"{size}, p = {self.p:.2g}"
-        return f"{name} {_text(self.claimed)} on the card, {_text(self.found)} now"
+        return f"{name} {_text(self.claimed)} on the card, {_text(self.measured)} now"
 
 
 @dataclass(frozen=True)
@@ -57,13 +57,13 @@ class Reproduction:
     card: AgentCard
     claimed: Evaluation
     """The evaluation on the card."""
-    found: Evaluation
+    measured: Evaluation
     """The new one, on the same episodes, or on as many of another seed."""
 
     @property
     def same_episodes(self) -> bool:
-        """Whether both are of the same episodes."""
-        return (self.claimed.seed, self.claimed.episodes) == (self.found.seed, self.found.episodes)
+        """True if both are of the same episodes."""
+        return (self.claimed.seed, self.claimed.episodes) == (self.measured.seed, self.measured.episodes)
 
     @property
     def differences(self) -> list[Difference]:
@@ -72,45 +72,45 @@ class Reproduction:
         On the same episodes, all that is on the card has to be equal. On other episodes, success, return and steps have
         to pass a two-sample test each, which together refuse an honest card in about 1 of 20 cases.
         """
-        return _unequal(self.claimed, self.found) if self.same_episodes else _told_apart(self.claimed, self.found)
+        return _unequal(self.claimed, self.measured) if self.same_episodes else _told_apart(self.claimed, self.measured)
 
     @property
     def agrees(self) -> bool:
-        """Whether no figure differs."""
+        """True if no figure differs."""
         return not self.differences
 
 
-def _unequal(claimed: Evaluation, found: Evaluation) -> list[Difference]:
-    pairs = ((name, getattr(claimed, name), getattr(found, name)) for name in FIGURES)
+def _unequal(claimed: Evaluation, measured: Evaluation) -> list[Difference]:
+    pairs = ((name, getattr(claimed, name), getattr(measured, name)) for name in FIGURES)
     return [Difference(name, a, b) for name, a, b in pairs if not _equal(name, a, b)]
 
 
-def _equal(name: str, claimed: Any, found: Any) -> bool:
-    """Whether a figure is the same; one that an older card lacks claims nothing."""
+def _equal(name: str, claimed: Any, measured: Any) -> bool:
+    """Return True if a figure is the same; one that an older card lacks claims nothing."""
     if name == "success_interval":  # computed from the rate, and the last digit depends on SciPy's version
-        return bool(np.allclose(claimed, found, rtol=1e-9, atol=1e-12))
-    return claimed == found or (claimed is None and name != "mean_steps_to_goal")
+        return bool(np.allclose(claimed, measured, rtol=1e-9, atol=1e-12))
+    return claimed == measured or (claimed is None and name != "mean_steps_to_goal")
 
 
-def _told_apart(claimed: Evaluation, found: Evaluation) -> list[Difference]:
+def _told_apart(claimed: Evaluation, measured: Evaluation) -> list[Difference]:
     """Fisher's exact test of successes, and Welch's of returns and steps if the card has their deviations."""
-    played = np.array([evaluation.episodes for evaluation in (claimed, found)])
-    won = np.round(played * [evaluation.success_rate for evaluation in (claimed, found)]).astype(int)
-    p_values = {"success_rate": float(stats.fisher_exact(np.column_stack((won, played - won))).pvalue)}
+    num_episodes = np.array([evaluation.episodes for evaluation in (claimed, measured)])
+    won = np.round(num_episodes * [evaluation.success_rate for evaluation in (claimed, measured)]).astype(int)
+    p_values = {"success_rate": float(stats.fisher_exact(np.column_stack((won, num_episodes - won))).pvalue)}
     for mean, std in (("mean_return", "std_return"), ("mean_steps", "std_steps")):
-        numbers = [(getattr(of, mean), getattr(of, std), of.episodes) for of in (claimed, found)]
+        numbers = [(getattr(of, mean), getattr(of, std), of.episodes) for of in (claimed, measured)]
         if all(None not in values and values[2] > 1 for values in numbers):
             p_values[mean] = _welch(*numbers)
     corrected = dict(zip(p_values, holm(list(p_values.values())), strict=True))
     return [
-        Difference(name, getattr(claimed, name), getattr(found, name), p)
+        Difference(name, getattr(claimed, name), getattr(measured, name), p)
         for name, p in corrected.items()
         if p < SIGNIFICANT
     ]
 
 
 def _welch(a: tuple[float, float, int], b: tuple[float, float, int]) -> float:
-    """The p-value of Welch's test between two means, each with its deviation and number of episodes."""
+    """Return the p-value of Welch's test between two means, each with its deviation and number of episodes."""
     if a[1] == b[1] == 0.0:
         return float(math.isclose(a[0], b[0], rel_tol=1e-9))
     return float(stats.ttest_ind_from_stats(*a, *b, equal_var=False).pvalue)
@@ -154,7 +154,7 @@ def reproduce(agent: str | Path, *, seed: Seed | None = None, worlds: int = 64, 
 
 
 def card_path(agent: str | Path) -> Path:
-    """The path of an agent's card: of its card or graph, of an installed agent's name, or of `NAME[SEED]`."""
+    """Return the path of an agent's card: of its card or graph, of an installed agent's name, or of `NAME[SEED]`."""
     path = Path(agent)
     if path.suffix in (".json", ".onnx"):
         return path.with_suffix(".json")
@@ -172,7 +172,7 @@ def card_path(agent: str | Path) -> Path:
 
 
 def evaluation_of(episodes: pd.DataFrame, seed: int) -> Evaluation:
-    """The figures on a card, from episodes (rows of `armctl.evaluate`) of one seed."""
+    """Return the figures on a card, from episodes (rows of `armctl.evaluate`) of one seed."""
     rate = success_rate(episodes.success.to_numpy(bool))
     assert rate is not None
     steps = episodes.length[episodes.success]

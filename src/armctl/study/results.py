@@ -34,7 +34,7 @@ class _Task:
 
 @dataclass(frozen=True)
 class _Record:
-    """What `Study.record` gives."""
+    """Values of `Study.record`."""
 
     kind: Annotated[str, Field(pattern=f"^({COMPARISON}|{SWEEP}|{SUITE})$")]
     seed: int
@@ -54,10 +54,10 @@ def read_comparison(folder: Path) -> Comparison:
 
     Raises `ResultsError` if its store is missing or damaged, or holds a suite.
     """
-    found = read_study(folder)
-    if found.kind == SUITE:
+    study = read_study(folder)
+    if study.kind == SUITE:
         raise ResultsError(f"{folder} holds a suite, not a comparison")
-    (swept,) = found.tasks.values()
+    (swept,) = study.tasks.values()
     return swept.comparisons[UNDISTURBED]
 
 
@@ -72,18 +72,18 @@ def read_study(folder: Path) -> Study:
         raise unfinished
     try:
         record = _RECORD.validate_python(stored.record)
-        found = _study(record, stored)
+        study = _study(record, stored)
     except (ValueError, LookupError, ConfigurationError) as error:
         why = error.errors()[0]["msg"] if isinstance(error, ValidationError) else error
         raise ResultsError(f"{path} cannot be read as results of a {stored.record.get('kind')}: {why}") from error
-    if not found.tasks and found.kind != SUITE:
+    if not study.tasks and study.kind != SUITE:
         raise unfinished
-    return found
+    return study
 
 
 def _study(record: _Record, stored: StoredStudy) -> Study:
     """Raises `ValueError` for a record that does not belong to its cells."""
-    found = Study(
+    study = Study(
         record.kind, record.seed, record.episodes, record.envs, record.quick, {}, dict(record.failures),
         record.interrupted,
     )  # fmt: skip
@@ -92,10 +92,10 @@ def _study(record: _Record, stored: StoredStudy) -> Study:
     for env in record.envs:
         swept = _task(env, record, stored) if env in record.tasks else None
         if swept is not None and swept.undisturbed is not None:
-            found.tasks[env] = swept
+            study.tasks[env] = swept
         else:
-            found.failures.setdefault(env, UNFINISHED)
-    return found
+            study.failures.setdefault(env, UNFINISHED)
+    return study
 
 
 def _task(env: str, record: _Record, stored: StoredStudy) -> Sweep:
@@ -104,8 +104,8 @@ def _task(env: str, record: _Record, stored: StoredStudy) -> Sweep:
     for setting in (UNDISTURBED, *swept.settings):
         cell = stored.cells.get(cell_name(record.kind, env, setting))
         if cell is not None and cell.facts is not None:
-            swept.comparisons[setting] = played = _comparison(cell)
-            if (played.env, played.seed) != (env, record.seed):
+            swept.comparisons[setting] = comparison = _comparison(cell)
+            if (comparison.env, comparison.seed) != (env, record.seed):
                 raise ValueError(f"its cell {setting} is of another environment or seed")
     return swept
 

@@ -36,43 +36,43 @@ def play(
     folder, overwrite = None if out is None else Path(out), options.get("overwrite", False)
     stored = None if folder is None or overwrite else stored_policy_seed(folder)
     secret = chosen_policy_seed(options.get("policy_seed"), stored)
-    found = Study.of(plan)
+    study = Study.of(plan)
     with Store(folder, overwrite) as store:
 
         @functools.cache
         def on_first_cell() -> None:
             if folder is not None:
                 remove_output(folder)
-            store.describe(found.record() | {"interrupted": True})  # what is known if this process is killed
+            store.describe(study.record() | {"interrupted": True})  # name is known if this process is killed
 
         if plan.kind == SUITE:
             store.open(plan.seed, [cell.name for cell in plan.cells])
         session = Session(plan, store, secret, on_first_cell, progress)
         for task in plan.tasks:
             try:
-                _play_task(task, found.tasks[task.env], session)
+                _play_task(task, study.tasks[task.env], session)
             except ArmctlError as error:
                 if plan.kind != SUITE:
                     raise
-                found.failures[task.env] = "; ".join(filter(None, (found.failures.get(task.env), str(error))))
+                study.failures[task.env] = "; ".join(filter(None, (study.failures.get(task.env), str(error))))
             except KeyboardInterrupt:  # between two cells
-                found.tasks[task.env].interrupted = True
-            found.interrupted = found.tasks[task.env].interrupted
-            if found.interrupted:
+                study.tasks[task.env].interrupted = True
+            study.interrupted = study.tasks[task.env].interrupted
+            if study.interrupted:
                 break
-        found.tasks = {env: swept for env, swept in found.tasks.items() if swept.comparisons}
-        if folder is not None and found.tasks:
-            _write(store, folder, found)
-    return found
+        study.tasks = {env: swept for env, swept in study.tasks.items() if swept.comparisons}
+        if folder is not None and study.tasks:
+            _write(store, folder, study)
+    return study
 
 
-def _write(store: Store, folder: Path, found: Study) -> None:
+def _write(store: Store, folder: Path, study: Study) -> None:
     """Write what was played, and tables of it for other programs."""
     try:
-        store.describe(found.record())
-        write_output(folder, found)
+        store.describe(study.record())
+        write_output(folder, study)
     except ResultsError as error:
-        found.storage_failures.setdefault("results", str(error))
+        study.storage_failures.setdefault("results", str(error))
 
 
 def _play_task(task: TaskPlan, swept: Sweep, session: Session) -> None:
@@ -92,7 +92,7 @@ def _play_task(task: TaskPlan, swept: Sweep, session: Session) -> None:
             return
         swept.comparisons[cell.setting] = comparison
         swept.failures |= {
-            what if what == "results" else f"{cell.setting}: {what}": why for what, why in comparison.failures.items()
+            name if name == "results" else f"{cell.setting}: {name}": why for name, why in comparison.failures.items()
         }
         swept.interrupted = comparison.interrupted
         if swept.interrupted or "results" in comparison.failures:
@@ -100,7 +100,7 @@ def _play_task(task: TaskPlan, swept: Sweep, session: Session) -> None:
 
 
 def _with_times(cell: Cell, swept: Sweep, episodes: int) -> Cell:
-    """The cell with the decision times of the undisturbed one, without policies that have none in some episode."""
+    """Return the cell with the decision times of the undisturbed one, without policies that lack some of them."""
     assert cell.real_time is not None
     assert swept.undisturbed is not None
     times = replace(cell.real_time, recorded=recorded_times(swept.undisturbed.results))
@@ -109,5 +109,5 @@ def _with_times(cell: Cell, swept: Sweep, episodes: int) -> Cell:
         f"{cell.setting}: {policy}": f"no decision times of episode {k}" for policy, k in lacking.items()
     }
     without = learners(list(lacking), cell.groups)
-    playing = {policy: given for policy, given in cell.policies.items() if policy not in without}
+    playing = {policy: policy for policy, policy in cell.policies.items() if policy not in without}
     return replace(cell, real_time=times, policies=playing)

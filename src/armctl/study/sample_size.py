@@ -1,4 +1,4 @@
-"""How many episodes a comparison needs."""
+"""Number of episodes that a comparison needs."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,20 +11,20 @@ from armctl.verdict.sentences import verdict_pairs
 from armctl.verdict.tables import AGAINST, Cell, Column, Document, Remark, Table
 
 SHARES = (0.01, 0.02, 0.05, 0.1, 0.2, 0.4)
-"""Of episodes that exactly one of two policies wins."""
+"""Shares of episodes that exactly one of two policies wins."""
 TRAININGS = "For groups of trainings, more trainings tell more than more episodes"
 
 
 @dataclass(frozen=True)
 class _Planned:
-    """What is planned for."""
+    """Pairs and tests that a number of episodes is planned for."""
 
     shares: dict[Cell, float]
-    """Of discordant episodes, by the name of a row."""
+    """Shares of discordant episodes, by the name of a row."""
     tests: int = LEVELS
-    """For how many the verdict corrects a difference."""
+    """Number of tests for which the verdict corrects a difference."""
     num_comparisons: int = 1
-    """For how many pairs it corrects equivalence."""
+    """Number of pairs for which it corrects equivalence."""
     left_out: list[str] = field(default_factory=list)
     """Pairs that more episodes alone do not decide."""
 
@@ -32,7 +32,7 @@ class _Planned:
 def plan_comparison(
     difference: float, power: float = 0.8, pilot: Path | None = None, pairs: int | None = None
 ) -> Document:
-    """How many episodes tell a difference in success, or that there is none as large.
+    """Compute how many episodes show a difference in success, or that there is none as large.
 
     `power` is the probability of telling it. With the results folder of a pilot, there is a row for each pair of its
     policies, whose share of discordant episodes is estimated with one more of either kind (Laplace's rule). Tests are
@@ -79,22 +79,24 @@ def plan_comparison(
 
 
 def _caption(tests: int, num_comparisons: int) -> str:
-    """How the tests are corrected."""
+    """Return a caption that states the corrections of the tests."""
     corrections = f"to detect, for {tests} test{'s' * (tests > 1)} of success, steps and return; "
     corrections += f"to show equivalence, for {num_comparisons} pair{'s' * (num_comparisons > 1)}"
     return f"Tests at 5 % after Bonferroni's correction ({corrections}), on the same episodes for both policies."
 
 
 def _planned(pilot: Path) -> _Planned:
-    found = read_comparison(pilot)
-    known = [
-        pair for pair in found.paired if pair.mcnemar_p is not None and found.facts.baseline in (None, pair.a, pair.b)
+    pilot_results = read_comparison(pilot)
+    pairs_by_success = [
+        pair
+        for pair in pilot_results.paired
+        if pair.mcnemar_p is not None and pilot_results.facts.baseline in (None, pair.a, pair.b)
     ]
-    left_out = [f"{pair.a} {AGAINST}{pair.b}" for pair in known if pair.crossed is not None]
-    alone = {Cell(pair.a, AGAINST + pair.b): pair for pair in known if pair.crossed is None}
-    if not alone:
+    left_out = [f"{pair.a} {AGAINST}{pair.b}" for pair in pairs_by_success if pair.crossed is not None]
+    policy_pairs = {Cell(pair.a, AGAINST + pair.b): pair for pair in pairs_by_success if pair.crossed is None}
+    if not policy_pairs:
         why = f": {TRAININGS}" if left_out else ""
         raise ResultsError(f"{pilot} has no pair of policies whose success is known, and so nothing to plan by{why}")
-    shares = {name: (pair.only_a + pair.only_b + 1) / (pair.episodes + 2) for name, pair in alone.items()}
-    pair = verdict_pairs(found.policies, found.paired, found.facts.baseline)[0]
+    shares = {name: (pair.only_a + pair.only_b + 1) / (pair.episodes + 2) for name, pair in policy_pairs.items()}
+    pair = verdict_pairs(pilot_results.policies, pilot_results.paired, pilot_results.facts.baseline)[0]
     return _Planned(shares, pair.p.tests, pair.num_comparisons, left_out)

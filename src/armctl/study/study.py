@@ -8,11 +8,11 @@ from armctl.core.arrays import Array
 from armctl.core.registration import bare_id
 from armctl.episodes.stored import UNDISTURBED
 from armctl.stats.across_tasks import League, leagues, rank
-from armctl.study.answers import Answer, answer, corrected
 from armctl.study.comparison import Comparison
 from armctl.study.plan import SUITE, SWEEP, Plan, task_name
 from armctl.study.suite_tables import rank_table, task_table
 from armctl.study.task_results import Sweep
+from armctl.study.task_verdict import TaskVerdict, holm_corrected, task_verdict
 from armctl.verdict.notebook import Displayed
 from armctl.verdict.tables import Document, Remark, Table
 
@@ -25,12 +25,12 @@ class Study(Displayed):
     """`comparison`, `sweep` or `suite`."""
     seed: int
     episodes: int
-    """Of each policy in each cell, as asked for."""
+    """Number of episodes of each policy in each cell, as requested."""
     envs: list[str] = field(default_factory=list)
     """All environments that were asked for."""
     quick: bool = False
     tasks: dict[str, Sweep] = field(default_factory=dict)
-    """By environment."""
+    """Results of the tasks, by environment."""
     failures: dict[str, str] = field(default_factory=dict)
     """Error messages: by environment, or under `results` if results could not be written.
 
@@ -39,8 +39,8 @@ class Study(Displayed):
 
     @classmethod
     def of(cls, plan: Plan) -> "Study":
-        """A study of which nothing has been played."""
-        tasks = {one.env: Sweep(one.env, plan.seed, one.levels, one.units, one.recorded) for one in plan.tasks}
+        """Return a study without any episode."""
+        tasks = {task.env: Sweep(task.env, plan.seed, task.levels, task.units, task.recorded) for task in plan.tasks}
         return cls(plan.kind, plan.seed, plan.episodes, [*plan.envs], plan.quick, tasks, dict(plan.failures))
 
     @property
@@ -54,7 +54,7 @@ class Study(Displayed):
 
     @property
     def result(self) -> "Comparison | Sweep | Study":
-        """What was asked for: the one comparison, the one task, or the whole."""
+        """Result that was requested: the one comparison, the one task, or the whole study."""
         if self.kind == SUITE:
             return self
         (swept,) = self.tasks.values()
@@ -66,37 +66,37 @@ class Study(Displayed):
         return self.result.failures
 
     @functools.cached_property
-    def answers(self) -> list[Answer]:
-        """The answer for each task, after Holm's correction for all. For a finished study: it is worked out once."""
-        return corrected([answer(swept) for swept in self.tasks.values()])
+    def verdicts(self) -> list[TaskVerdict]:
+        """Verdicts on the tasks, after Holm's correction for all. For a finished study: they are computed once."""
+        return holm_corrected([task_verdict(sweep) for sweep in self.tasks.values()])
 
     @functools.cached_property
     def leagues(self) -> list[League]:
         """The ranks of families in the tasks that they share (see `across_tasks.rank` and `leagues`)."""
-        found: dict[str, dict[str, Array]] = {}
-        for one in self.answers:
+        ranks_by_family: dict[str, dict[str, Array]] = {}
+        for verdict in self.verdicts:
             members: dict[str, list[str]] = {}
-            for policy in one.policies:
+            for policy in verdict.policies:
                 members.setdefault(policy.family, []).append(policy.policy)
             for name, policies in members.items():
-                if len(its := rank(one.cells, policies)):
-                    found.setdefault(name, {})[one.task] = its
-        return leagues(found)
+                if len(ranks := rank(verdict.cells, policies)):
+                    ranks_by_family.setdefault(name, {})[verdict.task] = ranks
+        return leagues(ranks_by_family)
 
     @property
     def problems(self) -> list[str]:
-        """All that failed, in words."""
-        said = [f"{bare_id(env)}: {why}" for env, why in self.failures.items()]
+        """Messages of everything that failed."""
+        messages = [f"{bare_id(env)}: {why}" for env, why in self.failures.items()]
         for env, swept in self.tasks.items():
-            said += [f"{bare_id(env)}, {what}: {why}" for what, why in swept.failures.items()]
-        return said
+            messages += [f"{bare_id(env)}, {name}: {why}" for name, why in swept.failures.items()]
+        return messages
 
     def document(self) -> Document:
-        """A table of the tasks, the answer for each, and the ranks of families."""
+        """Return a table of the tasks, the verdict on each, and the ranks of families."""
         parts: list[Table | Remark] = []
-        if self.answers:
-            parts.append(task_table(self.answers, self.episodes, self.seed))
-            parts += [Remark(one.sentence, "verdict") for one in self.answers]
+        if self.verdicts:
+            parts.append(task_table(self.verdicts, self.episodes, self.seed))
+            parts += [Remark(verdict.sentence, "verdict") for verdict in self.verdicts]
         parts += [rank_table(league) for league in self.leagues]
         parts += [Remark(problem, "problem") for problem in self.problems]
         if self.interrupted:
@@ -104,7 +104,7 @@ class Study(Displayed):
         return Document(parts, {"seed": self.seed, "episodes": self.episodes})
 
     def record(self) -> dict[str, Any]:
-        """What is stored besides the cells."""
+        """Return the JSON values that are stored besides the cells."""
         tasks = {
             env: {name: getattr(swept, name) for name in ("levels", "units", "recorded", "failures", "interrupted")}
             for env, swept in self.tasks.items()
@@ -117,5 +117,5 @@ class Study(Displayed):
 
 
 def cell_name(kind: str, env: str, setting: str) -> str:
-    """The name of a cell. Raises `ConfigurationError` for an id that no file should be called by."""
+    """Return the name of a cell. Raise `ConfigurationError` for an id that no file should be called by."""
     return f"{task_name(env)}/{setting}" if kind == SUITE else setting

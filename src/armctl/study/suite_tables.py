@@ -1,33 +1,34 @@
-"""The tables of a suite, from its answers."""
+"""Tables of a suite, from its verdicts."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
 
 from armctl.stats.across_tasks import League
-from armctl.study.answers import CHOSEN, Answer, chosen
+from armctl.study.task_verdict import CHOSEN, TaskVerdict, chosen
 from armctl.verdict.tables import UNKNOWN, Cell, Column, Table, p_value, percent
 
 
-def task_table(answers: Sequence[Answer], episodes: int, seed: int) -> Table:
-    """A row for each task: who stands for the two kinds, and how they differ."""
+def task_table(verdicts: Sequence[TaskVerdict], episodes: int, seed: int) -> Table:
+    """Return a table with a row for each task: the policies that represent the two kinds, and their difference."""
     columns = [Column("task"), Column("classical"), Column("learned"), Column("difference"), Column("p", optional=True)]
     rows, records = [], []
-    for one in answers:
-        head = one.undisturbed
-        rates = [one.rate(one.classical), one.rate(one.learned)]
+    for verdict in verdicts:
+        head = verdict.undisturbed
+        rates = [verdict.rate(verdict.classical), verdict.rate(verdict.learned)]
         rows.append(
             [
-                Cell(one.task),
+                Cell(verdict.task),
                 *(Cell(percent(rate).text, chosen(choice)) if choice else Cell(UNKNOWN)
-                  for rate, choice in zip(rates, (one.classical, one.learned), strict=True)),
+                  for rate, choice in zip(rates, (verdict.classical, verdict.learned), strict=True)),
                 percent(head.difference, "+") if head else Cell(UNKNOWN),
                 Cell(p_value(head.p) if head else UNKNOWN),
             ]
         )  # fmt: skip
         records.append(
             {
-                "env": one.env, "classical": chosen(one.classical), "learned": chosen(one.learned),
-                **({"difference": asdict(head.difference), **asdict(head)} if head else {}), "turns": one.turns,
+                "env": verdict.env, "classical": chosen(verdict.classical), "learned": chosen(verdict.learned),
+                **({"difference": asdict(head.difference), **asdict(head)} if head else {}),
+                "reversals": verdict.reversals,
             }
         )  # fmt: skip
     caption = (
@@ -40,7 +41,7 @@ def task_table(answers: Sequence[Answer], episodes: int, seed: int) -> Table:
 
 
 def rank_table(league: League) -> Table:
-    """A row for each family that has played all tasks of a league."""
+    """Return a table with a row for each family that has played all tasks of a league."""
     tasks = ", ".join(league.tasks)
     rows = [[Cell(name), percent(mean)] for name, mean in league.ranks.items()]
     records = [{"tasks": tasks, "family": name, "rank": asdict(mean)} for name, mean in league.ranks.items()]

@@ -1,4 +1,4 @@
-"""How robust policies are: one comparison without disturbances, and one for each level of each disturbance."""
+"""Robustness of policies: one comparison without disturbances, and one for each level of each disturbance."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -40,6 +40,6 @@ def sweep(
     Raises `ConfigurationError`, `AgentFileError`, and `ResultsError` as `compare` does.
     """
     plan = sweep_plan(policies, env, disturbances, episodes, seed, options)
-    found = play(plan, out, options, lambda cell, result: progress(cell.setting, result) if progress else None)
-    (task,) = found.tasks.values()
+    study = play(plan, out, options, lambda cell, result: progress(cell.setting, result) if progress else None)
+    (task,) = study.tasks.values()
     return task

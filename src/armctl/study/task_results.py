@@ -26,8 +26,8 @@ COLUMNS = (
     "steps_to_goal", "steps_low", "steps_high", "p", "change", "unit", "sees",
     "spared",
 )  # fmt: skip
-"""Of `sweep.csv`: one row per disturbance, level and policy, with 95 % intervals. `p` is McNemar's p-value for equal
-success in the same episodes without the disturbance, or the sign test's for equal return if success is unknown; for a
+"""Columns of `sweep.csv`: one row per disturbance, level and policy, with 95 % intervals. `p` is McNemar's p-value for
+equal success in the same episodes without the disturbance, or the sign test's for equal return if success is unknown; for a
 group of trainings, that of random weights of trainings and of episodes. `change` is what it tests: success minus
 that without the disturbance, or the share of episodes with a higher return minus the share with a lower one.
 `spared` is True where the disturbance does not reach the policy, which is in no test then: `p` and `change` are NaN."""
@@ -42,17 +42,17 @@ class Sweep(Displayed):
     levels: Mapping[str, Sequence[float]]
     """The levels of each disturbance, beginning with the one that changes nothing."""
     units: Mapping[str, str] = field(default_factory=dict)
-    """Of each disturbance's levels."""
+    """Units of each disturbance's levels."""
     recorded: str = ""
-    """Where the decision times of the slow-down levels come from; empty without such levels."""
+    """Source of the decision times of the slow-down levels; empty without such levels."""
     comparisons: dict[str, Comparison] = field(default_factory=dict)
-    """By setting: `none`, `payload-2.0` and so on."""
+    """Comparisons by setting: `none`, `payload-2.0` and so on."""
     failures: dict[str, str] = field(default_factory=dict)
     """Error messages: by setting and policy, or under `results` if results could not be written."""
     interrupted: bool = False
 
     def document(self) -> Document:
-        """A table for each disturbance, and from which level each policy gets worse."""
+        """Return a table for each disturbance, and the level from which each policy gets worse."""
         parts = sweep_parts(self.points, self.pairs, self.looks)
         waiting = (comparison for comparison in self.comparisons.values() if comparison.facts.real_time is None)
         notes = itertools.chain.from_iterable(comparison.notes for comparison in waiting)
@@ -60,7 +60,7 @@ class Sweep(Displayed):
         if self.recorded:
             times = f"with the decision times of {self.recorded}"
             parts.append(Remark(f"{SLOWER}: in real time, {times}; at 0 the world waits."))
-        parts += [Remark(f"{what}: {why}", "problem") for what, why in self.failures.items()]
+        parts += [Remark(f"{name}: {why}", "problem") for name, why in self.failures.items()]
         if self.interrupted:
             parts.append(Remark("Interrupted.", "note"))
         return Document(parts, {"env": self.env, "seed": self.seed})
@@ -81,19 +81,19 @@ class Sweep(Displayed):
         undisturbed = self.undisturbed
         if undisturbed is None:
             return pd.DataFrame(columns=list(COLUMNS))
-        before, rows = counted_rows(undisturbed.episodes), []
+        undisturbed_rows, rows = counted_rows(undisturbed.episodes), []
         for name, levels in self.levels.items():
             for level in levels:
                 first = level == levels[0]
                 comparison = undisturbed if first else self.comparisons.get(setting_name(name, level))
                 if comparison is None:
                     continue
-                after = before if first else counted_rows(comparison.episodes)
+                disturbed_rows = undisturbed_rows if first else counted_rows(comparison.episodes)
                 for policy in comparison.policies:
                     values = (
                         name, level, policy.policy, policy.episodes, *_numbers(policy.success),
                         *_numbers(policy.episode_return), *_numbers(policy.steps_to_goal),
-                        *((1.0, 0.0) if first else _change(before, after, policy)), self.units[name],
+                        *((1.0, 0.0) if first else _change(undisturbed_rows, disturbed_rows, policy)), self.units[name],
                         policy.sees, bool(policy.spared),
                     )  # fmt: skip
                     rows.append(dict(zip(COLUMNS, values, strict=True)))
@@ -111,8 +111,8 @@ class Sweep(Displayed):
 
     @property
     def looks(self) -> list[int]:
-        """The numbers of episodes after which earlier runs of any comparison told a verdict."""
-        return sorted({look for comparison in self.comparisons.values() for look in comparison.looks})
+        """Numbers of episodes after which earlier runs of any comparison told a verdict."""
+        return sorted({episodes for comparison in self.comparisons.values() for episodes in comparison.looks})
 
     def __repr__(self) -> str:
         names = ", ".join(dict.fromkeys(self.points.policy)) or "no policy"
@@ -137,10 +137,11 @@ def _test_of(pair: PairedDifference) -> PairTest:
     return PairTest(p, lead if pair.a < pair.b else -lead)
 
 
-def _change(before: pd.DataFrame, after: pd.DataFrame, policy: PolicySummary) -> tuple[float, float]:
-    """The p-value for no change in the same episodes, and the change: see `COLUMNS`."""
+def _change(undisturbed_rows: pd.DataFrame, disturbed_rows: pd.DataFrame, policy: PolicySummary) -> tuple[float, float]:
+    """Return the p-value for no change in the same episodes, and the change: see `COLUMNS`."""
     if policy.spared:
         return math.nan, math.nan
-    first, second = (rows[rows.policy.isin(policy.trainings or [policy.policy])] for rows in (before, after))
+    names = policy.trainings or [policy.policy]
+    first, second = (rows[rows.policy.isin(names)] for rows in (undisturbed_rows, disturbed_rows))
     score = "return" if policy.success is None else "success"
     return change_between(first, second, score)

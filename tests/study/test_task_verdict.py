@@ -13,7 +13,7 @@ from armctl.stats.across_tasks import Choice, TaskPair, pairwise_by_task
 from armctl.stats.intervals import Estimate, bounded_difference
 from armctl.stats.paired import holm, mcnemar
 from armctl.study import Study, sweep
-from armctl.study.answers import Answer, answer, corrected
+from armctl.study.task_verdict import TaskVerdict, holm_corrected, task_verdict
 
 from ..report.pages import text_of
 from ..verdict.test_sentences import summary_of
@@ -32,16 +32,18 @@ def answer_of(undisturbed, *disturbed, env="armctl/Some-v0", timing=((1, 1), (1,
         for name, (worlds, workers) in zip(("reach_ik", "reach_ppo"), timing, strict=True)
     ]
     heads = {UNDISTURBED: undisturbed, **dict(zip(SETTINGS, disturbed, strict=False))}
-    return Answer(env, policies, {}, {name: name for name in heads}, Choice("reach_ik"), Choice("reach_ppo"), heads)
+    return TaskVerdict(
+        env, policies, {}, {name: name for name in heads}, Choice("reach_ik"), Choice("reach_ppo"), heads
+    )
 
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_few_episodes_give_no_verdict_anywhere(sign):
     eight = head(*(8, 0)[::sign], episodes=8)
     assert eight.p < 0.05
-    (one,) = corrected([answer_of(eight, head(*(0, 8)[::sign], episodes=8))])
+    (one,) = holm_corrected([answer_of(eight, head(*(0, 8)[::sign], episodes=8))])
     assert one.verdict.startswith("No verdict from 8 episodes")
-    assert one.turns == ""
+    assert one.reversals == ""
     assert headline([one]) == (
         "Of 1 task, by success, classical is better in 0, learned in 0, neither is shown to be in 1"
     )
@@ -51,7 +53,7 @@ def test_verdicts_and_headline_are_corrected_for_all_tasks_and_for_success_and_s
     faster = {"steps": Estimate(-2.3, -4.2, -0.3), "steps_p": 0.012}
     heads = [head(6, 0), head(0, 12), head(8, 1), replace(head(3, 3), **faster)]
     answers = [answer_of(one, head(0, 20), env=f"armctl/Task{i}-v0") for i, one in enumerate(heads)]
-    found = corrected([*answers, Answer("armctl/None-v0", [], {}, {})])
+    found = holm_corrected([*answers, TaskVerdict("armctl/None-v0", [], {}, {})])
     tests = holm([*(one.p for one in heads), 0.012])
     assert [one.undisturbed.p for one in found[:-1]] == tests[:4]
     assert found[3].undisturbed.steps_p == tests[4] == pytest.approx(0.048)
@@ -61,19 +63,19 @@ def test_verdicts_and_headline_are_corrected_for_all_tasks_and_for_success_and_s
     assert [one.verdict.partition(":")[0] for one in found[:-1]] == [
         "Undecided", "Learned is better", "Undecided", "Undecided",
     ]  # fmt: skip
-    assert found[3].verdict.endswith("; classical takes 2.3 [0.3, 4.2] steps fewer, p = 0.048")
+    assert found[3].verdict.endswith("; classical takes 2.3 [0.3, 4.2] fewer steps, p = 0.048")
     assert headline(found) == (
         "Of 4 tasks, by success, classical is better in 0, learned in 1, neither is shown to be in 3; "
         "there, classical takes fewer steps in 1, learned in 0"
     )
-    assert found[0].heads[SETTINGS[0]] == answers[0].heads[SETTINGS[0]]
+    assert found[0].pairs[SETTINGS[0]] == answers[0].pairs[SETTINGS[0]]
 
 
 def test_the_answers_of_a_suite_are_corrected_for_all_its_tasks(monkeypatch):
     module = importlib.import_module("armctl.study.study")
     heads = {f"armctl/Task{i}-v0": head(6, 0) for i in range(3)}
-    monkeypatch.setattr(module, "answer", lambda env: answer_of(heads[env], env=env))
-    found = module.Study("suite", 0, 50, tasks={env: env for env in heads}).answers
+    monkeypatch.setattr(module, "task_verdict", lambda env: answer_of(heads[env], env=env))
+    found = module.Study("suite", 0, 50, tasks={env: env for env in heads}).verdicts
     assert [one.undisturbed.p for one in found] == holm([mcnemar(6, 0)] * 3)
     assert [(one.undisturbed.better, one.undisturbed.num_comparisons) for one in found] == [(0, 3)] * 3
 
@@ -83,7 +85,7 @@ def test_steps_are_told_where_neither_is_better_in_success():
     equal = answer_of(replace(head(0, 0, episodes=500), **slower))
     assert equal.verdict == (
         "Equivalent in success within 2 points: reach_ik against reach_ppo, +0.0 points [-0.7, 0.7]; "
-        "learned takes 2.3 [0.3, 4.2] steps fewer, p = 0.01"
+        "learned takes 2.3 [0.3, 4.2] fewer steps, p = 0.01"
     )
     for untold in ({"steps_p": 0.06}, {"steps": Estimate(2.34, -0.1, 4.2)}, {"episodes": 9}):
         assert replace(equal.undisturbed, **untold).faster == 0
@@ -103,7 +105,7 @@ def swept(gains):
     """An answer from differences in success by setting: -1, 0 or 1 for each episode."""
     cells = {name: pd.DataFrame({"c": gain > 0, "l": gain < 0}, dtype=float) for name, gain in gains.items()}
     heads = pairwise_by_task(cells, UNDISTURBED, Choice("c"), Choice("l"))
-    return Answer("armctl/Some-v0", [], cells, {name: name for name in cells}, Choice("c"), Choice("l"), heads)
+    return TaskVerdict("armctl/Some-v0", [], cells, {name: name for name in cells}, Choice("c"), Choice("l"), heads)
 
 
 def lead(won, lost, episodes=100):
@@ -112,25 +114,25 @@ def lead(won, lost, episodes=100):
 
 def test_the_order_turns_where_the_change_is_significant():
     one = swept({UNDISTURBED: lead(20, 0), "noise 1": lead(0, 20)[::-1], "delay 1": lead(20, 0), "delay 2": lead(4, 0)})
-    assert one.turns == (
-        "the order turns: learned is better with noise 1 (-20.0 points [-29.2, -11.8]); the difference shifts towards "
-        "learned with delay 2 (by 16.0 [6.0, 26.9] points); not shown to change in the other disturbed setting"
+    assert one.reversals == (
+        "the order reverses: learned is better with noise 1 (-20.0 points [-29.2, -11.8]); the difference shifts "
+        "towards learned with delay 2 (by 16.0 [6.0, 26.9] points); not shown to change in the other disturbed setting"
     )
     same = swept({UNDISTURBED: lead(20, 0), **{f"delay {i}": lead(20, 0) for i in range(3)}})
-    assert same.turns == "not shown to change in any of the 3 disturbed settings"
+    assert same.reversals == "not shown to change in any of the 3 disturbed settings"
     grown = swept({UNDISTURBED: lead(2, 2), "noise 1": lead(40, 0)})
-    assert grown.turns == "the difference shifts towards classical with noise 1 (by 40.0 [26.5, 52.1] points)"
+    assert grown.reversals == "the difference shifts towards classical with noise 1 (by 40.0 [26.5, 52.1] points)"
 
 
 def test_a_difference_that_is_significant_and_one_that_is_not_are_no_change():
     before, after = lead(8, 1), lead(3, 2)  # p = 0.04 and 1
     one = swept({UNDISTURBED: before, "noise 1": after})
     assert one.undisturbed.better == 1
-    assert one.heads["noise 1"].better == 0
-    assert one.turns == "not shown to change in the disturbed setting"
+    assert one.pairs["noise 1"].better == 0
+    assert one.reversals == "not shown to change in the disturbed setting"
     other = swept({UNDISTURBED: lead(2, 3), "noise 1": lead(1, 8)})
-    assert other.heads["noise 1"].better == -1
-    assert other.turns == "not shown to change in the disturbed setting"
+    assert other.pairs["noise 1"].better == -1
+    assert other.reversals == "not shown to change in the disturbed setting"
 
 
 def test_two_opposite_leads_turn_nothing_unless_the_change_itself_is_significant():
@@ -138,21 +140,23 @@ def test_two_opposite_leads_turn_nothing_unless_the_change_itself_is_significant
     assert (before.better, after.better) == (1, -1)
     for change, p in ((None, None), (Estimate(-0.8, -1.0, -0.6), 0.06), (Estimate(-0.8, -1.0, 0.1), 0.01)):
         one = answer_of(before, replace(after, change=change, change_p=p))
-        assert one.turns == "not shown to change in the disturbed setting"
+        assert one.reversals == "not shown to change in the disturbed setting"
     shown = replace(after, change=Estimate(-0.8, -1.0, -0.6), change_p=0.01)
-    assert answer_of(before, shown).turns.startswith("the order turns: learned is better with delay 1 (-40.0 points [")
+    assert answer_of(before, shown).reversals.startswith(
+        "the order reverses: learned is better with delay 1 (-40.0 points ["
+    )
 
 
 def test_changes_are_paired_and_corrected_for_all_disturbed_settings():
     gains = {UNDISTURBED: lead(10, 0), **{f"delay {i}": lead(5, i)[::-1] for i in range(3)}}
     one = swept(gains)
     raw = [bounded_difference((gains[name] - gains[UNDISTURBED]).astype(float), (-2.0, 2.0)) for name in gains][1:]
-    found = [one.heads[name] for name in list(gains)[1:]]
+    found = [one.pairs[name] for name in list(gains)[1:]]
     assert [head.change for head in found] == [change.estimate for change in raw]
     assert [head.change_p for head in found] == holm([change.p for change in raw])
     assert one.undisturbed.change is None
     few = swept({UNDISTURBED: lead(9, 0, 9), "delay 1": lead(0, 9, 9)})
-    assert few.heads["delay 1"].changed == 0
+    assert few.pairs["delay 1"].changed == 0
 
 
 @pytest.mark.parametrize("edge", [0.0, 0.2])
@@ -162,7 +166,7 @@ def test_equal_effects_turn_in_five_of_a_hundred_tasks_at_most(edge, sized):
     for _ in range(runs):
         settings = (UNDISTURBED, *(f"noise {i}" for i in range(6)))
         one = swept({name: rng.choice([1, -1, 0], 50, p=[0.2 + edge / 2, 0.2 - edge / 2, 0.6]) for name in settings})
-        wrong += one.turns != "not shown to change in any of the 6 disturbed settings"
+        wrong += one.reversals != "not shown to change in any of the 6 disturbed settings"
     assert wrong / runs <= 0.05 + 2 * (0.05 * 0.95 / runs) ** 0.5
 
 
@@ -189,8 +193,8 @@ def test_a_setting_that_spares_who_stands_for_a_kind_is_not_compared(tmp_path):
         ["bridge_mpc", "bridge_state_ppo"], env, disturbances={"noise": [0.5], "payload": [5]}, episodes=2,
         env_options={"max_episode_steps": 3},
     )  # fmt: skip
-    found = answer(swept)
-    assert list(found.heads) == list(found.shared_cells) == [UNDISTURBED, "payload-5.0"]
+    found = task_verdict(swept)
+    assert list(found.pairs) == list(found.shared_cells) == [UNDISTURBED, "payload-5.0"]
     assert list(found.cells["noise-0.5"]) == ["bridge_state_ppo"]
     assert found.not_compared == "Not compared: noise 0.5 (spares bridge_mpc)."
     assert found.not_compared in found.sentence
@@ -202,7 +206,7 @@ def test_a_setting_that_spares_who_stands_for_a_kind_is_not_compared(tmp_path):
 def test_steps_of_a_task_are_a_bounded_paired_difference():
     swept = sweep(["reach_ik", "reach_ppo"], disturbances={"noise": [0.01]}, episodes=12, worlds=12)
     steps = swept.comparisons[UNDISTURBED].episodes.pivot(index="episode", columns="policy", values="length")
-    found = answer(swept).undisturbed
+    found = task_verdict(swept).undisturbed
     gains = (steps.reach_ik - steps.reach_ppo).to_numpy(float)
     assert gains.min() > -99  # so that the bounds are the time limit's, not what was seen
     expected = bounded_difference(gains, (-99.0, 99.0))
@@ -213,8 +217,8 @@ def test_steps_of_a_task_are_a_bounded_paired_difference():
 def test_a_task_without_one_of_the_kinds_says_which(kind, missing):
     played = [summary_of("reach_ik", np.ones(10, dtype=bool))]
     cells = {UNDISTURBED: pd.DataFrame({"reach_ik": np.ones(10)})}
-    one = Answer("armctl/Some-v0", played, cells, {}, **{kind: Choice("reach_ik")})
+    one = TaskVerdict("armctl/Some-v0", played, cells, {}, **{kind: Choice("reach_ik")})
     assert one.sentence == f"armctl/Some-v0: no {missing} policy has played."
     assert one.rate(Choice("reach_ik")).value == 1
-    assert Answer("armctl/Some-v0", [], {}, {}).verdict == "no episode was finished undisturbed"
-    assert Answer("armctl/Some-v0", played, {}, {}).verdict == "the environment does not say what a success is"
+    assert TaskVerdict("armctl/Some-v0", [], {}, {}).verdict == "no episode was finished undisturbed"
+    assert TaskVerdict("armctl/Some-v0", played, {}, {}).verdict == "the environment does not say what a success is"

@@ -1,0 +1,268 @@
+"""Verdict on a task: classical or learned, by how much, at what cost, and under which disturbances it reverses."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pandas as pd
+
+from armctl.core.registration import bare_id
+from armctl.episodes.stored import UNDISTURBED
+from armctl.policies import privileges
+from armctl.runtime.provenance import looks_in_words
+from armctl.stats.across_tasks import Choice, TaskPair, choose, pairwise_by_task, rate_of, values_of
+from armctl.stats.intervals import FEWEST, Estimate, bounded_difference
+from armctl.stats.paired import MARGIN, holm
+from armctl.study.comparison import Comparison
+from armctl.study.task_results import Sweep
+from armctl.verdict.scores import counted_rows
+from armctl.verdict.summary import PolicySummary
+from armctl.verdict.tables import p_value, points, size
+
+CHOSEN = (
+    "Where a kind has several policies, every third episode undisturbed chooses the best of them, and only the other "
+    "episodes judge it."
+)
+"""Rule of `armctl.stats.across_tasks.choose`, as tables and pages state it."""
+
+
+@dataclass(frozen=True)
+class TaskVerdict:
+    """Verdict on one task, and the figures that it rests on."""
+
+    env: str
+    policies: Sequence[PolicySummary]
+    """Undisturbed; empty if no episode was finished."""
+    cells: dict[str, pd.DataFrame]
+    """Success by setting, as `armctl.stats.across_tasks` takes it; empty if success is unknown."""
+    labels: dict[str, str]
+    """Names of settings as printed: `noise 0.02`."""
+    classical: Choice | None = None
+    """Choice of the best classical policy; None without any."""
+    learned: Choice | None = None
+    pairs: dict[str, TaskPair] = field(default_factory=dict)
+    """Classical against learned, by setting."""
+    looks: Sequence[int] = ()
+    """The numbers of episodes after which a verdict was told before."""
+    spared: dict[str, set[str]] = field(default_factory=dict)
+    """The policies that a setting's disturbance does not reach: they have no success in `cells` there."""
+
+    @property
+    def task(self) -> str:
+        """The task's name, as tables say it."""
+        return bare_id(self.env)
+
+    @property
+    def undisturbed(self) -> TaskPair | None:
+        """Classical against learned without disturbance; None unless both have played."""
+        return self.pairs.get(UNDISTURBED)
+
+    @property
+    def contenders(self) -> list[str]:
+        """Policies that represent the two kinds."""
+        return [choice.policy for choice in (self.classical, self.learned) if choice]
+
+    @property
+    def shared_cells(self) -> dict[str, pd.DataFrame]:
+        """Cells of the settings that reach both of these."""
+        contenders = set(self.contenders)
+        return {name: table for name, table in self.cells.items() if contenders.isdisjoint(self.spared.get(name, ()))}
+
+    def rate(self, choice: Choice | None) -> Estimate | None:
+        """Return the undisturbed success rate of a choice, in the episodes that judge it."""
+        return rate_of(self.cells[UNDISTURBED], choice) if choice and self.cells else None
+
+    @property
+    def verdict(self) -> str:
+        """Sentence on the better kind without disturbance: by success, and if neither is better, by steps."""
+        pair = self.undisturbed
+        if pair is None:
+            return self._reason_for_no_pair
+        names = f"{chosen(self.classical)} against {chosen(self.learned)}"
+        difference = points(pair.difference)
+        if pair.episodes < FEWEST:
+            return f"No verdict from {pair.episodes} episode{'s' * (pair.episodes > 1)}: {names}, success {difference}"
+        if pair.better:
+            parts = [f"{_kind(pair.better)} is better: {names}, success {difference}, p = {p_value(pair.p)}"]
+        elif pair.equivalent(MARGIN):
+            parts = [f"Equivalent in success within {100 * MARGIN:g} points: {names}, {difference}"]
+        else:
+            parts = [f"Undecided: {names}, success {difference}, p = {p_value(pair.p)}"]
+        if pair.faster and pair.steps:
+            kind = _kind(pair.faster).lower()
+            parts.append(f"{kind} takes {size(pair.steps)} fewer steps, p = {p_value(pair.steps_p)}")
+        if self.looks:
+            parts.append(looks_in_words(self.looks))
+        return "; ".join(parts)
+
+    @property
+    def _reason_for_no_pair(self) -> str:
+        if not self.policies:
+            return "no episode was finished undisturbed"
+        if not self.cells:
+            return "the environment does not say what a success is"
+        return f"no {'learned' if self.learned is None else 'classical'} policy has played"
+
+    @property
+    def reversals(self) -> str:
+        """Sentence on disturbances that reverse the order, and on others that change the difference in success.
+
+        Both only where the change itself is significant, after Holm's correction for all disturbed settings: that one
+        difference is significant and another one is not shows no change. The order reverses where the other kind is
+        significantly better then. Empty if nothing was disturbed, or after too few undisturbed episodes for a verdict.
+        """
+        undisturbed = self.undisturbed
+        remaining = {name: pair for name, pair in self.pairs.items() if name != UNDISTURBED}
+        if undisturbed is None or undisturbed.episodes < FEWEST or not remaining:
+            return ""
+        parts: list[str] = []
+        for sign in (1, -1):
+            reversed_order = {
+                name: pair
+                for name, pair in remaining.items()
+                if pair.changed == pair.better == sign == -undisturbed.better
+            }
+            if reversed_order:
+                settings = [f"{self.labels[name]} ({points(pair.difference)})" for name, pair in reversed_order.items()]
+                parts.append(f"the order reverses: {_kind(sign).lower()} is better with {', '.join(settings)}")
+            remaining = {name: pair for name, pair in remaining.items() if name not in reversed_order}
+        for sign in (1, -1):
+            shifted = {name: pair.change for name, pair in remaining.items() if pair.changed == sign and pair.change}
+            settings = [f"{self.labels[name]} (by {_in_points(change)} points)" for name, change in shifted.items()]
+            if settings:
+                parts.append(f"the difference shifts towards {_kind(sign).lower()} with {', '.join(settings)}")
+            remaining = {name: pair for name, pair in remaining.items() if pair.changed != sign}
+        if remaining:
+            others = "other " * bool(parts)
+            several = f"{'the' if parts else 'any of the'} {len(remaining)} {others}disturbed settings"
+            single = f"the {others}disturbed setting"
+            parts.append(f"not shown to change in {several if len(remaining) > 1 else single}")
+        return "; ".join(parts)
+
+    @property
+    def not_compared(self) -> str:
+        """Sentence on settings that spare a policy which represents its kind; empty if none does."""
+        shared, contenders = self.shared_cells, set(self.contenders)
+        settings = [
+            f"{self.labels[name]} (spares {', '.join(sorted(contenders & self.spared[name]))})"
+            for name in self.cells
+            if name not in shared
+        ]
+        return f"Not compared: {', '.join(settings)}." if settings else ""
+
+    @property
+    def costs(self) -> str:
+        """Training, decision times and privileges of the policies that represent the two kinds."""
+        by_name = {policy.policy: policy for policy in self.policies}
+        contenders = [by_name[name] for name in self.contenders]
+        parts = [words for policy in contenders for words in policy.effort]
+        parts.append(f"time per decision: {_times(contenders)}")
+        sees = privileges({policy.policy: policy.sees for policy in contenders})
+        return " ".join(filter(None, ("; ".join(parts) + ".", sees)))
+
+    @property
+    def sentence(self) -> str:
+        """Whole verdict."""
+        if self.undisturbed is None:
+            return f"{self.task}: {self.verdict}."
+        reversals = f"{self.reversals[:1].upper()}{self.reversals[1:]}." if self.reversals else ""
+        return " ".join(filter(None, (f"{self.task}: {self.verdict}.", reversals, self.not_compared, self.costs)))
+
+
+def task_verdict(sweep: Sweep) -> TaskVerdict:
+    """Return the verdict on the task of a sweep."""
+    tables = {
+        name: table
+        for name, comparison in sweep.comparisons.items()
+        if (table := success_table(comparison)) is not None
+    }
+    labels = {name: f"{disturbance} {level:g}" for name, (disturbance, level) in sweep.settings.items()}
+    labels |= {UNDISTURBED: "undisturbed"}
+    spared = {
+        name: {policy.policy for policy in comparison.policies if policy.spared}
+        for name, comparison in sweep.comparisons.items()
+    }
+    plain = sweep.undisturbed
+    if plain is None or UNDISTURBED not in tables:
+        return TaskVerdict(sweep.env, plain.policies if plain else [], {}, labels)
+    rows = counted_rows(plain.episodes)
+    returns = rows.pivot(index="episode", columns="policy", values="return").reindex(tables[UNDISTURBED].index)
+    kinds: list[Choice | None] = []
+    for learned in (False, True):
+        names = [policy.policy for policy in plain.policies if policy.learned == learned]
+        kinds.append(choose(tables[UNDISTURBED], returns, names) if names else None)
+    classical, trained = kinds
+    verdict = TaskVerdict(sweep.env, plain.policies, tables, labels, classical, trained, {}, sweep.looks, spared)
+    pairs = pairwise_by_task(verdict.shared_cells, UNDISTURBED, classical, trained) if classical and trained else {}
+    if UNDISTURBED in pairs:
+        pairs[UNDISTURBED] = _with_steps(pairs[UNDISTURBED], plain, classical, trained)
+    return replace(verdict, pairs=pairs)
+
+
+def _with_steps(pair: TaskPair, plain: Comparison, classical: Choice | None, learned: Choice | None) -> TaskPair:
+    """Add the difference in steps to the goal, a failure counting as the time limit, if that is known."""
+    time_limit = plain.facts.time_limit
+    if time_limit is None or classical is None or learned is None:
+        return pair
+    rows = counted_rows(plain.episodes)
+    rows = rows.assign(steps=rows.length.where(rows.success.astype(bool), time_limit))
+    table = rows.pivot(index="episode", columns="policy", values="steps").astype(float)
+    gains = np.asarray((values_of(table, classical) - values_of(table, learned)).dropna(), dtype=np.float64)
+    result = bounded_difference(gains, (1.0 - time_limit, time_limit - 1.0))
+    return replace(pair, steps=result.estimate, steps_p=result.p) if result else pair
+
+
+def holm_corrected(verdicts: Sequence[TaskVerdict]) -> list[TaskVerdict]:
+    """Correct the undisturbed tests for all tasks: p-values by Holm, equivalence by Bonferroni.
+
+    The tests of success and of steps are corrected together, as a verdict may state either.
+    """
+    undisturbed = {verdict.env: pair for verdict in verdicts if (pair := verdict.undisturbed)}
+    tests = {(env, name): p for env, pair in undisturbed.items() for name in ("p", "steps_p")
+             if (p := getattr(pair, name)) is not None}  # fmt: skip
+    adjusted = dict(zip(tests, holm(list(tests.values())), strict=True))
+    for env, pair in undisturbed.items():
+        undisturbed[env] = replace(
+            pair, p=adjusted[env, "p"], steps_p=adjusted.get((env, "steps_p")), num_comparisons=len(undisturbed)
+        )
+    return [
+        replace(verdict, pairs=verdict.pairs | {UNDISTURBED: undisturbed[verdict.env]})
+        if verdict.env in undisturbed
+        else verdict
+        for verdict in verdicts
+    ]
+
+
+def success_table(comparison: Comparison) -> pd.DataFrame | None:
+    """Return success by episode and policy; None if it is unknown. The episodes are those of `counted_results`.
+
+    Policies that the disturbance does not reach are left out.
+    """
+    episodes = comparison.episodes
+    if not len(episodes) or not comparison.policies or episodes.success.isna().any():
+        return None
+    success = counted_rows(episodes).pivot(index="episode", columns="policy", values="success").astype(float)
+    return success.reindex(columns=[policy.policy for policy in comparison.policies if not policy.spared])
+
+
+def _in_points(share: Estimate) -> str:
+    low, high = (100 * bound for bound in share.bounds)
+    return size(Estimate(100 * share.value, low, high))
+
+
+def _kind(sign: int) -> str:
+    return "Classical" if sign > 0 else "Learned"
+
+
+def chosen(choice: Choice | None) -> str:
+    """Return the name of the chosen policy, in words."""
+    return choice.policy if choice else "nobody"
+
+
+def _times(policies: Sequence[PolicySummary]) -> str:
+    """Return mean decision times, each with what it is unless all are the same."""
+    times = [f"{policy.policy} {policy.decision_ms_mean:.2g} ms" for policy in policies]
+    kinds = [policy.timing for policy in policies]
+    if len(set(kinds)) == 1:
+        return ", ".join(times) + (f" ({kinds[0]})" if kinds[0] else "")
+    return ", ".join(f"{time} ({kind or 'latency'})" for time, kind in zip(times, kinds, strict=True))
