@@ -9,6 +9,7 @@ import pytest
 from armctl.agents import read_card
 from armctl.core.errors import ConfigurationError
 from armctl.runtime.engines import Cluster, Local
+from armctl.runtime.workers import run_isolated
 from armctl.simulation.threads import THREADS_ENV_VAR
 from armctl.training.learners import Recipe, load_learner
 from armctl.training.run import TrainingJob, log_trial, train_seeds
@@ -36,9 +37,20 @@ class InAChild(Cluster):
     def count(self):
         return 1
 
-    def _results(self, function, first, units):
-        for unit in units:
-            yield function(*first, unit)
+    def _send(self, item):
+        return item
+
+    def _submit(self, common, unit):
+        return run_isolated(*common, unit)
+
+    def _wait(self, running):
+        return running, []
+
+    def _get(self, finished):
+        return finished
+
+    def _cancel(self, running):
+        pass
 
 
 @pytest.fixture(scope="module")
