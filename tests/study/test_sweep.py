@@ -200,6 +200,21 @@ def test_an_interrupted_sweep_keeps_its_episodes_and_goes_on(decisions, tmp_path
 
 
 @armctl.sees("state")
+def interrupted_while_made(env):
+    raise KeyboardInterrupt
+
+
+def test_an_interrupt_before_the_first_episode(tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        compare(interrupted_while_made, episodes=2, out=tmp_path / "compared")
+    found = run(policies=[interrupted_while_made], out=tmp_path / "swept")
+    assert found.interrupted
+    assert "Interrupted." in printed(found)
+    assert not (tmp_path / "compared").exists()
+    assert not (tmp_path / "swept").exists()
+
+
+@armctl.sees("state")
 def failing_when_late(env):
     policy = armctl.make_policy("reach_ik", env)
     if "delay" in env.disturbances:

@@ -15,7 +15,7 @@ from armctl.rollout.real_time import recorded_times
 from armctl.study.cell import Session, Task, play_cell
 from armctl.study.options import StudyOptions
 from armctl.study.output import remove_output, write_output
-from armctl.study.plan import SUITE, Cell, Plan, TaskPlan
+from armctl.study.plan import COMPARISON, SUITE, Cell, Plan, TaskPlan
 from armctl.study.study import Study
 from armctl.study.task_results import Sweep
 
@@ -43,27 +43,35 @@ def play(
         def on_first_cell() -> None:
             if folder is not None:
                 remove_output(folder)
-            store.describe(study.record() | {"interrupted": True})  # name is known if this process is killed
+            store.describe(study.record() | {"interrupted": True})  # as it is read if this process is killed
 
         if plan.kind == SUITE:
             store.open(plan.seed, [cell.name for cell in plan.cells])
         session = Session(plan, store, secret, on_first_cell, progress)
-        for task in plan.tasks:
-            try:
-                _play_task(task, study.tasks[task.env], session)
-            except ArmctlError as error:
-                if plan.kind != SUITE:
-                    raise
-                study.failures[task.env] = "; ".join(filter(None, (study.failures.get(task.env), str(error))))
-            except KeyboardInterrupt:  # between two cells
-                study.tasks[task.env].interrupted = True
-            study.interrupted = study.tasks[task.env].interrupted
-            if study.interrupted:
-                break
-        study.tasks = {env: swept for env, swept in study.tasks.items() if swept.comparisons}
-        if folder is not None and study.tasks:
+        _play_tasks(study, session)
+        if plan.kind == SUITE:
+            study.tasks = {env: swept for env, swept in study.tasks.items() if swept.comparisons}
+        if folder is not None and study.cells:
             _write(store, folder, study)
     return study
+
+
+def _play_tasks(study: Study, session: Session) -> None:
+    """Play the tasks of a study, until one is interrupted."""
+    for task in session.plan.tasks:
+        try:
+            _play_task(task, study.tasks[task.env], session)
+        except ArmctlError as error:
+            if session.plan.kind != SUITE:
+                raise
+            study.failures[task.env] = "; ".join(filter(None, (study.failures.get(task.env), str(error))))
+        except KeyboardInterrupt:  # between two cells
+            if session.plan.kind == COMPARISON:
+                raise
+            study.tasks[task.env].interrupted = True
+        study.interrupted = study.tasks[task.env].interrupted
+        if study.interrupted:
+            break
 
 
 def _write(store: Store, folder: Path, study: Study) -> None:
