@@ -117,5 +117,5 @@ def _with_times(cell: Cell, swept: Sweep, episodes: int) -> Cell:
         f"{cell.setting}: {policy}": f"no decision times of episode {k}" for policy, k in lacking.items()
     }
     without = learners(list(lacking), cell.groups)
-    playing = {policy: policy for policy, policy in cell.policies.items() if policy not in without}
+    playing = {name: policy for name, policy in cell.policies.items() if name not in without}
     return replace(cell, real_time=times, policies=playing)
