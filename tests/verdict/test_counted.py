@@ -8,8 +8,8 @@ import pytest
 from armctl.envs import ERROR
 from armctl.episodes.table import table_of
 from armctl.stats.robustness import change_between
-from armctl.verdict.scores import by_learner, counted_rows
-from armctl.verdict.summary import counted_results, summarise
+from armctl.verdict.scores import by_learner
+from armctl.verdict.summary import counted_results, counted_rows, summarise
 
 from ..made_up_episodes import played
 
@@ -32,7 +32,7 @@ def counted_in(found):
     """Which episodes count, by both implementations."""
     by_table, infeasible = counted_results(table_of(found))
     from_table = {name: its.column("episode").tolist() for name, its in by_table.items()}
-    rows = counted_rows(table_of(found).frame())
+    rows = counted_rows(table_of(found))
     assert from_table == {name: its.episode.tolist() for name, its in rows.groupby("policy")}
     return from_table, infeasible
 
@@ -70,8 +70,8 @@ def test_a_group_counts_what_all_its_trainings_have_finished():
 def test_an_episode_with_an_error_has_the_least_return():
     whole = [replace(one, feasible=True) for one in played(12)]
     failed = [replace(one, outcome=ERROR, total_reward=99.0) if one.episode in (2, 5) else one for one in whole]
-    rows = counted_rows(table_of(failed).frame())
+    rows = counted_rows(table_of(failed))
     assert rows.episode[rows["return"] == -math.inf].tolist() == [2, 5]
-    p, change = change_between(counted_rows(table_of(whole).frame()), rows, "return")
+    p, change = change_between(counted_rows(table_of(whole)), rows, "return")
     assert change == pytest.approx(-2 / 12)
     assert p > 0.05

@@ -1,5 +1,6 @@
 """Plays a cell: every policy in the same episodes, each written as soon as it ends."""
 
+import functools
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass, field, replace
@@ -196,11 +197,7 @@ def play_cell(cell: Cell, session: Session, task: Task) -> Comparison:
     Raises `ConfigurationError`, `AgentFileError`, and `ResultsError` as `Store` does. What goes wrong later is in the
     result's failures.
     """
-    plan, store = session.plan, session.store
-
-    def progress(result: EpisodeResult) -> None:
-        session.progress(cell, result)
-
+    plan, store, progress = session.plan, session.store, functools.partial(session.progress, cell)
     with ExitStack() as stack:
         worlds = plan.worlds_in(cell)
         interfaces = WorldsByInterface(cell.env, worlds if plan.engine.is_local else 1, cell.env_options)

@@ -67,14 +67,18 @@ class Cell:
         return self.name.rpartition("/")[2]
 
     @functools.cached_property
+    def _expanded(self) -> tuple[dict[str, Any], dict[str, list[str]]]:
+        return expanded(self.policies)
+
+    @property
     def players(self) -> dict[str, Any]:
         """Each policy by its name in the episodes, each training of a group by itself."""
-        return expanded(self.policies)[0]
+        return self._expanded[0]
 
-    @functools.cached_property
+    @property
     def groups(self) -> dict[str, list[str]]:
         """The trainings of each group."""
-        return expanded(self.policies)[1]
+        return self._expanded[1]
 
     @property
     def single_trainings(self) -> list[str]:

@@ -16,8 +16,7 @@ from armctl.stats.robustness import NEUTRAL, PairKey, PairTest, change_between
 from armctl.study.comparison import Comparison
 from armctl.study.levels import setting_name
 from armctl.verdict.notebook import Displayed
-from armctl.verdict.scores import counted_rows
-from armctl.verdict.summary import PolicySummary
+from armctl.verdict.summary import PolicySummary, counted_rows
 from armctl.verdict.summary_tables import sweep_parts
 from armctl.verdict.tables import Document, Remark
 
@@ -83,14 +82,14 @@ class Sweep(Displayed):
         undisturbed = self.undisturbed
         if undisturbed is None:
             return pd.DataFrame(columns=list(COLUMNS))
-        undisturbed_rows, rows = counted_rows(undisturbed.episodes), []
+        undisturbed_rows, rows = counted_rows(undisturbed.results), []
         for name, levels in self.levels.items():
             for level in levels:
                 first = level == levels[0]
                 comparison = undisturbed if first else self.comparisons.get(setting_name(name, level))
                 if comparison is None:
                     continue
-                disturbed_rows = undisturbed_rows if first else counted_rows(comparison.episodes)
+                disturbed_rows = undisturbed_rows if first else counted_rows(comparison.results)
                 for policy in comparison.policies:
                     values = (
                         name, level, policy.policy, policy.episodes, *_numbers(policy.success),

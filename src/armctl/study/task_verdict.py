@@ -15,8 +15,7 @@ from armctl.stats.intervals import FEWEST, Estimate, bounded_difference
 from armctl.stats.paired import MARGIN, holm
 from armctl.study.comparison import Comparison
 from armctl.study.task_results import Sweep
-from armctl.verdict.scores import counted_rows
-from armctl.verdict.summary import PolicySummary
+from armctl.verdict.summary import PolicySummary, counted_rows
 from armctl.verdict.tables import p_value, points, size
 
 CHOSEN = (
@@ -185,7 +184,7 @@ def task_verdict(sweep: Sweep) -> TaskVerdict:
     plain = sweep.undisturbed
     if plain is None or UNDISTURBED not in tables:
         return TaskVerdict(sweep.env, plain.policies if plain else [], {}, labels)
-    rows = counted_rows(plain.episodes)
+    rows = counted_rows(plain.results)
     returns = rows.pivot(index="episode", columns="policy", values="return").reindex(tables[UNDISTURBED].index)
     kinds: list[Choice | None] = []
     for learned in (False, True):
@@ -204,7 +203,7 @@ def _with_steps(pair: TaskPair, plain: Comparison, classical: Choice | None, lea
     time_limit = plain.facts.time_limit
     if time_limit is None or classical is None or learned is None:
         return pair
-    rows = counted_rows(plain.episodes)
+    rows = counted_rows(plain.results)
     rows = rows.assign(steps=rows.length.where(rows.success.astype(bool), time_limit))
     table = rows.pivot(index="episode", columns="policy", values="steps").astype(float)
     gains = np.asarray((values_of(table, classical) - values_of(table, learned)).dropna(), dtype=np.float64)
@@ -241,7 +240,7 @@ def success_table(comparison: Comparison) -> pd.DataFrame | None:
     episodes = comparison.episodes
     if not len(episodes) or not comparison.policies or episodes.success.isna().any():
         return None
-    success = counted_rows(episodes).pivot(index="episode", columns="policy", values="success").astype(float)
+    success = counted_rows(comparison.results).pivot(index="episode", columns="policy", values="success").astype(float)
     return success.reindex(columns=[policy.policy for policy in comparison.policies if not policy.spared])
 
 

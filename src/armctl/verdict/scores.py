@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from armctl.envs import ERROR
@@ -41,17 +40,6 @@ def clean(results: EpisodeTable) -> NDArray[np.bool_]:
 def paid_returns(results: EpisodeTable, lowest: float) -> NDArray[np.float64]:
     """Return the returns; the `lowest` possible one of episodes in which the policy failed: a crash never pays."""
     return np.where(results.column("outcome") == ERROR, lowest, results.column("total_reward"))
-
-
-def counted_rows(episodes: pd.DataFrame) -> pd.DataFrame:
-    """Return the rows of `episodes.csv` that count, by episode, as in `counted_results`.
-
-    The return of an episode in which the policy failed is -inf: less than any other.
-    """
-    by_episode = episodes.sort_values("episode")
-    unbroken = by_episode[by_episode.episode == by_episode.groupby("policy").cumcount()]
-    counted = unbroken[~unbroken.episode.isin(by_episode.episode[~by_episode.feasible.astype(bool)])]
-    return counted.assign(**{"return": counted["return"].where(counted.outcome != ERROR, -math.inf)})
 
 
 def by_learner(

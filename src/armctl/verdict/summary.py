@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from armctl.agents.costs import TrainingCost, mean_cost
@@ -218,6 +219,16 @@ def counted_results(results: EpisodeTable) -> tuple[dict[str, EpisodeTable], int
         unbroken = episodes == np.arange(len(episodes))  # one that is missing shifts all later ones
         counted[name] = table[unbroken & ~np.isin(episodes, infeasible)]
     return counted, len(infeasible)
+
+
+def counted_rows(results: EpisodeTable) -> pd.DataFrame:
+    """Return the rows of `episodes.csv` of the results that count.
+
+    The return of an episode in which the policy failed is -inf: less than any other.
+    """
+    counted, _ = counted_results(results)
+    rows = functools.reduce(EpisodeTable.together, counted.values(), results[:0]).frame()
+    return rows.assign(**{"return": rows["return"].where(rows.outcome != ERROR, -math.inf)})
 
 
 def _performance(results: EpisodeTable, scored: bool, limits: Limits) -> Performance:
