@@ -129,7 +129,8 @@ def test_no_colour_of_a_figure_is_forgotten_on_a_dark_page(swept):
 
 def episodes_of(**returns):
     return {
-        name: [SimpleNamespace(total_reward=float(earned)) for earned in values] for name, values in returns.items()
+        name: SimpleNamespace(column=lambda _, values=values: np.array(values, dtype=float))
+        for name, values in returns.items()
     }
 
 

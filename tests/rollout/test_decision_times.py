@@ -134,7 +134,7 @@ def test_times_of_policies_on_different_processors_are_said_not_to_compare(clock
     results = EpisodeTable([*[here] * 3, there, there])
     machines = Machines.of(runs, results)
     assert comparable_times(EpisodeTable([here, there, there]), machines).column("run").tolist() == ["here"]
-    assert timing_notes([("a", [here]), ("b", [there])], machines) == [
+    assert timing_notes([("a", EpisodeTable([here])), ("b", EpisodeTable([there]))], machines) == [
         "Decision times cannot be compared: those of a are latencies on here, 2 cores; those of b are latencies on "
         "there, 2 cores."
     ]
@@ -180,12 +180,13 @@ def test_times_of_different_settings_are_said_not_to_compare(clock):
     alone, shared, beside = (
         [replace(one, worlds=worlds, workers=workers)] * 3 for worlds, workers in ((1, 1), (40, 1), (1, 3))
     )
-    assert timing_notes([("a", alone), ("b", alone)]) == []
-    assert timing_notes([("a", alone), ("b", shared), ("c", beside)]) == [
+    a, b, c, mixed = map(EpisodeTable, (alone, shared, beside, shared * 2 + alone))
+    assert timing_notes([("a", a), ("b", a)]) == []
+    assert timing_notes([("a", a), ("b", b), ("c", c)]) == [
         "Decision times cannot be compared: those of a are latencies; those of b are shares of a batch of 40 worlds; "
         "those of c are taken while up to 2 other workers computed."
     ]
-    (said, _) = timing_notes([("a", shared * 2 + alone), ("b", shared)])
+    (said, _) = timing_notes([("a", mixed), ("b", b)])
     assert said.startswith("Decision times of a are from 3 of 9 episodes, and are latencies")
 
 

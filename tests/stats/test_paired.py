@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from armctl.episodes.table import table_of
+from armctl.episodes.table import EpisodeTable
 from armctl.stats.intervals import bounded_difference
 from armctl.stats.paired import (
     holm,
@@ -123,7 +123,7 @@ def test_more_claims_take_more_episodes():
 
 @pytest.mark.parametrize("trainings", [1, 2])
 def test_intervals_and_equivalence_are_for_all_pairs_of_a_comparison(trainings):
-    played_by = table_of(list(played(40, ("x", "y", "b", "c")))).by_policy()
+    played_by = EpisodeTable(played(40, ("x", "y", "b", "c"))).by_policy()
     trained = {"x[*]": [played_by["x"], played_by["y"]][:trainings], "b": [played_by["b"]], "c": [played_by["c"]]}
     limits = Limits((-30.0, 1.0), 30)
     pairs, narrow, wide = pairs_of(trained, True, limits), 1 - 0.1 / 3, 1 - 0.05 / 3

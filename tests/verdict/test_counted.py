@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from armctl.envs import ERROR
-from armctl.episodes.table import table_of
+from armctl.episodes.table import EpisodeTable
 from armctl.stats.robustness import change_between
 from armctl.verdict.scores import by_learner
 from armctl.verdict.summary import counted_results, counted_rows, summarise
@@ -30,16 +30,16 @@ def results(feasible=lambda episode: True):
 
 def counted_in(found):
     """Which episodes count, by both implementations."""
-    by_table, infeasible = counted_results(table_of(found))
+    by_table, infeasible = counted_results(EpisodeTable(found))
     from_table = {name: its.column("episode").tolist() for name, its in by_table.items()}
-    rows = counted_rows(table_of(found))
+    rows = counted_rows(EpisodeTable(found))
     assert from_table == {name: its.episode.tolist() for name, its in rows.groupby("policy")}
     return from_table, infeasible
 
 
 def test_episodes_after_an_unfinished_one_do_not_count():
     assert counted_in(results()) == ({"a": [*range(12)], "b": [*range(LOST)]}, 0)
-    policies, (pair,) = summarise(results(), {"a": Untrained(), "b": Untrained()}, 12, (-30.0, 1.0), 30)
+    policies, (pair,) = summarise(EpisodeTable(results()), {"a": Untrained(), "b": Untrained()}, 12, (-30.0, 1.0), 30)
     assert [(one.episodes, one.success.value) for one in policies] == [(12, 0.0), (LOST, 0.0)]
     assert (pair.episodes, pair.only_b) == (LOST, 0)
 
@@ -47,7 +47,7 @@ def test_episodes_after_an_unfinished_one_do_not_count():
 def test_an_unfinished_first_episode_leaves_nothing():
     later = [one for one in results() if one.policy == "a" or one.episode > 0]
     assert counted_in([one for one in later if one.policy == "a"])[0] == {"a": [*range(12)]}
-    by_table, _ = counted_results(table_of(later))
+    by_table, _ = counted_results(EpisodeTable(later))
     assert len(by_table["b"]) == 0
     assert list(by_learner(by_table, ["a", "b"], {})) == ["a"]
 
@@ -62,7 +62,7 @@ def test_an_infeasible_episode_counts_for_nobody_and_does_not_break_the_rest(epi
 
 
 def test_a_group_counts_what_all_its_trainings_have_finished():
-    by_table, _ = counted_results(table_of(results()))
+    by_table, _ = counted_results(EpisodeTable(results()))
     group = by_learner(by_table, ["a", "b"], {"g[*]": ["a", "b"]})["g[*]"]
     assert [its.column("episode").tolist() for its in group.values()] == [[*range(LOST)]] * 2
 
@@ -70,8 +70,8 @@ def test_a_group_counts_what_all_its_trainings_have_finished():
 def test_an_episode_with_an_error_has_the_least_return():
     whole = [replace(one, feasible=True) for one in played(12)]
     failed = [replace(one, outcome=ERROR, total_reward=99.0) if one.episode in (2, 5) else one for one in whole]
-    rows = counted_rows(table_of(failed))
+    rows = counted_rows(EpisodeTable(failed))
     assert rows.episode[rows["return"] == -math.inf].tolist() == [2, 5]
-    p, change = change_between(counted_rows(table_of(whole)), rows, "return")
+    p, change = change_between(counted_rows(EpisodeTable(whole)), rows, "return")
     assert change == pytest.approx(-2 / 12)
     assert p > 0.05

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from armctl.envs import ERROR
-from armctl.episodes.table import table_of
+from armctl.episodes.table import EpisodeTable
 from armctl.verdict.notes import STUCK_PATH, certificate_notes, motion_notes
 
 from ..made_up_episodes import played
@@ -13,8 +13,8 @@ from ..made_up_episodes import played
 
 def test_infeasible_episodes_that_were_won_are_reported():
     lost, won = ([replace(one, success=success) for one in played(10, ("a", "b"))] for success in (False, True))
-    assert certificate_notes(table_of(lost)) == []
-    (note,) = certificate_notes([one for one in won if one.feasible or one.policy == "a"])
+    assert certificate_notes(EpisodeTable(lost)) == []
+    (note,) = certificate_notes(EpisodeTable(one for one in won if one.feasible or one.policy == "a"))
     assert note == "2 episodes labelled infeasible were won (2 by a): the certificate is too strict."
 
 
@@ -35,5 +35,5 @@ def test_a_policy_that_hardly_moves_is_reported(change, period, reported):
         replace(one, length=30, **{"success": False} | change, metrics=replace(one.metrics, path_length=path))
         for one in played(4)
     ]
-    notes = motion_notes(table_of(episodes), period)
+    notes = motion_notes(EpisodeTable(episodes), period)
     assert [note.startswith("a hardly moved in 4 of 4 episodes") for note in notes] == [True] * reported

@@ -51,10 +51,10 @@ def episodes(name, earned):
 
 
 def comparison_of(earned, bounds, time_limit=None):
-    played = [result for name in earned for result in episodes(name, earned[name])]
+    played = EpisodeTable(result for name in earned for result in episodes(name, earned[name]))
     policies = {name: Untrained() for name in earned}
     found, paired = summarise(played, policies, EPISODES, bounds, time_limit)
-    return made_up("mine/Hover-v0", EpisodeTable(played), found, paired)
+    return made_up("mine/Hover-v0", played, found, paired)
 
 
 def said_in(comparison):

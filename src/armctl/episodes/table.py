@@ -72,13 +72,14 @@ class EpisodeTable(Sequence[EpisodeResult]):
         codes = [places.setdefault(tuple(result.reward_terms), len(places)) for result in listed]
         rewards = [list(result.reward_terms.values()) for result in listed]
         times = [result.decision_ms for result in listed]
-        self._fill(
-            {name: column(name, [fields[name] for fields in values]) for name in TYPES},
-            list(places),
-            np.array(codes, np.intp),
-            Ragged.of(np.array([*itertools.chain.from_iterable(rewards)], float), [*map(len, rewards)]),
-            Ragged.of(np.concatenate([np.empty(0), *times]), [*map(len, times)]),
-        )
+        self._columns: Mapping[str, NDArray[Any]] = {
+            name: column(name, [fields[name] for fields in values]) for name in TYPES
+        }
+        self._term_names: Sequence[tuple[str, ...]] = list(places)
+        self._term_codes: Rows = np.array(codes, np.intp)
+        self._rewards = Ragged.of(np.array([*itertools.chain.from_iterable(rewards)], float), [*map(len, rewards)])
+        self._decision_ms = Ragged.of(np.concatenate([np.empty(0), *times]), [*map(len, times)])
+        self._rows: Rows = np.arange(len(listed))
 
     @classmethod
     def of_columns(
@@ -93,21 +94,10 @@ class EpisodeTable(Sequence[EpisodeResult]):
 
         The names of an episode's reward terms are `term_names[code]`, their sums are a list in `rewards`.
         """
-        table = object.__new__(cls)
-        table._fill(columns, term_names, term_codes, rewards, decision_ms)
+        table = cls()
+        table._columns, table._term_names, table._term_codes = columns, term_names, term_codes
+        table._rewards, table._decision_ms, table._rows = rewards, decision_ms, np.arange(len(term_codes))
         return table
-
-    def _fill(
-        self,
-        columns: Mapping[str, NDArray[Any]],
-        term_names: Sequence[tuple[str, ...]],
-        term_codes: Rows,
-        rewards: Ragged,
-        decision_ms: Ragged,
-    ) -> None:
-        self._columns, self._term_names, self._term_codes = columns, term_names, term_codes
-        self._rewards, self._decision_ms = rewards, decision_ms
-        self._rows: Rows = np.arange(len(term_codes))
 
     def __len__(self) -> int:
         return len(self._rows)
@@ -235,11 +225,6 @@ class EpisodeTable(Sequence[EpisodeResult]):
             metrics=Metrics(*(values[name] for name in _METRICS)),
             decision_ms=self._decision_ms[row],
         )
-
-
-def table_of(results: Iterable[EpisodeResult]) -> EpisodeTable:
-    """Return the results as a table, unless they are one."""
-    return results if isinstance(results, EpisodeTable) else EpisodeTable(results)
 
 
 def column(name: str, values: list[Any]) -> NDArray[Any]:

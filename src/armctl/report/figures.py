@@ -10,8 +10,7 @@ import numpy as np
 import pandas as pd
 import plotly.graph_objects as go
 
-from armctl.episodes.record import EpisodeResult
-from armctl.episodes.table import table_of
+from armctl.episodes.table import EpisodeTable
 from armctl.report.colours import ALARM, INK, PALE, PAPER
 from armctl.report.style import (
     CELLS,
@@ -79,12 +78,12 @@ def return_points(policies: Sequence[PolicySummary], styles: Styles) -> go.Figur
     return with_rows(figure, len(policies), x, right=130)
 
 
-def paired(pair: PairedDifference, episodes: Mapping[str, Sequence[EpisodeResult]], styles: Styles) -> go.Figure:
+def paired(pair: PairedDifference, episodes: Mapping[str, EpisodeTable], styles: Styles) -> go.Figure:
     """Scatter plot of two policies' returns, episode by episode. A dot's size shows how many episodes coincide."""
     a, b = styles[pair.a], styles[pair.b]
     returns = [
         pd.DataFrame({"episode": table.column("episode"), name: table.column("total_reward")})
-        for name, table in (("a", table_of(episodes[pair.a])), ("b", table_of(episodes[pair.b])))
+        for name, table in (("a", episodes[pair.a]), ("b", episodes[pair.b]))
     ]
     points = returns[0].merge(returns[1], on="episode")
     lowest, highest = float(points[["a", "b"]].min().min()), float(points[["a", "b"]].max().max())
@@ -163,7 +162,7 @@ def reward_terms(terms: Mapping[str, Mapping[str, float]], styles: Styles, term_
 
 
 def decision_times(
-    episodes: Mapping[str, Sequence[EpisodeResult]], styles: Styles, deadline_ms: float | None, machines: Machines
+    episodes: Mapping[str, EpisodeTable], styles: Styles, deadline_ms: float | None, machines: Machines
 ) -> go.Figure:
     """Decision times: median, middle half, 1st to 99th percentile and maximum, on a logarithmic axis."""
     figure = go.Figure()
@@ -205,9 +204,9 @@ def decision_times(
     return with_rows(figure, len(episodes), x, right=90, top=26)
 
 
-def term_means(episodes: Mapping[str, Sequence[EpisodeResult]]) -> dict[str, dict[str, float]]:
+def term_means(episodes: Mapping[str, EpisodeTable]) -> dict[str, dict[str, float]]:
     """Mean of each reward term over each policy's episodes."""
     return {
-        name: {term: math.fsum(rewards) / len(results) for term, rewards in table_of(results).reward_sums().items()}
+        name: {term: math.fsum(rewards) / len(results) for term, rewards in results.reward_sums().items()}
         for name, results in episodes.items()
     }

@@ -1,12 +1,10 @@
 """The performance profile, and which part of it is worth most of the figure."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 import plotly.graph_objects as go
-from numpy.typing import NDArray
 
-from armctl.episodes.record import EpisodeResult
 from armctl.episodes.table import EpisodeTable
 from armctl.report.style import SHARE_AXIS, Styles, add_band, add_line, framed
 from armctl.stats.intervals import performance_profile
@@ -17,9 +15,9 @@ TAIL = 0.05
 """Share of a policy's episodes that the figure may leave out at first."""
 
 
-def profile(episodes: Mapping[str, Sequence[EpisodeResult]], styles: Styles) -> go.Figure:
+def profile(episodes: Mapping[str, EpisodeTable], styles: Styles) -> go.Figure:
     """Share of episodes with a return above each threshold, with 95 % intervals (Agarwal et al. 2021)."""
-    returns = {name: _returns(results) for name, results in episodes.items()}
+    returns = {name: results.column("total_reward") for name, results in episodes.items()}
     values = np.unique(np.concatenate(list(returns.values())))
     if len(values) > THRESHOLDS:
         values = np.unique(np.quantile(values, np.linspace(0, 1, THRESHOLDS)))
@@ -34,13 +32,13 @@ def profile(episodes: Mapping[str, Sequence[EpisodeResult]], styles: Styles) -> 
     return framed(figure, "return", "share of episodes above it", y=SHARE_AXIS)
 
 
-def profile_start(episodes: Mapping[str, Sequence[EpisodeResult]]) -> float | None:
+def profile_start(episodes: Mapping[str, EpisodeTable]) -> float | None:
     """Return a start for a performance profile's axis, so that far lower returns do not squeeze it; None: nowhere.
 
     First the policy with the lowest median is left out, if that halves the axis at least, by itself or with the `TAIL`
     of the others; then all returns below a gap of two thirds of the rest, unless the best policy's median is there.
     """
-    returns = [np.sort(_returns(results)) for results in episodes.values()]
+    returns = [np.sort(results.column("total_reward")) for results in episodes.values()]
     returns.sort(key=lambda sample: float(np.median(sample)))
     lowest, highest = min(sample[0] for sample in returns), max(sample[-1] for sample in returns)
     start = lowest
@@ -55,9 +53,3 @@ def profile_start(episodes: Mapping[str, Sequence[EpisodeResult]]) -> float | No
         if np.diff(rest)[widest] > 2 * np.ptp(rest) / 3 and rest[widest] < np.median(returns[-1]):
             start = rest[widest + 1]
     return float(start) if start > lowest and highest > start else None
-
-
-def _returns(results: Sequence[EpisodeResult]) -> NDArray[np.float64]:
-    if isinstance(results, EpisodeTable):
-        return results.column("total_reward")
-    return np.array([result.total_reward for result in results])

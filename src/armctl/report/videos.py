@@ -17,7 +17,7 @@ from armctl.core.errors import ArmctlError, ResultsError
 from armctl.core.registration import check_named
 from armctl.envs import ThirdPartyVectorEnv, check_from_file
 from armctl.episodes.record import EpisodeResult
-from armctl.episodes.table import table_of
+from armctl.episodes.table import EpisodeTable
 from armctl.simulation.rendering import Camera
 from armctl.study.comparison import Comparison
 from armctl.viewer.recording import check_frames
@@ -54,14 +54,14 @@ class Clip:
     """Reason for which there is no video, or its difference from the results."""
 
 
-def most_different(episodes: Mapping[str, Sequence[EpisodeResult]]) -> list[EpisodeResult]:
+def most_different(episodes: Mapping[str, EpisodeTable]) -> list[EpisodeResult]:
     """Return the results of all policies in the episode in which their returns differ most; none for a single policy.
 
     The criterion is the sum of the logarithms of the gaps between neighbouring returns, so that one policy that always
     fails does not dominate it.
     """
     fewest = min(map(len, episodes.values()), default=0)
-    tables = [table_of(results)[:fewest] for results in episodes.values()]
+    tables = [table[:fewest] for table in episodes.values()]
     numbers, returns = (np.array([table.column(name) for table in tables]) for name in ("episode", "total_reward"))
     if len(tables) < 2 or not (shared := np.flatnonzero((numbers == numbers[0]).all(axis=0))).size:
         return []
@@ -70,9 +70,9 @@ def most_different(episodes: Mapping[str, Sequence[EpisodeResult]]) -> list[Epis
     return [table[widest] for table in tables]
 
 
-def worst(episodes: Mapping[str, Sequence[EpisodeResult]]) -> list[EpisodeResult]:
+def worst(episodes: Mapping[str, EpisodeTable]) -> list[EpisodeResult]:
     """Return the episode with the lowest return of each policy; of several, the first."""
-    return [table[int(table.column("total_reward").argmin())] for table in map(table_of, episodes.values())]
+    return [table[int(table.column("total_reward").argmin())] for table in episodes.values()]
 
 
 def film(comparison: Comparison, selection: Sequence[EpisodeResult]) -> list[Clip]:

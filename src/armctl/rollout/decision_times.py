@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.episodes.record import EpisodeResult
-from armctl.episodes.table import EpisodeTable, table_of
+from armctl.episodes.table import EpisodeTable
 from armctl.policies import Actions, ControllersFailed, Policy
 from armctl.runtime.provenance import MAX_BACKGROUND_LOAD, Run
 from armctl.tasks import Observations
@@ -95,16 +94,15 @@ class Machines:
         return [(worlds, workers, self.by_run.get(run, "")) for worlds, workers, run in zip(*columns, strict=True)]
 
 
-def comparable_times(results: Sequence[EpisodeResult], machines: Machines = Machines({})) -> EpisodeTable:
+def comparable_times(results: EpisodeTable, machines: Machines = Machines({})) -> EpisodeTable:
     """Return the results whose times were taken alike: of one number of worlds and workers, and on one machine.
 
     They are latencies if there are any, of the machine with the most episodes if there are any, or else the most.
     """
-    table = table_of(results)
-    settings = machines.settings(table)
+    settings = machines.settings(results)
     counts = Counter(settings)
     best = max(counts, key=lambda setting: (setting[:2] == (1, 1), setting[2] == machines.busiest, counts[setting]))
-    return table[np.array([setting == best for setting in settings])]
+    return results[np.array([setting == best for setting in settings])]
 
 
 def setting_in_words(worlds: int, workers: int) -> str:
@@ -137,11 +135,10 @@ def load_notes(results: EpisodeTable, runs: Iterable[Run]) -> list[str]:
     ]
 
 
-def timing_notes(timed: Iterable[tuple[str, Sequence[EpisodeResult]]], machines: Machines = Machines({})) -> list[str]:
+def timing_notes(timed: Iterable[tuple[str, EpisodeTable]], machines: Machines = Machines({})) -> list[str]:
     """Return remarks about the decision times of policies: their kind, and the episodes that they leave out."""
     kinds, notes = {}, []
-    for policy, results in timed:
-        table = table_of(results)
+    for policy, table in timed:
         alike = comparable_times(table, machines)
         settings = set(machines.settings(table))
         (setting,) = set(machines.settings(alike))

@@ -1,21 +1,17 @@
 """Remarks about a comparison's episodes: doubtful certificates, and policies that may be stuck."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from armctl.envs import ERROR
-from armctl.episodes.record import EpisodeResult
-from armctl.episodes.table import EpisodeTable, table_of
+from armctl.episodes.table import EpisodeTable
 
 STUCK_PATH, STUCK_SECONDS = 0.01, 1.0
 """m and s: a policy that moves the end-effector or the rover by less than this in an episode of at least so long, and
 does not win, commands next to nothing. Targets are farther than 1 cm, and even a slow motion covers that in 1 s."""
 
 
-def certificate_notes(results: Sequence[EpisodeResult]) -> list[str]:
+def certificate_notes(results: EpisodeTable) -> list[str]:
     """Return a remark if policies won episodes that are labelled infeasible, which do not count for them."""
-    results = table_of(results)
     won = results[results.won & ~results.column("feasible")]
     if not won:
         return []

@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from armctl.agents.costs import TrainingCost, mean_cost
 from armctl.envs import ERROR, SEES
 from armctl.envs.vector import UNSTABLE
-from armctl.episodes.record import EpisodeResult
-from armctl.episodes.table import EpisodeTable, table_of
+from armctl.episodes.table import EpisodeTable
 from armctl.policies import Policy
 from armctl.rollout.decision_times import Machines, comparable_times, setting_in_words
 from armctl.runtime.provenance import Run
@@ -159,7 +158,7 @@ class PolicySummary(DecisionTimes, Performance, PlayedEpisodes):
 
 
 def summarise(
-    results: Sequence[EpisodeResult],
+    results: EpisodeTable,
     policies: Mapping[str, Policy],
     planned: int,
     return_bounds: Bounds | None = None,
@@ -176,11 +175,10 @@ def summarise(
     `time_limit` is the largest number of control steps of an episode. `spared` are the disturbances that do not affect
     a policy, by its name: pairs with such a policy are left out. Times of `runs` on different machines are not pooled.
     """
-    table = table_of(results)
-    counted, infeasible = counted_results(table)
-    success = table.column("success")[table.column("outcome") != ERROR].tolist()
-    scored = any(value is not None for value in success or table.column("success").tolist())
-    limits, machines = Limits(return_bounds, time_limit), Machines.of(runs, table)
+    counted, infeasible = counted_results(results)
+    success = results.column("success")[results.column("outcome") != ERROR].tolist()
+    scored = any(value is not None for value in success or results.column("success").tolist())
+    limits, machines = Limits(return_bounds, time_limit), Machines.of(runs, results)
     trained = by_learner(counted, policies, groups or {})
     summaries = []
     for name, trainings in trained.items():
