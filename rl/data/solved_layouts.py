@@ -96,7 +96,8 @@ def make(folder: Path, count: int, seed: int, arm: ArmDescription, tolerance: fl
         "clearances": list(CLEARANCES), "part": PART,
     }  # fmt: skip
     with one_writer(folder):
-        card = claim(folder / CARD, identity, "other layouts", "choose another folder") or {**identity, "parts": {}}
+        card = claim(folder / CARD, identity, "other layouts", "choose another folder", format_number=FORMAT)
+        card = card or {**identity, "parts": {}}
         solver = _Solver(arm, tolerance, seed)
         with Progress(console=PlainConsole(stderr=True), disable=not progress) as bars:
             bar = bars.add_task("layouts", total=count)
@@ -169,14 +170,11 @@ def _write(content: bytes, path: Path) -> None:
 
 def _read_card(folder: Path) -> dict[str, Any]:
     try:
-        card = unsealed(bounded_text(folder / CARD))
-        if card.get("format") != FORMAT:
-            raise ValueError(f"it has the format {card.get('format')!r}, not {FORMAT}")
+        return unsealed(bounded_text(folder / CARD), FORMAT)
     except OSError as error:
         raise ResultsError(f"there are no layouts in {folder}: {error.strerror}") from error
     except ValueError as error:
-        raise ResultsError(f"{folder / CARD} is damaged: {error}") from error
-    return card
+        raise ResultsError(f"{folder / CARD} cannot be read, or is damaged: {error}") from error
 
 
 def _read_part(path: Path, checksum: str) -> dict[str, NDArray[Any]]:

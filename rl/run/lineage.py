@@ -38,11 +38,8 @@ def lineage_of(recipe: Recipe, options: Any, envs: EpisodeVectorEnv) -> list[Anc
 
 def ancestors(name: str, card: AgentCard) -> list[Ancestor]:
     """Return a learned teacher, and what it learned from itself."""
-    lineage = card.lineage
-    if lineage is None:
-        lineage = [] if card.teacher is None else [Ancestor(name=card.teacher, cost=TrainingCost())]
     cost = replace(card.cost, teachers=None, tuning=card.tuning)
-    return distinct([Ancestor(name=name, sha256=card.sha256, recipe=card.recipe, cost=cost), *lineage])
+    return distinct([Ancestor(name=name, sha256=card.sha256, recipe=card.recipe, cost=cost), *(card.lineage or ())])
 
 
 def tuning_before(recipe: Recipe, seed: int, folder: Path) -> TuningCost | None:

@@ -1,8 +1,6 @@
 """Costs of a training: decisions in simulation, a teacher's labels, gradient steps, wall and processor time."""
 
-import json
 import time
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,29 +8,32 @@ import gymnasium
 from numpy.typing import ArrayLike
 from stable_baselines3.common.base_class import BaseAlgorithm
 
+from armctl.core.errors import ConfigurationError
+from armctl.core.files import bounded_text, unsealed
 from armctl.training.run import processor_seconds
 
+CLOCK_FORMAT = 1
+"""Format of the file that a training resumes its counts from."""
 COUNTS = ("decisions", "teacher_queries", "gradient_steps")
+TIMES = ("seconds", "processor_seconds")
 
 
 class Meter:
-    """Counts what a training spends, on top of what is in the `file` of the training to resume.
+    """Counts what a training spends, on top of what is in the `file` of a training that is `resumed`.
 
-    What that file lacks stays unknown (None) if the training is `resumed`.
+    Raises `ConfigurationError` if that is missing or damaged, or has another format.
     """
 
     def __init__(self, file: Path, resumed: bool) -> None:
-        previous: Mapping[str, Any] = json.loads(file.read_text()) if file.exists() else {}
-        self._counts: dict[str, int | None] = {name: previous.get(name, None if resumed else 0) for name in COUNTS}
-        self._seconds = previous.get("seconds", 0.0) - time.perf_counter()
-        processor = previous.get("processor_seconds", None if resumed else 0.0)
-        self._processor_seconds = None if processor is None else processor - processor_seconds()
+        previous = _read(file) if resumed or file.exists() else dict.fromkeys((*COUNTS, *TIMES), 0)
+        self._counts: dict[str, int] = {name: previous[name] for name in COUNTS}
+        self._seconds = previous["seconds"] - time.perf_counter()
+        self._processor_seconds = previous["processor_seconds"] - processor_seconds()
 
     def add(self, **counts: int) -> None:
         """Add to some of `COUNTS`."""
         for name, count in counts.items():
-            previous = self._counts[name]
-            self._counts[name] = None if previous is None else previous + count
+            self._counts[name] += count
 
     @property
     def seconds(self) -> float:
@@ -41,14 +42,20 @@ class Meter:
 
     def read(self) -> dict[str, Any]:
         """Return everything so far: `COUNTS`, `seconds`, and `processor_seconds` of all threads and child processes."""
-        processor = self._processor_seconds
-        seconds = None if processor is None else round(processor + processor_seconds(), 2)
-        return {"seconds": self.seconds, "processor_seconds": seconds, **self._counts}
+        processor = round(self._processor_seconds + processor_seconds(), 2)
+        return {"seconds": self.seconds, "processor_seconds": processor, **self._counts}
 
     def watch(self, model: BaseAlgorithm) -> None:
         """Count the gradient steps of a model: updates of the actor and critic of PPO, or of the critic of SAC."""
         optimizer = getattr(model.policy, "critic", model.policy).optimizer
         optimizer.register_step_post_hook(lambda *_: self.add(gradient_steps=1))
+
+
+def _read(file: Path) -> dict[str, Any]:
+    try:
+        return unsealed(bounded_text(file), CLOCK_FORMAT)
+    except (OSError, ValueError) as error:
+        raise ConfigurationError(f"{file} cannot be read, or is damaged ({error}): choose another folder") from error
 
 
 class Metered(gymnasium.vector.VectorWrapper[Any, Any, Any, Any, Any]):

@@ -20,7 +20,7 @@ from stable_baselines3.common.logger import configure
 
 from armctl.agents import CARD, GRAPH, AgentCard, Evaluation, sha256, shapes
 from armctl.core.errors import ConfigurationError
-from armctl.core.files import one_writer, write_atomically
+from armctl.core.files import FORMAT, check_format, one_writer, sealed, write_atomically
 from armctl.core.seeds import DEVELOPMENT_SEED, TRAINING_SEEDS, VALIDATION_SEED
 from armctl.envs import EpisodeVectorEnv, make_worlds
 from armctl.episodes.failures import unless_failed
@@ -28,7 +28,7 @@ from armctl.rl.networks.actor import Actor
 from armctl.rl.networks.view import View, view_of
 from armctl.rl.run.disk import raise_on_full_disk, save_torch
 from armctl.rl.run.lineage import lineage_of, tuning_before
-from armctl.rl.run.meter import COUNTS, Meter, Metered
+from armctl.rl.run.meter import CLOCK_FORMAT, COUNTS, Meter, Metered
 from armctl.rl.run.options import TrainingOptions
 from armctl.rl.run.threads import bounded_threads
 from armctl.rollout import evaluate
@@ -46,6 +46,8 @@ LOG = logging.getLogger(__name__)
 
 VALIDATION_ENVS = 50
 CLOCK = "clock.json"
+SETTINGS_FORMAT = 1
+"""Format of `settings.json`, and of the folder that holds it."""
 RECIPE_ON_CARD = (
     "learner", "env", "env_options", "training_options", "shaping", "reward_weights", "curriculum", "teacher",
 )  # fmt: skip
@@ -134,9 +136,9 @@ class Training:
         return max(checkpoints, key=lambda path: int(path.stem), default=None)
 
     def checkpoint(self, steps: int, save: Callable[[Path], Any]) -> None:
-        """Write a checkpoint, by a function that writes it to a path, and what the training has spent."""
+        """Write what the training has spent, and a checkpoint, by a function that writes it to a path."""
+        write_atomically(self.out / CLOCK, sealed({FORMAT: CLOCK_FORMAT, **self.meter.read()}))
         write_atomically(self.out / "checkpoints" / f"{steps}.zip", save)
-        write_atomically(self.out / CLOCK, json.dumps(self.meter.read()))
 
     def due(self, steps: int) -> bool:
         """Return whether a checkpoint and an evaluation are due."""
@@ -221,7 +223,8 @@ class Training:
         return Shaped(envs, recipe.shaping, gamma=options.gamma, scale=recipe.shaping_scale)
 
     def _settings(self) -> dict[str, Any]:
-        settings = _plain(self.recipe) | {"seed": self.seed, "options": dataclasses.asdict(self.options)}
+        settings = {FORMAT: SETTINGS_FORMAT, **_plain(self.recipe), "seed": self.seed}
+        settings["options"] = dataclasses.asdict(self.options)
         del settings["seeds"], settings["tune"], settings["tuned"]
         return settings | checksums(self.recipe.env, self.held_out, self.recipe.env_options)
 
@@ -300,9 +303,11 @@ def _check_same(record: Path, settings: dict[str, Any]) -> None:
     if not record.exists():
         raise ConfigurationError(f"there is no training to resume in {record.parent}")
     try:
-        recorded = _flat(json.loads(record.read_text()))
-    except (ValueError, KeyError, TypeError) as error:
-        raise ConfigurationError(f"{record} was not written by a training: it was changed, or damaged") from error
+        values = json.loads(record.read_text())
+        check_format(values, SETTINGS_FORMAT)
+        recorded = _flat(values)
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ConfigurationError(f"{record} cannot be read, or is damaged ({error}): choose another folder") from error
     for key, value in _flat(settings).items():
         if recorded.get(key) != value and key != "steps":
             raise ConfigurationError(

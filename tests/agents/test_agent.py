@@ -89,6 +89,22 @@ def test_corrupt_card(agent, text):
         load(agent)
 
 
+def test_a_card_of_another_format_names_the_version_that_reads_this_one(agent):
+    edit(agent, format="armctl-agent-2")
+    with pytest.raises(AgentFileError, match=r"it has format armctl-agent-2; armctl \d.* reads format armctl-agent-1"):
+        load(agent)
+    edit(agent, format=None)
+    with pytest.raises(AgentFileError, match="it has no format number"):
+        load(agent)
+
+
+def test_a_card_without_a_format_is_of_the_first_one(agent):
+    card = json.loads(agent.read_text())
+    del card["format"]
+    agent.write_text(json.dumps(card))
+    assert load(agent).card.format == "armctl-agent-1"
+
+
 def test_missing_files(agent, tmp_path):
     with pytest.raises(AgentFileError, match="there is no agent"):
         load(tmp_path / "none.json")

@@ -6,6 +6,7 @@ import sys
 
 import pytest
 
+from armctl import __version__
 from armctl.core.errors import ResultsError
 from armctl.core.files import UNFINISHED, one_writer, sealed
 from armctl.runtime.folder import claim
@@ -59,6 +60,15 @@ def test_a_damaged_identity_is_refused(file, damage):
     file.write_text(damage(file.read_text()))
     with pytest.raises(ResultsError, match=r"is damaged \(.*\): delete it"):
         claim(file, IDENTITY, "another thing", "delete it")
+
+
+@pytest.mark.parametrize(("stored", "has"), [({"format": 2}, "format 2"), ({}, "no format number")])
+def test_another_format_is_refused_with_the_version_that_writes_this_one(file, stored, has):
+    file.write_text(sealed(stored | {"identity": IDENTITY}))
+    with pytest.raises(ResultsError, match=rf"it has {has}; armctl {__version__} writes and reads format 1: use"):
+        claim(file, IDENTITY, "another thing", format_number=1)
+    file.write_text(sealed({"format": 1, "identity": IDENTITY}))
+    assert claim(file, IDENTITY, "another thing", format_number=1)["format"] == 1
 
 
 @pytest.mark.parametrize("content", ["[1, 2]", sealed({"identity": 3}), "{" * 100_000])

@@ -15,6 +15,7 @@ from optuna.trial import TrialState
 
 from armctl.agents.costs import TuningCost
 from armctl.core.errors import ConfigurationError, ResultsError
+from armctl.core.files import sealed, unsealed
 from armctl.core.search_space import value_at
 from armctl.simulation.threads import THREADS_ENV_VAR
 from armctl.study import compare
@@ -22,7 +23,7 @@ from armctl.training.learners import load_recipe
 from armctl.training.trials import read_trials
 from armctl.tuning import candidate_of, tunable, tune
 from armctl.tuning.candidates import BLOCK, Pruned
-from armctl.tuning.journal import JOURNAL
+from armctl.tuning.journal import JOURNAL, TUNING
 from armctl.tuning.trials import measure
 
 RECIPE = """
@@ -263,6 +264,13 @@ def test_another_tuning_is_not_mixed_with_it(begun, change):
         other["options"] = dataclasses.replace(expert(), configuration=configuration)
     with pytest.raises(ResultsError, match="holds another tuning"):
         tune(other[change], begun, trials=2)
+
+
+def test_a_tuning_of_another_format_is_refused(begun):
+    file = begun / TUNING
+    file.write_text(sealed({**unsealed(file.read_text(), 1), "format": 2}))
+    with pytest.raises(ResultsError, match=r"tuning\.json .* format 2; armctl .* reads format 1"):
+        tune(expert(), begun, trials=2)
 
 
 @pytest.mark.parametrize("damage", [b"what\n", b'{"op_code": 99}\n', b"\x00\n"])

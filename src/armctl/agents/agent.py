@@ -13,11 +13,11 @@ from typing import Any, Literal
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 
 from armctl.agents.costs import Count, Seconds, TrainingCost, TuningCost, total_cost, total_tuning
 from armctl.core.errors import AgentFileError
-from armctl.core.files import LARGEST_TEXT, bounded_bytes, file_checksum
+from armctl.core.files import FORMAT, LARGEST_TEXT, bounded_bytes, check_format, file_checksum
 from armctl.envs import EpisodeVectorEnv, Interface
 from armctl.tasks import Observations
 
@@ -121,7 +121,8 @@ class AgentCard(BaseModel):
     teacher: str | None = None
     """The policy that it learned from, if any."""
     lineage: list[Ancestor] | None = None
-    """All networks and experts that it learned from, directly or through its teachers, each once; None: unknown."""
+    """All networks and experts that it learned from, directly or through its teachers, each once; None: unknown, as of
+    another library's model."""
     tuning: TuningCost | None = None
     """Trials made to find its recipe; None: nothing is recorded."""
     interface: dict[str, str]
@@ -153,6 +154,12 @@ class AgentCard(BaseModel):
     development: Evaluation | None = None
     """Figures of development episodes, from before a release played the test's."""
 
+    @field_validator(FORMAT, mode="before")
+    @classmethod
+    def _check_format(cls, value: Any) -> Any:
+        check_format({FORMAT: value}, "armctl-agent-1")
+        return value
+
     @property
     def judgement(self) -> Evaluation | None:
         """The evaluation by which its training judged it, and by which a recipe's trainings to publish are chosen."""
@@ -173,11 +180,10 @@ class AgentCard(BaseModel):
         """Cost of the training, those of its teachers, and the tuning of all their recipes."""
         counts = (self.decisions, self.teacher_queries, self.gradient_steps, self.processor_seconds)
         cost = TrainingCost(self.training_steps, self.training_minutes, *counts)
-        if self.lineage is None:
-            return replace(cost, teachers=None if self.teacher is None else TrainingCost(), tuning=self.tuning)
-        trained = [ancestor.cost for ancestor in distinct(self.lineage) if not ancestor.cost.is_untrained]
+        lineage = self.lineage or []
+        trained = [ancestor.cost for ancestor in distinct(lineage) if not ancestor.cost.is_untrained]
         tunings = {self.recipe or self.name: self.tuning}
-        tunings |= {ancestor.recipe or ancestor.name: ancestor.cost.tuning for ancestor in self.lineage}
+        tunings |= {ancestor.recipe or ancestor.name: ancestor.cost.tuning for ancestor in lineage}
         return replace(
             cost, teachers=total_cost(trained) if trained else None, tuning=total_tuning(list(tunings.values()))
         )

@@ -20,6 +20,7 @@ from typing import Any
 
 import filelock
 
+from armctl import __version__
 from armctl.core.errors import ConfigurationError, ResultsError
 
 LOCK = ".lock"
@@ -31,6 +32,8 @@ LONGEST_NAME = 100
 """Characters of a name that may become a file's or a folder's."""
 CHECKSUM = "checksum"
 """The key of a JSON file's checksum of its other entries."""
+FORMAT = "format"
+"""The key of a JSON file's format number."""
 _NAME = re.compile(r"\w[\w. +=-]*")
 
 
@@ -145,8 +148,11 @@ def sealed(values: Mapping[str, Any]) -> str:
     return json.dumps({**values, CHECKSUM: digest(values)}, indent=2) + "\n"
 
 
-def unsealed(text: str | bytes) -> dict[str, Any]:
-    """Return the values of a text that `sealed` made. Raises `ValueError` if it was changed, or is something else."""
+def unsealed(text: str | bytes, format_number: int | str | None = None) -> dict[str, Any]:
+    """Return the values of a text that `sealed` made, and check the format number, if there should be one.
+
+    Raises `ValueError` if the text was changed, has another format, or is something else.
+    """
     try:
         values = json.loads(text)
         json.dumps(values, ensure_ascii=False).encode()  # halves of characters can be written nowhere
@@ -154,10 +160,22 @@ def unsealed(text: str | bytes) -> dict[str, Any]:
         raise ValueError("it is nested too deeply") from None
     if not isinstance(values, dict) or CHECKSUM not in values:
         raise ValueError(f"it has no {CHECKSUM}")
+    if format_number is not None:
+        check_format(values, format_number)
     claimed = values.pop(CHECKSUM)
     if claimed != digest(values):
         raise ValueError(f"its values do not have the {CHECKSUM} {claimed}: it was changed, or damaged")
     return values
+
+
+def check_format(values: Mapping[str, Any], expected: int | str) -> None:
+    """Raise `ValueError` unless the values of a file have the format that this version of armctl reads and writes."""
+    number = values.get(FORMAT)
+    if number != expected:
+        actual = "no format number" if number is None else f"format {str(number)[:LONGEST_NAME]}"
+        raise ValueError(
+            f"it has {actual}; armctl {__version__} writes and reads format {expected}: use the version that wrote it"
+        )
 
 
 def digest(values: Any) -> str:

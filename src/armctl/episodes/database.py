@@ -8,7 +8,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from armctl.core.errors import ResultsError
-from armctl.core.files import opened_regular
+from armctl.core.files import check_format, opened_regular
 from armctl.episodes.rows import definition
 
 LARGEST_FILE, LARGEST_VALUE = 4 * 2**30, 2**28
@@ -67,8 +67,7 @@ def damage(path: Path) -> Iterator[None]:
 
 def check_file(file: sqlite3.Connection, whole: bool = True) -> None:
     """Raise `ValueError` or `sqlite3.Error` unless a database is a sound one of our own."""
-    if (version := file.execute("PRAGMA user_version").fetchone()[0]) != FORMAT:
-        raise ValueError(f"it has format {version}, and this version of armctl reads format {FORMAT}")
+    check_format({"format": file.execute("PRAGMA user_version").fetchone()[0]}, FORMAT)
     schema = file.execute("SELECT name, sql FROM sqlite_schema WHERE sql IS NOT NULL").fetchall()
     if dict(schema) != SCHEMA:
         raise ValueError("it does not have the tables of armctl's results")

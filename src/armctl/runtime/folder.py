@@ -20,17 +20,22 @@ Reasons = Callable[[Mapping[str, Any], Mapping[str, Any]], Sequence[str]]
 
 
 def claim(
-    file: Path, identity: Mapping[str, Any], kind: str, otherwise: str = OTHERWISE, reasons: Reasons = differences
+    file: Path,
+    identity: Mapping[str, Any],
+    kind: str,
+    otherwise: str = OTHERWISE,
+    reasons: Reasons = differences,
+    format_number: int | str | None = None,
 ) -> dict[str, Any] | None:
     """Return the values of a sealed file that holds this identity, by itself or as `identity`; None if there is none.
 
-    Raises `ResultsError` if it is damaged or holds another identity. The message says what `kind` of thing that is, the
-    differences, and what to do `otherwise`.
+    Raises `ResultsError` if it is damaged, has another format than `format_number`, or holds another identity. The
+    message says what `kind` of thing that is, the differences, and what to do `otherwise`.
     """
     if not file.exists():
         return None
     try:
-        values = unsealed(bounded_text(file))
+        values = unsealed(bounded_text(file), format_number)
         changes = reasons(values.get("identity", values), json.loads(json.dumps(identity)))
     except (OSError, ValueError, AttributeError, RecursionError) as error:
         raise ResultsError(f"{file} cannot be read, or is damaged ({error}): {otherwise}") from error

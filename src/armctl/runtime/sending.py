@@ -17,6 +17,8 @@ from armctl.core.errors import ConfigurationError
 from armctl.runtime.identity import own_modules
 from armctl.runtime.own_code import is_library
 
+FORMAT_NUMBER = 1
+"""Format of bundles: workers with another one are refused."""
 LARGEST = 256 * 2**20
 """Bytes of files that are sent: agents and modules are far smaller, so more of them is a mistake."""
 

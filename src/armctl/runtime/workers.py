@@ -21,7 +21,7 @@ from joblib.externals.loky import ProcessPoolExecutor
 from armctl.core.errors import FAILURES, ArmctlError, described
 from armctl.runtime.identity import checksum_of_core, differences
 from armctl.runtime.provenance import versions
-from armctl.runtime.sending import JobBundle
+from armctl.runtime.sending import FORMAT_NUMBER, JobBundle
 
 PARENT_CHECK = 1.0
 """s between two looks of a process whether its parent still lives."""
@@ -38,7 +38,8 @@ class WorkersFailed(ArmctlError):
 def environment_of(work: Work) -> dict[str, Any]:
     """Return what must be alike on all machines that do this work, or their results must not be mixed."""
     _, *folders = work.__module__.split(".")
-    return {"machine": platform.machine(), "versions": versions(), "source": checksum_of_core(*folders[:1])}
+    source = checksum_of_core(*folders[:1])
+    return {"machine": platform.machine(), "bundles": FORMAT_NUMBER, "versions": versions(), "source": source}
 
 
 def run_isolated(work: Work, bundle: JobBundle, expected: Mapping[str, Any], unit: tuple[Any, ...]) -> Any:

@@ -18,7 +18,7 @@ CURVE = "curve.csv"
 CURVE_COLUMNS = ("steps", "minutes", "success", "low", "high", "return")
 """Columns: steps and minutes of training, success in held-out episodes with its 95 % interval, mean return."""
 COSTS = ("decisions", "processor_seconds")
-"""Control steps in simulation and processor time so far; NaN in curves of older versions."""
+"""Control steps in simulation and processor time so far; NaN in a curve without them."""
 
 
 def training_curves(

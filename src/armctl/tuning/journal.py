@@ -20,12 +20,14 @@ from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
 
 from armctl.core.errors import ResultsError
-from armctl.core.files import LOCK, inside, open_without_links, sealed, write_atomically
+from armctl.core.files import FORMAT, LOCK, inside, open_without_links, sealed, write_atomically
 from armctl.runtime.folder import claim
 from armctl.runtime.identity import checksum_of_core
 from armctl.runtime.provenance import versions
 from armctl.tuning.candidates import Candidate
 
+FORMAT_NUMBER = 1
+"""Format of `tuning.json`."""
 JOURNAL, TUNING, PROCESSES = "journal.log", "tuning.json", "processes"
 PROCESS, FOLDER = "process", "folder"
 """Notes on a trial: the process that tries it, and its folder."""
@@ -46,7 +48,10 @@ def joined(candidate: Candidate, folder: Path, seed: int) -> Iterator[tuple[optu
             others.mkdir(parents=True, exist_ok=True)
             with filelock.FileLock(folder / LOCK, timeout=PATIENCE):
                 identity = _identity(candidate)
-                if claim(folder / TUNING, identity, "another tuning", "choose another folder") is None:
+                claimed = claim(
+                    folder / TUNING, identity, "another tuning", "choose another folder", format_number=FORMAT_NUMBER
+                )
+                if claimed is None:
                     write_atomically(folder / TUNING, sealed(identity))
                 is_alone = not _living(others)
                 if is_alone:
@@ -80,6 +85,7 @@ def _study(journal: Path, seed: int) -> optuna.Study:
 def _identity(candidate: Candidate) -> dict[str, Any]:
     """Return the identity that trials in one folder share."""
     return {
+        FORMAT: FORMAT_NUMBER,
         "name": candidate.name,
         "content": candidate.content,
         "space": {path: value_range.model_dump(mode="json") for path, value_range in candidate.space.items()},

@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 
 from armctl.core.errors import ConfigurationError
+from armctl.core.files import sealed
 from armctl.integrations.tracking import Tracker, following, tracked
 from armctl.study.curves import CURVE_COLUMNS
 from armctl.training.learners import Recipe
@@ -144,13 +145,18 @@ def test_a_tracker_that_failed_catches_up(follow, tmp_path):
     assert logged() == [0, 10, 20]
 
 
-def test_a_damaged_note_ends_the_tracking_alone(follow, tmp_path):
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [("{", "Expecting"), (sealed({"format": 2, "run": "1", "steps": 0}), "it has format 2; armctl")],
+    ids=["damaged", "another format"],
+)
+def test_an_unusable_note_ends_the_tracking_alone(follow, tmp_path, content, says):
     (tmp_path / "tracking").mkdir()
-    (tmp_path / "tracking" / "notes.json").write_text("{")
+    (tmp_path / "tracking" / "notes.json").write_text(content)
     with contextlib.suppress(KeyboardInterrupt), follow(Notes, resume=True) as (said, _):
         write_curve(tmp_path, 0)
         raise KeyboardInterrupt
-    assert ["Tracking by notes failed" in one for one in said] == [True]
+    assert ["Tracking by notes failed" in one and says in one for one in said] == [True]
 
 
 def test_nothing_is_written_through_a_link_that_leads_elsewhere(follow, tmp_path):

@@ -91,7 +91,6 @@ def test_training_is_reproducible(trained, tmp_path):
 @pytest.mark.slow
 def test_a_killed_training_resumes_and_a_finished_one_may_go_on(trained, tmp_path):
     out = shutil.copytree(trained[0], tmp_path / "small")
-    (out / "clock.json").unlink()
     (out / "checkpoints" / "unfinished-9999.zip").write_text("half a file")
     card = train(small(steps=1500), out=out, seed=3, resume=True, progress=False)
     assert card.training_steps == 1536

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from armctl.core.errors import ConfigurationError, ResultsError
+from armctl.core.files import sealed, unsealed
 from armctl.kinematics import ArmModel, ArmShapes, EdgeChecker
 from armctl.rl.data import solved_layouts
 from armctl.rl.data.solved_layouts import CARD, CLEARANCES, SolvedLayouts, make, read
@@ -89,6 +90,10 @@ def test_damage_is_noticed(tmp_path, model):
         card.write_text(damaged)
         with pytest.raises(ResultsError, match="is damaged"):
             read(tmp_path)
+    card.write_text(sealed({**unsealed(text), "format": "armctl-solved-layouts-2"}))
+    for use in (read, lambda folder: made(folder, model)):
+        with pytest.raises(ResultsError, match=r"format armctl-solved-layouts-2; armctl .* reads format armctl-s"):
+            use(tmp_path)
     with pytest.raises(ResultsError, match="there are no layouts"):
         read(tmp_path / "nowhere")
 

@@ -9,6 +9,8 @@ import torch
 
 from armctl.agents import AgentCard
 from armctl.agents.costs import TrainingCost
+from armctl.core.errors import ConfigurationError
+from armctl.core.files import sealed
 from armctl.envs import TaskVectorEnv
 from armctl.policies import make_policy
 from armctl.rl.data import demonstrations
@@ -122,13 +124,20 @@ def test_a_resumed_clone_counts_its_demonstrations_once(counted, tmp_path):
     assert counts(more) == {**counts(first), "gradient_steps": 20}
 
 
-def test_what_an_old_training_did_not_count_stays_unknown(counted, tmp_path):
+def test_counts_that_cannot_be_read_are_refused(tmp_path):
+    """They would be wrong numbers on the card."""
     train("reach_ppo", tmp_path / "run")
-    (tmp_path / "run" / "clock.json").write_text(json.dumps({"seconds": 60.0}))
-    card = train("reach_ppo", tmp_path / "run", resume=True, steps=256)
-    assert counts(card) == dict.fromkeys(COUNTS)
-    assert card.processor_seconds is None
-    assert card.training_minutes >= 1
+    clock = tmp_path / "run" / "clock.json"
+    written = clock.read_text()
+    another = sealed({**json.loads(written), "format": 2})
+    for text, says in (
+        (written.replace(": 0,", ": 1,"), "was changed, or damaged"),
+        (another, r"format 2; armctl .* format 1"),
+        (None, "No such file"),
+    ):
+        clock.unlink() if text is None else clock.write_text(text)
+        with pytest.raises(ConfigurationError, match=rf"clock\.json .*{says}"):
+            train("reach_ppo", tmp_path / "run", resume=True, steps=256)
 
 
 def test_a_card_without_costs_is_read():

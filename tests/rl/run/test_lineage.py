@@ -94,15 +94,12 @@ def card_of(cost, lineage, **changes):
 
 def test_what_is_unknown_of_a_teacher_is_unknown_of_the_agent():
     cost = TrainingCost(10, 1.0, 4_000_000, 0, 9, 60.0)
-    for card in (
-        card_of(cost, [Ancestor(name="mine", sha256="a", cost=TrainingCost())]),
-        card_of(cost, None, teacher="another"),  # of an older version
-    ):
-        assert card.cost.total.decisions is None
-        assert str(card.cost) == (
-            "4 million decisions and 9 gradient steps (1.0 minutes of processor) of its own, and an unknown number of "
-            "its teachers'"
-        )
+    card = card_of(cost, [Ancestor(name="mine", sha256="a", cost=TrainingCost())])
+    assert card.cost.total.decisions is None
+    assert str(card.cost) == (
+        "4 million decisions and 9 gradient steps (1.0 minutes of processor) of its own, and an unknown number of its "
+        "teachers'"
+    )
 
 
 def test_a_shared_teacher_counts_once_in_the_mean_of_trainings():

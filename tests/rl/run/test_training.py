@@ -180,9 +180,16 @@ def test_a_used_folder_is_not_overwritten(tmp_path):
 
 def test_spoilt_settings_are_named(tmp_path):
     start(recipe(), OPTIONS, tmp_path / "run")
-    for text in ("", "[]", '{"seed": 0}'):
+    other = json.loads((tmp_path / "run" / "settings.json").read_text()) | {"format": 2}
+    for text, says in (
+        ("", "is damaged"),
+        ("[]", "is damaged"),
+        ('{"seed": 0}', "no format number"),
+        ('{"format": 1, "seed": 0}', "is damaged"),
+        (json.dumps(other), "it has format 2; armctl .* reads format 1"),
+    ):
         (tmp_path / "run" / "settings.json").write_text(text)
-        with pytest.raises(ConfigurationError, match=r"settings\.json"):
+        with pytest.raises(ConfigurationError, match=rf"settings\.json .*{says}"):
             Training(recipe(), OPTIONS, tmp_path / "run", 0, True)
 
 

@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 from armctl.agents import CARD, GRAPH, read_card
 from armctl.core.errors import FAILURES, ConfigurationError, ResultsError, described
-from armctl.core.files import bounded_text, inside, write_atomically
+from armctl.core.files import FORMAT, bounded_text, inside, sealed, unsealed, write_atomically
 from armctl.integrations.tracking.film import film_agent
 from armctl.integrations.tracking.tracker import Ending, Tracker, load_tracker
 from armctl.study.curves import CURVE, read_curve
@@ -25,6 +25,8 @@ from armctl.training.run import SETTINGS
 
 FOLDER = "tracking"
 """Folder within a training's folder: what trackers were given, their own files, and the video."""
+FORMAT_NUMBER = 1
+"""Format of the note on what a tracker was given."""
 VIDEO = "agent.mp4"
 PATIENCE = 60.0
 """s to wait for uploads after the training."""
@@ -125,16 +127,17 @@ class Follower(threading.Thread):
         folder.mkdir(exist_ok=True)
         run = None
         if self._resumes:
-            note = json.loads(bounded_text(self._note))
+            note = unsealed(bounded_text(self._note), FORMAT_NUMBER)
             run, self._steps = note["run"], note["steps"]
         settings = self._out / SETTINGS
         config = json.loads(bounded_text(settings)) if settings.exists() else self._config
+        config = {name: value for name, value in config.items() if name != FORMAT}
         tracker = self._kind(self._out.resolve().name, folder.resolve(), config, run)
         self._remember(tracker)
         return tracker
 
     def _remember(self, tracker: Tracker) -> None:
-        write_atomically(self._note, json.dumps({"run": tracker.run, "steps": self._steps}))
+        write_atomically(self._note, sealed({FORMAT: FORMAT_NUMBER, "run": tracker.run, "steps": self._steps}))
 
     def _hand_over(self, tracker: Tracker) -> None:
         """Give the tracker the finished agent."""
