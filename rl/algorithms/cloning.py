@@ -10,7 +10,7 @@ from tqdm import tqdm
 from armctl.agents import AgentCard
 from armctl.rl.networks.actor import Actor, tensors
 from armctl.rl.networks.layers import hidden_layers
-from armctl.rl.run.disk import save_torch
+from armctl.rl.run.disk import torch_bytes
 from armctl.rl.run.options import TrainingOptions
 from armctl.rl.run.training import Training, bar_fits
 
@@ -58,7 +58,7 @@ def fit_and_export(
     )  # fmt: skip
 
     def save() -> None:
-        training.checkpoint(step, lambda path: save_torch(actor.state_dict(), path))
+        training.checkpoint(step, torch_bytes(actor.state_dict()))
 
     try:
         if renew:

@@ -19,7 +19,7 @@ from armctl.policies import Policy
 from armctl.rl.algorithms.cloning import fit, new_actor
 from armctl.rl.data.demonstrations import CloningOptions, Examples, Teacher, examples_for
 from armctl.rl.networks.actor import Actor, numpy_arrays, tensors
-from armctl.rl.run.disk import save_torch
+from armctl.rl.run.disk import torch_bytes
 from armctl.rl.run.learner import learner
 from armctl.rl.run.training import Training
 
@@ -100,12 +100,12 @@ def _mixture(actor: Actor, share: float, rng: np.random.Generator) -> Any:
 
 
 def _save(training: Training, actor: Actor, examples: Examples, rounds: int, steps: int) -> None:
-    training.checkpoint(rounds * steps, lambda path: save_torch(actor.state_dict(), path))
+    training.checkpoint(rounds * steps, torch_bytes(actor.state_dict()))
     episodes = [
         {"observations": tensors(episode.observations), "actions": torch.as_tensor(episode.actions)}
         for episode in examples.episodes
     ]
-    write_atomically(training.out / RECORD, lambda path: save_torch({"rounds": rounds, "episodes": episodes}, path))
+    write_atomically(training.out / RECORD, torch_bytes({"rounds": rounds, "episodes": episodes}))
 
 
 def _load(training: Training, actor: Actor, examples: Examples) -> int:

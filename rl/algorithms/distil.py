@@ -27,7 +27,7 @@ from armctl.rl.networks.actor import Actor, map_arrays, tensors
 from armctl.rl.networks.onnx_graph import initial_memory
 from armctl.rl.networks.recurrent import RecurrentNetwork
 from armctl.rl.networks.view import Features
-from armctl.rl.run.disk import save_torch
+from armctl.rl.run.disk import torch_bytes
 from armctl.rl.run.learner import learner
 from armctl.rl.run.meter import Metered
 from armctl.rl.run.options import TrainingOptions
@@ -102,7 +102,7 @@ class Student:
     def save(self) -> None:
         """Write a checkpoint."""
         saved = {"actor": self.actor.state_dict(), "optimizer": self._optimizer.state_dict()}
-        self.training.checkpoint(self.steps, lambda path: save_torch(saved, path))
+        self.training.checkpoint(self.steps, torch_bytes(saved))
 
     def learn(self, progress: bool) -> None:
         """Learn from the teacher in the training's worlds until the steps are done."""

@@ -2,8 +2,6 @@
 
 import io
 from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -13,7 +11,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from armctl.agents import AgentCard
 from armctl.core.files import write_atomically
 from armctl.rl.networks.actor import Actor
-from armctl.rl.run.training import Training, bar_fits
+from armctl.rl.run.training import CHECKPOINTS, Training, bar_fits
 from armctl.rl.run.vector import StableBaselinesVectorEnv
 
 REPLAY = "replay_buffer.pkl"
@@ -45,17 +43,17 @@ def learn(
         if remaining > 0:
             model.learn(remaining, callback=callback, reset_num_timesteps=False, progress_bar=bar_fits(progress))
     finally:
-        training.checkpoint(model.num_timesteps, lambda path: save(model, path))
+        _checkpoint(training, model)
     return training.finish(actor, model.num_timesteps)
 
 
-def save(model: BaseAlgorithm, path: Path) -> None:
+def _checkpoint(training: Training, model: BaseAlgorithm) -> None:
     """Write a checkpoint. The replay buffer is large: only the newest is kept."""
     if isinstance(model, OffPolicyAlgorithm):
-        write_atomically(path.with_name(REPLAY), model.save_replay_buffer)
+        write_atomically(training.out / CHECKPOINTS / REPLAY, model.save_replay_buffer)
     buffer = io.BytesIO()  # a file would have torch fail in ways of its own on a full disk
     model.save(buffer)
-    path.write_bytes(buffer.getbuffer())
+    training.checkpoint(model.num_timesteps, buffer.getvalue())
 
 
 class TrainingCallback(BaseCallback):
@@ -69,7 +67,7 @@ class TrainingCallback(BaseCallback):
 
     def _on_rollout_start(self) -> None:
         if self._training.due(self.num_timesteps):
-            self._training.checkpoint(self.num_timesteps, self._save)
+            _checkpoint(self._training, self.model)
             self._training.evaluate(self._actor, self.num_timesteps)
 
     def _on_rollout_end(self) -> None:
@@ -79,9 +77,6 @@ class TrainingCallback(BaseCallback):
             self.model.set_env(vec_env)
             self.model._last_obs = vec_env.reset()
             self.model._last_episode_starts = np.ones(vec_env.num_envs, dtype=bool)
-
-    def _save(self, path: Path) -> Any:
-        save(self.model, path)
 
     def _on_step(self) -> bool:
         return True

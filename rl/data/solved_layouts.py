@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rich.progress import Progress
 
 from armctl.core.console import PlainConsole
-from armctl.core.errors import ConfigurationError, ResultsError
+from armctl.core.errors import ConfigurationError, ResultsError, os_errors_as
 from armctl.core.files import (
     bounded_bytes,
     bounded_text,
@@ -106,12 +106,10 @@ def make(folder: Path, count: int, seed: int, arm: ArmDescription, tolerance: fl
                 name = f"part_{start}.npz"
                 if name not in card["parts"]:
                     content = _packed(map(solver.solve, numbers))
-                    try:
-                        write_atomically(folder / name, functools.partial(_write, content))
+                    with os_errors_as(f"layouts cannot be written to {folder}"):
+                        write_atomically(folder / name, content)
                         card["parts"][name] = short_checksum(content)
                         write_atomically(folder / CARD, sealed(card))
-                    except OSError as error:
-                        raise ResultsError(f"layouts cannot be written to {folder}: {error.strerror}") from error
                 bars.advance(bar, len(numbers))
 
 
@@ -164,15 +162,10 @@ def _packed(solved: Iterator[tuple[ReachLayout, NDArray[np.float64]] | None]) ->
     return content.getvalue()
 
 
-def _write(content: bytes, path: Path) -> None:
-    path.write_bytes(content)
-
-
 def _read_card(folder: Path) -> dict[str, Any]:
     try:
-        return unsealed(bounded_text(folder / CARD), FORMAT)
-    except OSError as error:
-        raise ResultsError(f"there are no layouts in {folder}: {error.strerror}") from error
+        with os_errors_as(f"there are no layouts in {folder}"):
+            return unsealed(bounded_text(folder / CARD), FORMAT)
     except ValueError as error:
         raise ResultsError(f"{folder / CARD} cannot be read, or is damaged: {error}") from error
 

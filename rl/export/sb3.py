@@ -11,7 +11,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from armctl.agents import AgentCard, Conversion, OnnxPolicy, sha256, shapes
-from armctl.core.errors import AgentFileError, ConfigurationError
+from armctl.core.errors import AgentFileError, ConfigurationError, os_errors_as
 from armctl.core.files import write_atomically
 from armctl.envs import full_id, make_worlds
 from armctl.rl.export import sb3_file
@@ -95,9 +95,7 @@ def _check_request(request: ModelExport) -> None:
 
 
 def _write(graph: Path, content: bytes, card: AgentCard) -> None:
-    try:
+    with os_errors_as(f"the agent cannot be written to {graph}", ConfigurationError):
         graph.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(graph, lambda path: path.write_bytes(content))
+        write_atomically(graph, content)
         write_atomically(graph.with_suffix(".json"), card.model_dump_json(indent=2) + "\n")
-    except OSError as error:
-        raise ConfigurationError(f"the agent cannot be written to {graph}: {error.strerror}") from error

@@ -31,11 +31,11 @@ def raise_on_full_disk(out: Path) -> Iterator[None]:
             ) from error
 
 
-def save_torch(value: Any, path: Path) -> None:
-    """Save as `torch.save` does, which turns a full disk into a `RuntimeError` if it is given a path."""
+def torch_bytes(value: Any) -> bytes:
+    """Return what `torch.save` writes, which turns a full disk into a `RuntimeError` if it is given a path."""
     buffer = io.BytesIO()
     torch.save(value, buffer)
-    path.write_bytes(buffer.getbuffer())
+    return buffer.getvalue()
 
 
 @contextmanager

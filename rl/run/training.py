@@ -6,7 +6,7 @@ import logging
 import math
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from importlib.metadata import version
 from pathlib import Path
@@ -19,14 +19,14 @@ import torch
 from stable_baselines3.common.logger import configure
 
 from armctl.agents import CARD, GRAPH, AgentCard, Evaluation, sha256, shapes
-from armctl.core.errors import ConfigurationError
-from armctl.core.files import FORMAT, check_format, one_writer, sealed, write_atomically
+from armctl.core.errors import ConfigurationError, os_errors_as
+from armctl.core.files import FORMAT, Content, check_format, one_writer, sealed, write_atomically
 from armctl.core.seeds import DEVELOPMENT_SEED, TRAINING_SEEDS, VALIDATION_SEED
 from armctl.envs import EpisodeVectorEnv, make_worlds
 from armctl.episodes.failures import unless_failed
 from armctl.rl.networks.actor import Actor
 from armctl.rl.networks.view import View, view_of
-from armctl.rl.run.disk import raise_on_full_disk, save_torch
+from armctl.rl.run.disk import raise_on_full_disk, torch_bytes
 from armctl.rl.run.lineage import lineage_of, tuning_before
 from armctl.rl.run.meter import CLOCK_FORMAT, COUNTS, Meter, Metered
 from armctl.rl.run.options import TrainingOptions
@@ -45,7 +45,7 @@ from armctl.training.run import SETTINGS
 LOG = logging.getLogger(__name__)
 
 VALIDATION_ENVS = 50
-CLOCK = "clock.json"
+CLOCK, CHECKPOINTS = "clock.json", "checkpoints"
 SETTINGS_FORMAT = 1
 """Format of `settings.json`, and of the folder that holds it."""
 RECIPE_ON_CARD = (
@@ -99,12 +99,10 @@ class Training:
             opened.callback(self.held_out.close)
             opened.enter_context(bounded_threads())
             opened.enter_context(one_writer(self.out))
-            try:
-                (self.out / "checkpoints").mkdir(parents=True, exist_ok=True)
+            with os_errors_as(f"the training cannot be written to {self.out}", ConfigurationError):
+                (self.out / CHECKPOINTS).mkdir(parents=True, exist_ok=True)
                 write_atomically(self.out / SETTINGS, json.dumps(self._settings(), indent=2))
                 self.logger = configure(str(self.out / "tensorboard"), ["tensorboard"])
-            except OSError as error:
-                raise ConfigurationError(f"the training cannot be written to {self.out}: {error.strerror}") from error
             opened.callback(self.logger.close)
             self._opened = opened.pop_all()
         return self
@@ -132,13 +130,13 @@ class Training:
 
     def newest_checkpoint(self) -> Path | None:
         """Return the checkpoint with the most steps."""
-        checkpoints = (path for path in (self.out / "checkpoints").glob("*.zip") if path.stem.isdecimal())
+        checkpoints = (path for path in (self.out / CHECKPOINTS).glob("*.zip") if path.stem.isdecimal())
         return max(checkpoints, key=lambda path: int(path.stem), default=None)
 
-    def checkpoint(self, steps: int, save: Callable[[Path], Any]) -> None:
-        """Write what the training has spent, and a checkpoint, by a function that writes it to a path."""
+    def checkpoint(self, steps: int, content: Content) -> None:
+        """Write what the training has spent, and a checkpoint."""
         write_atomically(self.out / CLOCK, sealed({FORMAT: CLOCK_FORMAT, **self.meter.read()}))
-        write_atomically(self.out / "checkpoints" / f"{steps}.zip", save)
+        write_atomically(self.out / CHECKPOINTS / f"{steps}.zip", content)
 
     def due(self, steps: int) -> bool:
         """Return whether a checkpoint and an evaluation are due."""
@@ -166,7 +164,7 @@ class Training:
         }
         best = self._best()
         if best is None or (rate.value, mean_return) > (best["success"], best["return"]):
-            write_atomically(self.out / "best.pt", lambda path: save_torch({**row, "actor": actor.state_dict()}, path))
+            write_atomically(self.out / "best.pt", torch_bytes({**row, "actor": actor.state_dict()}))
         curve = pd.DataFrame([*self.curve(), row]).astype({"steps": int, "decisions": "Int64"})
         write_atomically(self.out / CURVE, curve.to_csv(index=False))
         LOG.info("%s steps: success %.1f%% of %s held-out episodes", f"{steps:,}", 100 * rate.value, episodes)

@@ -1,16 +1,13 @@
 """Verbs around comparisons: `plan`, `report`, `episodes`, `reproduce`."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from armctl.cli import completion
 from armctl.cli.app import app
 from armctl.cli.options import Format, TableFormat, make_report, print_document, seed_of
-
-if TYPE_CHECKING:
-    pass
 
 
 @app.command()
@@ -83,7 +80,7 @@ def episodes(
     """
     from rich.console import Console
 
-    from armctl.core.errors import ConfigurationError, ResultsError
+    from armctl.core.errors import ConfigurationError, os_errors_as
     from armctl.episodes.output import write_csv, write_parquet
     from armctl.episodes.stored import UNDISTURBED, read_store
     from armctl.study.plan import COMPARISON
@@ -94,12 +91,10 @@ def episodes(
     cells = {name: cell.episodes.sorted(cell.identity["policies"]) for name, cell in stored.cells.items()}
     results = cells[UNDISTURBED] if stored.record.get("kind") == COMPARISON else cells
     console = Console(highlight=False)
-    try:
+    with os_errors_as(f"tables cannot be written to {folder}"):
         for write in [write_csv] * csv + [write_parquet] * parquet:
             for path in write(folder, results):
                 console.print(path, soft_wrap=True)
-    except OSError as error:
-        raise ResultsError(f"tables cannot be written to {folder}: {error.strerror}") from error
 
 
 @app.command()

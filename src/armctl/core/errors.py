@@ -3,7 +3,8 @@
 import inspect
 import sysconfig
 import traceback
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
 from types import MappingProxyType
@@ -58,6 +59,15 @@ class HubError(ArmctlError):
 
 class ResultsError(ArmctlError):
     """A results folder that cannot be written, or that holds results already."""
+
+
+@contextmanager
+def os_errors_as(message: str, kind: type[ArmctlError] = ResultsError) -> Iterator[None]:
+    """Raise an error with this message, and the system's reason, in place of an `OSError`."""
+    try:
+        yield
+    except OSError as error:
+        raise kind(f"{message}: {error.strerror or error}") from error
 
 
 def described(error: BaseException) -> str:

@@ -30,6 +30,8 @@ LARGEST_TEXT = 64 * 2**20
 """Bytes of a JSON or TOML file that armctl reads."""
 LONGEST_NAME = 100
 """Characters of a name that may become a file's or a folder's."""
+Content = str | bytes | Callable[[Path], object]
+"""Content of a file: a text, bytes, or a function that writes it to the path it is given."""
 CHECKSUM = "checksum"
 """The key of a JSON file's checksum of its other entries."""
 FORMAT = "format"
@@ -37,8 +39,8 @@ FORMAT = "format"
 _NAME = re.compile(r"\w[\w. +=-]*")
 
 
-def write_atomically(path: Path, content: str | Callable[[Path], object]) -> None:
-    """Write a text, or what a function writes to the path it is given. A reader finds the old file or the new one.
+def write_atomically(path: Path, content: Content) -> None:
+    """Write a file as a whole: a reader finds the old one or the new one.
 
     Raises `OSError`, or what the function raises, and leaves the old file as it was.
     """
@@ -47,6 +49,8 @@ def write_atomically(path: Path, content: str | Callable[[Path], object]) -> Non
     try:
         if isinstance(content, str):
             unfinished.write_text(content, encoding="utf-8", newline="")
+        elif isinstance(content, bytes):
+            unfinished.write_bytes(content)
         else:
             content(unfinished)
         with unfinished.open("rb") as file:

@@ -11,7 +11,7 @@ from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from armctl.agents.costs import TrainingCost, rounded
-from armctl.core.errors import ResultsError
+from armctl.core.errors import os_errors_as
 from armctl.core.files import write_atomically
 from armctl.report import style
 from armctl.report.colours import DARK, on_both
@@ -41,10 +41,8 @@ def write_page(out: Path, template: str, page: Mapping[str, Any]) -> None:
     }
     written = datetime.now().strftime("%Y-%m-%d %H:%M")
     text = environment.get_template(template).render(page, written=written, dark=DARK, plotly=Markup(get_plotlyjs()))
-    try:
+    with os_errors_as(f"the report {out} cannot be written"):
         write_atomically(out, text)
-    except OSError as error:
-        raise ResultsError(f"the report {out} cannot be written: {error.strerror}") from error
 
 
 def _training_more(cost: TrainingCost) -> str:

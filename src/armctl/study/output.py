@@ -7,7 +7,7 @@ from typing import Any
 
 import pandas as pd
 
-from armctl.core.errors import ResultsError
+from armctl.core.errors import os_errors_as
 from armctl.core.files import write_atomically
 from armctl.episodes.output import DECISIONS, EPISODES, EPISODES_PARQUET, write_csv
 from armctl.episodes.stored import UNDISTURBED
@@ -25,22 +25,18 @@ def write_output(folder: Path, study: Study) -> None:
     results = {name: comparison.results for name, comparison in study.cells.items()}
     is_comparison = study.kind == COMPARISON
     about = summaries[UNDISTURBED] if is_comparison else {**study.record(), "cells": summaries}
-    try:
+    with os_errors_as(f"tables could not be written to {folder}"):
         write_csv(folder, results[UNDISTURBED] if is_comparison else results)
         write_atomically(folder / SUMMARY, json.dumps(about, indent=2) + "\n")
         if not is_comparison:
             write_atomically(folder / POINTS, _points(study).to_csv(index=False))
-    except OSError as error:
-        raise ResultsError(f"tables could not be written to {folder}: {error.strerror}") from error
 
 
 def remove_output(folder: Path) -> None:
     """Remove all that may have been written from a store, while more is played. Raises `ResultsError`."""
-    try:
+    with os_errors_as(f"results cannot be written to {folder}"):
         for name in (SUMMARY, POINTS, EPISODES, DECISIONS, EPISODES_PARQUET):
             (folder / name).unlink(missing_ok=True)
-    except OSError as error:
-        raise ResultsError(f"results cannot be written to {folder}: {error.strerror}") from error
 
 
 def _points(study: Study) -> pd.DataFrame:

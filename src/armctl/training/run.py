@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from armctl.agents import CARD, FILES, AgentCard, read_card
-from armctl.core.errors import FAILURES, ArmctlError, ConfigurationError, ResultsError, described
+from armctl.core.errors import FAILURES, ArmctlError, ConfigurationError, ResultsError, described, os_errors_as
 from armctl.core.files import write_atomically
 from armctl.envs import task_of
 from armctl.runtime.engines import Cluster, Engine
@@ -138,14 +138,10 @@ def _train(job: TrainingJob, seed: int, folder: Path, brings: bool) -> TrainingO
 
 def _bring(outcome: TrainingOutcome, folder: Path) -> None:
     """Write here what was written on another machine."""
-    try:
+    with os_errors_as(f"the agent of seed {outcome.seed} cannot be written to {folder}"):
         for name, content in outcome.files.items():
             folder.mkdir(parents=True, exist_ok=True)
-            write_atomically(folder / Path(name).name, lambda path, content=content: path.write_bytes(content))  # type: ignore[misc]
-    except OSError as error:
-        raise ResultsError(
-            f"the agent of seed {outcome.seed} cannot be written to {folder}: {error.strerror}"
-        ) from error
+            write_atomically(folder / Path(name).name, content)
     for row in outcome.rows:
         add_trial(folder.parent / TRIALS, row)
 

@@ -11,7 +11,7 @@ import optuna
 import tomli_w
 from optuna.trial import FrozenTrial, TrialState
 
-from armctl.core.errors import ConfigurationError, ResultsError
+from armctl.core.errors import ConfigurationError, os_errors_as
 from armctl.core.files import inside, write_atomically
 from armctl.core.search_space import with_values
 from armctl.runtime.engines import Cluster, Engine, engine_of
@@ -118,14 +118,12 @@ def tune(
             home = inside(folder, FOLDERS).absolute()
             measuring = engine.run(measure, candidate, proposals())
         try:
-            with contextlib.closing(measuring) as results:
+            with os_errors_as(f"{folder} could not be written any further"), contextlib.closing(measuring) as results:
                 for measured in results:
                     _note(outcome, running.pop(measured.number), measured)
                     progress(outcome)
         except KeyboardInterrupt:
             outcome = dataclasses.replace(outcome, interrupted=True)
-        except OSError as error:
-            raise ResultsError(f"{folder} could not be written any further: {error.strerror}") from error
     return outcome
 
 

@@ -9,7 +9,7 @@ import imageio
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.core.errors import ConfigurationError, ResultsError
+from armctl.core.errors import ConfigurationError, ResultsError, os_errors_as
 from armctl.core.files import write_atomically
 from armctl.datasets.pictures import count_frames
 
@@ -25,10 +25,8 @@ def recording(video: Path, fps: int, written: Callable[[int], object]) -> Iterat
     Calls `written` with their number then. Raises `ResultsError` if it cannot be written, and leaves an older video as
     it was.
     """
-    try:
+    with os_errors_as(f"the video {video} cannot be written"):
         scratch = tempfile.TemporaryDirectory(prefix="unfinished-", dir=video.parent)
-    except OSError as error:
-        raise ResultsError(f"the video {video} cannot be written: {error.strerror}") from error
     frames, broken = 0, False
     with scratch as folder:
         unfinished = Path(folder) / video.name
@@ -52,15 +50,9 @@ def recording(video: Path, fps: int, written: Callable[[int], object]) -> Iterat
             writer.close()
             if frames and not broken:
                 check_frames(unfinished, frames, video)
-                _publish(unfinished, video)
+                with os_errors_as(f"the video {video} cannot be written"):
+                    write_atomically(video, unfinished.replace)
                 written(frames)
-
-
-def _publish(unfinished: Path, video: Path) -> None:
-    try:
-        write_atomically(video, unfinished.replace)
-    except OSError as error:
-        raise ResultsError(f"the video {video} cannot be written: {error.strerror}") from error
 
 
 def check_frames(path: Path, frames: int, name: object) -> None:

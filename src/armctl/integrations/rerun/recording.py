@@ -14,7 +14,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.core.errors import ResultsError, missing_extra
+from armctl.core.errors import missing_extra, os_errors_as
 from armctl.core.files import write_atomically
 from armctl.datasets.pictures import bounds_of, is_image
 from armctl.envs import EpisodeVectorEnv, ThirdPartyVectorEnv
@@ -66,10 +66,8 @@ def _recording(file: Path, worlds: EpisodeVectorEnv, written: Callable[[Path, in
         recorded = content.read() or b""
         stream.disconnect()
         if log.steps:
-            try:
-                write_atomically(file, lambda path: path.write_bytes(recorded))
-            except OSError as error:
-                raise ResultsError(f"the Rerun recording {file} cannot be written: {error.strerror}") from error
+            with os_errors_as(f"the Rerun recording {file} cannot be written"):
+                write_atomically(file, recorded)
             written(file, log.steps)
 
 
