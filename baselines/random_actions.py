@@ -7,6 +7,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from armctl.core.arrays import object_array
 from armctl.envs import Interface, Sees
 
 
@@ -31,11 +32,7 @@ class RandomActions:
     def act(self, observations: Any) -> NDArray[Any]:
         """Return actions (n, ...), independent of observations."""
         samples = [sampler.sample() for sampler in self._samplers]
-        if not isinstance(samples[0], (dict, tuple)):
-            return np.array(samples)
-        actions = np.empty(len(samples), dtype=object)
-        actions[:] = samples
-        return actions
+        return object_array(samples) if isinstance(samples[0], (dict, tuple)) else np.array(samples)
 
 
 class _Uniform:

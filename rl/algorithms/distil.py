@@ -17,13 +17,14 @@ from pydantic import Field
 from tqdm import tqdm
 
 from armctl.agents import AgentCard
+from armctl.core.arrays import map_arrays
 from armctl.core.errors import ConfigurationError
 from armctl.core.options import Count, Positive, options
 from armctl.envs import make_worlds
 from armctl.policies import Policy
 from armctl.rl.algorithms.cloning import LAST_RATE
 from armctl.rl.data.demonstrations import teacher_in
-from armctl.rl.networks.actor import Actor, map_arrays, tensors
+from armctl.rl.networks.actor import Actor, tensors
 from armctl.rl.networks.onnx_graph import initial_memory
 from armctl.rl.networks.recurrent import RecurrentNetwork
 from armctl.rl.networks.view import Features

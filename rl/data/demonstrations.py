@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from armctl.core.arrays import map_arrays
 from armctl.core.console import printable
 from armctl.core.errors import ConfigurationError
 from armctl.core.options import Count, Share, options
@@ -16,7 +17,7 @@ from armctl.envs import TaskVectorEnv, make_worlds
 from armctl.policies import Policy, make_policy
 from armctl.policies.state_observing import StateObservingAgent, state_observing_env
 from armctl.policies.trainings import card_of
-from armctl.rl.networks.actor import map_arrays, tensors
+from armctl.rl.networks.actor import tensors
 from armctl.rl.networks.view import Features
 from armctl.rl.run.options import TrainingOptions
 from armctl.rl.run.training import Training, bar_fits
@@ -63,12 +64,8 @@ class Examples:
         self._begins, self._ends = np.repeat(begins, lengths), np.repeat(begins + lengths, lengths)
         self._rows = np.concatenate([begin + np.arange(length) for begin, length in zip(begins, lengths, strict=True)])
         self._actions = np.concatenate([episode.actions for episode in self.episodes]).astype(np.float32)
-        parts: Any = [episode.observations for episode in self.episodes]
-        self._observations: Any = (
-            {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-            if isinstance(parts[0], dict)
-            else np.concatenate(parts)
-        )
+        parts = [episode.observations for episode in self.episodes]
+        self._observations = map_arrays(lambda *arrays: np.concatenate(arrays), *parts)
 
     def draw(self, rng: np.random.Generator, size: int) -> tuple[Any, torch.Tensor]:
         """Return a random batch of observations and actions (size, ...).

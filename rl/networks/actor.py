@@ -1,6 +1,6 @@
 """The actor that every learner trains: a torch module from observations to the environment's actions."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from armctl.agents import inputs
+from armctl.core.arrays import map_arrays
 from armctl.envs import Sees
 from armctl.rl.networks.onnx_graph import initial_memory, observation_of, write_graph
 from armctl.tasks import Observations
@@ -70,13 +71,6 @@ class Actor(torch.nn.Module):
     def export(self, path: Path) -> None:
         """Write the actor as an ONNX graph with one input for each array of the observation and of the memory."""
         write_graph(self, self.inputs, self.memory, path)
-
-
-def map_arrays(function: Callable[[Any], Any], observations: Any) -> Any:
-    """Return a function's values for observations: for the one array, or for several by name."""
-    if isinstance(observations, dict):
-        return {name: function(values) for name, values in observations.items()}
-    return function(observations)
 
 
 def tensors(observations: Any) -> Any:

@@ -13,8 +13,8 @@ import torch
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 from armctl.agents import INPUT, inputs
+from armctl.core.arrays import map_arrays
 from armctl.core.errors import ConfigurationError
-from armctl.rl.networks.actor import map_arrays
 from armctl.rl.networks.encoder import Encoder
 from armctl.rl.networks.view import View
 

@@ -2,16 +2,24 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from armctl.stats.intervals import success_rate
-from armctl.stats.paired import mcnemar
-from armctl.stats.robustness import NEUTRAL, Onset, PairTest, degradations, robustness_headline, robustness_rankings
+from armctl.stats.intervals import Estimate, Superiority, success_rate
+from armctl.stats.paired import mcnemar, paired_difference
+from armctl.stats.robustness import NEUTRAL, Onset, degradations, robustness_headline, robustness_rankings
 
 N = 50
+LIKE = paired_difference("a", "b", (np.ones(1), np.ones(1)), (np.ones(1), np.ones(1)), None, None)
+
+
+def pair_of(p, lead, a="a", b="b"):
+    """Two policies whose success differs by `lead`, with this p-value."""
+    only_a, only_b = (round(100 * max(0.0, of_either)) for of_either in (lead, -lead))
+    return replace(LIKE, a=a, b=b, episodes=100, only_a=only_a, only_b=only_b, mcnemar_p=p)
 
 
 def points(wins, levels=(0.0, 1.0, 2.0), episodes=N, spared=()):
@@ -36,7 +44,7 @@ def pair_tests(table, episodes=N):
         for a, b in itertools.combinations(sorted(won), 2):
             p = mcnemar(max(won[a] - won[b], 0), max(won[b] - won[a], 0))
             where = NEUTRAL if level == 0 else (str(disturbance), float(level))
-            tests[*where, frozenset((a, b))] = PairTest(p, (won[a] - won[b]) / episodes)
+            tests[*where, frozenset((a, b))] = pair_of(p, (won[a] - won[b]) / episodes, a, b)
     return tests
 
 
@@ -105,10 +113,10 @@ def test_the_undisturbed_level_counts_once():
     """However many disturbances there are: copies of a proven difference would excuse a chance one elsewhere."""
     names = [f"noise {i}" for i in range(8)]
     table = points({name: {"a": (50, 50), "b": (10, 50), "c": (50, 50)} for name in names}, levels=(0.0, 1.0))
-    pairs = {(name, 1.0, frozenset(two)): PairTest(1.0, 0.0) for name in names for two in ("ab", "ac", "bc")}
+    pairs = {(name, 1.0, frozenset(two)): pair_of(1.0, 0.0, *two) for name in names for two in ("ab", "ac", "bc")}
     lead = {"ab": 0.8, "ac": 0.0, "bc": -0.8}
-    pairs |= {(*NEUTRAL, frozenset(two)): PairTest(0.0 if "b" in two else 1.0, lead[two]) for two in lead}
-    pairs[names[0], 1.0, frozenset("ac")] = PairTest(0.01, 0.1)
+    pairs |= {(*NEUTRAL, frozenset(two)): pair_of(0.0 if "b" in two else 1.0, lead[two], *two) for two in lead}
+    pairs[names[0], 1.0, frozenset("ac")] = pair_of(0.01, 0.1, *"ac")
     assert all("c" not in ranking.worse for ranking in robustness_rankings(table, pairs))
 
 
@@ -116,7 +124,7 @@ def test_the_undisturbed_level_counts_once():
 def test_the_false_discovery_rate_is_five_percent(p, told):
     table = points({"noise": {"a": (50, 50), "b": (50, 44)}}, levels=(0.0, 1.0))
     both = frozenset("ab")
-    pairs = {(*NEUTRAL, both): PairTest(p, 0.1), ("noise", 1.0, both): PairTest(p, 0.1)}
+    pairs = {(*NEUTRAL, both): pair_of(p, 0.1), ("noise", 1.0, both): pair_of(p, 0.1)}
     (noise,) = robustness_rankings(table, pairs)
     assert noise.leads == told
 
@@ -147,8 +155,12 @@ def test_returns_go_by_the_sign_test_and_never_by_means():
     table = table.assign(success=math.nan, **{"return": [10.0, 10, 10, 4, 10, 2]})
     unknown = table.assign(return_low=math.nan, return_high=math.nan)
     both = frozenset("ab")
-    tests = {(*NEUTRAL, both): PairTest(1.0, 0.0), ("noise", 1.0, both): PairTest(0.3, -0.1)}
-    tests["noise", 2.0, both] = PairTest(1e-9, -0.9)
+
+    def by_returns(p, lead):
+        return replace(LIKE, mcnemar_p=None, superiority=Superiority(Estimate((1 + lead) / 2, None, None), p))
+
+    tests = {(*NEUTRAL, both): by_returns(1.0, 0.0), ("noise", 1.0, both): by_returns(0.3, -0.1)}
+    tests["noise", 2.0, both] = by_returns(1e-9, -0.9)
     (noise,) = robustness_rankings(unknown, tests)
     assert (noise.first, noise.worse) == ("b", {"a": Onset(2.0)})
     assert str(noise).endswith("At 2 (steps): b 2.0, a 10.0.")
@@ -194,7 +206,7 @@ def simulated(rng, rates, levels):
         rows += [("noise", float(level), name, mean, 0.0, 1.0) for name, mean in zip(names, won.mean(1), strict=True)]
         for (i, a), (j, b) in itertools.combinations(enumerate(names), 2):
             only_a, only_b = int((won[i] & ~won[j]).sum()), int((won[j] & ~won[i]).sum())
-            tests[*where, frozenset((a, b))] = PairTest(mcnemar(only_a, only_b), (only_a - only_b) / N)
+            tests[*where, frozenset((a, b))] = pair_of(mcnemar(only_a, only_b), (only_a - only_b) / N, a, b)
     table = pd.DataFrame(rows, columns=["disturbance", "level", "policy", "success", "low", "high"])
     table = table.assign(unit="m", spared=False)
     return robustness_rankings(table, tests)[0]

@@ -6,16 +6,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armctl.core.arrays import Array
+from armctl.core.arrays import Array, map_arrays, object_array
 from armctl.core.errors import InvalidAction
 from armctl.tasks import Observations
 
 
 def one_of(observations: Observations, world: int) -> Any:
     """Return the observation of one world."""
-    if isinstance(observations, dict):
-        return {name: values[world] for name, values in observations.items()}
-    return observations[world]
+    return map_arrays(lambda values: values[world], observations)
 
 
 def stacked(observations: Sequence[Any]) -> Observations:
@@ -25,31 +23,25 @@ def stacked(observations: Sequence[Any]) -> Observations:
         return {name: stacked([observation[name] for observation in observations]) for name in first}  # type: ignore[misc]
     if isinstance(first, (np.ndarray, np.generic, int, float)):
         return np.stack(observations)
-    batch = np.empty(len(observations), dtype=object)
-    batch[:] = observations
-    return batch
+    return object_array(observations)
 
 
 def with_replaced(observations: Observations, ids: NDArray[np.int32], new: Observations) -> Observations:
     """Return observations in which those of worlds `ids` are replaced by new ones."""
-    if isinstance(observations, dict):
-        assert isinstance(new, dict)
-        return {name: _replaced_rows(values, ids, new[name]) for name, values in observations.items()}
-    assert isinstance(new, np.ndarray)
-    return _replaced_rows(observations, ids, new)
 
+    def replaced(values: NDArray[Any], rows: NDArray[Any]) -> NDArray[Any]:
+        values = values.copy()
+        values[ids] = rows
+        return values
 
-def _replaced_rows(values: NDArray[Any], ids: NDArray[np.int32], new: NDArray[Any]) -> NDArray[Any]:
-    values = values.copy()
-    values[ids] = new
-    return values
+    replaced_observations: Observations = map_arrays(replaced, observations, new)
+    return replaced_observations
 
 
 def batch_of_one(observation: Any) -> Observations:
     """Return one world's observation as a batch."""
-    if isinstance(observation, dict):
-        return {name: np.asarray(value)[None] for name, value in observation.items()}
-    return np.asarray(observation)[None]
+    batch: Observations = map_arrays(lambda value: np.asarray(value)[None], observation)
+    return batch
 
 
 def action_numbers(actions: ArrayLike) -> Array:

@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from armctl.core.arrays import object_array
 from armctl.core.errors import ConfigurationError, InvalidAction, defined_at
 from armctl.envs import EpisodeVectorEnv, Interface, PolicyStreams, Sees, ThirdPartyVectorEnv
 from armctl.envs.single import OneWorld
@@ -79,11 +80,7 @@ class PlainPolicy(PerWorld):
         return self._numbers(action) if isinstance(self._space, spaces.Box) else action
 
     def _batch(self, actions: list[Any]) -> Actions:
-        if isinstance(self._space, spaces.Box):
-            return np.array(actions)
-        batch = np.empty(len(actions), dtype=object)
-        batch[:] = actions
-        return batch
+        return np.array(actions) if isinstance(self._space, spaces.Box) else object_array(actions)
 
     def _numbers(self, action: Any) -> NDArray[np.float64]:
         try:

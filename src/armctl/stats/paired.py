@@ -86,6 +86,21 @@ class PairedDifference:
             return None
         return mover(self.only_a, self.only_b, self.episodes, 1 - UNCERTAINTY / num_comparisons)
 
+    @property
+    def p(self) -> float:
+        """p-value for equal success, or that of the sign test if success is unknown."""
+        return self.superiority.p if self.mcnemar_p is None else self.mcnemar_p
+
+    def lead_of(self, policy: str) -> float:
+        """Return the statistic that `p` tests, of one policy against the other.
+
+        Its success minus the other's; if that is unknown, the share of episodes in which it has the higher return minus
+        the share in which it has the lower one.
+        """
+        success = self.success_difference
+        lead = success.value if success else 2 * self.superiority.probability.value - 1
+        return lead if policy == self.a else -lead
+
     def equivalent(self, margin: float, num_comparisons: int = 1) -> bool:
         """Return True if success differs by less than `margin`.
 

@@ -3,14 +3,14 @@
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from scipy import stats
 
 from armctl.stats.intervals import paired_superiority, sign_of_difference
-from armctl.stats.paired import mcnemar
+from armctl.stats.paired import PairedDifference, mcnemar
 from armctl.stats.trainings import mean_over_trainings
 
 FALSE_DISCOVERY_RATE = 0.05
@@ -19,15 +19,6 @@ SUCCESS, RETURN = ("success", "low", "high"), ("return", "return_low", "return_h
 """Columns of `sweep.csv`: a score, and its 95 % interval."""
 PairKey = tuple[str, float, frozenset[str]]
 """A disturbance, a level, and two policies."""
-
-
-class PairTest(NamedTuple):
-    """A test of two policies on the same episodes, and the statistic that it tests."""
-
-    p: float
-    lead: float
-    """Success of the policy whose name comes first minus that of the other; if success is unknown, the share of
-    episodes in which it has the higher return minus the share in which it has the lower one."""
 
 
 NEUTRAL = ("none", 0.0)
@@ -179,7 +170,7 @@ class RobustnessRanking:
         return f"{'. '.join(sentences)}."
 
 
-def robustness_rankings(points: pd.DataFrame, pairs: Mapping[PairKey, PairTest]) -> list[RobustnessRanking]:
+def robustness_rankings(points: pd.DataFrame, pairs: Mapping[PairKey, PairedDifference]) -> list[RobustnessRanking]:
     """Return the ranking under each disturbance, from the rows of `sweep.csv`.
 
     `pairs` are the tests of each two policies in the same episodes (`Sweep.pairs`). Two policies differ at a level if
@@ -232,7 +223,7 @@ def _ranking(
     rows: pd.DataFrame,
     ranked: pd.DataFrame,
     columns: tuple[str, str, str],
-    tests: Mapping[PairKey, PairTest],
+    tests: Mapping[PairKey, PairedDifference],
     significant: set[PairKey],
 ) -> RobustnessRanking:
     levels = [float(level) for level in rows.level.unique()]
@@ -241,7 +232,7 @@ def _ranking(
     def gains(name: str, other: str) -> dict[float, float]:
         """Return the lead of a policy over another one, by level, as far as it is tested."""
         by_level = {level: tests.get(_pair(disturbance, level, levels[0], name, other)) for level in levels}
-        return {level: test.lead if name < other else -test.lead for level, test in by_level.items() if test}
+        return {level: test.lead_of(name) for level, test in by_level.items() if test}
 
     def mean_lead(name: str) -> float:
         leads = [gains(name, other) for other in names if other != name]

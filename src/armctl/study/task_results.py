@@ -12,7 +12,7 @@ from armctl.episodes.stored import UNDISTURBED
 from armctl.rollout.real_time import SLOWER
 from armctl.stats.intervals import Estimate
 from armctl.stats.paired import PairedDifference
-from armctl.stats.robustness import NEUTRAL, PairKey, PairTest, change_between
+from armctl.stats.robustness import NEUTRAL, PairKey, change_between
 from armctl.study.comparison import Comparison
 from armctl.study.levels import setting_name
 from armctl.verdict.notebook import Displayed
@@ -101,11 +101,11 @@ class Sweep(Displayed):
         return pd.DataFrame(rows, columns=list(COLUMNS))
 
     @property
-    def pairs(self) -> dict[PairKey, PairTest]:
-        """The test of each two policies in the same episodes: for equal success, or the sign test if it is unknown."""
+    def pairs(self) -> dict[PairKey, PairedDifference]:
+        """The tests of each two policies in the same episodes."""
         where = self.settings | {UNDISTURBED: NEUTRAL}
         return {
-            (*where[name], frozenset((pair.a, pair.b))): _test_of(pair)
+            (*where[name], frozenset((pair.a, pair.b))): pair
             for name, comparison in self.comparisons.items()
             for pair in comparison.paired
         }
@@ -125,17 +125,7 @@ def _numbers(estimate: Estimate | None) -> tuple[float, float, float]:
     """Value and bounds; NaN where unknown."""
     if estimate is None:
         return math.nan, math.nan, math.nan
-    low, high = (math.nan if bound is None else bound for bound in (estimate.low, estimate.high))
-    return estimate.value, low, high
-
-
-def _test_of(pair: PairedDifference) -> PairTest:
-    success = pair.success_difference
-    if pair.mcnemar_p is None or success is None:
-        p, lead = pair.superiority.p, 2 * pair.superiority.probability.value - 1
-    else:
-        p, lead = pair.mcnemar_p, success.value
-    return PairTest(p, lead if pair.a < pair.b else -lead)
+    return estimate.value, *estimate.bounds
 
 
 def _change(undisturbed_rows: pd.DataFrame, disturbed_rows: pd.DataFrame, policy: PolicySummary) -> tuple[float, float]:

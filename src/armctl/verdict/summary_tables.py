@@ -15,7 +15,6 @@ from armctl.stats.robustness import (
     GROUP,
     Degradation,
     PairKey,
-    PairTest,
     degradations,
     robustness_headline,
     robustness_rankings,
@@ -170,7 +169,7 @@ def _if_normal(pairs: Sequence[PairedDifference]) -> str:
 
 
 def sweep_parts(
-    points: pd.DataFrame, pairs: Mapping[PairKey, PairTest], looks: Sequence[int] = ()
+    points: pd.DataFrame, pairs: Mapping[PairKey, PairedDifference], looks: Sequence[int] = ()
 ) -> list[Table | Remark]:
     """Return a table for each disturbance, of all policies at all levels, and from which level each gets worse.
 
