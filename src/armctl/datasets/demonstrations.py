@@ -52,12 +52,11 @@ def observations_of(parts: dict[str, NDArray[Any]]) -> Observations:
     return {name.removeprefix(f"{OBSERVATIONS}/"): values for name, values in parts.items()}
 
 
-class Recorder(gymnasium.vector.VectorWrapper[Any, Any, Any, Any, Any]):
-    """Records the episodes of worlds without autoreset. `finished` holds finished episodes, by number."""
+class RecordingWorlds(gymnasium.vector.VectorWrapper[Any, Any, Any, Any, Any]):
+    """Records the episodes of worlds without autoreset: `infos["recordings"]` are those that have ended, by world."""
 
     def __init__(self, env: EpisodeVectorEnv) -> None:
         super().__init__(env)
-        self.finished: dict[int, Demonstration] = {}
         self.labels: NDArray[np.floating[Any]] | None = None
         """(n, ...) recorded as the next actions, instead of those that are executed."""
         self._worlds, self.task, self.outcomes = env, env.task, env.outcomes
@@ -83,14 +82,15 @@ class Recorder(gymnasium.vector.VectorWrapper[Any, Any, Any, Any, Any]):
         for i in np.flatnonzero(self._open):
             self._observations[i].append(_copy(one_of(observations, int(i))))
             self._steps[i].append((labels[i], rewards[i]))
+        recordings: list[Demonstration | None] = [None] * self.num_envs
         for i in np.flatnonzero((terminated | truncated) & self._open):
             episode_actions, episode_rewards = zip(*self._steps[i], strict=True)
-            self.finished[int(self._worlds.episodes[i])] = Demonstration(
+            recordings[i] = Demonstration(
                 stacked(self._observations[i]), np.array(episode_actions), np.array(episode_rewards),
                 bool(terminated[i]), bool(infos["is_success"][i]),
             )  # fmt: skip
             self._open[i] = False
-        return observations, rewards, terminated, truncated, infos
+        return observations, rewards, terminated, truncated, infos | {"recordings": recordings}
 
 
 def demonstrate(
@@ -108,12 +108,12 @@ def demonstrate(
     there should be no more of them than episodes. Raises `PolicyFailed` for the first episode in which the
     policy fails: it is no demonstration.
     """
-    recorder: Any = Recorder(worlds)
+    recorder: Any = RecordingWorlds(worlds)
     actor: Any = policy if acting is None else _Overridden(policy, acting, recorder)
     numbers = range(episodes) if isinstance(episodes, int) else episodes
     unknown = dict.fromkeys(numbers, np.nan)  # least lengths, which are not needed here
     for result in unless_failed(rollouts(actor, recorder, numbers, seed, name, unknown)):
-        yield result, recorder.finished.pop(result.episode)
+        yield result, result.recording
 
 
 class _Overridden:
@@ -121,7 +121,7 @@ class _Overridden:
 
     training_steps = 0
 
-    def __init__(self, policy: Policy, acting: Callable[[Any, Any], NDArray[Any]], recorder: Recorder) -> None:
+    def __init__(self, policy: Policy, acting: Callable[[Any, Any], NDArray[Any]], recorder: RecordingWorlds) -> None:
         self.sees, self.reset = policy.sees, policy.reset
         self._policy, self._acting, self._recorder = policy, acting, recorder
 

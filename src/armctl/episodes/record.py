@@ -2,7 +2,7 @@
 
 import json
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -59,6 +59,8 @@ class EpisodeResult:
     """Id of the run that played it (see `Run`); empty if that is unknown."""
     reset_ms: float = math.nan
     """Wall time of the policy's reset at the beginning; of several worlds at once, divided by their number."""
+    recording: Any = field(default=None, repr=False, compare=False)
+    """Recording of the episode, by worlds that record; it is in no table and no file of results."""
 
     @property
     def optimality_gap(self) -> float:

@@ -13,6 +13,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from armctl.core.errors import ResultsError
 from armctl.core.files import one_writer, sealed, unsealed, write_atomically
 from armctl.episodes.database import (
@@ -187,6 +190,15 @@ class CellWriter:
             self.runs = self._write_runs(self.runs)
             if run is not None:
                 self._add_runs([run])
+
+    def forget(self, episodes: NDArray[np.int64]) -> None:
+        """Remove episodes that were kept, by their numbers. Raises `ResultsError`."""
+        if len(episodes):
+            file = self._store.file
+            with self._store.full_disk(), transaction(file):
+                rows = [(self._number, int(episode)) for episode in episodes]
+                file.executemany("DELETE FROM episode WHERE cell = ? AND episode = ?", rows)
+            self.kept = self.kept[~np.isin(self.kept.column("episode"), episodes)]
 
     def write(self, result: EpisodeResult) -> None:
         """Add an episode. `finish` tells whether that failed; until then it is kept in memory."""

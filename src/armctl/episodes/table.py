@@ -21,7 +21,7 @@ from armctl.episodes.metrics import Metrics, warm_times
 from armctl.episodes.record import COLUMNS, EpisodeResult
 
 Rows = NDArray[np.intp]
-_APART = ("reward_terms", "metrics", "decision_ms")
+_APART = ("reward_terms", "metrics", "decision_ms", "recording")
 _PLAIN = [field.name for field in fields(EpisodeResult) if field.name not in _APART]
 _METRICS = [field.name for field in fields(Metrics)]
 _HINTS = get_type_hints(EpisodeResult) | get_type_hints(Metrics)

@@ -4,11 +4,11 @@ import contextlib
 import os
 import signal
 import uuid
-from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Generator, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import cloudpickle
 
@@ -25,20 +25,10 @@ from armctl.rollout.rollouts import build_timed, rollouts
 from armctl.runtime.engines import Cluster, Engine
 from armctl.runtime.identity import LOADED, identity
 from armctl.runtime.sending import relative
-from armctl.runtime.workers import Work, check_same_identity
+from armctl.runtime.workers import check_same_identity
 
 ROUNDS = 4
 """Episodes per world in a block. With so many, little time is lost waiting for the last episodes of a block."""
-
-
-class Interfaces(Protocol):
-    """Worlds by the policy that plays in them."""
-
-    def of(self, policy: Any) -> EpisodeVectorEnv:
-        """Return the worlds of a policy."""
-
-    def close(self) -> None:
-        """Close all of them."""
 
 
 @dataclass(frozen=True)
@@ -54,14 +44,16 @@ class WorkerConfig:
     workers: int = field(compare=False, default=1)
     home: int = field(default_factory=os.getpid, compare=False)
     """Id of the process that waits for the workers."""
-    interfaces: Callable[..., Interfaces] = field(default=WorldsByInterface, compare=False)
+    interfaces: Callable[..., WorldsByInterface] = field(default=WorldsByInterface, compare=False)
     """Class of the worlds."""
+    recording: Callable[[EpisodeVectorEnv], Any] | None = field(default=None, compare=False)
+    """Wrapper of the worlds that records their episodes."""
     key: str = field(default_factory=lambda: uuid.uuid4().hex)
 
 
 @dataclass(frozen=True)
 class Setting:
-    """The common part of all blocks of a comparison."""
+    """The common part of all blocks of a cell."""
 
     config: WorkerConfig
     policies: Mapping[str, str | Path | PolicyFactory]
@@ -74,8 +66,7 @@ class RolloutBatch:
     """Results of some of a policy's episodes."""
 
     policy: str
-    results: list[Any]
-    """An `EpisodeResult` of each, or other values that `play` yields (see `batch`)."""
+    results: list[EpisodeResult]
     failure: str | None = None
     """Error message, if the policy or the environment failed after these."""
     traceback: str = ""
@@ -115,72 +106,64 @@ def play_here(
 def play_in_workers(
     setting: Setting,
     actors: Mapping[str, Policy],
-    worlds: Interfaces,
+    worlds: WorldsByInterface,
     waiting: Mapping[str, Sequence[int]],
     lower_bound_steps: dict[int, float],
     engine: Engine,
     real_time: RealTime | None = None,
     finished: Collection[str] = (),
 ) -> Generator[RolloutBatch, None, None]:
-    """Do the same by an engine's workers; see `do_in_workers`."""
-    first = {name: FirstEpisodes(name, () if name in finished else waiting[name]) for name in actors}
+    """Do the same by an engine's workers, block by block.
 
-    def arguments(name: str, block: Sequence[int]) -> tuple[Any, ...]:
-        bounds = {episode: lower_bound_steps[episode] for episode in block if episode in lower_bound_steps}
-        return bounds, real_time and real_time.of(name, block)
-
-    def counted(batch: RolloutBatch) -> RolloutBatch:
-        results: list[EpisodeResult] = []
-        try:
-            for result in batch.results:
-                results += first[batch.policy].counted(result)
-        except PolicyFailed as failure:
-            return failed(batch.policy, results, failure)
-        return replace(batch, results=results)
-
-    with closing(do_in_workers(_play, setting, actors, worlds, waiting, engine, arguments, counted)) as batches:
-        for batch in batches:
-            lower_bound_steps.update((result.episode, result.lower_bound_steps) for result in batch.results)
-            yield batch
-
-
-def do_in_workers(
-    work: Work,
-    setting: Setting,
-    actors: Mapping[str, Policy],
-    worlds: Interfaces,
-    waiting: Mapping[str, Sequence[int]],
-    engine: Engine,
-    arguments: Callable[[str, Sequence[int]], tuple[Any, ...]] = lambda name, block: (),
-    counted: Callable[[RolloutBatch], RolloutBatch] = lambda batch: batch,
-) -> Generator[RolloutBatch, None, None]:
-    """Yield `work(setting, name, block, *arguments(name, block))` for blocks of each policy's `waiting` episodes.
-
-    `actors` are the setting's policies, as made here in `worlds`. `counted` returns what counts of a block, or that its
-    policy has failed: then no more of its blocks are begun. Closing the iterator discards unfinished blocks. Raises
-    `WorkersFailed`.
+    `actors` are the setting's policies, as made here in `worlds`. Of a policy that has failed, no more blocks are
+    begun. Closing the iterator discards unfinished blocks. Raises `WorkersFailed`.
     """
+    first = {name: FirstEpisodes(name, () if name in finished else waiting[name]) for name in actors}
     failed: set[str] = set()
 
     def blocks() -> Iterator[Any]:
         for name in setting.policies:
             for block in _blocks(waiting[name], setting.config.worlds, engine):
                 if name not in failed:
-                    yield name, block, *arguments(name, block)
+                    bounds = {episode: lower_bound_steps[episode] for episode in block if episode in lower_bound_steps}
+                    yield name, block, bounds, real_time and real_time.of(name, block)
 
+    with closing(_batches(setting, actors, worlds, blocks(), engine)) as batches:
+        for batch in batches:
+            counted = _counted(batch, first[batch.policy])
+            if counted.failure:
+                if counted.policy in failed:
+                    continue
+                failed.add(counted.policy)
+            lower_bound_steps.update((result.episode, result.lower_bound_steps) for result in counted.results)
+            yield counted
+
+
+def _batches(
+    setting: Setting,
+    actors: Mapping[str, Policy],
+    worlds: WorldsByInterface,
+    blocks: Iterator[Any],
+    engine: Engine,
+) -> Generator[RolloutBatch, None, None]:
+    """Play `blocks`, which are arguments of `_play`, in workers."""
     if isinstance(engine, Cluster):
         sent, files = _for_sending(setting, actors, worlds)
-        batches = engine.run(work, sent, blocks(), files)
-    else:  # the setting is sent with each block, with no other policy
-        single = {name: replace(setting, policies={name: policy}) for name, policy in setting.policies.items()}
-        batches = engine.run(_call, work, ((single[block[0]], *block) for block in blocks()))
-    with closing(batches):
-        for batch in map(counted, batches):
-            if batch.failure:
-                if batch.policy in failed:
-                    continue
-                failed.add(batch.policy)
-            yield batch
+        return engine.run(_play, sent, blocks, files)
+    # The setting is sent with each block, with no other policy.
+    single = {name: replace(setting, policies={name: policy}) for name, policy in setting.policies.items()}
+    return engine.run(_call, _play, ((single[block[0]], *block) for block in blocks))
+
+
+def _counted(batch: RolloutBatch, first: FirstEpisodes) -> RolloutBatch:
+    """Return what counts of a batch, or that its policy cannot play."""
+    results: list[EpisodeResult] = []
+    try:
+        for result in batch.results:
+            results += first.counted(result)
+    except PolicyFailed as failure:
+        return failed(batch.policy, results, failure)
+    return replace(batch, results=results)
 
 
 def check_sendable(policies: Mapping[str, Any]) -> None:
@@ -203,8 +186,8 @@ def _blocks(episodes: Sequence[int], worlds: int, engine: Engine) -> Iterator[Se
     return (episodes[i : i + size] for i in range(0, len(episodes), size))
 
 
-def _call(work: Work, *arguments: Any) -> Any:
-    return work(*arguments)
+def _call(function: Callable[..., RolloutBatch], *arguments: Any) -> RolloutBatch:
+    return function(*arguments)
 
 
 def _play(
@@ -214,36 +197,30 @@ def _play(
     lower_bound_steps: dict[int, float],
     real_time: RealTime | None,
 ) -> RolloutBatch:
-    """Play a block of episodes in a worker."""
-
-    def play(timed: TimedPolicy, worlds: EpisodeVectorEnv) -> Iterator[EpisodeResult]:
-        policy = RealTimePolicy(timed.policy, worlds, real_time, name) if real_time else timed
-        return rollouts(policy, worlds, episodes, setting.config.seed, name, lower_bound_steps)
-
-    return batch(setting, name, play)
-
-
-def batch(setting: Setting, name: str, play: Callable[[TimedPolicy, EpisodeVectorEnv], Iterable[Any]]) -> RolloutBatch:
-    """Return, in a worker, all that `play` yields with a policy in its worlds, until it fails."""
-    if os.getpid() != setting.config.home:
+    """Play a block of episodes in a worker, until the policy fails."""
+    config = setting.config
+    if os.getpid() != config.home:
         with contextlib.suppress(ValueError):  # threads of a cluster's worker get no signals
             signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the process that waits
-    results: list[Any] = []
+    results: list[EpisodeResult] = []
     try:
         worlds, timed = _actor(setting, name)
-        results.extend(play(timed, worlds))
+        policy = RealTimePolicy(timed.policy, worlds, real_time, name) if real_time else timed
+        if config.recording is not None:
+            worlds = config.recording(worlds)
+        results.extend(rollouts(policy, worlds, episodes, config.seed, name, lower_bound_steps))
     except (PolicyFailed, EnvironmentFailed) as failure:
         return failed(name, results, failure)
     return RolloutBatch(name, results, construction_ms=timed.construction_ms)
 
 
-def failed(name: str, results: list[Any], failure: PolicyFailed | EnvironmentFailed) -> RolloutBatch:
+def failed(name: str, results: list[EpisodeResult], failure: PolicyFailed | EnvironmentFailed) -> RolloutBatch:
     """Return the results of a policy up to its failure, with the reason."""
     disqualified = isinstance(failure, PolicyDisqualified)
     return RolloutBatch(name, results, str(failure), format_cause(failure), disqualified)
 
 
-_present: dict[tuple[WorkerConfig, str], tuple[Interfaces, EpisodeVectorEnv, TimedPolicy]] = {}
+_present: dict[tuple[WorkerConfig, str], tuple[WorldsByInterface, EpisodeVectorEnv, TimedPolicy]] = {}
 """The policy that plays in this worker at present, with its worlds."""
 
 
@@ -264,7 +241,9 @@ def _actor(setting: Setting, name: str) -> tuple[EpisodeVectorEnv, TimedPolicy]:
     return _present[config, name][1:]
 
 
-def _for_sending(setting: Setting, actors: Mapping[str, Policy], worlds: Interfaces) -> tuple[Setting, list[Path]]:
+def _for_sending(
+    setting: Setting, actors: Mapping[str, Policy], worlds: WorldsByInterface
+) -> tuple[Setting, list[Path]]:
     """Return the setting as another machine can use it, and the files that it names."""
     config, files = setting.config, []
     options, policies = dict(config.env_options), dict(setting.policies)

@@ -84,6 +84,7 @@ class EpisodeRecorder:
             outcome=self._outcomes[infos["outcome_id"][i]],
             success=None if success is None else bool(success),
             tracking_error=float(infos["tracking_error"][i]) if tracked else math.nan,
+            recording=infos["recordings"][i] if "recordings" in infos else None,
         )
 
     def failed(self, i: int, error: BaseException) -> FailedEpisode:

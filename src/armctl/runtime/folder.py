@@ -4,8 +4,9 @@ A folder has one writer at a time (`armctl.core.files.one_writer`), and a sealed
 in it. So what another program, another configuration or another code has made there is neither continued nor replaced.
 """
 
+import contextlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,13 +35,28 @@ def claim(
     """
     if not file.exists():
         return None
-    try:
-        values = unsealed(bounded_text(file), format_number)
+    values = read_sealed(file, otherwise, format_number)
+    with _damage(file, otherwise):
         changes = reasons(values.get("identity", values), json.loads(json.dumps(identity)))
-    except (OSError, ValueError, AttributeError, RecursionError) as error:
-        raise ResultsError(f"{file} cannot be read, or is damaged ({error}): {otherwise}") from error
     refuse_changes(file.parent, changes, kind, otherwise)
     return values
+
+
+def read_sealed(file: Path, otherwise: str = OTHERWISE, format_number: int | str | None = None) -> dict[str, Any]:
+    """Return the values of a sealed file.
+
+    Raises `ResultsError`, with what to do `otherwise`, if it is damaged or has another format than `format_number`.
+    """
+    with _damage(file, otherwise):
+        return unsealed(bounded_text(file), format_number)
+
+
+@contextlib.contextmanager
+def _damage(file: Path, otherwise: str) -> Iterator[None]:
+    try:
+        yield
+    except (OSError, ValueError, AttributeError, RecursionError) as error:
+        raise ResultsError(f"{file} cannot be read, or is damaged ({error}): {otherwise}") from error
 
 
 def refuse_changes(folder: Path, changes: Sequence[str], kind: str, otherwise: str = OTHERWISE) -> None:

@@ -1,12 +1,12 @@
 """Plays a cell: every policy in the same episodes, each written as soon as it ends."""
 
-import functools
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from armctl.core.errors import ConfigurationError, ResultsError
 from armctl.core.registration import bare_id
@@ -53,6 +53,29 @@ class Task:
     """Remarks of `seed_notes`; None before the first cell is played."""
 
 
+class Recorder:
+    """Keeps more of a study's episodes than their results. This one keeps nothing more."""
+
+    interfaces: Callable[..., WorldsByInterface] = WorldsByInterface
+    """Class of the worlds."""
+    recording: Callable[[EpisodeVectorEnv], Any] | None = None
+    """Wrapper of the worlds that records their episodes."""
+
+    def open(self) -> None:
+        """Prepare the folder, to which no other process writes by now. Raises `ResultsError`."""
+
+    def lost(self, kept: EpisodeTable) -> NDArray[np.int64]:
+        """Return the numbers of the `kept` episodes that have to be played again. Raises `ResultsError`."""
+        return np.empty(0, np.int64)
+
+    def keep(self, result: EpisodeResult) -> bool:
+        """Keep what is recorded of an episode; return whether its result counts. Raises `ResultsError`."""
+        return True
+
+    def finish(self, comparison: Comparison) -> None:
+        """Write what was kept, after the last episode. Raises `ResultsError`."""
+
+
 @dataclass(frozen=True)
 class Session:
     """Values that all cells of a study share while they are played."""
@@ -64,6 +87,7 @@ class Session:
     """Called when a cell can be written to the store."""
     progress: Callable[[Cell, EpisodeResult], None]
     """Called with every finished episode, and first with those of an earlier run."""
+    recorder: Recorder
 
 
 @dataclass
@@ -114,6 +138,7 @@ class _Line:
     cell: Cell
     plan: Plan
     policy_seed: int
+    recorder: Recorder
     interfaces: WorldsByInterface
     policies: Mapping[str, Policy]
 
@@ -142,13 +167,18 @@ class _Line:
         waiting = {name: np.setdiff1d(numbers, finished.get(name, [])).tolist() for name in self.policies}
         lengths = (kept.column(name).tolist() for name in ("episode", "lower_bound_steps"))
         lower_bound_steps.update(zip(*lengths, strict=True))
+        interfaces, recording = self.recorder.interfaces, self.recorder.recording
         if engine.is_local:
             worlds = {name: self.interfaces.of(policy) for name, policy in self.playing.items()}
+            if recording is not None:
+                worlds = {name: recording(vec_env) for name, vec_env in worlds.items()}
             return play_here(
                 self.policies, worlds, plan.seed, waiting, lower_bound_steps, cell.real_time, set(finished)
             )
-        options = dict(cell.env_options)
-        config = WorkerConfig(cell.env, plan.worlds_in(cell), options, plan.seed, self.policy_seed, engine.workers)
+        config = WorkerConfig(
+            cell.env, plan.worlds_in(cell), dict(cell.env_options), plan.seed, self.policy_seed, engine.workers,
+            interfaces=interfaces, recording=recording,
+        )  # fmt: skip
         setting = Setting(config, self.playing)
         return play_in_workers(
             setting, self.policies, self.interfaces, waiting, lower_bound_steps, engine, cell.real_time, set(finished)
@@ -197,24 +227,26 @@ def play_cell(cell: Cell, session: Session, task: Task) -> Comparison:
     Raises `ConfigurationError`, `AgentFileError`, and `ResultsError` as `Store` does. What goes wrong later is in the
     result's failures.
     """
-    plan, store, progress = session.plan, session.store, functools.partial(session.progress, cell)
+    plan, store, recorder = session.plan, session.store, session.recorder
     with ExitStack() as stack:
         worlds = plan.worlds_in(cell)
-        interfaces = WorldsByInterface(cell.env, worlds if plan.engine.is_local else 1, cell.env_options)
+        interfaces = recorder.interfaces(cell.env, worlds if plan.engine.is_local else 1, cell.env_options)
         stack.callback(interfaces.close)
         events = _Events()
         policies = _policies(cell, interfaces, session.policy_seed, events)
-        line = _Line(cell, plan, session.policy_seed, interfaces, policies)
+        line = _Line(cell, plan, session.policy_seed, recorder, interfaces, policies)
         notes = _notes(line, task)
         store.open(plan.seed, [other.name for other in plan.cells])
+        recorder.open()
         keys = {"env": cell.env, "seed": plan.seed, "policies": [*cell.players]}
         cell_identity = line.identity() if store.folder else keys
         meter = RunMeter(cell_identity, worlds, plan.engine.workers)
         writer = store.cell(cell.name, cell_identity, plan.episodes, meter.run)
         session.on_first_cell()
+        writer.forget(recorder.lost(writer.kept))
         for result in writer.kept:
-            progress(result)
-        _play(line, writer, task.lower_bound_steps, meter, events, progress)
+            session.progress(cell, result)
+        _play(line, writer, task.lower_bound_steps, meter, events, session)
         results = writer.episodes()
         results = results[~np.isin(results.column("policy"), events.disqualified)].sorted(list(line.policies))
         events.note_crashes(results)
@@ -225,7 +257,9 @@ def play_cell(cell: Cell, session: Session, task: Task) -> Comparison:
             runs = writer.finish(asdict(facts), runs, events.disqualified)
         except ResultsError as error:
             facts.failures["results"] = str(error)
-        return concluded(writer.identity, cell.env_options, facts, results, runs, events.tracebacks)
+        comparison = concluded(writer.identity, cell.env_options, facts, results, runs, events.tracebacks)
+        recorder.finish(comparison)
+        return comparison
 
 
 def _policies(cell: Cell, interfaces: WorldsByInterface, policy_seed: int, events: _Events) -> dict[str, Policy]:
@@ -264,7 +298,7 @@ def _play(
     lower_bound_steps: dict[int, float],
     meter: RunMeter,
     events: _Events,
-    progress: Callable[[EpisodeResult], None],
+    session: Session,
 ) -> None:
     """Write episodes until all are played, the workers are lost, or somebody interrupts."""
     in_workers = dict[str, float]()
@@ -275,10 +309,11 @@ def _play(
                 if (spent := batch.construction_ms) is not None:
                     in_workers[batch.policy] = max(spent, in_workers.get(batch.policy, 0.0))
                 meter.update_load()
-                for result in (replace(result, run=meter.run.id) for result in batch.results):
+                for result in batch.results:
                     _check_return(result, line.env.stated_return_bounds)
-                    writer.write(result)
-                    progress(result)
+                    if session.recorder.keep(result):
+                        writer.write(replace(result, run=meter.run.id))
+                        session.progress(line.cell, result)
     except WorkersFailed as failure:
         events.failures["workers"] = str(failure)
     except KeyboardInterrupt:

@@ -141,7 +141,7 @@ class Plan:
 def comparison_plan(policies: Any, env: str, episodes: int, seed: Seed, options: ComparisonOptions) -> Plan:
     """Plan one cell. Raise `ConfigurationError`, and `ResultsError` for a damaged recording of decision times."""
     checked_options(options, ComparisonOptions)
-    cell, shared = _undisturbed(policies, env, options), _extent(episodes, seed, options)
+    cell, shared = _undisturbed(policies, env, options), extent(episodes, evaluation_seed(seed), options)
     baseline, margin = options.get("baseline"), options.get("margin", MARGIN)
     if baseline is not None and baseline not in (compared := learners(list(cell.players), cell.groups)):
         raise unknown_name("baseline among the compared policies", baseline, compared)
@@ -161,7 +161,7 @@ def sweep_plan(
 ) -> Plan:
     """Plan an undisturbed cell, and one for each level of each disturbance. Raise as `comparison_plan` does."""
     checked_options(options, TaskOptions)
-    shared = _extent(episodes, seed, options)
+    shared = extent(episodes, evaluation_seed(seed), options)
     task = _task_plan(_undisturbed(policies, env, options), disturbances, options.get("real_time"), "", shared)
     return Plan(SWEEP, [task], **shared, envs=[task.env])
 
@@ -173,7 +173,7 @@ def suite_plan(envs: Sequence[str], quick: bool, episodes: int | None, seed: See
     """
     checked_options(options, StudyOptions)
     size = QUICK if quick else FULL
-    shared = _extent(size.episodes if episodes is None else episodes, seed, options)
+    shared = extent(size.episodes if episodes is None else episodes, evaluation_seed(seed), options)
     requested = [name for env in envs for name in (environment_names() if env == ALL else [env])]
     by_name = {task_name(env): env for env in dict.fromkeys(map(full_id, requested))}
     if not by_name or len(by_name) < len(set(map(full_id, requested))):
@@ -193,11 +193,11 @@ def suite_plan(envs: Sequence[str], quick: bool, episodes: int | None, seed: See
     return Plan(SUITE, tasks, **shared, quick=quick, envs=[*by_name.values()], failures=failures)
 
 
-def _extent(episodes: int, seed: Seed, options: StudyOptions) -> dict[str, Any]:
+def extent(episodes: int, seed: int, options: StudyOptions) -> dict[str, Any]:
     """Return the arguments of `Plan` that all kinds share. Raise `ConfigurationError`."""
     worlds, workers = options.get("worlds", 1), options.get("workers", 1)
     check_counts(episodes=episodes, worlds=worlds, **({"workers": workers} if isinstance(workers, int) else {}))
-    return {"episodes": episodes, "seed": evaluation_seed(seed), "worlds": worlds, "engine": engine_of(workers)}
+    return {"episodes": episodes, "seed": seed, "worlds": worlds, "engine": engine_of(workers)}
 
 
 def _undisturbed(policies: Any, env: str, options: TaskOptions) -> Cell:

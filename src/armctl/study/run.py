@@ -12,7 +12,7 @@ from armctl.episodes.store import Store
 from armctl.episodes.stored import stored_policy_seed
 from armctl.policies import learners
 from armctl.rollout.real_time import recorded_times
-from armctl.study.cell import Session, Task, play_cell
+from armctl.study.cell import Recorder, Session, Task, play_cell
 from armctl.study.options import StudyOptions
 from armctl.study.output import remove_output, write_output
 from armctl.study.plan import COMPARISON, SUITE, Cell, Plan, TaskPlan
@@ -25,10 +25,12 @@ def play(
     out: str | Path | None,
     options: StudyOptions,
     progress: Callable[[Cell, EpisodeResult], None],
+    recorder: Recorder | None = None,
 ) -> Study:
     """Play all cells of a plan, or resume them; with `out`, in a folder.
 
-    `progress` is called with every finished episode, and first with those of an earlier run.
+    `progress` is called with every finished episode, and first with those of an earlier run. A `recorder` keeps more of
+    them than their results.
 
     Raises `ConfigurationError`, `AgentFileError`, and `ResultsError` as `Store` does; but in a suite, a task that
     cannot be played is among the failures, and the others are played.
@@ -47,7 +49,7 @@ def play(
 
         if plan.kind == SUITE:
             store.open(plan.seed, [cell.name for cell in plan.cells])
-        session = Session(plan, store, secret, on_first_cell, progress)
+        session = Session(plan, store, secret, on_first_cell, progress, recorder or Recorder())
         _play_tasks(study, session)
         if plan.kind == SUITE:
             study.tasks = {env: swept for env, swept in study.tasks.items() if swept.comparisons}
