@@ -12,6 +12,7 @@ from typing import Annotated
 import matplotlib.pyplot as plt
 import pandas as pd
 import typer
+from matplotlib.axes import Axes
 from rich.progress import track
 
 from armctl.agents import AgentCard, read_card
@@ -61,7 +62,7 @@ def main(
     figure.savefig(picture, dpi=110)
 
 
-def _plot(axis: plt.Axes, agents: list[tuple[AgentCard, pd.DataFrame]]) -> None:
+def _plot(axis: Axes, agents: list[tuple[AgentCard, pd.DataFrame]]) -> None:
     """Draw a line for each training; those of one recipe share a colour."""
     colours = {recipe: f"C{i}" for i, recipe in enumerate(sorted({str(card.recipe) for card, _ in agents}))}
     for recipe, colour in colours.items():

@@ -89,11 +89,11 @@ def excess(drives: list[Drive]) -> tuple[float, list[float]]:
         solved.append((solver.parameters.copy(), solve(solver)))
         return solved[-1][1]
 
-    DriveSolver.solve = recorded  # type: ignore[method-assign, assignment]
+    DriveSolver.solve = recorded  # type: ignore[assignment]
     try:
         decisions = len(replayed(drives)[0])
     finally:
-        DriveSolver.solve = solve  # type: ignore[method-assign]
+        DriveSolver.solve = solve
     nlp = drive_nlp(drives[0].made_of[2])
     quiet: Any = {"ipopt.print_level": 0, "ipopt.tol": 1e-9, "print_time": False, "ipopt.sb": "yes"}
     reference, over = casadi.nlpsol("reference", "ipopt", nlp.problem, quiet), []

@@ -81,7 +81,7 @@ def run(env: str, options: dict[str, Any], policy: str, worlds: int, steps: int)
     """Return what happens in one run: a digest of it all, and the outcomes, for people."""
     options = dict(options)
     oracle = options.pop("shaping", None)
-    vec_env = gymnasium.make_vec(env, num_envs=worlds, autoreset_mode="disabled", threads=1, **options)
+    vec_env: Any = gymnasium.make_vec(env, num_envs=worlds, autoreset_mode="disabled", threads=1, **options)
     actor = armctl.make_policy(policy, vec_env, policy_seed=SEED)
     playing: Any = vec_env
     if oracle:

@@ -136,7 +136,7 @@ def _wrong_sign(estimates: list[Estimate], truth: float) -> str:
         estimate.high < 0 if truth > 0 else estimate.low > 0
         for estimate in estimates
         if None not in (estimate.low, estimate.high)
-    ]  # type: ignore[operator]
+    ]
     return f"{100 * float(np.mean(wrong)):.1f} %"
 
 

@@ -59,7 +59,7 @@ def make(env: str, way: str, **options: Any) -> Env:
     """Make an environment with short episodes, whose steps are counted."""
     options |= {"actions": "normalized", "max_episode_steps": LIMIT}
     if way == "gymnasium.make":
-        result = gymnasium.make(env, **options)
+        result: Any = gymnasium.make(env, **options)
         result.unwrapped.worlds.observers.append(StepCounter())
     else:
         result = gymnasium.make_vec(env, num_envs=WORLDS, autoreset_mode=way, **options)
@@ -268,8 +268,8 @@ def main(only: str = "", env: list[str] | None = None, raw: bool = False) -> Non
         alike: dict[tuple[str, ...], list[str]] = {}
         for env_id, cells in _tried(learner, envs).items():
             alike.setdefault(tuple(cells), []).append(env_id.removeprefix("armctl/").removesuffix("-v0"))
-        for cells, names in alike.items():
-            table.add_row(learner, "all" if len(names) == len(envs) else ", ".join(names), *cells)
+        for columns, names in alike.items():
+            table.add_row(learner, "all" if len(names) == len(envs) else ", ".join(names), *columns)
     Console(width=1_000).print(table)
 
 

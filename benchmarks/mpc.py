@@ -78,7 +78,7 @@ def drive(model: ArmModel, options: ReachMpcOptions, states: int, record: bool =
     """Run a closed loop of that many decisions, in which the joints do what was planned."""
     mpc, run = ReachMpc(model, options), Run()
     if record:
-        mpc._unconstrained.solve = recorder(mpc._unconstrained.qp, mpc._unconstrained.solve, run.programs)  # type: ignore[method-assign]
+        mpc._unconstrained.solve = recorder(mpc._unconstrained.qp, mpc._unconstrained.solve, run.programs)
     horizon, period = options.problem.horizon, options.problem.period
     for target, swing, posture in episodes(model):
         mpc.reset()

@@ -8,6 +8,7 @@ halved: no step can be more exact than that. Contacts at the end of the deck do 
 """
 
 import time
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -31,7 +32,7 @@ HOLD = 5
 def drive(timestep: float, commands: np.ndarray) -> tuple[np.ndarray, float]:
     """Return final poses (runs, 3) after commands (decisions, runs, 2), and physics seconds simulated in a second."""
     runs = commands.shape[1]
-    env = gymnasium.make_vec(
+    env: Any = gymnasium.make_vec(
         "armctl/BridgeCross-v0",
         num_envs=runs,
         max_episode_steps=10**6,

@@ -14,7 +14,7 @@ from rich.box import MARKDOWN
 from rich.console import Console
 from rich.table import Table
 
-from armctl.envs import TaskVectorEnv, make_worlds
+from armctl.envs import EpisodeVectorEnv, make_worlds
 
 ROUNDS = 5
 OBSERVATIONS = {"state": ("state", "state"), "camera": ("camera", "ranges")}
@@ -37,7 +37,7 @@ def main(env: str = "armctl/BridgeCrossMoving-v0", worlds: int = 256, seconds: f
     Console(width=100).print(table)
 
 
-def steps_per_second(env: TaskVectorEnv, seconds: float) -> float:
+def steps_per_second(env: EpisodeVectorEnv, seconds: float) -> float:
     """Control steps per second, over all worlds, resets included."""
     env.reset(seed=0)
     rng, low, high = np.random.default_rng(0), [-0.3, -2.0], [1.6, 2.0]

@@ -123,7 +123,7 @@ def shortest_length(bridge: BridgeMap) -> float:
     free = bridge.segment_clearance(points[i], points[j]) >= CLEARANCE
     graph[i[free], j[free]] = np.linalg.norm(points[i] - points[j], axis=1)[free]
     graph[:-1, -1] = np.where(bridge.segment_clearance(points, at_goal) >= CLEARANCE, GOAL_X - points[:, 0], 0)
-    return float(dijkstra(graph, directed=False, indices=0)[-1])
+    return float(dijkstra(graph, directed=False, indices=[0])[0, -1])
 
 
 def clearance(bridge: BridgeMap, path: Array) -> float:

@@ -11,7 +11,7 @@ core (NumPy's uses the vector instructions that a processor has, and so is no re
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import gymnasium
 import mujoco
@@ -103,8 +103,8 @@ def bridge_plan() -> tuple[Work, Work]:
 
 def stepped(env: str, worlds: int | None, oracle: str | None = None) -> tuple[Work, Work]:
     """Make a control step of an environment; raw `mj_step` on as many worlds of its model, at rest."""
-    playing = gymnasium.make(env) if worlds is None else gymnasium.make_vec(env, num_envs=worlds, threads=1)
-    playing = playing if oracle is None else Shaped(playing, oracle, gamma=0.97)
+    plain: Any = gymnasium.make(env) if worlds is None else gymnasium.make_vec(env, num_envs=worlds, threads=1)
+    playing: Any = plain if oracle is None else Shaped(plain, oracle, gamma=0.97)
     playing.reset(seed=0)
     playing.action_space.seed(0)
     actions = [playing.action_space.sample() for _ in range(50)]
@@ -139,10 +139,10 @@ CASES: dict[str, Callable[[], tuple[Work, Work]]] = {
 
 def measured(case: Callable[[], tuple[Work, Work]]) -> float:
     """Return the median ratio of the time of one call to that of its reference."""
-    contenders = case()
-    for work in contenders:
-        work(0)  # compiles
-    return float(np.median([np.divide(*(_seconds(work) for work in contenders)) for _ in range(ROUNDS)]))
+    work, reference = case()
+    for each in (work, reference):
+        each(0)  # compiles
+    return float(np.median([_seconds(work) / _seconds(reference) for _ in range(ROUNDS)]))
 
 
 def min_ratio(case: Callable[[], tuple[Work, Work]], bound: float) -> float:

@@ -35,7 +35,7 @@ Contender = Callable[[int], int]
 
 def raw(env: str, worlds: int) -> Contender:
     """Run MuJoCo's own reset of as many worlds, one after the other."""
-    model = gymnasium.make(env).unwrapped.task.simulation.model
+    model = gymnasium.make(env).get_wrapper_attr("task").simulation.model
     data = mujoco.MjData(model)
 
     def reset(_: int) -> int:

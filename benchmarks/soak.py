@@ -52,7 +52,7 @@ HOLD = 25
 class _PlaysOn:
     """An arm whose episodes end by the time limit only."""
 
-    def outcome(self: Any) -> NDArray[np.integer[Any]]:
+    def outcome(self: Any) -> NDArray[np.int8]:
         return np.zeros(self.n, dtype=np.int8)
 
 
@@ -68,7 +68,7 @@ class _Obstacles(_PlaysOn, ReachObstaclesTask): ...
 class _FallsOnly:
     """A bridge on which only falls end the episode."""
 
-    def outcome(self: Any) -> NDArray[np.integer[Any]]:
+    def outcome(self: Any) -> NDArray[np.int8]:
         return np.where(self.state.fell, np.int8(BridgeOutcome.FELL), np.int8(BridgeOutcome.TIMEOUT))
 
 

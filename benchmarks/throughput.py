@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import gymnasium
 import mujoco
@@ -55,7 +56,7 @@ class Recording:
     @classmethod
     def of(cls, env: str, worlds: int = 32) -> "Recording":
         """Play the first episodes of `worlds` worlds."""
-        vec_env = gymnasium.make_vec(env, num_envs=worlds)
+        vec_env: Any = gymnasium.make_vec(env, num_envs=worlds)
         vec_env.reset(seed=0)
         vec_env.action_space.seed(0)
         simulation, rows = vec_env.unwrapped.task.simulation, []
@@ -70,7 +71,7 @@ class Recording:
 
 def raw(env: str, threads: int, finer: bool) -> Contender:
     """Run `mj_step` on `threads` threads, from states and along commands of a recording, a decision at a time."""
-    task, recording = gymnasium.make(env).unwrapped.task, Recording.of(env)
+    task, recording = gymnasium.make(env).get_wrapper_attr("task"), Recording.of(env)
     fine_steps = finer * FINER * recording.refined * (task.substeps // len(task.joints.part.speeds))
 
     def loop(seconds: float) -> float:
@@ -112,8 +113,8 @@ def timed(step: Callable[[int], object], physics_steps: int) -> Contender:
 
 def batched(env: str, worlds: int, oracle: str | None = None) -> Contender:
     """Run `gym.make_vec`: physics, observations, rewards and resets of `worlds` worlds, shaped by a named oracle."""
-    plain = gymnasium.make_vec(env, num_envs=worlds)
-    shaped = Shaped(plain, oracle, gamma=0.97) if oracle else plain
+    plain: Any = gymnasium.make_vec(env, num_envs=worlds)
+    shaped: Any = Shaped(plain, oracle, gamma=0.97) if oracle else plain
     shaped.reset(seed=0)
     shaped.action_space.seed(0)
     actions = [shaped.action_space.sample() for _ in range(50)]
@@ -132,12 +133,12 @@ def single(env: str) -> Contender:
         if terminated or truncated:
             single_env.reset()
 
-    return timed(step, single_env.unwrapped.task.substeps)
+    return timed(step, single_env.get_wrapper_attr("task").substeps)
 
 
 def subprocesses(env: str, worlds: int) -> Contender:
     """Run Stable-Baselines3's SubprocVecEnv over single environments, one process a core."""
-    substeps = gymnasium.make(env).unwrapped.task.substeps
+    substeps = gymnasium.make(env).get_wrapper_attr("task").substeps
     vec_env = make_vec_env(env, n_envs=worlds, vec_env_cls=SubprocVecEnv, vec_env_kwargs={"start_method": "fork"})
     vec_env.reset()
     actions = [np.array([vec_env.action_space.sample() for _ in range(worlds)]) for _ in range(50)]
@@ -147,8 +148,8 @@ def subprocesses(env: str, worlds: int) -> Contender:
 def main(env: str = armctl.DEFAULT_ENV, worlds: int = 256, seconds: float = 3.0) -> None:
     """Measure, and print a table."""
     cores = len(os.sched_getaffinity(0))
-    oracles = potential_names(gymnasium.make_vec(env, num_envs=1).unwrapped)
-    bare, refined = {}, {}
+    plain: Any = gymnasium.make_vec(env, num_envs=1).unwrapped
+    oracles, bare, refined = potential_names(plain), {}, {}
     for threads, label in ((cores, f"{cores} threads"), (1, "1 thread")):
         bare[threads], refined[threads] = f"raw `mj_step`, {label}", f"raw with finer steps, {label}"
     contenders = {
@@ -165,7 +166,7 @@ def main(env: str = armctl.DEFAULT_ENV, worlds: int = 256, seconds: float = 3.0)
     for _ in track(range(ROUNDS), console=Console(stderr=True), transient=True):
         for name, (run, _) in contenders.items():
             rates[name].append(run(seconds))
-    task = gymnasium.make(env).unwrapped.task
+    task = gymnasium.make(env).get_wrapper_attr("task")
     timestep, substeps = task.simulation.model.opt.timestep, task.substeps
     title = f"{env}, {cores} cores, armctl {armctl.__version__}, mujoco {mujoco.__version__}"
     table = Table(

@@ -57,9 +57,9 @@ def armctl(*arguments, cwd, check=True, disk=None):
         patch.setenv("PYTHONSAFEPATH", "")  # `main` sets it, and processes that tests start would inherit that
         for name, value in ENVIRONMENT.items():
             patch.setenv(name, value)
-        for module in Path(cwd).glob("*.py"):
-            patch.delitem(sys.modules, module.stem, raising=False)  # one of that name that another test has imported
-        status, registered = 0, set(gymnasium.registry)
+        for file in Path(cwd).glob("*.py"):
+            patch.delitem(sys.modules, file.stem, raising=False)  # one of that name that another test has imported
+        status, registered = None, set(gymnasium.registry)
         limited = contextlib.nullcontext() if disk is None else full_disk(disk)
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), limited:
             try:
@@ -72,6 +72,6 @@ def armctl(*arguments, cwd, check=True, disk=None):
                         del sys.modules[name]
                 for env_id in set(gymnasium.registry) - registered:
                     del gymnasium.registry[env_id]
-        done = subprocess.CompletedProcess(arguments, status, out.getvalue(), err.getvalue())
+        done = subprocess.CompletedProcess(arguments, int(status or 0), out.getvalue(), err.getvalue())
     assert not check or done.returncode == 0, done.stderr
     return done

@@ -22,7 +22,7 @@ from .command_line import POLICY_SEED
 # A shell that runs the tests in the background ignores interrupts, and whatever the tests interrupt would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-policy_seed.secrets = SimpleNamespace(randbits=lambda bits: POLICY_SEED)
+vars(policy_seed)["secrets"] = SimpleNamespace(randbits=lambda bits: POLICY_SEED)
 """In this process, policies that draw random numbers repeat themselves exactly in another run."""
 
 hypothesis.settings.register_profile("armctl", deadline=None)  # which a busy machine or coverage would miss

@@ -9,6 +9,7 @@ from armctl.core.files import sealed, unsealed
 from armctl.core.registration import bare_id
 from armctl.episodes.store import Store
 from armctl.episodes.stored import STORE, UNDISTURBED, StoredCell, read_store
+from armctl.episodes.table import EpisodeTable
 
 
 def rewrite(folder, identity, facts, results, runs=()):
@@ -51,7 +52,7 @@ def _forged(stored, there, hostile):
         )
         for one in stored.episodes
     ]
-    return StoredCell(identity, facts, stored.runs, results)
+    return StoredCell(identity, facts, stored.runs, EpisodeTable(results))
 
 
 def change_facts(folder, change):

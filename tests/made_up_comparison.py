@@ -1,12 +1,14 @@
 """Comparisons whose figures are made up."""
 
+from typing import Any
+
 from armctl.study import Comparison
 from armctl.study.facts import Facts
 
 
 def facts_of(**known):
     """What is known of a comparison, all of it harmless unless given."""
-    values = {
+    values: dict[str, Any] = {
         "env_options": {}, "policy_seed": 0, "planned": 1, "policies": {}, "return_bounds": None, "time_limit": None,
         "control_period": None, "versions": {}, "machine": {}, "notes": [], "failures": {}, "baseline": None,
         "margin": 0.02, "real_time": None, "groups": {}, "disqualified": [], "interrupted": False, "resumed": 0,

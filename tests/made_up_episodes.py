@@ -1,14 +1,29 @@
 """Episodes that were never played."""
 
 import math
+from typing import Any
 
 import numpy as np
 
+from armctl.envs import Sees
 from armctl.episodes.metrics import Metrics
 from armctl.episodes.record import EpisodeResult
 
-OWN = {"env": "armctl/ArmReach-v0", "seed": 3, "policies": ["b", "a"]}
+OWN: dict[str, Any] = {"env": "armctl/ArmReach-v0", "seed": 3, "policies": ["b", "a"]}
 """As much of a comparison's identity as its episodes are checked by."""
+
+
+class Untrained:
+    """A policy whose episodes are made up."""
+
+    sees: Sees = "observation"
+    training_steps = 0
+
+    def reset(self, ids):
+        raise NotImplementedError
+
+    def act(self, observations):
+        raise NotImplementedError
 
 
 def played(episodes, policies=("a",), steps=30):
@@ -16,8 +31,8 @@ def played(episodes, policies=("a",), steps=30):
     for policy in policies:
         for k in range(episodes):
             contacts, missed = (int(x) if x >= 0 else None for x in rng.integers(-1, 3, 2))
-            numbers = [*rng.random(6), math.nan]
-            metrics = Metrics(*numbers, contacts, 0, missed, 0.1, 0.2, 0.3, math.nan if k else 7.0)
+            numbers: list[Any] = [*rng.random(6), math.nan, contacts, 0, missed, 0.1, 0.2, 0.3, math.nan if k else 7.0]
+            metrics = Metrics(*numbers)
             length = int(rng.integers(1, steps + 1))
             terms = {"step": -1.0 * length} | ({"goal": rng.random()} if k % 3 else {})
             success, earned = [None, False, True][k % 3], sum(terms.values())

@@ -16,7 +16,7 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import gymnasium
 import pytest
@@ -52,7 +52,7 @@ class Block(NamedTuple):
 
 def blocks(page):
     fences = re.findall(r"^```([^\n]*)\n(.*?)^```$", page.read_text(), re.MULTILINE | re.DOTALL)
-    return [Block(*first.partition(" ")[::2], text) for first, text in fences]
+    return [Block(*first.partition(" ")[::2], text) for first, text in fences]  # type: ignore[call-arg]
 
 
 def to_run(page):
@@ -92,7 +92,7 @@ def test_every_block_says_what_it_is(page):
 @pytest.mark.parametrize("page", [page for page in PAGES if to_run(page)], ids=name_of)
 def test_examples_run(page, tmp_path):
     (tmp_path / "docs").symlink_to(ROOT / "docs")
-    steps = []
+    steps: list[tuple[str, ...]] = []
     for kind, note, text in to_run(page):
         if note:
             steps.append(("file", note, text))
@@ -100,7 +100,7 @@ def test_examples_run(page, tmp_path):
             steps.append(("python", text))
         else:
             steps += [("command", *words) for words in commands(text)]
-    command = [sys.executable, "-P", "-W", "error::DeprecationWarning", ROOT / "tests" / "run_page.py"]
+    command = [sys.executable, "-P", "-W", "error::DeprecationWarning", str(ROOT / "tests" / "run_page.py")]
     done = subprocess.run(
         command, input=json.dumps(steps), capture_output=True, text=True, cwd=tmp_path,
         env=os.environ | {"COLUMNS": "100"}, timeout=SECONDS,
@@ -110,7 +110,7 @@ def test_examples_run(page, tmp_path):
 
 @each_page
 def test_every_command_is_one_that_there_is(page):
-    verbs = typer.main.get_command(app)
+    verbs: Any = typer.main.get_command(app)
     targets = re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
     for block in blocks(page):
         for words in commands(block.text) if block.kind == "sh" else ():

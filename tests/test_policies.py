@@ -1,5 +1,6 @@
 import contextlib
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -72,7 +73,7 @@ def test_all_installed_policies_meet_somewhere():
 
 @pytest.mark.parametrize("name", [name for name in policy_names() if name != "random"])
 def test_policies_of_another_task_say_so(name):
-    env = gymnasium.make_vec(ENV if name.startswith("bridge") else "armctl/BridgeCross-v0", num_envs=1)
+    env: Any = gymnasium.make_vec(ENV if name.startswith("bridge") else "armctl/BridgeCross-v0", num_envs=1)
     with pytest.raises(ArmctlError, match=r"BridgeCross|ArmReach"):
         make_policy(name, env)
 
@@ -145,5 +146,6 @@ def test_a_policy_has_the_family_that_its_maker_declares():
         return observation[3:9]
 
     with contextlib.closing(make_worlds("armctl/ArmReach-v0", 1)) as worlds:
-        assert make_policy(still, worlds).family == "PD"
+        policy: Any = make_policy(still, worlds)
+        assert policy.family == "PD"
         assert not hasattr(make_policy(lambda observation: observation[3:9], worlds), "family")

@@ -5,6 +5,7 @@ import os
 import re
 import sys
 from contextlib import closing
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,10 +14,11 @@ import armctl
 from armctl.core.errors import ConfigurationError, Disqualified
 from armctl.datasets.collect import collect
 from armctl.envs import INTERFACES, SEES, make_worlds, task_of
+from armctl.episodes.failures import PolicyDisqualified
 from armctl.policies import PerWorld, WorldsByInterface, make_policy, policy_names, privileges
 from armctl.policies.find import declared_sees
 from armctl.report import write_report
-from armctl.rollout.rollouts import PolicyDisqualified, build_policy, rollouts
+from armctl.rollout.rollouts import build_policy, rollouts
 from armctl.runtime.state_guard import StateGuard
 from armctl.study.results import read_comparison
 
@@ -93,7 +95,8 @@ def test_a_cheat_that_reaches_for_the_world_only_when_it_acts_fails_too():
 def test_an_interface_is_a_copy():
     worlds = make_worlds(REACH, 1)
     make_policy(through_the_spaces, worlds)
-    assert worlds.single_action_space.high.max() < 10
+    actions: Any = worlds.single_action_space
+    assert actions.high.max() < 10
     told = []
     make_policy(armctl.sees("model")(lambda env: told.append(env) or Still()), worlds)
     told[0].robot.limits.velocity[:] = 1e6
@@ -219,7 +222,7 @@ def test_a_misspelt_privilege_is_named():
     with pytest.raises(ConfigurationError, match="no privilege 'pixels'"):
         make_policy(Still(sees="pixels"), make_worlds(REACH, 1))
     with pytest.raises(ConfigurationError, match="no privilege 'everything'"):
-        make_policy(lambda env: PerWorld([], "everything"), make_worlds(REACH, 1))
+        make_policy(lambda env: PerWorld([], "everything"), make_worlds(REACH, 1))  # type: ignore[arg-type]
 
 
 def test_installed_policies_declare_what_they_see():
@@ -420,7 +423,7 @@ def gives_itself_time(worlds):
 
 
 def takes_the_time_out_of_the_module(worlds):
-    sys.modules[type(worlds.task).__module__].STEP_REWARD = 5.0
+    vars(sys.modules[type(worlds.task).__module__])["STEP_REWARD"] = 5.0
 
 
 def changes_the_class(worlds):

@@ -86,11 +86,11 @@ def docstrings(tree):
         elif isinstance(node, ast.Module | ast.ClassDef):
             if text := ast.get_docstring(node):
                 yield getattr(node, "lineno", 1), text, NO_OPENING
-            for value, text in zip(node.body, node.body[1:], strict=False):
+            for value, following in zip(node.body, node.body[1:], strict=False):
                 if isinstance(value, ast.Assign | ast.AnnAssign):
-                    match text:
+                    match following:
                         case ast.Expr(value=ast.Constant(value=str(words))):
-                            yield text.lineno, words, NO_OPENING
+                            yield following.lineno, words, NO_OPENING
 
 
 def files(package):

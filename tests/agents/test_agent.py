@@ -7,14 +7,13 @@ import sys
 from importlib import resources
 from pathlib import Path
 
-import gymnasium
 import numpy as np
 import onnx
 import pytest
 
 from armctl.agents import load_agent, read_card, sha256
 from armctl.core.errors import AgentFileError
-from armctl.envs import TaskVectorEnv
+from armctl.envs import TaskVectorEnv, make_worlds
 from armctl.rollout import evaluate
 from armctl.tasks import ReachTask
 from armctl.training.learners import load_recipe
@@ -36,7 +35,7 @@ def edit(card, **changes):
 
 
 def load(card, **options):
-    return load_agent(card, gymnasium.make_vec(ENV, num_envs=1, **options))
+    return load_agent(card, make_worlds(ENV, 1, options))
 
 
 def test_card_or_graph_may_be_named(agent):
@@ -129,7 +128,7 @@ def test_agent_of_another_robot_control_or_observation(agent, options, says):
 @pytest.mark.parametrize("env", ["armctl/BridgeCross-v0", "armctl/ArmReachMoving-v0"])
 def test_agent_of_another_environment(agent, env):
     with pytest.raises(AgentFileError, match="agent reach_ppo"):
-        load_agent(agent, gymnasium.make_vec(env, num_envs=1))
+        load_agent(agent, make_worlds(env, 1))
 
 
 def test_no_file_is_ever_unpickled():

@@ -1,3 +1,5 @@
+from typing import Any
+
 import gymnasium
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from armctl.policies import make_policy
 from armctl.rollout import evaluate
 
 STATIC, MOVING = "armctl/BridgeCross-v0", "armctl/BridgeCrossMoving-v0"
-FAST = {"observation": "state"}
+FAST: dict[str, Any] = {"observation": "state"}
 """It looks at the state anyhow, and cameras take time."""
 
 
@@ -41,7 +43,7 @@ def test_it_is_the_same_in_every_run_and_needs_no_camera():
 def test_it_keeps_its_distance_and_always_has_a_solution(monkeypatch):
     results, decide = [], DriveMpc.decide
     monkeypatch.setattr(DriveMpc, "decide", lambda *told: results.append(decide(*told)) or results[-1])
-    env = gymnasium.make_vec(MOVING, num_envs=3, autoreset_mode="disabled", **FAST)
+    env: Any = gymnasium.make_vec(MOVING, num_envs=3, autoreset_mode="disabled", **FAST)
     policy = make_policy("bridge_mpc", env)
     observations, _ = env.reset(seed=7)
     policy.reset(np.arange(3, dtype=np.int32))

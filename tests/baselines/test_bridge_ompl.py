@@ -1,3 +1,5 @@
+from typing import Any
+
 import gymnasium
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from armctl.policies import make_policy
 from armctl.rollout import evaluate
 
 STATIC, MOVING = "armctl/BridgeCross-v0", "armctl/BridgeCrossMoving-v0"
-FAST = {"observation": "state"}
+FAST: dict[str, Any] = {"observation": "state"}
 """It looks at the state anyhow, and cameras take time."""
 
 
@@ -39,7 +41,7 @@ def test_it_is_the_same_in_every_run_and_needs_no_camera():
 
 def test_it_keeps_its_distance_from_all_that_walks_and_stands(sized):
     n = sized(3, 10)
-    env = gymnasium.make_vec(MOVING, num_envs=n, autoreset_mode="disabled", **FAST)
+    env: Any = gymnasium.make_vec(MOVING, num_envs=n, autoreset_mode="disabled", **FAST)
     policy = make_policy("bridge_ompl", env)
     observations, _ = env.reset(seed=7)
     policy.reset(np.arange(n, dtype=np.int32))
@@ -80,7 +82,7 @@ def crossing_time(bridge, radius, speed=1.0, limit=60.0, cell=0.1):
 
 def test_a_patient_driver_always_gets_through(sized):
     n = sized(6, 40)
-    env = gymnasium.make_vec(MOVING, num_envs=n, **FAST)
+    env: Any = gymnasium.make_vec(MOVING, num_envs=n, **FAST)
     env.reset(seed=11)
     times = [crossing_time(env.unwrapped.task.map(world), radius=0.35) for world in range(n)]
     assert all(time is not None for time in times)

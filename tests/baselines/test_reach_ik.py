@@ -1,4 +1,5 @@
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,11 +19,11 @@ TINY = 1e-4
 def steps_between_plans(disturbances, steps=50, tolerance=TINY):
     """For each plan of three episodes: control steps until the next plan or the end, and until the planned arrival."""
     worlds = make_worlds(REACH, 3, options={"disturbances": disturbances, "tolerance": tolerance})
-    policy = make_policy("reach_ik", worlds)
+    policy: Any = make_policy("reach_ik", worlds)
     observations, _ = worlds.reset(seed=3)
     policy.reset(np.arange(3, dtype=np.int32))
     plans = [[] for _ in range(3)]
-    now, world, find = 0, 0, policy.controllers[0]._search.find
+    now, world, find = 0, np.intp(0), policy.controllers[0]._search.find
 
     def counted(*arguments):
         goal = find(*arguments)

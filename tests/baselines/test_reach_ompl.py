@@ -1,4 +1,5 @@
 import itertools
+from typing import Any
 
 import numpy as np
 import pytest
@@ -99,7 +100,8 @@ def test_joints_that_are_in_a_box_stay(model, played):
 def test_a_plan_is_made_again_where_nothing_of_it_is_in_sight(model, played):
     observations, _, _ = played[0]
     worlds = make_worlds(OBSTACLES, 20)
-    controllers = (policy := make_policy("reach_ompl", worlds)).controllers
+    policy: Any = make_policy("reach_ompl", worlds)
+    controllers = policy.controllers
     policy.act(observations)
     before = [one._path.copy() for one in controllers]
     away = observations.copy()
@@ -157,7 +159,8 @@ def test_it_reaches_where_it_touched_or_stood_still(seed, episode):
 def test_joints_that_are_off_their_drives_stop_freely(model, played):
     """Drives that stop freely are not enough: from the joints as observed, the same motion touches nothing either."""
     worlds = make_worlds(OBSTACLES, 20)
-    controllers = (policy := make_policy("reach_ompl", worlds)).controllers
+    policy: Any = make_policy("reach_ompl", worlds)
+    controllers = policy.controllers
     rng, limits, safe = np.random.default_rng(0), model.limits, []
     policy.act(played[0][0])
     for observations, _, playing in played[1:16]:

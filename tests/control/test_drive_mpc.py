@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import casadi
 import numpy as np
@@ -44,7 +45,7 @@ def drive(mpc, decisions, pose=(0.0, 0.0, 0.0), walker=None):
     """Poses and results of a robot that does as it is told."""
     velocity, poses, results = np.zeros(2), [np.array(pose, dtype=float)], []
     for k in range(decisions):
-        people = None if walker is None else walking(*walker, time=k * OPTIONS.period)
+        people = None if walker is None else walking(walker[0], walker[1], k * OPTIONS.period)
         results.append(mpc.decide(poses[-1], velocity, people))
         poses.append(next_pose(poses[-1], velocity, results[-1].command))
         velocity = np.array(results[-1].command)
@@ -106,7 +107,7 @@ def test_the_solution_is_that_of_another_solver(monkeypatch):
         result = mpc.decide(pose, velocity, people)
         mpc.decide(result.poses[1], result.velocities[0], np.concatenate((people[1:], 2 * people[-1:] - people[-2:-1])))
     nlp = drive_nlp(OPTIONS)
-    quiet = {"ipopt.print_level": 0, "ipopt.tol": 1e-9, "print_time": False, "ipopt.sb": "yes"}
+    quiet: dict[str, Any] = {"ipopt.print_level": 0, "ipopt.tol": 1e-9, "print_time": False, "ipopt.sb": "yes"}
     reference = casadi.nlpsol("reference", "ipopt", nlp.problem, quiet)
     assert len(asked) >= 16
     for _, parameters, ours in asked:
@@ -218,8 +219,8 @@ def test_the_search_for_another_plan_goes_on_from_step_to_step(monkeypatch):
     """With few iterations in each, it gets past somebody as it does with many at once."""
     searches, solve = [], DriveMpc._solve
 
-    def record(mpc, *situation, near=False, brief=False):
-        plan = solve(mpc, *situation, near=near, brief=brief)
+    def record(mpc, start, people, knots, near=False, brief=False):
+        plan = solve(mpc, start, people, knots, near, brief)
         if brief:
             searches.append((near, plan.solved))
         return plan

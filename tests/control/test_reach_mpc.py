@@ -1,6 +1,7 @@
 import runpy
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import osqp
@@ -231,15 +232,16 @@ def test_the_same_situations_give_the_same_plans():
         mpc.reset()
         plan = mpc.plan(MODEL.home, np.zeros(6), target, goal)
         plans.append(mpc.plan(plan.positions[1], plan.velocities[1], target, goal).positions)
-    np.testing.assert_allclose(*plans, atol=1e-6)
+    np.testing.assert_allclose(plans[0], plans[1], atol=1e-6)
 
 
 def test_what_it_cannot_use_is_refused():
-    mpc, good = ReachMpc(MODEL), (MODEL.home, np.zeros(6), np.zeros(3), MODEL.home)
+    good: list[Any] = [MODEL.home, np.zeros(6), np.zeros(3), MODEL.home]
+    mpc = ReachMpc(MODEL)
     for i, name in enumerate(("position", "velocity", "targets", "posture")):
         for bad in (np.zeros(5), np.full(np.shape(good[i]), np.nan), "far", np.zeros((N + 1, 3))):
             with pytest.raises(ConfigurationError, match=name):
-                mpc.plan(*good[:i], bad, *good[i + 1 :])
+                mpc.plan(*[bad if at == i else one for at, one in enumerate(good)])
     for options in ({"horizon": 1}, {"period": 0.0}, {"posture": -1.0}, {"velocity": np.nan}, {"acceleration": np.inf}):
         with pytest.raises(ConfigurationError):
             ReachProblem(**options)

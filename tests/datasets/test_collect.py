@@ -166,7 +166,7 @@ def test_collections_do_not_mix(interrupted, change, says, finished):
 
 
 def test_versions_are_part_of_what_a_collection_is(interrupted, monkeypatch):
-    real = playing.identity
+    real = vars(playing)["identity"]
     monkeypatch.setattr(playing, "identity", lambda *given: real(*given) | {"versions": {"mujoco": "0.1"}})
     with pytest.raises(ResultsError, match=r"holds.*mujoco"):
         collect("random", episodes=9, out=interrupted, env_options=SHORT)

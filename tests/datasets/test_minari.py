@@ -1,6 +1,7 @@
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -89,9 +90,10 @@ def test_camera_observations_are_kept_exactly(camera, tmp_path):
     env = worlds(env="armctl/BridgeCross-v0", **options)
     for number, episode in enumerate(read_demonstrations(tmp_path / "d", env)):
         observations, _ = env.reset(seed=0, options={"episode": number})
+        seen: Any = episode.observations
         for name in ("image", "motion"):
-            np.testing.assert_array_equal(episode.observations[name][0], observations[name][0])
-        assert episode.observations["image"].shape == (7, 6, 8)
+            np.testing.assert_array_equal(seen[name][0], observations[name][0])
+        assert seen["image"].shape == (7, 6, 8)
 
 
 def test_what_is_done_instead_is_not_what_is_recorded():
@@ -105,7 +107,7 @@ def test_what_is_done_instead_is_not_what_is_recorded():
 
 def test_a_failing_policy_keeps_what_was_finished(tmp_path):
     def failing(env):
-        policy = make_policy("random", env)
+        policy: Any = make_policy("random", env)
         policy.decisions = 0
         plain = policy.act
 

@@ -3,6 +3,7 @@
 import os
 import signal
 import subprocess
+from typing import Any
 
 import pytest
 
@@ -20,7 +21,7 @@ from .collections_of_random import ARMCTL, COMMAND, EPISODES, SHORT, same_datase
 def test_workers_record_what_one_process_records(policy, tmp_path):
     """Also with another interface than the policy's own in a comparison, and with rewards of another scale."""
     options = SHORT | {"reward_scale": 0.5} | ({"actions": "normalized"} if policy == "random" else {})
-    given = {"episodes": 21, "env_options": options}
+    given: dict[str, Any] = {"episodes": 21, "env_options": options}
     seen = []
     alone = collect(policy, out=tmp_path / "alone", **given)
     workers = collect(policy, out=tmp_path / "workers", worlds=2, workers=2, progress=seen.append, **given)

@@ -1,10 +1,12 @@
 """Disturbed environments for tests."""
 
+from typing import Any
+
 import gymnasium
 import numpy as np
 
 REACH, BRIDGE = "armctl/ArmReach-v0", "armctl/BridgeCross-v0"
-SMALL = {"resolution": (12, 8)}
+SMALL: dict[str, Any] = {"resolution": (12, 8)}
 
 
 def worlds(env=REACH, n=1, disturbances=None, seed=0, **options):

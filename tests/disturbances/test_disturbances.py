@@ -219,7 +219,7 @@ def test_pushes_come_once_a_second_with_their_impulse_whatever_the_policy_does(e
             applied[:, body] = 0
             assert not applied.any()
         told.append(np.array(forces))
-    assert np.array_equal(*told)
+    assert np.array_equal(told[0], told[1])
     impulses = np.linalg.norm(told[0], axis=-1) * period
     pushed = impulses > 0
     np.testing.assert_allclose(impulses[pushed], 3.0)
@@ -246,14 +246,14 @@ def test_pushes_move_the_robot(env, impulse):
 
 def test_lost_pictures_are_black_and_of_the_share_asked_for():
     plain, worse = worlds(BRIDGE, 60), worlds(BRIDGE, 60, {"dropout": 0.3})
-    lost = []
+    blacked = []
     for _ in range(10):
         truth, seen = (env.step(np.full((60, 2), 0.2))[0] for env in (plain, worse))
         black = (seen["image"] == 0).all(axis=(1, 2))
         assert np.array_equal(seen["image"][~black], truth["image"][~black])
         assert np.array_equal(seen["motion"], truth["motion"])
-        lost.append(black)
-    lost = np.array(lost)
+        blacked.append(black)
+    lost = np.array(blacked)
     assert abs(lost.mean() - 0.3) < 4 * np.sqrt(0.3 * 0.7 / lost.size)
     assert (lost.any(axis=0) & ~lost.all(axis=0)).sum() > 40
 

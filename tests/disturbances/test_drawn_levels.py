@@ -110,7 +110,7 @@ def test_environments_of_others_draw_levels_too():
     assert len(set(env.disturbances["noise"].levels)) == 3
     env.reset(seed=7)
     again, _ = env.reset(seed=1)
-    assert np.array_equal(seen, again)
+    np.testing.assert_equal(seen, again)
 
 
 @pytest.mark.parametrize(

@@ -12,8 +12,8 @@ started = itertools.count()
 class Line(gymnasium.Env):
     """Walk along a line to 1, from a random place. Obeys its seed."""
 
-    observation_space = spaces.Box(-2, 2, (1,))
-    action_space = spaces.Box(-0.2, 0.2, (1,))
+    observation_space: spaces.Space = spaces.Box(-2, 2, (1,))
+    action_space: spaces.Space = spaces.Box(-0.2, 0.2, (1,))
 
     def __init__(self, steps=20):
         self.steps = steps
@@ -97,7 +97,7 @@ class Crashing(Line):
     """Has a typo in its reward."""
 
     def reward(self):
-        return self.distanec
+        return self.distanec  # type: ignore[attr-defined]
 
 
 class Endless(Line):
@@ -183,4 +183,4 @@ def line_of(steps=20):
     return Line(steps)
 
 
-gymnasium.register("odd/Line-v0", Line, max_episode_steps=30)
+gymnasium.register("odd/Line-v0", Line, max_episode_steps=30)  # type: ignore[arg-type] # a class makes one too

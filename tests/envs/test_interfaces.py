@@ -2,6 +2,7 @@
 
 import pickle
 import warnings
+from typing import Any
 
 import cloudpickle
 import gymnasium
@@ -206,7 +207,7 @@ def test_an_unknown_option_is_a_type_error_too(make):
 
 @pytest.mark.parametrize("kind", [pickle, cloudpickle])
 def test_environments_can_be_pickled(kind):
-    options = {"observation": "features", "goal": True, "max_episode_steps": 7}
+    options: dict[str, Any] = {"observation": "features", "goal": True, "max_episode_steps": 7}
     worlds, one = vector(REACH[0], **options), gymnasium.make(REACH[0], **options)
     for made in (worlds, one):
         copy = kind.loads(kind.dumps(made))

@@ -97,7 +97,9 @@ def test_nothing_that_an_interface_reaches_is_the_seed_or_the_episode(env, sees)
         elif isinstance(thing, np.ndarray) and thing.dtype.kind in "iu":
             numbers.update(thing.ravel().tolist())
         elif isinstance(thing, np.random.Generator):
-            waiting += [thing.bit_generator.state, thing.bit_generator.seed_seq.entropy]
+            sequence = thing.bit_generator.seed_seq
+            assert isinstance(sequence, np.random.SeedSequence)
+            waiting += [thing.bit_generator.state, sequence.entropy]
         waiting += gc.get_referents(thing)
     assert len(seen) > 40
     assert not numbers & {SEED, EPISODE, EPISODE - 1, SEED + 1, SECRET}

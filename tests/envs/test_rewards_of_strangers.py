@@ -75,7 +75,7 @@ def test_a_typo_in_a_reward_is_shown_with_its_place():
         return state.distanec if armed else state.distance
 
     armed = False
-    env = gymnasium.make_vec("armctl/ArmReach-v0", num_envs=1, reward={**REWARD, "odd": odd})
+    env = make_worlds("armctl/ArmReach-v0", 1, {"reward": {**REWARD, "odd": odd}})
     armed = True
     from armctl.rollout import rollouts
 

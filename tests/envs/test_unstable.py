@@ -1,5 +1,7 @@
 """Worlds whose physics fails: their episode ends as `unstable`, and nothing else happens to anything else."""
 
+from typing import Any
+
 import gymnasium
 import mujoco
 import numpy as np
@@ -61,7 +63,7 @@ class Cart(Task):
 def worlds(env, n=3, mode="next_step", **options):
     if env == "cart":
         return TaskVectorEnv(n, task=Cart, autoreset_mode=mode, threads=1, max_episode_steps=50)
-    small = {"resolution": (8, 6)} if "Bridge" in env else {}
+    small: dict[str, Any] = {"resolution": (8, 6)} if "Bridge" in env else {}
     return gymnasium.make_vec(env, num_envs=n, autoreset_mode=mode, threads=1, **small, **options)
 
 
@@ -70,11 +72,11 @@ def parts(observations):
 
 
 def idle(env):
-    return np.tile(env.unwrapped.task.idle_action, (env.num_envs, 1))
+    return np.tile(env.get_wrapper_attr("task").idle_action, (env.num_envs, 1))
 
 
 def break_world(env, world=1, number=np.nan):
-    env.unwrapped.task.simulation.array("qvel")[world] = number
+    env.get_wrapper_attr("task").simulation.array("qvel")[world] = number
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -137,6 +139,6 @@ def test_a_single_environment_ends_too():
     env = gymnasium.make("armctl/ArmReach-v0")
     env.reset(seed=0)
     break_world(env, 0)
-    observation, reward, terminated, truncated, info = env.step(env.unwrapped.task.idle_action)
+    observation, reward, terminated, truncated, info = env.step(env.get_wrapper_attr("task").idle_action)
     assert (info["outcome"], info["is_success"], reward, terminated, truncated) == ("unstable", False, 0.0, True, False)
     assert np.isfinite(observation).all()

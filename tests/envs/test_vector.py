@@ -2,6 +2,7 @@ import os
 import subprocess
 import sys
 import warnings
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -295,7 +296,7 @@ def test_human_mode_without_a_screen_says_so():
 
 @pytest.mark.parametrize("env", [ENV, "armctl/ArmReachObstacles-v0", "armctl/BridgeCross-v0"])
 def test_a_reset_of_no_world_changes_nothing(env):
-    worlds = gymnasium.make_vec(env, num_envs=2)
+    worlds: Any = gymnasium.make_vec(env, num_envs=2)
     worlds.reset(seed=0)
     arrays = {name: np.copy(array) for name, array in worlds.unwrapped.task.simulation.live_arrays.items()}
     worlds.reset(options={"reset_mask": np.zeros(2, dtype=bool)})

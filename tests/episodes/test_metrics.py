@@ -1,4 +1,5 @@
 import math
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -50,11 +51,11 @@ def played():
 
 def test_metrics_of_an_arm_are_those_of_its_motion(played):
     env = gymnasium.make("armctl/ArmReach-v0")
-    policy = make_policy("random", env)
+    policy: Any = make_policy("random", env)
     observation, _ = env.reset(seed=0, options={"episode": 1})
     policy.reset(np.zeros(1, dtype=np.int32))
-    task, data = env.unwrapped.task, []
-    finished, limits, energy = False, env.unwrapped.task.arm.description.limits, 0.0
+    task, data = env.get_wrapper_attr("task"), []
+    finished, limits, energy = False, env.get_wrapper_attr("task").arm.description.limits, 0.0
     middle, half, away = (limits.lower + limits.upper) / 2, (limits.upper - limits.lower) / 2, []
     places, contacts = [task.motion().position[0]], 0
     while not finished:
@@ -79,7 +80,7 @@ def test_metrics_of_an_arm_are_those_of_its_motion(played):
 
 def test_a_robot_that_stands_does_nothing():
     def still(env):
-        policy = make_policy("random", env)
+        policy: Any = make_policy("random", env)
         policy.act = lambda observations: observations[:, 3:9]
         return policy
 
@@ -106,7 +107,7 @@ def test_an_episode_that_ends_by_a_collision_has_one_contact_and_no_clearance():
 def late(env):
     import time
 
-    policy = make_policy("random", env)
+    policy: Any = make_policy("random", env)
     act = policy.act
     policy.act = lambda observations: time.sleep(0.041) or act(observations)
     return policy
@@ -121,7 +122,7 @@ def test_missed_deadlines_are_counted():
 
 def test_solver_failures_are_those_of_the_world_and_episode():
     env = make_worlds("armctl/ArmReach-v0", 2, {"max_episode_steps": 4})
-    policy = make_policy("random", env)
+    policy: Any = make_policy("random", env)
     policy.failures = np.array([5, 7])
     act = policy.act
 

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -39,9 +40,10 @@ OPTIONS = {"max_episode_steps": 5}
 NUMBERS, RETURNS = (st.floats(*limits).map(lambda x: x + 0.0) for limits in ((), (-1e100, 1e100)))  # no -0.0
 MAYBE_INT, MAYBE_BOOL = st.none() | st.integers(0, 2**40), st.none() | st.booleans()
 NAMES = st.text(st.characters(codec="utf-8"), max_size=8)
+KINDS: dict[Any, Any] = {int: st.integers(0, 2**40), float: NUMBERS}
 METRICS = st.builds(
     Metrics,
-    **{one.name: {int: st.integers(0, 2**40), float: NUMBERS}.get(one.type, MAYBE_INT) for one in fields(Metrics)},
+    **{one.name: KINDS.get(one.type, MAYBE_INT) for one in fields(Metrics)},
 )
 
 

@@ -14,15 +14,11 @@ from armctl.stats import intervals as statistics
 from armctl.stats.intervals import MOST_VALUES, RandomWeights, bounded_mean, grouped, random_weights, worst_decile
 from armctl.verdict.summary import summarise
 
-from ..made_up_episodes import OWN, played, same
+from ..made_up_episodes import OWN, Untrained, played, same
 from ..stores import one_cell, read_cell
 
 BYTES = 1_000
 """That an episode of some 15 decisions may take while it is read and summarised. It takes 400."""
-
-
-class Still:
-    sees, training_steps = "observation", 0
 
 
 @pytest.fixture
@@ -83,7 +79,7 @@ def test_memory_grows_little_with_the_episodes(tmp_path, monkeypatch):
     monkeypatch.setattr(statistics, "LARGEST_BATCH", 1)
     monkeypatch.setattr(statistics, "DRAWS", 50)
     monkeypatch.setattr(rows, "AT_ONCE", 200)
-    policies = {"a": Still(), "b": Still()}
+    policies = {"a": Untrained(), "b": Untrained()}
     peaks = []
     for episodes in (500, 2_500):
         folder = tmp_path / str(episodes)

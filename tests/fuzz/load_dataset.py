@@ -14,7 +14,7 @@ def check(path):
     for episode in episodes:
         assert episode.observations.shape == (len(episode) + 1, 12)
         assert episode.actions.shape == (len(episode), 6)
-        assert np.isfinite(episode.observations).all()
+        assert np.isfinite(np.asarray(episode.observations)).all()
         assert np.isfinite(episode.actions).all()
     return f"{len(episodes)} episodes"
 

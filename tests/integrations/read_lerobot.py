@@ -5,6 +5,7 @@ safetensors, installed without what they require (see the Makefile).
 """
 
 import sys
+from typing import Any
 
 import numpy as np
 import torch
@@ -18,7 +19,9 @@ from lerobot.datasets.lerobot_dataset import LeRobotDataset  # noqa: E402
 
 dataset = LeRobotDataset("armctl/test", root=sys.argv[2], video_backend="pyav")
 frames = [dataset[i] for i in range(len(dataset))]
-found = {key: np.array([np.asarray(frame[key]) for frame in frames]) for key in frames[0] if key != "task"}
+found: dict[str, Any] = {
+    key: np.array([np.asarray(frame[key]) for frame in frames]) for key in frames[0] if key != "task"
+}
 found |= {f"stats/{key}/{name}": value for key, one in dataset.meta.stats.items() for name, value in one.items()}
 np.savez(
     sys.argv[3],

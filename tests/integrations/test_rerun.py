@@ -2,6 +2,7 @@
 
 import resource
 import sys
+from typing import Any
 
 import numpy as np
 import pytest
@@ -120,7 +121,7 @@ def test_contacts_bear_the_rover(bridge):
 
 def test_the_camera_is_what_the_policy_saw(bridge):
     depths = bridge.of("/camera/image", "DepthImage:buffer")
-    stage = Stage("random", BRIDGE, seed=2)
+    stage: Any = Stage("random", BRIDGE, seed=2)
     for step in range(3):
         seen = depths[step].astype(np.uint8).tobytes()
         np.testing.assert_array_equal(np.frombuffer(seen, np.float32), stage.observations["image"].ravel())

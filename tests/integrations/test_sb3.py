@@ -1,5 +1,7 @@
 """`VecEnv`: what Stable-Baselines3's learners and wrappers get of armctl's vector environments."""
 
+from typing import Any
+
 import gymnasium
 import numpy as np
 import pytest
@@ -181,7 +183,8 @@ def test_an_agent_brings_the_interface_that_it_was_trained_with(tmp_path, monkey
     assert asked.of("reach_ppo").task.options.tolerance == 0.07
     assert asked.of("reach_ik").single_observation_space.shape == (12,)
     assert asked.of("random") is asked.requested
-    assert asked.of(players["mine"]).single_action_space.high.max() == 1.0
+    actions: Any = asked.of(players["mine"]).single_action_space
+    assert actions.high.max() == 1.0
     assert asked.of(players["mine"]).task.options.tolerance == 0.07
     with pytest.raises(armctl.core.errors.AgentFileError):
         armctl.make_policy(players["mine"], make_worlds(REACH, 1))

@@ -1,5 +1,7 @@
 """Each kernel of paths, bridges and their controller computes what its reference in NumPy does."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,7 @@ from armctl.scene import BridgeMap
 
 from . import drive_reference as reference
 
-CLOSE = {"rtol": 0, "atol": 1e-12}
+CLOSE: dict[str, Any] = {"rtol": 0, "atol": 1e-12}
 OPTIONS, SMOOTHING = DriveMpcOptions(), kernel.SMOOTHING
 NUMBERS = np.array(tuple(getattr(OPTIONS, name) for name in kernel.NAMES), kernel.OPTIONS)[()]
 STEPS = OPTIONS.steps

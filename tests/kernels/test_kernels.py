@@ -1,5 +1,7 @@
 """Each kernel computes what its reference in NumPy does."""
 
+from typing import Any
+
 import numpy as np
 import pinocchio
 import pytest
@@ -14,7 +16,7 @@ from armctl.scene import Boxes
 
 from . import joint_profiles, reference
 
-CLOSE = {"rtol": 0, "atol": 1e-12}
+CLOSE: dict[str, Any] = {"rtol": 0, "atol": 1e-12}
 PERIOD, HORIZON = 0.04, 20
 
 
@@ -103,12 +105,12 @@ def test_refinement_keeps_the_earliest_of_its_steps_that_is_inside(model, rng):
     reach.approach(model.joints, q, np.tile(centre, (len(q), 1)), 8)
     inside = []
     for at in np.clip(q, model.limits.lower, model.limits.upper):
-        times = [np.inf]
+        least = [np.inf]
         for max_step in steps:
             step, time, distance = reference.step_into_sphere(model, at, start, centre, radius, velocity, max_step)
-            times += [time] if distance <= radius else []
+            least += [time] if distance <= radius else []
             at = at + step
-        inside.append(min(times))
+        inside.append(min(least))
     times, many = np.empty(len(q)), np.tile
     reach.refine(
         model.joints, q, many(start, (20, 1)), many(centre, (20, 1)), radius, many(velocity, (20, 1)), steps, times

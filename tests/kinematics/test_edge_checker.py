@@ -220,7 +220,7 @@ def test_relaxed_pairs_keep_their_share_and_no_others_change(model, shapes):
         too_near = checker.relax(q, 0.7)
         assert too_near == (distances < wanted).any()
         np.testing.assert_allclose(checker._bounds.margins, np.minimum(wanted, 0.7 * np.maximum(distances, 0)))
-        near += too_near and (distances > 0).all() and checker.is_free(q)
+        near += bool(too_near and (distances > 0).all() and checker.is_free(q))
     assert near > 0  # what is too near, but touches nothing, may move
 
 

@@ -97,14 +97,15 @@ def solved_by_slsqp(model, start, centre, guess):
     def reach(time):
         return max_displacement(np.maximum(time, 1e-6), 0.0, model.limits)[0]
 
-    found = minimize(
+    constraints = [
+        {"type": "ineq", "fun": lambda x: RADIUS**2 - np.sum((model.position(x[:-1]) - centre) ** 2)},
+        {"type": "ineq", "fun": lambda x: reach(x[-1]) - (x[:-1] - start)},
+        {"type": "ineq", "fun": lambda x: reach(x[-1]) + (x[:-1] - start)},
+    ]
+    found = minimize(  # type: ignore[call-overload]
         lambda x: x[-1],
         np.append(guess, model.least_time(start, guess)),
-        constraints=[
-            {"type": "ineq", "fun": lambda x: RADIUS**2 - np.sum((model.position(x[:-1]) - centre) ** 2)},
-            {"type": "ineq", "fun": lambda x: reach(x[-1]) - (x[:-1] - start)},
-            {"type": "ineq", "fun": lambda x: reach(x[-1]) + (x[:-1] - start)},
-        ],
+        constraints=constraints,
         bounds=[*zip(model.limits.lower, model.limits.upper, strict=True), (0, None)],
         method="SLSQP",
     )

@@ -73,7 +73,7 @@ def shortest_length(bridge, clearance):
     free = bridge.segment_clearance(points[i], points[j]) >= clearance
     graph[i[free], j[free]] = np.linalg.norm(points[i] - points[j], axis=1)[free]
     graph[:-1, -1] = np.where(bridge.segment_clearance(points, at_goal) >= clearance, GOAL_X - points[:, 0], 0)
-    return dijkstra(graph, directed=False, indices=0)[-1]
+    return dijkstra(graph, directed=False, indices=[0])[0, -1]
 
 
 def test_paths_are_hardly_longer_than_the_shortest():

@@ -2,6 +2,7 @@
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -32,7 +33,7 @@ def test_it_acts_by_its_own_options(short):
     usual, shorter = ([one.total_reward for one in played] for played in both.values())
     assert usual != shorter
     worlds = make_worlds(REACH, 2)
-    made = make_policy(short, worlds)
+    made: Any = make_policy(short, worlds)
     assert [one.mpc.problem.horizon for one in made.controllers] == [4, 4]
     assert made.sees == "model"
     assert is_expert(short)
@@ -54,11 +55,11 @@ def test_the_files_beside_experts_have_their_present_options(name):
     """So that a tuning begins where the expert is."""
     told = read_configuration(configurations()[name])
     if told.policy == "reach_mpc":
-        usual = ReachMpcOptions()
-        assert changed_options(usual, told.options) == usual
+        reaching = ReachMpcOptions()
+        assert changed_options(reaching, told.options) == reaching
     else:
-        usual = DriveMpcOptions()
-        assert changed_options(usual, told.options) == usual
+        driving = DriveMpcOptions()
+        assert changed_options(driving, told.options) == driving
     plain, same = compare({"plain": name, "same": str(configurations()[name])}, told.env, episodes=2).policies
     assert plain.episode_return.value == same.episode_return.value
 

@@ -17,7 +17,7 @@ def finished(tmp_path_factory):
 @pytest.fixture(scope="package")
 def finished_sweep(tmp_path_factory):
     folder = tmp_path_factory.mktemp("swept")
-    levels = {"noise": [0.05, 0.1], "delay": [1, 3]}
+    levels: dict[str, list[float]] = {"noise": [0.05, 0.1], "delay": [1, 3]}
     sweep(POLICIES, disturbances=levels, episodes=12, worlds=4, out=folder, env_options=OPTIONS)
     return folder
 

@@ -7,6 +7,7 @@ import itertools
 import json
 import re
 from types import SimpleNamespace
+from typing import Any
 
 import pandas as pd
 import pytest
@@ -76,9 +77,9 @@ def swept(names=SHORT, levels=9):
 
 
 def printed(document, width):
-    console = Console(file=io.StringIO(), width=width)
+    console = Console(file=(out := io.StringIO()), width=width)
     console.print(DocumentView(document))
-    return console.file.getvalue()
+    return out.getvalue()
 
 
 def numbers_of(document):
@@ -230,7 +231,7 @@ def test_the_text_of_a_comparison_is_one_line():
 
 
 def test_a_reproduction_is_shown_in_the_same_tables():
-    card = SimpleNamespace(name="mine", env="armctl/ArmReach-v0")
+    card: Any = SimpleNamespace(name="mine", env="armctl/ArmReach-v0")
     claimed, found = (
         Evaluation(
             episodes=100, seed=0, success_rate=rate, success_interval=(rate - 0.05, rate), mean_return=1.0,

@@ -65,7 +65,7 @@ def register():
         for done, commanded in COMMANDED.items():
             env, spaces = f"sb3/{seen}-{done}-v0", {"observed": observed, "commanded": commanded}
             if env not in gymnasium.registry:
-                gymnasium.register(env, Anything, kwargs=spaces)
+                gymnasium.register(env, Anything, kwargs=spaces)  # type: ignore[arg-type] # a class makes one too
 
 
 def make(kind, env, policy="MlpPolicy", **options):
@@ -120,13 +120,13 @@ def observations(env, steps, n, seed=5):
 
 def check_acts_alike(model, agent, env, normalise=lambda seen: seen, steps=250, n=4):
     shown, began = observations(env, steps, n)
-    state, wanted, found = None, [], []
+    state, predicted, acted = None, [], []
     for seen, starts in zip(shown, began, strict=True):
         agent.reset(np.flatnonzero(starts).astype(np.int32))
         action, state = model.predict(normalise(seen), state, starts, deterministic=True)
-        wanted.append(action)
-        found.append(agent.act(seen))
-    wanted, found = np.array(wanted), np.array(found)
+        predicted.append(action)
+        acted.append(agent.act(seen))
+    wanted, found = np.array(predicted), np.array(acted)
     assert wanted.shape[:2] == (steps, n)
     assert len(np.unique(wanted.reshape(steps * n, -1), axis=0)) > 1, "the actions differ"
     np.testing.assert_allclose(found, wanted, atol=1e-5, rtol=1e-5)

@@ -1,5 +1,7 @@
 """Small trainings, and a teacher that notes where it was asked."""
 
+from typing import Any
+
 from armctl.policies import make_policy
 from armctl.training.learners import load_recipe
 
@@ -14,7 +16,7 @@ def small(name, **options):
 
 def asked(env):
     """reach_ik, which notes where it was asked and how often it was reset."""
-    policy = make_policy("reach_ik", env)
+    policy: Any = make_policy("reach_ik", env)
     act, reset = policy.act, policy.reset
     policy.seen, policy.resets = [], 0
 

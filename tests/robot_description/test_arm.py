@@ -133,7 +133,7 @@ def test_arms_that_are_no_ur(robot, dof):
 def test_acceleration_limits_may_differ_from_joint_to_joint():
     np.testing.assert_array_equal(load_arm("panda").limits.acceleration, [15, 7.5, 10, 12.5, 15, 20, 20])
     np.testing.assert_array_equal(load_arm("panda", max_acceleration=3).limits.acceleration, np.full(7, 3.0))
-    limits = load_arm("ur5", max_acceleration=np.arange(1, 7), max_jerk=[9] * 6).limits
+    limits = load_arm("ur5", max_acceleration=np.arange(1.0, 7.0), max_jerk=[9] * 6).limits
     np.testing.assert_array_equal(limits.acceleration, np.arange(1, 7))
     np.testing.assert_array_equal(limits.jerk, np.full(6, 9.0))
 

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from armctl.envs import make_worlds
+from armctl.envs import Sees, make_worlds
 from armctl.episodes.table import EpisodeTable
 from armctl.report import write_report
 from armctl.rollout.decision_times import Machines, TimedPolicy, comparable_times, timing_notes
@@ -27,7 +27,8 @@ OPTIONS = {"max_episode_steps": 3}
 class Slow:
     """Holds still. Its resets and decisions take as many ms as they are told to."""
 
-    sees, training_steps = "observation", 0
+    sees: Sees = "observation"
+    training_steps = 0
 
     def __init__(self, clock, reset_ms, decision_ms):
         self.clock, self.reset_ms, self.decision_ms = clock, reset_ms, iter(decision_ms)

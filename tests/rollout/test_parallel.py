@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pytest
@@ -56,7 +57,8 @@ def timeless(folder):
 
 def test_workers_and_worlds_change_no_episode(tmp_path):
     told = []
-    for name, arguments in (("one", {}), ("two", {"workers": 2, "worlds": 2, "progress": told.append})):
+    parallel: dict[str, Any] = {"workers": 2, "worlds": 2, "progress": told.append}
+    for name, arguments in (("one", {}), ("two", parallel)):
         compare(["random", "reach_ppo"], episodes=5, seed=3, out=tmp_path / name, **arguments)
     assert timeless(tmp_path / "one").equals(timeless(tmp_path / "two"))
     assert len(told) == 10

@@ -2,6 +2,7 @@
 
 import math
 from types import SimpleNamespace
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -9,6 +10,7 @@ import pandas as pd
 import pytest
 
 from armctl.core.errors import ConfigurationError, ResultsError
+from armctl.envs import Sees
 from armctl.report import write_report
 from armctl.rollout.real_time import RealTime, RealTimePolicy, RecordedTimes, check_real_time
 from armctl.study import compare, sweep
@@ -24,7 +26,8 @@ PERIOD_MS = 100
 class Echo:
     """Commands what it observes."""
 
-    sees, training_steps = "observation", 0
+    sees: Sees = "observation"
+    training_steps = 0
     asked = 0
 
     def reset(self, ids):
@@ -45,10 +48,11 @@ def schedule(times, steps, slow_down=1.0, cold=False):
     """The commands of control steps whose observations are 1, 2, 3 and so on, and the times of decisions."""
     real_time = RealTime(slow_down, "here", {"echo": {0: RecordedTimes(tuple(times), cold)}})
     task = SimpleNamespace(control_period=PERIOD_MS / 1e3, idle_action=np.zeros(1))
-    late = RealTimePolicy(Echo(), task, real_time, "echo")
+    echo = Echo()
+    late = RealTimePolicy(echo, task, real_time, "echo")
     late.reset(np.zeros(1, dtype=np.int32), [0])
     found = [late.act(np.array([[float(step)]])) for step in range(1, steps + 1)]
-    assert late.policy.asked == sum(not math.isnan(spent[0]) for _, spent, _ in found)
+    assert echo.asked == sum(not math.isnan(spent[0]) for _, spent, _ in found)
     return [int(command[0, 0]) for command, _, _ in found], [spent[0] for _, spent, _ in found]
 
 
@@ -118,7 +122,7 @@ def wandering(clock):
 
 @pytest.mark.slow
 def test_recorded_times_repeat_a_measured_run_exactly_in_any_number_of_worlds(clock, tmp_path):
-    arguments = {"policies": wandering(clock), "env": BRIDGE, "episodes": 7, "env_options": SHORT}
+    arguments: dict[str, Any] = {"policies": wandering(clock), "env": BRIDGE, "episodes": 7, "env_options": SHORT}
     late = compare(**arguments, real_time="measured", slow_down=2, out=tmp_path / "late")
     waiting = compare(**arguments, out=tmp_path / "waiting")
     assert not late.failures
@@ -137,14 +141,14 @@ def test_recorded_times_repeat_a_measured_run_exactly_in_any_number_of_worlds(cl
 
 @pytest.mark.slow
 def test_real_time_in_processes_is_the_same(tmp_path):
-    arguments = {"policies": ["random"], "env": BRIDGE, "episodes": 3, "env_options": SHORT}
+    arguments: dict[str, Any] = {"policies": ["random"], "env": BRIDGE, "episodes": 3, "env_options": SHORT}
     compare(**arguments, out=tmp_path)
     here, there = (compare(**arguments, real_time=tmp_path, slow_down=9e3, workers=n) for n in (1, 2))
     assert_same_episodes(here, there)
 
 
 def test_late_decisions_are_missed_deadlines_and_results_say_how_they_came(clock, tmp_path):
-    arguments = {"env": BRIDGE, "episodes": 2, "env_options": SHORT}
+    arguments: dict[str, Any] = {"env": BRIDGE, "episodes": 2, "env_options": SHORT}
     late = compare({"wandering": wandering(clock)["wandering"]}, **arguments, real_time="measured", slow_down=5,
                    out=tmp_path)  # fmt: skip
     (note,) = late.notes
@@ -206,13 +210,15 @@ def test_what_cannot_be_played_in_real_time_is_refused(recorded, tmp_path, argum
 
 
 def test_actions_that_are_no_numbers_cannot_be_late():
-    worlds = SimpleNamespace(task=SimpleNamespace(control_period=0.1), single_action_space=gymnasium.spaces.Discrete(2))
+    worlds: Any = SimpleNamespace(
+        task=SimpleNamespace(control_period=0.1), single_action_space=gymnasium.spaces.Discrete(2)
+    )
     with pytest.raises(ConfigurationError, match="real time needs actions that are numbers"):
         check_real_time("mine/Doors-v0", worlds)
 
 
 def test_success_against_slow_down_has_the_same_times_at_every_level(clock, tmp_path):
-    arguments = {"policies": wandering(clock), "env": BRIDGE, "episodes": 2, "env_options": SHORT}
+    arguments: dict[str, Any] = {"policies": wandering(clock), "env": BRIDGE, "episodes": 2, "env_options": SHORT}
     found = sweep(**arguments, disturbances={"slow-down": [5, 1]}, out=tmp_path)
     assert found.levels == {"slow-down": [0, 1, 5]}
     assert not found.failures
@@ -231,7 +237,12 @@ def test_success_against_slow_down_has_the_same_times_at_every_level(clock, tmp_
 
 
 def test_a_sweep_of_recorded_times_may_have_many_worlds(recorded, tmp_path):
-    arguments = {"env": BRIDGE, "episodes": 2, "env_options": SHORT, "disturbances": {"slow-down": [2], "delay": [1]}}
+    arguments: dict[str, Any] = {
+        "env": BRIDGE,
+        "episodes": 2,
+        "env_options": SHORT,
+        "disturbances": {"slow-down": [2], "delay": [1]},
+    }
     found = sweep("random", **arguments, worlds=2, real_time=recorded / "latencies", out=tmp_path)
     assert not found.failures
     assert found.comparisons["slow-down-2.0"].facts.real_time == {
@@ -243,7 +254,12 @@ def test_a_sweep_of_recorded_times_may_have_many_worlds(recorded, tmp_path):
 
 
 def test_more_episodes_extend_a_recording_and_what_repeats_it(tmp_path):
-    arguments = {"env": BRIDGE, "env_options": SHORT, "disturbances": {"slow-down": [2]}, "out": tmp_path}
+    arguments: dict[str, Any] = {
+        "env": BRIDGE,
+        "env_options": SHORT,
+        "disturbances": {"slow-down": [2]},
+        "out": tmp_path,
+    }
     sweep("random", **arguments, episodes=1)
     more = sweep("random", **arguments, episodes=2)
     assert [one.resumed for one in more.comparisons.values()] == [1, 1]

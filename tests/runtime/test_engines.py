@@ -11,6 +11,7 @@ import tempfile
 import time
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pytest
@@ -123,7 +124,7 @@ def ray_cluster(ray_folder, processes):
 
 def _workers(address):
     with contextlib.suppress(ConfigurationError), connect(address) as engine:
-        return engine.count()
+        return engine.count()  # type: ignore[attr-defined]
     return 0
 
 
@@ -179,7 +180,7 @@ def test_a_cluster_plays_what_one_process_plays_also_if_a_node_is_killed(cluster
 
 def test_a_cluster_records_what_one_process_records_also_if_a_node_is_killed(cluster, processes, tmp_path):
     address, node = cluster
-    given = {"episodes": 40, "env_options": OPTIONS}
+    given: dict[str, Any] = {"episodes": 40, "env_options": OPTIONS}
     collect("mine.py:holding", out=tmp_path / "one", **given)
 
     def killing(finished):

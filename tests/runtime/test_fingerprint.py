@@ -7,6 +7,8 @@ import subprocess
 import sys
 import textwrap
 import threading
+from pathlib import PurePath
+from typing import Any
 
 import numba
 import numpy as np
@@ -15,8 +17,8 @@ import torch
 
 from armctl.core.registration import installed
 from armctl.policies.trainings import GROUP
-from armctl.runtime import fingerprint as module_under_test
 from armctl.runtime.fingerprint import UNKNOWN, fingerprint
+from armctl.runtime.own_code import in_plugin
 
 BASE = """
 import enum, functools
@@ -215,8 +217,8 @@ def test_what_has_no_checksum_is_named_by_its_place():
 
 def test_objects_that_lead_to_themselves():
     def ring(value):
-        first, second = [value], {"b": 1}
-        first.append(second)
+        second: dict[str, Any] = {"b": 1}
+        first = [value, second]
         second["a"] = first
         return first
 
@@ -247,4 +249,4 @@ def test_a_plugin_counts_by_content_wherever_it_is_installed(monkeypatch):
     original = fingerprint(random_actions.RandomActions)
     monkeypatch.setattr(random_actions.RandomActions, "training_steps", 1)
     assert fingerprint(random_actions.RandomActions) != original
-    assert module_under_test.in_plugin(module_under_test.PurePath(baselines.__file__)).is_absolute() is False
+    assert in_plugin(PurePath(baselines.__file__)).is_absolute() is False

@@ -2,6 +2,7 @@
 
 import functools
 import importlib
+import importlib.util
 import os
 import shutil
 import subprocess
@@ -20,6 +21,7 @@ from armctl.envs import make_worlds
 from armctl.runtime import identity as identity_module
 from armctl.runtime.fingerprint import fingerprint
 from armctl.runtime.identity import checksum_of_core, checksums_of_code, differences, identity
+from armctl.runtime.provenance import versions
 from armctl.study import compare
 from armctl.study.results import read_comparison
 
@@ -96,7 +98,7 @@ def test_another_value_inside_is_another_object(kind):
 def test_what_cannot_be_hashed_is_played_and_written_but_not_resumed(tmp_path):
     """Whoever asks for it is told which of the policies it is, and which part of it."""
     policies = {"locked": Gain(0.1), "mine": Gain(0.1)}
-    policies["locked"].lock = threading.Lock()
+    policies["locked"].lock = threading.Lock()  # type: ignore[attr-defined]
     first = compare(policies, episodes=2, out=tmp_path, env_options=OPTIONS)
     assert len(first.results) == 4
     assert read_comparison(tmp_path).names == ["locked", "mine"]
@@ -356,7 +358,7 @@ def test_a_torch_module_with_the_same_parameters_is_another_one(tmp_path, other)
 @pytest.mark.parametrize("package", ["numba", "llvmlite", "coal", "torch"])
 def test_another_version_of_what_computes_does_not_resume(tmp_path, monkeypatch, package):
     assert plays(tmp_path) == 0
-    real = identity_module.versions()
+    real = versions()
     assert package in real
     monkeypatch.setattr(identity_module, "versions", lambda: real | {package: "0.1"})
     with pytest.raises(ResultsError, match=f"versions: {package} "):
@@ -378,7 +380,7 @@ def test_an_edit_of_armctls_source_changes_the_identity(tmp_path, monkeypatch):
     copy = tmp_path / "armctl"
     shutil.copytree(root, copy, ignore=lambda _, names: [n for n in names if "." in n and not n.endswith(".py")])
     spec = types.SimpleNamespace(submodule_search_locations=[str(copy)])
-    monkeypatch.setattr(identity_module.importlib.util, "find_spec", lambda name: spec)
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: spec)
     original = checksum_of_core.__wrapped__()
     assert original == checksum_of_core()  # of this package, which is the same
     unnoticed = set()

@@ -30,7 +30,7 @@ def test_distances_are_those_of_coal_outside_and_negative_inside():
 def test_depth_is_to_the_nearest_face():
     box = Boxes(np.zeros((1, 3)), np.array([[1.0, 2.0, 3.0]]), np.array([np.pi / 2]))
     np.testing.assert_allclose(
-        box.distances([[0, 0, 0], [1.9, 0, 0], [0, 0.9, 0], [0, 0, 3.5]])[:, 0], [-1, -0.1, -0.1, 0.5]
+        box.distances(np.array([[0, 0, 0], [1.9, 0, 0], [0, 0.9, 0], [0, 0, 3.5]]))[:, 0], [-1, -0.1, -0.1, 0.5]
     )
 
 

@@ -1,3 +1,5 @@
+from typing import Any
+
 import gymnasium
 import numpy as np
 import pytest
@@ -26,7 +28,8 @@ def test_each_environment_names_its_oracles():
 def test_a_potential_is_one_function_of_the_state_for_an_episode(env, name, expert):
     """A state has the same potential for who has followed the episode and for who looks at its end only."""
     worlds = make(env)
-    follower, actor = make_potential(name, worlds), make_policy(expert, worlds)
+    follower: Any = make_potential(name, worlds)
+    actor = make_policy(expert, worlds)
     observations, _ = worlds.reset(seed=2)
     ids = np.arange(4, dtype=np.int32)
     actor.reset(ids)
@@ -37,7 +40,7 @@ def test_a_potential_is_one_function_of_the_state_for_an_episode(env, name, expe
     now = follower.potentials(ids)
     assert np.isfinite(now).all()
     assert (now <= 0).all()
-    late = make_potential(name, worlds)
+    late: Any = make_potential(name, worlds)
     if name == "mpc":
         late._chosen = follower._chosen  # chosen at the start of the episode
     else:
@@ -95,7 +98,7 @@ def test_ompl_is_zero_without_a_path():
     worlds = make("armctl/ArmReachObstacles-v0", 2)
     worlds.reset(seed=0)
     worlds.task._boxes[1, 0] = *worlds.task.state.target_position[1], 0.15, 0.15, 0.15, 0.0
-    potential = make_potential("ompl", worlds)
+    potential: Any = make_potential("ompl", worlds)
     ids = np.arange(2, dtype=np.int32)
     potential.begin(ids)
     potentials = potential.potentials(ids)
@@ -107,7 +110,7 @@ def test_the_path_of_ompl_ends_in_the_sphere():
     worlds = make("armctl/ArmReachObstacles-v0", 5)
     worlds.reset(seed=0)
     reach = MinimumTimeReach(worlds.task._workspace.model, THOROUGH)
-    potential = make_potential("ompl", worlds)
+    potential: Any = make_potential("ompl", worlds)
     potential.begin(np.arange(5, dtype=np.int32))
     found = np.flatnonzero(potential._has_path)
     assert len(found) >= 4  # feasible is what another planner, with more time and less clearance, has certified

@@ -1,3 +1,5 @@
+from typing import Any, cast
+
 import gymnasium
 import numpy as np
 import pytest
@@ -7,7 +9,7 @@ from armctl.core.errors import ConfigurationError
 from armctl.envs import TaskVectorEnv
 from armctl.planning import Lattice
 from armctl.policies import make_policy
-from armctl.shaping import Shaped, ShapedEnv, make_potential
+from armctl.shaping import Potential, Shaped, ShapedEnv, make_potential
 from armctl.shaping.wrappers import difference
 from armctl.tasks.bridge.layout import sample_layout
 
@@ -24,7 +26,9 @@ PAIRS = [
     ("armctl/BridgeCrossMoving-v0", "ompl", "bridge_ompl"),
     ("armctl/BridgeCrossMoving-v0", "people", "bridge_ompl"),
 ]
-OPTIONS = {"armctl/BridgeCross-v0": {"observation": "state", "deck_length": 8.0, "blocks": 1, "missing_barriers": 0}}
+OPTIONS: dict[str, dict[str, Any]] = {
+    "armctl/BridgeCross-v0": {"observation": "state", "deck_length": 8.0, "blocks": 1, "missing_barriers": 0}
+}
 
 
 def make(env, n=4, mode="disabled", **options):
@@ -166,10 +170,10 @@ def test_what_cannot_be_shaped_is_refused():
         Shaped(make("armctl/BridgeCross-v0"), "ik", gamma=GAMMA)
     with pytest.raises(ConfigurationError, match="own environments"):
         ShapedEnv(gymnasium.make("CartPole-v1"), "distance", gamma=GAMMA)
-    for gamma in (-0.1, 1.5, np.nan, "0.9"):
+    for gamma in (-0.1, 1.5, np.nan, cast(float, "0.9")):
         with pytest.raises(ConfigurationError, match="gamma"):
             Shaped(make("armctl/ArmReach-v0"), "distance", gamma=gamma)
-    for scale in (np.nan, np.inf, "1"):
+    for scale in (np.nan, np.inf, cast(float, "1")):
         with pytest.raises(ConfigurationError, match="scale"):
             Shaped(make("armctl/ArmReach-v0"), "distance", gamma=GAMMA, scale=scale)
     with pytest.raises(ConfigurationError, match="already"):
@@ -179,7 +183,7 @@ def test_what_cannot_be_shaped_is_refused():
 
 
 def test_an_oracle_of_ones_own_shapes():
-    class Constant:
+    class Constant(Potential):
         def __init__(self, worlds):
             assert isinstance(worlds, TaskVectorEnv)
 

@@ -1,5 +1,7 @@
 """Control steps in compiled code are those of `mujoco.batch`, bit for bit."""
 
+from typing import Any
+
 import gymnasium
 import mujoco
 import numpy as np
@@ -36,7 +38,7 @@ def same(ours, theirs):
 
 
 def worlds(env, n, threads, options):
-    made = gymnasium.make_vec(f"armctl/{env}", num_envs=n, threads=threads, **options)
+    made: Any = gymnasium.make_vec(f"armctl/{env}", num_envs=n, threads=threads, **options)
     return made, made.unwrapped.task
 
 

@@ -1,5 +1,7 @@
 """Impacts are stepped more finely, and what else happens is what it was, bit for bit."""
 
+from typing import Any
+
 import gymnasium
 import mujoco
 import numpy as np
@@ -72,7 +74,7 @@ def test_an_impact_in_one_world_is_nothing_to_the_others_and_the_same_alone():
 @pytest.mark.parametrize("env", ["armctl/ArmReachObstacles-v0", "armctl/BridgeCross-v0"])
 def test_a_touch_in_finer_steps_is_not_forgotten(env):
     options = {"control": "velocity"} if "Arm" in env else {"resolution": (8, 6)}
-    made = gymnasium.make_vec(env, num_envs=4, threads=1, autoreset_mode="disabled", **options)
+    made: Any = gymnasium.make_vec(env, num_envs=4, threads=1, autoreset_mode="disabled", **options)
     made.reset(seed=0)
     action = made.single_action_space.high * ([1, 1, 1, 0, 0, 0] if "Arm" in env else [1, 0.1])
     simulation, refined = made.unwrapped.task.simulation, []

@@ -1,4 +1,5 @@
 import os
+from typing import Any
 
 import gymnasium
 import pytest
@@ -13,7 +14,8 @@ CORES = len(os.sched_getaffinity(0))
 def test_a_limit_lowers_the_number_of_threads(monkeypatch, limit, threads):
     monkeypatch.setenv(THREADS_ENV_VAR, limit)
     assert usable_threads() == threads
-    assert gymnasium.make_vec("armctl/ArmReach-v0", num_envs=2).unwrapped.task.simulation.threads == threads
+    worlds: Any = gymnasium.make_vec("armctl/ArmReach-v0", num_envs=2)
+    assert worlds.unwrapped.task.simulation.threads == threads
 
 
 def test_without_a_limit_all_cores_are_used(monkeypatch):

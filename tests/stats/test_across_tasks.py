@@ -131,7 +131,7 @@ def test_a_mean_over_tasks_is_that_of_one_task_and_narrower_for_several():
     assert mean.value == pytest.approx((parts[0].mean() + parts[1].mean()) / 2)
     assert values(mean_over_tasks(parts[::-1])) == pytest.approx(values(mean), abs=0.005)
     widths = [one.high - one.low for one in (mean, alone, bounded_mean(parts[1], (0.0, 1.0)))]
-    assert widths[0] == pytest.approx(np.hypot(*widths[1:]) / 2, rel=0.05)  # far from 0 and 1
+    assert widths[0] == pytest.approx(np.hypot(widths[1], widths[2]) / 2, rel=0.05)  # far from 0 and 1
     assert mean_over_tasks([]) is None
 
 

@@ -147,7 +147,8 @@ def test_intervals_and_equivalence_are_for_all_pairs_of_a_comparison(trainings):
             assert getattr(pair.simultaneous, name) == found.simultaneous
             assert (pair.steps_p if name == "steps" else pair.return_p) == found.p
         if pair.crossed:
-            assert pair.crossed == difference_over_trainings(*values("success"), (0.0, 1.0), narrow, wide)
+            a, b = values("success")
+            assert pair.crossed == difference_over_trainings(a, b, (0.0, 1.0), narrow, wide)
             assert (
                 pair.success_among(3) == pair.crossed.simultaneous != pair.success_difference == pair.crossed.estimate
             )
@@ -174,11 +175,10 @@ def test_groups_are_compared_in_success_return_and_steps_over_their_trainings():
 def test_a_reversed_pair_is_that_of_the_second_against_the_first(trainings):
     rng = np.random.default_rng(0)
     won = (rng.random((trainings, 60)) < 0.9).astype(float), (rng.random((1, 60)) < 0.6).astype(float)
-    steps = tuple(np.where(success == 1, 20.0, 100.0) for success in won)
-    pair, other = (
-        paired_difference(a, b, won[::turn], won[::turn], steps[::turn], (0.0, 1.0), 100, 3)
-        for a, b, turn in (("a", "b", 1), ("b", "a", -1))
-    )
+    steps = np.where(won[0] == 1, 20.0, 100.0), np.where(won[1] == 1, 20.0, 100.0)
+    pair = paired_difference("a", "b", won, won, steps, (0.0, 1.0), 100, 3)
+    swapped = won[1], won[0]
+    other = paired_difference("b", "a", swapped, swapped, (steps[1], steps[0]), (0.0, 1.0), 100, 3)
     found = pair.reversed()
     back = found.reversed()
     assert (back.a, back.crossed, back.return_difference) == (pair.a, pair.crossed, pair.return_difference)

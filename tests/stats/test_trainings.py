@@ -116,9 +116,9 @@ def test_intervals_and_p_values_hold_whatever_the_population_of_trainings(traini
             against_group.append(difference_over_trainings(other, group, SHARES))
         for found, truth in ((means, rate), ([one.estimate for one in differences + against_group], 0)):
             assert max(misses(found, truth)) <= allowed(0.025, runs)
-        for found in (differences, against_group):
-            assert np.mean([one.p < 0.05 for one in found]) <= allowed(0.05, runs)
-            assert max(misses([one.ci90 for one in found], 0)) <= allowed(0.05, runs)
+        for pairs in (differences, against_group):
+            assert np.mean([one.p < 0.05 for one in pairs]) <= allowed(0.05, runs)
+            assert max(misses([one.ci90 for one in pairs], 0)) <= allowed(0.05, runs)
 
 
 @pytest.mark.parametrize("failures", [0, 1])
@@ -280,7 +280,8 @@ def test_many_episodes_do_not_make_up_for_few_trainings():
 @pytest.mark.parametrize("sign", [1, -1])
 def test_superiority_of_two_single_trainings_is_limited_by_their_episodes(sign):
     ahead, behind = np.ones((1, 10)), np.zeros((1, 10))
-    found = superiority_over_trainings(*(ahead, behind)[::sign])[0].probability
+    a, b = (ahead, behind)[::sign]
+    found = superiority_over_trainings(a, b)[0].probability
     assert found.value == (sign + 1) / 2
     assert found.high - found.low == pytest.approx(1 - 0.025 ** (1 / 10), abs=0.02)
 

@@ -48,7 +48,7 @@ def test_an_episode_of_the_table_can_be_played_again():
     total, length, finished = 0.0, 0, False
     while not finished:
         observation, reward, terminated, truncated, _ = env.step(policy.act(observation[None])[0])
-        total, length, finished = total + reward, length + 1, terminated or truncated
+        total, length, finished = total + float(reward), length + 1, terminated or truncated
     assert (total, length) == (row["return"], row.length)
 
 
@@ -190,9 +190,9 @@ def test_gap_is_to_the_least_length_that_all_policies_share(tmp_path):
     for policy in comparison.policies:
         assert policy.optimality_gap.value == pytest.approx(won[won.policy == policy.policy].optimality_gap.median())
         assert policy.tracking_error is None
-    console = Console(file=io.StringIO(), width=100)
+    console = Console(file=(out := io.StringIO()), width=100)
     console.print(tables(comparison))
-    assert "% over the least time" in console.file.getvalue()
+    assert "% over the least time" in out.getvalue()
 
 
 def test_zeros_are_no_proof_of_none():

@@ -2,6 +2,7 @@
 
 import io
 import json
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -167,13 +168,13 @@ def test_policies_of_an_unknown_environment_are_not_guessed():
 
 def test_failures_of_solvers_are_reported():
     def sometimes_at_a_loss(env):
-        policy = Fragile(10**6, fail)
+        policy: Any = Fragile(10**6, fail)
         policy.failures = np.zeros(3, dtype=int)
         policy.reset = lambda ids: policy.failures.__iadd__(1)
         return policy
 
     comparison = compare([sometimes_at_a_loss, "reach_ik"], episodes=3, worlds=3)
     assert [policy.solver_failures for policy in comparison.policies] == [3, 0]
-    console = Console(file=io.StringIO(), width=100)
+    console = Console(file=(out := io.StringIO()), width=100)
     console.print(tables(comparison))
-    assert console.file.getvalue().count("solver failures: 3") == 1
+    assert out.getvalue().count("solver failures: 3") == 1

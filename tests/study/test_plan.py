@@ -5,6 +5,7 @@ import pytest
 from armctl.core.errors import ConfigurationError
 from armctl.rollout.real_time import RealTime
 from armctl.study import compare, suite, sweep
+from armctl.study.options import TaskOptions
 from armctl.study.plan import FROM_UNDISTURBED, comparison_plan, sweep_plan
 
 REACH = "armctl/ArmReach-v0"
@@ -20,7 +21,7 @@ def test_a_comparison_is_one_cell():
 
 
 def test_a_sweep_has_a_cell_for_each_level_and_the_undisturbed_one_first():
-    options = {"env_options": {"disturbances": {"strength": 0.9}, "tolerance": 0.03}}
+    options: TaskOptions = {"env_options": {"disturbances": {"strength": 0.9}, "tolerance": 0.03}}
     plan = sweep_plan(["random"], REACH, {"delay": [2, 1], "slow-down": [5]}, 4, 0, options)
     assert [cell.name for cell in plan.cells] == ["none", "delay-1.0", "delay-2.0", "slow-down-5.0"]
     none, first, _, slow = plan.cells
@@ -52,6 +53,6 @@ def test_what_is_wrong_with_a_comparison_is_told_before_a_folder_is_made(argumen
 
 def test_sweeps_and_suites_have_options_of_their_own(tmp_path):
     with pytest.raises(ConfigurationError, match="no option 'margin'"):
-        sweep("random", margin=0.1)
+        sweep("random", margin=0.1)  # type: ignore[call-arg]
     with pytest.raises(ConfigurationError, match="no option 'env_options'"):
-        suite([REACH], env_options={})
+        suite([REACH], env_options={})  # type: ignore[call-arg]

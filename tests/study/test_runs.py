@@ -106,7 +106,8 @@ def told_before(comparison):
     ],
 )
 def test_a_machine_is_busy_by_what_others_do(cores, loads, own, busy):
-    run = Run("a", "", {}, "", cores, {}, 1, 1, *loads, own)
+    before, during, after = loads
+    run = Run("a", "", {}, "", cores, {}, 1, 1, before, during, after, own)
     assert run.busy == busy
     assert MAX_BACKGROUND_LOAD * 2 == 0.5
 

@@ -80,7 +80,7 @@ def test_a_policy_may_say_what_it_reads(sees, reads, spared):
 
     armctl.sees(sees)(Still)
     if reads is not None:
-        Still.reads = reads
+        Still.reads = reads  # type: ignore[attr-defined]
     options = {"disturbances": {"noise": 0.1, "delay": 1, "dropout": 0.5}, "max_episode_steps": 2}
     (only,) = compare(Still, BRIDGE, episodes=1, env_options=options).policies
     assert only.spared == spared
@@ -90,6 +90,6 @@ def test_an_unknown_channel_is_an_error():
     def still(observation):
         return [0.0] * 6
 
-    still.reads = ("pictures",)
+    still.reads = ("pictures",)  # type: ignore[attr-defined]
     with pytest.raises(ConfigurationError, match="no channel that a policy reads 'pictures'"):
         compare(still, episodes=1, env_options={"max_episode_steps": 1})

@@ -74,9 +74,8 @@ def test_the_result_is_that_of_sweeps(finished):
     assert set(timeless(folder).cell) == {f"{task}/{at}" for task in ("ArmReach-v0", "ArmReachMoving-v0")
                                           for at in ("none", "delay-1.0")}  # fmt: skip
     alone = armctl.sweep(LINE_UPS[MOVING], MOVING, disturbances={"delay": [1]}, episodes=2)
-    pd.testing.assert_frame_equal(
-        *(swept.points.drop(columns=["p"]) for swept in (alone, found.tasks[MOVING])), check_dtype=False
-    )
+    swept, by_suite = (one.points.drop(columns=["p"]) for one in (alone, found.tasks[MOVING]))
+    pd.testing.assert_frame_equal(swept, by_suite, check_dtype=False)
     assert found.problems == []
 
 

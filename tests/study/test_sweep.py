@@ -1,6 +1,7 @@
 import io
 import os
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -28,13 +29,14 @@ REACH = "armctl/ArmReach-v0"
 
 
 def run(**arguments):
-    return sweep(arguments.pop("policies", POLICIES), **{"disturbances": LEVELS, "episodes": 4, "seed": 3} | arguments)
+    options: dict[str, Any] = {"disturbances": LEVELS, "episodes": 4, "seed": 3} | arguments
+    return sweep(options.pop("policies", POLICIES), **options)
 
 
 def printed(found):
-    console = Console(file=io.StringIO(), width=100)
+    console = Console(file=(out := io.StringIO()), width=100)
     console.print(tables(found))
-    return console.file.getvalue()
+    return out.getvalue()
 
 
 def timeless(folder):

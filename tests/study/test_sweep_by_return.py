@@ -36,10 +36,10 @@ def sweep_of(before, after, p, change):
 def drops(rng, better, up=1.0):
     """Whether a drop is told."""
     before, after = (up * values for values in returns(rng, better))
-    tables = (
+    before_table, after_table = (
         pd.DataFrame({"policy": "a", "episode": np.arange(EPISODES), "return": values}) for values in (before, after)
     )
-    (found,) = degradations(sweep_of(before, after, *change_between(*tables, "return")))
+    (found,) = degradations(sweep_of(before, after, *change_between(before_table, after_table, "return")))
     return found.drops is not None
 
 

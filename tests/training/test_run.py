@@ -41,7 +41,7 @@ class InAChild(Cluster):
         return item
 
     def _submit(self, common, unit):
-        return run_isolated(*common, unit)
+        return run_isolated(*common, unit)  # type: ignore[call-arg]
 
     def _wait(self, running):
         return running, []

@@ -22,7 +22,7 @@ from armctl.study import compare
 from armctl.training.learners import load_recipe
 from armctl.training.trials import read_trials
 from armctl.tuning import candidate_of, tunable, tune
-from armctl.tuning.candidates import BLOCK, Pruned
+from armctl.tuning.candidates import BLOCK, Pruned, RecipeCandidate
 from armctl.tuning.journal import JOURNAL, TUNING
 from armctl.tuning.trials import measure
 
@@ -175,6 +175,7 @@ def test_a_hopeless_trial_is_pruned(tmp_path):
 
 def test_a_training_is_interrupted_where_it_is_pruned(recipe, tmp_path):
     candidate, told = candidate_of(recipe, training_seeds=1), []
+    assert isinstance(candidate, RecipeCandidate)
 
     def report(step, score):
         told.append(step)
@@ -201,6 +202,7 @@ def test_values_that_fail_are_noted_and_three_in_a_row_end_it(tmp_path):
 
 def test_present_values_that_fail_end_it_at_once(recipe, tmp_path):
     candidate = candidate_of(recipe, training_seeds=1)
+    assert isinstance(candidate, RecipeCandidate)
     broken = candidate.recipe.changed(options=candidate.recipe.options | {"demonstrations": 0})
     with pytest.raises(ConfigurationError, match=r"fails with its present values.*demonstrations"):
         tune(dataclasses.replace(candidate, recipe=broken), tmp_path / "out", trials=3)

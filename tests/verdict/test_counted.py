@@ -11,14 +11,10 @@ from armctl.stats.robustness import change_between
 from armctl.verdict.scores import by_learner
 from armctl.verdict.summary import counted_results, counted_rows, summarise
 
-from ..made_up_episodes import played
+from ..made_up_episodes import Untrained, played
 
 LOST = 7
 """The episode that was not finished: those after it ended earlier because they were shorter."""
-
-
-class Untrained:
-    sees, training_steps = "observation", 0
 
 
 def results(feasible=lambda episode: True):

@@ -63,9 +63,10 @@ def compared(won, steps=None, returns=None):
     earned = returns or {name: of * 1.0 for name, of in won.items()}
     late = steps and {name: np.where(of, steps[name], LIMIT) for name, of in won.items()}
     couples = list(itertools.combinations(won, 2))
+    num = len(couples)
     pairs = [
         paired_difference(
-            a, b, (won[a], won[b]), (earned[a], earned[b]), late and (late[a], late[b]), (0.0, 1.0), LIMIT, len(couples)
+            a, b, (won[a], won[b]), (earned[a], earned[b]), (late[a], late[b]) if late else None, (0, 1), LIMIT, num
         )
         for a, b in couples
     ]
@@ -290,10 +291,8 @@ def test_intervals_of_the_sentence_hold_for_all_pairs_at_once():
     assert verdict_pairs(policies, pairs, "reach_ik")[0].num_comparisons == 3
     renamed = {name.replace("reach_mpc", "mine.py:pd"): of for name, of in won.items()}
     renamed["mine.py:pd"] = np.zeros(200, dtype=bool)
-    assert [found.num_comparisons for found in verdict_pairs(*compared(renamed), None)] == [
-        6,
-        6,
-    ]  # all: one more is told
+    policies, pairs = compared(renamed)
+    assert [found.num_comparisons for found in verdict_pairs(policies, pairs, None)] == [6, 6]  # all: one more is told
 
 
 def test_equivalence_is_for_all_pairs_among_which_the_best_were_chosen():
@@ -308,15 +307,15 @@ def test_equivalence_is_for_all_pairs_among_which_the_best_were_chosen():
 
 
 def test_earlier_looks_are_a_part_of_the_sentence():
-    once, twice = ({"looks": looks} for looks in ([100], [100, 1200]))
+    once, twice = [100], [100, 1200]
     words = "after 2 earlier looks at 100 and 1,200 episodes, p is too small and intervals are too narrow"
     for ppo in (300, 399, 396):
         policies, pairs = played({"reach_ik": range(400), "reach_ppo": range(ppo)})
-        plain, looked = verdict(policies, pairs), verdict(policies, pairs, **twice)
+        plain, looked = verdict(policies, pairs), verdict(policies, pairs, looks=twice)
         assert f"; {words}." in looked
         assert looked.replace(f"; {words}", "") == plain
-        assert headline(policies, pairs, **twice)[0].endswith(f"; {words}.")
-        assert "; after an earlier look at 100 episodes, p is too small" in verdict(policies, pairs, **once)
+        assert headline(policies, pairs, looks=twice)[0].endswith(f"; {words}.")
+        assert "; after an earlier look at 100 episodes, p is too small" in verdict(policies, pairs, looks=once)
 
 
 def test_without_bounds_of_returns_the_sign_test_speaks():

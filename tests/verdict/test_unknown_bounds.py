@@ -17,16 +17,13 @@ from armctl.study.results import read_comparison
 from armctl.verdict.summary import summarise
 
 from ..made_up_comparison import made_up
+from ..made_up_episodes import Untrained
 
 EPISODES, RUNS = 60, 30
 DISASTERS, COST = 1 / 200, 2000.0
 BOUNDS = (-COST - 50.0, 50.0)
 BY_MEAN = {"episode_return", "worst_decile"}
 """The figures of a policy that are means of returns."""
-
-
-class Untrained:
-    sees, training_steps = "observation", 0
 
 
 def returns(rng, bold):
@@ -40,7 +37,8 @@ TRUTH = 1 - DISASTERS * COST
 
 
 def episodes(name, earned):
-    nothing = Metrics(*[math.nan] * 7, None, 0, None, 0.01, 0.01, 0.01, math.nan)
+    nan = math.nan
+    nothing = Metrics(nan, nan, nan, nan, nan, nan, nan, None, 0, None, 0.01, 0.01, 0.01, nan)
     return [
         EpisodeResult(
             name, "mine/Hover-v0", k, 0, "truncated", None, True, float(value), {}, 100, math.nan, math.nan, nothing,
@@ -128,7 +126,8 @@ def test_groups_of_trainings_are_no_exception():
     rng = np.random.default_rng(0)
     several, single = np.stack([returns(rng, 1) for _ in range(3)]), returns(rng, 0)[None]
     pair = paired_difference("g[*]", "b", None, (several, single), None, None)
-    assert pair.return_difference == Estimate(pytest.approx(several.mean() - single.mean()), None, None)
+    assert pair.return_difference.value == pytest.approx(several.mean() - single.mean())
+    assert (pair.return_difference.low, pair.return_difference.high) == (None, None)
     assert pair.return_p is None
     assert pair.superiority.probability.value > 0.5
 

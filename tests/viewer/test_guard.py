@@ -6,6 +6,7 @@ import socket
 import subprocess
 import sys
 import time
+from typing import Any
 
 import pytest
 from mujoco.studio.web import web_server
@@ -27,7 +28,7 @@ def served():
     """A guard, before a server that has a model to show."""
     public = web_server.bind_public_socket("127.0.0.1")
     inner = OwnProcessListener(fileno=web_server.bind_loopback_socket().detach())
-    guard = Guard(public.getsockname()[1])
+    guard: Any = Guard(public.getsockname()[1])
     server = web_server.WebServer(http_sock=public, tcp_sock=inner, mjb_data=MODEL)
     with public, inner:
         with guarded(guard):

@@ -1,3 +1,5 @@
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -25,7 +27,7 @@ class Straight:
         pass
 
     def act(self, observations):
-        return np.tile(np.float32([1.6, 0.0]), (len(observations), 1))
+        return np.tile(np.array([1.6, 0.0], np.float32), (len(observations), 1))
 
 
 @pytest.fixture
@@ -149,7 +151,7 @@ def test_it_sees_the_state_whatever_its_worlds_show():
     for options in ({"resolution": (8, 6)}, {"observation": "state"}, {"disturbances": {"noise": 0.2}}):
         worlds = make_worlds(ENV, 2, options)
         observations, _ = worlds.reset(seed=0)
-        policy = make_policy("bridge_moving_imagined", worlds)
+        policy: Any = make_policy("bridge_moving_imagined", worlds)
         policy._agent = Straight()  # which soon has to be stopped
         actions = []
         for _ in range(20):

@@ -1,3 +1,5 @@
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -95,7 +97,7 @@ def test_an_agent_that_never_arrives_acts_by_itself_and_says_so(worlds):
 
 
 def test_an_arm_that_is_pushed_gets_a_new_plan(worlds):
-    policy = make_policy("obstacles_imagined", worlds)
+    policy: Any = make_policy("obstacles_imagined", worlds)
     observations, _ = worlds.reset(seed=0)
     policy.reset(np.arange(6, dtype=np.int32))
     policy.act(observations)
@@ -109,7 +111,7 @@ def test_an_arm_that_is_pushed_gets_a_new_plan(worlds):
 
 
 def test_plans_end_at_the_target(worlds):
-    policy = make_policy("obstacles_imagined", worlds)
+    policy: Any = make_policy("obstacles_imagined", worlds)
     observations, _ = worlds.reset(seed=0)
     policy.reset(np.arange(6, dtype=np.int32))
     policy.act(observations)

@@ -5,6 +5,7 @@ import hashlib
 import json
 import re
 import threading
+from collections.abc import Callable
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from urllib.parse import unquote, urlsplit
@@ -55,6 +56,7 @@ def serving():
 
 
 class Handler(BaseHTTPRequestHandler):
+    server: FakeHub
     protocol_version = "HTTP/1.1"
 
     def log_message(self, *_):
@@ -192,7 +194,7 @@ class Handler(BaseHTTPRequestHandler):
 
 
 REPOSITORY = r"([\w.-]+/[\w.-]+)"
-ROUTES = [
+ROUTES: list[tuple[str, Callable[..., None]]] = [
     (r"POST /api/repos/create", Handler.create),
     (r"POST /api/validate-yaml", Handler.validate),
     (rf"POST /api/models/{REPOSITORY}/preupload/(.+)", Handler.preupload),

@@ -164,7 +164,7 @@ def test_tensorboard_has_it_all(trained):
     (video,) = events.Images("video")
     with Image.open(io.BytesIO(video.encoded_image_string)) as gif:
         assert (gif.format, gif.size) == ("GIF", (video.width, video.height))
-        assert gif.n_frames > 1
+        assert getattr(gif, "n_frames", 0) > 1
 
 
 ALONE = """

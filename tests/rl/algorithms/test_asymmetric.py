@@ -85,7 +85,9 @@ def test_the_critic_sees_a_state_as_an_agent_of_the_state_does(tmp_path):
 
 
 def test_numbers_of_a_state_without_features_are_shares_of_their_bounds():
-    shares = Shares(gymnasium.spaces.Box(np.float32([-4, -1, -np.inf, -3]), np.float32([4, 2, np.inf, 0])))
+    shares = Shares(
+        gymnasium.spaces.Box(np.array([-4, -1, -np.inf, -3], np.float32), np.array([4, 2, np.inf, 0], np.float32))
+    )
     found = shares(torch.tensor([[2.0, -1.0, 7.0, -3.0]]))
     torch.testing.assert_close(found, torch.tensor([[0.5, -0.5, 7.0, -3.0]]))
 
@@ -99,7 +101,7 @@ def test_the_state_shown_is_that_of_the_worlds_and_in_the_end_the_last_one(tmp_p
     shown = venv.reset()
     action = np.array([[0.4, 0.2], [0.8, -0.1]], dtype=np.float32)
     for t in range(7):
-        assert np.array_equal(shown[STATE], states)
+        np.testing.assert_equal(shown[STATE], states)
         assert all(venv.observation_space.contains({name: part[i] for name, part in shown.items()}) for i in range(2))
         shown, _, done, infos = venv.step(action)
         states, *_, truths = truth.step(training.view.action_scale({}, torch.as_tensor(action)).numpy())

@@ -1,4 +1,5 @@
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from armctl.tasks import ReachTask
 from armctl.training.learners import load_recipe
 from tests.rl.small_trainings import SHORT, small
 
-WORLDS = {
+WORLDS: dict[str, tuple[str, dict[str, Any]]] = {
     "ur5": ("armctl/ArmReach-v0", {}),
     "panda": ("armctl/ArmReach-v0", {"robot": "panda"}),
     "delta": ("armctl/ArmReach-v0", {"control": "delta"}),

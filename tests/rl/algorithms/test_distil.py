@@ -1,4 +1,5 @@
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -133,7 +134,7 @@ def test_an_interrupt_leaves_a_checkpoint(tmp_path, monkeypatch):
 def test_a_student_forgets_finished_episodes_and_so_does_the_teacher(tmp_path):
     chosen = recipe(env_options=REACH | {"max_episode_steps": 3}, length=1)
     training, student = started(chosen, tmp_path / "run")
-    teacher = make_policy(TEACHER, training.envs.unwrapped)
+    teacher: Any = make_policy(TEACHER, training.envs.unwrapped)
     batch = DistillationBatch(student, training.envs, teacher)
     for t in range(1, 7):
         batch.play()
@@ -178,7 +179,7 @@ def test_the_teacher_acts_at_first(mixed_steps, share, tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_an_agent_of_the_state_teaches_a_student_who_sees_the_camera(state_agent, tmp_path):
     """It labels the states of the very worlds that the student is in."""
-    options = {"env": "armctl/BridgeCross-v0", "env_options": CAMERA, "teacher": str(state_agent)}
+    options: dict[str, Any] = {"env": "armctl/BridgeCross-v0", "env_options": CAMERA, "teacher": str(state_agent)}
     seen, shown = (make_worlds(options["env"], 3, CAMERA | more) for more in ({}, {"observation": "state"}))
     teacher, agent = teacher_in(seen, recipe(**options), 0), load_agent(state_agent, shown)
     assert isinstance(agent, OnnxPolicy)

@@ -72,14 +72,15 @@ def test_the_last_observation_of_an_episode_has_goals_too():
 @pytest.mark.parametrize(("off", "expected"), [(0.049, STEP_REWARD + GOAL_REWARD), (0.051, STEP_REWARD)])
 def test_a_relabelled_reward_is_that_of_being_within_the_tolerance(off, expected):
     achieved = np.random.default_rng(0).normal(size=(5, 3)).astype(np.float32)
-    (rewards,) = goal_worlds(1).env_method("compute_reward", achieved, achieved + np.float32([[0, 0, off]]), [{}] * 5)
+    targets = achieved + np.array([[0, 0, off]], np.float32)
+    (rewards,) = goal_worlds(1).env_method("compute_reward", achieved, targets, [{}] * 5)
     np.testing.assert_allclose(rewards, SCALE * expected)
 
 
 def test_the_tasks_reward_is_that_of_the_goals():
     worlds = TaskVectorEnv(1, task=ReachTask, max_episode_steps=100)
     observations, _ = worlds.reset(seed=0)
-    expert, terminated = make_policy("reach_ik", worlds), [False]
+    expert, terminated = make_policy("reach_ik", worlds), np.zeros(1, dtype=bool)
     expert.reset(np.zeros(1, dtype=np.int32))
     earned = []
     while not terminated[0]:

@@ -75,7 +75,7 @@ def test_imagined_observations_are_those_of_the_environment(shapes):
     observations, _ = worlds.reset(seed=1)
     task = worlds.task
     seen = obstacles_observation(shapes.model, task.arm.joint_positions, task.state.target_position, task.state.boxes)
-    np.testing.assert_allclose(seen, observations, atol=1e-5)
+    np.testing.assert_allclose(seen, np.asarray(observations), atol=1e-5)
     worlds.close()
 
 

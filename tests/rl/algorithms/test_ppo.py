@@ -7,6 +7,7 @@ import sys
 import time
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -19,10 +20,10 @@ from armctl.core.errors import AgentFileError, ConfigurationError
 from armctl.envs import TaskVectorEnv
 from armctl.rl.algorithms.ppo import train
 from armctl.rl.networks.view import view_of
+from armctl.robots.arm import LARGEST_RELATIVE_MOVE
 from armctl.rollout import evaluate
 from armctl.tasks import BridgeTask, ReachTask
 from armctl.tasks.bridge.bridge import LEARNER_VELOCITY
-from armctl.tasks.reach.reach import LARGEST_RELATIVE_MOVE
 from armctl.training.learners import load_recipe
 
 SMALL = {
@@ -130,7 +131,7 @@ def test_an_interrupted_training_leaves_a_checkpoint_and_resumes(tmp_path):
     assert at + 4000 <= card["training_steps"] < at + 14_000
 
 
-CAMERA = {"resolution": [8, 6], "max_episode_steps": 40}
+CAMERA: dict[str, Any] = {"resolution": [8, 6], "max_episode_steps": 40}
 
 
 @pytest.fixture(scope="module")

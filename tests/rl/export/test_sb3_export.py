@@ -108,8 +108,8 @@ def test_a_world_remembers_the_same_whatever_the_number_of_worlds(tmp_path):
             agent.reset(np.flatnonzero(starts[:n]).astype(np.int32))
             actions.append(agent.act(seen[:n]))
         played[n] = np.array(actions)
-    for n, actions in played.items():
-        np.testing.assert_array_equal(actions, played[9][:, :n])
+    for n, acted in played.items():
+        np.testing.assert_array_equal(acted, played[9][:, :n])
     assert not np.array_equal(load(1).act(shown[1][:1]), played[1][1]), "what it remembers matters"
 
 

@@ -1,3 +1,5 @@
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -6,10 +8,10 @@ from armctl.core.errors import ConfigurationError
 from armctl.envs import TaskVectorEnv
 from armctl.rl.networks.actor import Actor, tensors
 from armctl.rl.networks.view import view_of
+from armctl.robots.arm import LARGEST_RELATIVE_MOVE
 from armctl.tasks import OBSERVATION, BridgeTask, ReachMovingTask, ReachObstaclesTask, ReachTask
-from armctl.tasks.reach.reach import LARGEST_RELATIVE_MOVE
 
-CAMERA = {"resolution": (8, 6)}
+CAMERA: dict[str, Any] = {"resolution": (8, 6)}
 WORLDS = {
     "reach": lambda: TaskVectorEnv(5, task=ReachTask),
     "features": lambda: TaskVectorEnv(
@@ -76,6 +78,6 @@ def test_positions_are_commanded_relative_to_the_present_ones(name):
 
 
 def test_an_observation_in_another_order_is_refused():
-    backwards = dict(reversed(OBSERVATION.items()))
+    backwards = dict(reversed([*OBSERVATION.items()]))
     with pytest.raises(ConfigurationError, match="begins with end_effector_position"):
         view_of(TaskVectorEnv(1, task=ReachTask, observation=backwards))

@@ -4,6 +4,7 @@ import functools
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -22,7 +23,7 @@ from armctl.training.trials import COLUMNS, add_trial
 
 SHIPPED = Path(str(resources.files("armctl.rl.agents")))
 CARDS = sorted(SHIPPED.rglob("*.json"))
-TINY = {
+TINY: dict[str, Any] = {
     "worlds": 1, "hidden_units": 8, "layers": 1, "features": "plain", "validation_episodes": 1,
     "evaluation_every": 10**6, "demonstrations": 2, "batch_size": 16, "steps": 5,
 }  # fmt: skip
@@ -189,7 +190,8 @@ def test_the_ledger_of_this_repository_tells_of_every_recipe_that_was_tuned():
 
 def test_an_agent_that_looks_ahead_costs_what_its_network_did_and_the_trials_of_its_options():
     worlds = make_worlds("armctl/BridgeCrossMoving-v0", 1)
-    cost = make_policy("bridge_moving_imagined", worlds).training_cost
+    policy: Any = make_policy("bridge_moving_imagined", worlds)
+    cost = policy.training_cost
     network = read_card(SHIPPED / "bridge_moving_state_ppo.json").cost
     assert replace(cost, tuning=None) == replace(network, tuning=None)
     own = recorded_tuning("bridge_moving_imagined")
@@ -199,9 +201,11 @@ def test_an_agent_that_looks_ahead_costs_what_its_network_did_and_the_trials_of_
 
 def test_the_tuning_of_an_expert_is_said_too(tmp_path):
     worlds = make_worlds("armctl/ArmReach-v0", 1)
-    assert str(make_policy("reach_mpc", worlds).training_cost.tuning) == "128 recorded trials (61 minutes)"
+    usual: Any = make_policy("reach_mpc", worlds)
+    assert str(usual.training_cost.tuning) == "128 recorded trials (61 minutes)"
     file = tmp_path / "mine.toml"
     file.write_text('policy = "reach_mpc"\nenv = "armctl/ArmReach-v0"\ntuned = { trials = 1 }\n')
-    assert str(make_policy(str(file), worlds).training_cost.tuning) == "1 recorded trial"
+    tuned: Any = make_policy(str(file), worlds)
+    assert str(tuned.training_cost.tuning) == "1 recorded trial"
     assert getattr(make_policy("reach_ik", worlds), "training_cost", None) is None
     worlds.close()

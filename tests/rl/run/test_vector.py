@@ -1,3 +1,5 @@
+from typing import Any
+
 import gymnasium
 import numpy as np
 import pytest
@@ -8,7 +10,7 @@ from armctl.rl.run.vector import StableBaselinesVectorEnv
 from armctl.shaping import Shaped
 from armctl.tasks import BridgeTask, ReachTask
 
-CAMERA = {"resolution": (8, 6)}
+CAMERA: dict[str, Any] = {"resolution": (8, 6)}
 
 
 def adapter(worlds, *, shaping=None, **options):

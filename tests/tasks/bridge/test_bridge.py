@@ -2,6 +2,7 @@ import os
 import subprocess
 import sys
 import warnings
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -40,7 +41,7 @@ def test_checkers_pass(env, options):
 
 
 def test_spaces_are_as_promised():
-    env = gymnasium.make(STATIC)
+    env: Any = gymnasium.make(STATIC)
     assert env.observation_space["image"].shape == (32, 48)
     assert env.observation_space["motion"].shape == (3,)
     np.testing.assert_allclose(env.action_space.high, (2.0, 3.0))
@@ -66,7 +67,8 @@ def test_the_state_can_be_had_of_worlds_that_show_a_camera():
         assert all(task.state_space.contains(state) for state in states)
         seen.step(np.tile((0.5, 0.4), (3, 1)))
         states = shown.step(np.tile((0.5, 0.4), (3, 1)))[0]
-    arm = gymnasium.make_vec("armctl/ArmReach-v0", num_envs=1).unwrapped.task
+    worlds: Any = gymnasium.make_vec("armctl/ArmReach-v0", num_envs=1)
+    arm = worlds.unwrapped.task
     assert arm.state_space is None
     with pytest.raises(ConfigurationError, match="state_observation"):
         arm.state_observation()

@@ -1,5 +1,7 @@
 """Bridges without physics are near enough to those with it."""
 
+from typing import Any
+
 import gymnasium
 import numpy as np
 import pytest
@@ -70,7 +72,7 @@ def test_outcomes_are_those_of_physics(dynamics):
 
 
 def test_pictures_show_where_the_rover_is():
-    env = gymnasium.make_vec(MOVING, num_envs=1, dynamics="kinematic", observation="state")
+    env: Any = gymnasium.make_vec(MOVING, num_envs=1, dynamics="kinematic", observation="state")
     env.reset(seed=1)
     for _ in range(10):
         env.step([[1.5, 0.3]])

@@ -1,9 +1,11 @@
 """Bridges with small pictures: one, or several at once."""
 
+from typing import Any
+
 import gymnasium
 
 STATIC, MOVING = "armctl/BridgeCross-v0", "armctl/BridgeCrossMoving-v0"
-SMALL = {"resolution": (8, 6)}
+SMALL: dict[str, Any] = {"resolution": (8, 6)}
 
 
 def single(env=STATIC, **options):

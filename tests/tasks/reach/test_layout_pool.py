@@ -40,7 +40,7 @@ SEEDS = st.one_of(
 
 
 @functools.cache
-def tools():
+def tools() -> tuple[Workspace, PathCertificate]:
     model = ArmModel("ur5")
     return Workspace(model), PathCertificate(model)
 

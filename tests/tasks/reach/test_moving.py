@@ -49,11 +49,11 @@ def test_is_won_by_staying_within_the_tolerance_and_by_nothing_else():
         within, terminated, total = [], False, 0.0
         while not terminated:
             observation, reward, terminated, truncated, info = env.step(policy.act(observation[None])[0])
-            within.append(np.linalg.norm(observation[:3] - observation[9:12]) <= 0.05)
+            within.append(bool(np.linalg.norm(observation[:3] - observation[9:12]) <= 0.05))
             assert reward == info["reward_terms"]["away"] + info["reward_terms"]["goal"]
             assert info["reward_terms"]["away"] == (0.0 if within[-1] else -1.0)
             assert info["is_success"] == terminated == (info["outcome"] == "held")
-            total += reward
+            total += float(reward)
             assert not truncated
         assert all(within[-25:])
         assert total == 100 - within.count(False)
@@ -61,7 +61,7 @@ def test_is_won_by_staying_within_the_tolerance_and_by_nothing_else():
 
 def test_leaving_the_tolerance_starts_the_clock_anew():
     env = gymnasium.make(ENV, hold_time=0.4, amplitude=0.0)
-    task = env.unwrapped.task
+    task = env.get_wrapper_attr("task")
     env.reset(seed=0)
     home = task.arm.description.home
     there = task.arm.end_effector_positions[0].copy()

@@ -154,10 +154,10 @@ def test_other_arms_have_obstacles_too():
     for robot in ("z1", "panda"):
         env = gymnasium.make(ENV, robot=robot)
         observation, info = env.reset(seed=0)
-        dof = env.unwrapped.task.arm.description.dof
+        dof = env.get_wrapper_attr("task").arm.description.dof
         assert observation.shape == (6 + dof + MOST_OBSTACLES * BOX_NUMBERS,)
         assert info["feasible"]
-        _, _, terminated, _, _ = env.step(env.unwrapped.task.arm.description.home)
+        _, _, terminated, _, _ = env.step(env.get_wrapper_attr("task").arm.description.home)
         assert not terminated
 
 
@@ -168,7 +168,7 @@ def test_unusable_options_are_refused():
 
 def test_shapes_in_the_simulation_are_the_capsules():
     env = gymnasium.make(ENV)
-    description = env.unwrapped.task.arm.description
-    model = env.unwrapped.task.simulation.model
+    description = env.get_wrapper_attr("task").arm.description
+    model = env.get_wrapper_attr("task").simulation.model
     pairs = len(description.collision_pairs) + MOST_OBSTACLES * len(description.capsules)
     assert model.npair == pairs

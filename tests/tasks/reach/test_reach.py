@@ -52,7 +52,7 @@ def test_reward_is_minus_one_a_step_and_a_hundred_at_the_goal(robot):
 
 def test_episode_ends_with_the_first_touch_and_the_world_stands_still_there():
     env = gymnasium.make(ENV, tolerance=0.08)
-    task, between = env.unwrapped.task, 0
+    task, between = env.get_wrapper_attr("task"), 0
     for seed in range(20):
         *before, last = list(expert_steps(env, seed))
         assert all(np.linalg.norm(step[0][:3] - step[0][-3:]) > 0.08 for step in before)
@@ -90,10 +90,10 @@ def test_box_targets_say_whether_they_can_be_reached():
 def test_target_touches_nothing():
     env = gymnasium.make(ENV)
     env.reset(seed=0)
-    simulation = env.unwrapped.task.simulation
+    simulation = env.get_wrapper_attr("task").simulation
     geom = simulation.model.geom("target")
     assert geom.contype == geom.conaffinity == 0
-    simulation.array("mocap_pos")[:] = env.unwrapped.task.arm.end_effector_positions
+    simulation.array("mocap_pos")[:] = env.get_wrapper_attr("task").arm.end_effector_positions
     env.step(np.zeros(6))
     assert not any(geom.id in contact.geom for contact in simulation.data(0).contact)
 
@@ -114,7 +114,7 @@ def test_reward_observation_and_robot_are_replaceable():
     distance = np.linalg.norm(observation[:3] - observation[9:12])
     assert info["reward_terms"]["closeness"] == pytest.approx(-distance, abs=1e-6)
     assert reward == info["reward_terms"]["closeness"] - 1
-    np.testing.assert_allclose(observation[12:], env.unwrapped.task.state.joint_velocities[0], rtol=1e-6)
+    np.testing.assert_allclose(observation[12:], env.get_wrapper_attr("task").state.joint_velocities[0], rtol=1e-6)
 
 
 def test_progress_telescopes_over_an_episode():

@@ -18,7 +18,7 @@ from armctl.core.errors import missing_extra
 from armctl.integrations.tracking.tracker import Ending, Tracker
 
 try:
-    from tensorboard.compat.proto.summary_pb2 import Summary  # type: ignore[import-untyped]
+    from tensorboard.compat.proto.summary_pb2 import Summary
     from torch.utils.tensorboard import SummaryWriter
 except ModuleNotFoundError as error:
     raise missing_extra("tracking by tensorboard", error) from error
