@@ -10,7 +10,7 @@ from armctl.study import compare
 from armctl.study.results import read_comparison
 from armctl.verdict.sentences import headline, verdict, verdict_pairs
 
-from ..verdict.test_sentences import played
+from ..verdict.made_up_verdicts import played
 
 BRIDGE = "armctl/BridgeCross-v0"
 NOT_TESTED = "Not tested, because the disturbance does not affect them: reach_ik (noise)."

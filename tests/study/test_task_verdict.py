@@ -17,7 +17,7 @@ from armctl.study import Study, sweep
 from armctl.study.task_verdict import TaskVerdict, holm_corrected, task_verdict
 
 from ..report.pages import text_of
-from ..verdict.test_sentences import summary_of
+from ..verdict.made_up_verdicts import summary_of
 
 SETTINGS = ("delay 1", "noise 0.1")
 

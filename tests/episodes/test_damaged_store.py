@@ -1,0 +1,133 @@
+"""What was damaged, changed by another program or forged is told, and nothing is touched."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from armctl.core.errors import ResultsError
+from armctl.core.files import sealed
+from armctl.episodes.database import FORMAT
+from armctl.episodes.stored import STORE, read_store
+
+from ..made_up_episodes import OWN, played, same
+from ..stores import one_cell, read_cell
+from .stored import contents, edit, write
+
+
+def resume(folder):
+    with one_cell(folder, OWN, 12):
+        pass
+
+
+@pytest.fixture
+def made_up(tmp_path):
+    write(tmp_path, played(12, "ba"))
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("command", "says"),
+    [
+        ("UPDATE episode SET energy = energy + 1e-9 WHERE rowid = 3", "an episode was changed"),
+        ("UPDATE episode SET contacts = NULL WHERE rowid = 1", "an episode was changed"),
+        ("UPDATE episode SET feasible = 1 - feasible WHERE rowid = 2", "an episode was changed"),
+        ("UPDATE episode SET policy = outcome, episode = 77 WHERE rowid = 1", "an episode was changed"),
+        ("UPDATE episode SET episode = 99 WHERE rowid = 1", "an episode was changed"),
+        ("UPDATE episode SET decision_ms = zeroblob(length(decision_ms)) WHERE rowid = 4", "an episode was changed"),
+        ("UPDATE episode SET decision_ms = x'00' WHERE rowid = 4", "an episode was changed"),
+        ("UPDATE episode SET reward_terms = x'' WHERE rowid = 4", "an episode was changed"),
+        ("UPDATE episode SET run = 10000", "is out of bounds"),
+        ("UPDATE episode SET run = -1", "a text that is not there"),
+        ("UPDATE episode SET cell = 1 WHERE rowid = 4", "1 episodes that are not of its cells"),
+        ("UPDATE text SET text = text || 'x' WHERE id = 0", "an episode was changed"),
+        ("UPDATE text SET id = 99 WHERE id = 0", "not numbered"),
+        ("UPDATE cell SET identity = replace(identity, ': 3', ': 4')", "checksum"),
+        ("UPDATE cell SET identity = '[]'", "checksum"),
+        ("DELETE FROM cell", "24 episodes that are not of its cells"),
+        ("INSERT INTO run VALUES (0, '{}')", "checksum"),
+        (f"INSERT INTO run VALUES (0, '{sealed({'id': 1})}')", "validation errors"),
+        ("CREATE TABLE more (x)", "does not have the tables"),
+        ("CREATE TRIGGER late AFTER DELETE ON run BEGIN DELETE FROM episode; END", "does not have the tables"),
+        ("CREATE VIEW extra AS SELECT * FROM episode", "does not have the tables"),
+        ("ALTER TABLE episode DROP COLUMN energy", "does not have the tables"),
+        (f"PRAGMA user_version = {FORMAT + 1}", f"format {FORMAT + 1}"),
+    ],
+)
+def test_what_another_program_changed_is_told_and_nothing_is_touched(made_up, command, says):
+    edit(made_up, command)
+    before = contents(made_up)
+    for use in (read_store, resume):
+        with pytest.raises(ResultsError, match=rf"results\.sqlite is damaged .*{says}"):
+            use(made_up)
+    assert contents(made_up) == before
+    write(made_up, [])
+
+
+def test_values_of_other_types_are_told(made_up):
+    """As only somebody can write them who changes the tables and changes them back."""
+    edit(made_up, *as_strict("replace(sql, ' STRICT', '')"))
+    edit(made_up, "UPDATE episode SET energy = 'much' WHERE rowid = 1")
+    edit(made_up, *as_strict("sql || ' STRICT'"))
+    with pytest.raises(ResultsError, match=r"non-REAL value in episode\.energy"):
+        read_store(made_up)
+
+
+def as_strict(sql):
+    change = f"UPDATE sqlite_schema SET sql = {sql} WHERE name = 'episode'"
+    return "PRAGMA writable_schema = ON", change, "PRAGMA writable_schema = RESET"
+
+
+def test_any_bytes_are_refused_or_change_nothing(made_up):
+    whole, rng, refused = (made_up / STORE).read_bytes(), np.random.default_rng(0), 0
+    contents = [b"", b"SQLite format 3\0", *(whole[:end] for end in range(1, len(whole), 2_003))]
+    places = rng.integers(0, len(whole), 200).tolist()
+    contents += [whole[:at] + bytes([whole[at] ^ int(rng.integers(1, 256))]) + whole[at + 1 :] for at in places]
+    for content in contents:
+        (made_up / STORE).write_bytes(content)
+        try:
+            same(read_cell(made_up).episodes, list(played(12, "ba")))
+        except ResultsError as error:
+            refused += "is damaged" in str(error)
+    assert refused > 40
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"policy": "c"}, "not of this comparison"),
+        ({"episode": -1}, "-1 is not the number"),
+        *(({"total_reward": value}, "return has") for value in (math.inf, math.nan, 1e101, -1e308)),
+        *(({"reward_terms": {"step": 0.0, "x": value}}, "reward_terms has") for value in (math.inf, math.nan, -1e101)),
+        ({"decision_ms": np.array([math.nan, 1.0]), "length": 2}, "no times"),
+        ({"decision_ms": np.array([1.0, -1.0]), "length": 2}, "no times"),
+        ({"decision_ms": np.array([1.0, math.inf]), "length": 2}, "no times"),
+        ({"decision_ms": np.array([]), "length": 0}, "without decision times"),
+        ({"length": 99}, "do not fit the length"),
+        ({"length": -1}, "do not fit the length"),
+        ({"reset_ms": -1.0}, "reset_ms that is no time"),
+    ],
+)
+def test_what_no_episode_can_be_is_told(tmp_path, change, says):
+    """Though all checksums are right, as whoever means harm would write it."""
+    found = list(played(12, "ba"))
+    found[5] = replace(found[5], **change)
+    write(tmp_path, found)
+    with pytest.raises(ResultsError, match=says):
+        read_store(tmp_path)
+
+
+@pytest.mark.parametrize("identity", [{}, {"env": "x", "seed": 3}, {"env": 3, "seed": [], "policies": None}])
+def test_an_identity_that_is_none_is_told(tmp_path, identity):
+    write(tmp_path, [], OWN)
+    edit(tmp_path, f"UPDATE cell SET identity = '{sealed(identity)}'")
+    with pytest.raises(ResultsError, match="is damaged"):
+        read_store(tmp_path)
+
+
+def test_an_episode_has_one_row(made_up):
+    with one_cell(made_up, OWN, 12) as store:
+        store.write(next(played(1, "b")))
+        with pytest.raises(ResultsError, match="UNIQUE"):
+            store.finish({}, [])
