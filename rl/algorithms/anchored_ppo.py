@@ -150,7 +150,6 @@ def improve(
     options: AnchoredPpoOptions,
     make_vec_env: Callable[[], StableBaselinesVectorEnv],
     start: Callable[[AnchoredPpo], None],
-    progress: bool,
 ) -> AgentCard:
     """Train by PPO from where `start` puts a new model's actor, and finish the training.
 
@@ -166,7 +165,7 @@ def improve(
             model.set_kl_anchor()
             training.evaluate(actor, 0)
             _fit_critic(training, model, min(options.critic_steps, options.steps), options.critic_rate)
-        return learn(training, model, actor, progress, make_vec_env)
+        return learn(training, model, actor, make_vec_env)
 
 
 def _fit_critic(training: Training, model: AnchoredPpo, steps: int, learning_rate: float) -> None:
@@ -175,7 +174,7 @@ def _fit_critic(training: Training, model: AnchoredPpo, steps: int, learning_rat
     assert isinstance(model.env, StableBaselinesVectorEnv)
     model.env.seed(training.first_seed())
     optimizer = torch.optim.Adam(model.critic_parameters(), learning_rate)
-    optimizer.register_step_post_hook(lambda *_: training.meter.add(gradient_steps=1))
+    training.meter.watch(optimizer)
     for explained in model.fit_critic(steps, optimizer):
         LOG.info("%s steps: the critic explains %.0f%% of returns", f"{model.num_timesteps:,}", 100 * explained)
         training.logger.record("train/explained_variance", explained)

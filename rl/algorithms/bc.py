@@ -27,9 +27,9 @@ def _check(recipe: Recipe, options: BcOptions) -> None:
 
 
 @learner(BcOptions, rewards=False, curriculum=False, check=_check)
-def train(training: Training, options: BcOptions, progress: bool) -> AgentCard:
+def train(training: Training, options: BcOptions) -> AgentCard:
     """Fit an actor to the demonstrations."""
     examples = examples_for(training, options)
-    examples.add(demonstrations(training, options, options.dataset, progress))
+    examples.add(demonstrations(training, options, options.dataset))
     with training:
-        return fit_and_export(training, new_actor(training, options), examples, options.batch_size, progress)
+        return fit_and_export(training, new_actor(training, options), examples, options.batch_size)

@@ -35,19 +35,19 @@ class ClonedPpoOptions(AnchoredPpoOptions, BcOptions):
 
 
 @learner(ClonedPpoOptions)
-def train(training: Training, options: ClonedPpoOptions, progress: bool) -> AgentCard:
+def train(training: Training, options: ClonedPpoOptions) -> AgentCard:
     """Fit an actor and a critic to the teacher's episodes, and improve them by PPO."""
     if options.frames > 1:
         raise ConfigurationError("cloned_ppo clones from single observations: leave the option frames out")
     examples = examples_for(training, options)
     if training.newest_checkpoint() is None:
-        examples.add(demonstrations(training, options, options.dataset, progress))
+        examples.add(demonstrations(training, options, options.dataset))
 
     def clone(model: AnchoredPpo) -> None:
         for _ in fit(
-            actor_of(model, training), examples, options.cloning_steps, np.random.default_rng(training.seed),
-            batch_size=options.cloning_batch_size, learning_rate=options.cloning_rate, progress=progress,
+            training, actor_of(model, training), examples, options.cloning_steps, np.random.default_rng(training.seed),
+            batch_size=options.cloning_batch_size, learning_rate=options.cloning_rate,
         ):  # fmt: skip
-            training.meter.add(gradient_steps=1)
+            pass
 
-    return improve(training, options, functools.partial(vec_env_for, training, options), clone, progress)
+    return improve(training, options, functools.partial(vec_env_for, training, options), clone)

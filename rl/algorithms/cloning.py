@@ -12,7 +12,7 @@ from armctl.rl.networks.actor import Actor, tensors
 from armctl.rl.networks.layers import hidden_layers
 from armctl.rl.run.disk import torch_bytes
 from armctl.rl.run.options import TrainingOptions
-from armctl.rl.run.training import Training, bar_fits
+from armctl.rl.run.training import Training
 
 LAST_RATE = 0.02
 """Share of the learning rate that remains at the end of a fit."""
@@ -41,7 +41,6 @@ def fit_and_export(
     actor: Actor,
     examples: Samples,
     batch_size: int,
-    progress: bool,
     renew: Callable[[int], None] | None = None,
 ) -> AgentCard:
     """Fit an actor to the examples from the newest checkpoint on, evaluate it now and then, and export the best.
@@ -53,8 +52,8 @@ def fit_and_export(
         actor.load_state_dict(torch.load(newest, weights_only=True))
         step = int(newest.stem)
     fitting = fit(
-        actor, examples, options.steps, np.random.default_rng((training.seed, step)),
-        batch_size=batch_size, learning_rate=options.learning_rate, progress=progress, start=step,
+        training, actor, examples, options.steps, np.random.default_rng((training.seed, step)),
+        batch_size=batch_size, learning_rate=options.learning_rate, start=step,
     )  # fmt: skip
 
     def save() -> None:
@@ -64,7 +63,6 @@ def fit_and_export(
         if renew:
             renew(step)
         for step in fitting:
-            training.meter.add(gradient_steps=1)
             if renew:
                 renew(step)
             if step % options.evaluation_every == 0:
@@ -77,6 +75,7 @@ def fit_and_export(
 
 
 def fit(
+    training: Training,
     actor: Actor,
     examples: Samples,
     steps: int,
@@ -84,7 +83,6 @@ def fit(
     *,
     batch_size: int,
     learning_rate: float,
-    progress: bool,
     start: int = 0,
 ) -> Iterator[int]:
     """Fit the actor's network by least squares, in the network's unit of actions.
@@ -92,7 +90,8 @@ def fit(
     Yields the number of each gradient step, from `start` + 1 to `steps`. The learning rate decays linearly.
     """
     optimizer = torch.optim.Adam(actor.network.parameters(), learning_rate)
-    for step in tqdm(range(start, steps), "fit", leave=False, disable=not bar_fits(progress)):
+    training.meter.watch(optimizer)
+    for step in tqdm(range(start, steps), "fit", leave=False, disable=not training.shows_bars):
         for group in optimizer.param_groups:
             group["lr"] = learning_rate * max(1 - step / steps, LAST_RATE)
         observations, actions = map(tensors, examples.draw(rng, batch_size))

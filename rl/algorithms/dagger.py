@@ -56,13 +56,13 @@ class MemorylessTeacher:
 
 
 @learner(DaggerOptions, rewards=False, curriculum=False)
-def train(training: Training, options: DaggerOptions, progress: bool) -> AgentCard:
+def train(training: Training, options: DaggerOptions) -> AgentCard:
     """Let the teacher label what the student visits, and fit the student, round by round."""
     each = options.demonstrations // options.rounds
     if not each or options.steps < options.rounds:
         raise ConfigurationError(f"{options.rounds} rounds need an episode and a gradient step each")
     steps = options.steps // options.rounds
-    teacher = Teacher(training.recipe, min(options.worlds, each), training.seed)
+    teacher = Teacher(training, min(options.worlds, each))
     if not options.teacher_memory:
         teacher.policy = MemorylessTeacher(teacher.policy)
     with training:
@@ -73,15 +73,15 @@ def train(training: Training, options: DaggerOptions, progress: bool) -> AgentCa
                 share = max(0.0, 1 - i / options.mixed_rounds)
                 rng = np.random.default_rng((training.seed, i))
                 mixture = _mixture(actor, share, rng)
-                episodes = teacher.show(each, training.first_seed(i), progress, acting=mixture)
+                episodes = teacher.show(each, training.first_seed(i), acting=mixture)
                 decisions = sum(map(len, episodes))
                 training.meter.add(decisions=decisions, teacher_queries=decisions)
                 examples.add(episodes)
                 for _ in fit(
-                    actor, examples, steps, rng,
-                    batch_size=options.batch_size, learning_rate=options.learning_rate, progress=progress,
+                    training, actor, examples, steps, rng,
+                    batch_size=options.batch_size, learning_rate=options.learning_rate,
                 ):  # fmt: skip
-                    training.meter.add(gradient_steps=1)
+                    pass
                 _save(training, actor, examples, i + 1, steps)
                 training.evaluate(actor, (i + 1) * steps)
         finally:

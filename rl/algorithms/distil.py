@@ -32,7 +32,7 @@ from armctl.rl.run.disk import torch_bytes
 from armctl.rl.run.learner import learner
 from armctl.rl.run.meter import Metered
 from armctl.rl.run.options import TrainingOptions
-from armctl.rl.run.training import Training, bar_fits
+from armctl.rl.run.training import Training
 
 Steps = Annotated[int, Field(ge=0)]
 
@@ -67,7 +67,7 @@ class DistilOptions(TrainingOptions):
 
 
 @learner(DistilOptions, rewards=False)
-def train(training: Training, options: DistilOptions, progress: bool) -> AgentCard:
+def train(training: Training, options: DistilOptions) -> AgentCard:
     """Let the teacher label what the student does, and teach the student by the labels."""
     for stage in training.recipe.stages:
         with closing(make_worlds(stage.env, 1, stage.options_in_training)) as envs:
@@ -75,7 +75,7 @@ def train(training: Training, options: DistilOptions, progress: bool) -> AgentCa
     with training:
         student = Student(training, options)
         try:
-            student.learn(progress)
+            student.learn()
         finally:
             student.save()
         return training.finish(student.actor, student.steps)
@@ -94,6 +94,7 @@ class Student:
         )  # fmt: skip
         self.actor = Actor(self.network, view.action_scale, space, self.network.memory)
         self._optimizer = torch.optim.Adam(self.network.parameters())
+        training.meter.watch(self._optimizer)
         if (newest := training.newest_checkpoint()) is not None:
             saved = torch.load(newest, weights_only=True)
             self.actor.load_state_dict(saved["actor"])
@@ -105,11 +106,11 @@ class Student:
         saved = {"actor": self.actor.state_dict(), "optimizer": self._optimizer.state_dict()}
         self.training.checkpoint(self.steps, torch_bytes(saved))
 
-    def learn(self, progress: bool) -> None:
+    def learn(self) -> None:
         """Learn from the teacher in the training's worlds until the steps are done."""
         training, total = self.training, self.options.steps
         batch = self._new_batch()
-        with tqdm(total=total, initial=self.steps, desc="distil", leave=False, disable=not bar_fits(progress)) as bar:
+        with tqdm(total=total, initial=self.steps, desc="distil", leave=False, disable=not training.shows_bars) as bar:
             while self.steps < total:
                 if training.due(self.steps):
                     self.save()
@@ -134,7 +135,6 @@ class Student:
         loss.backward()
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), self.options.largest_gradient)
         self._optimizer.step()
-        self.training.meter.add(gradient_steps=1)
         self.training.logger.record("train/loss", loss.item())
 
 

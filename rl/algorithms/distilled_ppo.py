@@ -39,7 +39,7 @@ class DistilledPpoOptions(AnchoredPpoOptions):
 
 
 @learner(DistilledPpoOptions)
-def train(training: Training, options: DistilledPpoOptions, progress: bool) -> AgentCard:
+def train(training: Training, options: DistilledPpoOptions) -> AgentCard:
     """Improve by PPO what an agent makes of its memory."""
     if options.frames > 1:
         raise ConfigurationError("distilled_ppo starts from an agent that remembers: leave the option frames out")
@@ -56,7 +56,7 @@ def train(training: Training, options: DistilledPpoOptions, progress: bool) -> A
         model.policy.mlp_extractor.policy_net.load_state_dict(head[:-1].state_dict())
         model.policy.action_net.load_state_dict(head[-1].state_dict())
 
-    return improve(training, options, make_vec_env, start, progress)
+    return improve(training, options, make_vec_env, start)
 
 
 def network_of(recipe: Recipe, training: Training) -> tuple[dict[str, int], dict[str, torch.Tensor]]:

@@ -16,7 +16,7 @@ from armctl.rl.data.followed_plans import FollowedPlans, Following
 from armctl.rl.networks.view import Features
 from armctl.rl.run.learner import learner
 from armctl.rl.run.options import TrainingOptions
-from armctl.rl.run.training import Training, bar_fits
+from armctl.rl.run.training import Training
 from armctl.tasks import ReachObstaclesTask
 from armctl.tasks.reach.obstacles import OBSTACLES_OBSERVATION
 
@@ -55,7 +55,7 @@ class PlanBcOptions(TrainingOptions):
 
 
 @learner(PlanBcOptions, rewards=False, curriculum=False)
-def train(training: Training, options: PlanBcOptions, progress: bool) -> AgentCard:
+def train(training: Training, options: PlanBcOptions) -> AgentCard:
     """Plan in layouts, and fit an actor to followers of the plans."""
     recipe = training.recipe
     if recipe.teacher is not None:
@@ -67,7 +67,7 @@ def train(training: Training, options: PlanBcOptions, progress: bool) -> AgentCa
         raise ConfigurationError(f"{recipe.learner} needs control 'position' and relative actions")
     with training:
         tolerance, folder, seed = task.options.tolerance, training.out / LAYOUTS, training.seed
-        solved_layouts.make(folder, options.layouts, seed, task.robot, tolerance, bar_fits(progress))
+        solved_layouts.make(folder, options.layouts, seed, task.robot, tolerance, training.shows_bars)
         how = Following(
             tolerance=tolerance, largest_move=options.largest_move, margin=options.margin, noise=options.noise,
             noise_share=options.noise_share,
@@ -84,4 +84,4 @@ def train(training: Training, options: PlanBcOptions, progress: bool) -> AgentCa
                 training.meter.add(teacher_queries=0 if is_repeated else labelled)
                 rounds += 1
 
-        return fit_and_export(training, new_actor(training, options), examples, options.batch_size, progress, renew)
+        return fit_and_export(training, new_actor(training, options), examples, options.batch_size, renew)

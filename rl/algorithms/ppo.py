@@ -47,12 +47,12 @@ class PpoOptions(FrameOptions):
 
 
 @learner(PpoOptions)
-def train(training: Training, options: PpoOptions, progress: bool) -> AgentCard:
+def train(training: Training, options: PpoOptions) -> AgentCard:
     """Improve a new actor by the rewards of its own episodes."""
     make_vec_env = functools.partial(vec_env_for, training, options)
     model = load_or_make(training, options, PPO, make_vec_env)
     with training:
-        return learn(training, model, actor_of(model, training), progress, make_vec_env)
+        return learn(training, model, actor_of(model, training), make_vec_env)
 
 
 def load_or_make(
@@ -67,7 +67,7 @@ def load_or_make(
         model = new_model(vec_env, training.view, options, training.seed, kind)
     else:
         model = kind.load(newest, vec_env, "cpu")
-    training.meter.watch(model)
+    training.meter.watch(model.policy.optimizer)
     return model
 
 

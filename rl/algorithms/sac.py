@@ -69,15 +69,15 @@ def _check_relabelling(recipe: Recipe, options: SacOptions) -> None:
 
 
 @learner(SacOptions, curriculum=False, check=_check_relabelling)
-def train(training: Training, options: SacOptions, progress: bool) -> AgentCard:
+def train(training: Training, options: SacOptions) -> AgentCard:
     """Improve a new actor by the rewards of all transitions so far, real ones and relabelled ones."""
     vec_env = _make_vec_env(training, options)
     newest = training.newest_checkpoint()
     model = _new_model(vec_env, training, options) if newest is None else _load(newest, vec_env)
-    training.meter.watch(model)
+    training.meter.watch(model.policy.critic.optimizer)
     with training:
         network = SquashedMean(model.policy, goals=isinstance(vec_env, GoalVectorEnv))
-        return learn(training, model, vec_env.actor(network, training), progress)
+        return learn(training, model, vec_env.actor(network, training))
 
 
 class SquashedMean(torch.nn.Module):

@@ -11,7 +11,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from armctl.agents import AgentCard
 from armctl.core.files import write_atomically
 from armctl.rl.networks.actor import Actor
-from armctl.rl.run.training import CHECKPOINTS, Training, bar_fits
+from armctl.rl.run.training import CHECKPOINTS, Training
 from armctl.rl.run.vector import StableBaselinesVectorEnv
 
 REPLAY = "replay_buffer.pkl"
@@ -26,7 +26,6 @@ def learn(
     training: Training,
     model: BaseAlgorithm,
     actor: Actor,
-    progress: bool,
     make_vec_env: Callable[[], StableBaselinesVectorEnv] | None = None,
 ) -> AgentCard:
     """Train the model for the remaining steps, and finish the training.
@@ -41,7 +40,7 @@ def learn(
     try:
         remaining = training.options.steps - model.num_timesteps
         if remaining > 0:
-            model.learn(remaining, callback=callback, reset_num_timesteps=False, progress_bar=bar_fits(progress))
+            model.learn(remaining, callback=callback, reset_num_timesteps=False, progress_bar=training.shows_bars)
     finally:
         _checkpoint(training, model)
     return training.finish(actor, model.num_timesteps)

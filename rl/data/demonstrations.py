@@ -20,7 +20,7 @@ from armctl.policies.trainings import card_of
 from armctl.rl.networks.actor import tensors
 from armctl.rl.networks.view import Features
 from armctl.rl.run.options import TrainingOptions
-from armctl.rl.run.training import Training, bar_fits
+from armctl.rl.run.training import Training
 from armctl.tasks import ReachMovingTask, ReachTask
 from armctl.tasks.reach import observation_slices
 from armctl.training.learners import Recipe
@@ -95,24 +95,25 @@ def examples_for(training: Training, options: CloningOptions) -> Examples:
 
 
 class Teacher:
-    """The policy to learn from, in worlds of its own; `policy_seed` determines its random numbers.
+    """The policy to learn from, in worlds of its own; the training's seed determines its random numbers.
 
     Raises `ConfigurationError` for a recipe without a teacher.
     """
 
-    def __init__(self, recipe: Recipe, num_envs: int, policy_seed: int) -> None:
+    def __init__(self, training: Training, num_envs: int) -> None:
+        recipe, self._shows_bars = training.recipe, training.shows_bars
         self.name = _teacher_of(recipe)
         self.envs = make_worlds(recipe.env, num_envs, recipe.options_in_training)
         try:
-            self.policy = make_policy(self.name, self.envs, policy_seed=policy_seed)
+            self.policy = make_policy(self.name, self.envs, policy_seed=training.seed)
         except Exception:
             self.envs.close()
             raise
 
-    def show(self, episodes: int, seed: int, progress: bool, **instead: Any) -> list[Demonstration]:
+    def show(self, episodes: int, seed: int, **instead: Any) -> list[Demonstration]:
         """Return the teacher's episodes 0 to `episodes` - 1 of a seed, in order; see `demonstrate` for `instead`."""
         pairs = demonstrate(self.policy, self.envs, episodes, seed, self.name, **instead)
-        bar = tqdm(pairs, printable(self.name), episodes, leave=False, disable=not bar_fits(progress))
+        bar = tqdm(pairs, printable(self.name), episodes, leave=False, disable=not self._shows_bars)
         in_order = sorted(bar, key=lambda pair: pair[0].episode)
         return [episode for _, episode in in_order]
 
@@ -138,14 +139,12 @@ def _teacher_of(recipe: Recipe) -> str:
     return recipe.teacher
 
 
-def demonstrations(
-    training: Training, options: CloningOptions, dataset: str | None, progress: bool
-) -> list[Demonstration]:
+def demonstrations(training: Training, options: CloningOptions, dataset: str | None) -> list[Demonstration]:
     """Return the successful episodes of a dataset, or of the teacher. Raises `ConfigurationError` if there are none."""
     if dataset is None:
-        teacher = Teacher(training.recipe, min(options.worlds, options.demonstrations), training.seed)
+        teacher = Teacher(training, min(options.worlds, options.demonstrations))
         try:
-            episodes, source = teacher.show(options.demonstrations, training.first_seed(), progress), teacher.name
+            episodes, source = teacher.show(options.demonstrations, training.first_seed()), teacher.name
         finally:
             teacher.envs.close()
     else:

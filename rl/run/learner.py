@@ -17,15 +17,15 @@ def learner(
     rewards: bool = True,
     curriculum: bool = True,
     check: Callable[[Recipe, Any], None] = lambda recipe, options: None,
-) -> Callable[[Callable[[Training, Any, bool], AgentCard]], Learner]:
-    """Make a learner of a function of a training, its options, and whether to show progress bars: a decorator.
+) -> Callable[[Callable[[Training, Any], AgentCard]], Learner]:
+    """Make a learner of a function of a training and its options: a decorator.
 
     Without `rewards` or `curriculum`, the learner refuses recipes with shaping or reward weights, or with later stages.
     `check` raises an error for a recipe and options that do not fit together, before anything is made of them. For all
     errors that it raises, see `armctl.rl.run.training.Training`.
     """
 
-    def decorate(function: Callable[[Training, Any, bool], AgentCard]) -> Learner:
+    def decorate(function: Callable[[Training, Any], AgentCard]) -> Learner:
         @functools.wraps(function)
         def train(
             recipe: Recipe,
@@ -44,7 +44,7 @@ def learner(
                     f"{recipe.learner} takes no curriculum: ppo, cloned_ppo, distil and distilled_ppo do"
                 )
             check(recipe, options)
-            return function(Training(recipe, options, out, seed, resume, on_evaluation), options, progress)
+            return function(Training(recipe, options, out, seed, resume, on_evaluation, progress), options)
 
         return train
 

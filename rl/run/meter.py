@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
+import torch
 from numpy.typing import ArrayLike
-from stable_baselines3.common.base_class import BaseAlgorithm
 
 from armctl.core.errors import ConfigurationError
 from armctl.core.files import bounded_text, unsealed
@@ -45,9 +45,8 @@ class Meter:
         processor = round(self._processor_seconds + processor_seconds(), 2)
         return {"seconds": self.seconds, "processor_seconds": processor, **self._counts}
 
-    def watch(self, model: BaseAlgorithm) -> None:
-        """Count the gradient steps of a model: updates of the actor and critic of PPO, or of the critic of SAC."""
-        optimizer = getattr(model.policy, "critic", model.policy).optimizer
+    def watch(self, optimizer: torch.optim.Optimizer) -> None:
+        """Count an optimizer's gradient steps."""
         optimizer.register_step_post_hook(lambda *_: self.add(gradient_steps=1))
 
 

@@ -67,12 +67,21 @@ class Training:
     """
 
     def __init__(
-        self, recipe: Recipe, options: TrainingOptions, out: Path, seed: int, resume: bool, callback: Callback = None
+        self,
+        recipe: Recipe,
+        options: TrainingOptions,
+        out: Path,
+        seed: int,
+        resume: bool,
+        callback: Callback = None,
+        progress: bool = False,
     ) -> None:
         if not 0 <= seed < 2**32:
             raise ConfigurationError(f"a training seed is a whole number from 0 to {2**32 - 1}, not {seed}")
         self.recipe, self.options, self.out, self.seed = recipe, options, out, seed
         self._on_evaluation = callback or (lambda row: None)
+        self.shows_bars = bar_fits(progress)
+        """True if progress bars are shown."""
         self.held_out = make_worlds(recipe.env, min(VALIDATION_ENVS, options.validation_episodes), recipe.env_options)
         with ExitStack() as opened:
             stages = [opened.enter_context(closing(self._make_envs(stage, 1))) for stage in recipe.stages]

@@ -80,9 +80,10 @@ def test_a_dataset_cannot_be_disturbed(tmp_path):
 
 
 def test_a_teacher_is_asked_in_disturbed_episodes():
-    teacher = Teacher(small("reach_bc").changed(training_options={"disturbances": {"noise": [0, 0.02]}}), 3, 0)
+    recipe = small("reach_bc").changed(training_options={"disturbances": {"noise": [0, 0.02]}})
+    teacher = Teacher(SimpleNamespace(recipe=recipe, seed=0, shows_bars=False), 3)
     assert len(set(teacher.envs.disturbances["noise"].levels)) == 1  # before the first episode
-    teacher.show(3, 0, False)
+    teacher.show(3, 0)
     assert len(set(teacher.envs.disturbances["noise"].levels)) == 3
     teacher.envs.close()
 
