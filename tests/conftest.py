@@ -12,12 +12,12 @@ from types import SimpleNamespace
 
 import hypothesis
 import pytest
-from _pytest.runner import runtestprotocol
 
 import armctl  # noqa: F401 - before any test imports MuJoCo, which chooses its OpenGL then
 from armctl.envs import policy_seed
 
 from .command_line import POLICY_SEED
+from .time_limit import pytest_fixture_setup, pytest_runtest_call, pytest_runtest_protocol  # noqa: F401 - hooks
 
 # A shell that runs the tests in the background ignores interrupts, and whatever the tests interrupt would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -31,15 +31,7 @@ hypothesis.settings.load_profile("armctl")
 MARKERS = {"slow": "--all", "thorough": "--thorough"}
 """What runs with which option."""
 
-QUICK_S = 2.0
-"""Processor time that an unmarked test may use, in seconds: its call and its own fixtures, with child processes."""
-
-QUICK_ON_A_BUSY_MACHINE_S = 3.0
-"""The same where other processes run beside it, which share caches and floating-point units."""
-
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-
-processor_seconds = pytest.StashKey[float]()
 
 
 def pytest_addoption(parser):
@@ -91,60 +83,19 @@ def pytest_collection_modifyitems(config, items):
     config.hook.pytest_deselected(items=left_out)
 
 
-def processor_time():
-    """Return what this process and the children that it has waited for have used, in seconds."""
-    times = os.times()
-    return times.user + times.system + times.children_user + times.children_system
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_call(item):
-    start = processor_time()
-    try:
-        return (yield)
-    finally:
-        item.stash[processor_seconds] += processor_time() - start
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_fixture_setup(fixturedef, request):
-    start = processor_time()
-    try:
-        return (yield)
-    finally:
-        if fixturedef.scope == "function":
-            request.node.stash[processor_seconds] += processor_time() - start
-
-
-def pytest_runtest_protocol(item, nextitem):
-    """Fail a test of the quick run that is not quick; the second time counts, as the first may import and compile."""
-
-    def run():
-        item.stash[processor_seconds] = 0.0
-        reports = runtestprotocol(item, log=False, nextitem=nextitem)
-        return reports, item.stash[processor_seconds], all(report.passed for report in reports)
-
-    item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
-    limit = QUICK_ON_A_BUSY_MACHINE_S if os.getloadavg()[0] > os.cpu_count() / 2 else QUICK_S
-    reports, seconds, has_passed = run()
-    # Full samples, coverage and debuggers take longer.
-    is_timed = not (item.config.getoption("--all") or sys.gettrace())
-    if is_timed and has_passed and seconds > limit:
-        _, seconds, has_passed = run()
-        if has_passed and seconds > limit:
-            _, call, _ = reports
-            call.outcome = "failed"
-            call.longrepr = f"{seconds:.1f} s of processor time: a test without the mark `slow` takes at most {limit} s"
-    for report in reports:
-        item.ihook.pytest_runtest_logreport(report=report)
-    item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
-    return True
-
-
 @pytest.fixture(autouse=True)
 def idle_machine(monkeypatch):
     """Whether deadlines are judged does not depend on what else the machine does."""
     monkeypatch.setattr(os, "getloadavg", lambda: (0.0, 0.0, 0.0), raising=False)
+
+
+@pytest.fixture(autouse=True)
+def operators_of_onnx():
+    """Torch makes the table of operators for its exporter once, not for every graph: half of a small one's time."""
+    if module := sys.modules.get("torch.onnx._internal.exporter._registration"):
+        registry = module.ONNXRegistry
+        if not hasattr(registry.from_torchlib, "cache_info"):
+            registry.from_torchlib = staticmethod(cache(registry.from_torchlib))
 
 
 @pytest.fixture(scope="session")

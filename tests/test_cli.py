@@ -244,6 +244,7 @@ def test_a_task_in_the_current_folder_is_found(tmp_path):
         assert done.returncode == 2, done.stdout
 
 
+@pytest.mark.slow
 def test_train_follows_a_recipe_with_changes(tmp_path):
     (tmp_path / "mine.toml").write_text(
         'learner = "ppo"\nenv = "armctl/ArmReach-v0"\nshaping = "distance"\nseeds = [5]\n'

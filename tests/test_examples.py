@@ -19,7 +19,6 @@ EXAMPLES = ROOT / "examples"
 SCRIPTS = sorted(path.stem for path in EXAMPLES.glob("*.py") if path.stem != "held_out")
 STEPS = {"cleanrl_unmodified": 2_100, "sb3_sac_her": 2_100}
 """Of training: no more than 300, but to where it begins to learn."""
-SLOW = {"cleanrl_unmodified", "minari_imitation_bc", "one_file_ppo", "sb3_ppo_bridge_cnn", "sbx_ppo"}
 SECONDS = 300
 ZOO = {
     "ppo": "--set actions=normalized --set control=relative --set observation=features",
@@ -37,9 +36,8 @@ def run(folder, *words):
     return done.stdout
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in SCRIPTS]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SCRIPTS)
 def test_it_runs_and_says_its_success(name, tmp_path):
     steps = str(STEPS.get(name, 300))
     printed = run(tmp_path, EXAMPLES / f"{name}.py", "--steps", steps, "--episodes", "10")
@@ -106,6 +104,7 @@ def test_the_page_lists_every_example():
         assert f"(../rl/zoo/{algorithm}.yml)" in page, algorithm
 
 
+@pytest.mark.slow
 def test_the_matrix_tries_what_it_says():
     """One learner's row: the fastest."""
     command = (ROOT / "benchmarks" / "learners.py", "--only", "Gymnasium", "--env", "armctl/ArmReach-v0")

@@ -16,7 +16,6 @@ RECORDED = json.loads((BENCHMARKS / "golden.json").read_text())
 CASES = {golden["name_of"](*case): case for case in golden["cases"]()}
 QUICK = [
     f"{golden['REACH']} {{}} reach_ik",
-    f"{golden['MOVING']} {{}} reach_mpc",
     f"{golden['OBSTACLES']} {{}} reach_ompl",
     f"{golden['BRIDGE']} {{}} bridge_ompl",
     f'{golden["REACH"]} {{"disturbances": {{"mismatch": 0.05}}}} reach_ik',

@@ -89,10 +89,12 @@ class Published:
 
 
 def published() -> Iterator[Published]:
-    """Return all agents with a card, and all other policies that a suite lets play in the environments."""
+    """Return all agents with a card, and all other policies that a suite lets play in armctl's own environments."""
     for card in sorted((zoo.HOME / "agents").rglob("*.json")):
         yield Published(card.stem, read_card(card).env, card)
     for env in environment_names():
+        if not env.startswith("armctl/"):  # of an installed package, or one that the user has registered
+            continue
         for policy in line_up(env):
             if policy not in agent_cards():
                 yield Published(policy, env)

@@ -17,15 +17,15 @@ FAST: dict[str, Any] = {"observation": "state"}
 
 @pytest.mark.parametrize(("env", "least"), [(STATIC, 0.99), (MOVING, 0.97)])
 def test_it_crosses_nearly_always(env, least, sized):
-    results = evaluate("bridge_ompl", env, episodes=sized(10, 100), seed=0, worlds=sized(10, 40), env_options=FAST)
+    results = evaluate("bridge_ompl", env, episodes=sized(4, 100), seed=0, worlds=sized(4, 40), env_options=FAST)
     assert results.success.mean() >= least
     assert results.length[results.success].mean() < 150
 
 
 @pytest.mark.parametrize("env", [STATIC, MOVING])
-def test_it_crosses_other_bridges(env):
-    options = {**FAST, "deck_length": 26.0, "deck_width": 4.6, "blocks": 5, "walkers": 2}
-    results = evaluate("bridge_ompl", env, episodes=6, seed=5, worlds=6, env_options=options)
+def test_it_crosses_other_bridges(env, sized):
+    options, n = {**FAST, "deck_length": 26.0, "deck_width": 4.6, "blocks": 5, "walkers": 2}, sized(3, 6)
+    results = evaluate("bridge_ompl", env, episodes=n, seed=5, worlds=n, env_options=options)
     assert results.success.all()
 
 
@@ -40,7 +40,7 @@ def test_it_is_the_same_in_every_run_and_needs_no_camera():
 
 
 def test_it_keeps_its_distance_from_all_that_walks_and_stands(sized):
-    n = sized(3, 10)
+    n = sized(2, 10)
     env: Any = gymnasium.make_vec(MOVING, num_envs=n, autoreset_mode="disabled", **FAST)
     policy = make_policy("bridge_ompl", env)
     observations, _ = env.reset(seed=7)

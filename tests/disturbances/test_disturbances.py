@@ -24,7 +24,11 @@ def test_at_neutral_levels_an_environment_is_bit_for_bit_what_it_was(env):
     assert all(np.array_equal(a, b) for a, b in zip(played(plain), played(neutral), strict=True))
 
 
-@pytest.mark.parametrize(("env", "name"), [(REACH, name) for name in ARM] + [(BRIDGE, name) for name in ROVER])
+@pytest.mark.parametrize(
+    ("env", "name"),
+    [(REACH, name) for name in ARM]
+    + [pytest.param(BRIDGE, name, marks=() if name == "delay" else pytest.mark.slow) for name in ROVER],
+)
 def test_every_world_is_the_single_environment_of_its_seed(env, name):
     level = (ARM if env == REACH else ROVER)[name].levels[-1]
     together = worlds(env, 3, {name: level})
@@ -205,7 +209,7 @@ def test_weak_motors_cannot_hold_what_strong_ones_can():
     assert np.abs(weak.qfrc_actuator).max() <= 15.0 + 1e-9
 
 
-@pytest.mark.parametrize(("env", "period"), [(REACH, 0.04), (BRIDGE, 0.1)])
+@pytest.mark.parametrize(("env", "period"), [(REACH, 0.04), pytest.param(BRIDGE, 0.1, marks=pytest.mark.slow)])
 def test_pushes_come_once_a_second_with_their_impulse_whatever_the_policy_does(env, period):
     told = []
     for share in (0.0, 1.0):

@@ -1,5 +1,6 @@
 """Noise on the state: who reads it gets what who observes it gets, and nothing that is true changes."""
 
+import functools
 from contextlib import closing
 
 import numpy as np
@@ -58,12 +59,17 @@ def test_it_is_the_same_with_any_number_of_worlds_and_nothing_else_changes():
         assert plain.perceived() is plain.task
 
 
+@functools.cache
+def compared(policies, env, disturbances, steps, episodes):
+    """A comparison, which is played once."""
+    options = {"max_episode_steps": steps, "disturbances": dict(disturbances)}
+    return compare(policies, env, episodes=episodes, env_options=options)
+
+
 def differing(policies, env, disturbance, level, steps=25, episodes=2):
     """By policy: whether its episodes differ from the undisturbed ones, and whether it is told as spared."""
-    options = {"max_episode_steps": steps}
     plain, disturbed = (
-        compare(policies, env, episodes=episodes, env_options=options | more)
-        for more in ({}, {"disturbances": {disturbance: level}})
+        compared(tuple(policies), env, disturbances, steps, episodes) for disturbances in ((), ((disturbance, level),))
     )
     columns = ["return", "length", "path_length"]
     rows = [one.episodes.set_index(["policy", "episode"])[columns] for one in (plain, disturbed)]

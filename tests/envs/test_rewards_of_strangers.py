@@ -90,7 +90,7 @@ def test_a_typo_in_a_reward_is_shown_with_its_place():
         ("ArmReachMoving-v0", (-300.0, 100.0)),
         ("ArmReachObstacles-v0", (-400.0, 99.0)),
         ("BridgeCross-v0", (-230.0, 99.9)),
-        ("BridgeCrossMoving-v0", (-260.0, 99.9)),
+        pytest.param("BridgeCrossMoving-v0", (-260.0, 99.9), marks=pytest.mark.slow),
     ],
 )
 def test_returns_lie_within_their_bounds(env, bounds):

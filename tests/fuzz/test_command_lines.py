@@ -16,6 +16,8 @@ from .child import Child
 from .mutation import outcomes_of
 
 VERBS = ["compare", "sweep", "suite", "report", "reproduce", "run", "view", "collect", "train", "export", "list"]
+QUICK = ["reproduce", "run", "collect", "export", "list"]
+"""Those that play, report or train little."""
 HOSTILE = [
     "", " ", "[red]", "[/]", "[/red]x[", "[bold](x)[link=x]", "x" * 300, "x" * 5_000, "\x1b[2J\x1b]0;x\x07",
     "a\nb\r\tc", "\u202etxt", "\udcff\udcfe", "ÄÖ工", "-", "--", "-x", "--nope", "--help", "..", "../../..", "/",
@@ -226,10 +228,10 @@ def outcomes(run, verb, port, count):
 
 @pytest.mark.parametrize(
     "verb",
-    [pytest.param(verb, marks=pytest.mark.slow) if verb in ("compare", "sweep", "suite") else verb for verb in VERBS],
+    [verb if verb in QUICK else pytest.param(verb, marks=pytest.mark.slow) for verb in VERBS],
 )
-def test_a_random_command_line_works_or_is_refused(run, taken_port, verb):
-    assert "refused" in outcomes(run, verb, taken_port, 12)
+def test_a_random_command_line_works_or_is_refused(run, taken_port, verb, sized):
+    assert "refused" in outcomes(run, verb, taken_port, sized(6, 12))
 
 
 @pytest.mark.thorough

@@ -22,13 +22,14 @@ TIMES = list(TIME_COLUMNS)
 BOX = {"target": "box", "max_episode_steps": 30}
 
 
-def test_every_policy_meets_the_same_episodes(tmp_path):
-    comparison = compare(["reach_ik", "reach_ppo", "random"], episodes=12, seed=3, out=tmp_path)
+def test_every_policy_meets_the_same_episodes(sized, tmp_path):
+    count = sized(4, 12)
+    comparison = compare(["reach_ik", "reach_ppo", "random"], episodes=count, seed=3, out=tmp_path)
     episodes = pd.read_csv(tmp_path / "episodes.csv")
     assert tuple(episodes.columns) == COLUMNS
-    assert len(episodes) == 36
+    assert len(episodes) == 3 * count
     for _, group in episodes.groupby("policy"):
-        assert sorted(group.episode) == list(range(12))
+        assert sorted(group.episode) == list(range(count))
     assert (episodes.seed == 3).all()
     pd.testing.assert_frame_equal(episodes, comparison.episodes)
     summary = json.loads((tmp_path / "summary.json").read_text())
@@ -167,16 +168,17 @@ def test_verdict_names_the_better():
     assert sentence.startswith("reach_ik is better than random: success +100.0 points [")
 
 
-def test_the_bridge_is_compared_like_the_arm_and_endings_are_told():
+def test_the_bridge_is_compared_like_the_arm_and_endings_are_told(sized):
+    count = sized(1, 4)
     comparison = compare(
-        ["bridge_ompl", "random"], "armctl/BridgeCross-v0", episodes=4, env_options={"resolution": (4, 4)}
+        ["bridge_ompl", "random"], "armctl/BridgeCross-v0", episodes=count, env_options={"resolution": (4, 4)}
     )
     expert, random = comparison.policies
     assert (expert.sees, random.sees) == ("state", "observation")
-    assert expert.outcomes == {"crossed": 4}
-    assert sum(random.outcomes.values()) == 4
+    assert expert.outcomes == {"crossed": count}
+    assert sum(random.outcomes.values()) == count
     assert "crossed" not in random.outcomes
-    assert "bridge_ompl: 4 crossed" in text_of(comparison)
+    assert f"bridge_ompl: {count} crossed" in text_of(comparison)
 
 
 def test_gap_is_to_the_least_length_that_all_policies_share(tmp_path):

@@ -103,7 +103,16 @@ def test_what_cannot_be_reproduced_is_refused(agent, tmp_path):
         reproduce(agent)
 
 
-@pytest.mark.parametrize("card", sorted(card_path("reach_ppo").parent.glob("*.json")), ids=lambda card: card.stem)
+CARDS = sorted(card_path("reach_ppo").parent.glob("*.json"))
+
+
+@pytest.mark.parametrize(
+    "card",
+    [
+        pytest.param(card, id=card.stem, marks=() if card.stem in ("reach_ppo", "bridge_ppo") else pytest.mark.slow)
+        for card in CARDS
+    ],
+)
 def test_every_shipped_agent_does_about_what_its_card_says(card, tmp_path, sized):
     """On some of the episodes: `armctl reproduce` plays all."""
     n = sized(4, 40) if "bridge" in card.stem else sized(12, 100)
@@ -127,7 +136,7 @@ def claims(won, returns, steps):
 
 
 @pytest.mark.parametrize("rate", [0.5, 0.9, 0.99])
-def test_honest_agents_are_rarely_called_dishonest_on_other_episodes(rate):
+def test_honest_agents_are_rarely_called_dishonest_on_other_episodes(rate, sized):
     """Also with returns and steps that are bimodal: a failure costs much, and lasts long."""
     rng, card = np.random.default_rng(0), read_card(card_path("reach_ppo"))
 
@@ -136,7 +145,7 @@ def test_honest_agents_are_rarely_called_dishonest_on_other_episodes(rate):
         steps = np.where(won, rng.integers(8, 20, 200), 75)
         return claims(won, np.where(won, 90.0, 0.0) - steps, steps).model_copy(update={"seed": seed})
 
-    refused = [not Reproduction(card, evaluation(0), evaluation(1)).agrees for _ in range(500)]
+    refused = [not Reproduction(card, evaluation(0), evaluation(1)).agrees for _ in range(sized(100, 500))]
     assert np.mean(refused) <= 0.07
 
 

@@ -30,24 +30,24 @@ def test_a_plan_from_a_pilot_has_a_row_for_each_pair(tmp_path):
 
 def test_a_plan_has_its_power_after_the_corrections_of_the_verdict(tmp_path):
     armctl.compare(["reach_ik", "reach_ppo", "reach_bc", "random"], episodes=10, worlds=10, out=tmp_path)
-    document = plan_comparison(0.02, pilot=tmp_path)
+    document = plan_comparison(0.1, pilot=tmp_path)
     corrections = "to detect, for 18 tests of success, steps and return; to show equivalence, for 4 pairs"
     assert f"Bonferroni's correction ({corrections})" in document.tables[0].caption
     for record in document.tables[0].records:
         share = record["discordant"]
-        assert record["episodes_to_detect"] == episodes_to_detect(0.02, share, tests=18)
-        assert record["episodes_to_show_equivalence"] == episodes_to_show_equivalence(0.02, share, num_comparisons=4)
+        assert record["episodes_to_detect"] == episodes_to_detect(0.1, share, tests=18)
+        assert record["episodes_to_show_equivalence"] == episodes_to_show_equivalence(0.1, share, num_comparisons=4)
 
 
 def test_a_plan_without_a_pilot_is_for_a_single_pair_or_those_that_are_named():
     assert "to detect, for 3 tests of success, steps and return; to show equivalence, for 1 pair)" in (
-        plan_comparison(0.02).tables[0].caption
+        plan_comparison(0.1).tables[0].caption
     )
-    one, six = (plan_comparison(0.02, pairs=pairs).tables[0].records for pairs in (None, 6))
+    one, six = (plan_comparison(0.1, pairs=pairs).tables[0].records for pairs in (None, 6))
     for name in ("episodes_to_detect", "episodes_to_show_equivalence"):
         assert all(more[name] > few[name] for few, more in zip(one, six, strict=True))
     with pytest.raises(ConfigurationError, match="at least one pair"):
-        plan_comparison(0.02, pairs=0)
+        plan_comparison(0.1, pairs=0)
 
 
 @pytest.mark.parametrize(("difference", "power"), [(0.0, 0.8), (1.5, 0.8), (0.02, 0.0), (0.02, 1.0)])

@@ -10,9 +10,13 @@ from armctl.stats.paired import paired_difference
 from armctl.stats.robustness import FALSE_DISCOVERY_RATE, Onset, change_between, degradations, robustness_rankings
 from armctl.stats.trainings import FEWEST_TRAININGS
 
-EPISODES, RUNS = 100, 120
-MOST = 0.025 + 2 * (0.025 * 0.975 / RUNS) ** 0.5
-"""One side of a test at 5 %, and two standard errors of the simulation."""
+EPISODES = 100
+
+
+@pytest.fixture
+def runs(sized):
+    """Number of simulated sweeps."""
+    return range(sized(30, 120))
 
 
 def returns(rng, better):
@@ -42,23 +46,25 @@ def drops(rng, better, up=1.0):
     return found.drops is not None
 
 
-def test_where_more_episodes_get_better_than_worse_no_drop_is_told_whatever_the_mean():
+def test_where_more_episodes_get_better_than_worse_no_drop_is_told_whatever_the_mean(runs):
     """Eight episodes in ten rise, and the mean falls by 100. The sign test is sure of a rise."""
     rng = np.random.default_rng(0)
-    assert not any(drops(rng, 0.85) for _ in range(RUNS))
+    assert not any(drops(rng, 0.85) for _ in runs)
 
 
-def test_where_more_episodes_get_worse_a_drop_is_told_whatever_the_mean():
+def test_where_more_episodes_get_worse_a_drop_is_told_whatever_the_mean(runs):
     """The same upside down: eight episodes in ten fall, and the mean rises by 100."""
     rng = np.random.default_rng(0)
-    assert np.mean([drops(rng, 0.85, up=-1.0) for _ in range(RUNS)]) >= 0.95
+    assert np.mean([drops(rng, 0.85, up=-1.0) for _ in runs]) >= 0.95
 
 
 @pytest.mark.parametrize("up", [1.0, -1.0])
-def test_without_an_effect_drops_are_as_rare_as_they_should_be(up):
+def test_without_an_effect_drops_are_as_rare_as_they_should_be(up, runs):
     rng = np.random.default_rng(1)
     fair = 0.5 / 0.95  # one in twenty gets worse in any case
-    assert np.mean([drops(rng, fair, up) for _ in range(RUNS)]) <= MOST
+    share = 0.025  # one side of a test at 5 %
+    two_standard_errors = 2 * (share * (1 - share) / len(runs)) ** 0.5
+    assert np.mean([drops(rng, fair, up) for _ in runs]) <= share + two_standard_errors
 
 
 def group(values):

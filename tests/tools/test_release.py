@@ -130,3 +130,9 @@ def test_every_published_policy_has_its_trials_in_the_ledger():
     names = {read_card(one.card).recipe if one.card else one.name for one in tool.published()} - {"random"}
     assert names > {"bridge_moving_imagined", "obstacles_imagined", "bridge_ompl", "reach_ik"}
     assert names <= known
+
+
+def test_tasks_of_others_are_not_published(monkeypatch):
+    """Other packages may be installed beside armctl, and other tests may have registered theirs in this process."""
+    monkeypatch.setattr(tool, "environment_names", lambda: ["mine/Hover-v0"])
+    assert all(one.card for one in tool.published())

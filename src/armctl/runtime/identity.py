@@ -22,7 +22,7 @@ from armctl.core.registration import import_attribute, import_named, installed
 from armctl.envs import EpisodeVectorEnv, TaskVectorEnv, ThirdPartyVectorEnv, find_spec
 from armctl.policies import GROUP, Policy, configured, policy_names
 from armctl.runtime.fingerprint import UNKNOWN, fingerprint
-from armctl.runtime.own_code import file_of, is_core, is_library, is_own
+from armctl.runtime.own_code import file_of, is_core, is_library, is_library_file, is_own
 from armctl.runtime.provenance import versions
 from armctl.runtime.state_guard import constants
 
@@ -162,12 +162,14 @@ def _loaded() -> dict[str, str]:
 
 def _own_files() -> dict[str, Path]:
     """Return files of all loaded modules of one's own, by the modules' names."""
-    files = {name: file_of(module) for name, module in list(sys.modules.items())}
     others = "__main__", "__mp_main__", "armctl"  # the script, also as multiprocessing calls it
     return {
         name: file
-        for name, file in files.items()
-        if file is not None and name.partition(".")[0] not in others and not is_library(file)
+        for name, module in list(sys.modules.items())
+        if name.partition(".")[0] not in others
+        and not is_library_file(getattr(module, "__file__", None) or "")
+        and (file := file_of(module)) is not None
+        and not is_library(file)
     }
 
 

@@ -51,6 +51,12 @@ def is_library(file: Path) -> bool:
 
 
 @functools.cache
+def is_library_file(file: str) -> bool:
+    """Return True if an absolute path leads to a file of Python or of an installed package."""
+    return Path(file).is_absolute() and is_library(Path(file).resolve())
+
+
+@functools.cache
 def _libraries() -> tuple[Path, ...]:
     places = (*site.getsitepackages(), site.getusersitepackages(), *sysconfig.get_paths().values())
     return tuple(Path(place).resolve() for place in places)

@@ -61,7 +61,7 @@ def imagined(worlds, states, steps=18):
     return ImaginedRovers(Geometry.of(worlds.task.options, worlds.task.simulation.model), states, steps)
 
 
-@pytest.mark.parametrize(("slowest", "fastest"), [(0.4, 1.6), (-1.6, 0.2)])
+@pytest.mark.parametrize(("slowest", "fastest"), [(0.4, 1.6), pytest.param(-1.6, 0.2, marks=pytest.mark.slow)])
 def test_imagined_rovers_drive_as_those_without_physics_until_their_episodes_end(worlds, slowest, fastest):
     rng = np.random.default_rng(0)
     states, _ = worlds.reset(seed=3)

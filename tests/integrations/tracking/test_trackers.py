@@ -91,6 +91,7 @@ def wandb_records(run):
                 parts = b""
 
 
+@pytest.mark.slow
 def test_each_tracker_says_once_where_the_run_is(trained):
     run, _, said = trained
     assert "failed" not in said
@@ -100,6 +101,7 @@ def test_each_tracker_says_once_where_the_run_is(trained):
     assert f"tensorboard --logdir {run.resolve() / 'tracking' / 'tensorboard'}" in said
 
 
+@pytest.mark.slow
 def test_wandb_has_it_all(trained):
     run, curve, _ = trained
     records = list(wandb_records(run))
@@ -126,6 +128,7 @@ def test_wandb_has_it_all(trained):
     assert codes == [255, 0]
 
 
+@pytest.mark.slow
 def test_mlflow_has_it_all(trained, home):
     _, curve, _ = trained
     client = MlflowClient(f"sqlite:///{home / 'mlflow.db'}")
@@ -144,6 +147,7 @@ def test_mlflow_has_it_all(trained, home):
     assert artifacts == {"agent/agent.onnx", "agent/agent.json", "agent/curve.csv", "video/agent.mp4"}
 
 
+@pytest.mark.slow
 def test_tensorboard_has_it_all(trained):
     run, curve, _ = trained
     events = EventAccumulator(str(run / "tracking" / "tensorboard"), size_guidance={"tensors": 0, "images": 0})

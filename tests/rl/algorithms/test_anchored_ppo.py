@@ -46,6 +46,7 @@ def test_fitting_the_critic_leaves_the_actor_and_explains_returns_better(model):
     assert model.rollout_buffer.gae_lambda == OPTIONS.gae_lambda
 
 
+@pytest.mark.slow
 def test_the_critic_is_fitted_until_it_gains_no_more_and_no_longer_than_asked(model):
     assert len(fitted(model, 3 * 256)) <= 3
     without_a_gain = fitted(model, 50 * 256, 1e-12)

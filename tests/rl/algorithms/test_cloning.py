@@ -40,6 +40,7 @@ def cloned(tmp_path_factory):
     return recipe, out, clone(recipe, out=out, seed=0, progress=False)
 
 
+@pytest.mark.slow
 def test_a_clone_is_far_better_than_chance(cloned):
     _, out, card = cloned
     assert (card.learner, card.teacher, card.training_steps) == ("bc", "reach_ik", 300)

@@ -87,6 +87,7 @@ def test_rounds_need_episodes(tmp_path):
         dagger(small("reach_dagger", demonstrations=4), out=tmp_path / "run", seed=0, progress=False)
 
 
+@pytest.mark.slow
 def test_a_privileged_teacher_has_a_pupil_who_sees_the_camera(tmp_path):
     recipe = small("reach_dagger", demonstrations=2, rounds=2, steps=4, validation_episodes=2, evaluation_episodes=2)
     recipe = recipe.changed(

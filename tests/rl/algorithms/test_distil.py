@@ -57,6 +57,7 @@ def state_agent(tmp_path_factory):
     return out / "agent.json"
 
 
+@pytest.mark.slow
 def test_a_student_gets_near_to_labels_that_need_a_memory(distilled):
     out, card = distilled
     assert (card.learner, card.teacher, card.memory) == ("distil", TEACHER, {"hidden": [16]})
@@ -76,6 +77,7 @@ def test_a_student_gets_near_to_labels_that_need_a_memory(distilled):
     assert np.mean(errors) < 0.02  # 0.25 without a memory
 
 
+@pytest.mark.slow
 def test_the_graph_remembers_as_the_network_does_and_each_world_alone(distilled):
     out, _ = distilled
     worlds = make_worlds("armctl/ArmReach-v0", 3, REACH)
@@ -199,6 +201,7 @@ def test_an_agent_of_the_state_teaches_a_student_who_sees_the_camera(state_agent
     assert read_card(tmp_path / "run" / "agent.json").sees == "observation"
 
 
+@pytest.mark.slow
 def test_an_agent_of_another_state_is_no_teacher(state_agent, tmp_path):
     chosen = recipe("armctl/BridgeCross-v0", CAMERA | {"blocks": 3}, str(state_agent))
     with pytest.raises(AgentFileError, match="observations"):

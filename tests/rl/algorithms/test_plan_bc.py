@@ -32,9 +32,9 @@ def shapes():
 
 
 @pytest.fixture(scope="module")
-def layouts(tmp_path_factory):
+def layouts(tmp_path_factory, sized):
     folder = tmp_path_factory.mktemp("layouts")
-    make(folder, 60, 3, load_arm("ur5"), 0.05, progress=False)
+    make(folder, sized(24, 60), 3, load_arm("ur5"), 0.05, progress=False)
     return read(folder)
 
 
@@ -102,6 +102,7 @@ def trained(tmp_path_factory):
         return folder, plan_bc.train(recipe(), out=folder, seed=0, progress=False)
 
 
+@pytest.mark.slow
 def test_a_training_gives_an_agent_and_its_card(trained):
     folder, card = trained
     assert (card.learner, card.gradient_steps, card.decisions) == ("plan_bc", 6, 0)

@@ -162,6 +162,7 @@ def test_a_camera_agent_is_trained_exported_and_loaded(trained_on_bridge):
         assert len(evaluate(str(out / "agent.json"), env, episodes=2, env_options=CAMERA)) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options", [{}, {"camera": "classes", **CAMERA}, {"field_of_view": 80.0, **CAMERA}, {"observation": "state"}]
 )

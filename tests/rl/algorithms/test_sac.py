@@ -51,6 +51,7 @@ def checkpoint(out, steps):
     return SAC.load(out / "checkpoints" / f"{steps}.zip", goals, "cpu")
 
 
+@pytest.mark.slow
 def test_training_leaves_a_runnable_agent(trained):
     out, card = trained
     assert (card.recipe, card.learner, card.training_steps) == ("reach_sac", "sac", 800)
@@ -58,6 +59,7 @@ def test_training_leaves_a_runnable_agent(trained):
     assert len(evaluate(str(out / "agent.json"), episodes=3)) == 3
 
 
+@pytest.mark.slow
 def test_exported_graph_is_the_squashed_mean_of_plain_observations(trained):
     out, card = trained
     worlds = TaskVectorEnv(50, task=ReachTask)
@@ -81,6 +83,7 @@ def test_a_resumed_training_goes_on_with_its_replay_buffer(trained, tmp_path):
     assert pd.read_csv(out / "curve.csv").steps.tolist() == [0, 400, 800, 1200]
 
 
+@pytest.mark.slow
 def test_without_its_replay_buffer_a_training_does_not_go_on(trained, tmp_path):
     out = shutil.copytree(trained[0], tmp_path / "small")
     (out / "checkpoints" / REPLAY).unlink()

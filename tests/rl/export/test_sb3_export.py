@@ -1,4 +1,5 @@
 import json
+from functools import cache
 
 import gymnasium
 import numpy as np
@@ -19,7 +20,7 @@ SLOW = pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "env", "name", "options"),
     [
-        (PPO, "Pendulum-v1", "ppo", {}),
+        pytest.param(PPO, "Pendulum-v1", "ppo", {}, marks=SLOW),
         (PPO, "CartPole-v1", "ppo", {}),
         pytest.param(
             PPO, "Pendulum-v1", "ppo", {"use_sde": True, "policy_kwargs": {"squash_output": True}}, marks=SLOW
@@ -47,12 +48,12 @@ def test_an_agent_acts_as_its_model(kind, env, name, options, tmp_path):
 @pytest.mark.parametrize(
     ("seen", "done", "policy", "options"),
     [
-        ("image", "choice", "CnnPolicy", {}),
+        pytest.param("image", "choice", "CnnPolicy", {}, marks=SLOW),
         ("parts", "push", "MultiInputPolicy", {}),
         pytest.param("number", "choices", "MlpPolicy", {}, marks=SLOW),
-        ("numbers", "switches", "MlpPolicy", {}),
+        pytest.param("numbers", "switches", "MlpPolicy", {}, marks=SLOW),
         pytest.param("bits", "table", "MlpPolicy", {}, marks=SLOW),
-        ("double", "exact", "MlpPolicy", {}),
+        pytest.param("double", "exact", "MlpPolicy", {}, marks=SLOW),
     ],
 )
 def test_any_observations_and_actions(seen, done, policy, options, tmp_path):
@@ -77,16 +78,26 @@ RECURRENT = {
 }
 
 
+@pytest.fixture(scope="module")
+def recurrent(tmp_path_factory):
+    """A recurrent model, its card, and how to load its agent, of a variant: each is exported once."""
+
+    @cache
+    def of(variant):
+        model = make(RecurrentPPO, "sb3/vector-push-v0", "MlpLstmPolicy", policy_kwargs=RECURRENT[variant])
+        return model, *exported(model, "sb3/vector-push-v0", tmp_path_factory.mktemp("recurrent"))
+
+    return of
+
+
 @pytest.mark.parametrize(
     "variant", ["two LSTMs", *(pytest.param(name, marks=SLOW) for name in ("shared", "actor's only", "two layers"))]
 )
-def test_a_recurrent_agent_remembers_and_forgets(variant, tmp_path):
-    env = "sb3/vector-push-v0"
-    model = make(RecurrentPPO, env, "MlpLstmPolicy", policy_kwargs=RECURRENT[variant])
-    card, load = exported(model, env, tmp_path)
+def test_a_recurrent_agent_remembers_and_forgets(variant, recurrent):
+    model, card, load = recurrent(variant)
     layers = RECURRENT[variant].get("n_lstm_layers", 1)
     assert card.memory == {"lstm_hidden": [layers, 16], "lstm_cell": [layers, 16]}
-    check_acts_alike(model, load(4), env)
+    check_acts_alike(model, load(4), "sb3/vector-push-v0")
 
 
 @SLOW
@@ -96,10 +107,9 @@ def test_a_recurrent_agent_of_parts_and_choices(tmp_path):
     check_acts_alike(model, load(4), "sb3/two-choices-v0")
 
 
-def test_a_world_remembers_the_same_whatever_the_number_of_worlds(tmp_path):
-    env = "sb3/vector-push-v0"
-    _, load = exported(make(RecurrentPPO, env, "MlpLstmPolicy", policy_kwargs=LSTM), env, tmp_path)
-    shown, began = observations(env, 30, 9)
+def test_a_world_remembers_the_same_whatever_the_number_of_worlds(recurrent):
+    _, _, load = recurrent("two LSTMs")
+    shown, began = observations("sb3/vector-push-v0", 30, 9)
     shown[15], began[17] = shown[15], began[17] | (np.arange(9) % 2 == 0)
     played = {}
     for n in (1, 2, 3, 5, 8, 9):
@@ -113,11 +123,9 @@ def test_a_world_remembers_the_same_whatever_the_number_of_worlds(tmp_path):
     assert not np.array_equal(load(1).act(shown[1][:1]), played[1][1]), "what it remembers matters"
 
 
-@SLOW
-def test_an_agent_that_is_reset_acts_as_a_new_one(tmp_path):
-    env = "sb3/vector-push-v0"
-    _, load = exported(make(RecurrentPPO, env, "MlpLstmPolicy", policy_kwargs=LSTM), env, tmp_path)
-    shown, _ = observations(env, 4, 2)
+def test_an_agent_that_is_reset_acts_as_a_new_one(recurrent):
+    _, _, load = recurrent("two LSTMs")
+    shown, _ = observations("sb3/vector-push-v0", 4, 2)
     used = load(2)
     for seen in shown:
         used.act(seen)
@@ -139,6 +147,7 @@ def test_normalised_observations(name, given, tmp_path):
     check_acts_alike(model, load(4), "Pendulum-v1", venv.normalize_obs)
 
 
+@SLOW
 def test_parts_that_are_normalised_and_parts_that_are_not(tmp_path):
     venv = normalised("sb3/two-push-v0", tmp_path, norm_obs_keys=["place"])
     model = make(SAC, venv, "MultiInputPolicy", **SMALL)
@@ -146,6 +155,7 @@ def test_parts_that_are_normalised_and_parts_that_are_not(tmp_path):
     check_acts_alike(model, load(3), "sb3/two-push-v0", venv.normalize_obs, n=3)
 
 
+@SLOW
 def test_a_recurrent_agent_of_normalised_observations(tmp_path):
     venv = normalised("Pendulum-v1", tmp_path, "vec_normalize.pkl")
     model = make(RecurrentPPO, venv, "MlpLstmPolicy", policy_kwargs=LSTM)
@@ -162,6 +172,7 @@ def test_normalised_images(tmp_path):
     check_acts_alike(model, load(2), env, venv.normalize_obs, n=2, steps=30)
 
 
+@SLOW
 def test_without_statistics_that_lie_beside_it(tmp_path):
     normalised("Pendulum-v1", tmp_path)
     model = make(PPO, "Pendulum-v1")
@@ -182,6 +193,7 @@ def test_where_statistics_are_looked_for(beside, tmp_path):
     assert sb3_file.normalisation_beside(model) == tmp_path / beside
 
 
+@SLOW
 def test_a_trained_model_and_what_its_card_says(tmp_path):
     model = TQC(
         "MlpPolicy", "Pendulum-v1", seed=3, learning_starts=50, policy_kwargs={"net_arch": [16]}, buffer_size=500
@@ -210,6 +222,7 @@ def test_the_environment_s_options_are_on_the_card(tmp_path):
     assert "trained with" in refused.stderr
 
 
+@SLOW
 def test_channels_may_have_been_first_already(tmp_path):
     env = "sb3/image-choice-v0"
     model = make(DQN, VecTransposeImage(DummyVecEnv([lambda: gymnasium.make(env)])), "CnnPolicy", **SMALL)

@@ -103,18 +103,19 @@ def test_a_small_file_that_grows_is_not_unpacked(files, says, tmp_path, monkeypa
         sb3_file.read(path)
 
 
-def test_what_a_zip_file_claims_of_its_sizes_is_not_believed(tmp_path):
-    path = zipped(tmp_path / "model.zip", {"data": 512 * 2**20})
+def test_what_a_zip_file_claims_of_its_sizes_is_not_believed(sized, tmp_path):
+    size = sized(128, 512) * 2**20
+    path = zipped(tmp_path / "model.zip", {"data": size})
     content = path.read_bytes()
     start = content.rindex(b"PK\1\2") + 24  # where the directory at its end has the size of the first file
-    assert content[start : start + 4] == (512 * 2**20).to_bytes(4, "little")
+    assert content[start : start + 4] == size.to_bytes(4, "little")
     path.write_bytes(content[:start] + (2**20).to_bytes(4, "little") + content[start + 4 :])
     tracemalloc.start()
     with pytest.raises(AgentFileError, match="is damaged"):
         sb3_file.read(path)
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert most < 300e6, most
+    assert most < 0.56 * size, most
 
 
 def test_a_compression_that_is_unpacked_as_a_whole_is_refused(tmp_path):
@@ -177,7 +178,7 @@ def saved(tmp_path_factory):
         (["model.zip", "--algorithm", "ppoo"], "Did you mean 'ppo'"),
         (["model.zip", "--algorithm", "sac"], "cannot be loaded as a model of sac"),
         (["model.zip", "--out", "/dev/null/agent.onnx"], "cannot be written"),
-        (["model.zip", "--out", "/proc/agent.onnx"], "cannot be written"),
+        pytest.param(["model.zip", "--out", "/proc/agent.onnx"], "cannot be written", marks=pytest.mark.slow),
     ],
 )
 def test_mistakes_get_one_clear_line_and_leave_nothing(arguments, says, saved):

@@ -8,6 +8,7 @@ from armctl.rl.networks.view import view_of
 MOVING = "armctl/BridgeCrossMoving-v0"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "tolerance"), [({}, 0.1), ({"missing_barriers": 5}, 0.1), ({"resolution": (24, 16)}, 0.3)]
 )

@@ -50,7 +50,7 @@ def test_a_later_stage_replaces_what_held_before():
 
 
 @pytest.mark.parametrize("options", [{}, {"frames": 2}])
-def test_ppo_changes_worlds(stages, options, tmp_path):
+def test_ppo_changes_worlds(stages, options, unexported, tmp_path):
     card = ppo.train(recipe(options=SHORT | options), out=tmp_path / "run", seed=0, progress=False)
     assert stages == [(0.2, 0.2)] * 8 + [(0.1, 0.5)] * 4 + [(0.05, 1.0)] * 4
     assert (card.training_options, card.reward_weights) == ({"tolerance": 0.2}, {"goal": 0.2})
@@ -58,7 +58,7 @@ def test_ppo_changes_worlds(stages, options, tmp_path):
     assert card.decisions == 64
 
 
-def test_a_new_stage_begins_new_episodes(monkeypatch, tmp_path):
+def test_a_new_stage_begins_new_episodes(monkeypatch, unexported, tmp_path):
     shown, set_env = [], ppo.PPO.set_env
 
     def noted(model, worlds):
@@ -79,7 +79,7 @@ def test_a_new_stage_begins_new_episodes(monkeypatch, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_student_s_teacher_comes_along(stages, tmp_path):
+def test_a_student_s_teacher_comes_along(stages, unexported, tmp_path):
     options = {**FEW, "length": 4, "epochs": 1, "hidden_units": 8, "memory_units": 8}
     chosen = recipe("distil", options, reward_weights={}, curriculum=[{"after": 0.5}], teacher="reach_ik")
     card = distil.train(chosen, out=tmp_path / "run", seed=0, progress=False)
@@ -87,7 +87,7 @@ def test_a_student_s_teacher_comes_along(stages, tmp_path):
     assert card.teacher_queries == 64
 
 
-def test_a_resumed_training_is_in_its_stage(tmp_path):
+def test_a_resumed_training_is_in_its_stage(unexported, tmp_path):
     out = tmp_path / "run"
     ppo.train(recipe(options=SHORT | {"steps": 32}), out=out, seed=0, progress=False)
     with ExitStack() as opened:

@@ -76,13 +76,6 @@ def test_the_best_is_kept_and_exported(tmp_path, graded):
     np.testing.assert_allclose(moves, 0.5 * 0.75, atol=1e-6)
 
 
-@pytest.fixture
-def unexported(monkeypatch):
-    """An agent's graph, which takes seconds to export, is none; nobody asks what it does."""
-    monkeypatch.setattr(Actor, "export", lambda actor, path: path.write_bytes(b""))
-    monkeypatch.setattr(Training, "_final_evaluation", lambda training: None)
-
-
 def test_of_equal_success_the_higher_return_is_better(tmp_path, graded, unexported):
     with Training(recipe(), OPTIONS, tmp_path / "run", 0, False) as training:
         for steps, value in enumerate((0.0, -1.0, 0.0)):
