@@ -16,10 +16,7 @@ from typing import Any
 import numpy as np
 import typer
 from ompl import base, geometric, util
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
+from printing import markdown_table, progress, show
 
 from armctl.core.arrays import Array
 from armctl.kinematics import ArmModel, ArmShapes, EdgeChecker, Ik, Workspace
@@ -140,14 +137,14 @@ def main(count: int = typer.Option(500, "--layouts"), robot: str = "ur5") -> Non
         "LBKPIECE": by_ompl(model, "LBKPIECE1", 1.0),
         "BIT*, 0.2 s": by_ompl(model, "BITstar", 0.2),
     }
-    table = Table(
+    table = markdown_table(
         "", "solved", "valid", "total", "mean ms", "50 %", "95 %", "99 %", "most", "raw s", "shortened s",
-        title=f"{count} layouts, {robot}, drawn in {drawing:.1f} ms each", title_justify="left", box=MARKDOWN,
+        title=f"{count} layouts, {robot}, drawn in {drawing:.1f} ms each",
     )  # fmt: skip
     for name, plan in contenders.items():
         plan(layouts[0])  # compiles
         times, raws, shorts, valid = [], [], [], 0
-        for layout in track(layouts, name, console=Console(stderr=True), transient=True):
+        for layout in progress(layouts, name):
             begin = time.perf_counter()
             raw, short = plan(layout)
             times.append(1e3 * (time.perf_counter() - begin))
@@ -160,7 +157,7 @@ def main(count: int = typer.Option(500, "--layouts"), robot: str = "ur5") -> Non
             name, str(len(shorts)), str(valid), str(count), *(f"{ms:.1f}" for ms in (np.mean(times), *quantiles)),
             f"{np.mean(raws):.2f}", f"{np.mean(shorts):.2f}",
         )  # fmt: skip
-    Console(width=160).print(table)
+    show(table, width=160)
 
 
 if __name__ == "__main__":

@@ -22,12 +22,9 @@ import typer
 from cluster_costs import LONG, SHORT
 from cluster_model import Costs, Outcome, simulated
 from numpy.typing import NDArray
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.progress import track
+from printing import progress, show, versioned_table
 from rich.table import Table
 
-import armctl
 from armctl.core.registration import bare_id
 from armctl.rollout.parallel import ROUNDS
 from armctl.runtime.provenance import machine
@@ -71,11 +68,11 @@ def measure(
         "engines": engines,
     }
     out.write_text(json.dumps(measured) + "\n")
-    Console().print(_runs_table(runs), _costs_table(engines, measured["write_s"]), sep="\n")
+    show(_runs_table(runs), _costs_table(engines, measured["write_s"]))
 
 
 def _runs_table(runs: list[dict[str, Any]]) -> Table:
-    table = _table(
+    table = versioned_table(
         "", "connects s", "first result s", "all s", "processor s", "episodes/s after the first", "pays from episodes"
     )
     single = runs[0]
@@ -96,7 +93,7 @@ def _rate(run: dict[str, Any]) -> float:
 
 
 def _costs_table(engines: dict[str, dict[str, Any]], write: float) -> Table:
-    table = _table("milliseconds of a block of no work", *engines)
+    table = versioned_table("milliseconds of a block of no work", *engines)
     labels = {
         "send": "the client sends it", "schedule": "the scheduler", "transport": "on the way, there and back",
         "work": "its worker", "receive": "the client receives its result",
@@ -120,14 +117,10 @@ def simulate(episodes: int = 50_000, measured: Path = MEASURED, out: Path = PICT
     ]  # fmt: skip
     rates = {
         (env, engine, block, workers): _steady(measurements, env, engine, block, workers, episodes)
-        for env, engine, block, workers in track(settings, console=Console(stderr=True), transient=True)
+        for env, engine, block, workers in progress(settings)
     }
-    Console().print(
-        _checks_table(measurements),
-        _rates_table(measurements, rates),
-        _losses_table(measurements, LONGER * episodes),
-        sep="\n",
-    )
+    losses = _losses_table(measurements, LONGER * episodes)
+    show(_checks_table(measurements), _rates_table(measurements, rates), losses)
     _draw(measurements, rates, out)
 
 
@@ -162,7 +155,7 @@ def _steady(measurements: dict[str, Any], env: str, engine: str, block: int, wor
 
 def _checks_table(measurements: dict[str, Any]) -> Table:
     """Simulate what was measured here."""
-    table, single = _table("on this machine", "measured s", "simulated s"), measurements["runs"][0]
+    table, single = versioned_table("on this machine", "measured s", "simulated s"), measurements["runs"][0]
     for run in measurements["runs"]:
         engine = run["where"].partition(",")[0]
         if engine not in measurements["engines"]:
@@ -177,7 +170,7 @@ def _checks_table(measurements: dict[str, Any]) -> Table:
 
 
 def _rates_table(measurements: dict[str, Any], rates: dict[tuple[str, str, int, int], float]) -> Table:
-    table = _table(
+    table = versioned_table(
         "", "engine", "episodes a block", "client and scheduler keep up with workers",
         *(f"episodes/s of {workers:,}" for workers in WORKERS_IN_TABLE), f"of ideal, {WORKERS_IN_TABLE[-1]:,}",
         f"limit of {WORKERS_IN_TABLE[-1]:,} by the closed form",
@@ -201,7 +194,7 @@ def _rates_table(measurements: dict[str, Any], rates: dict[tuple[str, str, int, 
 
 def _losses_table(measurements: dict[str, Any], episodes: int) -> Table:
     """Return the costs of lost workers that are not replaced."""
-    table = _table(
+    table = versioned_table(
         f"of {LOSING} workers lost an hour, {episodes:,} episodes on the bridge", "lost in all", "minutes",
         "blocks played again", "worker minutes wasted", "results",
     )  # fmt: skip
@@ -234,10 +227,6 @@ def _draw(measurements: dict[str, Any], rates: dict[tuple[str, str, int, int], f
         axes.spines[["top", "right"]].set_visible(False)
     panels[0].legend(frameon=False, fontsize=9)
     figure.savefig(out)
-
-
-def _table(*columns: str) -> Table:
-    return Table(*columns, title=f"armctl {armctl.__version__}", title_justify="left", box=MARKDOWN)
 
 
 if __name__ == "__main__":

@@ -15,10 +15,7 @@ import casadi
 import gymnasium
 import numpy as np
 import typer
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
+from printing import markdown_table, progress, show
 
 from armctl.baselines import bridge_mpc
 from armctl.control.drive_mpc import DriveMpc, DriveMpcResult
@@ -58,7 +55,7 @@ def recorded_drives(env_id: str, episodes: int) -> list[Drive]:
     observations, _ = env.reset(seed=SEED)
     policy.reset(np.arange(episodes, dtype=np.int32))
     over = np.zeros(episodes, dtype=bool)
-    for _ in track(range(MAX_STEPS), env_id, console=Console(stderr=True), transient=True):
+    for _ in progress(range(MAX_STEPS), env_id):
         observations, _, terminated, truncated, _ = env.step(policy.act(observations))
         over |= terminated | truncated
         for world in np.flatnonzero(over):
@@ -106,8 +103,10 @@ def excess(drives: list[Drive]) -> tuple[float, list[float]]:
 
 def main(episodes: int = 12, repeats: int = 3) -> None:
     """Measure, and print a table."""
-    table = Table("environment", "decisions", "ms", "99 %", "most", "iterations", "99 %", "plans a decision",
-                  "failures", "cost over the best", "99 %", box=MARKDOWN)  # fmt: skip
+    table = markdown_table(
+        "environment", "decisions", "ms", "99 %", "most", "iterations", "99 %", "plans a decision", "failures",
+        "cost over the best", "99 %",
+    )  # fmt: skip
     for env_id in ENVIRONMENTS:
         drives = recorded_drives(env_id, episodes)
         runs = [replayed(drives) for _ in range(repeats)]
@@ -120,7 +119,7 @@ def main(episodes: int = 12, repeats: int = 3) -> None:
             str(sum(not result.solved for result in results)),
             *(f"{np.quantile(over, share):.4f}" for share in (0.5, 0.99)),
         )  # fmt: skip
-    Console(width=160).print(table)
+    show(table, width=160)
 
 
 if __name__ == "__main__":

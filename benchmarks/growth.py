@@ -22,10 +22,8 @@ from typing import Annotated
 
 import numpy as np
 import typer
+from printing import show, versioned_table
 from relapse import BRIDGE, REACH, stepped
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.table import Table
 
 import armctl
 from armctl.episodes.record import EpisodeResult
@@ -43,20 +41,22 @@ app = typer.Typer(help=__doc__, add_completion=False, pretty_exceptions_enable=F
 @app.command()
 def worlds(steps: int = 4, env: ENVS = [REACH, BRIDGE], count: list[int] = list(WORLDS)) -> None:  # noqa: B006
     """Measure numbers of worlds, and print a table."""
-    table = _table("", "worlds", "us a world and step", "times raw `mj_step`", "kB a world")
+    table = versioned_table("", "worlds", "us a world and step", "times raw `mj_step`", "kB a world")
     for name in env:
         for n in count:
             figures = _in_a_fresh_process("step", name, n, steps)
             table.add_row(
                 f"`{name}`", f"{n:,}", f"{figures['us']:,.0f}", f"{figures['ratio']:.2f}", f"{figures['kb']:,.0f}"
             )
-    Console().print(table)
+    show(table)
 
 
 @app.command()
 def table(rows: int = 1_000_000, env: ENVS = [REACH, BRIDGE]) -> None:  # noqa: B006
     """Measure the results of a comparison with so many episodes in all, and print a table."""
-    output = _table("", "episodes", "decisions", "", "processor s", "peak MB", "peak MB of 30 episodes", "MB on disk")
+    output = versioned_table(
+        "", "episodes", "decisions", "", "processor s", "peak MB", "peak MB of 30 episodes", "MB on disk"
+    )
     for name in env:
         with tempfile.TemporaryDirectory() as home:
             few, many = Path(home, "few"), Path(home, "many")
@@ -69,7 +69,7 @@ def table(rows: int = 1_000_000, env: ENVS = [REACH, BRIDGE]) -> None:  # noqa: 
                     f"`{name}`", *counts, job, f"{figures['seconds']:.1f}", f"{figures['peak']:,.0f}",
                     f"{start['peak']:,.0f}", f"{figures['size']:,.1f}",
                 )  # fmt: skip
-    Console().print(output)
+    show(output)
 
 
 @app.command(hidden=True)
@@ -177,10 +177,6 @@ def _in_a_fresh_process(*command: object) -> dict[str, float]:
 def _resident() -> int:
     """Return the bytes of memory that this process has."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
-
-
-def _table(*columns: str) -> Table:
-    return Table(*columns, title=f"armctl {armctl.__version__}", title_justify="left", box=MARKDOWN)
 
 
 if __name__ == "__main__":

@@ -23,9 +23,8 @@ import pink
 import pinocchio
 import typer
 from pink.limits import ConfigurationLimit
+from printing import progress, show
 from rich.box import MARKDOWN
-from rich.console import Console
-from rich.progress import track
 from rich.table import Column, Table
 
 from armctl.core.arrays import Array
@@ -116,7 +115,7 @@ def timed(call: Callable[[], Any]) -> tuple[float, Any]:
 def figures(model: ArmModel, name: str, poses: list[Array], solve: Any, prepare_step: Any) -> list[str]:
     """Return a row of the table, for functions from a pose to its solutions and to the first step towards it."""
     times, residuals = [], []
-    for pose in track(poses, name, console=Console(stderr=True), transient=True):
+    for pose in progress(poses, name):
         milliseconds, solutions = timed(partial(solve, pose))
         times.append(milliseconds)
         residuals.append([residual(model, q, pose) for q in solutions])
@@ -169,14 +168,8 @@ def main(poses: int = 10_000, peer_poses: int = 500) -> None:
         seven_joints.add_row(*figures_of(robot, poses, rng))
 
     versions = ", ".join(f"{package} {version(package)}" for package in PACKAGES)
-    console = Console(width=200)  # all columns, also where the output is no terminal
-    console.print(
-        f"{os.cpu_count()} cores, Python {platform.python_version()}, {versions}",
-        table,
-        TRAC_IK,
-        seven_joints,
-        sep="\n",
-    )
+    machine = f"{os.cpu_count()} cores, Python {platform.python_version()}, {versions}"
+    show(machine, table, TRAC_IK, seven_joints, width=200)  # all columns, also where the output is no terminal
 
 
 if __name__ == "__main__":

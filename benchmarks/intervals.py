@@ -14,9 +14,7 @@ from typing import Any
 
 import numpy as np
 import typer
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.table import Table
+from printing import markdown_table, show
 from scipy import stats
 
 import armctl
@@ -267,10 +265,10 @@ def main(runs: int = 2000, table: str = "") -> None:
         if table and name != table:
             continue
         statistics.DRAWS = DRAWS
-        start, printed = time.process_time(), Table(*columns, box=MARKDOWN)
+        start, printed = time.process_time(), markdown_table(*columns)
         for row in simulate(runs):
             printed.add_row(*row)
-        Console().print(printed)
+        show(printed)
         print(f"{name}: {runs} runs, armctl {armctl.__version__}, {time.process_time() - start:.0f} s of processor\n")
 
 

@@ -23,9 +23,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import typer
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.table import Table
+from printing import markdown_table, show
 
 import armctl  # noqa: F401 - registers the environments
 from armctl.core.registration import environment_names
@@ -263,14 +261,14 @@ def main(only: str = "", env: list[str] | None = None, raw: bool = False) -> Non
     if raw:
         print("\n" + json.dumps({env_id: row(learners[0], env_id) for env_id in envs}))
         return
-    table = Table("learner", "environments", *(f"`{way}`" for way in WAYS), box=MARKDOWN)
+    table = markdown_table("learner", "environments", *(f"`{way}`" for way in WAYS))
     for learner in learners:
         alike: dict[tuple[str, ...], list[str]] = {}
         for env_id, cells in _tried(learner, envs).items():
             alike.setdefault(tuple(cells), []).append(env_id.removeprefix("armctl/").removesuffix("-v0"))
         for columns, names in alike.items():
             table.add_row(learner, "all" if len(names) == len(envs) else ", ".join(names), *columns)
-    Console(width=1_000).print(table)
+    show(table, width=1_000)
 
 
 if __name__ == "__main__":

@@ -14,9 +14,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import typer
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.progress import track
+from printing import markdown_table, progress, show
 from rich.table import Table
 
 from armctl.core.errors import unknown_name
@@ -64,14 +62,14 @@ def main(
     if not plot_only:
         with ThreadPoolExecutor(workers) as pool:
             jobs = [pool.submit(_train, study, *which, folder) for which, folder in folders.items()]
-            for job in track(jobs, "training", console=Console(stderr=True)):
+            for job in progress(jobs, "training"):
                 job.result()
     curves = pd.concat(
         pd.read_csv(folder / "curve.csv").assign(variant=variant, seed=seed)
         for (variant, seed), folder in folders.items()
         if (folder / "curve.csv").exists()
     )
-    Console().print(_table(curves, env, seeds))
+    show(_table(curves, env, seeds))
     if picture:
         _plot(curves, env, picture)
         curves.to_csv(picture.with_suffix(".csv"), index=False)
@@ -90,9 +88,9 @@ def _train(study: Study, variant: str, seed: int, folder: Path) -> None:
 
 
 def _table(curves: pd.DataFrame, env: str, seeds: int) -> Table:
-    table = Table(
+    table = markdown_table(
         "potential", f"control steps to {ENOUGH:.0%}: median and range of seeds", "minutes", "in the end",
-        "range of seeds", title=f"{env}, {seeds} seeds", title_justify="left", box=MARKDOWN,
+        "range of seeds", title=f"{env}, {seeds} seeds",
     )  # fmt: skip
     for variant, runs in curves.groupby("variant", sort=False):
         first = [run[run.success >= ENOUGH].head(1) for _, run in runs.groupby("seed")]

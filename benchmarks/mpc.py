@@ -15,11 +15,8 @@ from typing import Any
 
 import numpy as np
 import typer
+from printing import markdown_table, progress, show
 from reach_reference import ReachReference
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
 
 from armctl.control.reach_mpc import ReachMpc, ReachMpcOptions
 from armctl.control.reach_problem import MpcResult
@@ -190,17 +187,18 @@ def milliseconds(runs: list[list[float]]) -> tuple[str, str]:
 
 def main(states: int = 200, repeats: int = 5) -> None:
     """Measure, and print tables."""
-    model, console, bar = ArmModel("ur5"), Console(width=160), Console(stderr=True)
+    model = ArmModel("ur5")
     open_space, everything = ReachMpcOptions(pairs=0), ReachMpcOptions()
-    table = Table("a control step", "ms", "99 %", "over the best: median", "99 %", "most", "failures",
-                  title=f"{states} decisions, horizon {everything.problem.horizon}",
-                  title_justify="left", box=MARKDOWN)  # fmt: skip
+    table = markdown_table(
+        "a control step", "ms", "99 %", "over the best: median", "99 %", "most", "failures",
+        title=f"{states} decisions, horizon {everything.problem.horizon}",
+    )  # fmt: skip
     for name, arm, options in (
         ("open space", model, open_space),
         ("with floor and self-collision constraints", model, everything),
         ("with three boxes too", model.among(BOXES), everything),
     ):
-        runs = [drive(arm, options, states) for _ in track(range(repeats), name, console=bar, transient=True)]
+        runs = [drive(arm, options, states) for _ in progress(range(repeats), name)]
         excess = ["", "", ""]
         if options is open_space:
             reference, run = ReachReference(arm, options.problem), runs[0]
@@ -213,21 +211,19 @@ def main(states: int = 200, repeats: int = 5) -> None:
             excess = [f"{np.median(over):.4%}", f"{np.quantile(over, 0.99):.2%}", f"{over.max():.2%}"]
         failures = sum(not plan.solved for plan in runs[0].plans)
         table.add_row(name, *milliseconds([run.seconds for run in runs]), *excess, str(failures))
-    console.print(table)
+    show(table, width=160)
 
     programs = drive(model, open_space, states, record=True).programs
-    table = Table("a quadratic program", "ms", "99 %", "off by, rad/s", "99 %",
-                  title=f"Their {len(programs)} quadratic programs", title_justify="left", box=MARKDOWN)  # fmt: skip
+    title = f"Their {len(programs)} quadratic programs"
+    table = markdown_table("a quadratic program", "ms", "99 %", "off by, rad/s", "99 %", title=title)
     exact: list[Array] = []
     for name, make in (("daqp", daqp_solver), ("OSQP", osqp_solver), ("ProxQP, sparse", proxqp_solver)):
         try:
             solve = make(programs[0], open_space)
         except ImportError:
-            console.print(f"{name} is not installed: left out")
+            print(f"{name} is not installed: left out")
             continue
-        results = [
-            times_and_solutions(solve, programs) for _ in track(range(repeats), name, console=bar, transient=True)
-        ]
+        results = [times_and_solutions(solve, programs) for _ in progress(range(repeats), name)]
         solutions = results[0][1]
         exact = exact or solutions
         half = len(solutions[0]) // 2
@@ -235,7 +231,7 @@ def main(states: int = 200, repeats: int = 5) -> None:
         off /= open_space.problem.period
         row = milliseconds([times for times, _ in results])
         table.add_row(name, *row, f"{np.median(off):.2g}", f"{np.quantile(off, 0.99):.2g}")
-    console.print(table)
+    show(table, width=160)
 
 
 if __name__ == "__main__":

@@ -8,10 +8,8 @@ No policy should be sooner by more than the one decision that servos and samplin
 import numpy as np
 import pandas as pd
 import typer
-from rich.box import MARKDOWN
-from rich.console import Console
+from printing import markdown_table, show
 from rich.progress import Progress
-from rich.table import Table
 
 from armctl.study import compare
 
@@ -22,15 +20,15 @@ def main(episodes: int = 10_000, seed: int = 0, policies: str = "reach_ik,reach_
     with Progress(transient=True) as bar:
         task = bar.add_task("episodes", total=episodes * len(names))
         comparison = compare(names, episodes=episodes, seed=seed, worlds=100, progress=lambda result: bar.advance(task))
-    table = Table(
+    table = markdown_table(
         "policy", "reached", "over the least time: median", "95 % interval", "90th percentile",
-        "earlier by 1 control step", "by more", box=MARKDOWN, title_justify="left",
+        "earlier by 1 control step", "by more",
     )  # fmt: skip
     table.title = f"armctl/ArmReach-v0, {episodes:,} episodes, decisions over the least possible"
     summaries = {summary.policy: summary for summary in comparison.policies}
     for name, group in comparison.episodes.groupby("policy", sort=False):
         table.add_row(f"`{name}`", *row(group, summaries[name]))
-    Console().print(table)
+    show(table)
 
 
 def row(episodes: pd.DataFrame, summary) -> list[str]:

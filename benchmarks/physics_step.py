@@ -13,10 +13,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import typer
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
+from printing import markdown_table, progress, show
 
 import armctl
 from armctl.robots.rover import MAX_VELOCITY
@@ -61,12 +58,12 @@ def main(runs: int = 64, seconds: float = 5.0) -> None:
     held[..., 0] = np.abs(held[..., 0])
     commands = np.repeat(held, HOLD, axis=0)
     poses = {}
-    for step in track((FINE / 2, FINE, *STEPS), console=Console(stderr=True), transient=True):
+    for step in progress((FINE / 2, FINE, *STEPS)):
         poses[step] = drive(step, commands)
     title = f"{runs} drives of {seconds:g} s, final pose against a step of {FINE * 1e3:g} ms"
-    table = Table(
+    table = markdown_table(
         "step, ms", "position, mm: median", "95 %", "heading, degrees: median", "95 %", "times real time",
-        title=title, title_justify="left", box=MARKDOWN,
+        title=title,
     )  # fmt: skip
     for step in (FINE / 2, *STEPS):
         reached, speed = poses[step]
@@ -75,7 +72,7 @@ def main(runs: int = 64, seconds: float = 5.0) -> None:
         heading = np.degrees(np.abs((difference[:, 2] + np.pi) % (2 * np.pi) - np.pi))
         figures = [np.quantile(error, q) for error in (position, heading) for q in (0.5, 0.95)]
         table.add_row(f"{step * 1e3:g}", *(f"{figure:.1f}" for figure in figures), f"{speed:,.0f}")
-    Console().print(table)
+    show(table)
     print(f"armctl {armctl.__version__}; speed is that of the physics alone, on all cores")
 
 

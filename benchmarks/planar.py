@@ -10,9 +10,7 @@ import time
 
 import numpy as np
 import typer
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.table import Table
+from printing import markdown_table, show
 
 from armctl.envs import EpisodeVectorEnv, make_worlds
 
@@ -23,7 +21,7 @@ OBSERVATIONS = {"state": ("state", "state"), "camera": ("camera", "ranges")}
 
 def main(env: str = "armctl/BridgeCrossMoving-v0", worlds: int = 256, seconds: float = 3.0) -> None:
     """Print a row for each observation."""
-    table = Table("observation", "with physics", "without", "ratio", box=MARKDOWN)
+    table = markdown_table("observation", "with physics", "without", "ratio")
     for name, (true, kinematic) in OBSERVATIONS.items():
         pair = [
             make_worlds(env, worlds, {"observation": true}),
@@ -34,7 +32,7 @@ def main(env: str = "armctl/BridgeCrossMoving-v0", worlds: int = 256, seconds: f
         rates = np.array([[steps_per_second(each, seconds) for each in pair] for _ in range(ROUNDS)])
         physics, planar = np.median(rates, axis=0)
         table.add_row(name, f"{physics:,.0f}", f"{planar:,.0f}", f"{np.median(rates[:, 1] / rates[:, 0]):.1f}")
-    Console(width=100).print(table)
+    show(table, width=100)
 
 
 def steps_per_second(env: EpisodeVectorEnv, seconds: float) -> float:

@@ -14,10 +14,7 @@ import numpy as np
 import shapely
 import typer
 from ompl import base, geometric, util
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
+from printing import markdown_table, progress, show
 from scipy.sparse.csgraph import dijkstra
 from shapely import affinity
 
@@ -139,7 +136,7 @@ def clearance(bridge: BridgeMap, path: Array) -> float:
 def main(count: int = typer.Option(200, "--layouts"), reference: int = 20, seconds: float = 5.0) -> None:
     """Measure, and print a table."""
     util.noOutputHandler()
-    maps, bar = layouts(count), Console(stderr=True)
+    maps = layouts(count)
     patient = f"BIT*, {seconds:g} s"
     contenders = {
         "armctl: FMT* on chosen points": by_armctl(PathPlannerOptions()),
@@ -154,17 +151,16 @@ def main(count: int = typer.Option(200, "--layouts"), reference: int = 20, secon
     times: dict[str, list[float]] = {name: [] for name in contenders}
     for name, plan in contenders.items():
         plan(maps[0])  # compiles
-        for bridge in track(maps[: reference if name == patient else count], name, console=bar, transient=True):
+        for bridge in progress(maps[: reference if name == patient else count], name):
             begin = time.perf_counter()
             paths[name].append(plan(bridge))
             times[name].append(1e3 * (time.perf_counter() - begin))
     best = np.array([shortest_length(bridge) for bridge in maps])
     for solutions in paths.values():
         best[: len(solutions)] = np.minimum(best[: len(solutions)], [length(path) for path in solutions])
-    table = Table(
+    table = markdown_table(
         "", "found", "median ms", "99 %", "over the shortest: median", "most", "smallest clearance, m",
         title=f"{count} layouts, {reference} for {patient}; clearance {CLEARANCE} m",
-        title_justify="left", box=MARKDOWN,
     )  # fmt: skip
     for name in contenders:
         ratio = np.array([length(path) for path in paths[name]]) / best[: len(paths[name])]
@@ -175,7 +171,7 @@ def main(count: int = typer.Option(200, "--layouts"), reference: int = 20, secon
             f"{ratio.max() - 1:.2%}" if np.isfinite(ratio).all() else "not found",
             f"{nearest:.4f}",
         )  # fmt: skip
-    Console(width=160).print(table)
+    show(table, width=160)
 
 
 if __name__ == "__main__":

@@ -18,12 +18,8 @@ import mujoco
 import numpy as np
 import pandas as pd
 import typer
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
+from printing import progress, show, versioned_table
 
-import armctl
 from armctl.control.reach_mpc import ReachMpc, ReachMpcOptions
 from armctl.kinematics import ArmModel, Ik, MinimumTimeReach, Workspace
 from armctl.planning import ArmPlanner, plan_path
@@ -170,14 +166,13 @@ def main(
     kept = pd.read_csv(KEPT, index_col="case").ratio.to_dict() if KEPT.exists() else {}
     chosen = {name: case for name, case in CASES.items() if only in name}
     ratios = {
-        name: min_ratio(case, WORSE * kept.get(name, np.inf))
-        for name, case in track(chosen.items(), "timing", console=Console(stderr=True), transient=True)
+        name: min_ratio(case, WORSE * kept.get(name, np.inf)) for name, case in progress(chosen.items(), "timing")
     }
-    table = Table("", "now", "kept", "change", title=f"armctl {armctl.__version__}", title_justify="left", box=MARKDOWN)
+    table = versioned_table("", "now", "kept", "change")
     for name, ratio in ratios.items():
         kept_ratio = kept.get(name, np.nan)
         table.add_row(name, f"{ratio:.2f}", f"{kept_ratio:.2f}", f"{ratio / kept_ratio - 1:+.0%}")
-    Console().print(table)
+    show(table)
     if keep:
         pd.Series(kept | ratios, name="ratio").round(3).rename_axis("case").to_csv(KEPT)
     slower = [name for name, ratio in ratios.items() if ratio > WORSE * kept.get(name, np.inf)]

@@ -15,7 +15,7 @@ import gymnasium
 import mujoco
 import numpy as np
 import typer
-from rich.box import MARKDOWN
+from printing import markdown_table, show
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -82,7 +82,7 @@ def measured(contenders: dict[str, Contender], rounds: int, title: str) -> Table
             taken[i, number] = time.process_time() - begin
     milliseconds = 1e3 * taken / worlds[:, None]
     columns = "", "processor s in all", "processor ms a world", "most", "times raw"
-    table = Table(*columns, title=title, title_justify="left", box=MARKDOWN)
+    table = markdown_table(*columns, title=title)
     for name, total, each in zip(contenders, taken, milliseconds, strict=True):
         share = np.median(each / milliseconds[0])
         table.add_row(name, f"{np.median(total):.3f}", f"{np.median(each):.3f}", f"{each.max():.3f}", f"{share:.1f}")
@@ -103,7 +103,7 @@ def main(rounds: int = 7) -> None:
         f"`gym.make_vec` and `reset` of {BRIDGES:,} worlds": made_and_reset(BRIDGE, BRIDGES),
     }
     for env, contenders, times in ((OBSTACLES, obstacles, rounds), (BRIDGE, bridges, min(rounds, 3))):
-        Console().print(measured(contenders, times, f"{env}, {versions}"))
+        show(measured(contenders, times, f"{env}, {versions}"))
 
 
 if __name__ == "__main__":

@@ -21,10 +21,7 @@ import gymnasium
 import mujoco
 import numpy as np
 import typer
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
+from printing import markdown_table, progress, show
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import SubprocVecEnv
 
@@ -163,23 +160,14 @@ def main(env: str = armctl.DEFAULT_ENV, worlds: int = 256, seconds: float = 3.0)
         "`gym.make`": (single(env), 1),
     }
     rates: dict[str, list[float]] = {name: [] for name in contenders}
-    for _ in track(range(ROUNDS), console=Console(stderr=True), transient=True):
+    for _ in progress(range(ROUNDS)):
         for name, (run, _) in contenders.items():
             rates[name].append(run(seconds))
     task = gymnasium.make(env).get_wrapper_attr("task")
     timestep, substeps = task.simulation.model.opt.timestep, task.substeps
     title = f"{env}, {cores} cores, armctl {armctl.__version__}, mujoco {mujoco.__version__}"
-    table = Table(
-        "",
-        "physics steps/s",
-        "control steps/s",
-        "times real time",
-        "of raw",
-        "of raw with finer steps",
-        title=title,
-        title_justify="left",
-        box=MARKDOWN,
-    )
+    columns = ("", "physics steps/s", "control steps/s", "times real time", "of raw", "of raw with finer steps")
+    table = markdown_table(*columns, title=title)
     for name, (_, threads) in contenders.items():
         rate = float(np.median(rates[name]))
         shares = [
@@ -187,7 +175,7 @@ def main(env: str = armctl.DEFAULT_ENV, worlds: int = 256, seconds: float = 3.0)
             for reference in (bare[threads], refined[threads])
         ]
         table.add_row(name, f"{rate:,.0f}", f"{rate / substeps:,.0f}", f"{rate * timestep:,.0f}", *shares)
-    Console().print(table)
+    show(table)
 
 
 if __name__ == "__main__":

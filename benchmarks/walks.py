@@ -20,9 +20,7 @@ import gymnasium
 import numpy as np
 import typer
 from numba.core.registry import CPUDispatcher
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.table import Table
+from printing import markdown_table, show
 
 import armctl
 from armctl.cli import app
@@ -96,11 +94,11 @@ def main(files: Annotated[bool, typer.Option("--files", help="List the files too
         "an episode, from command to verdict": touched(episode),
         "an action, to MuJoCo and back": touched(action()),
     }
-    table = Table("walk", "files", "by package", box=MARKDOWN)
+    table = markdown_table("walk", "files", "by package")
     for name, walk in walks.items():
         packages = Counter(file.removeprefix("src/armctl/").rpartition("/")[0].partition("/")[0] for file in walk)
         table.add_row(name, str(len(walk)), ", ".join(f"{package or 'armctl'} {n}" for package, n in packages.items()))
-    Console().print(table)
+    show(table)
     if files:
         for name, walk in walks.items():
             print(f"\n{name}:", *walk, sep="\n  ")

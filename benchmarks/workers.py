@@ -12,10 +12,7 @@ import time
 import numpy as np
 import pandas as pd
 import typer
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
+from printing import markdown_table, progress, show
 
 import armctl
 from armctl.episodes.record import TIME_COLUMNS
@@ -24,7 +21,7 @@ from armctl.episodes.record import TIME_COLUMNS
 def timed(env: str, episodes: int, workers: int) -> tuple[float, pd.DataFrame]:
     """Return the seconds that a comparison takes, and its episodes without what depends on the machine."""
     start = time.perf_counter()
-    comparison = armctl.compare(env=env, episodes=episodes, workers=workers)
+    comparison = armctl.compare(env=env, episodes=episodes, workers=workers, policy_seed=0)
     if comparison.failures or comparison.interrupted:
         raise SystemExit(f"the comparison did not come to its end: {comparison.failures}")
     return time.perf_counter() - start, comparison.episodes.drop(columns=list(TIME_COLUMNS))
@@ -35,7 +32,7 @@ def main(env: str = armctl.DEFAULT_ENV, episodes: int = 400, workers: int = 2, r
     counts = (1, workers)
     timed(env, 4 * workers, workers)
     seconds: dict[int, list[float]] = {count: [] for count in counts}
-    for _ in track(range(rounds), console=Console(stderr=True), transient=True):
+    for _ in progress(range(rounds)):
         episodes_of = {}
         for count in counts:
             took, episodes_of[count] = timed(env, episodes, count)
@@ -43,11 +40,11 @@ def main(env: str = armctl.DEFAULT_ENV, episodes: int = 400, workers: int = 2, r
         if not episodes_of[1].equals(episodes_of[workers]):
             raise SystemExit(f"{workers} workers found other episodes than one")
     title = f"{env}, {episodes} episodes, {len(os.sched_getaffinity(0))} cores, armctl {armctl.__version__}"
-    table = Table("workers", "seconds", "gain", "of linear", title=title, title_justify="left", box=MARKDOWN)
+    table = markdown_table("workers", "seconds", "gain", "of linear", title=title)
     for count in counts:
         gain = float(np.median(np.array(seconds[1]) / np.array(seconds[count])))
         table.add_row(str(count), f"{np.median(seconds[count]):.1f}", f"{gain:.2f}", f"{gain / count:.0%}")
-    Console().print(table)
+    show(table)
 
 
 if __name__ == "__main__":
