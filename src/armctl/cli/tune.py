@@ -44,6 +44,14 @@ class TuneRequest:
         Path | None,
         typer.Option(help="Folder of the tuning; the same one resumes it.", show_default="tuned/<name>"),
     ] = None
+    resume: Annotated[
+        bool,
+        typer.Option(
+            "--resume",
+            help="Continue the trainings of a trial whose process died, from their checkpoints: pickles, which can "
+            "run any code. Without it, such a trial begins anew.",
+        ),
+    ] = False
     workers: Workers = 1
     on: On = "local"
     table_format: Format = TableFormat.TABLE
@@ -64,7 +72,7 @@ def tune(request: TuneRequest) -> None:
 
     The folder has the journal, which other processes may join by the same command, also from other machines; a row for
     each trial in `trials.csv`; `tuning.html` with Optuna's plots; and the best values as a file, for `armctl train` or
-    `armctl compare`. After Ctrl-C or a crash, the same command resumes.
+    `armctl compare`. After Ctrl-C or a crash, the same command resumes; with `--resume`, trainings too.
     """
     from armctl.core.errors import missing_extra
 
@@ -95,8 +103,9 @@ def tune(request: TuneRequest) -> None:
             bar.update(task, description=description, completed=len(outcome.trials))
 
         outcome = run_tuning(
-            candidate, folder, trials=budget, hours=request.hours, seed=request.seed, workers=engine, progress=progress
-        )
+            candidate, folder, trials=budget, hours=request.hours, seed=request.seed, workers=engine,
+            resume=request.resume, progress=progress,
+        )  # fmt: skip
     page = write_tuning_page(outcome)
     console = print_document(document(outcome), request.table_format)
     console.print(f"{page} shows all trials; what they found is beside it.", soft_wrap=True)

@@ -62,6 +62,9 @@ class Candidate(ABC):
     space: SearchSpace
     score: Score
 
+    resumes: bool = field(default=False, kw_only=True)
+    """True if trainings of a lost trial continue from their checkpoints, which can run code."""
+
     @property
     @abstractmethod
     def content(self) -> dict[str, Any]:
@@ -129,7 +132,7 @@ class RecipeCandidate(Candidate):
             for score in read_curve(home / CURVE)[self.score].tolist() if (home / CURVE).exists() else ():
                 report(score)
         if not finished(home):
-            train_here(recipe, seed, home, resume=True, on_evaluation=lambda row: report(row[self.score]))
+            train_here(recipe, seed, home, resume=self.resumes, on_evaluation=lambda row: report(row[self.score]))
 
     @property
     def code(self) -> dict[str, str]:

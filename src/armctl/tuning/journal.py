@@ -1,15 +1,16 @@
 """A tuning's folder: Optuna's journal, in which any number of processes work at once, and lose nothing when they die.
 
 They may be on several machines that share the folder. Each holds a lock while it lives, so that the others know whose
-trials are lost. These are tried again, in the same folder: trainings that have begun there are resumed.
+trials are lost. These are tried again. The journal may come from a stranger: it is checked against the search space.
 """
 
 import contextlib
+import math
 import uuid
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import filelock
 import numpy as np
@@ -18,21 +19,36 @@ from optuna.samplers import TPESampler
 from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from armctl.core.errors import ResultsError
+from armctl.core.errors import ResultsError, described
 from armctl.core.files import FORMAT, LOCK, inside, open_without_links, sealed, write_atomically
 from armctl.runtime.folder import claim
 from armctl.runtime.identity import checksum_of_core
 from armctl.runtime.provenance import versions
 from armctl.tuning.candidates import Candidate
+from armctl.tuning.trials import distributions
 
 FORMAT_NUMBER = 1
 """Format of `tuning.json`."""
 JOURNAL, TUNING, PROCESSES = "journal.log", "tuning.json", "processes"
-PROCESS, FOLDER = "process", "folder"
-"""Notes on a trial: the process that tries it, and its folder."""
+PROCESS, FOLDER, SECONDS, SCORES, FAILURE = "process", "folder", "processor_seconds", "scores", "failure"
+"""Notes on a trial."""
 PATIENCE = 60.0
 """s to wait for another process that joins or leaves."""
+
+
+class TrialNotes(BaseModel):
+    """Notes on a trial, as they may be."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
+
+    process: Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")] | None = None
+    """The process that tries it."""
+    folder: Annotated[str, Field(pattern=r"^[0-9]{4,10}(-[0-9a-f]{8})?$")] | None = None
+    processor_seconds: Annotated[float, Field(ge=0)] | None = None
+    scores: list[float] = []
+    failure: str | None = None
 
 
 @contextlib.contextmanager
@@ -56,25 +72,58 @@ def joined(candidate: Candidate, folder: Path, seed: int) -> Iterator[tuple[optu
                 is_alone = not _living(others)
                 if is_alone:
                     _mend(folder / JOURNAL)
+                    Path(f"{folder / JOURNAL}.lock").unlink(missing_ok=True)  # of a process that died while it wrote
                 name = uuid.uuid4().hex
                 leaving.callback((others / name).unlink, missing_ok=True)
                 leaving.enter_context(filelock.FileLock(others / name, timeout=0))
-                study = _study(folder / JOURNAL, seed)
-                if not study.get_trials(deepcopy=False):
-                    study.enqueue_trial(candidate.present)
-                _retry_lost(study, _living(others), is_alone)
+                with _damage(folder / JOURNAL):
+                    study = _study(folder / JOURNAL, seed)
+                    _check_trials(study, candidate)
+                    if not study.get_trials(deepcopy=False):
+                        study.enqueue_trial(candidate.present)
+                    _retry_lost(study, _living(others), is_alone)
         except filelock.Timeout:
             raise ResultsError(f"another process has kept {folder} locked for {PATIENCE:.0f} s") from None
         except OSError as error:
             raise ResultsError(f"{folder} cannot be written to: {error.strerror}") from error
-        except (ValueError, KeyError, AssertionError) as error:
-            raise ResultsError(f"{folder / JOURNAL} is damaged ({error}): choose another folder") from error
         yield study, name
+
+
+@contextlib.contextmanager
+def _damage(journal: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError:
+        raise
+    except Exception as error:  # Optuna reads what anybody may have written, and checks little of it
+        raise ResultsError(f"{journal} is damaged ({described(error)}): choose another folder") from error
+
+
+def _check_trials(study: optuna.Study, candidate: Candidate) -> None:
+    """Raise `ValueError` for what this candidate's tuning does not write."""
+    if study.directions != [optuna.study.StudyDirection.MAXIMIZE]:
+        raise ValueError("it minimises, or has several scores")
+    expected = distributions(candidate.space)
+    for trial in study.get_trials(deepcopy=False):
+        about = f"trial {trial.number}"
+        if any(expected.get(path) != distribution for path, distribution in trial.distributions.items()):
+            raise ValueError(f"{about} has another search space")
+        if trial.state.is_finished() and trial.value is not None and trial.distributions.keys() != expected.keys():
+            raise ValueError(f"{about} lacks values")
+        for path, value in [*trial.params.items(), *trial.system_attrs.get("fixed_params", {}).items()]:
+            if value not in candidate.space[path]:
+                raise ValueError(f"{about} has {path} = {value!r}, outside its range")
+        if trial.value is not None and not math.isfinite(trial.value):
+            raise ValueError(f"{about} has the value {trial.value}")
+        try:
+            TrialNotes.model_validate(trial.user_attrs)
+        except ValidationError as error:
+            raise ValueError(f"the notes of {about} are not armctl's: {error.errors()[0]['msg']}") from error
 
 
 def _study(journal: Path, seed: int) -> optuna.Study:
     open(journal, "ab", opener=open_without_links).close()
-    storage = JournalStorage(JournalFileBackend(str(journal)))
+    storage = JournalStorage(JournalFileBackend(str(journal.absolute())))  # its lock is a link to the path
     study = optuna.create_study(study_name=TUNING, storage=storage, direction="maximize", load_if_exists=True)
     states = np.random.SeedSequence([seed, len(study.get_trials(deepcopy=False))]).generate_state(1)
     with warnings.catch_warnings(action="ignore", category=optuna.exceptions.ExperimentalWarning):

@@ -2,6 +2,8 @@
 
 import contextlib
 import dataclasses
+import os
+import uuid
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,12 +19,10 @@ from armctl.core.search_space import with_values
 from armctl.runtime.engines import Cluster, Engine, engine_of
 from armctl.training.trials import TRIALS, add_trial, trial_row
 from armctl.tuning.candidates import Candidate
-from armctl.tuning.journal import FOLDER, PROCESS, joined
+from armctl.tuning.journal import FAILURE, FOLDER, PROCESS, SCORES, SECONDS, joined
 from armctl.tuning.trials import TrialOutcome, distributions, measure, measure_away
 
 FOLDERS = "trials"
-SECONDS, SCORES, FAILURE = "processor_seconds", "scores", "failure"
-"""Notes on a trial."""
 IN_A_ROW = 3
 """So many failed trials one after the other end the tuning: something is wrong with more than their values."""
 
@@ -75,6 +75,7 @@ def tune(
     hours: float | None = None,
     seed: int = 0,
     workers: int | Engine = 1,
+    resume: bool = False,
     progress: Callable[[TuningOutcome], None] = lambda so_far: None,
 ) -> TuningOutcome:
     """Try values until `trials` have ended, or they have spent so many processor `hours`, whichever comes first.
@@ -86,7 +87,9 @@ def tune(
     at the same time, have tried in the folder `out` counts.
 
     The folder holds `journal.log`, which is Optuna's, `trials.csv`, with a row for each trial, what the trials write,
-    and the best values in a TOML file. `progress` is told of each trial that has ended.
+    and the best values in a TOML file. `progress` is told of each trial that has ended. A trial whose process died is
+    tried again, from its beginning; with `resume`, its trainings continue from their checkpoints. These are pickles,
+    which can run any code when they are loaded: resume only tunings of your own.
 
     Raises `ConfigurationError`, also if the present values fail, `ResultsError` if the folder cannot be written or
     holds another tuning, and `WorkersFailed`.
@@ -96,7 +99,7 @@ def tune(
     for name, budget in {"trials": trials, "hours": hours}.items():
         if budget is not None and not budget > 0:
             raise ConfigurationError(f"{name} must be more than 0, not {budget}")
-    engine, folder = engine_of(workers), Path(out)
+    engine, folder, candidate = engine_of(workers), Path(out), dataclasses.replace(candidate, resumes=resume)
     with joined(candidate, folder, seed) as (study, process):
         outcome, running = TuningOutcome(candidate, study, folder), dict[int, optuna.Trial]()
 
@@ -105,7 +108,8 @@ def tune(
                 trial = study.ask(distributions(candidate.space))
                 running[trial.number] = trial
                 trial.set_user_attr(PROCESS, process)
-                name = trial.user_attrs.get(FOLDER, f"{trial.number:04d}")  # of a lost trial, which is tried again
+                name = trial.user_attrs.get(FOLDER) if candidate.resumes else None  # of a lost trial, tried again
+                name = name or _unused_name(folder / FOLDERS, trial.number)
                 trial.set_user_attr(FOLDER, name)
                 others = [other for other in outcome.trials if other.state is not TrialState.FAIL]
                 yield trial.number, trial.params, home / name, others
@@ -125,6 +129,12 @@ def tune(
         except KeyboardInterrupt:
             outcome = dataclasses.replace(outcome, interrupted=True)
     return outcome
+
+
+def _unused_name(folder: Path, number: int) -> str:
+    """Return a name for a trial's folder that nothing in a folder has."""
+    name = f"{number:04d}"
+    return f"{name}-{uuid.uuid4().hex[:8]}" if os.path.lexists(folder / name) else name
 
 
 def _is_left(outcome: TuningOutcome, trials: int | None, hours: float | None) -> bool:
