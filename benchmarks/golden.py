@@ -77,11 +77,11 @@ def tried(*case: Any) -> dict[str, Any]:
         return {"error": type(error).__name__}
 
 
-def run(env: str, options: dict[str, Any], policy: str, worlds: int, steps: int) -> dict[str, Any]:
+def run(env: str, options: dict[str, Any], policy: str, num_envs: int, steps: int) -> dict[str, Any]:
     """Return what happens in one run: a digest of it all, and the outcomes, for people."""
     options = dict(options)
     oracle = options.pop("shaping", None)
-    vec_env: Any = gymnasium.make_vec(env, num_envs=worlds, autoreset_mode="disabled", threads=1, **options)
+    vec_env: Any = gymnasium.make_vec(env, num_envs=num_envs, autoreset_mode="disabled", threads=1, **options)
     actor = armctl.make_policy(policy, vec_env, policy_seed=SEED)
     playing: Any = vec_env
     if oracle:
@@ -89,10 +89,10 @@ def run(env: str, options: dict[str, Any], policy: str, worlds: int, steps: int)
 
         playing = Shaped(vec_env, oracle, gamma=0.97)
     digest = hashlib.sha256()
-    observations, infos = playing.reset(seed=[SEED] * worlds, options={"episode": np.arange(worlds)})
-    actor.reset(np.arange(worlds, dtype=np.int32))
-    finished, returns, lengths = np.zeros(worlds, bool), np.zeros(worlds), np.zeros(worlds, int)
-    outcomes = [""] * worlds
+    observations, infos = playing.reset(seed=[SEED] * num_envs, options={"episode": np.arange(num_envs)})
+    actor.reset(np.arange(num_envs, dtype=np.int32))
+    finished, returns, lengths = np.zeros(num_envs, bool), np.zeros(num_envs), np.zeros(num_envs, int)
+    outcomes = [""] * num_envs
     _take_in(digest, observations, infos)
     for _ in range(steps):
         actions = actor.act(observations)
@@ -107,7 +107,7 @@ def run(env: str, options: dict[str, Any], policy: str, worlds: int, steps: int)
         if finished.all():
             break
         if ends.any():
-            observations, infos = playing.reset(options={"reset_mask": ends, "episode": np.arange(worlds) + worlds})
+            observations, infos = playing.reset(options={"reset_mask": ends, "episode": np.arange(num_envs) + num_envs})
             actor.reset(np.flatnonzero(ends).astype(np.int32))
             _take_in(digest, observations, infos)
     vec_env.close()

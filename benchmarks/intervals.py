@@ -152,8 +152,8 @@ EXPERT = 0.98
 
 def trained(rng: np.random.Generator, rates: Array, n: int) -> Array:
     """Return successes (k, n) of trainings of these rates (k, 1); one half of the episodes is hard or easy for all."""
-    alike = np.repeat(rng.random((1, n // 2)), len(rates), axis=0)
-    return (np.hstack((alike, rng.random((len(rates), n - n // 2)))) < rates).astype(float)
+    shared = np.repeat(rng.random((1, n // 2)), len(rates), axis=0)
+    return (np.hstack((shared, rng.random((len(rates), n - n // 2)))) < rates).astype(float)
 
 
 def trainings(runs: int) -> Iterator[tuple[str, ...]]:

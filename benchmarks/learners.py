@@ -263,10 +263,10 @@ def main(only: str = "", env: list[str] | None = None, raw: bool = False) -> Non
         return
     table = markdown_table("learner", "environments", *(f"`{way}`" for way in WAYS))
     for learner in learners:
-        alike: dict[tuple[str, ...], list[str]] = {}
+        envs_by_cells: dict[tuple[str, ...], list[str]] = {}
         for env_id, cells in _tried(learner, envs).items():
-            alike.setdefault(tuple(cells), []).append(env_id.removeprefix("armctl/").removesuffix("-v0"))
-        for columns, names in alike.items():
+            envs_by_cells.setdefault(tuple(cells), []).append(env_id.removeprefix("armctl/").removesuffix("-v0"))
+        for columns, names in envs_by_cells.items():
             table.add_row(learner, "all" if len(names) == len(envs) else ", ".join(names), *columns)
     show(table, width=1_000)
 

@@ -68,7 +68,7 @@ def episodes(model: ArmModel) -> Iterator[tuple[Array, Array, Array]]:
             goals = model.nearest_turn(goals, model.home)
             count += 1
             swing = AMPLITUDE * (count % 3 == 0) * rng.normal(size=3)
-            yield target, swing, goals[np.argmin(model.least_time(model.home, goals))]
+            yield target, swing, goals[np.argmin(model.min_time(model.home, goals))]
 
 
 def drive(model: ArmModel, options: ReachMpcOptions, states: int, record: bool = False) -> Run:

@@ -97,9 +97,9 @@ def bridge_plan() -> tuple[Work, Work]:
     return lambda i: plan_path(maps[i % 32], (1.0, 0.0), 19.0), sorting()
 
 
-def stepped(env: str, worlds: int | None, oracle: str | None = None) -> tuple[Work, Work]:
+def stepped(env: str, num_envs: int | None, oracle: str | None = None) -> tuple[Work, Work]:
     """Make a control step of an environment; raw `mj_step` on as many worlds of its model, at rest."""
-    plain: Any = gymnasium.make(env) if worlds is None else gymnasium.make_vec(env, num_envs=worlds, threads=1)
+    plain: Any = gymnasium.make(env) if num_envs is None else gymnasium.make_vec(env, num_envs=num_envs, threads=1)
     playing: Any = plain if oracle is None else Shaped(plain, oracle, gamma=0.97)
     playing.reset(seed=0)
     playing.action_space.seed(0)
@@ -110,11 +110,11 @@ def stepped(env: str, worlds: int | None, oracle: str | None = None) -> tuple[Wo
 
     def step(i: int) -> None:
         _, _, terminated, truncated, _ = playing.step(actions[i % 50])
-        if worlds is None and (terminated or truncated):
+        if num_envs is None and (terminated or truncated):
             playing.reset()
 
     def raw(i: int) -> None:
-        for _ in range(worlds or 1):
+        for _ in range(num_envs or 1):
             mujoco.mj_step(task.simulation.model, data, nstep=task.substeps)
 
     return step, raw
@@ -175,9 +175,9 @@ def main(
     show(table)
     if keep:
         pd.Series(kept | ratios, name="ratio").round(3).rename_axis("case").to_csv(KEPT)
-    slower = [name for name, ratio in ratios.items() if ratio > WORSE * kept.get(name, np.inf)]
-    if check and slower:
-        raise SystemExit(f"slower than {WORSE} times what was kept: {', '.join(slower)}")
+    regressions = [name for name, ratio in ratios.items() if ratio > WORSE * kept.get(name, np.inf)]
+    if check and regressions:
+        raise SystemExit(f"slower than {WORSE} times what was kept: {', '.join(regressions)}")
 
 
 if __name__ == "__main__":

@@ -33,40 +33,40 @@ Contender = Callable[[int], int]
 """Resets in round 0, 1, 2 ..., and gives the number of worlds."""
 
 
-def raw(env: str, worlds: int) -> Contender:
+def raw(env: str, num_envs: int) -> Contender:
     """Run MuJoCo's own reset of as many worlds, one after the other."""
     model = gymnasium.make(env).get_wrapper_attr("task").simulation.model
     data = mujoco.MjData(model)
 
     def reset(_: int) -> int:
-        for _ in range(worlds):
+        for _ in range(num_envs):
             mujoco.mj_resetDataKeyframe(model, data, 0)
             mujoco.mj_forward(model, data)
-        return worlds
+        return num_envs
 
     return reset
 
 
-def batched(env: str, worlds: int, **options: Any) -> Contender:
+def batched(env: str, num_envs: int, **options: Any) -> Contender:
     """`reset` of worlds that are made already, each time with seeds of its own."""
-    vec_env = gymnasium.make_vec(env, num_envs=worlds, **options)
+    vec_env = gymnasium.make_vec(env, num_envs=num_envs, **options)
     vec_env.reset(seed=0)  # reads the pool
 
     def reset(number: int) -> int:
-        vec_env.reset(seed=FIRST_SEED + worlds * number)
-        return worlds
+        vec_env.reset(seed=FIRST_SEED + num_envs * number)
+        return num_envs
 
     return reset
 
 
-def made_and_reset(env: str, worlds: int) -> Contender:
+def made_and_reset(env: str, num_envs: int) -> Contender:
     """Run `gym.make_vec`, and one `reset`."""
 
     def reset(number: int) -> int:
-        vec_env = gymnasium.make_vec(env, num_envs=worlds)
-        vec_env.reset(seed=FIRST_SEED + worlds * number)
+        vec_env = gymnasium.make_vec(env, num_envs=num_envs)
+        vec_env.reset(seed=FIRST_SEED + num_envs * number)
         vec_env.close()
-        return worlds
+        return num_envs
 
     return reset
 
@@ -74,13 +74,13 @@ def made_and_reset(env: str, worlds: int) -> Contender:
 def measured(contenders: dict[str, Contender], rounds: int, title: str) -> Table:
     """Return processor time in all and a world, and how many times the first contender's a world."""
     taken = np.zeros((len(contenders), rounds))
-    worlds = np.zeros(len(contenders))
+    num_envs = np.zeros(len(contenders))
     for number in track(range(rounds), console=Console(stderr=True), transient=True, auto_refresh=False):
         for i, run in enumerate(contenders.values()):
             begin = time.process_time()
-            worlds[i] = run(number)
+            num_envs[i] = run(number)
             taken[i, number] = time.process_time() - begin
-    milliseconds = 1e3 * taken / worlds[:, None]
+    milliseconds = 1e3 * taken / num_envs[:, None]
     columns = "", "processor s in all", "processor ms a world", "most", "times raw"
     table = markdown_table(*columns, title=title)
     for name, total, each in zip(contenders, taken, milliseconds, strict=True):

@@ -216,28 +216,33 @@ class Row:
 
 
 def soak(
-    env: str, control: str, steps: int, worlds: int, seed: int, disturbances: dict[str, float], label: str
+    env: str, control: str, steps: int, num_envs: int, seed: int, disturbances: dict[str, float], label: str
 ) -> Iterator[Row]:
     """Make `steps` control steps, and yield a row for each kind of actions."""
-    task, most_steps, options, _ = ENVIRONMENTS[env]
+    task, max_steps, options, _ = ENVIRONMENTS[env]
     chosen = options | ({"control": control} if env.startswith("Arm") else {})
-    worlds = max(len(ACTIONS), min(worlds, steps // most_steps // len(ACTIONS) * len(ACTIONS)))
+    num_envs = max(len(ACTIONS), min(num_envs, steps // max_steps // len(ACTIONS) * len(ACTIONS)))
     vec_env = TaskVectorEnv(
-        worlds, task=task, max_episode_steps=most_steps, autoreset_mode="same_step", disturbances=disturbances, **chosen
+        num_envs,
+        task=task,
+        max_episode_steps=max_steps,
+        autoreset_mode="same_step",
+        disturbances=disturbances,
+        **chosen,
     )
     meter, act = Meter(vec_env.task, "mismatch" in disturbances), Hostile(vec_env, np.random.default_rng(seed))
     vec_env.observers.append(meter)
     vec_env.reset(seed=seed)
-    not_finite, unstable = np.zeros((2, worlds))
-    episodes = np.zeros(worlds, dtype=int)
-    turns = -(-steps // worlds)
+    not_finite, unstable = np.zeros((2, num_envs))
+    episodes = np.zeros(num_envs, dtype=int)
+    turns = -(-steps // num_envs)
     memory = 0.0
     for turn in range(turns):
         observations, rewards, terminated, truncated, infos = vec_env.step(act())
         parts = observations.values() if isinstance(observations, dict) else (observations,)
         finite = np.isfinite(rewards)
         for part in parts:
-            finite &= np.isfinite(part).reshape(worlds, -1).all(axis=1)
+            finite &= np.isfinite(part).reshape(num_envs, -1).all(axis=1)
         not_finite += ~finite
         final = infos.get("final_info", infos)
         unstable += (final["outcome_id"] == vec_env.outcomes.index("unstable")) & (terminated | truncated)

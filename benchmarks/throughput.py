@@ -51,9 +51,9 @@ class Recording:
     """Ticks of the drives that are repeated in finer steps."""
 
     @classmethod
-    def of(cls, env: str, worlds: int = 32) -> "Recording":
-        """Play the first episodes of `worlds` worlds."""
-        vec_env: Any = gymnasium.make_vec(env, num_envs=worlds)
+    def of(cls, env: str, num_envs: int = 32) -> "Recording":
+        """Play the first episodes of `num_envs` worlds."""
+        vec_env: Any = gymnasium.make_vec(env, num_envs=num_envs)
         vec_env.reset(seed=0)
         vec_env.action_space.seed(0)
         simulation, rows = vec_env.unwrapped.task.simulation, []
@@ -108,14 +108,14 @@ def timed(step: Callable[[int], object], physics_steps: int) -> Contender:
     return run
 
 
-def batched(env: str, worlds: int, oracle: str | None = None) -> Contender:
-    """Run `gym.make_vec`: physics, observations, rewards and resets of `worlds` worlds, shaped by a named oracle."""
-    plain: Any = gymnasium.make_vec(env, num_envs=worlds)
+def batched(env: str, num_envs: int, oracle: str | None = None) -> Contender:
+    """Run `gym.make_vec`: physics, observations, rewards and resets of `num_envs` worlds, shaped by a named oracle."""
+    plain: Any = gymnasium.make_vec(env, num_envs=num_envs)
     shaped: Any = Shaped(plain, oracle, gamma=0.97) if oracle else plain
     shaped.reset(seed=0)
     shaped.action_space.seed(0)
     actions = [shaped.action_space.sample() for _ in range(50)]
-    return timed(lambda i: shaped.step(actions[i % 50]), worlds * shaped.unwrapped.task.substeps)
+    return timed(lambda i: shaped.step(actions[i % 50]), num_envs * shaped.unwrapped.task.substeps)
 
 
 def single(env: str) -> Contender:
@@ -133,13 +133,13 @@ def single(env: str) -> Contender:
     return timed(step, single_env.get_wrapper_attr("task").substeps)
 
 
-def subprocesses(env: str, worlds: int) -> Contender:
+def subprocesses(env: str, num_envs: int) -> Contender:
     """Run Stable-Baselines3's SubprocVecEnv over single environments, one process a core."""
     substeps = gymnasium.make(env).get_wrapper_attr("task").substeps
-    vec_env = make_vec_env(env, n_envs=worlds, vec_env_cls=SubprocVecEnv, vec_env_kwargs={"start_method": "fork"})
+    vec_env = make_vec_env(env, n_envs=num_envs, vec_env_cls=SubprocVecEnv, vec_env_kwargs={"start_method": "fork"})
     vec_env.reset()
-    actions = [np.array([vec_env.action_space.sample() for _ in range(worlds)]) for _ in range(50)]
-    return timed(lambda i: vec_env.step(actions[i % 50]), worlds * substeps)
+    actions = [np.array([vec_env.action_space.sample() for _ in range(num_envs)]) for _ in range(50)]
+    return timed(lambda i: vec_env.step(actions[i % 50]), num_envs * substeps)
 
 
 def main(env: str = armctl.DEFAULT_ENV, worlds: int = 256, seconds: float = 3.0) -> None:

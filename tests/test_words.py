@@ -35,8 +35,9 @@ PACKAGES = [
 """Packages whose renaming is done."""
 
 NOT_NAMES = re.compile(
-    "_*(?:after|alone|asked|before|begun|both|drawn|earned|ended|felt|found|given|here|its|known|least|left|look|made|"
-    "most|now|one|own|paid|played|said|seen|shown|there|told|wanted|what)_*",
+    "_*(?:after|alike|alone|asked|before|begun|both|drawn|earned|ended|felt|found|given|here|its|known|lacking|late|"
+    "least|least_.*|left|look|made|most|most_.*|now|one|own|paced|paid|played|said|seen|shown|slower|there|told|"
+    "wanted|what)_*",
     re.IGNORECASE,
 )
 SIDES = (
@@ -47,6 +48,21 @@ SIDES = (
 """Files in which `left` is a side, or the direction across what is ahead."""
 ALLOWED = {(CORE / file, "left") for file in SIDES} | {(CORE / "training/learners.py", "after")}
 """Words that are names in a file: sides, and a key of recipes."""
+
+WORLDS = "worlds"
+"""The word of options and stored columns for a number of worlds. Inside, the number is `num_envs`."""
+PUBLIC_WORLDS = {
+    *(CORE / file for file in ("cli/evaluate.py", "cli/play.py", "datasets/parallel.py")),
+    *(
+        CORE / file
+        for file in ("episodes/record.py", "runtime/provenance.py", "study/options.py", "study/reproduce.py")
+    ),
+    *(CORE / file for file in ("study/reproduce.py", "rollout/rollouts.py", "verdict/summary.py")),
+    *(HOME / "rl" / file for file in ("algorithms/plan_bc.py", "algorithms/sac.py")),
+    *(HOME / "rl" / file for file in ("data/demonstrations.py", "run/options.py")),
+    *(HOME / "benchmarks" / file for file in ("planar.py", "soak.py", "throughput.py")),
+}
+"""Files with that option or column."""
 
 QUESTION = "how|what|when|where|whether|which|who|why"
 PREPOSITION = (
@@ -75,6 +91,20 @@ def bound_names(tree):
                 yield node.lineno, name
             case ast.ExceptHandler(name=str(name)) | ast.MatchAs(name=str(name)) | ast.MatchStar(name=str(name)):
                 yield node.lineno, name
+
+
+def counts_of_worlds(tree):
+    """Yield lines at which `worlds` is a number by its annotation."""
+    for node in ast.walk(tree):
+        match node:
+            case ast.arg(arg=name, annotation=ast.expr() as annotation) if name == WORLDS:
+                pass
+            case ast.AnnAssign(target=ast.Name(id=name), annotation=annotation) if name == WORLDS:
+                pass
+            case _:
+                continue
+        if re.match(r"(?:Annotated\[)?(?:int|Count)\b", ast.unparse(annotation)):
+            yield node.lineno
 
 
 def docstrings(tree):
@@ -109,6 +139,17 @@ def test_names_are_nouns(package):
 
 
 @pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.name)
+def test_a_number_of_worlds_is_called_num_envs(package):
+    refused = [
+        f"{path.relative_to(HOME)}:{line}"
+        for path in files(package)
+        for line in counts_of_worlds(ast.parse(path.read_text()))
+        if path not in PUBLIC_WORLDS
+    ]
+    assert not refused, "\n".join(["`worlds` is a number there:", *refused])
+
+
+@pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.name)
 def test_docstrings_begin_with_a_noun_or_a_verb(package):
     refused = [
         f"{path.relative_to(HOME)}:{line}: {text.splitlines()[0]}"
@@ -126,6 +167,7 @@ def test_exceptions_are_used():
         if name not in {bound for _, bound in bound_names(ast.parse(path.read_text()))}
     ]
     assert not unused
+    assert all(any(counts_of_worlds(ast.parse(path.read_text()))) for path in PUBLIC_WORLDS)
 
 
 @pytest.mark.parametrize(
@@ -139,6 +181,7 @@ def test_exceptions_are_used():
         "class A:\n    def __init__(self): self._own = 1",
         "[one for one in ()]",
         "OWN = 1",
+        "def f(least_time): pass",
     ],
 )
 def test_bound_words_are_recognised(code):

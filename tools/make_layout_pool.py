@@ -33,7 +33,7 @@ from armctl.tasks.reach.layout_pool import (
     robot_digest,
     write_pool,
 )
-from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES, ReachLayout, sample_certified_layout
+from armctl.tasks.reach.obstacle_layout import MAX_OBSTACLES, ReachLayout, sample_certified_layout
 from armctl.tasks.reach.options import ReachOptions
 
 SIZES = {"development": 2000, "validation": 1000, "training": 7000}
@@ -105,7 +105,7 @@ def with_seeds(pool: LayoutPool, seeds: Sequence[int], processes: int, size: int
         sizes=np.array([len(part) for part in rows]),
         targets=joined("targets"),
         counts=counts,
-        packed=joined("boxes")[np.arange(MOST_OBSTACLES) < counts[:, None]],
+        packed=joined("boxes")[np.arange(MAX_OBSTACLES) < counts[:, None]],
         feasible=joined("feasible"),
     )
 

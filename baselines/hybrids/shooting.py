@@ -23,7 +23,7 @@ from armctl.kinematics.imagined import ARRIVED, MOVING
 from armctl.policies import make_policy, sees
 from armctl.scene import BOX_NUMBERS
 from armctl.tasks.reach import CONTROL_PERIOD, observation_slices
-from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES
+from armctl.tasks.reach.obstacle_layout import MAX_OBSTACLES
 from armctl.tasks.reach.obstacles import obstacles_observation
 
 
@@ -70,7 +70,7 @@ class ShootingPolicy:
         self._shapes, self._tolerance = ArmShapes(ArmModel(env.robot)), env.options.tolerance
         dof = self._shapes.model.dof
         self._slices = observation_slices(dof) | {"boxes": slice(6 + dof, None)}
-        self._expected = ImaginedArms(self._shapes, n, MOST_OBSTACLES, tolerance=0.0, period=CONTROL_PERIOD)
+        self._expected = ImaginedArms(self._shapes, n, MAX_OBSTACLES, tolerance=0.0, period=CONTROL_PERIOD)
         self._plans, self._lengths = np.zeros((n, self.options.steps, dof)), np.zeros(n, int)
         self._steps, self._unplanned_steps = np.zeros(n, int), np.zeros(n, int)
         self._new_episode = np.ones(n, dtype=bool)
@@ -136,7 +136,7 @@ class ShootingPolicy:
         options, dof, copies = self.options, self._shapes.model.dof, self.options.copies
         tolerance = max(self._tolerance - options.inside, self._tolerance / 2)
         arms = ImaginedArms(
-            self._shapes, len(worlds) * copies, MOST_OBSTACLES, tolerance=tolerance, period=CONTROL_PERIOD,
+            self._shapes, len(worlds) * copies, MAX_OBSTACLES, tolerance=tolerance, period=CONTROL_PERIOD,
             margin=options.margin,
         )  # fmt: skip
         world_of = np.repeat(worlds, copies)

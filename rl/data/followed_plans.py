@@ -16,7 +16,7 @@ from armctl.kinematics import ArmShapes, ImaginedArms
 from armctl.kinematics.imagined import MOVING
 from armctl.rl.data.solved_layouts import SolvedLayouts
 from armctl.tasks.reach import CONTROL_PERIOD
-from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES
+from armctl.tasks.reach.obstacle_layout import MAX_OBSTACLES
 from armctl.tasks.reach.obstacles import obstacles_observation
 
 WAYPOINTS_APART = 0.3
@@ -50,7 +50,7 @@ def follow(
     """
     ways, lengths = _padded([waypoints(layouts.way(int(row))) for row in rows])
     n = len(rows)
-    arms = ImaginedArms(shapes, n, MOST_OBSTACLES, tolerance=how.tolerance, period=CONTROL_PERIOD)
+    arms = ImaginedArms(shapes, n, MAX_OBSTACLES, tolerance=how.tolerance, period=CONTROL_PERIOD)
     arms.begin(np.arange(n), ways[:, 0], 0.0, layouts.targets[rows], layouts.boxes[rows])
     next_waypoint = np.ones(n, dtype=np.int64)
     states, positions, labels = [], [], []

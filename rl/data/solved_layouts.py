@@ -37,7 +37,7 @@ from armctl.runtime.folder import claim
 from armctl.scene import BOX_NUMBERS
 from armctl.tasks.reach import ReachOptions
 from armctl.tasks.reach.layout_pool import robot_digest
-from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES, ReachLayout, sample_layout
+from armctl.tasks.reach.obstacle_layout import MAX_OBSTACLES, ReachLayout, sample_layout
 
 FORMAT = "armctl-solved-layouts-1"
 PART = 500
@@ -56,7 +56,7 @@ class SolvedLayouts:
     targets: NDArray[np.float32]
     """Target positions (k, 3), m."""
     boxes: NDArray[np.float32]
-    """Boxes (k, `MOST_OBSTACLES`, `BOX_NUMBERS`); zeros for absent ones."""
+    """Boxes (k, `MAX_OBSTACLES`, `BOX_NUMBERS`); zeros for absent ones."""
     corners: NDArray[np.int64]
     """Number (k,) of corners of each way, from home to the target; at least 2."""
     ways: NDArray[np.float32]
@@ -64,7 +64,7 @@ class SolvedLayouts:
 
     def __post_init__(self) -> None:
         k = len(self.targets)
-        shapes = {"targets": (k, 3), "boxes": (k, MOST_OBSTACLES, BOX_NUMBERS), "corners": (k,)}
+        shapes = {"targets": (k, 3), "boxes": (k, MAX_OBSTACLES, BOX_NUMBERS), "corners": (k,)}
         for name, shape in shapes.items():
             if getattr(self, name).shape != shape or not np.isfinite(getattr(self, name)).all():
                 raise ConfigurationError(f"{name} should be finite numbers {shape}, not {getattr(self, name).shape}")
@@ -147,7 +147,7 @@ class _Solver:
 def _packed(solved: Iterator[tuple[ReachLayout, NDArray[np.float64]] | None]) -> bytes:
     """Return the bytes of a part."""
     pairs = [pair for pair in solved if pair is not None]
-    boxes = np.zeros((len(pairs), MOST_OBSTACLES, BOX_NUMBERS), np.float32)
+    boxes = np.zeros((len(pairs), MAX_OBSTACLES, BOX_NUMBERS), np.float32)
     for row, (layout, _) in zip(boxes, pairs, strict=True):
         row[: len(layout.boxes)] = layout.boxes.numbers
     content = io.BytesIO()

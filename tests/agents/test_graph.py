@@ -167,7 +167,7 @@ def misfitting():
 
 
 def long():
-    names = ["observation", *(f"x{i}" for i in range(graph.MOST_NODES)), "action"]
+    names = ["observation", *(f"x{i}" for i in range(graph.MAX_NODES)), "action"]
     return model_of([helper.make_node("Relu", [a], [b]) for a, b in itertools.pairwise(names)])
 
 
@@ -284,7 +284,7 @@ def test_a_file_that_is_too_large(tmp_path):
 
 def test_a_graph_that_is_too_slow(tmp_path, monkeypatch):
     monkeypatch.setattr(graph, "LONGEST_TRIAL", 0.02)
-    monkeypatch.setattr(graph, "MOST_WORK", 10**12)
+    monkeypatch.setattr(graph, "MAX_WORK", 10**12)
     size = 1500
     nodes = [helper.make_node("Gemm", [f"x{i}" if i else "observation", "w"], [f"x{i + 1}"]) for i in range(300)]
     nodes.append(helper.make_node("Identity", ["x300"], ["action"]))

@@ -34,7 +34,7 @@ def reach(model, rng):
             goals = np.array(list(ik.free_configurations(target))).reshape(-1, model.dof)
             if len(goals):
                 goals = model.nearest_turn(goals, model.home)
-                return target, goals[np.argmin(model.least_time(model.home, goals))]
+                return target, goals[np.argmin(model.min_time(model.home, goals))]
 
 
 def states(rng, count):

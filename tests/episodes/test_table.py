@@ -11,7 +11,7 @@ import pytest
 from armctl.episodes import rows
 from armctl.episodes.table import EpisodeTable, Ragged
 from armctl.stats import intervals as statistics
-from armctl.stats.intervals import MOST_VALUES, RandomWeights, bounded_mean, grouped, random_weights, worst_decile
+from armctl.stats.intervals import MAX_VALUES, RandomWeights, bounded_mean, grouped, random_weights, worst_decile
 from armctl.verdict.summary import summarise
 
 from ..made_up_episodes import OWN, Untrained, played, same
@@ -96,7 +96,7 @@ def test_memory_grows_little_with_the_episodes(tmp_path, monkeypatch):
 
 def test_the_intervals_of_very_many_values_are_those_of_each_with_a_weight_of_its_own():
     rng = np.random.default_rng(0)
-    values = np.where(rng.random(3 * MOST_VALUES) < 0.01, -100.0, 80.0) + rng.standard_normal(3 * MOST_VALUES)
+    values = np.where(rng.random(3 * MAX_VALUES) < 0.01, -100.0, 80.0) + rng.standard_normal(3 * MAX_VALUES)
     ordered, counts = np.unique(values, return_counts=True)
     drawn, sizes = grouped(ordered, counts)
     assert len(drawn) < 2_100

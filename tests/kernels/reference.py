@@ -41,7 +41,7 @@ def step_into_sphere(model, q, start, centre, radius, velocity, max_step):
     return np.where(moves, sign * np.clip(length, -max_step, max_step), back), arrival, distance
 
 
-def least_time_into_sphere(model, q, velocity, centre, goals, excess, radius, tip_speed, inside, iterations, max_steps):
+def min_time_into_sphere(model, q, velocity, centre, goals, excess, radius, tip_speed, inside, iterations, max_steps):
     """The time of `ReachTimes` into one sphere."""
 
     def time_to(goal, late):

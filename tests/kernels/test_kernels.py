@@ -69,7 +69,7 @@ def test_times_and_profiles(model, rng):
     limits, start = model.limits, model.home
     goals, velocity = configurations(model, rng, 60), rng.uniform(-1, 1, model.dof) * model.limits.velocity
     times = np.empty(len(goals))
-    drives.least_times(limits.drives, start, velocity, goals, times)
+    drives.min_times(limits.drives, start, velocity, goals, times)
     expected = joint_profiles.travel_time(goals - start, velocity, limits).max(axis=1)
     np.testing.assert_allclose(times, expected, **CLOSE)
     clock = np.linspace(0, 2, 50)
@@ -119,7 +119,7 @@ def test_refinement_keeps_the_earliest_of_its_steps_that_is_inside(model, rng):
     np.testing.assert_allclose(times, inside, rtol=0, atol=1e-9)
 
 
-def test_least_times_into_spheres(model, rng):
+def test_min_times_into_spheres(model, rng):
     m, g = 12, 5
     q, centres = configurations(model, rng, m), model.positions(configurations(model, rng, m))
     centres[0] = model.position(q[0])
@@ -127,9 +127,9 @@ def test_least_times_into_spheres(model, rng):
     goals, excess = configurations(model, rng, m * g).reshape(m, g, -1), rng.uniform(0, 0.1, (m, g))
     times, max_steps = np.empty(m), np.array((0.2, 0.05, 0.0))
     spheres = reach.Spheres(centres, goals, excess)
-    reach.least_times_into_spheres(model.joints, q, velocities, spheres, 0.05, 3, max_steps, times)
+    reach.min_times_into_spheres(model.joints, q, velocities, spheres, 0.05, 3, max_steps, times)
     expected = [
-        reference.least_time_into_sphere(model, *one, 0.05, reach.TIP_SPEED, reach.AIM, 3, max_steps)
+        reference.min_time_into_sphere(model, *one, 0.05, reach.TIP_SPEED, reach.AIM, 3, max_steps)
         for one in zip(q, velocities, centres, goals, excess, strict=True)
     ]
     assert times[0] == 0
@@ -192,8 +192,8 @@ def test_motions_of_the_controller(model, rng):
         reach_mpc.go_straight(limits.drives, PERIOD, q, v, goal, velocities)
         np.testing.assert_allclose(velocities, reference.straight(limits, PERIOD, HORIZON, q, v, goal), **CLOSE)
         reach_mpc.brake(limits.drives, PERIOD, v, velocities)
-        slower = np.maximum(np.abs(v) - np.arange(HORIZON + 1)[:, None] * limits.acceleration * PERIOD, 0)
-        np.testing.assert_allclose(velocities, np.copysign(slower, v), **CLOSE)
+        speeds = np.maximum(np.abs(v) - np.arange(HORIZON + 1)[:, None] * limits.acceleration * PERIOD, 0)
+        np.testing.assert_allclose(velocities, np.copysign(speeds, v), **CLOSE)
         errors, weights = rng.normal(size=(HORIZON, 3)), (1e-3, 1e-4, 1e-5)
         found = reach_mpc.cost_of(weights, goal, positions, velocities, accelerations, errors)
         expected = reference.cost(weights, goal, positions, velocities, accelerations, errors)

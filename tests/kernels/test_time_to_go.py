@@ -5,7 +5,7 @@ from armctl.kernels.time_to_go import Grid, Moves, People, spread
 MOVES = np.array([(0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (-1, 2)])
 DURATIONS = np.array([0.1, 0.1, 0.13, 0.13, 0.17, 0.24], dtype=np.float32)
 LAYERS, SHARES = np.array([1, 1, 1, 1, 1, 2]), np.array([0.0, 0.0, 0.3, 0.3, 0.7, 0.4], dtype=np.float32)
-WAIT, SLOWER, REACH, PAD, BLOCKED = 0.1, 7.0, 1.2, 2, 1e4
+WAIT, SLOWDOWN, REACH, PAD, BLOCKED = 0.1, 7.0, 1.2, 2, 1e4
 
 
 def reference(last, goal, wall, people, y, x):
@@ -20,7 +20,7 @@ def reference(last, goal, wall, people, y, x):
     for k in range(len(times) - 2, -1, -1):
         for i, j in np.ndindex(last.shape):
             near = (np.hypot(*(people[k] - (x[j], y[i])).T) <= REACH).any()
-            pace = SLOWER if near else 1.0
+            pace = SLOWDOWN if near else 1.0
             options = [pace * WAIT + at(k + 1, i, j)]
             for (left, ahead), duration, layers, share in zip(MOVES, DURATIONS, LAYERS, SHARES, strict=True):
                 ends = (at(k + layers + late, i + left, j + ahead) for late in (0, 1))
@@ -41,7 +41,7 @@ def test_times_are_those_of_the_dynamic_programme():
         times = np.full((9, 5 + 2 * PAD, 8 + 2 * PAD), BLOCKED, dtype=np.float32)
         times[-1, PAD:-PAD, PAD:-PAD] = last
         moves = Moves(WAIT, MOVES, DURATIONS, LAYERS, SHARES)
-        spread(times, goal, wall, People(people, REACH, SLOWER), Grid(y, x, PAD), moves)
+        spread(times, goal, wall, People(people, REACH, SLOWDOWN), Grid(y, x, PAD), moves)
         expected = reference(last, goal, wall, people, y, x)
         open_ = expected < BLOCKED / 2
         np.testing.assert_allclose(times[:, PAD:-PAD, PAD:-PAD][open_], expected[open_], rtol=1e-4)

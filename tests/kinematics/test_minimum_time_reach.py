@@ -47,7 +47,7 @@ def test_touches_lie_in_the_sphere_within_limits_at_their_time(arm):
         touch = arm.touch.find(start, centre, RADIUS)
         assert np.linalg.norm(arm.model.position(touch.q) - centre) <= RADIUS + 1e-9
         assert arm.model.within_limits(touch.q)
-        assert touch.time == pytest.approx(arm.model.least_time(start, touch.q), abs=1e-9)
+        assert touch.time == pytest.approx(arm.model.min_time(start, touch.q), abs=1e-9)
 
 
 def test_a_way_called_free_is_free(arm):
@@ -63,7 +63,7 @@ def test_is_as_soon_as_the_best_of_many_free_ways_to_the_centre(arm, at_home):
     for start, centre in arm.cases(12, at_home):
         touch = arm.touch.find(start, centre, RADIUS)
         plain = arm.ik.position(centre, start, count=24).solutions
-        times = [float(arm.model.least_time(start, q)) for q in plain]
+        times = [float(arm.model.min_time(start, q)) for q in plain]
         if free := [time for q, time in zip(plain, times, strict=True) if arm.way_is_free(start, q, time)]:
             assert touch.collision_free
             ratios.append(touch.time / min(free))
@@ -84,7 +84,7 @@ def test_no_general_solver_finds_a_sooner_touch(arm):
     thorough = MinimumTimeReach(arm.model, THOROUGH)
     rng = np.random.default_rng(0)
     for start, centre in arm.cases(3, at_home=True):
-        bound = thorough.least_time(start, centre, RADIUS)
+        bound = thorough.min_time(start, centre, RADIUS)
         others = [
             solved_by_slsqp(arm.model, start, centre, start + rng.uniform(-1, 1, arm.model.dof)) for _ in range(5)
         ]
@@ -104,20 +104,20 @@ def solved_by_slsqp(model, start, centre, guess):
     ]
     found = minimize(  # type: ignore[call-overload]
         lambda x: x[-1],
-        np.append(guess, model.least_time(start, guess)),
+        np.append(guess, model.min_time(start, guess)),
         constraints=constraints,
         bounds=[*zip(model.limits.lower, model.limits.upper, strict=True), (0, None)],
         method="SLSQP",
     )
     inside = np.linalg.norm(model.position(found.x[:-1]) - centre) <= RADIUS + 1e-6
-    return model.least_time(start, found.x[:-1]) if inside else np.inf
+    return model.min_time(start, found.x[:-1]) if inside else np.inf
 
 
 def test_an_arm_on_its_way_is_there_sooner(arm):
     for start, centre in arm.cases(10, at_home=True):
         touch = arm.touch.find(start, centre, RADIUS)
         velocity = 0.5 * arm.model.limits.velocity * np.sign(touch.q - start)
-        assert arm.touch.least_time(start, centre, RADIUS, velocity) < touch.time
+        assert arm.touch.min_time(start, centre, RADIUS, velocity) < touch.time
 
 
 def test_larger_spheres_are_touched_sooner(arm):

@@ -161,14 +161,14 @@ def test_within_limits_is_decided_joint_by_joint(model):
     assert not model.within_limits(np.full(model.dof, np.nan))
 
 
-def test_least_time_is_the_slowest_joints(model):
+def test_min_time_is_the_slowest_joints(model):
     goals = configurations(model, 21)
     start, goals = goals[0], goals[1:]
     times = travel_time(goals - start, 0.0, model.limits)
-    np.testing.assert_allclose(model.least_time(start, goals), times.max(axis=1))
-    np.testing.assert_allclose(model.least_time(start, goals), [model.least_time(start, goal) for goal in goals])
-    np.testing.assert_array_equal(model.least_time(start, start), 0)
-    assert (model.cruise_time(start, goals) <= model.least_time(start, goals)).all()
+    np.testing.assert_allclose(model.min_time(start, goals), times.max(axis=1))
+    np.testing.assert_allclose(model.min_time(start, goals), [model.min_time(start, goal) for goal in goals])
+    np.testing.assert_array_equal(model.min_time(start, start), 0)
+    assert (model.cruise_time(start, goals) <= model.min_time(start, goals)).all()
     middle = (start + goals) / 2
     halves = model.cruise_time(start, middle) + model.cruise_time(middle, goals)
     np.testing.assert_allclose(halves, model.cruise_time(start, goals))

@@ -14,7 +14,7 @@ def test_times_are_near_above_the_least(robot):
     q = np.clip(model.home + rng.uniform(-0.7, 0.7, (30, model.dof)), model.limits.lower, model.limits.upper)
     velocity = rng.uniform(-0.7, 0.7, (30, model.dof)) * model.limits.velocity
     found = times.min_times(q, velocity, times.spheres(centres))
-    least = np.array([touch.least_time(*one) for one in zip(q, centres, np.full(30, 0.05), velocity, strict=True)])
+    least = np.array([touch.min_time(*one) for one in zip(q, centres, np.full(30, 0.05), velocity, strict=True)])
     assert (found > least - 0.05).mean() >= 0.9, "even the thorough search misses some, where joints are moving"
     assert np.median(found - least) < 0.05
 

@@ -13,12 +13,12 @@ from .pages import POLICIES, text_of
 
 def test_episodes_to_show(finished):
     episodes = read_comparison(finished).counted
-    together = videos.most_different(episodes)
+    together = videos.largest_difference(episodes)
     assert [result.policy for result in together] == POLICIES
     assert len({result.episode for result in together}) == 1
-    for result in videos.worst(episodes):
+    for result in videos.lowest_returns(episodes):
         assert result.total_reward == min(one.total_reward for one in episodes[result.policy])
-    assert videos.most_different({"reach_ik": episodes["reach_ik"]}) == []
+    assert videos.largest_difference({"reach_ik": episodes["reach_ik"]}) == []
 
 
 @pytest.mark.slow
@@ -27,7 +27,7 @@ def test_videos_show_the_episodes_of_the_table(finished, tmp_path):
     import imageio.v3 as imageio
 
     results = read_comparison(finished)
-    together = videos.most_different(results.counted)
+    together = videos.largest_difference(results.counted)
     clips = videos.film(results, together)
     assert [clip.problem for clip in clips] == [""] * 3
     frames = [imageio.imread(clip.video, extension=".mp4") for clip in clips]

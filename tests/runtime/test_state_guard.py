@@ -120,7 +120,7 @@ def test_a_planner_may_try_actions_if_it_puts_the_world_back():
         def act():
             before = q.copy()
             q[:] += 0.1
-            assert env.task.least_time(0) >= 0
+            assert env.task.min_time(0) >= 0
             q[:] = before
 
         return Still("state", act=act)

@@ -68,13 +68,13 @@ def test_an_expert_climbs_its_potential(env, name, expert):
     assert (highest > 0.6 * begin).all()
 
 
-def test_ik_is_near_the_least_time():
+def test_ik_is_near_the_min_time():
     worlds = TaskVectorEnv(40, task=ReachTask)
     potential = make_potential("ik", worlds)
     worlds.reset(seed=1)
     ids = np.arange(40, dtype=np.int32)
     potential.begin(ids)
-    least = np.array([worlds.task.least_time(i) for i in ids])
+    least = np.array([worlds.task.min_time(i) for i in ids])
     over = -potential.potentials(ids) - least
     assert (over > -0.01).all()
     assert np.median(over) < 0.03

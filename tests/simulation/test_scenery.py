@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from armctl.envs import make_worlds
-from armctl.simulation.scenery import MOST_POINTS, STATE, Scenery, polyline
+from armctl.simulation.scenery import MAX_POINTS, STATE, Scenery, polyline
 
 UNSEEN = 3
 """The first group of geoms that viewers do not show."""
@@ -98,5 +98,5 @@ def test_a_line_leads_along_its_points_and_a_long_one_is_thinned_out():
     np.testing.assert_allclose([geom.pos for geom in capsules], [(a + b) / 2 for a, b in itertools.pairwise(points)])
     np.testing.assert_allclose([2 * geom.size[2] for geom in capsules], [1, 2], atol=1e-6)
     np.testing.assert_allclose(beads, points)
-    assert len(polyline(np.random.default_rng(0).uniform(size=(1000, 3)), 0.01, (1, 0, 0, 1))) == MOST_POINTS - 1
+    assert len(polyline(np.random.default_rng(0).uniform(size=(1000, 3)), 0.01, (1, 0, 0, 1))) == MAX_POINTS - 1
     assert polyline(np.zeros((0, 3)), 0.01, (1, 0, 0, 1)) == []

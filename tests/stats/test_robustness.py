@@ -54,7 +54,7 @@ def ranked(table, episodes=N):
 
 def test_whoever_is_shown_to_be_better_than_all_others_leads():
     (delay,) = ranked(points({"delay": {"agent": (50, 48, 10), "planner": (50, 50, 46), "random": (0, 1, 0)}}))
-    assert (delay.first, delay.alike) == ("planner", [])
+    assert (delay.first, delay.not_worse) == ("planner", [])
     assert delay.worse == {"agent": Onset(2.0), "random": Onset(0.0)}
     assert str(delay) == (
         "Under delay, planner leads; worse: agent from 2 on, random also undisturbed. "
@@ -86,7 +86,7 @@ def test_the_best_mean_does_not_lead_while_another_is_not_shown_to_be_worse():
 
 def test_chance_makes_nobody_a_leader():
     (noise,) = ranked(points({"noise": {"a": (50, 48, 44), "b": (50, 47, 46)}}))
-    assert (noise.first, noise.alike, noise.worse) == ("b", ["a"], {})
+    assert (noise.first, noise.not_worse, noise.worse) == ("b", ["a"], {})
     assert str(noise).startswith("Under noise, no significant difference between policies. At 2 (steps): b 92 %")
 
 
@@ -170,12 +170,12 @@ def test_a_spared_policy_is_ranked_and_tested_nowhere():
     """Though it wins everything: it is in no ranking, in no test that others are corrected for, and in no drop."""
     table = points({"noise": {"a": (50, 46, 30), "b": (50, 40, 10), "c": (50, 50, 50)}}, spared=("c",))
     (noise,) = ranked(table)
-    assert (noise.first, noise.alike, noise.worse, noise.spared) == ("a", [], {"b": Onset(1.0)}, ["c"])
+    assert (noise.first, noise.not_worse, noise.worse, noise.spared) == ("a", [], {"b": Onset(1.0)}, ["c"])
     assert str(noise).endswith("Not affected, so not ranked: c.")
     assert "c" not in noise.scores
     without = ranked(table[table.policy != "c"])[0]
-    assert (noise.first, noise.alike, noise.worse, noise.better) == (
-        without.first, without.alike, without.worse, without.better,
+    assert (noise.first, noise.not_worse, noise.worse, noise.better) == (
+        without.first, without.not_worse, without.worse, without.better,
     )  # fmt: skip
     unknown = table.assign(sees="state", change=-0.1).assign(p=lambda rows: rows.p.where(~rows.spared))
     assert {one.policy for one in degradations(unknown)} == {"a", "b"}

@@ -17,7 +17,7 @@ def test_a_comparison_is_one_cell():
     assert (cell.name, cell.env, cell.env_options) == ("none", REACH, {"robot": "ur10"})
     assert list(cell.players) == ["reach_ik", "reach_bc[0]", "reach_bc[1]", "reach_bc[2]"]
     assert cell.groups == {"reach_bc[*]": ["reach_bc[0]", "reach_bc[1]", "reach_bc[2]"]}
-    assert (plan.total, plan.worlds) == (7 * 4, 2)
+    assert (plan.total, plan.num_envs) == (7 * 4, 2)
 
 
 def test_a_sweep_has_a_cell_for_each_level_and_the_undisturbed_one_first():
@@ -27,7 +27,7 @@ def test_a_sweep_has_a_cell_for_each_level_and_the_undisturbed_one_first():
     none, first, _, slow = plan.cells
     assert none.env_options == slow.env_options == options["env_options"]
     assert first.env_options == {"tolerance": 0.03, "disturbances": {"strength": 0.9, "delay": 1.0}}
-    assert (slow.repeats, slow.real_time) == ("none", RealTime(time_scale=5.0, latency=FROM_UNDISTURBED))
+    assert (slow.repeats, slow.real_time) == ("none", RealTime(slow_down=5.0, latency=FROM_UNDISTURBED))
     assert plan.tasks[0].recorded == FROM_UNDISTURBED
 
 

@@ -26,11 +26,11 @@ DTYPES = {
 """NumPy's types for onnxruntime's."""
 LARGEST_FILE = 2**28
 """Bytes."""
-MOST_NODES = 10_000
-MOST_NUMBERS = 50_000_000
+MAX_NODES = 10_000
+MAX_NUMBERS = 50_000_000
 """Limit on the numbers in all arrays that a graph computes for two worlds."""
-MOST_SLICES = 100
-MOST_WORK = 2_000_000_000
+MAX_SLICES = 100
+MAX_WORK = 2_000_000_000
 """Multiplications in products, convolutions and recurrent layers for two worlds."""
 LONGEST_TRIAL = 10.0
 """s, of one control step."""
@@ -125,8 +125,8 @@ def _read(path: Path) -> ModelProto:
 def _check_operators(model: ModelProto, path: Path) -> None:
     """Check that all operators are standard ones, without subgraphs, functions and files beside."""
     graph = model.graph
-    if model.functions or graph.sparse_initializer or len(graph.node) > MOST_NODES:
-        raise _refused(path, f"an agent has no functions, no sparse arrays and up to {MOST_NODES} nodes")
+    if model.functions or graph.sparse_initializer or len(graph.node) > MAX_NODES:
+        raise _refused(path, f"an agent has no functions, no sparse arrays and up to {MAX_NODES} nodes")
     for node in graph.node:
         if node.domain not in ("", "ai.onnx") or node.op_type not in OPERATORS:
             name = f"{node.domain}.{node.op_type}" if node.domain else node.op_type
@@ -174,11 +174,11 @@ def _check_sizes(model: ModelProto, path: Path) -> None:
             work += _work(node, inputs, shape or [0])
     if unknown:
         raise _refused(path, f"the size of {unknown[0]!r} is not known beforehand")
-    if numbers > MOST_NUMBERS or work > MOST_WORK:
+    if numbers > MAX_NUMBERS or work > MAX_WORK:
         raise _refused(
             path,
             f"for two worlds, it computes {numbers:,} numbers with {work:,} multiplications, more than "
-            f"{MOST_NUMBERS:,} or {MOST_WORK:,}",
+            f"{MAX_NUMBERS:,} or {MAX_WORK:,}",
         )
 
 
@@ -202,8 +202,8 @@ def _check_slices(model: ModelProto, path: Path) -> None:
     """Check that no sliced dimension is empty or negative: inferring the shape of such a slice ends the process."""
     nodes = model.graph.node
     slices = [i for i, node in enumerate(nodes) if node.op_type == "Slice"]
-    if len(slices) > MOST_SLICES:
-        raise _refused(path, f"it has {len(slices):,} slices, more than {MOST_SLICES}")
+    if len(slices) > MAX_SLICES:
+        raise _refused(path, f"it has {len(slices):,} slices, more than {MAX_SLICES}")
     if any(size < 0 for tensor in _tensors(model) for size in tensor.dims):
         raise _refused(path, "one of its arrays has a negative size")
     for i in slices:

@@ -170,10 +170,10 @@ def sweep(request: SweepRequest) -> None:
 
     Every episode is written as it ends. After Ctrl-C, the same command with the same `--out` resumes the sweep.
     """
-    from armctl.rollout.real_time import SLOWER
+    from armctl.rollout.real_time import SLOW_DOWN_NAME
     from armctl.study.plan import sweep_plan
 
-    arguments = (request.disturbances or []) + ([f"{SLOWER}={request.slow_down}"] if request.slow_down else [])
+    arguments = (request.disturbances or []) + ([f"{SLOW_DOWN_NAME}={request.slow_down}"] if request.slow_down else [])
     levels = levels_of(arguments) if arguments else None
 
     def plan(options: Any) -> "Plan":

@@ -136,11 +136,11 @@ class DriveMpc:
     def _other_plans(self, start: Array, people: Array, drive: Array, plan: Solution) -> list[Solution]:
         """Return a plan near a drive; none if that leads to the same plan."""
         guess, search, goes_on, self._search = drive, self._search, False, None
-        if _alike(drive, plan.knots):
+        if _are_close(drive, plan.knots):
             return []
-        if search and _alike(drive, self._shifted(start, search.drive)):
+        if search and _are_close(drive, self._shifted(start, search.drive)):
             guess, goes_on = self._shifted(start, search.knots), True
-            if _alike(guess, plan.knots):
+            if _are_close(guess, plan.knots):
                 self._search = _Search(drive, plan.knots)
                 return []
         other = self._solve(start, people, guess, near=goes_on, brief=True)
@@ -200,5 +200,5 @@ class DriveMpc:
         return np.column_stack((start[:2] + np.vstack((np.zeros(2), np.cumsum(steps, axis=0))), yaw))
 
 
-def _alike(first: Array, second: Array) -> bool:
+def _are_close(first: Array, second: Array) -> bool:
     return bool(kernel.farthest_apart(first, second) <= APART)

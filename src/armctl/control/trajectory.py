@@ -99,15 +99,15 @@ def smooth(limits: JointLimits, path: ArrayLike, is_free: Callable[[Trajectory],
     """
     corners = np.asarray(path, dtype=float)
     if len(corners) == 2:
-        paced = (point_to_point(_paced(limits, pace), corners[0], corners[1], straight=True) for pace in PACES)
+        candidates = (point_to_point(_at_pace(limits, pace), corners[0], corners[1], straight=True) for pace in PACES)
     else:
-        paced = (along(limits, corners, pace) for pace in PACES)
+        candidates = (along(limits, corners, pace) for pace in PACES)
     last = along(limits, corners, PACES[-1], stops=True)
-    faster = itertools.takewhile(lambda trajectory: trajectory.duration < last.duration, paced)
+    faster = itertools.takewhile(lambda trajectory: trajectory.duration < last.duration, candidates)
     return next(filter(is_free, faster), last)
 
 
-def _paced(limits: JointLimits, pace: float) -> JointLimits:
+def _at_pace(limits: JointLimits, pace: float) -> JointLimits:
     """Return limits under which the same motions take 1 / `pace` times as long."""
     velocity, acceleration, jerk = pace * limits.velocity, pace**2 * limits.acceleration, pace**3 * limits.jerk
     return replace(limits, velocity=velocity, acceleration=acceleration, jerk=jerk)

@@ -54,7 +54,7 @@ class EpisodeTimes(NamedTuple):
     """Time of the reset before the first decision."""
     first_call: bool
     """True if the first decision was the policy's first in its process."""
-    time_scale: float | None
+    slow_down: float | None
     """Factor by which decisions take longer than they were measured; None if times are not latencies."""
 
 
@@ -71,7 +71,7 @@ def metrics(
     `start` (3,) m is the robot's initial position, `motions` are those of its control steps.
     """
     period = task.control_period
-    decision_ms, reset_ms, first_call, time_scale = times
+    decision_ms, reset_ms, first_call, slow_down = times
     reports_contacts = task.motion().contact is not None
     contacts = sum(bool(motion.contact[world]) for motion in motions if motion.contact is not None)
     positions = np.array([start, *(motion.position[world] for motion in motions)])
@@ -84,10 +84,10 @@ def metrics(
         path_length(positions),
         math.nan if period is None else smoothness(positions, period),
         *use,
-        task.least_clearance(world, configurations) if motions else math.nan,
+        task.min_clearance(world, configurations) if motions else math.nan,
         contacts if reports_contacts else None,
         solver_failures,
-        None if time_scale is None or period is None else int((time_scale * waits > 1e3 * period).sum()),
+        None if slow_down is None or period is None else int((slow_down * waits > 1e3 * period).sum()),
         round(float(p50), 4),
         round(float(p99), 4),
         round(float(longest), 4),

@@ -43,7 +43,7 @@ class EpisodeResult:
     """The sum of each reward term; the return is the sum of these."""
     length: int
     lower_bound_steps: float
-    """Lower bound on the number of control steps until success; NaN if unknown (see `Task.least_time`)."""
+    """Lower bound on the number of control steps until success; NaN if unknown (see `Task.min_time`)."""
     tracking_error: float
     """m, mean distance to a moving target since it was first reached; NaN in other tasks."""
     metrics: Metrics

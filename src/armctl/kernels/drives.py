@@ -117,7 +117,7 @@ def travel_time(displacement, velocity, top, acceleration):
 
 
 @compiled
-def least_time(joints, start, velocity, goal):
+def min_time(joints, start, velocity, goal):
     """Return the minimum time (s) for all joints to move from `start` with `velocity` to `goal`, (dof,) each."""
     time = 0.0
     for i in range(len(joints)):
@@ -126,10 +126,10 @@ def least_time(joints, start, velocity, goal):
 
 
 @compiled
-def least_times(joints, start, velocity, goals, times):
+def min_times(joints, start, velocity, goals, times):
     """Compute the minimum `times` (n,) s from one state to many `goals` (n, dof)."""
     for row in range(len(goals)):
-        times[row] = least_time(joints, start, velocity, goals[row])
+        times[row] = min_time(joints, start, velocity, goals[row])
 
 
 @compiled

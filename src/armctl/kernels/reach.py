@@ -8,7 +8,7 @@ import numpy as np
 from armctl.core.arrays import Array
 from armctl.kernels.arm import linearise, tips, workspace
 from armctl.kernels.compiling import compiled, copy_to
-from armctl.kernels.drives import least_time
+from armctl.kernels.drives import min_time
 
 MAX_APPROACH_STEP = 0.5
 """rad: joint step limit in one iteration of `approach`."""
@@ -113,7 +113,7 @@ def step_into_sphere(joints, q, start, centre, radius, max_step, memory, step):
     gain = np.empty(dof)
     for k in range(dof):
         gain[k] = (gradients[k, 0] * x + gradients[k, 1] * y + gradients[k, 2] * z) / distance
-    arrival = least_time(joints, position, velocity, q)
+    arrival = min_time(joints, position, velocity, q)
     needed, time = distance - radius + INSIDE, arrival
     for _ in range(2):
         missing, slope = needed, 0.0
@@ -182,7 +182,7 @@ def move_to(joints, q, positions, centres, radius, iterations, excess):
             q[row, k] = min(max(q[row, k], joints[k].lower), joints[k].upper)
     tips(joints, q, tip_positions)
     for row in range(len(q)):
-        excess[row] = late(distance_between(tip_positions[row], centres[row]), radius)
+        excess[row] = remaining_time(distance_between(tip_positions[row], centres[row]), radius)
 
 
 @compiled
@@ -195,13 +195,13 @@ def distance_between(first, second):
 
 
 @compiled
-def late(distance, radius):
+def remaining_time(distance, radius):
     """Return the time (s) to a sphere from a `distance` (m) from its centre; 0 inside."""
     return max(distance - radius, 0.0) / TIP_SPEED
 
 
 @compiled
-def least_times_into_spheres(joints, q, velocities, spheres, radius, iterations, max_steps, times):
+def min_times_into_spheres(joints, q, velocities, spheres, radius, iterations, max_steps, times):
     """Compute the `times` (m,) of `armctl.kinematics.ReachTimes`, s, from q (m, dof) with `velocities` into spheres."""
     dof = len(joints)
     centres, goals, excess = spheres
@@ -218,16 +218,16 @@ def least_times_into_spheres(joints, q, velocities, spheres, radius, iterations,
             aim[0, axis] = centre[axis] + (tip[0, axis] - centre[axis]) * (AIM * radius / distance)
         copy_to(q[i], goal[0])
         move_to(joints, goal, aim, centres[i : i + 1], radius, iterations, late_by)
-        min_time = least_time(joints, q[i], velocities[i], goal[0]) + late_by[0]
+        shortest = min_time(joints, q[i], velocities[i], goal[0]) + late_by[0]
         for g in range(goals.shape[1]):
             nearest_turn(joints, goals[i, g], q[i], turned)
-            time = least_time(joints, q[i], velocities[i], turned) + excess[i, g]
-            if time <= min_time:
-                min_time = time
+            time = min_time(joints, q[i], velocities[i], turned) + excess[i, g]
+            if time <= shortest:
+                shortest = time
                 copy_to(turned, goal[0])
         for max_step in max_steps:
             time, at = step_into_sphere(joints, goal[0], start, centre, radius, max_step, memory, step)
-            min_time = min(min_time, time + late(at, radius))
+            shortest = min(shortest, time + remaining_time(at, radius))
             for k in range(dof):
                 goal[0, k] += step[k]
-        times[i] = min_time
+        times[i] = shortest

@@ -92,8 +92,8 @@ def brake(joints, period, velocity, velocities):
     """Compute `velocities` (N + 1, dof) of joints that brake from `velocity` (dof,) until they stop."""
     for k in range(len(velocities)):
         for i in range(len(joints)):
-            slower = max(abs(velocity[i]) - k * joints[i].acceleration * period, 0.0)
-            velocities[k, i] = math.copysign(slower, velocity[i])
+            speed = max(abs(velocity[i]) - k * joints[i].acceleration * period, 0.0)
+            velocities[k, i] = math.copysign(speed, velocity[i])
 
 
 @compiled

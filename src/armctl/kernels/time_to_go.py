@@ -31,7 +31,7 @@ class People(NamedTuple):
     """(layers, w, 2) m."""
     reach: float
     """m."""
-    slower: float
+    slowdown: float
     """Factor of all times within reach."""
 
 
@@ -83,7 +83,7 @@ def detain(times, k, people, grid, moves):
     """Set the times of layer `k` at the points within reach of people, where everything takes longer."""
     y, x, pad = grid
     wait, steps, durations, layers, shares = moves
-    last, reach, slower = len(times) - 1, people.reach, people.slower
+    last, reach, slowdown = len(times) - 1, people.reach, people.slowdown
     for person_x, person_y in people.positions[k]:
         for i in range(len(y)):
             if abs(y[i] - person_y) > reach:
@@ -91,9 +91,9 @@ def detain(times, k, people, grid, moves):
             for j in range(len(x)):
                 if (x[j] - person_x) ** 2 + (y[i] - person_y) ** 2 > reach * reach:
                     continue
-                min_time = slower * wait + times[k + 1, i + pad, j + pad]
+                min_time = slowdown * wait + times[k + 1, i + pad, j + pad]
                 for e in range(len(steps)):
                     at, to = i + pad + steps[e, 0], j + pad + steps[e, 1]
                     first, second = times[min(k + layers[e], last), at, to], times[min(k + layers[e] + 1, last), at, to]
-                    min_time = min(min_time, slower * durations[e] + first + shares[e] * (second - first))
+                    min_time = min(min_time, slowdown * durations[e] + first + shares[e] * (second - first))
                 times[k, i + pad, j + pad] = min_time

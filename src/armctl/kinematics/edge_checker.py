@@ -25,9 +25,9 @@ MAX_CLEARANCE = 0.05
 """m: limit on the clearance, which needs distances of up to twice as much, and boxes as far out of reach."""
 HALVINGS, PLACES = 6, 8
 """Number of halvings, and of places tried, to find the farthest point that is reached on an edge of a path."""
-TICKS_CHECKED, MOST_CHECKED = 3, 40
+TICKS_CHECKED, MAX_CHECKED = 3, 40
 """Ticks of the drives between configurations whose edges are checked, and the number of these: about a second."""
-MOST_CHECKS = 2048
+MAX_CHECKS = 2048
 """Configurations on an edge after which it counts as blocked, too."""
 
 
@@ -120,7 +120,7 @@ class EdgeChecker:
         pairs, motion = shapes.with_boxes(boxes)
         self._self_pairs = shapes.self_pairs
         self._scene = edges.Scene(shapes.model.joints, shapes.model.links, pairs, box_records(boxes))
-        self._distances = np.empty((MOST_CHECKS, len(pairs)))
+        self._distances = np.empty((MAX_CHECKS, len(pairs)))
         self.checks = 0
         """Configurations checked."""
         distances = self._measured(start)
@@ -161,7 +161,7 @@ class EdgeChecker:
     def stops_freely(self, position: Array, velocity: Array, goal: Array) -> bool:
         """Return True if drives from `position` (dof,) with `velocity` (dof,) keep the clearance to rest at `goal`."""
         free, checks = edges.stops_freely(
-            self._scene, position, velocity, goal, TICKS_CHECKED, TICK, MOST_CHECKED, self._bounds
+            self._scene, position, velocity, goal, TICKS_CHECKED, TICK, MAX_CHECKED, self._bounds
         )
         self.checks += checks
         return bool(free)

@@ -17,7 +17,7 @@ from armctl.kinematics.edge_checker import ArmShapes
 from armctl.robot_description.joint_profiles import TICK
 from armctl.scene.boxes import BOX_NUMBERS, rotations_about_vertical
 
-MOST_CHECKS = 64
+MAX_CHECKS = 64
 """Configurations on a straight motion after which it counts as blocked."""
 
 __all__ = ["ARRIVED", "MOVING", "TOUCHED", "ImaginedArms"]
@@ -53,7 +53,7 @@ class ImaginedArms:
             np.zeros((n, max_boxes), BOX), np.zeros(n, int), self.positions, self.velocities, self.targets, self.states,
             *np.zeros((2, n, len(pairs))),
         )  # fmt: skip
-        self._distances = np.empty((MOST_CHECKS, len(pairs)))
+        self._distances = np.empty((MAX_CHECKS, len(pairs)))
 
     @property
     def tips(self) -> Array:

@@ -86,7 +86,7 @@ class MinimumTimeReach:
             goal = self._first_free(start, self._by_time(start, self.model.nearest_turn(at_centre, start)))
         return self._goal(start, candidates[0]) if goal is None and len(candidates) else goal
 
-    def least_time(self, start: Array, centre: Array, radius: float, velocity: Array | None = None) -> float:
+    def min_time(self, start: Array, centre: Array, radius: float, velocity: Array | None = None) -> float:
         """Return the seconds from `start` (dof,) with `velocity` (dof,) rad/s into the sphere without obstacles.
 
         The time is infinite if no start led into the sphere. With the options `THOROUGH`, no policy is faster.
@@ -95,14 +95,14 @@ class MinimumTimeReach:
         return float(self._candidates(start, centre, radius, moving)[1].min(initial=np.inf))
 
     def _by_time(self, start: Array, goals: Array) -> Array:
-        return np.asarray(goals[np.argsort(self.model.least_time(start, goals), kind="stable")])
+        return np.asarray(goals[np.argsort(self.model.min_time(start, goals), kind="stable")])
 
     def _first_free(self, start: Array, q: Array) -> ReachGoal | None:
         goals = (self._goal(start, configuration) for configuration in q)
         return next((goal for goal in goals if goal.collision_free), None)
 
     def _goal(self, start: Array, q: Array) -> ReachGoal:
-        time = float(self.model.least_time(start, q))
+        time = float(self.model.min_time(start, q))
         command = fly_by_setpoint(start, q, time, self.model.limits)
         points = 1 + math.ceil(np.abs(q - start).max() / self.options.path_spacing)
         times = np.linspace(time, 0, points, endpoint=False)

@@ -137,11 +137,11 @@ class ArmModel:
         cos, sin = np.cos(1.0), np.sin(1.0)
         return bool(np.allclose((cos * x - sin * y, sin * x + cos * y, z), turned, atol=1e-4))
 
-    def least_time(self, start: Array, goals: Array) -> Array:
+    def min_time(self, start: Array, goals: Array) -> Array:
         """Return the seconds (...) from rest at `start` (dof,) to `goals` (..., dof) at any final speed."""
         rows = self._rows(goals)
         times = np.empty(len(rows))
-        drives.least_times(self.joints, start, np.zeros(self.dof), rows, times)
+        drives.min_times(self.joints, start, np.zeros(self.dof), rows, times)
         return times.reshape(np.shape(goals)[:-1])
 
     def cruise_time(self, start: Array, goal: Array) -> Array:

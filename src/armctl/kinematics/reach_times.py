@@ -1,4 +1,4 @@
-"""Upper bounds on `MinimumTimeReach.least_time` for many arms at once, each with its own target sphere.
+"""Upper bounds on `MinimumTimeReach.min_time` for many arms at once, each with its own target sphere.
 
 A few sampled configurations are moved into each sphere once. They stay the same wherever the arm goes, which makes the
 time one function of the arm's state: the least over these configurations and the straight move into the sphere, refined
@@ -42,7 +42,7 @@ class ReachTimes:
         self.model, self.radius, self.effort = model, radius, effort or ReachTimesOptions()
         self._map = ReachabilityMap(model, CONFIGURATIONS, collision_free=False)
         self._near_home = model.nearest_turn(self._map.configurations, model.home)
-        self._from_home = model.least_time(model.home, self._near_home)
+        self._from_home = model.min_time(model.home, self._near_home)
 
     def spheres(self, centres: Array) -> Spheres:
         """Return spheres around `centres` (m, 3), m."""
@@ -61,7 +61,7 @@ class ReachTimes:
         """Return the seconds (m,) from q (m, dof) with `velocity` (m, dof) rad/s, each into its sphere; 0 inside."""
         times = np.empty(len(q))
         q, velocity = np.ascontiguousarray(q), np.ascontiguousarray(velocity)
-        reach.least_times_into_spheres(
+        reach.min_times_into_spheres(
             self.model.joints, q, velocity, spheres, self.radius, self.effort.iterations, REFINEMENTS, times
         )
         return times

@@ -97,9 +97,9 @@ class ReachabilityMap:
         """Return configurations (count, dof) with the end-effector at `target` (3,), those reached earliest first."""
         limits = self.model.limits
         distances, near = self.nearest(target, NEIGHBOURS)
-        time = self.model.least_time(start, self.configurations[near]) + distances / TIP_SPEED
+        time = self.model.min_time(start, self.configurations[near]) + distances / TIP_SPEED
         earliest = self.configurations[near[np.argsort(time)[:count]]]
         goals = np.clip(approach(self.model, earliest, target, ITERATIONS), limits.lower, limits.upper)
         error = np.linalg.norm(self.model.positions(goals) - target, axis=1)
-        time = self.model.least_time(start, goals) + np.where(error < ON_TARGET, 0.0, MISS_PENALTY)
+        time = self.model.min_time(start, goals) + np.where(error < ON_TARGET, 0.0, MISS_PENALTY)
         return np.asarray(goals[np.argsort(time)])

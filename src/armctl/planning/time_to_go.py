@@ -18,7 +18,7 @@ from armctl.planning.cost_to_go import OFF_CLEARANCE, STEPS, Lattice
 from armctl.scene import BridgeMap
 from armctl.scene.pedestrians import NO_PEDESTRIANS
 
-SLOWER = 20.0
+SLOWDOWN = 20.0
 """Factor by which everything takes longer near a person: it is quicker to wait than to run through him."""
 BLOCKED = 1e4
 """s: more than any time to go."""
@@ -81,7 +81,7 @@ class SpaceTime:
         inside[-1] = unhindered.T
         kernel.spread(
             times, np.ascontiguousarray((unhindered == 0).T), np.where(reachable.T, 0.0, BLOCKED).astype(np.float32),
-            kernel.People(people.positions(self.step * np.arange(len(times))), people.radius + clearance, SLOWER),
+            kernel.People(people.positions(self.step * np.arange(len(times))), people.radius + clearance, SLOWDOWN),
             kernel.Grid(y, x, PAD),
             kernel.Moves(self.step, moves, durations.astype(np.float32), layers, shares.astype(np.float32)),
         )  # fmt: skip
@@ -94,8 +94,8 @@ class SpaceTime:
         moments = np.clip(times / self.interval, 0, extra.shape[1] - 1)
         first = np.minimum(moments.astype(int), extra.shape[1] - 2)
         bridges, share = np.arange(len(points)), moments - first
-        early, late = (self.lattice.interpolate(extra[bridges, first + k], points, EVERY) for k in (0, 1))
-        return np.asarray(self.lattice.interpolate(unhindered, points) + (1 - share) * early + share * late)
+        earlier, later = (self.lattice.interpolate(extra[bridges, first + k], points, EVERY) for k in (0, 1))
+        return np.asarray(self.lattice.interpolate(unhindered, points) + (1 - share) * earlier + share * later)
 
     @property
     def _layers(self) -> int:

@@ -17,7 +17,7 @@ from armctl.report import style
 from armctl.report.plots import comparison_plots, mean, percent, renamed, spread, sweep_plots
 from armctl.report.render import write_page
 from armctl.report.suite_page import write_suite_page
-from armctl.report.videos import film, most_different, worst
+from armctl.report.videos import film, largest_difference, lowest_returns
 from armctl.runtime.provenance import with_looks
 from armctl.stats.robustness import robustness_headline, robustness_rankings
 from armctl.study.comparison import Comparison
@@ -139,9 +139,9 @@ def _videos(comparison: Comparison, progress: Callable[[str], None]) -> dict[str
     if not comparison.counted:
         return {"no_videos": "There is no episode to show."}
     progress("filming the same episode under each policy")
-    together = film(comparison, apart) if (apart := most_different(comparison.counted)) else []
+    together = film(comparison, apart) if (apart := largest_difference(comparison.counted)) else []
     lowest = []
-    for result in worst(comparison.counted):
+    for result in lowest_returns(comparison.counted):
         progress(f"filming the worst episode of {result.policy}")
         lowest += film(comparison, [result])
     problems = {clip.problem for clip in (*together, *lowest)}

@@ -54,7 +54,7 @@ class Clip:
     """Reason for which there is no video, or its difference from the results."""
 
 
-def most_different(episodes: Mapping[str, EpisodeTable]) -> list[EpisodeResult]:
+def largest_difference(episodes: Mapping[str, EpisodeTable]) -> list[EpisodeResult]:
     """Return the results of all policies in the episode in which their returns differ most; none for a single policy.
 
     The criterion is the sum of the logarithms of the gaps between neighbouring returns, so that one policy that always
@@ -70,7 +70,7 @@ def most_different(episodes: Mapping[str, EpisodeTable]) -> list[EpisodeResult]:
     return [table[widest] for table in tables]
 
 
-def worst(episodes: Mapping[str, EpisodeTable]) -> list[EpisodeResult]:
+def lowest_returns(episodes: Mapping[str, EpisodeTable]) -> list[EpisodeResult]:
     """Return the episode with the lowest return of each policy; of several, the first."""
     return [table[int(table.column("total_reward").argmin())] for table in episodes.values()]
 

@@ -31,13 +31,13 @@ MAX_SHAPES = 1_000
 """Collision shapes of all links together."""
 LARGEST = 1e9
 """Largest number, in SI units; files write it where they mean no limit."""
-LEAST_SIZE = 1e-9
+MIN_SIZE = 1e-9
 """m: least length or radius of a shape."""
-LEAST_AXIS = 1e-6
+MIN_AXIS = 1e-6
 """Least length of a joint's axis, which is then made 1."""
-LEAST_MASS = 1e-9
+MIN_MASS = 1e-9
 """kg: least mass of a link that has one."""
-LEAST_INERTIA = 1e-14
+MIN_INERTIA = 1e-14
 """kg m^2: least principal moment; MuJoCo's own limit is near."""
 
 _INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
@@ -203,7 +203,7 @@ class Urdf:
         value = 0.0 if mass is None else self._number(mass.get("value", "0"), f"mass of link {name!r}")
         if value < 0:
             raise self._error(f"link {name!r} has a mass of {value:g} kg")
-        return value if value >= LEAST_MASS else 0.0
+        return value if value >= MIN_MASS else 0.0
 
     def _moments(self, link: str, inertial: Element) -> dict[str, float]:
         inertia = inertial.find("inertia")
@@ -218,7 +218,7 @@ class Urdf:
             axis = joint.find("axis")
             if axis is not None:
                 length = np.linalg.norm(self._numbers(axis, "xyz", f"axis of joint {name!r}", 3, "1 0 0"))
-                if length < LEAST_AXIS:
+                if length < MIN_AXIS:
                     raise self._error(f"joint {name!r} has an axis of length {length:.1g}")
             moved = _end(joint, "child")
             if not self._mass[moved]:
@@ -229,7 +229,7 @@ class Urdf:
                 continue
             xx, xy, xz, yy, yz, zz = self._moments(name, inertial).values()
             small, medium, large = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-            if small < LEAST_INERTIA or small + medium < large * (1 - 1e-6):
+            if small < MIN_INERTIA or small + medium < large * (1 - 1e-6):
                 raise self._error(
                     f"link {name!r} has an impossible inertia: its principal moments are "
                     f"{small:.3g}, {medium:.3g}, {large:.3g}"
@@ -284,7 +284,7 @@ class Urdf:
         return number
 
     def _positive(self, numbers: Array, description: str) -> Array:
-        if not (numbers >= LEAST_SIZE).all():
+        if not (numbers >= MIN_SIZE).all():
             raise self._error(f"{description} has a size of {numbers.min():g}")
         return numbers
 

@@ -27,7 +27,7 @@ class TimedPolicy:
     decision of the current episode was the policy's very first, in which code is loaded and compiled.
     """
 
-    time_scale = 1.0
+    slow_down = 1.0
     """Factor by which a decision takes longer than it was measured."""
 
     def __init__(self, policy: Policy, n: int, workers: int = 1) -> None:
@@ -91,7 +91,7 @@ class Machines:
     def settings(self, results: EpisodeTable) -> list[tuple[int, int, str]]:
         """Return worlds, workers and machine of each episode; an empty machine if it is unknown."""
         columns = (results.column(name).tolist() for name in ("worlds", "workers", "run"))
-        return [(worlds, workers, self.by_run.get(run, "")) for worlds, workers, run in zip(*columns, strict=True)]
+        return [(num_envs, workers, self.by_run.get(run, "")) for num_envs, workers, run in zip(*columns, strict=True)]
 
 
 def comparable_times(results: EpisodeTable, machines: Machines = Machines({})) -> EpisodeTable:
@@ -105,9 +105,9 @@ def comparable_times(results: EpisodeTable, machines: Machines = Machines({})) -
     return results[np.array([setting == best for setting in settings])]
 
 
-def setting_in_words(worlds: int, workers: int) -> str:
+def setting_in_words(num_envs: int, workers: int) -> str:
     """Return the kind of decision times if they are not latencies; empty if they are."""
-    parts = [f"shares of a batch of {worlds} worlds"] if worlds > 1 else []
+    parts = [f"shares of a batch of {num_envs} worlds"] if num_envs > 1 else []
     others = "another worker" if workers == 2 else f"up to {workers - 1} other workers"
     parts += [f"taken while {others} computed"] if workers > 1 else []
     return ", ".join(parts)
@@ -139,18 +139,18 @@ def timing_notes(timed: Iterable[tuple[str, EpisodeTable]], machines: Machines =
     """Return remarks about the decision times of policies: their kind, and the episodes that they leave out."""
     kinds, notes = {}, []
     for policy, table in timed:
-        alike = comparable_times(table, machines)
+        comparable = comparable_times(table, machines)
         settings = set(machines.settings(table))
-        (setting,) = set(machines.settings(alike))
+        (setting,) = set(machines.settings(comparable))
         kinds[policy] = setting_in_words(*setting[:2]), setting[2]
-        if len(alike) < len(table):
+        if len(comparable) < len(table):
             others = ["with other --worlds or --workers"] if any(other[:2] != setting[:2] for other in settings) else []
             elsewhere = sorted({other[2] or "an unknown machine" for other in settings} - {setting[2]})
             others += (
                 [f"on {' and '.join(elsewhere)}, not on {setting[2] or 'an unknown machine'}"] if elsewhere else []
             )
             notes.append(
-                f"Decision times of {policy} are from {len(alike)} of {len(table)} episodes, and are "
+                f"Decision times of {policy} are from {len(comparable)} of {len(table)} episodes, and are "
                 f"{kinds[policy][0] or 'latencies'}: the others were played {', or '.join(others)}."
             )
     if len(set(kinds.values())) > 1:

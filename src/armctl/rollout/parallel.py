@@ -36,7 +36,7 @@ class WorkerConfig:
     """The environment in which all policies play; each worker makes it once for each policy."""
 
     env: str = field(compare=False)
-    worlds: int = field(compare=False)
+    num_envs: int = field(compare=False)
     env_options: Mapping[str, Any] = field(compare=False)
     seed: int = field(compare=False)
     policy_seed: int = field(compare=False, repr=False)
@@ -123,7 +123,7 @@ def play_in_workers(
 
     def blocks() -> Iterator[Any]:
         for name in setting.policies:
-            for block in _blocks(waiting[name], setting.config.worlds, engine):
+            for block in _blocks(waiting[name], setting.config.num_envs, engine):
                 if name not in failed:
                     bounds = {episode: lower_bound_steps[episode] for episode in block if episode in lower_bound_steps}
                     yield name, block, bounds, real_time and real_time.of(name, block)
@@ -178,11 +178,12 @@ def check_sendable(policies: Mapping[str, Any]) -> None:
             ) from error
 
 
-def _blocks(episodes: Sequence[int], worlds: int, engine: Engine) -> Iterator[Sequence[int]]:
+def _blocks(episodes: Sequence[int], num_envs: int, engine: Engine) -> Iterator[Sequence[int]]:
     """Return blocks so small that every worker gets one; of one episode if one world plays and units are grouped."""
-    size = (
-        1 if worlds == 1 and engine.groups_units else max(1, min(ROUNDS * worlds, -(-len(episodes) // engine.workers)))
-    )
+    if num_envs == 1 and engine.groups_units:
+        size = 1
+    else:
+        size = max(1, min(ROUNDS * num_envs, -(-len(episodes) // engine.workers)))
     return (episodes[i : i + size] for i in range(0, len(episodes), size))
 
 
@@ -230,7 +231,7 @@ def _actor(setting: Setting, name: str) -> tuple[EpisodeVectorEnv, TimedPolicy]:
     if (config, name) not in _present:
         while _present:
             _present.popitem()[1][0].close()
-        interfaces = config.interfaces(config.env, config.worlds, config.env_options, threads=1)
+        interfaces = config.interfaces(config.env, config.num_envs, config.env_options, threads=1)
         worlds = interfaces.of(policy)
         actor, construction_ms = build_timed(policy, worlds, name, config.policy_seed)
         if expected := setting.identities.get(name):

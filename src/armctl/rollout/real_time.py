@@ -28,7 +28,7 @@ from armctl.rollout.decision_times import Errors, TimedPolicy
 from armctl.tasks import Observations
 
 MEASURED = "measured"
-SLOWER = "slow-down"
+SLOW_DOWN_NAME = "slow-down"
 SLOW_DOWN = DisturbanceSpec(
     Disturbance, "a slower computer, in real time", "times the decision times; 0: the world waits",
     (0, 1, 2, 5, 10, 30), 1e4,
@@ -57,7 +57,7 @@ class RecordedTimes:
 class RealTime:
     """Decision times in a world that does not wait."""
 
-    time_scale: float = 1.0
+    slow_down: float = 1.0
     """Factor by which decisions take longer than they were measured."""
     latency: str = MEASURED
     """`measured`, or the folder in which the times were recorded."""
@@ -85,12 +85,12 @@ class RealTime:
         if self.recorded is not None:
             first = {name: self.recorded[name][0] for name in policies}
             latency = digest({name: [*times.ms, times.first_call, times.reset_ms] for name, times in first.items()})
-        return {"latency": latency, "slow_down": self.time_scale}
+        return {"latency": latency, "slow_down": self.slow_down}
 
     def in_words(self, period: float) -> str:
         """Return a remark about a comparison."""
         times = "as measured here" if self.recorded is None else f"as recorded in {self.latency}"
-        scale = f", {self.time_scale:g} times as long" if self.time_scale != 1 else ""
+        scale = f", {self.slow_down:g} times as long" if self.slow_down != 1 else ""
         return (
             f"In real time: a decision that takes longer than the control period, {1e3 * period:g} ms, takes effect "
             f"when it is ready. Decisions take their time {times}{scale}."
@@ -105,7 +105,7 @@ class RealTimePolicy(TimedPolicy):
 
     def __init__(self, policy: Policy, worlds: Any, real_time: RealTime, name: str) -> None:
         super().__init__(policy, 1)
-        self.time_scale = real_time.time_scale
+        self.slow_down = real_time.slow_down
         self._recorded = None if real_time.recorded is None else real_time.recorded[name]
         self._period_ms = 1e3 * worlds.control_period
         self._idle = np.array(worlds.idle_action)[None]
@@ -139,7 +139,7 @@ class RealTimePolicy(TimedPolicy):
         if self._replayed is not None:
             spent = np.array([next(self._replayed)])
         waited = spent[0] + (self.reset_ms[0] if self._begins else 0.0)
-        periods = self.time_scale * waited / self._period_ms
+        periods = self.slow_down * waited / self._period_ms
         if periods <= 1 + TOLERANCE or (self._begins and self.first_call[0]):
             self._command = _copied(decided)
         else:
@@ -165,7 +165,7 @@ def real_time_of(real_time: str | Path | None, slow_down: float, env: str, seed:
     return read_recording(Path(real_time), float(slow_down), env, seed)
 
 
-def read_recording(path: Path, time_scale: float, env: str, seed: int) -> RealTime:
+def read_recording(path: Path, slow_down: float, env: str, seed: int) -> RealTime:
     """Return the decision times in the results of a comparison: its folder, or a file in it.
 
     Raises `ConfigurationError` for results of another environment or seed, and for times that are no latencies, and
@@ -185,7 +185,7 @@ def read_recording(path: Path, time_scale: float, env: str, seed: int) -> RealTi
             raise ConfigurationError(
                 f"the decision times in {folder} are of another comparison: {name} {recorded} there, {value} here"
             )
-    return RealTime(time_scale, str(folder), recorded_times(stored.episodes))
+    return RealTime(slow_down, str(folder), recorded_times(stored.episodes))
 
 
 def recorded_times(results: Iterable[EpisodeResult]) -> dict[str, dict[int, RecordedTimes]]:
@@ -216,11 +216,11 @@ def check_recorded(real_time: RealTime, policies: Iterable[str], episodes: int) 
         )
 
 
-def check_measurable(worlds: int, workers: int) -> None:
+def check_measurable(num_envs: int, workers: int) -> None:
     """Raise `ConfigurationError` unless decision times are latencies."""
-    if (worlds, workers) != (1, 1):
+    if (num_envs, workers) != (1, 1):
         raise ConfigurationError(
-            f"measured real time needs one world and one worker, not {worlds} and {workers}: give recorded times, "
+            f"measured real time needs one world and one worker, not {num_envs} and {workers}: give recorded times, "
             "a results folder of one world and one worker (--real-time DIR), to play with more workers"
         )
 

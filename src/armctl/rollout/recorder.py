@@ -51,7 +51,7 @@ class EpisodeRecorder:
             sums[began] = 0.0
         for i in np.flatnonzero(began):
             if (number := int(numbers[i])) not in self._lower_bound_steps:
-                time = self._task.least_time(int(i))
+                time = self._task.min_time(int(i))
                 steps = np.ceil(time / self._task.control_period - 1e-9) if math.isfinite(time) else math.nan
                 self._lower_bound_steps[number] = float(np.maximum(1.0, steps))
 
@@ -108,7 +108,7 @@ class EpisodeRecorder:
         """Fields of a result that are known however the episode in world i has ended."""
         steps = slice(self._first_step[i], None)
         decision_ms = np.array([spent[i] for spent in self._decision_ms[steps]])
-        motions, (worlds, workers) = self._motions[steps], self._timed.setting
+        motions, (num_envs, workers) = self._motions[steps], self._timed.setting
         return {
             "policy": self._name,
             "env": self._env_id,
@@ -128,11 +128,11 @@ class EpisodeRecorder:
                     decision_ms,
                     float(self._timed.reset_ms[i]),
                     bool(self._timed.first_call[i]),
-                    self._timed.time_scale if self._timed.setting == (1, 1) else None,
+                    self._timed.slow_down if self._timed.setting == (1, 1) else None,
                 ),
                 int(self._failures()[i] - self._failures_before[i]),
             ),
-            "worlds": worlds,
+            "worlds": num_envs,
             "workers": workers,
             "reset_ms": float(self._timed.reset_ms[i]),
             "decision_ms": decision_ms,

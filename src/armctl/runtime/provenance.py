@@ -60,13 +60,13 @@ class Run:
 class RunMeter:
     """Notes the load while a run goes on."""
 
-    def __init__(self, identity: Mapping[str, Any], worlds: int, workers: int) -> None:
+    def __init__(self, identity: Mapping[str, Any], num_envs: int, workers: int) -> None:
         facts: dict[str, Any] = {
             "date": datetime.now(UTC).isoformat(timespec="milliseconds"),
             "versions": versions(),
             **machine(),
             "threads": {name: os.environ[name] for name in THREADS if name in os.environ},
-            "worlds": worlds,
+            "worlds": num_envs,
             "workers": workers,
             "load_start": load_average(),
         }

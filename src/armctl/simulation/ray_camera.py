@@ -17,7 +17,7 @@ from armctl.kernels import rays
 from armctl.simulation.ray_shapes import ray_shapes
 from armctl.simulation.simulation import Simulation, WorldIds
 
-LEAST_WORLDS = 16
+MIN_ENVS_FOR_THREADS = 16
 """A thread is worth its while from so many worlds on."""
 
 
@@ -69,7 +69,7 @@ class RayCamera:
         def cast(part: slice) -> None:
             rays.cast_all(worlds[part], shapes, geoms, cameras, depths[part], hits[part])
 
-        parts = min(self._simulation.threads, max(1, len(worlds) // LEAST_WORLDS))
+        parts = min(self._simulation.threads, max(1, len(worlds) // MIN_ENVS_FOR_THREADS))
         ends = np.linspace(0, len(worlds), parts + 1).astype(int).tolist()
         spans = [slice(*span) for span in itertools.pairwise(ends)]
         if parts == 1:

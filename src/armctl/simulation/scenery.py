@@ -15,11 +15,11 @@ from armctl.core.arrays import Array
 from armctl.simulation.simulation import Simulation
 
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
-MOST_GEOMS = 2000
+MAX_GEOMS = 2000
 UNSEEN_GROUP = 5
 """A geom group that viewers hide by default."""
 IN_WORLD = np.eye(3)
-MOST_POINTS = 64
+MAX_POINTS = 64
 """Limit on the points of a line; longer ones are thinned out."""
 
 
@@ -35,7 +35,7 @@ class Scenery:
         self._placed = set(np.flatnonzero(placed[model.geom_bodyid]).tolist())
         self.model = copy.deepcopy(model)
         self.model.geom_group[list(self._placed)] = UNSEEN_GROUP
-        self._scene = mujoco.MjvScene(model, maxgeom=MOST_GEOMS)
+        self._scene = mujoco.MjvScene(model, maxgeom=MAX_GEOMS)
         self._options = mujoco.MjvOption()
         self._options.flags[mujoco.mjtVisFlag.mjVIS_CONTACTPOINT] = 1
         self._look_from(camera)
@@ -94,7 +94,7 @@ def _without_mesh(model: mujoco.MjModel, data: mujoco.MjData, geom: mujoco.MjvGe
 def polyline(points: ArrayLike, radius: float, rgba: ArrayLike, beads: bool = False) -> list[mujoco.MjvGeom]:
     """Return decoration along points (m, 3) m: a line of capsules, with `beads` at the points on demand."""
     corners = np.asarray(points, dtype=float)
-    corners = corners[np.unique(np.linspace(0, len(corners) - 1, min(len(corners), MOST_POINTS)).round().astype(int))]
+    corners = corners[np.unique(np.linspace(0, len(corners) - 1, min(len(corners), MAX_POINTS)).round().astype(int))]
     lines = []
     for start, end in itertools.pairwise(corners):
         lines.append(_decoration(mujoco.mjtGeom.mjGEOM_CAPSULE, [radius] * 3, start, rgba))

@@ -20,7 +20,7 @@ DRAWS = 4000
 """Number of random weights. Where means are normal, a limit's standard error is 2 % of the interval's half width."""
 LARGEST_BATCH = 4_000_000
 """Weights that are drawn at once."""
-MOST_VALUES, GROUPS = 10_000, 2_000
+MAX_VALUES, GROUPS = 10_000, 2_000
 """Different values that get random weights of their own. More are drawn as so many groups of neighbours."""
 RESAMPLES = 2000
 """Number of resamples of a bootstrap: the error of a 95 % interval's bound is about a tenth of the interval's width."""
@@ -180,7 +180,7 @@ def grouped(ordered: Array, counts: NDArray[np.intp]) -> tuple[Array, NDArray[np
     Random weights of a group add up to those of its values, so that an interval loses only what varies within groups:
     some millionths of its width.
     """
-    if len(ordered) <= MOST_VALUES:
+    if len(ordered) <= MAX_VALUES:
         return ordered, counts
     place = (ordered - ordered[0]) / (ordered[-1] - ordered[0]) + np.cumsum(counts) / counts.sum()
     starts = np.flatnonzero(np.diff(np.floor(place * GROUPS / 2), prepend=-1.0))

@@ -123,7 +123,7 @@ class RobustnessRanking:
     disturbance: str
     first: str
     """The policy with the largest mean lead over all others and disturbed levels; empty without a test."""
-    alike: Sequence[str]
+    not_worse: Sequence[str]
     """Policies that are at no level significantly worse than the first."""
     worse: Mapping[str, Onset]
     """Onsets of significantly worse policies. An onset lasts if the policy is not better at any later level."""
@@ -143,7 +143,7 @@ class RobustnessRanking:
     @property
     def leads(self) -> bool:
         """True if the first is significantly better than all others ranked, and at no level worse."""
-        return bool(self.worse) and not self.alike and not self.better
+        return bool(self.worse) and not self.not_worse and not self.better
 
     @property
     def claim(self) -> str:
@@ -154,12 +154,12 @@ class RobustnessRanking:
             return f"{self.first} leads"
         if not self.worse and not self.better:
             return "no significant difference between policies"
-        beside = [f"not shown to be worse: {', '.join(self.alike)}"] if self.alike else []
+        beside = [f"not shown to be worse: {', '.join(self.not_worse)}"] if self.not_worse else []
         beside += [f"better {_where(self.better)}"] if self.better else []
         return f"highest mean {self.score}: {self.first} ({'; '.join(beside)})"
 
     def __str__(self) -> str:
-        names = dict.fromkeys((self.first, *self.alike, *self.worse, *self.better))
+        names = dict.fromkeys((self.first, *self.not_worse, *self.worse, *self.better))
         sentences = [f"Under {self.disturbance}, {self.claim}"]
         if self.worse:
             sentences[0] += f"; worse: {_where(self.worse, self.neutral)}"
@@ -243,14 +243,14 @@ def _ranking(
     first = max(names, key=mean_lead, default="")
     if not first or mean_lead(first) == -np.inf:
         first, names = "", []
-    alike, worse, better = [], {}, {}
+    not_worse, worse, better = [], {}, {}
     for name in names:
         gain = gains(name, first) if name != first else {}
         tested = {x for x in gain if _pair(disturbance, x, levels[0], name, first) in significant}
         if behind := onsets(gain, [gain[x] < 0 and x in tested for x in gain], [gain[x] <= 0 for x in gain]):
             worse[name] = next((onset for onset in behind if onset.lasts), behind[0])
         elif name != first:
-            alike.append(name)
+            not_worse.append(name)
         above = {x: value for x, value in gain.items() if x != levels[0]}
         if ahead := onsets(above, [above[x] > 0 and x in tested for x in above], [above[x] >= 0 for x in above]):
             better[name] = next((onset for onset in ahead if onset.lasts), ahead[0])
@@ -258,7 +258,7 @@ def _ranking(
     return RobustnessRanking(
         disturbance,
         first,
-        [name for name in alike if name not in better],
+        [name for name in not_worse if name not in better],
         worse,
         better,
         sorted(set(rows.policy.astype(str)) - set(ranked.policy.astype(str))),

@@ -155,8 +155,8 @@ class _Line:
     def identity(self) -> dict[str, Any]:
         """Return everything that determines the episodes."""
         cell = self.cell
-        late = None if cell.real_time is None else cell.real_time.identity(cell.players)
-        about = identity(cell.env, cell.env_options, self.plan.seed, cell.players, self.policies, self.env, late)
+        real_time = None if cell.real_time is None else cell.real_time.identity(cell.players)
+        about = identity(cell.env, cell.env_options, self.plan.seed, cell.players, self.policies, self.env, real_time)
         return {**about, POLICY_SEED: str(self.policy_seed)}
 
     def play(self, kept: EpisodeTable, lower_bound_steps: dict[int, float]) -> Iterator[RolloutBatch]:
@@ -176,7 +176,7 @@ class _Line:
                 self.policies, worlds, plan.seed, waiting, lower_bound_steps, cell.real_time, set(finished)
             )
         config = WorkerConfig(
-            cell.env, plan.worlds_in(cell), dict(cell.env_options), plan.seed, self.policy_seed, engine.workers,
+            cell.env, plan.num_envs_in(cell), dict(cell.env_options), plan.seed, self.policy_seed, engine.workers,
             interfaces=interfaces, recording=recording,
         )  # fmt: skip
         setting = Setting(config, self.playing)
@@ -187,7 +187,7 @@ class _Line:
     def facts(self, events: _Events, notes: list[str], resumed: int) -> Facts:
         """Return everything that is stored besides the episodes and runs."""
         cell, plan, env = self.cell, self.plan, self.env
-        late = cell.real_time
+        real_time = cell.real_time
         return Facts(
             env_options={name: str(value) for name, value in cell.env_options.items()},
             policy_seed=self.policy_seed,
@@ -211,7 +211,7 @@ class _Line:
             failures=events.failures,
             baseline=plan.baseline,
             margin=plan.margin,
-            real_time=None if late is None else {"latency": late.latency, "slow_down": late.time_scale},
+            real_time=None if real_time is None else {"latency": real_time.latency, "slow_down": real_time.slow_down},
             groups=cell.groups,
             disqualified=events.disqualified,
             interrupted=events.interrupted,
@@ -229,8 +229,8 @@ def play_cell(cell: Cell, session: Session, task: Task) -> Comparison:
     """
     plan, store, recorder = session.plan, session.store, session.recorder
     with ExitStack() as stack:
-        worlds = plan.worlds_in(cell)
-        interfaces = recorder.interfaces(cell.env, worlds if plan.engine.is_local else 1, cell.env_options)
+        num_envs = plan.num_envs_in(cell)
+        interfaces = recorder.interfaces(cell.env, num_envs if plan.engine.is_local else 1, cell.env_options)
         stack.callback(interfaces.close)
         events = _Events()
         policies = _policies(cell, interfaces, session.policy_seed, events)
@@ -240,7 +240,7 @@ def play_cell(cell: Cell, session: Session, task: Task) -> Comparison:
         recorder.open()
         keys = {"env": cell.env, "seed": plan.seed, "policies": [*cell.players]}
         cell_identity = line.identity() if store.folder else keys
-        meter = RunMeter(cell_identity, worlds, plan.engine.workers)
+        meter = RunMeter(cell_identity, num_envs, plan.engine.workers)
         writer = store.cell(cell.name, cell_identity, plan.episodes, meter.run)
         session.on_first_cell()
         writer.forget(recorder.lost(writer.kept))

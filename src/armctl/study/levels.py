@@ -8,7 +8,7 @@ from typing import Any
 from armctl.core.errors import ConfigurationError, unknown_name
 from armctl.disturbances import DisturbanceSpec, available
 from armctl.envs import make_worlds
-from armctl.rollout.real_time import SLOW_DOWN, SLOWER
+from armctl.rollout.real_time import SLOW_DOWN, SLOW_DOWN_NAME
 
 Disturbances = Mapping[str, Sequence[float] | None] | Sequence[str] | None
 """Names, or levels by name; None as levels stands for the default ones, and None alone for all disturbances."""
@@ -34,13 +34,13 @@ def disturbance_specs(env: str, options: Mapping[str, Any]) -> dict[str, Disturb
     with closing(make_worlds(env, 1, options)) as vec_env:
         specs = available(vec_env.task.disturbances, vec_env.task)
     constant = options.get("disturbances", {})
-    return {name: spec for name, spec in specs.items() if name not in constant} | {SLOWER: SLOW_DOWN}
+    return {name: spec for name, spec in specs.items() if name not in constant} | {SLOW_DOWN_NAME: SLOW_DOWN}
 
 
 def checked_levels(specs: Mapping[str, DisturbanceSpec], disturbances: Disturbances) -> dict[str, list[float]]:
     """Return the levels of each disturbance, the one without effect first. Raise `ConfigurationError`."""
     if disturbances is None:
-        disturbances = [name for name in specs if name != SLOWER]
+        disturbances = [name for name in specs if name != SLOW_DOWN_NAME]
     requested = [disturbances] if isinstance(disturbances, str) else disturbances
     by_name: Mapping[str, Any] = requested if isinstance(requested, Mapping) else dict.fromkeys(requested)
     levels = {}

@@ -15,7 +15,7 @@ from armctl.envs import full_id, make_worlds
 from armctl.episodes.stored import UNDISTURBED
 from armctl.policies import expanded, is_seed_group, learners, named_policies
 from armctl.rollout.real_time import (
-    SLOWER,
+    SLOW_DOWN_NAME,
     RealTime,
     check_measurable,
     check_real_time,
@@ -113,7 +113,7 @@ class Plan:
     seed: int
     episodes: int
     """Number of episodes of each policy in each cell."""
-    worlds: int = 1
+    num_envs: int = 1
     engine: Engine = field(default_factory=lambda: engine_of(1))
     baseline: str | None = None
     margin: float = MARGIN
@@ -128,9 +128,9 @@ class Plan:
         """Those of all tasks."""
         return [cell for task in self.tasks for cell in task.cells]
 
-    def worlds_in(self, cell: Cell) -> int:
+    def num_envs_in(self, cell: Cell) -> int:
         """Return the number of worlds that share a policy's calls: one if the world does not wait for decisions."""
-        return 1 if cell.real_time else min(self.worlds, self.episodes)
+        return 1 if cell.real_time else min(self.num_envs, self.episodes)
 
     @property
     def total(self) -> int:
@@ -150,7 +150,7 @@ def comparison_plan(policies: Any, env: str, episodes: int, seed: Seed, options:
     real_time = real_time_of(options.get("real_time"), options.get("slow_down", 1.0), cell.env, shared["seed"])
     if real_time is not None:
         if real_time.recorded is None:
-            check_measurable(shared["worlds"], shared["engine"].workers)
+            check_measurable(shared["num_envs"], shared["engine"].workers)
         check_recorded(real_time, cell.players, episodes)
     task = TaskPlan(cell.env, [replace(cell, real_time=real_time)])
     return Plan(COMPARISON, [task], **shared, baseline=baseline, margin=margin, envs=[cell.env])
@@ -195,9 +195,9 @@ def suite_plan(envs: Sequence[str], quick: bool, episodes: int | None, seed: See
 
 def extent(episodes: int, seed: int, options: StudyOptions) -> dict[str, Any]:
     """Return the arguments of `Plan` that all kinds share. Raise `ConfigurationError`."""
-    worlds, workers = options.get("worlds", 1), options.get("workers", 1)
-    check_counts(episodes=episodes, worlds=worlds, **({"workers": workers} if isinstance(workers, int) else {}))
-    return {"episodes": episodes, "seed": seed, "worlds": worlds, "engine": engine_of(workers)}
+    num_envs, workers = options.get("worlds", 1), options.get("workers", 1)
+    check_counts(episodes=episodes, worlds=num_envs, **({"workers": workers} if isinstance(workers, int) else {}))
+    return {"episodes": episodes, "seed": seed, "num_envs": num_envs, "engine": engine_of(workers)}
 
 
 def _undisturbed(policies: Any, env: str, options: TaskOptions) -> Cell:
@@ -221,24 +221,26 @@ def _task_plan(
     undisturbed = replace(undisturbed, name=prefix + UNDISTURBED)
     recorded = None if real_time is None else read_recording(Path(real_time), 1.0, env, shared["seed"])
     source = ""
-    if SLOWER in levels:
+    if SLOW_DOWN_NAME in levels:
         with closing(make_worlds(env, 1, options)) as vec_env:
             check_real_time(bare_id(env), vec_env)
         if recorded is None:
-            check_measurable(shared["worlds"], shared["engine"].workers)
+            check_measurable(shared["num_envs"], shared["engine"].workers)
             source = FROM_UNDISTURBED
         else:
             check_recorded(recorded, undisturbed.players, shared["episodes"])
             source = recorded.latency
     elif recorded is not None:
-        raise ConfigurationError(f"real_time is for the levels of {SLOWER}, of which none is asked for (--slow-down)")
+        raise ConfigurationError(
+            f"real_time is for the levels of {SLOW_DOWN_NAME}, of which none is asked for (--slow-down)"
+        )
     constant = dict(options.pop("disturbances", {}))
     cells = [undisturbed]
     for name, at in levels.items():
         for level in at[1:]:
-            if name == SLOWER:
-                late = replace(recorded or RealTime(latency=source), time_scale=level)
-                changed = replace(undisturbed, real_time=late, repeats=None if recorded else undisturbed.name)
+            if name == SLOW_DOWN_NAME:
+                slow_real_time = replace(recorded or RealTime(latency=source), slow_down=level)
+                changed = replace(undisturbed, real_time=slow_real_time, repeats=None if recorded else undisturbed.name)
             else:
                 changed = replace(undisturbed, env_options=options | {"disturbances": constant | {name: level}})
             cells.append(replace(changed, name=prefix + setting_name(name, level)))

@@ -114,10 +114,10 @@ def _with_times(cell: Cell, swept: Sweep, episodes: int) -> Cell:
     assert cell.real_time is not None
     assert swept.undisturbed is not None
     times = replace(cell.real_time, recorded=recorded_times(swept.undisturbed.results))
-    lacking = times.missing_recordings(cell.players, episodes)
+    missing = times.missing_recordings(cell.players, episodes)
     swept.failures |= {
-        f"{cell.setting}: {policy}": f"no decision times of episode {k}" for policy, k in lacking.items()
+        f"{cell.setting}: {policy}": f"no decision times of episode {k}" for policy, k in missing.items()
     }
-    without = learners(list(lacking), cell.groups)
+    without = learners(list(missing), cell.groups)
     playing = {name: policy for name, policy in cell.policies.items() if name not in without}
     return replace(cell, real_time=times, policies=playing)

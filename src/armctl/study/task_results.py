@@ -9,7 +9,7 @@ from functools import cached_property
 import pandas as pd
 
 from armctl.episodes.stored import UNDISTURBED
-from armctl.rollout.real_time import SLOWER
+from armctl.rollout.real_time import SLOW_DOWN_NAME
 from armctl.stats.intervals import Estimate
 from armctl.stats.paired import PairedDifference
 from armctl.stats.robustness import NEUTRAL, PairKey, change_between
@@ -60,7 +60,7 @@ class Sweep(Displayed):
         parts += [Remark(note, "note") for note in dict.fromkeys(notes)]
         if self.recorded:
             times = f"with the decision times of {self.recorded}"
-            parts.append(Remark(f"{SLOWER}: in real time, {times}; at 0 the world waits."))
+            parts.append(Remark(f"{SLOW_DOWN_NAME}: in real time, {times}; at 0 the world waits."))
         parts += [Remark(f"{name}: {why}", "problem") for name, why in self.failures.items()]
         if self.interrupted:
             parts.append(Remark("Interrupted.", "note"))

@@ -185,7 +185,7 @@ class TaskFacts(ABC):
         """Return the distances (n,) from the robot to its goal, m; NaN if unknown."""
         return np.full(self.n, np.nan)
 
-    def least_clearance(self, world: int, configurations: Array) -> float:
+    def min_clearance(self, world: int, configurations: Array) -> float:
         """Return the least distance (m) of the robot from anything it must not touch in an episode; NaN if unknown.
 
         `configurations` (steps, k) are the `MotionSample.configuration` of the episode that has just ended in `world`.
@@ -196,7 +196,7 @@ class TaskFacts(ABC):
         """Return least and largest possible return of an episode of at most `steps` control steps; None if unknown."""
         return None
 
-    def least_time(self, world: int) -> float:
+    def min_time(self, world: int) -> float:
         """Lower bound on the time to success from the present state, s; NaN if unknown."""
         return math.nan
 

@@ -16,7 +16,7 @@ UNKNOWN = "-"
 """Text of a cell without a value."""
 AGAINST = "- "
 """Text before the second policy's name in the name of a difference."""
-LEAST_P = 1e-300
+MIN_P_VALUE = 1e-300
 """About the smallest p-value that a floating-point number can hold."""
 _LINE_ENDS = re.compile(r"[\n\r\v\f\x1c-\x1e\x85\u2028\u2029]")
 
@@ -116,7 +116,7 @@ def p_value(p: float | None) -> str:
     """Return a p-value with two digits, in exponential form if it is small."""
     if p is None:
         return UNKNOWN
-    return f"{p:.2g}" if p > LEAST_P else f"< {LEAST_P:g}"
+    return f"{p:.2g}" if p > MIN_P_VALUE else f"< {MIN_P_VALUE:g}"
 
 
 def _interval(low: float | None, high: float | None, decimals: int, sign: str) -> str:

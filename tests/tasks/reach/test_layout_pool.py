@@ -31,7 +31,7 @@ from armctl.tasks.reach.layout_pool import (
     robot_digest,
     write_pool,
 )
-from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES, sample_certified_layout
+from armctl.tasks.reach.obstacle_layout import MAX_OBSTACLES, sample_certified_layout
 
 SHIPPED = read_pool(POOL_FILE)
 SEEDS = st.one_of(
@@ -49,7 +49,7 @@ def drawn(seed, episode, solvable=True):
     """A layout drawn without the pool: target, boxes as numbers, and whether it is certified."""
     rng = np.random.default_rng(episode_entropy(seed, episode))
     layout, feasible = sample_certified_layout(rng, *tools(), 0.05, solvable)
-    boxes = np.zeros((MOST_OBSTACLES, BOX_NUMBERS))
+    boxes = np.zeros((MAX_OBSTACLES, BOX_NUMBERS))
     parts = (layout.boxes.centres, layout.boxes.half_sizes, layout.boxes.yaws)
     boxes[: len(layout.boxes)] = np.column_stack(parts)
     return layout.target, boxes, feasible

@@ -13,7 +13,7 @@ from armctl.envs import TaskVectorEnv
 from armctl.scene import BOX_NUMBERS
 from armctl.tasks import ReachObstaclesTask
 from armctl.tasks.reach.layout_pool import FORMAT, LARGEST_POOL, PARTS, POOL_FILE, read_pool, write_pool
-from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES
+from armctl.tasks.reach.obstacle_layout import MAX_OBSTACLES
 
 SHIPPED = read_pool(POOL_FILE)
 
@@ -78,7 +78,7 @@ def test_a_damaged_file_is_refused(tmp_path, sized):
         {"targets": np.zeros((4, 3))}, {"targets": np.full((4, 3), np.nan, np.float32)}, {"feasible": np.ones(4)},
         {"feasible": np.array([True, True, True, False])}, {"sizes": np.array([1, 1, 3, -1])},
         {"sizes": np.array([1, 1, 1, 2])}, {"sizes": np.ones(5, np.int64)}, {"counts": np.zeros(4, np.uint8)},
-        {"counts": np.array([MOST_OBSTACLES + 1] * 4, np.uint8)}, {"counts": np.array([-1] * 4)},
+        {"counts": np.array([MAX_OBSTACLES + 1] * 4, np.uint8)}, {"counts": np.array([-1] * 4)},
         {"packed": np.zeros((0, BOX_NUMBERS), np.float32)},
     ],
     ids=str,

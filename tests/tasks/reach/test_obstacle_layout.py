@@ -6,7 +6,7 @@ import pytest
 from armctl.core.errors import ConfigurationError
 from armctl.kinematics import ArmModel, Workspace
 from armctl.tasks.reach import obstacle_layout
-from armctl.tasks.reach.obstacle_layout import HOME_MARGIN, MOST_OBSTACLES, TARGET_MARGIN, sample_layout
+from armctl.tasks.reach.obstacle_layout import HOME_MARGIN, MAX_OBSTACLES, TARGET_MARGIN, sample_layout
 
 TOLERANCE = 0.05
 
@@ -24,7 +24,7 @@ def layouts(workspace, count, seed=0):
 def test_nothing_is_near_the_arm_at_home_or_the_target(workspace):
     model, scale = workspace.model, workspace.radius
     for layout in layouts(workspace, 100):
-        assert len(layout.boxes) <= MOST_OBSTACLES
+        assert len(layout.boxes) <= MAX_OBSTACLES
         assert model.box_distances(model.home, layout.boxes).min(initial=1) >= HOME_MARGIN * scale
         assert layout.boxes.distances(layout.target).min(initial=1) >= TOLERANCE + TARGET_MARGIN * scale
         assert layout.target[2] >= TOLERANCE
@@ -42,7 +42,7 @@ def test_the_soonest_straight_motion_often_collides(workspace):
     for layout in drawn:
         goals = np.array(list(workspace.ik.free_configurations(layout.target)))
         goals = workspace.model.nearest_turn(goals, model.home)
-        goal, among = goals[np.argmin(model.least_time(model.home, goals))], model.among(layout.boxes)
+        goal, among = goals[np.argmin(model.min_time(model.home, goals))], model.among(layout.boxes)
         blocked += not all(among.is_free(q) for q in np.linspace(model.home, goal, 80))
     assert blocked >= 40
 

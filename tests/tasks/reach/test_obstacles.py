@@ -9,7 +9,7 @@ from armctl.planning import ArmPlanner, PathCertificate, PathCertificateOptions
 from armctl.scene import BOX_NUMBERS
 from armctl.tasks import ReachObstaclesTask
 from armctl.tasks.reach import read_boxes
-from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES
+from armctl.tasks.reach.obstacle_layout import MAX_OBSTACLES
 
 ENV = "armctl/ArmReachObstacles-v0"
 
@@ -34,7 +34,7 @@ def put_cube(task, centre):
 def test_boxes_are_observed_as_they_stand():
     env = TaskVectorEnv(8, task=ReachObstaclesTask)
     observations, infos = env.reset(seed=0)
-    assert observations.shape == (8, 12 + MOST_OBSTACLES * BOX_NUMBERS)
+    assert observations.shape == (8, 12 + MAX_OBSTACLES * BOX_NUMBERS)
     assert infos["feasible"].all()
     assert sum(len(env.task.boxes(i)) for i in range(8)) > 20
     for i in range(8):
@@ -55,7 +55,7 @@ def test_simulated_boxes_are_the_ones_told():
             np.testing.assert_allclose(data.geom_xpos[geom], boxes.centres[i], atol=1e-9)
             np.testing.assert_allclose(model.geom_size[geom], boxes.half_sizes[i])
             np.testing.assert_allclose(data.geom_xmat[geom].reshape(3, 3), boxes.rotations[i], atol=1e-9)
-        hidden = [model.geom(f"box_{i}").id for i in range(len(boxes), MOST_OBSTACLES)]
+        hidden = [model.geom(f"box_{i}").id for i in range(len(boxes), MAX_OBSTACLES)]
         assert (data.geom_xpos[hidden, 2] < -5).all()
 
 
@@ -155,7 +155,7 @@ def test_other_arms_have_obstacles_too():
         env = gymnasium.make(ENV, robot=robot)
         observation, info = env.reset(seed=0)
         dof = env.get_wrapper_attr("task").arm.description.dof
-        assert observation.shape == (6 + dof + MOST_OBSTACLES * BOX_NUMBERS,)
+        assert observation.shape == (6 + dof + MAX_OBSTACLES * BOX_NUMBERS,)
         assert info["feasible"]
         _, _, terminated, _, _ = env.step(env.get_wrapper_attr("task").arm.description.home)
         assert not terminated
@@ -170,5 +170,5 @@ def test_shapes_in_the_simulation_are_the_capsules():
     env = gymnasium.make(ENV)
     description = env.get_wrapper_attr("task").arm.description
     model = env.get_wrapper_attr("task").simulation.model
-    pairs = len(description.collision_pairs) + MOST_OBSTACLES * len(description.capsules)
+    pairs = len(description.collision_pairs) + MAX_OBSTACLES * len(description.capsules)
     assert model.npair == pairs

@@ -270,7 +270,7 @@ class BridgeTask(Task):
         samples = None if self.joints is None else self.joints.since_last_step()
         return MotionSample(self.rover.positions.copy(), self.state.poses, self.state.collided, samples)
 
-    def least_clearance(self, world: int, configurations: Array) -> float:
+    def min_clearance(self, world: int, configurations: Array) -> float:
         """Return the least distance (m) of the turning disc from sides, blocks and people; negative in penetration."""
         bridge, points = self.map(world), configurations[:, :2]
         people = bridge.pedestrians

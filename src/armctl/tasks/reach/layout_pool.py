@@ -21,7 +21,7 @@ from armctl.core.files import bounded_bytes, digest
 from armctl.core.seeds import DEVELOPMENT_SEED, TEST_SEED, TRAINING_SEEDS, VALIDATION_SEED
 from armctl.robot_description import ArmDescription
 from armctl.scene import BOX_NUMBERS
-from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES
+from armctl.tasks.reach.obstacle_layout import MAX_OBSTACLES
 
 POOL_FILE = Path(__file__).with_name("layout_pool.npz")
 FORMAT = 2
@@ -67,8 +67,8 @@ class LayoutPool:
             array = getattr(self, name)
             if array.dtype != kind or array.shape != shape or not np.isfinite(array).all():
                 raise ConfigurationError(f"{name} should be finite numbers {shape}, not {array.dtype} {array.shape}")
-        if (self.sizes < 0).any() or self.sizes.sum() != k or self.counts.max(initial=0) > MOST_OBSTACLES:
-            raise ConfigurationError(f"parts of {self.sizes} are not {k} layouts of up to {MOST_OBSTACLES} boxes")
+        if (self.sizes < 0).any() or self.sizes.sum() != k or self.counts.max(initial=0) > MAX_OBSTACLES:
+            raise ConfigurationError(f"parts of {self.sizes} are not {k} layouts of up to {MAX_OBSTACLES} boxes")
         if (self.packed[:, 3:6] <= 0).any():
             raise ConfigurationError("boxes should have half sizes above 0")
         if not all(self.feasible[rows].any() for rows in self.parts.values()):
@@ -78,9 +78,9 @@ class LayoutPool:
 
     @functools.cached_property
     def boxes(self) -> NDArray[np.float32]:
-        """(k, `MOST_OBSTACLES`, `BOX_NUMBERS`); zeros for absent boxes."""
-        boxes = np.zeros((len(self.counts), MOST_OBSTACLES, BOX_NUMBERS), dtype=np.float32)
-        boxes[np.arange(MOST_OBSTACLES) < self.counts[:, None]] = self.packed
+        """(k, `MAX_OBSTACLES`, `BOX_NUMBERS`); zeros for absent boxes."""
+        boxes = np.zeros((len(self.counts), MAX_OBSTACLES, BOX_NUMBERS), dtype=np.float32)
+        boxes[np.arange(MAX_OBSTACLES) < self.counts[:, None]] = self.packed
         boxes.setflags(write=False)
         return boxes
 

@@ -122,7 +122,7 @@ class ReachMovingTask(ReachTask):
         error = np.divide(self._errors, tracked, out=self._distances(), where=tracked > 0)
         return super().info() | {"tracking": tracked > 0, "tracking_error": error}
 
-    def least_time(self, world: int) -> float:
+    def min_time(self, world: int) -> float:
         """Return the hold time. The earliest time at which the moving target can be reached is unknown."""
         return self.options.hold_time
 

@@ -19,8 +19,8 @@ from armctl.scene import Boxes
 Box = tuple[Array, Array, float]
 """Centre (3,), half sizes (3,) and yaw."""
 
-MOST_BOXES, MOST_POSTS, SHELF_PARTS = 5, 3, 3
-MOST_OBSTACLES = MOST_BOXES + MOST_POSTS + SHELF_PARTS
+MAX_BOXES, MAX_POSTS, SHELF_PARTS = 5, 3, 3
+MAX_OBSTACLES = MAX_BOXES + MAX_POSTS + SHELF_PARTS
 SHELVES = 0.3
 """Probability that a layout has a shelf."""
 HOME_MARGIN = 0.05
@@ -48,7 +48,7 @@ class ReachLayout:
     target: Array
     """(3,) m"""
     boxes: Boxes
-    """Boxes, at most `MOST_OBSTACLES`."""
+    """Boxes, at most `MAX_OBSTACLES`."""
 
 
 def sample_layout(rng: np.random.Generator, workspace: Workspace, tolerance: float) -> ReachLayout:
@@ -98,8 +98,8 @@ def _sample(rng: np.random.Generator, workspace: Workspace, tolerance: float) ->
     around = (goal[1] - start[1] + math.pi) % (2 * math.pi) - math.pi
     path = np.array((goal[0] - start[0], around, goal[2] - start[2]))
 
-    rows = [_box(rng, workspace, start, path) for _ in range(rng.integers(3, MOST_BOXES + 1))]
-    rows += [_post(rng, workspace, start, path) for _ in range(rng.integers(1, MOST_POSTS + 1))]
+    rows = [_box(rng, workspace, start, path) for _ in range(rng.integers(3, MAX_BOXES + 1))]
+    rows += [_post(rng, workspace, start, path) for _ in range(rng.integers(1, MAX_POSTS + 1))]
     if rng.random() < SHELVES:
         rows += _shelf(rng, workspace, target)
     boxes = Boxes(*(np.array(part, dtype=float) for part in zip(*rows, strict=True)))

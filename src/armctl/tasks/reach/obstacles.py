@@ -33,7 +33,7 @@ from armctl.tasks.reach.observation import (
     Bounds,
     rotated,
 )
-from armctl.tasks.reach.obstacle_layout import MOST_OBSTACLES, sample_certified_layout
+from armctl.tasks.reach.obstacle_layout import MAX_OBSTACLES, sample_certified_layout
 from armctl.tasks.reach.options import ReachOptions, Terms
 from armctl.tasks.reach.potentials import PathCostToGo
 from armctl.tasks.reach.reach import CONTROL_PERIOD, ReachOutcome, ReachTask
@@ -97,7 +97,7 @@ class ObstaclesReachState(ReachState):
     """The state, and obstacles and contacts."""
 
     boxes: Array
-    """(n, `MOST_OBSTACLES` * `BOX_NUMBERS`), box by box; zeros for absent boxes."""
+    """(n, `MAX_OBSTACLES` * `BOX_NUMBERS`), box by box; zeros for absent boxes."""
     contacts: NDArray[np.bool_]
     """(n, `TOUCHED`) what the arm has touched since the last control step."""
     collided: NDArray[np.bool_]
@@ -135,7 +135,7 @@ class ReachObstaclesTask(ReachTask):
     potentials: ClassVar[Mapping[str, Callable[[Any], Potential]]] = {**ReachTask.potentials, "ompl": PathCostToGo}
 
     def __init__(self, n: int, options: ReachObstaclesOptions, threads: int = 0) -> None:
-        self._boxes = np.zeros((n, MOST_OBSTACLES, BOX_NUMBERS))
+        self._boxes = np.zeros((n, MAX_OBSTACLES, BOX_NUMBERS))
         super().__init__(n, options, threads)
 
     @property
@@ -154,7 +154,7 @@ class ReachObstaclesTask(ReachTask):
         """Return a copy of a world's obstacles."""
         return read_boxes(self._boxes[world].copy())
 
-    def least_clearance(self, world: int, configurations: Array) -> float:
+    def min_clearance(self, world: int, configurations: Array) -> float:
         """Return the least distance of the arm's links from boxes, floor and each other, m; see `Clearance`."""
         return float(self._clearance.min_distances(configurations, self._clearance.among(self.boxes(world))).min())
 
@@ -186,8 +186,8 @@ class ReachObstaclesTask(ReachTask):
 
     def _bind_arrays(self) -> None:
         model, simulation = self.simulation.model, self.simulation
-        self._bodies = np.array([model.body(_name(i)).id for i in range(MOST_OBSTACLES)])
-        self._geoms = np.array([model.geom(_name(i)).id for i in range(MOST_OBSTACLES)])
+        self._bodies = np.array([model.body(_name(i)).id for i in range(MAX_OBSTACLES)])
+        self._geoms = np.array([model.geom(_name(i)).id for i in range(MAX_OBSTACLES)])
         self._positions, self._quaternions, self._sizes, self._bounds, self._radii = (
             simulation.per_world(name) for name in ("body_pos", "body_quat", "geom_size", "geom_aabb", "geom_rbound")
         )
@@ -244,8 +244,8 @@ class ReachObstaclesTask(ReachTask):
         highest_ahead = np.array([3 * LENGTH_SCALE * far] * 9 + [1.0] * 2)
         lowest_ahead = -highest_ahead * ([1] * 6 + [0] * 3 + [1] * 2)
         return super()._part_bounds() | {
-            BOXES: np.tile((lowest, highest), MOST_OBSTACLES),
-            _boxes_ahead: np.tile((lowest_ahead, highest_ahead), MOST_OBSTACLES),
+            BOXES: np.tile((lowest, highest), MAX_OBSTACLES),
+            _boxes_ahead: np.tile((lowest_ahead, highest_ahead), MAX_OBSTACLES),
         }
 
     def _update_state(self, action: Array) -> None:
@@ -275,7 +275,7 @@ def _furnish(spec: Any, description: ArmDescription) -> None:
 
 def _add_boxes(spec: Any, description: ArmDescription) -> None:
     parent = spec.worldbody.add_body(name="obstacles")
-    for i in range(MOST_OBSTACLES):
+    for i in range(MAX_OBSTACLES):
         body = parent.add_body(name=_name(i), pos=AWAY)
         body.add_geom(
             name=_name(i),

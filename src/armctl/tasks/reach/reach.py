@@ -227,12 +227,12 @@ class ReachTask(Task):
         """Return `feasible`: whether the arm can reach the target (see `armctl.kinematics.Workspace.reachable`)."""
         return {"feasible": self._feasible.copy()}
 
-    def least_time(self, world: int) -> float:
+    def min_time(self, world: int) -> float:
         """Return the least time to the target within the joint limits, without regard to obstacles, s."""
         q, velocity, target = (
             array[world] for array in (self.arm.joint_positions, self.arm.joint_velocities, self._targets)
         )
-        return self._minimum_time.least_time(q, target, self.options.tolerance, velocity)
+        return self._minimum_time.min_time(q, target, self.options.tolerance, velocity)
 
     def goal_distances(self) -> Array:
         """Return the distances (n,) from the end-effectors to their targets, m."""
