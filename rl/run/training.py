@@ -157,7 +157,7 @@ class Training:
             return
         self._evaluated = steps
         episodes = self.options.validation_episodes
-        unknown = dict.fromkeys(range(episodes), math.nan)  # least lengths take longer than the episodes
+        unknown = dict.fromkeys(range(episodes), math.nan)  # lower bounds take longer than the episodes
         results = list(unless_failed(rollouts(actor, self.held_out, episodes, VALIDATION_SEED, "agent", unknown)))
         rate = success_rate(np.array([result.success for result in results], dtype=bool))
         assert rate is not None

@@ -50,7 +50,7 @@ def test_the_page_has_the_answer_the_map_and_the_links(folder):
         "No verdict from 2 episodes: reach_ik against reach_ppo, success +0.0 points",
         "ArmReach-v0 none delay 1 reach_ik 100 100 reach_ppo 100 100",
         "Brackets: MOVER's 95 % interval", "after Holm's correction for all tasks",
-        "every third episode undisturbed chooses the best of them",
+        "every third undisturbed episode selects the best of them",
         "Probability of improvement", "Ranks of families", "Performance profiles", "What success costs",
         f"armctl suite --env {REACH} --episodes 2 --seed 0",
     ):  # fmt: skip

@@ -166,7 +166,10 @@ def test_the_verb_takes_several_seeds(tmp_path):
         (["--seed", "0,x"], "--seed takes whole numbers"),
         (["--seed", "-1"], "--seed takes whole numbers"),
         (["--seed", "0,0"], "names a seed twice"),
-        (["--seed", "0,1", "--track", "tensorboard"], "a tracker follows one training"),
+        (
+            ["--seed", "0,1", "--track", "tensorboard"],
+            "a tracker follows one training in this process: leave out --track",
+        ),
         (["--seed", "99999999999"], "a training seed is a whole number from 0 to"),
         (["--on", "ry"], "Did you mean 'ray'"),
     ],

@@ -191,7 +191,7 @@ class SuiteRequest(StudyRequest):
         list[str] | None,
         typer.Option(
             "--env",
-            help="Environment, also one of your own; can be repeated. `all` stands for all installed ones: "
+            help="Environment, also one of your own; can be repeated. `all` means all installed ones: "
             "`--env all --env mine.py:Maze`.",
             show_default="all",
             autocompletion=completion.environments,

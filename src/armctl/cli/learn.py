@@ -131,7 +131,7 @@ def train(request: TrainRequest) -> None:
         _train_one(job, seeds[0], request.out or _of_seed(start, seeds[0]), request.track or ())
         return
     if request.track:
-        raise ConfigurationError("a tracker follows one training, in this process: without --track, or one seed")
+        raise ConfigurationError("a tracker follows one training in this process: leave out --track, or give one seed")
     folders = {seed: _of_seed(request.out or start, seed) for seed in seeds}
     _train_several(job, folders, request.on, request.workers)
 

@@ -66,7 +66,7 @@ class SpaceTime:
         return 1 + self._layers // EVERY_LAYER, 1 + (nx - 1) // EVERY, 1 + (ny - 1) // EVERY
 
     def times(self, bridge: BridgeMap, goal_x: float, clearance: float) -> TimesToGo:
-        """Return least times to x = `goal_x` (m) from time 0 on, with a `clearance` (m) from blocks and people."""
+        """Return minimum times to x = `goal_x` (m) from time 0 on, with a `clearance` (m) from blocks and people."""
         people, (x, y) = bridge.pedestrians, self.lattice.axes
         paths = self.lattice.paths(dataclasses.replace(bridge, pedestrians=NO_PEDESTRIANS), goal_x, clearance)
         reachable = np.isfinite(paths)

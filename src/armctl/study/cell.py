@@ -39,7 +39,7 @@ from armctl.study.plan import Cell, Plan
 from armctl.verdict.summary import training_cost_of
 
 NOT_AN_ARMCTL_TASK = (
-    "{env} is not made of a task of armctl's: least times, feasibility, contacts and clearances are unknown."
+    "{env} is not made of a task of armctl's: its minimum times, feasibility, contacts and clearances are unknown."
 )
 
 
@@ -329,5 +329,5 @@ def _check_return(result: EpisodeResult, bounds: Bounds | None) -> None:
     if not bounds[0] - rounding <= result.total_reward <= bounds[1] + rounding:
         raise ConfigurationError(
             f"episode {result.episode} of {result.policy} has the return {result.total_reward:g}, outside the stated "
-            f"{RETURN_BOUNDS} [{bounds[0]:g}, {bounds[1]:g}]: state bounds that hold for every possible episode"
+            f"{RETURN_BOUNDS} [{bounds[0]:g}, {bounds[1]:g}], which no episode may exceed: correct them"
         )

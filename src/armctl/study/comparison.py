@@ -44,7 +44,7 @@ class Comparison(Displayed):
     results: EpisodeTable
     """Every episode, by policy and episode."""
     runs: Sequence[Run] = ()
-    """Those that played the episodes, or told another verdict."""
+    """Runs that played the episodes, or that printed another verdict."""
     policies: list[PolicySummary] = field(default_factory=list)
     paired: list[PairedDifference] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -79,12 +79,12 @@ class Comparison(Displayed):
 
     @property
     def looks(self) -> list[int]:
-        """The numbers of episodes after which earlier runs told a verdict; its sentence says so."""
+        """Numbers of episodes after which earlier runs printed a verdict; the present verdict names them."""
         return earlier_looks(self.runs) if self.policies else []
 
     @cached_property
     def episodes(self) -> pd.DataFrame:
-        """One row per policy and episode, with the columns of `episodes.csv`. It is made when it is first asked for."""
+        """One row per policy and episode, with the columns of `episodes.csv`. It is made on first use."""
         return self.results.frame()
 
     @property

@@ -1,4 +1,4 @@
-"""Facts about a cell besides its episodes and runs. They are stored, and all else follows from the three."""
+"""Facts about a cell besides its episodes and runs. The three are stored; everything else is computed from them."""
 
 from dataclasses import dataclass
 from typing import Annotated, Any

@@ -11,7 +11,7 @@ from armctl.envs import make_worlds
 from armctl.rollout.real_time import SLOW_DOWN, SLOW_DOWN_NAME
 
 Disturbances = Mapping[str, Sequence[float] | None] | Sequence[str] | None
-"""Names, or levels by name; None as levels stands for the default ones, and None alone for all disturbances."""
+"""Names of disturbances, or levels by name, where None means the default levels. None alone means all disturbances."""
 
 
 def setting_name(disturbance: str, level: float) -> str:

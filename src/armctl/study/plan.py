@@ -39,7 +39,7 @@ from armctl.study.options import (
 COMPARISON, SWEEP, SUITE = "comparison", "sweep", "suite"
 """Kinds of studies: one cell; one task's cells; the cells of several tasks."""
 ALL = "all"
-"""Name that stands for the environments of all installed packages."""
+"""Name for all environments of all installed packages."""
 HOME = "armctl/"
 """The namespace that is left out of the names of a suite's cells."""
 FROM_UNDISTURBED = "the undisturbed comparison"

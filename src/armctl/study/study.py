@@ -27,7 +27,7 @@ class Study(Displayed):
     episodes: int
     """Number of episodes of each policy in each cell, as requested."""
     envs: list[str] = field(default_factory=list)
-    """All environments that were asked for."""
+    """All environments that were requested."""
     quick: bool = False
     tasks: dict[str, Sweep] = field(default_factory=dict)
     """Results of the tasks, by environment."""

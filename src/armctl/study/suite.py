@@ -23,7 +23,7 @@ def suite(
 ) -> Study:
     """Let all policies of all tasks play, undisturbed and under the main disturbances.
 
-    `envs` are environments; `all`, the default, stands for those of all installed packages. Of each, the task's default
+    `envs` are environments; `all`, the default, means those of all installed packages. Of each, the task's default
     line-up plays, every installed expert that fits, and every installed agent whose card names the environment; random
     actions play only where there is nothing else. `quick` plays less (`line_up.QUICK` instead of `FULL`); `episodes` is
     the number of episodes in each setting.

@@ -28,8 +28,8 @@ def sweep(
     """Compare policies on the same episodes, undisturbed and at each level of each disturbance.
 
     `disturbances` are names, or levels by name; None as levels means the disturbance's default levels. By default, all
-    disturbances of the environment are swept. `slow-down` stands for a slower computer in real time (see `compare`):
-    its levels are by how much decisions take longer; at 0 the world waits. All levels repeat the same decision times,
+    disturbances of the environment are swept. `slow-down` simulates a slower computer in real time (see `compare`):
+    a level is the factor of all decision times; at level 0, the world waits. All levels repeat the same decision times,
     those in the results folder `real_time`, or else those of the undisturbed comparison, which then needs one world and
     one worker.
 

@@ -60,7 +60,7 @@ class Sweep(Displayed):
         parts += [Remark(note, "note") for note in dict.fromkeys(notes)]
         if self.recorded:
             times = f"with the decision times of {self.recorded}"
-            parts.append(Remark(f"{SLOW_DOWN_NAME}: in real time, {times}; at 0 the world waits."))
+            parts.append(Remark(f"{SLOW_DOWN_NAME}: in real time, {times}; at level 0, the world waits."))
         parts += [Remark(f"{name}: {why}", "problem") for name, why in self.failures.items()]
         if self.interrupted:
             parts.append(Remark("Interrupted.", "note"))
@@ -112,7 +112,7 @@ class Sweep(Displayed):
 
     @property
     def looks(self) -> list[int]:
-        """Numbers of episodes after which earlier runs of any comparison told a verdict."""
+        """Numbers of episodes after which earlier runs of any comparison printed a verdict."""
         return sorted({episodes for comparison in self.comparisons.values() for episodes in comparison.looks})
 
     def __repr__(self) -> str:

@@ -19,8 +19,8 @@ from armctl.verdict.summary import PolicySummary, counted_rows
 from armctl.verdict.tables import p_value, points, size
 
 CHOSEN = (
-    "Where a kind has several policies, every third episode undisturbed chooses the best of them, and only the other "
-    "episodes judge it."
+    "If a kind has several policies, every third undisturbed episode selects the best of them, and only the other "
+    "episodes evaluate it."
 )
 """Rule of `armctl.stats.across_tasks.choose`, as tables and pages state it."""
 

@@ -176,7 +176,7 @@ class PolicyCandidate(Candidate):
             policy = build_policy(configuration.make(), worlds, self.name, self.policy_seed)
             for step, first in enumerate(range(0, self.episodes, BLOCK)):
                 block = range(first, min(first + BLOCK, self.episodes))
-                lower_bounds |= dict.fromkeys(block, float("nan"))  # least lengths are not needed, and take long
+                lower_bounds |= dict.fromkeys(block, float("nan"))  # not needed, and slow to compute
                 results = rollouts(policy, worlds, block, VALIDATION_SEED, self.name, lower_bounds)
                 for result in unless_failed(results):
                     scores.append(result.total_reward if self.score == "return" else float(bool(result.success)))

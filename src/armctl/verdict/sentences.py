@@ -283,7 +283,7 @@ def _physics_failed(policy: PolicySummary) -> str:
 
 
 def _not_tested(policies: Sequence[PolicySummary]) -> str:
-    """Return which policies are in no pair, and which disturbances do not affect them."""
+    """Return a sentence on the policies that a disturbance does not affect, which are in no pair; empty without any."""
     parts = [f"{policy.policy} ({', '.join(policy.spared)})" for policy in policies if policy.spared]
     return f"Not tested, because the disturbance does not affect them: {', '.join(parts)}." if parts else ""
 

@@ -63,7 +63,7 @@ def policy_table(env: str, seed: int, policies: Sequence[PolicySummary], disqual
     else:
         caption += " Length: steps of an episode."
     if unbounded:
-        caption += " Possible returns are unknown, and with them intervals of their means; medians have one."
+        caption += " The return has no stated bounds: its mean has no interval, its median has one."
     left_out = ("length",) if by_success else ("success", "clean", "steps")
     columns, rows = _without((*left_out, *(() if unbounded else ("median return",))), columns, rows)
     records = [dataclasses.asdict(policy) for policy in policies]
@@ -210,7 +210,7 @@ def sweep_parts(
     test, rate = "McNemar's exact test" if by_success else "sign test", f"{100 * FALSE_DISCOVERY_RATE:g} %"
     if points.policy.str.endswith(GROUP).any():
         test += (
-            f"; {GROUP}: over trainings and episodes, which shows nothing of fewer than {FEWEST_TRAININGS} trainings"
+            f"; {GROUP}: over trainings and episodes, never significant with fewer than {FEWEST_TRAININGS} trainings"
         )
     worse = f"Worse: than without disturbance, on the same episodes ({test}, false discovery rate {rate})."
     parts.append(Remark(with_looks(worse, looks)))

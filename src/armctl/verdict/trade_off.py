@@ -11,7 +11,7 @@ from armctl.stats.intervals import Estimate
 from armctl.verdict.summary import PolicySummary
 
 SHORTEST_MS = 1e-4
-"""Decision times are known to 0.1 us."""
+"""ms: resolution of decision times, the shortest that the plot shows."""
 
 
 @dataclass(frozen=True)
