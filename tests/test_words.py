@@ -52,7 +52,7 @@ ALLOWED = {(CORE / file, "left") for file in SIDES} | {(CORE / "training/learner
 WORLDS = "worlds"
 """The word of options and stored columns for a number of worlds. Inside, the number is `num_envs`."""
 PUBLIC_WORLDS = {
-    *(CORE / file for file in ("cli/evaluate.py", "cli/play.py", "datasets/parallel.py")),
+    *(CORE / file for file in ("cli/evaluate.py", "cli/play.py")),
     *(
         CORE / file
         for file in ("episodes/record.py", "runtime/provenance.py", "study/options.py", "study/reproduce.py")
