@@ -1,8 +1,11 @@
-"""Stores with one cell, as most tests have them."""
+"""Stores with one cell, as most tests have them, and what tests compare of results."""
 
 import contextlib
 import time
 
+import pandas as pd
+
+from armctl.episodes.record import TIME_COLUMNS
 from armctl.episodes.store import Store
 from armctl.episodes.stored import STORE, UNDISTURBED, read_store
 
@@ -19,6 +22,12 @@ def read_cell(folder):
     """What a folder's only cell holds."""
     (cell,) = read_store(folder).cells.values()
     return cell
+
+
+def timeless(episodes):
+    """Episodes, or those of a folder's `episodes.csv`, without what depends on the machine."""
+    table = episodes if isinstance(episodes, pd.DataFrame) else pd.read_csv(episodes / "episodes.csv")
+    return table.drop(columns=list(TIME_COLUMNS))
 
 
 def wait_for_episodes(folder, pages=20, seconds=60):

@@ -16,24 +16,15 @@ from armctl.policies.trainings import card_of
 from armctl.study.line_up import default_policies
 from armctl.study.reproduce import card_path
 
+from .holding_still import HoldsStill
+
 ENV = "armctl/ArmReach-v0"
 AGENTS = card_path("reach_ppo").parent
 
 
 def stand_still(env):
     """A user's own policy, as `module:function`."""
-
-    class StandStill:
-        sees = "observation"
-        training_steps = 0
-
-        def reset(self, ids):
-            pass
-
-        def act(self, observations):
-            return observations[:, 3:9]
-
-    return StandStill()
+    return HoldsStill()
 
 
 def no_policy(env):

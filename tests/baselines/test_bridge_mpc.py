@@ -6,9 +6,10 @@ import pytest
 
 from armctl.control.drive_mpc import DriveMpc
 from armctl.core.errors import ConfigurationError
-from armctl.episodes.record import TIME_COLUMNS
 from armctl.policies import make_policy
 from armctl.rollout import evaluate
+
+from ..stores import timeless
 
 STATIC, MOVING = "armctl/BridgeCross-v0", "armctl/BridgeCrossMoving-v0"
 FAST: dict[str, Any] = {"observation": "state"}
@@ -36,7 +37,7 @@ def test_it_is_the_same_in_every_run_and_needs_no_camera():
         evaluate("bridge_mpc", MOVING, episodes=2, seed=2, worlds=worlds, env_options={**short, **options})
         for worlds, options in ((2, FAST), (1, {"resolution": (6, 4)}))
     ]
-    first, second = (run.drop(columns=list(TIME_COLUMNS)) for run in runs)
+    first, second = (timeless(run) for run in runs)
     assert first.equals(second)
 
 

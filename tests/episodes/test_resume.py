@@ -9,14 +9,13 @@ import pytest
 
 from armctl.core.errors import ResultsError
 from armctl.core.files import sealed
-from armctl.episodes.record import TIME_COLUMNS
 from armctl.episodes.stored import STORE
 from armctl.robot_description import load_arm
 from armctl.study import compare
 from armctl.study.results import read_comparison
 
 from ..command_line import program
-from ..stores import one_cell, read_cell
+from ..stores import one_cell, read_cell, timeless
 from .stored import contents, edit
 
 POLICIES = ["random", "reach_ik"]
@@ -27,10 +26,6 @@ OPTIONS = {"max_episode_steps": 5}
 
 def run(out, episodes=3, policies=POLICIES, **arguments):
     return compare(policies, episodes=episodes, out=out, **{"env_options": OPTIONS} | arguments)
-
-
-def timeless(folder):
-    return pd.read_csv(folder / "episodes.csv").drop(columns=list(TIME_COLUMNS))
 
 
 @pytest.fixture(scope="module")
@@ -73,10 +68,7 @@ def test_more_episodes_go_on_from_fewer(folder):
 
 def test_without_a_folder_the_results_are_the_same(finished):
     found = compare(POLICIES, episodes=3, env_options=OPTIONS, policy_seed=read_comparison(finished).facts.policy_seed)
-    pd.testing.assert_frame_equal(
-        found.episodes.drop(columns=list(TIME_COLUMNS)),
-        read_comparison(finished).episodes.drop(columns=list(TIME_COLUMNS)),
-    )
+    pd.testing.assert_frame_equal(timeless(found.episodes), timeless(read_comparison(finished).episodes))
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from armctl.envs import INTERFACES, SEES, make_worlds
 from armctl.policies import PerWorld, make_policy, policy_names, privileges
 from armctl.policies.find import declared_sees
 
-from ..still import Still
+from ..holding_still import Still
 
 REACH, OBSTACLES, BRIDGE = "ArmReach-v0", "ArmReachObstacles-v0", "BridgeCrossMoving-v0"
 SMALL = {"resolution": (4, 4)}

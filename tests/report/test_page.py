@@ -15,6 +15,7 @@ from armctl.study.reproduce import card_path
 
 from ..command_line import armctl
 from ..forgery import forge
+from ..holding_still import HoldsStill
 from .pages import OPTIONS, POLICIES, plot_of, plots_of, text_of
 
 
@@ -78,11 +79,8 @@ def test_a_few_episodes_have_no_verdict(tmp_path):
     assert "No verdict from 2 episodes" in text_of(write_report(tmp_path, video=False))
 
 
-class Still:
+class Still(HoldsStill):
     """Holds still, but for what happens when the episode `last` or a later one begins."""
-
-    sees = "observation"
-    training_steps = 0
 
     def __init__(self, env, last, happens):
         self.env, self.last, self.happens = env, last, happens
@@ -90,9 +88,6 @@ class Still:
     def reset(self, ids):
         if self.env.episodes.max() >= self.last:
             raise self.happens
-
-    def act(self, observations):
-        return observations[:, 3:9]
 
 
 @sees("state")

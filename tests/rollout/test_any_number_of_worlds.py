@@ -4,8 +4,9 @@ import pandas as pd
 import pytest
 
 from armctl.envs import task_of
-from armctl.episodes.record import TIME_COLUMNS
 from armctl.study import compare
+
+from ..stores import timeless
 
 LINES_UP = {
     "armctl/ArmReach-v0": ("reach_ik", "reach_mpc", "reach_ppo", "reach_sac", "reach_bc", "reach_dagger", "random"),
@@ -34,7 +35,7 @@ def rows(env, policies, episodes, worlds, workers):
         policies, env, episodes=episodes, worlds=worlds, workers=workers, env_options={"max_episode_steps": 25}
     )
     assert not played.failures
-    return played.episodes.drop(columns=list(TIME_COLUMNS))
+    return timeless(played.episodes)
 
 
 QUICKEST = "armctl/ArmReach-v0"

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from armctl.envs import Sees, make_worlds
+from armctl.envs import make_worlds
 from armctl.episodes.table import EpisodeTable
 from armctl.report import write_report
 from armctl.rollout.decision_times import Machines, TimedPolicy, comparable_times, timing_notes
@@ -18,17 +18,15 @@ from armctl.study import compare
 from armctl.study.results import read_comparison
 
 from ..forgery import rewrite
+from ..holding_still import HoldsStill
 from ..printed import text_of
 from ..stores import read_cell
 
 OPTIONS = {"max_episode_steps": 3}
 
 
-class Slow:
+class Slow(HoldsStill):
     """Holds still. Its resets and decisions take as many ms as they are told to."""
-
-    sees: Sees = "observation"
-    training_steps = 0
 
     def __init__(self, clock, reset_ms, decision_ms):
         self.clock, self.reset_ms, self.decision_ms = clock, reset_ms, iter(decision_ms)
@@ -38,7 +36,7 @@ class Slow:
 
     def act(self, observations):
         self.clock.now += 1e-3 * next(self.decision_ms)
-        return observations[:, 3:9]
+        return super().act(observations)
 
 
 def played(policy, worlds, episodes):

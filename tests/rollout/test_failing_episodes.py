@@ -10,11 +10,11 @@ import pytest
 
 from armctl.envs import make_worlds
 from armctl.episodes import PolicyFailed
-from armctl.episodes.record import TIME_COLUMNS
 from armctl.rollout import evaluate
 from armctl.study import compare
 
 from ..printed import text_of
+from ..stores import timeless
 
 ENV, EPISODES = "armctl/ArmReach-v0", 24
 OPTIONS = {"max_episode_steps": 6, "tolerance": 0.9}  # so that some episodes are won by standing still
@@ -106,7 +106,7 @@ def test_exactly_the_episodes_in_which_a_policy_fails_are_lost(tmp_path, lost, p
             {"moody": policy, "still": still}, ENV, episodes=EPISODES, env_options=OPTIONS, worlds=worlds,
             workers=workers, out=tmp_path / name
         )  # fmt: skip
-        tables[name] = pd.read_csv(tmp_path / name / "episodes.csv").drop(columns=list(TIME_COLUMNS))
+        tables[name] = timeless(tmp_path / name)
         assert f"in {len(lost)} of {EPISODES} episodes" in found.failures["moody"]
         assert f"episode {min(lost)}" in found.failures["moody"]
         moody, other = found.policies

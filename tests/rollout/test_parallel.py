@@ -13,13 +13,12 @@ import pytest
 from joblib.externals.loky import get_reusable_executor
 
 from armctl.core.errors import ConfigurationError
-from armctl.episodes.record import TIME_COLUMNS
 from armctl.policies import make_policy
 from armctl.rollout.parallel import _blocks
 from armctl.runtime.engines import Local
 from armctl.study import compare
 
-from ..stores import wait_for_episodes
+from ..stores import timeless, wait_for_episodes
 
 MINE = """
 import os
@@ -49,10 +48,6 @@ def mine(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     get_reusable_executor().shutdown(wait=True)  # workers of an earlier test are in another folder
-
-
-def timeless(folder):
-    return pd.read_csv(folder / "episodes.csv").drop(columns=list(TIME_COLUMNS))
 
 
 def test_workers_and_worlds_change_no_episode(tmp_path):

@@ -10,28 +10,23 @@ import pandas as pd
 import pytest
 
 from armctl.core.errors import ConfigurationError, ResultsError
-from armctl.envs import Sees
 from armctl.report import write_report
 from armctl.rollout.real_time import RealTime, RealTimePolicy, RecordedTimes, check_real_time
 from armctl.study import compare, sweep
 from armctl.study.results import read_comparison
 
 from ..command_line import program
+from ..holding_still import HoldsStill
 
 BRIDGE = "armctl/BridgeCross-v0"
 SHORT = {"observation": "state", "max_episode_steps": 9}
 PERIOD_MS = 100
 
 
-class Echo:
+class Echo(HoldsStill):
     """Commands what it observes."""
 
-    sees: Sees = "observation"
-    training_steps = 0
     asked = 0
-
-    def reset(self, ids):
-        pass
 
     def act(self, observations):
         self.asked += 1

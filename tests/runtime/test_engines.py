@@ -13,13 +13,11 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
 import pytest
 
 from armctl.core.errors import ConfigurationError
 from armctl.core.search_space import Range
 from armctl.datasets.collect import collect
-from armctl.episodes.record import TIME_COLUMNS
 from armctl.runtime.engines import Dask, Local, Ray, connect
 from armctl.simulation.threads import THREADS_ENV_VAR
 from armctl.study import compare, sweep
@@ -29,6 +27,7 @@ from armctl.tuning import candidate_of, tune
 from armctl.tuning.candidates import RecipeCandidate
 from armctl.tuning.trials import measure
 
+from ..stores import timeless
 from ..training.test_run import RECIPE
 
 pytestmark = pytest.mark.slow
@@ -149,10 +148,6 @@ def dask_worker(processes, port, *more):
 @pytest.fixture(params=["ray", "dask"])
 def cluster(request):
     return request.getfixturevalue(f"{request.param}_cluster")
-
-
-def timeless(folder):
-    return pd.read_csv(folder / "episodes.csv").drop(columns=list(TIME_COLUMNS))
 
 
 def test_a_cluster_plays_what_one_process_plays_also_if_a_node_is_killed(cluster, processes, tmp_path):

@@ -21,7 +21,7 @@ from armctl.rollout.rollouts import build_policy, rollouts
 from armctl.runtime.state_guard import StateGuard
 from armctl.study.results import read_comparison
 
-from ..still import Still
+from ..holding_still import Still
 
 REACH, OBSTACLES, BRIDGE = "ArmReach-v0", "ArmReachObstacles-v0", "BridgeCrossMoving-v0"
 SMALL = {"resolution": (4, 4)}

@@ -16,21 +16,16 @@ from armctl.rollout import evaluate
 from armctl.study import compare
 
 from .. import command_line
+from ..holding_still import HoldsStill
 from ..printed import text_of
 from ..stores import read_cell
 
 
-class Fragile:
+class Fragile(HoldsStill):
     """Holds still, and misbehaves after some decisions."""
-
-    sees = "observation"
-    training_steps = 0
 
     def __init__(self, decisions, misbehave):
         self.decisions, self.misbehave = decisions, misbehave
-
-    def reset(self, ids):
-        pass
 
     def act(self, observations):
         self.decisions -= 1

@@ -12,10 +12,10 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from armctl.episodes.record import TIME_COLUMNS
 from armctl.episodes.stored import STORE, read_store
 
 from ..command_line import ARMCTL, armctl
+from ..stores import timeless
 
 PLAYED = ["random", "reach_ik", "--out", "out", "--set", "max_episode_steps=12", "--policy-seed", "1"]
 COMMANDS = {
@@ -38,7 +38,7 @@ def finished(out):
 
 def tables(out):
     """What the table of episodes says, without the columns of time."""
-    return pd.read_csv(out / "episodes.csv").drop(columns=list(TIME_COLUMNS)).to_csv()
+    return timeless(out).to_csv()
 
 
 @functools.cache

@@ -9,7 +9,6 @@ import pytest
 
 import armctl
 from armctl.core.errors import ConfigurationError, ResultsError
-from armctl.episodes.record import TIME_COLUMNS
 from armctl.episodes.stored import STORE
 from armctl.report.formats import FORMATS
 from armctl.report.suite_page import headline as suite_headline
@@ -20,6 +19,7 @@ from armctl.study.results import UNFINISHED, read_study
 from armctl.verdict.tables import Remark, Table
 
 from ..forgery import change_record
+from ..stores import timeless
 
 module = importlib.import_module("armctl.study.plan")
 REACH, MOVING = "armctl/ArmReach-v0", "armctl/ArmReachMoving-v0"
@@ -44,10 +44,6 @@ def finished(tmp_path_factory):
 @pytest.fixture
 def folder(finished, tmp_path):
     return shutil.copytree(finished[1], tmp_path / "suite")
-
-
-def timeless(folder):
-    return pd.read_csv(folder / "episodes.csv").drop(columns=list(TIME_COLUMNS))
 
 
 @pytest.mark.parametrize("size", [FULL, QUICK])

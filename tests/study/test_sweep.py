@@ -10,7 +10,6 @@ from rich.console import Console
 
 import armctl
 from armctl.core.errors import ConfigurationError, ResultsError
-from armctl.episodes.record import TIME_COLUMNS
 from armctl.episodes.table import EpisodeTable
 from armctl.report import write_report
 from armctl.report.terminal import tables
@@ -22,6 +21,8 @@ from armctl.study.results import read_study
 from armctl.study.task_results import COLUMNS
 from armctl.verdict.summary_tables import sweep_parts
 from tests.report.pages import plot_of
+
+from ..stores import timeless
 
 POLICIES = ["reach_ik", "random"]
 LEVELS = {"noise": [0.05], "delay": [2, 0, 2]}
@@ -39,8 +40,8 @@ def printed(found):
     return out.getvalue()
 
 
-def timeless(folder):
-    rows = pd.read_csv(folder / "episodes.csv").drop(columns=list(TIME_COLUMNS))
+def by_cell(folder):
+    rows = timeless(folder)
     return {name: its.drop(columns="cell").reset_index(drop=True) for name, its in rows.groupby("cell", sort=False)}
 
 
@@ -68,7 +69,7 @@ def test_the_points_are_those_of_the_comparisons(finished):
     for name, disturbances in (("none", {}), ("noise-0.05", {"noise": 0.05}), ("delay-2.0", {"delay": 2.0})):
         options = {"disturbances": disturbances} if disturbances else {}
         alone = compare(POLICIES, episodes=4, seed=3, env_options=options)
-        pd.testing.assert_frame_equal(alone.episodes.drop(columns=list(TIME_COLUMNS)), timeless(folder)[name])
+        pd.testing.assert_frame_equal(timeless(alone.episodes), by_cell(folder)[name])
         for policy in alone.policies:
             level = next(iter(disturbances.values()), 0.0)
             rows = points[(points.policy == policy.policy) & (points.level == level)]
@@ -150,17 +151,17 @@ def test_a_comparison_is_extended_to_a_sweep(tmp_path):
 
 def test_another_seed_is_refused_and_nothing_lost(finished):
     _, folder = finished
-    before = timeless(folder)
+    before = by_cell(folder)
     with pytest.raises(ResultsError, match="seed: 3 there, 4 here"):
         run(out=folder, seed=4)
-    assert same(timeless(folder), before)
+    assert same(by_cell(folder), before)
 
 
 @pytest.mark.slow
 def test_worlds_and_workers_change_nothing(tmp_path):
     run(out=tmp_path / "one")
     run(out=tmp_path / "other", worlds=2, workers=2)
-    assert same(timeless(tmp_path / "one"), timeless(tmp_path / "other"))
+    assert same(by_cell(tmp_path / "one"), by_cell(tmp_path / "other"))
     one, other = (pd.read_csv(tmp_path / name / "sweep.csv") for name in ("one", "other"))
     assert one.equals(other)
 
@@ -191,13 +192,13 @@ def test_an_interrupted_sweep_keeps_its_episodes_and_goes_on(decisions, tmp_path
     assert cut.interrupted
     assert "Interrupted." in printed(cut)
     assert read_study(tmp_path / "cut").interrupted
-    kept = sum(map(len, timeless(tmp_path / "cut").values()))
+    kept = sum(map(len, by_cell(tmp_path / "cut").values()))
     assert 0 <= kept < 12
     again = run(policies=[Interrupting], out=tmp_path / "cut")
     assert not again.interrupted
     assert sum(one.resumed for one in again.comparisons.values()) == kept
     run(policies=[Interrupting], out=tmp_path / "whole")
-    assert same(timeless(tmp_path / "cut"), timeless(tmp_path / "whole"))
+    assert same(by_cell(tmp_path / "cut"), by_cell(tmp_path / "whole"))
     assert (tmp_path / "cut" / "sweep.csv").read_text() == (tmp_path / "whole" / "sweep.csv").read_text()
 
 

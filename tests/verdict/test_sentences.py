@@ -15,6 +15,7 @@ from armctl.stats.paired import (
 from armctl.stats.power import episodes_to_detect, episodes_to_show_equivalence
 from armctl.verdict.sentences import headline, verdict
 
+from ..holding_still import HoldsStill
 from .made_up_verdicts import compared, played, said, summary_of
 
 
@@ -243,13 +244,8 @@ def test_a_baseline_must_take_part():
         armctl.compare(["reach_ik"], episodes=1, margin=2)
 
 
-class FailsAtOnce:
-    sees, training_steps = "observation", 0
-
+class FailsAtOnce(HoldsStill):
     def __init__(self, env):
-        pass
-
-    def reset(self, ids):
         pass
 
     def act(self, observations):
