@@ -15,10 +15,10 @@ def finished(tmp_path_factory):
 
 
 @pytest.fixture(scope="package")
-def finished_sweep(tmp_path_factory, sized):
+def finished_sweep(tmp_path_factory):
     folder = tmp_path_factory.mktemp("swept")
     levels: dict[str, list[float]] = {"noise": [0.05, 0.1], "delay": [1, 3]}
-    sweep(POLICIES, disturbances=levels, episodes=sized(4, 12), worlds=4, out=folder, env_options=OPTIONS)
+    sweep(POLICIES, disturbances=levels, episodes=12, worlds=4, out=folder, env_options=OPTIONS)
     return folder
 
 

@@ -94,11 +94,7 @@ def tune(
     Raises `ConfigurationError`, also if the present values fail, `ResultsError` if the folder cannot be written or
     holds another tuning, and `WorkersFailed`.
     """
-    if trials is None and hours is None:
-        raise ConfigurationError("a tuning needs a budget: a number of trials, or processor hours")
-    for name, budget in {"trials": trials, "hours": hours}.items():
-        if budget is not None and not budget > 0:
-            raise ConfigurationError(f"{name} must be more than 0, not {budget}")
+    _check_budget(trials, hours)
     engine, folder, candidate = engine_of(workers), Path(out), dataclasses.replace(candidate, resumes=resume)
     with joined(candidate, folder, seed) as (study, process):
         outcome, running = TuningOutcome(candidate, study, folder), dict[int, optuna.Trial]()
@@ -129,6 +125,14 @@ def tune(
         except KeyboardInterrupt:
             outcome = dataclasses.replace(outcome, interrupted=True)
     return outcome
+
+
+def _check_budget(trials: int | None, hours: float | None) -> None:
+    if trials is None and hours is None:
+        raise ConfigurationError("a tuning needs a budget: a number of trials, or processor hours")
+    for name, budget in {"trials": trials, "hours": hours}.items():
+        if budget is not None and not budget > 0:
+            raise ConfigurationError(f"{name} must be more than 0, not {budget}")
 
 
 def _unused_name(folder: Path, number: int) -> str:
