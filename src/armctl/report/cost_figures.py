@@ -48,7 +48,8 @@ def training_cost(
                 x=[point.decisions], y=[point.success.value], mode="markers", hoverinfo="skip",
                 marker={"symbol": "circle-open", "size": 20, "line": {"width": 2.5}, "color": colour},
             )  # fmt: skip
-    x = {"type": "log", "range": [math.log10(end) for end in span], "tickformat": "~s", "nticks": 8}
+    low, high = (math.log10(end) for end in span)
+    x = {"type": "log", "range": [low, high], "tickformat": "~s", "dtick": 1 if high - low > 2 else "D2"}
     return framed(figure, "decisions in simulation, for training", "success", x=x, y=SHARE_AXIS | MARGIN)
 
 

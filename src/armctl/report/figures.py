@@ -158,7 +158,7 @@ def reward_terms(terms: Mapping[str, Mapping[str, float]], styles: Styles, term_
         add_label(figure, styles[name].label, f"<b>{signed(f'{total:,.1f}')}</b>")
     figure.update_layout(barmode="relative")
     x = {"title": {"text": "mean reward per episode"}, "zeroline": True, "zerolinecolor": INK, "zerolinewidth": 1}
-    return with_rows(figure, len(terms), x, right=64)
+    return with_rows(figure, len(terms), x, right=80)
 
 
 def decision_times(

@@ -166,7 +166,7 @@ def _profile(comparison: Comparison, styles: style.Styles) -> Plot:
     figure.update_xaxes(range=visible_range)
     beneath = [name for name, sample in returns.items() if sample.max() < start]
     left_out = sum(int((sample < start).sum()) for sample in returns.values())
-    note = f"The axis begins at {style.number(start)}, as lower returns would squeeze it: {left_out} episodes are below"
+    note = f"The axis begins at {style.number(start)}: {left_out} episodes with lower returns are left out"
     if beneath:
         note += f", among them all of {', '.join(styles[name].label for name in beneath)}"
     return Plot(figure, alt_text, note=f"{note}.", whole_axis=whole)
