@@ -172,6 +172,7 @@ def test_what_is_no_task_is_said_to_be_none():
         del gymnasium.registry[name]
 
 
+@pytest.mark.slow
 def test_installed_tasks_are_registered_and_broken_ones_left_out(tmp_path):
     (tmp_path / "whole.py").write_text(EXAMPLE.read_text().replace("mine/Hover", "theirs/Hover"))
     (tmp_path / "broken.py").write_text("import nothing_of_that_name\n")

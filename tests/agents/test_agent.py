@@ -204,6 +204,7 @@ def test_shipped_agent_does_what_its_card_says():
     assert elsewhere.success.mean() >= 0.95
 
 
+@pytest.mark.slow
 def test_agents_need_no_torch():
     """It belongs to an extra."""
     code = "import sys, armctl.rl.agents; assert not {'torch', 'stable_baselines3'} & set(sys.modules)"

@@ -290,6 +290,7 @@ def test_unusable_paths_are_refused(path):
         DriveMpc(path, open_deck)
 
 
+@pytest.mark.slow
 def test_an_interrupt_while_it_solves_is_heard():
     code = """
 import numpy as np
@@ -310,6 +311,7 @@ for k in range(2000):
     assert "KeyboardInterrupt" in told
 
 
+@pytest.mark.slow
 def test_nobody_else_pays_for_casadi():
     code = "import sys, armctl.control, armctl.baselines.bridge_ompl; print('casadi' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "False"

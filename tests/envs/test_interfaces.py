@@ -94,7 +94,7 @@ def test_the_outcome_is_running_until_an_episode_ends():
     assert [worlds.outcomes[one["outcome_id"][0]] for one in seen] == ["running"] * 3 + ["timeout", "running"]
 
 
-@pytest.mark.parametrize("env", [*REACH, *BRIDGE])
+@pytest.mark.parametrize("env", [*REACH, BRIDGE[0], pytest.param(BRIDGE[1], marks=pytest.mark.slow)])
 def test_crashing_at_once_is_worth_less_than_standing_still(env, sized):
     """Without discount, and with any other."""
     options = {} if env in REACH else {"observation": "state"}

@@ -286,6 +286,7 @@ def test_picture_shows_the_green_target_or_says_what_is_missing():
     env.close()
 
 
+@pytest.mark.slow
 def test_human_mode_without_a_screen_says_so():
     code = f"import gymnasium, armctl; gymnasium.make({ENV!r}, render_mode='human').reset()"
     blind = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}

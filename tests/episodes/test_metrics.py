@@ -140,10 +140,11 @@ def test_solver_failures_are_those_of_the_world_and_episode():
     ("policy", "env", "options"),
     [
         ("reach_ppo", "armctl/ArmReach-v0", {}),
-        (
+        pytest.param(
             "bridge_ompl",
             "armctl/BridgeCrossMoving-v0",
             {"deck_length": 12.0, "blocks": 2, "walkers": 2, "resolution": (4, 4)},
+            marks=pytest.mark.slow,
         ),
     ],
 )

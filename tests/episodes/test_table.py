@@ -94,6 +94,7 @@ def test_memory_grows_little_with_the_episodes(tmp_path, monkeypatch):
     assert (peaks[1] - peaks[0]) / 4_000 < BYTES
 
 
+@pytest.mark.slow
 def test_the_intervals_of_very_many_values_are_those_of_each_with_a_weight_of_its_own():
     rng = np.random.default_rng(0)
     values = np.where(rng.random(3 * MAX_VALUES) < 0.01, -100.0, 80.0) + rng.standard_normal(3 * MAX_VALUES)

@@ -156,6 +156,7 @@ def test_unusable_clearances_are_refused(clearance):
         PathPlannerOptions(clearance=clearance)
 
 
+@pytest.mark.slow
 def test_ompl_says_nothing():
     code = (
         "import numpy as np; from armctl.planning import plan_path; from armctl.scene import BridgeMap; "

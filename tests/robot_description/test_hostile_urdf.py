@@ -115,6 +115,7 @@ def test_as_many_links_as_a_file_may_have_are_read_and_more_are_refused(write):
         load_arm(write(chain(urdf.MAX_LINKS)))
 
 
+@pytest.mark.slow
 def test_a_long_chain_ends_in_words_not_in_a_crash(write):
     path = write(chain(5_000))
     done = subprocess.run(
@@ -264,6 +265,7 @@ VERTICES = "".join(f"v {x} {y} {z}\n" for x, y, z in TETRAHEDRON)
 FACES = "f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "line",
     [

@@ -73,12 +73,20 @@ class Processes:
         one.wait()
 
 
+@contextlib.contextmanager
+def servers(folder):
+    started = Processes(folder)
+    try:
+        yield started
+    finally:
+        for one in reversed(started.started):
+            started.kill(one)
+
+
 @pytest.fixture
 def processes(tmp_path_factory):
-    started = Processes(tmp_path_factory.mktemp("servers"))
-    yield started
-    for one in reversed(started.started):
-        started.kill(one)
+    with servers(tmp_path_factory.mktemp("servers")) as started:
+        yield started
 
 
 def free_port():
@@ -130,6 +138,17 @@ def _workers(address):
 @pytest.fixture
 def dask_cluster(processes):
     """The address of a scheduler with two workers, and the second worker's process."""
+    return start_dask(processes)
+
+
+@pytest.fixture(scope="module")
+def shared_dask(tmp_path_factory):
+    """The address of a scheduler with two workers, for tests that kill none of them."""
+    with servers(tmp_path_factory.mktemp("shared")) as started:
+        yield start_dask(started)[0]
+
+
+def start_dask(processes):
     port = free_port()
     processes.start(BIN / "dask", "scheduler", "--host", "127.0.0.1", "--port", port, "--no-dashboard")
     until(lambda: answers(port), "Dask's scheduler")
@@ -192,7 +211,7 @@ def test_a_cluster_records_what_one_process_records_also_if_a_node_is_killed(clu
     assert one == two
 
 
-def test_a_cluster_trains_and_tunes_as_this_machine_does(dask_cluster, tmp_path, monkeypatch):
+def test_a_cluster_trains_and_tunes_as_this_machine_does(shared_dask, tmp_path, monkeypatch):
     monkeypatch.setenv(THREADS_ENV_VAR, "1")
     shutil.copy(Path(str(resources.files("armctl.rl.agents"))) / "reach_bc.onnx", tmp_path / "teacher.onnx")
     shutil.copy(Path(str(resources.files("armctl.rl.agents"))) / "reach_bc.json", tmp_path / "teacher.json")
@@ -200,15 +219,15 @@ def test_a_cluster_trains_and_tunes_as_this_machine_does(dask_cluster, tmp_path,
     alone = load_learner("bc")(recipe, out=tmp_path / "alone" / "small-0", seed=0, progress=False)
     expert = candidate_of("reach_mpc", episodes=2)
     learner = RecipeCandidate("small", {"options.hidden_units": Range(choices=(8, 16))}, "return", recipe, (0,))
-    with connect(dask_cluster[0]) as engine:
+    with connect(shared_dask) as engine:
         trained = list(
             train_seeds(TrainingJob(recipe), {seed: tmp_path / "runs" / f"small-{seed}" for seed in (0, 1)}, engine)
         )
-        tuned = [tune(one, tmp_path / one.name, trials=3, workers=engine) for one in (expert, learner)]
+        tuned = [tune(one, tmp_path / one.name, trials=2, workers=engine) for one in (expert, learner)]
     assert [one.failure for one in trained] == [None, None]
     assert {one.seed: one.card.sha256 for one in trained}[0] == alone.sha256
     for found in tuned:
-        assert len(found.finished) >= 3
+        assert len(found.finished) >= 2
         assert measure(found.candidate, 0, found.best.params, tmp_path / "again", []).value == found.best.value
 
 
@@ -233,20 +252,20 @@ def test_a_worker_with_other_versions_is_refused_by_name(dask_cluster, processes
     assert kept.to_csv(index=False) == alone[alone.episode.isin(kept.episode)].to_csv(index=False)
 
 
-def test_a_policy_that_ends_its_process_is_told(dask_cluster, tmp_path):
+def test_a_policy_that_ends_its_process_is_told(shared_dask, tmp_path):
     (tmp_path / "dying.py").write_text("import os\n\ndef die(observation):\n    os._exit(1)\n")
-    with connect(dask_cluster[0]) as engine:
+    with connect(shared_dask) as engine:
         compared = compare(["dying.py:die"], episodes=2, workers=engine)
         assert "dying.py:die: its process on" in compared.failures["workers"]
         assert not compare(["random"], episodes=2, workers=engine, env_options=OPTIONS).failures
 
 
-def test_what_cannot_be_loaded_there_is_told(dask_cluster, tmp_path):
+def test_what_cannot_be_loaded_there_is_told(shared_dask, tmp_path):
     (tmp_path / "here.py").write_text(
         "from pathlib import Path\nPath('only_here').read_text()\nhold = lambda x: x[3:9]\n"
     )
     (tmp_path / "only_here").touch()
-    with connect(dask_cluster[0]) as engine:
+    with connect(shared_dask) as engine:
         compared = compare(["here.py:hold"], episodes=2, workers=engine)
     assert "here.py:hold cannot be done on" in compared.failures["workers"]
     assert "only_here" in compared.failures["workers"]
@@ -268,11 +287,11 @@ def test_a_lost_scheduler_is_told_and_finished_episodes_are_kept(dask_cluster, p
         assert len(timeless(tmp_path / "out")) == len(told) >= 5
 
 
-def test_an_edited_module_is_not_played_as_it_was(dask_cluster, tmp_path):
+def test_an_edited_module_is_not_played_as_it_was(shared_dask, tmp_path):
     """From two programs, as one would work: the workers stay."""
     program = (
         "import armctl\nfrom armctl.runtime.engines import connect\n"
-        f"with connect({dask_cluster[0]!r}) as engine:\n"
+        f"with connect({shared_dask!r}) as engine:\n"
         "    options = {'max_episode_steps': 5}\n"
         "    found = armctl.compare(['edited.py:act'], episodes=2, workers=engine, env_options=options)\n"
         "    assert not found.failures, found.failures\n"
@@ -287,8 +306,8 @@ def test_an_edited_module_is_not_played_as_it_was(dask_cluster, tmp_path):
     assert lengths[0] < 0.01 < lengths[1]
 
 
-def test_a_sweep_with_a_policy_of_ones_own(dask_cluster):
-    with connect(dask_cluster[0]) as engine:
+def test_a_sweep_with_a_policy_of_ones_own(shared_dask):
+    with connect(shared_dask) as engine:
         swept = sweep(["mine.py:holding"], disturbances={"delay": [1]}, episodes=2, workers=engine, env_options=OPTIONS)
     assert not swept.failures
     assert set(swept.comparisons) == {"none", "delay-1.0"}

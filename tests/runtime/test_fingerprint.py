@@ -225,6 +225,7 @@ def test_objects_that_lead_to_themselves():
     assert fingerprint(ring(1)) == fingerprint(ring(1)) != fingerprint(ring(2))
 
 
+@pytest.mark.slow
 def test_installed_policies_have_the_same_checksum_in_every_process():
     """Whatever the order of sets is there, and whether modules are compiled or loaded from their cache."""
     script = textwrap.dedent("""

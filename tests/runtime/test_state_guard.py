@@ -270,6 +270,7 @@ def test_evaluate_collect_and_results_on_disk_know_of_it(tmp_path):
         assert [policy.policy for policy in results.policies] == ["reach_ik"]
 
 
+@pytest.mark.slow
 def test_a_policy_that_is_made_in_a_worker_is_watched_there():
     """Whoever behaves in the process that waits, and not in those that play."""
     home = os.getpid()

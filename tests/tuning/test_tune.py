@@ -154,6 +154,7 @@ def test_workers_measure_as_this_process_does(tmp_path):
         assert here.value == one.value
 
 
+@pytest.mark.slow
 def test_a_hopeless_trial_is_pruned(tmp_path):
     candidate = expert(episodes=3 * BLOCK)
     ended = tune(expert(episodes=3), tmp_path / "few", trials=1).study.trials[0]
@@ -173,6 +174,7 @@ def test_a_hopeless_trial_is_pruned(tmp_path):
     assert pruned.processor_seconds < kept.processor_seconds
 
 
+@pytest.mark.slow
 def test_a_training_is_interrupted_where_it_is_pruned(recipe, tmp_path):
     candidate, told = candidate_of(recipe, training_seeds=1), []
     assert isinstance(candidate, RecipeCandidate)

@@ -244,6 +244,7 @@ def test_cameras_see_the_same_world(camera):
     assert env.observation_space["image"].contains(a)
 
 
+@pytest.mark.slow
 def test_without_graphics_rgb_says_what_works_and_depth_works():
     code = (
         "import gymnasium, armctl\n"

@@ -43,14 +43,15 @@ def test_a_pool_is_read_as_it_was_written(tmp_path):
     assert (tmp_path / "again.npz").read_bytes() == POOL_FILE.read_bytes()
 
 
-def test_the_maker_makes_the_pool(tmp_path, monkeypatch):
-    monkeypatch.setattr(make_layout_pool, "SIZES", dict.fromkeys(PARTS, 2))
-    monkeypatch.setattr(make_layout_pool, "LAYOUTS_PER_SEED", 2)
+def test_the_maker_makes_the_pool(tmp_path, monkeypatch, sized):
+    count = sized(1, 2)
+    monkeypatch.setattr(make_layout_pool, "SIZES", dict.fromkeys(PARTS, count))
+    monkeypatch.setattr(make_layout_pool, "LAYOUTS_PER_SEED", count)
     make_layout_pool.main(1, tmp_path / "small.npz")
     made = read_pool(tmp_path / "small.npz")
     for part, rows in SHIPPED.parts.items():
         for name in ("targets", "boxes", "feasible"):
-            np.testing.assert_array_equal(getattr(made, name)[made.parts[part]], getattr(SHIPPED, name)[rows[:2]])
+            np.testing.assert_array_equal(getattr(made, name)[made.parts[part]], getattr(SHIPPED, name)[rows[:count]])
 
 
 def refused(path, match="install armctl again"):

@@ -28,16 +28,16 @@ def test_observation_ends_with_the_targets_velocity():
     assert np.linalg.norm(observations[:, 12:], axis=1).mean() > 0.1
 
 
-def test_targets_stay_within_reach_off_floor_and_base():
+def test_targets_stay_within_reach_off_floor_and_base(sized):
     env = TaskVectorEnv(20, task=ReachMovingTask)
     env.reset(seed=1)
     workspace = Workspace(ArmModel("ur5"))
-    missed = 0
-    for _ in range(300):
+    missed, steps = 0, sized(100, 300)
+    for _ in range(steps):
         targets = env.step(hold_still(env))[0][:, 9:12]
         assert targets[:, 2].min() >= 0.05 - 0.01
         missed += sum(not workspace.reachable(target, 0.02) for target in targets.astype(float))
-    assert missed <= 0.01 * 20 * 300
+    assert missed <= 0.01 * 20 * steps
 
 
 def test_is_won_by_staying_within_the_tolerance_and_by_nothing_else():
