@@ -42,8 +42,8 @@ def test_a_shipped_learner_hands_its_callback_to_the_training(name, tmp_path, mo
     class Seen(Exception):
         """The callback has arrived."""
 
-    def begin(training, recipe, options, out, seed, resume, on_evaluation):
-        on_evaluation({})
+    def begin(training, recipe, options, out, seed, resume, callback, progress):
+        callback({})
 
     def raise_seen(row):
         raise Seen
