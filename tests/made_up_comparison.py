@@ -2,8 +2,11 @@
 
 from typing import Any
 
+from armctl.agents.costs import UNTRAINED
 from armctl.study import Comparison
-from armctl.study.facts import Facts
+from armctl.verdict.facts import Facts, PolicyFacts
+
+UNTRAINED_POLICY = PolicyFacts("observation", UNTRAINED, 0.0, ())
 
 
 def facts_of(**known):

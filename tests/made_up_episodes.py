@@ -5,25 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from armctl.envs import Sees
 from armctl.episodes.metrics import Metrics
 from armctl.episodes.record import EpisodeResult
 
 OWN: dict[str, Any] = {"env": "armctl/ArmReach-v0", "seed": 3, "policies": ["b", "a"]}
 """As much of a comparison's identity as its episodes are checked by."""
-
-
-class Untrained:
-    """A policy whose episodes are made up."""
-
-    sees: Sees = "observation"
-    training_steps = 0
-
-    def reset(self, ids):
-        raise NotImplementedError
-
-    def act(self, observations):
-        raise NotImplementedError
 
 
 def played(episodes, policies=("a",), steps=30):

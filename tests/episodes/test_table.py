@@ -14,7 +14,8 @@ from armctl.stats import intervals as statistics
 from armctl.stats.intervals import MAX_VALUES, RandomWeights, bounded_mean, grouped, random_weights, worst_decile
 from armctl.verdict.summary import summarise
 
-from ..made_up_episodes import OWN, Untrained, played, same
+from ..made_up_comparison import UNTRAINED_POLICY, facts_of
+from ..made_up_episodes import OWN, played, same
 from ..stores import one_cell, read_cell
 
 BYTES = 1_000
@@ -79,7 +80,7 @@ def test_memory_grows_little_with_the_episodes(tmp_path, monkeypatch):
     monkeypatch.setattr(statistics, "LARGEST_BATCH", 1)
     monkeypatch.setattr(statistics, "DRAWS", 50)
     monkeypatch.setattr(rows, "AT_ONCE", 200)
-    policies = {"a": Untrained(), "b": Untrained()}
+    policies = dict.fromkeys("ab", UNTRAINED_POLICY)
     peaks = []
     for episodes in (500, 2_500):
         folder = tmp_path / str(episodes)
@@ -88,7 +89,8 @@ def test_memory_grows_little_with_the_episodes(tmp_path, monkeypatch):
                 log.write(result)
         tracemalloc.start()
         results = read_cell(folder).episodes
-        summarise(results.sorted(["a", "b"]), policies, episodes, (-30.0, 1.0), 30)
+        known = facts_of(policies=policies, planned=episodes, return_bounds=(-30.0, 1.0), time_limit=30)
+        summarise(results.sorted(["a", "b"]), known)
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert (peaks[1] - peaks[0]) / 4_000 < BYTES

@@ -71,7 +71,7 @@ def swept(names=SHORT, levels=9):
         for i, name in itertools.product(range(levels), names)
     ]
     points = pd.DataFrame(rows, columns=list(COLUMNS))
-    found = Sweep("armctl/ArmReach-v0", 0, {"delay": list(range(levels))})
+    found = Sweep("armctl/ArmReach-v0", 0, {"delay": list(range(levels))}, {}, "", {}, {}, False)
     found.points = points
     return found
 
@@ -270,7 +270,7 @@ def test_p_values_that_are_tiny():
 
 def test_every_format_writes_every_document():
     for write in FORMATS.values():
-        for found in (comparison_of(SHORT), comparison_of([]), swept(), Sweep("x", 0, {})):
+        for found in (comparison_of(SHORT), comparison_of([]), swept(), Sweep("x", 0, {}, {}, "", {}, {}, False)):
             write(found.document())
     assert tables(comparison_of(SHORT)).document.parts
     assert as_csv(Document([Remark("nothing")])) == "\n"

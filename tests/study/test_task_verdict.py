@@ -76,7 +76,7 @@ def test_the_answers_of_a_suite_are_corrected_for_all_its_tasks(monkeypatch):
     module = importlib.import_module("armctl.study.study")
     heads = {f"armctl/Task{i}-v0": head(6, 0) for i in range(3)}
     monkeypatch.setattr(module, "task_verdict", lambda env: answer_of(heads[env], env=env))
-    found = module.Study("suite", 0, 50, tasks={env: env for env in heads}).verdicts
+    found = module.Study("suite", 0, 50, [], False, {env: env for env in heads}, {}, False).verdicts
     assert [one.undisturbed.p for one in found] == holm([mcnemar(6, 0)] * 3)
     assert [(one.undisturbed.better, one.undisturbed.num_comparisons) for one in found] == [(0, 3)] * 3
 
@@ -200,7 +200,7 @@ def test_a_setting_that_spares_who_stands_for_a_kind_is_not_compared(tmp_path):
     assert found.not_compared == "Not compared: noise 0.5 (spares bridge_mpc)."
     assert found.not_compared in found.sentence
     page = tmp_path / "page.html"
-    write_suite_page(Study("suite", 0, 2, [env], tasks={env: swept}), tmp_path, page, {})
+    write_suite_page(Study("suite", 0, 2, [env], False, {env: swept}, {}, False), tmp_path, page, {})
     assert "bridge_mpc 0 spared 0" in text_of(page)
 
 

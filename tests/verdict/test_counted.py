@@ -11,7 +11,8 @@ from armctl.stats.robustness import change_between
 from armctl.verdict.scores import by_learner
 from armctl.verdict.summary import counted_results, counted_rows, summarise
 
-from ..made_up_episodes import Untrained, played
+from ..made_up_comparison import UNTRAINED_POLICY, facts_of
+from ..made_up_episodes import played
 
 LOST = 7
 """The episode that was not finished: those after it ended earlier because they were shorter."""
@@ -35,7 +36,10 @@ def counted_in(found):
 
 def test_episodes_after_an_unfinished_one_do_not_count():
     assert counted_in(results()) == ({"a": [*range(12)], "b": [*range(LOST)]}, 0)
-    policies, (pair,) = summarise(EpisodeTable(results()), {"a": Untrained(), "b": Untrained()}, 12, (-30.0, 1.0), 30)
+    known = facts_of(
+        policies=dict.fromkeys("ab", UNTRAINED_POLICY), planned=12, return_bounds=(-30.0, 1.0), time_limit=30
+    )
+    policies, (pair,) = summarise(EpisodeTable(results()), known)
     assert [(one.episodes, one.success.value) for one in policies] == [(12, 0.0), (LOST, 0.0)]
     assert (pair.episodes, pair.only_b) == (LOST, 0)
 

@@ -16,8 +16,7 @@ from armctl.stats.paired import holm_adjusted, paired_difference
 from armctl.study.results import read_comparison
 from armctl.verdict.summary import summarise
 
-from ..made_up_comparison import made_up
-from ..made_up_episodes import Untrained
+from ..made_up_comparison import UNTRAINED_POLICY, facts_of, made_up
 
 EPISODES, RUNS = 60, 30
 DISASTERS, COST = 1 / 200, 2000.0
@@ -50,8 +49,9 @@ def episodes(name, earned):
 
 def comparison_of(earned, bounds, time_limit=None):
     played = EpisodeTable(result for name in earned for result in episodes(name, earned[name]))
-    policies = {name: Untrained() for name in earned}
-    found, paired = summarise(played, policies, EPISODES, bounds, time_limit)
+    policies = dict.fromkeys(earned, UNTRAINED_POLICY)
+    known = facts_of(policies=policies, planned=EPISODES, return_bounds=bounds, time_limit=time_limit)
+    found, paired = summarise(played, known)
     return made_up("mine/Hover-v0", played, found, paired)
 
 

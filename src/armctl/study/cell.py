@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.agents.costs import TrainingCost
 from armctl.core.errors import ConfigurationError, ResultsError
 from armctl.core.registration import bare_id
 from armctl.envs import ERROR, RETURN_BOUNDS, EpisodeVectorEnv, ThirdPartyVectorEnv
@@ -34,9 +35,8 @@ from armctl.runtime.provenance import RunMeter, machine, versions
 from armctl.runtime.workers import WorkersFailed
 from armctl.stats.intervals import Bounds
 from armctl.study.comparison import Comparison, concluded
-from armctl.study.facts import Facts, PolicyFacts
 from armctl.study.plan import Cell, Plan
-from armctl.verdict.summary import training_cost_of
+from armctl.verdict.facts import Facts, PolicyFacts
 
 NOT_AN_ARMCTL_TASK = (
     "{env} is not made of a task of armctl's: its minimum times, feasibility, contacts and clearances are unknown."
@@ -195,7 +195,7 @@ class _Line:
             policies={
                 name: PolicyFacts(
                     policy.sees,
-                    training_cost_of(policy),
+                    _training_cost_of(policy),
                     events.construction_ms[name],
                     tuple(self.interfaces.spared(self.playing[name], policy)),
                     getattr(policy, "family", None),
@@ -260,6 +260,13 @@ def play_cell(cell: Cell, session: Session, task: Task) -> Comparison:
         comparison = concluded(writer.identity, cell.env_options, facts, results, runs, events.tracebacks)
         recorder.finish(comparison)
         return comparison
+
+
+def _training_cost_of(policy: Policy) -> TrainingCost:
+    """Return the cost of a policy's training: its steps are decisions, unless its card says otherwise."""
+    steps, minutes = policy.training_steps, getattr(policy, "training_minutes", None)
+    cost = getattr(policy, "training_cost", None)
+    return cost if isinstance(cost, TrainingCost) else TrainingCost(steps, minutes, steps or None)
 
 
 def _policies(cell: Cell, interfaces: WorldsByInterface, policy_seed: int, events: _Events) -> dict[str, Policy]:

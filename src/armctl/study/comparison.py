@@ -1,6 +1,5 @@
 """The result of a comparison: of one cell of a study."""
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, reduce
@@ -15,7 +14,7 @@ from armctl.rollout.decision_times import Machines, load_notes, timing_notes, wi
 from armctl.rollout.real_time import MEASURED
 from armctl.runtime.provenance import Run, argument_notes, earlier_looks
 from armctl.stats.paired import PairedDifference
-from armctl.study.facts import Facts
+from armctl.verdict.facts import Facts
 from armctl.verdict.notebook import Displayed
 from armctl.verdict.notes import certificate_notes, motion_notes
 from armctl.verdict.scores import by_learner
@@ -161,13 +160,9 @@ def concluded(
     comparison.tracebacks = tracebacks or {}
     if not len(results):
         return comparison
-    policies: Any = facts.policies
-    summaries, comparison.paired = summarise(
-        results, policies, facts.planned, facts.return_bounds, facts.time_limit, facts.groups, facts.spared, runs
-    )
-    comparison.policies = [_with_facts(summary, facts) for summary in summaries]
+    comparison.policies, comparison.paired = summarise(results, facts, runs)
     counted, _ = counted_results(results)
-    by_return = bool(summaries) and summaries[0].success is None
+    by_return = bool(comparison.policies) and comparison.policies[0].success is None
     comparison.notes += [
         *([] if facts.return_bounds else [UNBOUNDED]),
         *certificate_notes(results),
@@ -178,10 +173,3 @@ def concluded(
         *(argument_notes(runs, facts.baseline, facts.margin) if comparison.paired else []),
     ]
     return comparison
-
-
-def _with_facts(summary: PolicySummary, facts: Facts) -> PolicySummary:
-    """Add the policy's family, and its construction time; of a group, the longest."""
-    members = [facts.policies[name] for name in summary.trainings or [summary.policy]]
-    construction_ms = max(member.construction_ms for member in members)
-    return dataclasses.replace(summary, construction_ms=construction_ms, family=members[0].family or summary.policy)

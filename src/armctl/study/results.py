@@ -2,51 +2,27 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from armctl.core.errors import ConfigurationError, ResultsError
 from armctl.core.options import option_value
 from armctl.envs import ERROR
 from armctl.episodes.stored import STORE, UNDISTURBED, StoredCell, StoredStudy, read_store
 from armctl.study.comparison import Comparison, concluded
-from armctl.study.facts import Facts, Finite
-from armctl.study.plan import COMPARISON, SUITE, SWEEP
+from armctl.study.plan import SUITE
 from armctl.study.study import Study, cell_name
 from armctl.study.task_results import Sweep
+from armctl.verdict.facts import Facts
 
 LONGEST_OPTION = 1_000
 """Characters of an option's text; to read long ones as Python takes much time and memory."""
 UNFINISHED = "it is unfinished: the same command resumes it"
 
 
-@dataclass(frozen=True)
-class _Task:
-    levels: dict[str, list[Finite]]
-    units: dict[str, str]
-    recorded: str
-    failures: dict[str, str]
-    interrupted: bool
-
-
-@dataclass(frozen=True)
-class _Record:
-    """Values of `Study.record`."""
-
-    kind: Annotated[str, Field(pattern=f"^({COMPARISON}|{SWEEP}|{SUITE})$")]
-    seed: int
-    episodes: int
-    envs: list[str]
-    quick: bool
-    failures: dict[str, str]
-    interrupted: bool
-    tasks: dict[str, _Task]
-
-
-_FACTS, _RECORD = TypeAdapter(Facts), TypeAdapter(_Record)
+_FACTS, _STUDY, _TASKS = TypeAdapter(Facts), TypeAdapter(Study), TypeAdapter(dict[str, dict[str, Any]])
 
 
 def read_comparison(folder: Path) -> Comparison:
@@ -71,8 +47,7 @@ def read_study(folder: Path) -> Study:
     if not stored.record:
         raise unfinished
     try:
-        record = _RECORD.validate_python(stored.record)
-        study = _study(record, stored)
+        study = _study(stored)
     except (ValueError, LookupError, ConfigurationError) as error:
         why = error.errors()[0]["msg"] if isinstance(error, ValidationError) else error
         raise ResultsError(f"{path} cannot be read as results of a {stored.record.get('kind')}: {why}") from error
@@ -81,33 +56,31 @@ def read_study(folder: Path) -> Study:
     return study
 
 
-def _study(record: _Record, stored: StoredStudy) -> Study:
-    """Raises `ValueError` for a record that does not belong to its cells."""
-    study = Study(
-        record.kind, record.seed, record.episodes, record.envs, record.quick, {}, dict(record.failures),
-        record.interrupted,
-    )  # fmt: skip
-    if record.kind != SUITE and len(record.tasks) != 1:
-        raise ValueError(f"it has {len(record.tasks)} tasks")
-    for env in record.envs:
-        swept = _task(env, record, stored) if env in record.tasks else None
-        if swept is not None and swept.undisturbed is not None:
-            study.tasks[env] = swept
+def _study(stored: StoredStudy) -> Study:
+    """Raises `ValueError` for a record of other values than `Study.record`, or that does not belong to its cells."""
+    record, tasks = stored.record, _TASKS.validate_python(stored.record.get("tasks"))
+    sweeps = {env: {**task, "env": env, "seed": record.get("seed"), "comparisons": {}} for env, task in tasks.items()}
+    study = _STUDY.validate_python(record | {"tasks": sweeps})
+    if study.kind != SUITE and len(tasks) != 1:
+        raise ValueError(f"it has {len(tasks)} tasks")
+    planned, study.tasks = study.tasks, {}
+    for env in study.envs:
+        if env in planned:
+            _read_cells(planned[env], study.kind, stored)
+        if env in planned and planned[env].undisturbed is not None:
+            study.tasks[env] = planned[env]
         else:
             study.failures.setdefault(env, UNFINISHED)
     return study
 
 
-def _task(env: str, record: _Record, stored: StoredStudy) -> Sweep:
-    task = record.tasks[env]
-    swept = Sweep(env, record.seed, task.levels, task.units, task.recorded, {}, dict(task.failures), task.interrupted)
+def _read_cells(swept: Sweep, kind: str, stored: StoredStudy) -> None:
     for setting in (UNDISTURBED, *swept.settings):
-        cell = stored.cells.get(cell_name(record.kind, env, setting))
+        cell = stored.cells.get(cell_name(kind, swept.env, setting))
         if cell is not None and cell.facts is not None:
             swept.comparisons[setting] = comparison = _comparison(cell)
-            if (comparison.env, comparison.seed) != (env, record.seed):
+            if (comparison.env, comparison.seed) != (swept.env, swept.seed):
                 raise ValueError(f"its cell {setting} is of another environment or seed")
-    return swept
 
 
 def _comparison(cell: StoredCell) -> Comparison:

@@ -1,15 +1,17 @@
 """The result of a study: tasks, and the cells of each."""
 
 import functools
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from pydantic import Field
 
 from armctl.core.arrays import Array
 from armctl.core.registration import bare_id
 from armctl.episodes.stored import UNDISTURBED
 from armctl.stats.across_tasks import League, leagues, rank
 from armctl.study.comparison import Comparison
-from armctl.study.plan import SUITE, SWEEP, Plan, task_name
+from armctl.study.plan import COMPARISON, SUITE, SWEEP, Plan, task_name
 from armctl.study.suite_tables import rank_table, task_table
 from armctl.study.task_results import Sweep
 from armctl.study.task_verdict import TaskVerdict, holm_corrected, task_verdict
@@ -21,27 +23,29 @@ from armctl.verdict.tables import Document, Remark, Table
 class Study(Displayed):
     """The result of a study. After an interrupt or a failure, it covers the finished episodes."""
 
-    kind: str
-    """`comparison`, `sweep` or `suite`."""
+    kind: Annotated[str, Field(pattern=f"^({COMPARISON}|{SWEEP}|{SUITE})$")]
     seed: int
     episodes: int
     """Number of episodes of each policy in each cell, as requested."""
-    envs: list[str] = field(default_factory=list)
+    envs: list[str]
     """All environments that were requested."""
-    quick: bool = False
-    tasks: dict[str, Sweep] = field(default_factory=dict)
+    quick: bool
+    tasks: dict[str, Sweep]
     """Results of the tasks, by environment."""
-    failures: dict[str, str] = field(default_factory=dict)
+    failures: dict[str, str]
     """Error messages: by environment, or under `results` if results could not be written.
 
     A task that was played without a damaged agent is in both."""
-    interrupted: bool = False
+    interrupted: bool
 
     @classmethod
     def of(cls, plan: Plan) -> "Study":
         """Return a study without any episode."""
-        tasks = {task.env: Sweep(task.env, plan.seed, task.levels, task.units, task.recorded) for task in plan.tasks}
-        return cls(plan.kind, plan.seed, plan.episodes, [*plan.envs], plan.quick, tasks, dict(plan.failures))
+        tasks = {
+            task.env: Sweep(task.env, plan.seed, task.levels, task.units, task.recorded, {}, {}, False)
+            for task in plan.tasks
+        }
+        return cls(plan.kind, plan.seed, plan.episodes, [*plan.envs], plan.quick, tasks, dict(plan.failures), False)
 
     @property
     def cells(self) -> dict[str, Comparison]:

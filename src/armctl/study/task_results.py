@@ -3,10 +3,11 @@
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import pandas as pd
+from pydantic import InstanceOf
 
 from armctl.episodes.stored import UNDISTURBED
 from armctl.rollout.real_time import SLOW_DOWN_NAME
@@ -15,6 +16,7 @@ from armctl.stats.paired import PairedDifference
 from armctl.stats.robustness import NEUTRAL, PairKey, change_between
 from armctl.study.comparison import Comparison
 from armctl.study.levels import setting_name
+from armctl.verdict.facts import Finite
 from armctl.verdict.notebook import Displayed
 from armctl.verdict.summary import PolicySummary, counted_rows
 from armctl.verdict.summary_tables import sweep_parts
@@ -40,17 +42,17 @@ class Sweep(Displayed):
 
     env: str
     seed: int
-    levels: Mapping[str, Sequence[float]]
+    levels: Mapping[str, Sequence[Finite]]
     """The levels of each disturbance, beginning with the one that changes nothing."""
-    units: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str]
     """Units of each disturbance's levels."""
-    recorded: str = ""
+    recorded: str
     """Source of the decision times of the slow-down levels; empty without such levels."""
-    comparisons: dict[str, Comparison] = field(default_factory=dict)
+    comparisons: InstanceOf[dict[str, Comparison]]
     """Comparisons by setting: `none`, `payload-2.0` and so on."""
-    failures: dict[str, str] = field(default_factory=dict)
+    failures: dict[str, str]
     """Error messages: by setting and policy, or under `results` if results could not be written."""
-    interrupted: bool = False
+    interrupted: bool
 
     def document(self) -> Document:
         """Return a table for each disturbance, and the level from which each policy gets worse."""

@@ -3,7 +3,7 @@
 import functools
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -15,12 +15,12 @@ from armctl.agents.costs import TrainingCost, mean_cost
 from armctl.envs import ERROR, SEES
 from armctl.envs.vector import UNSTABLE
 from armctl.episodes.table import EpisodeTable
-from armctl.policies import Policy
 from armctl.rollout.decision_times import Machines, comparable_times, setting_in_words
 from armctl.runtime.provenance import Run
 from armctl.stats.intervals import Bounds, Estimate, bounded_mean, median, success_rate, worst_decile
 from armctl.stats.paired import PairedDifference
 from armctl.stats.trainings import mean_over_trainings
+from armctl.verdict.facts import Facts
 from armctl.verdict.scores import Limits, by_learner, pairs_of, scores_of
 
 METRICS = (
@@ -158,47 +158,41 @@ class PolicySummary(DecisionTimes, Performance, PlayedEpisodes):
 
 
 def summarise(
-    results: EpisodeTable,
-    policies: Mapping[str, Policy],
-    planned: int,
-    return_bounds: Bounds | None = None,
-    time_limit: int | None = None,
-    groups: Mapping[str, Sequence[str]] | None = None,
-    spared: Mapping[str, tuple[str, ...]] | None = None,
-    runs: Iterable[Run] = (),
+    results: EpisodeTable, facts: Facts, runs: Iterable[Run] = ()
 ) -> tuple[list[PolicySummary], list[PairedDifference]]:
     """Return summaries of policies and of pairs. `results` are sorted by policy and episode.
 
-    Each of the `groups`, several trainings by their names, counts as one policy; a group of which one has not finished
-    an episode has no figures. `return_bounds` are the least and largest possible return. If they are unknown, means of
-    returns have neither intervals nor tests: no number of episodes tells what a disaster costs that none of them had.
-    `time_limit` is the largest number of control steps of an episode. `spared` are the disturbances that do not affect
-    a policy, by its name: pairs with such a policy are left out. Times of `runs` on different machines are not pooled.
+    Each group of trainings counts as one policy; one of which a training has not finished an episode has no figures. If
+    the possible returns are unknown, means of returns have neither intervals nor tests: no number of episodes tells
+    what a disaster costs that none of them had. Pairs with a policy that a disturbance spares are left out. Times of
+    `runs` on different machines are not pooled.
     """
     counted, infeasible = counted_results(results)
     success = results.column("success")[results.column("outcome") != ERROR].tolist()
     scored = any(value is not None for value in success or results.column("success").tolist())
-    limits, machines = Limits(return_bounds, time_limit), Machines.of(runs, results)
-    trained = by_learner(counted, policies, groups or {})
+    limits, machines = Limits(facts.return_bounds, facts.time_limit), Machines.of(runs, results)
+    trained = by_learner(counted, facts.policies, facts.groups)
     summaries = []
     for name, trainings in trained.items():
-        policy = policies[name if name in policies else next(iter(trainings))]
+        members = [facts.policies[member] for member in trainings]
+        costs = [member.training_cost for member in members]
+        construction_ms = max(member.construction_ms for member in members)
         together = functools.reduce(EpisodeTable.together, trainings.values())
         summary = PolicySummary(
             policy=name,
-            sees=policy.sees,
-            training=training_cost_of(policy),
-            planned=planned,
+            sees=members[0].sees,
+            training=costs[0] if len(costs) == 1 else mean_cost(costs),
+            planned=facts.planned,
             episodes=len(together),
             infeasible=infeasible,
             outcomes=dict(Counter(together.column("outcome").tolist()).most_common()),
-            spared=(spared or {}).get(next(iter(trainings)), ()),
+            spared=members[0].spared,
+            family=members[0].family or name,
             **vars(_performance(together, scored, limits)),
-            **vars(_decision_times(comparable_times(together, machines))),
+            **vars(_decision_times(comparable_times(together, machines), construction_ms)),
         )
         if len(trainings) > 1:
             summary = _of_group(summary, trainings, scored, limits)
-            summary = replace(summary, training=mean_cost([training_cost_of(policies[member]) for member in trainings]))
         summaries.append(summary)
     affected = {summary.policy: list(trained[summary.policy].values()) for summary in summaries if not summary.spared}
     return summaries, pairs_of(affected, scored, limits)
@@ -256,7 +250,7 @@ def _performance(results: EpisodeTable, scored: bool, limits: Limits) -> Perform
     )
 
 
-def _decision_times(timed: EpisodeTable) -> DecisionTimes:
+def _decision_times(timed: EpisodeTable, construction_ms: float) -> DecisionTimes:
     decisions = timed.warm_ms() if timed.column("length").any() else np.array([math.nan])
     resets, first_calls = _finite(timed.column("reset_ms")), _finite(timed.column("first_call_ms"))
     mean, longest = float(decisions.mean() + resets.sum() / len(decisions)), float(decisions.max())
@@ -273,6 +267,7 @@ def _decision_times(timed: EpisodeTable) -> DecisionTimes:
         workers=timed[0].workers,
         decision_seconds=_mean(timed.decision_seconds()),
         reset_ms=float(np.median(resets)) if len(resets) else None,
+        construction_ms=construction_ms,
     )
 
 
@@ -305,13 +300,6 @@ def _of_group(
             changes["if_normal"] = crossed.if_normal if possible else None
     metrics = {name: value and replace(value, low=None, high=None) for name, value in pooled.metrics.items()}
     return replace(pooled, metrics=metrics, **changes)
-
-
-def training_cost_of(policy: Policy) -> TrainingCost:
-    """Return the cost of a policy's training: its steps are decisions, unless its card says otherwise."""
-    steps, minutes = policy.training_steps, getattr(policy, "training_minutes", None)
-    cost = getattr(policy, "training_cost", None)
-    return cost if isinstance(cost, TrainingCost) else TrainingCost(steps, minutes, steps or None)
 
 
 def _mean_metric(name: str, results: EpisodeTable, steps: int | None) -> Estimate | None:

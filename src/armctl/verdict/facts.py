@@ -30,11 +30,6 @@ class PolicyFacts:
     family: str | None = None
     """Kind of method, such as `MPC`; None: it declares none."""
 
-    @property
-    def training_steps(self) -> int:
-        """Training steps, as `Policy.training_steps`."""
-        return self.training_cost.steps
-
 
 @dataclass(frozen=True, kw_only=True)
 class Facts:
@@ -69,8 +64,3 @@ class Facts:
     interrupted: bool
     resumed: int
     """Number of episodes that an earlier run had finished."""
-
-    @property
-    def spared(self) -> dict[str, tuple[str, ...]]:
-        """The disturbances that do not reach a policy, by its name in the episodes."""
-        return {name: facts.spared for name, facts in self.policies.items()}
