@@ -153,7 +153,7 @@ def test_failures_name_the_environment_and_the_place():
 def test_a_reward_is_one_number():
     worlds = make_worlds(f"{ODD}:Paired", 1)
     worlds.reset(seed=0)
-    with pytest.raises(EnvironmentFailed, match=r"the reward array\(\[1., 2.\]\) is not one number"):
+    with pytest.raises(EnvironmentFailed, match=r"the reward is array\(\[1., 2.\]\), not a number"):
         worlds.step([[0.0]])
 
 

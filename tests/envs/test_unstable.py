@@ -72,11 +72,11 @@ def parts(observations):
 
 
 def idle(env):
-    return np.tile(env.get_wrapper_attr("task").idle_action, (env.num_envs, 1))
+    return np.tile(env.unwrapped.task.idle_action, (env.num_envs, 1))
 
 
 def break_world(env, world=1, number=np.nan):
-    env.get_wrapper_attr("task").simulation.array("qvel")[world] = number
+    env.unwrapped.task.simulation.array("qvel")[world] = number
 
 
 @pytest.mark.parametrize("mode", MODES)

@@ -1,5 +1,6 @@
 """The command line's application, to which each verb adds itself."""
 
+import contextlib
 import functools
 import inspect
 from collections.abc import Callable
@@ -9,6 +10,7 @@ from typing import Annotated, Any, TypeVar
 import typer
 
 from armctl import __version__
+from armctl.cli.standard_output import kept_for_a_document
 
 app = typer.Typer(
     help="Compare planners and controllers with learned agents, on the same robot episodes.\n\n"
@@ -66,7 +68,9 @@ def verb(function: Callable[[Request], None]) -> Callable[[Request], None]:
 
     @functools.wraps(function)
     def command(**options: Any) -> None:
-        function(request(**options))
+        is_table = str(options.get("table_format", "table")) == "table"
+        with contextlib.nullcontext() if is_table else kept_for_a_document():
+            function(request(**options))
 
     command.__signature__ = inspect.Signature(  # type: ignore[attr-defined]  # which Typer reads
         [

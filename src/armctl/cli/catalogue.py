@@ -141,12 +141,22 @@ def _first_line(described: Any) -> str:
 
 def _observation(space: "gymnasium.Space[Any]", task: Any) -> list[tuple[str, str]]:
     """Return the arrays of an observation, or the parts of the one array."""
-    if arrays := getattr(space, "spaces", None):
-        return [(name, f"{_size(part.shape)}, {part.dtype}") for name, part in arrays.items()]
+    if hasattr(space, "spaces"):
+        return _leaves(space)
     parts = {name: value.shape[1:] for name, value in task.observation_parts().items()}
     if sum(map(math.prod, parts.values())) == math.prod(space.shape or ()):
         return [(name, _size(shape)) for name, shape in parts.items()]
     return [("", str(space))]
+
+
+def _leaves(space: "gymnasium.Space[Any]", name: str = "") -> list[tuple[str, str]]:
+    """Return the arrays of a space, by names such as `camera/depth`."""
+    inner = getattr(space, "spaces", None)
+    if inner is None:
+        described = str(space) if space.shape is None else f"{_size(space.shape)}, {space.dtype}"
+        return [(name, described)]
+    named = inner.items() if hasattr(inner, "items") else enumerate(inner)
+    return [leaf for key, part in named for leaf in _leaves(part, f"{name}/{key}".removeprefix("/"))]
 
 
 def _size(shape: tuple[int, ...]) -> str:

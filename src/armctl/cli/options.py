@@ -11,6 +11,7 @@ import typer
 
 from armctl.cli import completion
 from armctl.cli.app import settings
+from armctl.cli.standard_output import document_stream
 from armctl.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -181,7 +182,8 @@ def print_document(document: "Document", table_format: TableFormat) -> "Console"
         console.print(DocumentView(document))
         return console
     text = FORMATS[table_format](document)
-    print(text if table_format is TableFormat.JSON else printable(text), end="")  # JSON has escapes of its own
+    text = text if table_format is TableFormat.JSON else printable(text)  # JSON has escapes of its own
+    print(text, end="", file=document_stream())
     return PlainConsole(stderr=True)
 
 

@@ -27,9 +27,15 @@ def checked_array(name: str, value: ArrayLike, shape: tuple[int, ...], largest: 
 
 
 def map_arrays(function: Callable[..., Any], observations: Any, *others: Any) -> Any:
-    """Return a function's values for observations, and others like them: of the one array, or of each by its name."""
+    """Return a function's values for observations, and others like them: of the one array, or of each by its name.
+
+    Names may be nested.
+    """
     if isinstance(observations, dict):
-        return {name: function(values, *(other[name] for other in others)) for name, values in observations.items()}
+        return {
+            name: map_arrays(function, values, *(other[name] for other in others))
+            for name, values in observations.items()
+        }
     return function(observations, *others)
 
 

@@ -53,6 +53,8 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._steps = np.zeros(num_envs, dtype=np.int64)
         self._finished = np.ones(num_envs, dtype=bool)
         self._seeded = False
+        self.remarks: dict[str, None] = {}
+        """Remarks on what these worlds have returned so far, in order."""
         self.on_begin: list[Callable[[NDArray[np.int32]], None]] = []
         """Called with the indices of worlds that have begun a new episode."""
 

@@ -21,7 +21,7 @@ def stacked(observations: Sequence[Any]) -> Observations:
     first = observations[0]
     if isinstance(first, dict):
         return {name: stacked([observation[name] for observation in observations]) for name in first}  # type: ignore[misc]
-    if isinstance(first, (np.ndarray, np.generic, int, float)):
+    if isinstance(first, (np.ndarray, np.generic, int, float)) and len(set(map(np.shape, observations))) == 1:
         return np.stack(observations)
     return object_array(observations)
 

@@ -4,6 +4,8 @@ Episode k of seed s starts with `reset(seed=episode_seed(s, k))`. Success is `in
 of an episode's last step, or a return of at least `success_return`; without either, it is unknown.
 """
 
+import inspect
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from types import MappingProxyType
@@ -18,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from armctl.core.arrays import Array
 from armctl.core.errors import FAILURES, ConfigurationError, EnvironmentFailed, InvalidAction, defined_at, described
 from armctl.disturbances import GENERIC, DisturbanceSpec, disturb, episode_entropy
+from armctl.envs import foreign_values
 from armctl.envs.episodes import LARGEST_REWARD, RUNNING, EpisodeVectorEnv, Infos
 from armctl.envs.observations import stacked
 from armctl.tasks import MotionSample, Observations
@@ -98,6 +101,9 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
         self.disturbances = disturb(self.task, self.task.disturbances, disturbances)
         self._success_return = success_return
         self._returns = np.zeros(num_envs)
+        self._had_success = np.zeros(num_envs, dtype=bool)
+        """(n,) whether a step of the episode has told of a success."""
+        _check_reset(first.unwrapped)
 
     def step(self, actions: ArrayLike) -> tuple[Observations, Array, NDArray[np.bool_], NDArray[np.bool_], Infos]:
         """Make one step in every world. If an action is invalid, raises `InvalidAction` and steps nothing.
@@ -116,16 +122,22 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
             if isinstance(self.single_action_space, spaces.Box):
                 action = action.astype(self.single_action_space.dtype)
             with self._wrap_errors(int(i)):
-                observation, reward, terminated[i], truncated[i], info = self.worlds[i].step(action)
-                rewards[i] = _one_number(reward)
+                world = self.worlds[i]
+                stepped = foreign_values.parts(world.step(action), foreign_values.STEP, "step", world.unwrapped)
+                observed, reward, is_terminated, is_truncated, info = stepped
+                rewards[i] = foreign_values.number(reward, "the reward")
+                terminated[i] = foreign_values.flag(is_terminated, "terminated")
+                truncated[i] = foreign_values.flag(is_truncated, "truncated")
+                self.task.observations[i] = foreign_values.observation(observed, self.single_observation_space)
+                for name, value in foreign_values.reward_terms(info).items():
+                    terms.setdefault(name, np.zeros(n))[i] = value
             self._steps[i] += 1
             self._check_step(int(i), rewards[i], bool(terminated[i] or truncated[i]))
             self._returns[i] += rewards[i]
-            self.task.observations[i] = observation
-            for name, value in _reward_terms(info).items():
-                terms.setdefault(name, np.zeros(n))[i] = value
+            told = self._told_success(info)
+            self._had_success[i] |= bool(told)
             if terminated[i] or truncated[i]:
-                success[i] = self._success(int(i), info)
+                success[i] = self._success(int(i), told)
                 ending = "success" if success[i] else "terminated" if terminated[i] else "truncated"
                 outcome[i] = self.outcomes.index(ending)
         self._finished |= terminated | truncated
@@ -141,20 +153,25 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
         frames = []
         for i, world in enumerate(self.worlds):
             with self._wrap_errors(i):
-                frames.append(np.asarray(world.render()))
+                frames.append(foreign_values.picture(world.render(), world.unwrapped))
         return tuple(frames)
 
     def close_extras(self, **kwargs: Any) -> None:
         """Close all environments."""
         for world in self.worlds:
-            world.close()
+            try:
+                world.close()
+            except FAILURES as error:
+                warnings.warn(f"{self._name} could not be closed: {described(error)}", stacklevel=2)
 
     def _begin(self, ids: NDArray[np.int32]) -> None:
-        self._returns[ids] = 0.0
+        self._returns[ids], self._had_success[ids] = 0.0, False
         for i in ids:
             seed = episode_seed(int(self._seeds[i]), int(self._episodes[i]))
             with self._wrap_errors(int(i)):
-                self.task.observations[i], _ = self.worlds[i].reset(seed=seed)
+                world = self.worlds[i]
+                begun = foreign_values.parts(world.reset(seed=seed), foreign_values.RESET, "reset", world.unwrapped)
+                self.task.observations[i] = foreign_values.observation(begun[0], self.single_observation_space)
 
     def _observe(self) -> Observations:
         return self._disturbed_observations(self.task.observe())
@@ -185,11 +202,28 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
                 "such as by --set max_episode_steps=1000"
             )
 
-    def _success(self, i: int, info: Mapping[str, Any]) -> bool | None:
+    def _told_success(self, info: Mapping[str, Any]) -> bool | None:
+        """Return what a step tells of success; None if nothing that is true or false."""
+        told = next(((key, info[key]) for key in SUCCESS_KEYS if info.get(key) is not None), None)
+        if told is None or (success := foreign_values.truth(told[1])) is not None:
+            return None if told is None else success
+        remark = (
+            f'{self._name} tells info["{told[0]}"] = {told[1]!r:.60}, which is neither true nor false: where the last '
+            "step of an episode does so, its success is unknown."
+        )
+        self.remarks[remark] = None
+        return None
+
+    def _success(self, i: int, told: bool | None) -> bool | None:
         if self._success_return is not None:
             return bool(self._returns[i] >= self._success_return)
-        success = next((info[key] for key in SUCCESS_KEYS if info.get(key) is not None), None)
-        return None if success is None else bool(np.asarray(success).any())
+        if told is False and self._had_success[i]:
+            remark = (
+                f"In some episodes of {self._name}, an earlier step tells of a success, and the last one does not: the "
+                "last step counts."
+            )
+            self.remarks[remark] = None
+        return told
 
     @property
     def _name(self) -> str:
@@ -197,17 +231,27 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
 
     @contextmanager
     def _wrap_errors(self, i: int) -> Iterator[None]:
+        where = f"{self._name} failed in episode {self._episodes[i]}"
         try:
             yield
+        except EnvironmentFailed as error:
+            raise EnvironmentFailed(f"{where}: {error}") from error
         except FAILURES as error:
-            where = f"{self._name} failed in episode {self._episodes[i]}"
             raise EnvironmentFailed(f"{where}: {described(error)}") from error
 
 
-def _reward_terms(info: Mapping[str, Any]) -> dict[str, float]:
-    """Return the rewards of a step by term, if the environment says so as armctl's own do."""
-    terms = info.get("reward_terms", {})
-    return {str(name): float(value) for name, value in terms.items()} if isinstance(terms, Mapping) else {}
+def _check_reset(env: Any) -> None:
+    """Raise `ConfigurationError` if an environment cannot be told the seed of an episode."""
+    try:
+        parameters = inspect.signature(env.reset).parameters
+    except (TypeError, ValueError):
+        return
+    takes_any = any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters.values())
+    if "seed" not in parameters and not takes_any:
+        raise ConfigurationError(
+            f"{type(env).__name__}.reset takes no seed, so that no episode could be repeated: it has to take the "
+            f"keyword arguments seed and options{defined_at(env)}"
+        )
 
 
 def _whole(action: Any) -> Any:
@@ -215,12 +259,6 @@ def _whole(action: Any) -> Any:
     array = np.asarray(action)
     number = array.item() if array.size == 1 else action
     return int(number) if isinstance(number, float) and number.is_integer() else number
-
-
-def _one_number(reward: Any) -> float:
-    if np.shape(reward) != ():
-        raise TypeError(f"the reward {reward!r} is not one number")
-    return float(reward)
 
 
 def _zero(space: spaces.Space[Any]) -> Any:

@@ -136,9 +136,9 @@ class _Function:
 
 
 def _from_factory(factory: Callable[..., Any], worlds: Worlds, name: str) -> Policy:
-    """Return what a factory makes: a policy for all worlds, or one controller per world."""
-    arguments = [worlds] if inspect.signature(factory).parameters else []
-    policy = factory(*arguments)
+    """Return what a factory makes: a policy for all worlds, or one controller per world, made with what is its own."""
+    takes_env = bool(inspect.signature(factory).parameters)
+    policy = factory(worlds) if takes_env else factory()
     if isinstance(policy, Policy):
         return policy
     if not callable(getattr(policy, "act", None)):
@@ -146,8 +146,11 @@ def _from_factory(factory: Callable[..., Any], worlds: Worlds, name: str) -> Pol
             f"{name} made something of type {type(policy).__name__}, which is not a policy: it needs act(observation)"
             f"{defined_at(factory)}"
         )
-    others = [factory(*arguments) for _ in range(worlds.num_envs - 1)]
-    return PlainPolicy([policy, *others], worlds, factory)
+    if takes_env:
+        controllers = [factory(_one_world(worlds, i)) for i in range(worlds.num_envs)]
+    else:
+        controllers = [policy, *(factory() for _ in range(worlds.num_envs - 1))]
+    return PlainPolicy(controllers, worlds, factory)
 
 
 def _acts_in_batches(source: Any) -> bool:
@@ -169,6 +172,11 @@ def _instance(cls: type[Any], worlds: Worlds, i: int) -> Any:
     wants_env = next((parameter.name for parameter in parameters if parameter.name in ENV_PARAMETERS), None)
     if wants_env is None:
         return cls()
+    return cls(**{wants_env: _one_world(worlds, i)})
+
+
+def _one_world(worlds: Worlds, i: int) -> Any:
+    """Return what a controller of world i is given of its environment."""
     if isinstance(worlds, Interface):
-        return cls(**{wants_env: worlds.in_world(i)})
-    return cls(**{wants_env: worlds.worlds[i] if isinstance(worlds, ThirdPartyVectorEnv) else OneWorld.of(worlds)})
+        return worlds.in_world(i)
+    return worlds.worlds[i] if isinstance(worlds, ThirdPartyVectorEnv) else OneWorld.of(worlds)

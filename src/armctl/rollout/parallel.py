@@ -74,6 +74,8 @@ class RolloutBatch:
     """True if the policy wrote to the world, so that none of its episodes count."""
     construction_ms: float | None = None
     """Time to make the policy in the worker."""
+    remarks: tuple[str, ...] = ()
+    """Remarks on what the worlds have returned so far."""
 
 
 def play_here(
@@ -98,7 +100,7 @@ def play_here(
             timed = RealTimePolicy(policy, env, real_time, name) if real_time else policy
             results = rollouts(timed, env, waiting[name], seed, name, lower_bound_steps)
             for result in until_unplayable(results, name, () if name in finished else waiting[name]):
-                yield RolloutBatch(name, [result])
+                yield RolloutBatch(name, [result], remarks=tuple(env.remarks))
         except (PolicyFailed, EnvironmentFailed) as failure:
             yield failed(name, [], failure)
 
@@ -210,9 +212,10 @@ def _play(
         if config.recording is not None:
             worlds = config.recording(worlds)
         results.extend(rollouts(policy, worlds, episodes, config.seed, name, lower_bound_steps))
+        remarks = tuple(worlds.remarks)
     except (PolicyFailed, EnvironmentFailed) as failure:
         return failed(name, results, failure)
-    return RolloutBatch(name, results, construction_ms=timed.construction_ms)
+    return RolloutBatch(name, results, construction_ms=timed.construction_ms, remarks=remarks)
 
 
 def failed(name: str, results: list[EpisodeResult], failure: PolicyFailed | EnvironmentFailed) -> RolloutBatch:

@@ -101,9 +101,12 @@ class _Events:
     """The first episode in which each policy failed."""
     construction_ms: dict[str, float] = field(default_factory=dict)
     interrupted: bool = False
+    remarks: dict[str, None] = field(default_factory=dict)
+    """Remarks on what the environment returned."""
 
     def note(self, batch: RolloutBatch) -> None:
         """Keep what a batch tells."""
+        self.remarks |= dict.fromkeys(batch.remarks)
         if batch.failure:
             self.failures[batch.policy] = batch.failure
             self.tracebacks[batch.policy] = batch.traceback
@@ -207,7 +210,7 @@ class _Line:
             control_period=env.task.control_period,
             versions=versions(),
             machine=machine(),
-            notes=notes,
+            notes=[*notes, *events.remarks],
             failures=events.failures,
             baseline=plan.baseline,
             margin=plan.margin,
