@@ -52,7 +52,7 @@ NUMBERS = itertools.count()
 def changed(**methods):
     """The id of an environment with other methods."""
     name = f"Changed{next(NUMBERS)}-v0"
-    gymnasium.register(name, entry_point=lambda: type("Changed", (Walk,), methods)())
+    gymnasium.register(name, entry_point=lambda **options: type("Changed", (Walk,), methods)())
     return name
 
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import IO, Any
 
 _streams: list[IO[str]] = []
-"""Where the document goes, while standard output is kept for it."""
+"""The document's stream, while standard output is kept for it."""
 
 
 def document_stream() -> IO[str]:

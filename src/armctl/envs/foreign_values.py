@@ -22,41 +22,45 @@ RESET = ("observation", "info")
 def parts(value: Any, names: tuple[str, ...], method: str, env: Any) -> tuple[Any, ...]:
     """Return what a method of an environment has returned, as so many parts; the last one is `info`, a mapping."""
     if not isinstance(value, tuple) or len(value) != len(names):
-        found = f"{len(value)} values" if isinstance(value, tuple) else f"a {type(value).__name__}"
+        actual = f"{len(value)} values" if isinstance(value, tuple) else f"a {type(value).__name__}"
         raise EnvironmentFailed(
-            f"{type(env).__name__}.{method} returned {found}, not {len(names)}: {', '.join(names)}{defined_at(env)}"
+            f"{type(env).__name__}.{method} returned {actual}, not {len(names)}: {', '.join(names)}{defined_at(env)}"
         )
     if not isinstance(value[-1], Mapping):
-        raise EnvironmentFailed(f"info is {_shown(value[-1])}, not a dict{defined_at(env)}")
+        raise EnvironmentFailed(f"info is {_quoted(value[-1])}, not a dict{defined_at(env)}")
     return value
 
 
 def number(value: Any, name: str) -> float:
     """Return a real number, or the one number of an array."""
-    one = _single(value)
-    if isinstance(one, (Real, np.bool_)):
-        return float(one)
+    element = _single(value)
+    if isinstance(element, (Real, np.bool_)):
+        return float(element)
     try:
-        if not isinstance(one, (str, bytes, complex)) and one is not None and not isinstance(one, np.complexfloating):
-            return float(one)
+        if (
+            not isinstance(element, (str, bytes, complex))
+            and element is not None
+            and not isinstance(element, np.complexfloating)
+        ):
+            return float(element)
     except (TypeError, ValueError):
         pass
-    raise EnvironmentFailed(f"{name} is {_shown(value)}, not a number")
+    raise EnvironmentFailed(f"{name} is {_quoted(value)}, not a number")
 
 
 def flag(value: Any, name: str) -> bool:
     """Return whether a value is true: a bool, 0 or 1, or an array of one of these."""
     is_true = truth(value)
     if is_true is None:
-        raise EnvironmentFailed(f"{name} is {_shown(value)}, neither true nor false")
+        raise EnvironmentFailed(f"{name} is {_quoted(value)}, neither true nor false")
     return is_true
 
 
 def truth(value: Any) -> bool | None:
     """Return a bool, 0, 1, or the one of an array; None for anything else."""
-    one = _single(value)
-    is_one_or_zero = isinstance(one, (Real, np.bool_)) and one in (0, 1)
-    return bool(one) if is_one_or_zero else None
+    element = _single(value)
+    is_one_or_zero = isinstance(element, (Real, np.bool_)) and element in (0, 1)
+    return bool(element) if is_one_or_zero else None
 
 
 def reward_terms(info: Mapping[str, Any]) -> dict[str, float]:
@@ -78,11 +82,11 @@ def observation(value: Any, space: spaces.Space[Any], name: str = "its observati
     """
     if isinstance(space, spaces.Dict):
         if not isinstance(value, Mapping) or set(value) != set(space.spaces):
-            raise EnvironmentFailed(f"{name} is {_shown(value)}, not a dict of {', '.join(space.spaces)}")
+            raise EnvironmentFailed(f"{name} is {_quoted(value)}, not a dict of {', '.join(space.spaces)}")
         return {key: observation(value[key], part, f"{name}[{key!r}]") for key, part in space.spaces.items()}
     if isinstance(space, spaces.Tuple):
         if not isinstance(value, tuple) or len(value) != len(space.spaces):
-            raise EnvironmentFailed(f"{name} is {_shown(value)}, not a tuple of {len(space.spaces)}")
+            raise EnvironmentFailed(f"{name} is {_quoted(value)}, not a tuple of {len(space.spaces)}")
         return tuple(
             observation(part, inner, f"{name}[{i}]")
             for i, (part, inner) in enumerate(zip(value, space.spaces, strict=True))
@@ -90,7 +94,7 @@ def observation(value: Any, space: spaces.Space[Any], name: str = "its observati
     if isinstance(space, (spaces.Box, spaces.MultiDiscrete, spaces.MultiBinary, spaces.Discrete)):
         array = np.array(value)
         if array.dtype.kind not in "biuf":
-            raise EnvironmentFailed(f"{name} is {_shown(value)}, and its space has numbers, {space}")
+            raise EnvironmentFailed(f"{name} is {_quoted(value)}, and its space has numbers, {space}")
         return array
     return copy.deepcopy(value)
 
@@ -99,9 +103,9 @@ def picture(value: Any, env: Any) -> NDArray[np.uint8]:
     """Return a picture (height, width, 3) of an environment: a channel for transparency is left out."""
     array: NDArray[Any] = value if isinstance(value, np.ndarray) else np.empty(0)
     if array.dtype != np.uint8 or array.ndim != 3 or array.shape[-1] not in (3, 4) or 0 in array.shape:
-        found = f"an array {value.shape} of {value.dtype}" if isinstance(value, np.ndarray) else _shown(value)
+        actual = f"an array {value.shape} of {value.dtype}" if isinstance(value, np.ndarray) else _quoted(value)
         raise EnvironmentFailed(
-            f"{type(env).__name__}.render returned {found}, not an array (height, width, 3) of uint8{defined_at(env)}"
+            f"{type(env).__name__}.render returned {actual}, not an array (height, width, 3) of uint8{defined_at(env)}"
         )
     rgb: NDArray[np.uint8] = array[:, :, :3]
     return rgb
@@ -118,6 +122,6 @@ def _single(value: Any) -> Any:
     return array.reshape(-1)[0] if array.size == 1 and array.dtype != object else value
 
 
-def _shown(value: Any) -> str:
+def _quoted(value: Any) -> str:
     text = f"a {type(value).__name__}" if isinstance(value, list) else " ".join(repr(value).split())
     return text if len(text) <= 80 else f"{text[:77]}..."

@@ -134,10 +134,10 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
             self._steps[i] += 1
             self._check_step(int(i), rewards[i], bool(terminated[i] or truncated[i]))
             self._returns[i] += rewards[i]
-            told = self._told_success(info)
-            self._had_success[i] |= bool(told)
+            step_success = self._step_success(info)
+            self._had_success[i] |= bool(step_success)
             if terminated[i] or truncated[i]:
-                success[i] = self._success(int(i), told)
+                success[i] = self._success(int(i), step_success)
                 ending = "success" if success[i] else "terminated" if terminated[i] else "truncated"
                 outcome[i] = self.outcomes.index(ending)
         self._finished |= terminated | truncated
@@ -170,8 +170,8 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
             seed = episode_seed(int(self._seeds[i]), int(self._episodes[i]))
             with self._wrap_errors(int(i)):
                 world = self.worlds[i]
-                begun = foreign_values.parts(world.reset(seed=seed), foreign_values.RESET, "reset", world.unwrapped)
-                self.task.observations[i] = foreign_values.observation(begun[0], self.single_observation_space)
+                start = foreign_values.parts(world.reset(seed=seed), foreign_values.RESET, "reset", world.unwrapped)
+                self.task.observations[i] = foreign_values.observation(start[0], self.single_observation_space)
 
     def _observe(self) -> Observations:
         return self._disturbed_observations(self.task.observe())
@@ -202,28 +202,28 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
                 "such as by --set max_episode_steps=1000"
             )
 
-    def _told_success(self, info: Mapping[str, Any]) -> bool | None:
+    def _step_success(self, info: Mapping[str, Any]) -> bool | None:
         """Return what a step tells of success; None if nothing that is true or false."""
-        told = next(((key, info[key]) for key in SUCCESS_KEYS if info.get(key) is not None), None)
-        if told is None or (success := foreign_values.truth(told[1])) is not None:
-            return None if told is None else success
+        key = next((key for key in SUCCESS_KEYS if info.get(key) is not None), None)
+        if key is None or (success := foreign_values.truth(info[key])) is not None:
+            return None if key is None else success
         remark = (
-            f'{self._name} tells info["{told[0]}"] = {told[1]!r:.60}, which is neither true nor false: where the last '
-            "step of an episode does so, its success is unknown."
+            f'info["{key}"] of {self._name} is a {type(info[key]).__name__} that is neither true nor false: where this is '
+            "so in an episode's last step, its success is unknown."
         )
         self.remarks[remark] = None
         return None
 
-    def _success(self, i: int, told: bool | None) -> bool | None:
+    def _success(self, i: int, step_success: bool | None) -> bool | None:
         if self._success_return is not None:
             return bool(self._returns[i] >= self._success_return)
-        if told is False and self._had_success[i]:
+        if step_success is False and self._had_success[i]:
             remark = (
                 f"In some episodes of {self._name}, an earlier step tells of a success, and the last one does not: the "
                 "last step counts."
             )
             self.remarks[remark] = None
-        return told
+        return step_success
 
     @property
     def _name(self) -> str:
