@@ -208,8 +208,8 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
         if key is None or (success := foreign_values.truth(info[key])) is not None:
             return None if key is None else success
         remark = (
-            f'info["{key}"] of {self._name} is a {type(info[key]).__name__} that is neither true nor false: where this is '
-            "so in an episode's last step, its success is unknown."
+            f'info["{key}"] of {self._name} is a {type(info[key]).__name__} that is neither true nor false: where an '
+            "episode's last step has one, its success is unknown."
         )
         self.remarks[remark] = None
         return None
