@@ -10,6 +10,7 @@ from urllib.parse import quote
 from armctl.core.errors import ResultsError
 from armctl.core.files import check_format, opened_regular
 from armctl.episodes.rows import definition
+from armctl.runtime.folder import OTHERWISE
 
 LARGEST_FILE, LARGEST_VALUE = 4 * 2**30, 2**28
 """Bytes of a store, and of a text or the decision times of an episode in it."""
@@ -24,7 +25,6 @@ _TABLES = {
     "text": "id INTEGER PRIMARY KEY, text TEXT NOT NULL",
     "episode": f"cell INTEGER NOT NULL, {definition()}, UNIQUE (cell, policy, episode)",
 }
-OTHERWISE = "choose another folder, or overwrite them (--overwrite)"
 SCHEMA = {name: f"CREATE TABLE {name} ({columns}) STRICT" for name, columns in _TABLES.items()}
 
 

@@ -21,7 +21,6 @@ from armctl.core.files import one_writer, sealed, unsealed, write_atomically
 from armctl.episodes.database import (
     APPLICATION,
     FORMAT,
-    OTHERWISE,
     SCHEMA,
     check_file,
     connected,
@@ -44,10 +43,12 @@ from armctl.episodes.stored import (
     texts_in,
 )
 from armctl.episodes.table import EpisodeTable
+from armctl.runtime.folder import OTHERWISE, refuse_changes
 from armctl.runtime.identity import reasons_not_to_resume
 from armctl.runtime.provenance import Run
 
 _INSERT = f"INSERT INTO episode VALUES ({', '.join('?' * (1 + len(COLUMNS)))})"
+OTHER_RESULTS = "results of another comparison"
 
 
 class Store:
@@ -97,11 +98,8 @@ class Store:
                     self.texts = {text: i for i, text in enumerate(texts_in(file))}
                 stored_seeds = {KEYS.validate_python(unsealed(text)).seed for _, _, text, _ in cells_in(file)}
                 further = [name for _, name, *_ in cells_in(file) if name not in cells]
-            if other := stored_seeds - {seed}:
-                raise ResultsError(
-                    f"{self.folder} holds results of another comparison (seed: {other.pop()} there, {seed} here): "
-                    f"{OTHERWISE}"
-                )
+            changes = [f"seed: {other} there, {seed} here" for other in stored_seeds - {seed}]
+            refuse_changes(self.folder or Path(), changes, OTHER_RESULTS)
             if further:
                 raise ResultsError(
                     f"{self.folder} holds further results ({', '.join(further)}): ask for these too, {OTHERWISE}"
@@ -244,15 +242,14 @@ class CellWriter:
         store = self._store
         with damage((store.folder or Path()) / STORE):
             identity = unsealed(identity_text)
-            if reasons := "; ".join(reasons_not_to_resume(identity, self.identity)):
-                raise ResultsError(f"{store.folder} holds results of another comparison ({reasons}): {OTHERWISE}")
+            refuse_changes(store.folder or Path(), reasons_not_to_resume(identity, self.identity), OTHER_RESULTS)
             self.identity = identity
             self.kept = episodes_of(store.file, self._number, identity, [*store.texts])
             self.runs = runs_of(store.file, self._number)
         if (last := self.kept.column("episode").max(initial=0)) >= episodes:
             raise ResultsError(
-                f"{store.folder} already holds episode {last}, beyond the {episodes} asked for: ask for more, choose "
-                "another folder, or overwrite them (--overwrite)"
+                f"{store.folder} already holds episode {last}, beyond the {episodes} asked for: ask for more, "
+                f"{OTHERWISE}"
             )
 
     def _write_runs(self, runs: Iterable[Run]) -> list[Run]:
