@@ -93,7 +93,7 @@ class _Player:
         self, timed: TimedPolicy, env: EpisodeVectorEnv, recorder: EpisodeRecorder, seed: int, name: str
     ) -> None:
         self._timed, self._env, self._recorder, self._seed, self._name = timed, env, recorder, seed, name
-        self._guard = StateGuard(env)
+        self._guard = StateGuard(env, timed.policy.sees == "state")
         self._numbers = np.zeros(env.num_envs, dtype=np.int64)
         """(n,) the episode of each world."""
         self._playing = np.zeros(env.num_envs, dtype=bool)
@@ -282,9 +282,14 @@ def build_policy(policy: Any, env: EpisodeVectorEnv, name: str, policy_seed: int
 
 def build_timed(policy: Any, env: EpisodeVectorEnv, name: str, policy_seed: int) -> tuple[Policy, float]:
     """Do the same, and return also the time that took (see `timed_construction`)."""
+    guard = StateGuard(env)
     try:
-        with StateGuard(env).assert_unchanged(new_episode=True):
-            return timed_construction(lambda: make_policy(policy, env, name=name, policy_seed=policy_seed))
+        with guard.assert_unchanged(new_episode=True):
+            new_policy, construction_ms = timed_construction(
+                lambda: make_policy(policy, env, name=name, policy_seed=policy_seed)
+            )
+            guard.has_access = new_policy.sees == "state"
+        return new_policy, construction_ms
     except Disqualified as error:
         raise PolicyDisqualified(f"{name} is disqualified: when it was made, {error}") from error
 

@@ -3,11 +3,13 @@
 These are MuJoCo's state, the model's fields of each world, the arrays and plain values among the attributes of the
 environment, its spaces, its task, the parts of the task and the robot's limits, and the constants of the task's classes
 and of the modules that define them. A policy may change things and put them back, as a planner does that tries actions.
-For environments of others, these are MuJoCo's state, the arrays and plain values among their own attributes, and the
-same constants.
+For environments of others, these are MuJoCo's state, the arrays and plain values among their own attributes (the first
+`MAX_PLACES`, and no large arrays), and the same constants; they are compared only for policies that are given the
+environment itself, since such an environment may change by its own threads while a policy thinks.
 """
 
 import contextlib
+import itertools
 import sys
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -26,14 +28,21 @@ _PLAIN = (bool, int, float, str, np.generic)
 _MJ_DATA = ("qpos", "qvel", "act", "ctrl", "mocap_pos", "mocap_quat", "xfrc_applied")
 _LARGE = 2**16
 """Bytes. The checksum of a larger array takes longer than most decisions: a read-only one is taken as unchanged."""
+MAX_PLACES = 10_000
+"""Number of values of an environment of others that are compared."""
 _SPACES = ("single_observation_space", "single_action_space", "observation_space", "action_space")
 
 
 class StateGuard:
-    """Watches the worlds of an environment while a policy is made, and while it decides."""
+    """Watches the worlds of an environment while a policy is made, and while it decides.
 
-    def __init__(self, env: Any) -> None:
+    `has_access` tells whether the policy is given the environment itself, None until it is made. armctl's own
+    environments are watched in any case.
+    """
+
+    def __init__(self, env: Any, has_access: bool | None = None) -> None:
         self._worlds: EpisodeVectorEnv = env.unwrapped
+        self.has_access = has_access
         self._slots: list[_Slot] = []
 
     @contextmanager
@@ -43,6 +52,10 @@ class StateGuard:
         The values to compare are looked up when an episode begins. Changed values are put back, so that the next
         policies play the same task; the current episodes are lost.
         """
+        is_foreign = isinstance(self._worlds, ThirdPartyVectorEnv)
+        if is_foreign and self.has_access is False:
+            yield
+            return
         if new_episode:
             self._slots = [_Slot.of(*place) for place in _places(self._worlds)]
         state = getattr(self._worlds.task, "state", None)  # another object at each control step
@@ -54,7 +67,7 @@ class StateGuard:
         except FAILURES as error:
             failure = error
         values_after = _values(slots)
-        if values_before != values_after:
+        if (self.has_access or not is_foreign) and values_before != values_after:
             values = zip(slots, values_before, values_after, strict=True)
             changed = [(slot, previous) for slot, previous, current in values if previous != current]
             for slot, was in changed:
@@ -109,7 +122,10 @@ def _values(slots: Sequence[_Slot]) -> list[Any]:
             if value.nbytes > _LARGE and not value.flags.writeable:
                 value = id(value)
             else:
-                value = zlib.crc32(value.data if value.flags.c_contiguous else value.tobytes())
+                is_buffer = (
+                    value.flags.c_contiguous and value.dtype.kind in "biufc"
+                )  # times, texts and records are none
+                value = zlib.crc32(value.data if is_buffer else value.tobytes())
         values.append(value)
     return values
 
@@ -130,7 +146,7 @@ def _places(worlds: EpisodeVectorEnv) -> Iterator[tuple[str, Any, Any]]:
         yield from _inside("simulation", task.simulation.live_arrays)
     elif isinstance(worlds, ThirdPartyVectorEnv):
         for i, world in enumerate(worlds.worlds):
-            yield from _inside(f"world {i}", vars(world.unwrapped))
+            yield from itertools.islice(_small(_inside(f"world {i}", vars(world.unwrapped))), MAX_PLACES)
             for name, part in vars(world.unwrapped).items():
                 if isinstance(part, mujoco.MjData):
                     yield from _inside(f"world {i}.{name}", {key: getattr(part, key) for key in _MJ_DATA})
@@ -151,7 +167,13 @@ def _constants(worlds: EpisodeVectorEnv) -> Iterator[tuple[str, Any, Any]]:
             yield from _inside(module, vars(sys.modules[module]))
 
 
-def _inside(name: str, holder: Any) -> Iterator[tuple[str, Any, Any]]:
+def _small(places: Iterator[tuple[str, Any, Any]]) -> Iterator[tuple[str, Any, Any]]:
+    """Leave out large arrays, which environments may fill as they like, and which take long to compare."""
+    return (place for place in places if getattr(_items(place[1])[place[2]], "nbytes", 0) <= _LARGE)
+
+
+def _inside(name: str, holder: Any, outer: tuple[int, ...] = ()) -> Iterator[tuple[str, Any, Any]]:
+    """Yield the places of values in a dict, a list or a class; `outer` are the ids of those around it."""
     items = _items(holder)
     for key, value in items.items() if isinstance(items, Mapping) else enumerate(items):
         if isinstance(key, str) and key.startswith("__"):
@@ -159,8 +181,8 @@ def _inside(name: str, holder: Any) -> Iterator[tuple[str, Any, Any]]:
         numbers = isinstance(value, np.ndarray) and value.dtype != object
         if numbers or _is_plain(value) or (isinstance(value, tuple) and all(map(_is_plain, value))):
             yield f"{name}.{key}", holder, key
-        elif isinstance(value, (dict, list)) and key != "metadata":
-            yield from _inside(f"{name}.{key}", value)
+        elif isinstance(value, (dict, list)) and key != "metadata" and id(value) not in outer:
+            yield from _inside(f"{name}.{key}", value, (*outer, id(holder)))
 
 
 def _items(holder: Any) -> Mapping[Any, Any] | Sequence[Any]:
