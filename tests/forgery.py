@@ -57,17 +57,17 @@ def _forged(stored, there, hostile):
 
 def change_facts(folder, change):
     """Change what a comparison's store says besides the episodes."""
-    with contextlib.closing(sqlite3.connect(folder / STORE)) as file, file:
-        ((text,),) = file.execute("SELECT facts FROM cell")
-        facts = unsealed(text)
-        change(facts)
-        file.execute("UPDATE cell SET facts = ?", (sealed(facts),))
+    _change(folder, "cell", "facts", change)
 
 
 def change_record(folder, change):
     """Change what a store says of the study besides its cells."""
+    _change(folder, "study", "record", change)
+
+
+def _change(folder, table, column, change):
     with contextlib.closing(sqlite3.connect(folder / STORE)) as file, file:
-        ((text,),) = file.execute("SELECT record FROM study")
-        record = unsealed(text)
-        change(record)
-        file.execute("UPDATE study SET record = ?", (sealed(record),))
+        ((text,),) = file.execute(f"SELECT {column} FROM {table}")
+        values = unsealed(text)
+        change(values)
+        file.execute(f"UPDATE {table} SET {column} = ?", (sealed(values),))

@@ -1,5 +1,3 @@
-from typing import Any
-
 import gymnasium
 import numpy as np
 import pytest
@@ -10,10 +8,7 @@ from armctl.policies import make_policy
 from armctl.rollout import evaluate
 
 from ..stores import timeless
-
-STATIC, MOVING = "armctl/BridgeCross-v0", "armctl/BridgeCrossMoving-v0"
-FAST: dict[str, Any] = {"observation": "state"}
-"""It looks at the state anyhow, and cameras take time."""
+from .driving import FAST, MOVING, STATIC, check_distances
 
 
 @pytest.mark.parametrize("env", [STATIC, MOVING])
@@ -44,22 +39,7 @@ def test_it_is_the_same_in_every_run_and_needs_no_camera():
 def test_it_keeps_its_distance_and_always_has_a_solution(monkeypatch):
     results, decide = [], DriveMpc.decide
     monkeypatch.setattr(DriveMpc, "decide", lambda *told: results.append(decide(*told)) or results[-1])
-    env: Any = gymnasium.make_vec(MOVING, num_envs=3, autoreset_mode="disabled", **FAST)
-    policy = make_policy("bridge_mpc", env)
-    observations, _ = env.reset(seed=7)
-    policy.reset(np.arange(3, dtype=np.int32))
-    task, running = env.unwrapped.task, np.ones(3, dtype=bool)
-    for _ in range(130):
-        observations, _, terminated, truncated, _ = env.step(policy.act(observations))
-        running &= ~(terminated | truncated)
-        for world in np.flatnonzero(running):
-            pose, bridge = task.state.poses[world], task.map(world)
-            assert bridge.clearance(pose[None, :2])[0] > 0.31
-            people = bridge.pedestrians.positions(task.state.time[world])
-            assert np.linalg.norm(people - pose[:2], axis=1).min() > 0.31 + bridge.pedestrians.radius
-        if not running.any():
-            break
-    assert not running.any()
+    check_distances("bridge_mpc", n=3, decisions=130, to_obstacles=0.31, to_people=0.31)
     assert np.mean([result.solved for result in results]) > 0.99
 
 

@@ -10,10 +10,7 @@ from armctl.policies import make_policy
 from armctl.rollout import evaluate
 
 from ..stores import timeless
-
-STATIC, MOVING = "armctl/BridgeCross-v0", "armctl/BridgeCrossMoving-v0"
-FAST: dict[str, Any] = {"observation": "state"}
-"""It looks at the state anyhow, and cameras take time."""
+from .driving import FAST, MOVING, STATIC, check_distances
 
 
 @pytest.mark.parametrize(("env", "least"), [(STATIC, 0.99), (MOVING, 0.97)])
@@ -41,21 +38,7 @@ def test_it_is_the_same_in_every_run_and_needs_no_camera():
 
 
 def test_it_keeps_its_distance_from_all_that_walks_and_stands(sized):
-    n = sized(2, 10)
-    env: Any = gymnasium.make_vec(MOVING, num_envs=n, autoreset_mode="disabled", **FAST)
-    policy = make_policy("bridge_ompl", env)
-    observations, _ = env.reset(seed=7)
-    policy.reset(np.arange(n, dtype=np.int32))
-    task, running = env.unwrapped.task, np.ones(n, dtype=bool)
-    for _ in range(400):
-        observations, _, terminated, truncated, _ = env.step(policy.act(observations))
-        running &= ~(terminated | truncated)
-        for world in np.flatnonzero(running):
-            pose, bridge = task.state.poses[world], task.map(world)
-            assert bridge.clearance(pose[None, :2])[0] > 0.28
-            people = bridge.pedestrians.positions(task.state.time[world])
-            assert np.linalg.norm(people - pose[:2], axis=1).min() > 0.25 + 0.22
-    assert not running.any()
+    check_distances("bridge_ompl", n=sized(2, 10), decisions=400, to_obstacles=0.28, to_people=0.22)
 
 
 def test_it_refuses_other_tasks():

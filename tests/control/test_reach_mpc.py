@@ -12,9 +12,9 @@ from armctl.control.reach_problem import OcpParameters, ReachProblem, braking
 from armctl.control.streaming import CommandStream
 from armctl.core.errors import ConfigurationError
 from armctl.kinematics import ArmModel, Ik
-from armctl.robot_description import load_arm
 from armctl.scene import Boxes
 
+from ..arms import named_arm
 from ..kernels.joint_profiles import TICK, limited, towards
 
 REFERENCE = runpy.run_path(str(Path(__file__).parents[2] / "benchmarks" / "reach_reference.py"))
@@ -125,12 +125,7 @@ def test_plans_in_closed_loop_cost_what_converged_ones_do():
 @pytest.mark.parametrize("robot", ["ur3", "ur5", "panda"])
 def test_symbolic_kinematics_are_the_models(robot):
     casadi = pytest.importorskip("casadi")
-    if robot == "panda":
-        from armctl.robot_description import arm as arms
-
-        path = arms.robot_data() / "panda_description/urdf/panda.urdf"
-        robot = load_arm(path, tip="panda_hand_tcp")
-    model = ArmModel(robot)
+    model = ArmModel(named_arm(robot))
     q = casadi.SX.sym("q", model.dof)
     position = casadi.Function("position", [q], [REFERENCE["symbolic_position"](model, q)])
     for sample in np.random.default_rng(0).uniform(-3, 3, (20, model.dof)):

@@ -25,6 +25,22 @@ def arrays(observations):
     return observations if isinstance(observations, dict) else {"": observations}
 
 
+def check_single_environments(env, disturbances, decisions):
+    """Check that each of three worlds is the single environment of its seed, in an episode."""
+    together = worlds(env, 3, disturbances, autoreset_mode="disabled")  # after another episode
+    seen, _ = together.reset(seed=5, options={"episode": 2})
+    apart = [gymnasium.make(env, disturbances=disturbances, **(SMALL if env == BRIDGE else {})) for _ in range(3)]
+    alone = [one.reset(seed=5 + i, options={"episode": 2})[0] for i, one in enumerate(apart)]
+    rng, space = np.random.default_rng(0), together.single_action_space
+    for _ in range(decisions):
+        for i, one in enumerate(alone):
+            assert all(np.array_equal(arrays(seen)[part][i], values) for part, values in arrays(one).items())
+        actions = rng.uniform(space.low, space.high, together.action_space.shape)
+        seen, _, terminated, *_ = together.step(actions)
+        assert not terminated.any()
+        alone = [one.step(action)[0] for one, action in zip(apart, actions, strict=True)]
+
+
 def played(env, decisions=25, seed=3):
     """Everything that comes of the same random actions."""
     rng, told = np.random.default_rng(0), []

@@ -10,7 +10,7 @@ from armctl.kinematics import ArmModel
 from armctl.robots.rover import WHEEL_RADIUS, WHEELS
 from armctl.rollout import evaluate
 from armctl.simulation.worlds import world_path
-from tests.disturbances.disturbed import BRIDGE, REACH, SMALL, arrays, fields, played, worlds
+from tests.disturbances.disturbed import BRIDGE, REACH, check_single_environments, fields, played, worlds
 
 ENVS = (REACH, "armctl/ArmReachMoving-v0", "armctl/ArmReachObstacles-v0", BRIDGE)
 
@@ -30,21 +30,7 @@ def test_at_neutral_levels_an_environment_is_bit_for_bit_what_it_was(env):
     + [pytest.param(BRIDGE, name, marks=() if name == "delay" else pytest.mark.slow) for name in ROVER],
 )
 def test_every_world_is_the_single_environment_of_its_seed(env, name):
-    level = (ARM if env == REACH else ROVER)[name].levels[-1]
-    together = worlds(env, 3, {name: level})
-    apart = [gymnasium.make(env, disturbances={name: level}, **(SMALL if env == BRIDGE else {})) for _ in range(3)]
-    seen, _ = together.reset(seed=5, options={"episode": 2})
-    alone = [one.reset(seed=5 + i, options={"episode": 2})[0] for i, one in enumerate(apart)]
-    rng = np.random.default_rng(0)
-    for _ in range(12):
-        for i, one in enumerate(alone):
-            assert all(np.array_equal(arrays(seen)[part][i], values) for part, values in arrays(one).items())
-        actions = rng.uniform(
-            together.single_action_space.low, together.single_action_space.high, together.action_space.shape
-        )
-        seen, _, terminated, *_ = together.step(actions)
-        assert not terminated.any()
-        alone = [one.step(action)[0] for one, action in zip(apart, actions, strict=True)]
+    check_single_environments(env, {name: (ARM if env == REACH else ROVER)[name].levels[-1]}, decisions=12)
 
 
 @pytest.mark.parametrize("mode", ["same_step", "next_step"])

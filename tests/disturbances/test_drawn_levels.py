@@ -5,7 +5,7 @@ import pytest
 from armctl.core.errors import ConfigurationError
 from armctl.disturbances import ARM, ROVER, Disturbance, DisturbanceSpec, disturb
 from armctl.envs import make_worlds
-from tests.disturbances.disturbed import BRIDGE, REACH, SMALL, arrays, fields, played, worlds
+from tests.disturbances.disturbed import BRIDGE, REACH, check_single_environments, fields, played, worlds
 
 RANGES = {
     REACH: {
@@ -50,19 +50,7 @@ def test_each_episode_is_that_of_its_level_fixed(env, name):
 
 @pytest.mark.parametrize("env", RANGES)
 def test_all_ranges_at_once_depend_on_seed_and_episode_alone(env):
-    together = worlds(env, 3, RANGES[env], autoreset_mode="disabled")
-    together.reset(seed=0)  # what earlier episodes were leaves nothing behind
-    seen, _ = together.reset(seed=5, options={"episode": 2})
-    apart = [gymnasium.make(env, disturbances=RANGES[env], **(SMALL if env == BRIDGE else {})) for _ in range(3)]
-    alone = [one.reset(seed=5 + i, options={"episode": 2})[0] for i, one in enumerate(apart)]
-    rng = np.random.default_rng(0)
-    for _ in range(6):
-        for i, one in enumerate(alone):
-            assert all(np.array_equal(arrays(seen)[part][i], values) for part, values in arrays(one).items())
-        low, high = together.single_action_space.low, together.single_action_space.high
-        actions = rng.uniform(low, high, together.action_space.shape)
-        seen, *_ = together.step(actions)
-        alone = [one.step(action)[0] for one, action in zip(apart, actions, strict=True)]
+    check_single_environments(env, RANGES[env], decisions=6)
 
 
 def test_a_world_that_is_reset_leaves_others_their_levels():

@@ -6,9 +6,9 @@ import pytest
 from armctl.control.streaming import follow
 from armctl.core.errors import ConfigurationError
 from armctl.kinematics import ArmModel, ArmShapes, EdgeChecker
-from armctl.robot_description import arm as arms
 from armctl.scene import NO_BOXES, Boxes
 
+from ..arms import named_arm, random_boxes
 from ..capsule_world import CapsuleWorld
 
 CLEARANCE = 0.01
@@ -16,26 +16,12 @@ CLEARANCE = 0.01
 
 @pytest.fixture(scope="module", params=["ur5", "ur10", "panda"])
 def model(request):
-    if request.param != "panda":
-        return ArmModel(request.param)
-    path = arms.robot_data() / "panda_description/urdf/panda.urdf"
-    return ArmModel(arms.load_arm(path, tip="panda_hand_tcp"))
+    return ArmModel(named_arm(request.param))
 
 
 @pytest.fixture(scope="module")
 def shapes(model):
     return ArmShapes(model)
-
-
-def random_boxes(rng, model, count=6):
-    while True:
-        boxes = Boxes(
-            rng.uniform((-0.8, -0.8, 0), (0.8, 0.8, 1), (count, 3)),
-            rng.uniform(0.02, 0.12, (count, 3)),
-            rng.uniform(-np.pi, np.pi, count),
-        )
-        if model.box_distances(model.home, boxes).min() > 0.03:
-            return boxes
 
 
 def configurations(model, rng, count):

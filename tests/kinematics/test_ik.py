@@ -8,6 +8,8 @@ from armctl.core.errors import ConfigurationError, UnreachableTarget
 from armctl.kinematics import ArmModel, Ik, IkOptions, closed_forms
 from armctl.robot_description import arm as arms
 
+from ..arms import named_arm
+
 TOLERANCE = IkOptions().tolerance
 DISTINCT = IkOptions().distinct
 FAR = np.array([3.0, 0.0, 0.5])
@@ -32,8 +34,7 @@ def numeric(model, options=None):
 
 
 def panda():
-    path = arms.robot_data() / "panda_description/urdf/panda.urdf"
-    return ArmModel(arms.load_arm(path, tip="panda_hand_tcp"))
+    return ArmModel(named_arm("panda"))
 
 
 def configurations(model, count, seed=0):

@@ -9,6 +9,8 @@ from armctl.kinematics.imagined import ARRIVED, MOVING, TOUCHED
 from armctl.robot_description.joint_profiles import TICK
 from armctl.scene import Boxes
 
+from ..arms import random_boxes
+
 PERIOD = 0.04
 FAR = np.array([9.0, 9.0, 9.0])
 
@@ -22,19 +24,12 @@ def arms(shapes, n, most=0, **options):
     return ImaginedArms(shapes, n, most, **{"tolerance": 0.05, "period": PERIOD} | options)
 
 
-def random_boxes(rng, model, n, most):
-    """Boxes that are not too near to the arm at home, and their numbers (n, most, 7): absent ones last."""
+def box_numbers(rng, model, n, most):
+    """Numbers (n, most, 7) of random boxes: absent ones last."""
     numbers = np.zeros((n, most, 7))
     for row in numbers:
         count = rng.integers(0, most + 1)
-        while True:
-            boxes = Boxes(
-                rng.uniform((-0.8, -0.8, 0), (0.8, 0.8, 1), (count, 3)),
-                rng.uniform(0.02, 0.12, (count, 3)),
-                rng.uniform(-np.pi, np.pi, count),
-            )
-            if not count or model.box_distances(model.home, boxes).min() > 0.03:
-                break
+        boxes = random_boxes(rng, model, count)
         row[:count] = np.column_stack((boxes.centres, boxes.half_sizes, boxes.yaws))
     return numbers
 
@@ -79,7 +74,7 @@ def test_the_simulated_arm_follows_what_is_imagined(shapes):
 @pytest.mark.parametrize("margin", [0.0, 0.02])
 def test_touches_are_those_that_an_edge_checker_would_see(shapes, margin):
     model, rng, n = shapes.model, np.random.default_rng(1), 40
-    numbers = random_boxes(rng, model, n, 5)
+    numbers = box_numbers(rng, model, n, 5)
     imagined = arms(shapes, n, 5, margin=margin, period=TICK)
     imagined.begin(np.arange(n), np.tile(model.home, (n, 1)), 0.0, np.tile(FAR, (n, 1)), numbers)
     goals = model.home + rng.uniform(-1.5, 1.5, (n, 6))
@@ -97,7 +92,7 @@ def test_touches_are_those_that_an_edge_checker_would_see(shapes, margin):
 def test_free_waypoints_are_safe_and_the_farthest(shapes):
     """A dense sample of each motion that is called free keeps two thirds of the margin; farther ones do not."""
     model, rng, n, margin = shapes.model, np.random.default_rng(2), 30, 0.02
-    numbers = random_boxes(rng, model, n, 5)
+    numbers = box_numbers(rng, model, n, 5)
     imagined = arms(shapes, n, 5)
     imagined.begin(np.arange(n), np.tile(model.home, (n, 1)), 0.0, np.tile(FAR, (n, 1)), numbers)
     ways = model.home + np.linspace(0, 1, 5)[:, None] * rng.uniform(-2, 2, (n, 1, 6))
@@ -131,7 +126,7 @@ def test_arms_arrive_in_their_sphere_and_stand_still_then(shapes):
 
 def test_each_arm_moves_as_if_it_were_alone(shapes):
     model, rng, n = shapes.model, np.random.default_rng(4), 6
-    numbers, goals = random_boxes(rng, model, n, 4), model.home + rng.uniform(-1, 1, (n, 6))
+    numbers, goals = box_numbers(rng, model, n, 4), model.home + rng.uniform(-1, 1, (n, 6))
     together = arms(shapes, n, 4)
     together.begin(np.arange(n), np.tile(model.home, (n, 1)), 0.0, np.tile(FAR, (n, 1)), numbers)
     for _ in range(10):

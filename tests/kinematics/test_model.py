@@ -5,10 +5,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from armctl.kinematics import ArmModel
-from armctl.robot_description import arm as arms
 from armctl.robots import build_arm_world
 from armctl.scene import Boxes
 
+from ..arms import named_arm
 from ..kernels.joint_profiles import travel_time
 
 STEP = 1e-6
@@ -17,10 +17,7 @@ STEP = 1e-6
 
 @pytest.fixture(scope="module", params=["ur3", "ur5", "ur10", "panda"])
 def model(request):
-    if request.param != "panda":
-        return ArmModel(request.param)
-    path = arms.robot_data() / "panda_description/urdf/panda.urdf"
-    return ArmModel(arms.load_arm(path, tip="panda_hand_tcp"))
+    return ArmModel(named_arm(request.param))
 
 
 @pytest.fixture(scope="module")

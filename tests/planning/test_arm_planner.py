@@ -9,10 +9,10 @@ import pytest
 from armctl.core.errors import ConfigurationError
 from armctl.kinematics import ArmModel, Workspace
 from armctl.planning import ArmPlanner, ArmPlannerOptions, plan_path
-from armctl.robot_description import arm as arms
 from armctl.scene import NO_BOXES, Boxes
 from armctl.tasks.reach.obstacle_layout import sample_layout
 
+from ..arms import named_arm
 from ..capsule_world import CapsuleWorld
 from ..scene.test_bridge_map import random_map
 
@@ -40,10 +40,7 @@ def ur5():
 
 @pytest.fixture(scope="module", params=["ur5", "ur3", "ur10", "panda"])
 def case(request):
-    if request.param != "panda":
-        return Case(request.param)
-    path = arms.robot_data() / "panda_description/urdf/panda.urdf"
-    return Case(arms.load_arm(path, tip="panda_hand_tcp", home=(0, -0.785, 0, -2.356, 0, 1.571, 0.785)))
+    return Case(named_arm(request.param, home=(0, -0.785, 0, -2.356, 0, 1.571, 0.785)))
 
 
 def densely(path):
