@@ -17,7 +17,7 @@ def environments(incomplete: str) -> list[str]:
 
 
 def policies(incomplete: str) -> list[str]:
-    """Names of policies. What has none is a file, which shells complete by themselves."""
+    """Names of policies. Shells complete the paths of files by themselves."""
     return _starting(installed("armctl.policies").names, incomplete)
 
 

@@ -69,7 +69,7 @@ class TrainRequest:
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Folder for the agent, logs and checkpoints; of several seeds, what theirs begin with.",
+            help="Folder for the agent, logs and checkpoints; with several seeds, the beginning of their names.",
             show_default="runs/<recipe>-<seed>",
         ),
     ] = None
@@ -95,7 +95,9 @@ class TrainRequest:
             min=1, help="Threads of physics and network: 1 for trainings beside each other.", show_default="all cores"
         ),
     ] = None
-    workers: Annotated[int, typer.Option(min=1, help="Trainings at once, with several seeds, each on one core.")] = 1
+    workers: Annotated[
+        int, typer.Option(min=1, help="Trainings that run at once, each with its seed and on one core.")
+    ] = 1
     on: On = "local"
 
 

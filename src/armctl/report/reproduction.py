@@ -25,8 +25,8 @@ def _rule(again: Reproduction) -> str:
     if again.same_episodes:
         return "On a card's own episodes, an agent agrees if all of the card's figures are the same."
     return (
-        "On other episodes, an agent agrees unless Fisher's exact test of success, or Welch's test of return or steps "
-        "if the card has their deviations, tells both apart, at 5 % after Holm's correction."
+        "On other episodes, an agent agrees unless a test is significant at 5 % after Holm's correction: Fisher's "
+        "exact test of success, and Welch's tests of return and steps if the card has their standard deviations."
     )
 
 

@@ -44,7 +44,7 @@ class CostPoint:
     symbol: str
     success: float
     cost: float
-    """ms, or decisions of training."""
+    """Decision time, ms, or number of decisions in training."""
 
 
 def intervals(rows: Mapping[str, Estimate], colours: Mapping[str, str]) -> go.Figure:

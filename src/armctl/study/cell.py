@@ -223,9 +223,9 @@ class _Line:
 
 
 def play_cell(cell: Cell, session: Session, task: Task) -> Comparison:
-    """Let all policies of a cell play its episodes; resume what the store holds of it.
+    """Play the episodes of a cell with all its policies, except those that its store has.
 
-    Before anything is written to its store, everything is checked that can be.
+    All checks come before the first write to the store.
 
     Raises `ConfigurationError`, `AgentFileError`, and `ResultsError` as `Store` does. What goes wrong later is in the
     result's failures.

@@ -45,7 +45,7 @@ class ComparisonOptions(TaskOptions, total=False):
     """Options of a comparison."""
 
     baseline: str | None
-    """The policy that all others are held against; by default, the verdict is about the best classical and the best
+    """The policy that all others are compared with; by default, the verdict is about the best classical and the best
     learned policy."""
     margin: float
     """Difference in success, as a share, below which policies count as equivalent; 0.02 by default."""

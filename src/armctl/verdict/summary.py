@@ -72,7 +72,7 @@ class Performance:
     worst_decile: Estimate | None = None
     """Mean of the worst tenth of the returns: the conditional value at risk."""
     median_return: Estimate | None = None
-    """Median of the returns where the possible ones are unknown: it has an interval, unlike their mean."""
+    """Median return if the return has no stated bounds: it then has an interval, and the mean has none."""
     restricted_steps: Estimate | None = None
     """Mean steps to the goal over all episodes, a failure counting as the time limit; None without a limit."""
     efficiency: Estimate | None = None
