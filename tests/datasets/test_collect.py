@@ -196,7 +196,8 @@ def test_a_damaged_manifest_is_told(interrupted):
 def test_a_dataset_whose_results_are_lost_is_not_replaced(interrupted):
     collect("random", episodes=9, out=interrupted, env_options=SHORT)
     before = files(interrupted)
-    (interrupted / "results.sqlite").unlink()
+    for name in ("results.sqlite", "summary.json", "episodes.csv", "decisions.csv"):
+        (interrupted / name).unlink()
     with pytest.raises(ResultsError, match=r"not all results of it.*--overwrite"):
         collect("random", episodes=9, out=interrupted, env_options=SHORT)
     assert files(interrupted) == before
@@ -252,6 +253,17 @@ def test_nothing_is_written_through_a_symbolic_link(tmp_path, name):
         with pytest.raises(ResultsError, match="symbolic link"):
             collect("random", episodes=1, out=tmp_path / "d", overwrite=overwrite)
     assert os.listdir(tmp_path / "elsewhere") == ["precious"]
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+@pytest.mark.parametrize("name", ["data/train.csv", "data/metadata.json", "unfinished/draft.txt", "summary.json"])
+def test_what_armctl_has_not_written_is_not_replaced(tmp_path, name, overwrite):
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).write_text("{}")
+    with pytest.raises(ResultsError, match=r"would be replaced, and armctl did not write it: choose another folder"):
+        collect("random", episodes=1, out=tmp_path, env_options=SHORT, overwrite=overwrite)
+    assert (tmp_path / name).read_text() == "{}"
+    assert not (tmp_path / "results.sqlite").exists()
 
 
 def test_other_files_in_the_folder_stay(tmp_path):

@@ -5,6 +5,7 @@ observations of each finished episode are a file of their own, until the dataset
 """
 
 import json
+import re
 import shutil
 import zipfile
 from collections import Counter
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.core.errors import ResultsError
-from armctl.core.files import FORMAT, write_atomically
+from armctl.core.files import CHECKSUM, FORMAT, bounded_text, write_atomically
 from armctl.datasets.demonstrations import OBSERVATIONS, Demonstration, RecordingWorlds, observations_of, parts_of
 from armctl.datasets.formats import Format, load_formats
 from armctl.datasets.minari import UNFINISHED
@@ -30,6 +31,7 @@ from armctl.runtime.folder import OTHERWISE, read_sealed
 from armctl.study.cell import Recorder
 from armctl.study.comparison import Comparison
 
+_EPISODE = re.compile(r"episode_\d+\.npz|\.armctl-")
 FORMAT_NUMBER = 1
 """Format of armctl's own part of a dataset's metadata."""
 
@@ -70,16 +72,15 @@ class DatasetRecorder(Recorder):
         """Raise `ResultsError` if the folder holds another dataset."""
         if link := next((part for part in self._parts() if part.is_symlink()), None):
             raise ResultsError(f"{link} is a symbolic link, through which armctl does not write: choose another folder")
+        if foreign := next((part for part in self._parts() if part.exists() and not self._is_own(part)), None):
+            raise ResultsError(f"{foreign} would be replaced, and armctl did not write it: choose another folder")
         if self.overwrite:
             return
         for name, other in load_formats().items():
             if name != self.format and (self.folder / other.MANIFEST).exists():
                 raise ResultsError(f"{self.folder} already holds a dataset in the format {name}: {OTHERWISE}")
         if self._has_dataset():
-            manifest = self.folder / self.kind.MANIFEST
-            if not manifest.exists():
-                raise ResultsError(f"{self.folder} already holds a part of a dataset: {OTHERWISE}")
-            stored = read_sealed(manifest, format_number=FORMAT_NUMBER)
+            stored = read_sealed(self.folder / self.kind.MANIFEST, format_number=FORMAT_NUMBER)
             if (count := stored.get("total_episodes")) != self.planned:
                 raise ResultsError(
                     f"{self.folder} already holds a dataset, of {count} episodes, not {self.planned}: {OTHERWISE}"
@@ -163,6 +164,14 @@ class DatasetRecorder(Recorder):
         names = dict.fromkeys(name for kind in (self.kind, *formats) for name in (*kind.PARTS, UNFINISHED))
         return [self.folder / name for name in names]
 
+    def _is_own(self, part: Path) -> bool:
+        """Return whether armctl has written a part of a dataset: it has a manifest, or its collection is unfinished."""
+        unfinished, formats = self.folder / UNFINISHED, load_formats().values()
+        names = {name for kind in formats for name in kind.PARTS}
+        if unfinished.exists() and all(one.name in names or _EPISODE.match(one.name) for one in unfinished.iterdir()):
+            return True
+        return any(part.name in kind.PARTS and CHECKSUM in _text(self.folder / kind.MANIFEST) for kind in formats)
+
     def _has_dataset(self) -> bool:
         """Return whether a finished dataset, or something in its place, is in the folder."""
         return not (self.folder / UNFINISHED).exists() and any(part.exists() for part in self._parts())
@@ -181,6 +190,14 @@ class DatasetRecorder(Recorder):
         """Return the error for a disk that is full, or the like: it says what is kept."""
         kept = f". Its {self._num_kept} finished episodes are kept: the same command resumes" if self._num_kept else ""
         return ResultsError(f"the dataset could not be written to {self.folder}: {error.strerror or error}{kept}")
+
+
+def _text(file: Path) -> str:
+    """Return the text of a file; nothing for one that cannot be read."""
+    try:
+        return bounded_text(file)
+    except (OSError, ValueError):
+        return ""
 
 
 def _write(path: Path, episode: Demonstration) -> None:

@@ -100,7 +100,7 @@ def play_here(
             timed = RealTimePolicy(policy, env, real_time, name) if real_time else policy
             results = rollouts(timed, env, waiting[name], seed, name, lower_bound_steps)
             for result in until_unplayable(results, name, () if name in finished else waiting[name]):
-                yield RolloutBatch(name, [result], remarks=tuple(env.remarks))
+                yield RolloutBatch(name, [result], remarks=tuple(env.unwrapped.remarks))
         except (PolicyFailed, EnvironmentFailed) as failure:
             yield failed(name, [], failure)
 
@@ -212,7 +212,7 @@ def _play(
         if config.recording is not None:
             worlds = config.recording(worlds)
         results.extend(rollouts(policy, worlds, episodes, config.seed, name, lower_bound_steps))
-        remarks = tuple(worlds.remarks)
+        remarks = tuple(worlds.unwrapped.remarks)
     except (PolicyFailed, EnvironmentFailed) as failure:
         return failed(name, results, failure)
     return RolloutBatch(name, results, construction_ms=timed.construction_ms, remarks=remarks)

@@ -1,22 +1,25 @@
 """Output of a study for other programs: tables and a summary. armctl does not read them back."""
 
 import json
+import os
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from armctl.core.errors import os_errors_as
+from armctl.core.errors import ResultsError, os_errors_as
 from armctl.core.files import write_atomically
 from armctl.episodes.output import DECISIONS, EPISODES, EPISODES_PARQUET, write_csv
-from armctl.episodes.stored import UNDISTURBED
+from armctl.episodes.stored import STORE, UNDISTURBED
 from armctl.study.comparison import Comparison
 from armctl.study.plan import COMPARISON, SUITE
 from armctl.study.study import Study
 from armctl.study.task_results import COLUMNS
 
 SUMMARY, POINTS = "summary.json", "sweep.csv"
+NAMES = (SUMMARY, POINTS, EPISODES, DECISIONS, EPISODES_PARQUET)
+"""All that may be written from a store."""
 
 
 def write_output(folder: Path, study: Study) -> None:
@@ -32,10 +35,17 @@ def write_output(folder: Path, study: Study) -> None:
             write_atomically(folder / POINTS, _points(study).to_csv(index=False))
 
 
+def check_output(folder: Path) -> None:
+    """Raise `ResultsError` if a folder has no store, and files that would be written: they are somebody else's."""
+    for name in NAMES if not os.path.lexists(folder / STORE) else ():
+        if os.path.lexists(folder / name):
+            raise ResultsError(f"{folder / name} would be replaced, and armctl did not write it: choose another folder")
+
+
 def remove_output(folder: Path) -> None:
     """Remove all that may have been written from a store, while more is played. Raises `ResultsError`."""
     with os_errors_as(f"results cannot be written to {folder}"):
-        for name in (SUMMARY, POINTS, EPISODES, DECISIONS, EPISODES_PARQUET):
+        for name in NAMES:
             (folder / name).unlink(missing_ok=True)
 
 

@@ -14,7 +14,7 @@ from armctl.policies import learners
 from armctl.rollout.real_time import recorded_times
 from armctl.study.cell import Recorder, Session, Task, play_cell
 from armctl.study.options import StudyOptions
-from armctl.study.output import remove_output, write_output
+from armctl.study.output import check_output, remove_output, write_output
 from armctl.study.plan import COMPARISON, SUITE, Cell, Plan, TaskPlan
 from armctl.study.study import Study
 from armctl.study.task_results import Sweep
@@ -36,6 +36,8 @@ def play(
     cannot be played is among the failures, and the others are played.
     """
     folder, overwrite = None if out is None else Path(out), options.get("overwrite", False)
+    if folder is not None:
+        check_output(folder)
     stored = None if folder is None or overwrite else stored_policy_seed(folder)
     secret = chosen_policy_seed(options.get("policy_seed"), stored)
     study = Study.of(plan)
